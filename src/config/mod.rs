@@ -1,0 +1,1 @@
+//! Checked configuration of the cell and of the simulator.

@@ -1,0 +1,1 @@
+//! The tokio shell that drives the supervisor, devices, cameras and workers.

@@ -1,0 +1,1 @@
+//! Sans-IO sessions with the robot controller and the gripper.

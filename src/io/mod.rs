@@ -1,0 +1,1 @@
+//! The edge: cameras, sockets, files, clocks. The only place that touches the outside, besides `sim` and `daemon`.

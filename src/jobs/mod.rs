@@ -1,0 +1,1 @@
+//! Job files, spool folders and the journal database.

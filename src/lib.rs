@@ -1,0 +1,45 @@
+//! celld: the daemon of a robot cell that rearranges a cluttered table.
+//!
+//! Modules are listed in reading order; each may use only the ones its row in ARCHITECTURE.md names, and
+//! `tests/tidy.rs` checks that. The pure core runs down to `report`; `jobs`, `io`, `sim`, `daemon`, `bench`
+//! and `cli` are the shell around it.
+
+pub mod units;
+
+pub mod time;
+
+pub mod document;
+
+pub mod wire;
+
+pub mod urscript;
+
+pub mod geometry;
+
+pub mod tabletop;
+
+pub mod planning;
+
+pub mod vision;
+
+pub mod motion;
+
+pub mod device;
+
+pub mod supervisor;
+
+pub mod report;
+
+pub mod jobs;
+
+pub mod io;
+
+pub mod config;
+
+pub mod sim;
+
+pub mod daemon;
+
+pub mod bench;
+
+pub mod cli;

@@ -1,0 +1,1 @@
+//! The rearrangement problem, its solvers, lower bound and independent plan checker.

@@ -1,0 +1,1 @@
+//! Object catalogue, workspace, arrangement, instance files and importers.

@@ -1,0 +1,1 @@
+//! The URScript language: lexer, parser, evaluator with a host interface for the built-ins.

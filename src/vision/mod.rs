@@ -1,0 +1,1 @@
+//! Images, marker detection, object poses with their uncertainty, calibration mathematics.
