@@ -109,6 +109,13 @@ pub fn inverse_near(
         .min_by(|a, b| a.max_difference(near).total_cmp(&b.max_difference(near)))
 }
 
+/// Which of the 2 x 2 x 2 solution families `q` belongs to: wrist in front of the shoulder axis or behind,
+/// sign of the elbow, sign of wrist 2. Within one family a continuous motion stays away from singularities.
+pub fn posture(dh: &DhParameters, q: &Joints) -> [bool; 3] {
+    let link_1_from_4 = link(dh, 1, q.0[1]) * link(dh, 2, q.0[2]) * link(dh, 3, q.0[3]);
+    [link_1_from_4.translation.vector.x > 0.0, q.0[2].sin() > 0.0, q.0[4].sin() > 0.0]
+}
+
 /// Adds full turns to each joint so that it comes nearest to `near` inside `range`; `None` if one cannot.
 pub fn unwind(solution: &Joints, near: &Joints, range: (f64, f64)) -> Option<Joints> {
     let mut out = *solution;
