@@ -184,8 +184,11 @@ const PLAIN: &[(&str, Command, &str)] = &[
     ("shutdown", Command::Shutdown, "Shutting down"),
 ];
 
+/// A verb, and the command of the text behind it.
+type Verb = (&'static str, fn(String) -> Command);
+
 /// Commands with an argument, longest verb first where one starts like another.
-const WITH_TEXT: &[(&str, fn(String) -> Command)] = &[
+const WITH_TEXT: &[Verb] = &[
     ("load installation", Command::LoadInstallation),
     ("load", Command::Load),
     ("popup", Command::Popup),

@@ -143,7 +143,10 @@ pub enum Register {
     OutputBit(u8),
 }
 
-const PREFIXES: [(&str, fn(u8) -> Register); 6] = [
+/// Start of a register's name, and the register of a number.
+type Prefix = (&'static str, fn(u8) -> Register);
+
+const PREFIXES: [Prefix; 6] = [
     ("input_int_register_", Register::InputInt),
     ("input_double_register_", Register::InputDouble),
     ("input_bit_register_", Register::InputBit),
