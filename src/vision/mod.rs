@@ -5,4 +5,11 @@
 //! `calibration` the files that keep it, `annotate` the picture for people, `marker` the print itself. Pure; OpenCV
 //! is called in `cv` alone and the AprilTag library in `detect` alone.
 
+pub mod camera;
+pub mod cv;
+pub mod detect;
 pub mod image;
+pub mod marker;
+
+#[cfg(test)]
+mod testing;
