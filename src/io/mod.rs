@@ -1,1 +1,4 @@
 //! The edge: cameras, sockets, files, clocks. The only place that touches the outside, besides `sim` and `daemon`.
+
+pub mod clock;
+pub mod files;
