@@ -3,4 +3,5 @@
 pub mod journal;
 pub mod policy;
 pub mod record;
+pub mod spool;
 pub mod utc;

@@ -56,6 +56,15 @@ impl Journal {
         Ok(())
     }
 
+    /// The job that was claimed from this very file and whose file is not in its place yet.
+    pub(in crate::jobs) fn claim_of(&self, source: &FileIdentity) -> Result<Option<String>, JournalError> {
+        let select = "SELECT id FROM jobs WHERE source = ?1";
+        self.database
+            .query_row(select, [source_text(source)], |row| row.get(0))
+            .optional()
+            .map_err(|e| self.fail(e))
+    }
+
     /// Writes down a refusal and returns its number.
     pub(in crate::jobs) fn reject(&mut self, new: &NewRejection, unix_s: f64) -> Result<i64, JournalError> {
         self.transact(|transaction| {

@@ -76,7 +76,7 @@ pub(super) fn free_id(
 }
 
 /// A file's identity as the database keeps it.
-pub(super) fn source_text(source: &FileIdentity) -> String {
+pub(in crate::jobs) fn source_text(source: &FileIdentity) -> String {
     format!("{}:{}:{}:{}", source.device, source.inode, source.size, source.modified_ns)
 }
 
