@@ -1,1 +1,7 @@
-//! The stand-in for the hardware: world, UR controller, VGC10 and camera behind the real protocols.
+//! Simulator: world, camera, gripper and controller behind the sockets that the real devices have.
+
+pub mod camera_server;
+pub mod control_server;
+pub mod gripper_server;
+pub mod render;
+pub mod world;
