@@ -4,6 +4,8 @@
 //! independent checker, the only way to a plan the robot may carry out. `graph`, `feedback`: dependency
 //! graph, components, minimum feedback vertex sets. `primitive`: primitive plans of minimum running buffer.
 
+pub mod check;
+
 pub mod effort;
 
 pub mod feedback;
