@@ -94,7 +94,7 @@ impl<'a> Scene<'a> {
             Footprint::Disc { .. } => self.problem.objects[object].start.theta,
             _ => rng.random_range(-std::f64::consts::PI..std::f64::consts::PI),
         };
-        let [[x_min, x_max], [y_min, y_max]] = footprint.extents(theta);
+        let ([x_min, y_min], [x_max, y_max]) = footprint.bounds(&Pose2::new(0.0, 0.0, theta));
         let (width, height) = (self.problem.workspace.width, self.problem.workspace.height);
         let x = between(rng, -x_min, width - x_max)?;
         let y = between(rng, -y_min, height - y_max)?;
