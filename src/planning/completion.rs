@@ -35,7 +35,11 @@ pub fn assigned_goals(scene: &Scene) -> Vec<Option<Pose2>> {
             goals[member] = taken.map(|g| open[g]);
         }
     }
-    goals
+    // Goals that are given closer than the clearance are exempt only for those they were written for.
+    let ends: Vec<Arc<Spot>> =
+        goals.iter().enumerate().filter_map(|(i, goal)| goal.map(|pose| scene.spot(i, pose))).collect();
+    let stands = ends.iter().enumerate().all(|(k, a)| ends[k + 1..].iter().all(|b| scene.clear(a, b)));
+    if stands { goals } else { objects.iter().map(|object| object.goal).collect() }
 }
 
 /// For each start the index of the goal it takes, at most one each: identical poses first, then greedily the
@@ -82,7 +86,6 @@ pub fn complete(
         .iter()
         .enumerate()
         .map(|(i, goal)| match goal {
-            _ if scene.problem.objects[i].fixed => Some(scene.start(i).clone()),
             Some(pose) if pose.same(&scene.start(i).pose) => Some(scene.start(i).clone()),
             Some(pose) => Some(scene.spot(i, *pose)),
             None => None,

@@ -1,23 +1,31 @@
 //! The rearrangement problem, its solvers, lower bound and independent plan checker.
 
-pub mod bound;
+pub mod problem;
 
-pub mod buffers;
+pub mod plan;
+
+pub mod check;
 
 pub mod effort;
 
-pub mod feedback;
+pub mod object_set;
 
 pub mod graph;
 
-pub mod object_set;
-
-pub mod primitive;
-
-pub mod problem;
+pub mod feedback;
 
 pub mod scene;
 
+pub mod weights;
+
+pub mod bound;
+
+pub mod primitive;
+
+pub mod buffers;
+
 pub mod trlb;
 
-pub mod weights;
+pub mod completion;
+
+pub mod solver;

@@ -112,7 +112,6 @@ fn new_spot(problem: &Problem, object: usize, pose: Pose2) -> Spot {
         pose,
         placed: Placed::new(&given.footprint, pose),
         at_start: pose == given.start,
-        // What never moves is where it should be.
-        at_goal: given.goal == Some(pose) || (given.fixed && pose == given.start),
+        at_goal: given.goal == Some(pose),
     }
 }
