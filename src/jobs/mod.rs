@@ -1,7 +1,10 @@
 //! Job files, spool folders and the journal database: from a dropped YAML file to its result.
 
+pub mod command;
 pub mod journal;
 pub mod policy;
 pub mod record;
 pub mod spool;
+pub mod state;
+pub mod status;
 pub mod utc;
