@@ -1,1 +1,7 @@
 //! Pictures and pages people look at: SVG, HTML, tables. Pure.
+
+pub mod html;
+pub mod run;
+pub mod summary;
+pub mod table_svg;
+pub mod text;
