@@ -86,9 +86,6 @@ pub enum Reply {
 
 /// What a program runs on.
 pub trait Host {
-    /// The built-in called `name`, if there is one.
-    fn builtin(&self, name: &str) -> Option<&'static Builtin>;
-
     /// Carries out a call.
     ///
     /// # Errors
