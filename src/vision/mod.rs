@@ -10,6 +10,7 @@ pub mod cv;
 pub mod detect;
 pub mod image;
 pub mod marker;
+pub mod observe;
 
 #[cfg(test)]
 mod testing;
