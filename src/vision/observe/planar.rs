@@ -164,3 +164,85 @@ fn fit_square(landed: &[Landed; 4], size_m: f64) -> Option<(Pose2, Matrix3<f64>)
     pose.theta = crate::geometry::pose::wrap_angle(pose.theta);
     pose.is_finite().then_some((pose, information))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::Timestamp;
+    use crate::vision::testing::{self, Print};
+    use rand::SeedableRng;
+
+    const TARGET: Target = Target { size_m: 0.03, height_m: 0.02 };
+
+    fn placed(camera: &CameraModel, seen_by: &CameraModel, noise_px: f64, seed: u64) -> (Pose2, Placed) {
+        let truth = Pose2::new(0.13, -0.06, 0.7);
+        let table_from_camera = testing::looking_down(0.0, 0.0, 0.4, [0.2, 0.1], 0.4);
+        let prints = [Print::level(1, TARGET.size_m, truth, TARGET.height_m)];
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let detections = testing::detections(camera, &table_from_camera, &prints, noise_px, &mut random);
+        let views = [View { table_from_camera, detections, time: Timestamp::ZERO }];
+        let seen = sightings(seen_by, &views).unwrap();
+        (truth, place(&seen[&1][0], TARGET, &views, &ObserveLimits::default()).unwrap())
+    }
+
+    #[test]
+    fn exact_corners_give_the_exact_pose() {
+        let camera = testing::camera(1280, 720);
+        let (truth, placed) = placed(&camera, &camera, 0.0, 0);
+        assert!(placed.pose.distance(&truth) < 1e-8 && placed.pose.angle_difference(&truth) < 1e-7);
+        assert!(placed.shape_residual_px < 1e-4);
+    }
+
+    #[test]
+    fn a_lens_taken_for_perfect_costs_millimetres() {
+        let camera = testing::camera(1280, 720);
+        let pinhole = CameraModel { distortion: [0.0; 5], ..camera.clone() };
+        let (truth, placed) = placed(&camera, &pinhole, 0.0, 0);
+        assert!(placed.pose.distance(&truth) > 4e-4, "{:?}", placed.pose);
+    }
+
+    #[test]
+    fn the_covariance_is_that_of_the_errors() {
+        let camera = testing::camera(1280, 720);
+        let noise = ObserveLimits::default().corner_std_px();
+        let mut normalised = 0.0;
+        let trials = 300;
+        for seed in 0..trials {
+            let (truth, placed) = placed(&camera, &camera, noise, seed);
+            let off = Vector3::new(
+                placed.pose.x - truth.x,
+                placed.pose.y - truth.y,
+                placed.pose.theta - truth.theta,
+            );
+            normalised += (off.transpose() * placed.covariance.try_inverse().unwrap() * off)[(0, 0)];
+        }
+        // Chi squared with 3 degrees of freedom: its mean is 3, the mean of 300 within 0.5 of it.
+        let mean = normalised / trials as f64;
+        assert!((mean - 3.0).abs() < 0.5, "{mean}");
+    }
+
+    #[test]
+    fn a_wrong_height_moves_the_pose_as_predicted() {
+        let camera = testing::camera(1280, 720);
+        let (truth, placed) = placed(&camera, &camera, 0.0, 0);
+        // Seen obliquely, 1 mm of height is about a third of a millimetre on the table.
+        assert!(placed.by_height.fixed_rows::<2>(0).norm() > 0.2);
+        let table_from_camera = testing::looking_down(0.0, 0.0, 0.4, [0.2, 0.1], 0.4);
+        let views = [View { table_from_camera, detections: vec![], time: Timestamp::ZERO }];
+        let higher = Target { height_m: TARGET.height_m + 2e-3, ..TARGET };
+        let moved = place(&placed.sighting, higher, &views, &ObserveLimits::default()).unwrap().pose;
+        let predicted = placed.by_height * 2e-3;
+        assert!((moved.x - truth.x - predicted.x).abs() < 2e-5);
+        assert!((moved.y - truth.y - predicted.y).abs() < 2e-5);
+    }
+
+    #[test]
+    fn a_plane_behind_the_camera_is_no_place() {
+        let camera = testing::camera(1280, 720);
+        let (_, placed) = placed(&camera, &camera, 0.0, 0);
+        let table_from_camera = testing::looking_down(0.0, 0.0, 0.4, [0.2, 0.1], 0.4);
+        let views = [View { table_from_camera, detections: vec![], time: Timestamp::ZERO }];
+        let above = Target { height_m: 1.0, ..TARGET };
+        assert!(place(&placed.sighting, above, &views, &ObserveLimits::default()).is_none());
+    }
+}
