@@ -98,6 +98,15 @@ pub fn place(sighting: &Sighting, target: Target, views: &[View], limits: &Obser
     Some(Placed { sighting: sighting.clone(), pose, covariance, by_height, shape_residual_px })
 }
 
+/// The four corners on the plane z = `height_m` of the table, m; `None` if the rays do not meet it.
+pub fn corners_on_plane(
+    sighting: &Sighting,
+    table_from_camera: &Isometry3<f64>,
+    height_m: f64,
+) -> Option<[[f64; 2]; 4]> {
+    Some(land(sighting, table_from_camera, height_m)?.map(|landed| [landed.point.x, landed.point.y]))
+}
+
 /// A corner on the plane and how pixel noise moves it there.
 #[derive(Clone, Copy)]
 struct Landed {
