@@ -6,6 +6,7 @@
 //! is called in `cv` alone and the AprilTag library in `detect` alone.
 
 pub mod calibrate;
+pub mod calibration;
 pub mod camera;
 pub mod cv;
 pub mod detect;
