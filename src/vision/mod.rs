@@ -5,6 +5,7 @@
 //! `calibration` the files that keep it, `annotate` the picture for people, `marker` the print itself. Pure; OpenCV
 //! is called in `cv` alone and the AprilTag library in `detect` alone.
 
+pub mod annotate;
 pub mod calibrate;
 pub mod calibration;
 pub mod camera;
