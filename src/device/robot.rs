@@ -9,9 +9,10 @@
 //! and the program reports it), `stop` on the dashboard, and silence (the program's own watchdog).
 //!
 //! The work is split by subject: `links` takes what the link sessions report, `commands` what is asked for,
-//! `life` follows the program.
+//! `life` follows the program, `feed` gives it work.
 
 mod commands;
+mod feed;
 mod life;
 mod links;
 #[cfg(test)]
@@ -64,7 +65,12 @@ pub struct Robot {
     stream: Stream,
     setup: Setup,
     state: Option<RobotState>,
+    /// As last heard on the dashboard link that stands now.
     remote_control: Option<bool>,
+    /// As last heard on an earlier one: a change since then means that links have to be made anew.
+    remote_control_before: Option<bool>,
+    /// Since when commands wait although the program runs.
+    held_since: Option<Timestamp>,
     identity: Identity,
     dh: DhParameters,
     reported: Reported,
@@ -93,6 +99,8 @@ impl Robot {
             setup: Setup::default(),
             state: None,
             remote_control: None,
+            remote_control_before: None,
+            held_since: None,
             identity: Identity::default(),
             dh: DhParameters::UR5E,
             reported: Reported::default(),
@@ -108,8 +116,12 @@ impl Robot {
     /// A TCP connection stands.
     pub fn connected(&mut self, now: Timestamp, link: Link) {
         match link {
-            Link::Rtde => self.rtde.connected(now),
+            Link::Rtde => {
+                self.lose_rtde(now);
+                self.rtde.connected(now);
+            }
             Link::Dashboard => {
+                self.lose_dashboard("made anew");
                 self.identity = Identity::default();
                 self.dashboard.connected(now);
             }
@@ -180,8 +192,9 @@ impl Robot {
         let heartbeat = self.heartbeat.next().map(|at| (at, "heartbeat"));
         let program = self.program.deadline().map(|at| (at, "program"));
         let setup = self.setup.deadline.map(|at| (at, "payload and TCP"));
+        let held = self.held_since.map(|at| (at + feed::SEND_WITHIN, "commands held back"));
         let waits = self.arm_waits.iter().map(|wait| wait.deadline).min().map(|at| (at, "arm"));
-        [heartbeat, program, setup, waits].into_iter().fold(links, earlier)
+        [heartbeat, program, setup, held, waits].into_iter().fold(links, earlier)
     }
 
     /// A link that should be dropped and made anew.

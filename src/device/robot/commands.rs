@@ -2,7 +2,7 @@
 //!
 //! In: [`RobotCommand`]s. Out: dashboard commands, programs and streams, or a [`Refused`] with the reason.
 
-use crate::device::registers::Opcode;
+use crate::device::registers::{CommandRegisters, Opcode};
 use crate::device::robot::Robot;
 use crate::device::robot::life::Program;
 use crate::device::robot::links::{ArmGoal, ArmWait};
@@ -106,7 +106,7 @@ impl Robot {
         Ok(state)
     }
 
-    fn program_takes_commands(&self, now: Timestamp) -> Result<&RobotState, Refused> {
+    pub(super) fn program_takes_commands(&self, now: Timestamp) -> Result<&RobotState, Refused> {
         let state = self.arm_is_ready(now)?;
         match &self.program {
             Program::Running { .. } if state.runtime_state == RuntimeState::Playing => Ok(state),
@@ -122,31 +122,16 @@ impl Robot {
         let state = self.program_takes_commands(now)?;
         let from = self.stream.end().unwrap_or(state.q);
         let difference_rad = from.max_difference(&path.start());
-        // Written so that a NaN is refused as well.
-        if !(difference_rad <= START_TOLERANCE_RAD) {
+        if difference_rad > START_TOLERANCE_RAD || !path.start().is_finite() {
             return Err(Refused::WrongStart { difference_rad });
         }
         self.stream.push_path(path, &self.dh).map(|_| ())
     }
 
-    /// Writes what the program can take now. Nothing is written on a stale state or outside remote control and
-    /// normal safety, whatever was streamed before.
-    pub(super) fn send_commands(&mut self, now: Timestamp) {
-        if self.program_takes_commands(now).is_err() {
-            return;
-        }
-        if self.stream.path_begins() && !self.setup_is_shown(now) {
-            return;
-        }
-        if let Some(command) = self.stream.poll_command() {
-            self.rtde.write_command(&command);
-        }
-    }
-
     /// Writes a command that is taken with any new number.
     pub(super) fn write_at_once(&mut self, opcode: Opcode) -> i32 {
         let sequence = self.stream.skip_sequence();
-        self.rtde.write_command(&crate::device::registers::CommandRegisters::bare(sequence, opcode));
+        self.rtde.write_command(&CommandRegisters::bare(sequence, opcode));
         sequence
     }
 }

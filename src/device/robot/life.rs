@@ -7,11 +7,9 @@ use crate::device::program::{Nonce, program_name};
 use crate::device::registers::{Opcode, ProgramStatus};
 use crate::device::robot::{Robot, Setup};
 use crate::device::robot_types::{Link, ProgramEnd, Refused, RobotEvent, RobotState};
-use crate::device::stream::Done;
 use crate::time::{Duration, Timestamp};
 use crate::wire::dashboard::Command;
 use crate::wire::enumerations::RuntimeState;
-use nalgebra::{Isometry3, Vector3};
 
 /// Heartbeat period: five of them fit into the program's watchdog twice over.
 const HEARTBEAT_EVERY: Duration = Duration::from_millis(20);
@@ -25,11 +23,6 @@ const STOP_WITHIN: Duration = Duration::from_secs(2);
 const END_WITHIN: Duration = Duration::from_secs(3);
 /// From the dashboard's `stop` to the program's end.
 const HALT_WITHIN: Duration = Duration::from_secs(3);
-/// From payload or TCP being set to the controller showing it.
-const SETUP_WITHIN: Duration = Duration::from_secs(1);
-/// Least share of full speed at which deadlines run while the program plays: a slider at 1 % is slow, not
-/// forgiven for ever.
-const LEAST_SPEED_SHARE: f64 = 0.01;
 
 /// Where the program is in its life.
 pub enum Program {
@@ -171,6 +164,7 @@ impl Robot {
         match &mut self.program {
             Program::Running { .. } if runtime == Some(RuntimeState::Playing) => {
                 self.stream.clear();
+                self.setup.deadline = None;
                 let sequence = self.write_at_once(Opcode::Stop);
                 self.program = Program::Stopping { sequence, deadline: now + STOP_WITHIN };
             }
@@ -188,8 +182,9 @@ impl Robot {
     }
 
     /// Stops by dashboard and by silence.
-    fn halt(&mut self, now: Timestamp, reason: Option<ProgramEnd>, asked: bool) {
+    pub(super) fn halt(&mut self, now: Timestamp, reason: Option<ProgramEnd>, asked: bool) {
         self.stream.clear();
+        self.setup.deadline = None;
         // If the dashboard is not there, silence alone has to do.
         let _ = self.dashboard.ask_first(now, Command::Stop);
         self.program = Program::Halting { reason, asked, deadline: now + HALT_WITHIN };
@@ -214,6 +209,7 @@ impl Robot {
 
     fn begin_end(&mut self, now: Timestamp, reason: ProgramEnd) {
         self.stream.clear();
+        self.setup.deadline = None;
         self.write_at_once(Opcode::End);
         self.program = Program::Ending { reason, deadline: now + END_WITHIN };
     }
@@ -251,9 +247,8 @@ impl Robot {
     }
 
     /// The dashboard refused `stop`: silence has to do, within the deadline that runs already.
-    pub(super) fn dashboard_stop_refused(&mut self, now: Timestamp) {
+    pub(super) fn dashboard_stop_refused(&mut self) {
         if let Program::Clearing { .. } = self.program {
-            let _ = now;
             self.program_ended(ProgramEnd::NotStarted("the program that runs could not be stopped".into()));
         }
     }
@@ -271,16 +266,16 @@ impl Robot {
     }
 
     /// A STOPPED message with a program's name.
-    pub(super) fn program_stopped_message(&mut self, now: Timestamp, name: &str) {
+    pub(super) fn program_stopped_message(&mut self, name: &str) {
         if let Program::Starting { nonce, .. } = &self.program
             && program_name(*nonce) == name
         {
-            self.program_failed(now);
+            self.program_failed();
         }
     }
 
     /// A runtime exception, or the end of a program that has only just been uploaded.
-    pub(super) fn program_failed(&mut self, _now: Timestamp) {
+    pub(super) fn program_failed(&mut self) {
         if let Program::Starting { .. } = &self.program {
             let detail = self.exception.take().map_or("it ended at once".into(), |end| end.to_string());
             self.program_ended(ProgramEnd::NotStarted(detail));
@@ -288,7 +283,7 @@ impl Robot {
     }
 
     /// The controller took the upload for one on a read-only connection (made in local mode).
-    pub(super) fn upload_refused(&mut self, _now: Timestamp) {
+    pub(super) fn upload_refused(&mut self) {
         let Program::Starting { upload_again, retried, .. } = &mut self.program else { return };
         if *retried {
             let detail = "the controller takes no program on this connection (C210)".into();
@@ -453,56 +448,6 @@ impl Robot {
         }
     }
 
-    /// Hands the program's progress to the stream, and time with it.
-    pub(super) fn take_progress(&mut self, now: Timestamp, passed: Duration) {
-        let Program::Running { .. } = &self.program else { return };
-        let Some(state) = &self.state else { return };
-        let playing = if state.runtime_state == RuntimeState::Playing { passed.as_secs_f64() } else { 0.0 };
-        let scaled = playing * state.speed_share().max(LEAST_SPEED_SHARE);
-        let progress = self
-            .stream
-            .progress(state.accepted, state.finished)
-            .and_then(|()| self.stream.elapse(playing, scaled));
-        while let Some(done) = self.stream.poll_done() {
-            self.stream_done(done);
-        }
-        if let Err(detail) = progress {
-            self.report_fault(now, Link::Rtde, detail.clone());
-            self.halt(now, Some(ProgramEnd::Overdue(detail)), false);
-        }
-    }
-
-    fn stream_done(&mut self, done: Done) {
-        let event = match done {
-            Done::Segment { batch, index } => RobotEvent::SegmentFinished { batch, index },
-            Done::Path { batch } => RobotEvent::PathFinished { batch },
-            Done::Payload { mass_kg, centre_of_gravity_m } => {
-                self.setup.payload = Some((mass_kg, centre_of_gravity_m));
-                RobotEvent::PayloadSet
-            }
-            Done::Tcp(tcp) => {
-                self.setup.tcp = Some(tcp);
-                RobotEvent::TcpSet
-            }
-        };
-        self.report(event);
-    }
-
-    /// True if the controller shows the payload and TCP that the program was told; a path waits for that, and not for
-    /// ever.
-    pub(super) fn setup_is_shown(&mut self, now: Timestamp) -> bool {
-        let Some(state) = &self.state else { return false };
-        let Some(difference) = setup_difference(&self.setup, state) else {
-            self.setup.deadline = None;
-            return true;
-        };
-        let deadline = *self.setup.deadline.get_or_insert(now + SETUP_WITHIN);
-        if now >= deadline {
-            self.halt(now, Some(ProgramEnd::Overdue(difference)), false);
-        }
-        false
-    }
-
     /// Writes the heartbeat when it is due.
     pub(super) fn send_heartbeat(&mut self, now: Timestamp) {
         if !self.program.wants_heartbeat() {
@@ -515,24 +460,4 @@ impl Robot {
             self.rtde.write_heartbeat(self.heartbeat.count);
         }
     }
-}
-
-/// What the controller shows differently from what the program was told; `None` if nothing.
-fn setup_difference(setup: &Setup, state: &RobotState) -> Option<String> {
-    if let Some((mass, cog)) = setup.payload {
-        let cog_off = cog.iter().zip(state.payload_cog).any(|(a, b)| (a - b).abs() > 1e-3);
-        if (mass - state.payload).abs() > 1e-3 || cog_off {
-            return Some(format!(
-                "payload reads {:.3} kg at {:?}, {mass:.3} kg at {cog:?} was set",
-                state.payload, state.payload_cog
-            ));
-        }
-    }
-    let tcp = setup.tcp?;
-    let pose = |p: [f64; 6]| Isometry3::new(Vector3::new(p[0], p[1], p[2]), Vector3::new(p[3], p[4], p[5]));
-    let (told, shown) = (pose(tcp), pose(state.tcp_offset));
-    let way = (told.translation.vector - shown.translation.vector).norm();
-    let turn = told.rotation.angle_to(&shown.rotation);
-    let differs = way > 1e-4 || turn > 1e-3;
-    differs.then(|| format!("TCP reads {:?}, {tcp:?} was set", state.tcp_offset))
 }

@@ -109,6 +109,10 @@ impl Robot {
     /// The dashboard connection is gone; commands without an answer failed.
     pub(super) fn lose_dashboard(&mut self, reason: &str) {
         self.dashboard.disconnected();
+        self.remote_control_before = self.remote_control.take().or(self.remote_control_before);
+        if let Some(state) = &mut self.state {
+            state.remote_control = None;
+        }
         for wait in std::mem::take(&mut self.arm_waits) {
             let reply = format!("dashboard connection lost: {reason}");
             self.report(RobotEvent::Refused { what: wait.what.into(), reply });
@@ -140,17 +144,17 @@ impl Robot {
             }
             // Power, brakes and unlock: accepted is not done, the arm's modes tell.
             (_, Reply::Accepted(_)) => {}
-            (command, refusal) => self.dashboard_refused(now, &command, &refusal),
+            (command, refusal) => self.dashboard_refused(&command, &refusal),
         }
     }
 
-    fn dashboard_refused(&mut self, now: Timestamp, command: &Command, reply: &Reply) {
+    fn dashboard_refused(&mut self, command: &Command, reply: &Reply) {
         self.arm_waits.retain(|wait| wait.command != *command);
         let what = command.line().trim_end().to_string();
         let reply = reply.line(command).trim_end().to_string();
         self.report(RobotEvent::Refused { what, reply });
         if *command == Command::Stop {
-            self.dashboard_stop_refused(now);
+            self.dashboard_stop_refused();
         }
     }
 
@@ -169,7 +173,7 @@ impl Robot {
     /// After a switch between local and remote the controller wants both links made anew: until then it goes
     /// on refusing, and the primary interface stays read-only.
     fn remote_control_is(&mut self, on: bool) {
-        let before = self.remote_control.replace(on);
+        let before = self.remote_control.replace(on).or(self.remote_control_before);
         if let Some(state) = &mut self.state {
             state.remote_control = Some(on);
         }
@@ -225,13 +229,13 @@ impl Robot {
             }
             // The nonce over RTDE says more than the name does.
             PrimaryEvent::ProgramStarted(_) => {}
-            PrimaryEvent::ProgramStopped(name) => self.program_stopped_message(now, &name),
+            PrimaryEvent::ProgramStopped(name) => self.program_stopped_message(&name),
             PrimaryEvent::RuntimeException { line, column, text } => {
                 self.exception = Some(ProgramEnd::Exception { line, column, text: text.clone() });
                 self.report(RobotEvent::RuntimeException { line, column, text });
-                self.program_failed(now);
+                self.program_failed();
             }
-            PrimaryEvent::ReadOnly => self.upload_refused(now),
+            PrimaryEvent::ReadOnly => self.upload_refused(),
             PrimaryEvent::ErrorCode { code, argument, level, text } => {
                 self.report(RobotEvent::ErrorCode { code, argument, level, text });
             }
