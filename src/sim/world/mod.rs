@@ -35,13 +35,21 @@ use nalgebra::{Isometry3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::{HashSet, VecDeque};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Events kept; older ones are dropped.
 const EVENT_CAPACITY: usize = 4096;
 /// Time constant of the filter behind the tool's acceleration, s: a controller frame's step in speed (a stop)
 /// must not read as 100 m/s2.
 const ACCELERATION_TAU_S: f64 = 0.02;
+
+/// The world as the simulator's threads share it.
+pub type SharedWorld = Arc<Mutex<World>>;
+
+/// Locks the world. A thread that panicked while holding it left it usable: every step writes whole values.
+pub fn lock(world: &SharedWorld) -> MutexGuard<'_, World> {
+    world.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// The simulated cell's true state.
 pub struct World {
@@ -251,6 +259,16 @@ impl World {
         self.channels[channel.index()].pump.vacuum()
     }
 
+    /// What the gripper's sensor says about a channel, per mille: the truth with a noise of up to +-8, the same for
+    /// all readings within one frame.
+    pub fn vacuum_reading_per_mille(&self, channel: Channel) -> u16 {
+        let mut z = self.seed ^ (self.steps * 2 + channel.index() as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        let noise = (z >> 40) % 9 + (z >> 20) % 9; // triangular, 0 to 16
+        (self.vacuum(channel) * 1000.0 + noise as f64 - 8.0).round().clamp(0.0, 1000.0) as u16
+    }
+
     /// The gripper's current limit, mA: kept, and without effect on this pump.
     pub fn current_limit_ma(&self) -> u16 {
         self.current_limit_ma
@@ -430,3 +448,17 @@ fn check(spec: &WorldSpec) -> Result<(), WorldError> {
 
 #[cfg(test)]
 mod tests;
+
+/// A table with nothing on it and a one-cup gripper, for the tests of the servers.
+#[cfg(test)]
+pub(crate) fn empty_world(seed: u64) -> World {
+    let spec = WorldSpec {
+        table: TableSpec { width_m: 0.5, height_m: 0.5, margin_m: 0.1 },
+        base_from_table: Isometry3::identity(),
+        objects: Vec::new(),
+        reference_markers: Vec::new(),
+        errors: PlacementErrors::default(),
+        gripper: tests::gripper(),
+    };
+    World::new(spec, seed).expect("an empty table is a valid world")
+}

@@ -6,7 +6,7 @@ use nalgebra::{Translation3, UnitQuaternion};
 
 const CUP: f64 = 0.02;
 
-fn gripper() -> GripperSpec {
+pub(super) fn gripper() -> GripperSpec {
     GripperSpec {
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP }],
@@ -248,7 +248,8 @@ fn a_small_overlap_pushes_a_chain_apart() {
     let mut cell = Cell::new(objects, no_errors(), 5);
     cell.move_object([0.1, 0.1], [0.3008, 0.3], 0.0005);
     let [a, b, c] = ["a", "b", "c"].map(|id| cell.pose(id));
-    assert!(b.x - a.x >= 0.05 && c.x - b.x >= 0.05, "{a:?} {b:?} {c:?}");
+    // What remains after pushing is under the micrometre that counts as touching.
+    assert!(b.x - a.x >= 0.05 - 1e-6 && c.x - b.x >= 0.05 - 1e-6, "{a:?} {b:?} {c:?}");
     assert!(a.x < 0.3008 && a.x > 0.3 - 1e-4 && c.x > 0.4002 && c.x < 0.401);
     assert!(cell.happened(|kind| matches!(kind, EventKind::Pushed { .. })) >= 3);
     assert_eq!(cell.happened(|kind| matches!(kind, EventKind::Tilted { .. })), 0);
