@@ -1,3 +1,8 @@
-//! How the arm does a pick-n-place: kinematics, limits, path, timing.
+//! How the arm does a pick-n-place: kinematics, limits, paths. Pure.
+//!
+//! `kinematics`: joints to poses and back. `path`: segments and the check that lets them reach the robot.
+//! `pick_n_place`: one action of a checked plan as three checked paths.
 
 pub mod kinematics;
+pub mod path;
+pub mod pick_n_place;

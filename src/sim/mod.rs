@@ -1,7 +1,13 @@
-//! Simulator: world, camera, gripper and controller behind the sockets that the real devices have.
+//! The stand-in for the hardware: world, UR controller, VGC10 and camera behind the real protocols.
 
 pub mod camera_server;
+
 pub mod control_server;
+
 pub mod gripper_server;
+
+pub mod motion;
+
 pub mod render;
+
 pub mod world;

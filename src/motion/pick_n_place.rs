@@ -1,0 +1,338 @@
+//! One pick-n-place as three checked paths: to the pick, with the object to the place, and away.
+//!
+//! In: the arm, where it is, the object's pose before and after, where on it the cups sit, and the heights.
+//! Out: [`PickNPlacePaths`]; the gripper acts between them (grip and verify, release). Pure.
+//! The tool stays vertical and the arm in the posture of its home pose. The tool's yaw is free, so a ring of
+//! yaws is tried, cheapest joint travel first, and the first that passes the path check is taken.
+
+use crate::geometry::pose::{Pose2, wrap_angle};
+use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment, out_of_reach};
+use crate::units::Joints;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use std::f64::consts::{PI, TAU};
+
+/// What has to be carried where; poses of the object's footprint origin in the table frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PickNPlace {
+    /// Where the object is.
+    pub from: Pose2,
+    /// Where it shall be.
+    pub to: Pose2,
+    /// Where the tool's axis meets the object, in the object frame, m.
+    pub grip_point: [f64; 2],
+    /// Tool yaw in the object frame that the cups need, rad; `None` when any will do (one cup).
+    pub grip_yaw: Option<f64>,
+    /// Height of the object, m: the cups touch it there.
+    pub height: f64,
+}
+
+/// Heights and speeds of a cycle, from the configuration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CycleParameters {
+    /// Height of the tallest object on the table, m.
+    pub tallest: f64,
+    /// Air kept between what is carried and what stands, m.
+    pub air: f64,
+    /// How far over the object the slow, straight part of approach and retreat begins, m.
+    pub approach: f64,
+    /// How far the cups are pressed below the nominal top so that they seal, m.
+    pub press: f64,
+    /// Blend radius between segments, m.
+    pub blend: f64,
+    /// Joint speed of transfers, rad/s.
+    pub joint_speed: f64,
+    /// Joint acceleration of transfers, rad/s2.
+    pub joint_acceleration: f64,
+    /// Tool speed of the straight parts, m/s.
+    pub tool_speed: f64,
+    /// Tool acceleration of the straight parts, m/s2.
+    pub tool_acceleration: f64,
+}
+
+/// The three paths of one pick-n-place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PickNPlacePaths {
+    /// From where the arm is, over the object, down until the cups touch.
+    pub approach: CheckedPath,
+    /// Up, over, down to the new place.
+    pub carry: CheckedPath,
+    /// Straight up from the pick again, for a grip that failed.
+    pub give_up: CheckedPath,
+    /// Straight up.
+    pub retreat: CheckedPath,
+}
+
+/// How many yaws a single cup may try.
+const YAWS: usize = 16;
+
+/// How many of the cheapest candidates go through the full check before the move is given up.
+const CANDIDATES: usize = 48;
+
+/// Plans the three paths from the joints `start` (the arm at rest, gripper empty).
+///
+/// # Errors
+/// The fault of the cheapest candidate, or that a pose has no joint solution at all.
+pub fn plan(
+    model: &ArmModel,
+    start: &Joints,
+    task: &PickNPlace,
+    cycle: &CycleParameters,
+) -> Result<PickNPlacePaths, PathFault> {
+    let mut candidates = candidates(model, start, task, cycle);
+    candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let mut first_fault = None;
+    for candidate in candidates.iter().take(CANDIDATES) {
+        match assemble(model, start, candidate, task, cycle) {
+            Ok(paths) => return Ok(paths),
+            Err(fault) => {
+                first_fault.get_or_insert(fault);
+            }
+        }
+    }
+    Err(first_fault.unwrap_or_else(|| unreachable_pose(model, start, task, cycle)))
+}
+
+/// The tool pointing down at `(x, y, z)` of the table with `yaw` about the vertical.
+pub fn tool_down(x: f64, y: f64, z: f64, yaw: f64) -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+    Isometry3::from_parts(Translation3::new(x, y, z), turn * down)
+}
+
+/// Joints at the corners of the move for one yaw and one branch.
+struct Candidate {
+    over_pick: Joints,
+    pick: Joints,
+    over_place: Joints,
+    place: Joints,
+    cost: f64,
+}
+
+/// Height of the tool while it travels: over everything that stands, with the object hanging below.
+fn travel_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
+    cycle.tallest + cycle.air + task.height.max(cycle.approach)
+}
+
+fn yaws(task: &PickNPlace) -> Vec<f64> {
+    match task.grip_yaw {
+        Some(yaw) => vec![task.from.theta + yaw],
+        None => (0..YAWS).map(|k| TAU * k as f64 / YAWS as f64).collect(),
+    }
+}
+
+fn candidates(
+    model: &ArmModel,
+    start: &Joints,
+    task: &PickNPlace,
+    cycle: &CycleParameters,
+) -> Vec<Candidate> {
+    let high = travel_height(task, cycle);
+    let low = task.height - cycle.press;
+    let pick = task.from.transform(task.grip_point);
+    let place = task.to.transform(task.grip_point);
+    let turn = wrap_angle(task.to.theta - task.from.theta);
+    let mut out = Vec::new();
+    for yaw in yaws(task) {
+        let at = |p: [f64; 2], z, yaw, near: &Joints| {
+            model.joints_in_work_posture(&tool_down(p[0], p[1], z, yaw), near)
+        };
+        // The other way round for joint 6 may save a turn of the object's, or keep it in range.
+        for start_turn in [0.0, -TAU, TAU] {
+            let mut near = *start;
+            near.0[5] += start_turn;
+            let Some(over_pick) = at(pick, high, yaw, &near) else { continue };
+            let Some(at_pick) = at(pick, low, yaw, &over_pick) else { continue };
+            let Some(over_place) = at(place, high, yaw + turn, &over_pick) else { continue };
+            let Some(at_place) = at(place, low, yaw + turn, &over_place) else { continue };
+            let cost = start.max_difference(&over_pick) + over_pick.max_difference(&over_place);
+            out.push(Candidate { over_pick, pick: at_pick, over_place, place: at_place, cost });
+        }
+    }
+    out
+}
+
+/// Which of the four tool poses has no solution: pick or place.
+fn unreachable_pose(
+    model: &ArmModel,
+    start: &Joints,
+    task: &PickNPlace,
+    cycle: &CycleParameters,
+) -> PathFault {
+    let yaw = task.grip_yaw.unwrap_or(0.0) + task.from.theta;
+    for (what, pose) in [("pick", &task.from), ("place", &task.to)] {
+        let [x, y] = pose.transform(task.grip_point);
+        for z in [travel_height(task, cycle), task.height] {
+            let tool = tool_down(x, y, z, yaw);
+            if model.joints_in_work_posture(&tool, start).is_none() {
+                return out_of_reach(what, &tool);
+            }
+        }
+    }
+    let [x, y] = task.to.transform(task.grip_point);
+    out_of_reach("place in the same posture as the pick", &tool_down(x, y, task.height, yaw))
+}
+
+fn assemble(
+    model: &ArmModel,
+    start: &Joints,
+    candidate: &Candidate,
+    task: &PickNPlace,
+    cycle: &CycleParameters,
+) -> Result<PickNPlacePaths, PathFault> {
+    let low = task.height - cycle.press;
+    let empty_floor = cycle.tallest + 0.5 * cycle.air;
+    let carry_floor = empty_floor + task.height;
+    let approach = CheckedPath::new(
+        model,
+        start,
+        &[
+            Leg { segment: joint(candidate.over_pick, cycle, cycle.blend), floor: empty_floor },
+            Leg { segment: linear(candidate.pick, cycle, 0.0), floor: low - 1e-3 },
+        ],
+    )?;
+    let carry = carry_path(model, candidate, cycle, low, carry_floor)?;
+    let up = |from: &Joints, to: Joints| {
+        CheckedPath::new(model, from, &[Leg { segment: linear(to, cycle, 0.0), floor: low - 1e-3 }])
+    };
+    let give_up = up(&candidate.pick, candidate.over_pick)?;
+    let retreat = up(&candidate.place, candidate.over_place)?;
+    Ok(PickNPlacePaths { approach, carry, give_up, retreat })
+}
+
+/// Lift, transfer, lower. The transfer goes through joint space where that keeps the height, else straight.
+fn carry_path(
+    model: &ArmModel,
+    candidate: &Candidate,
+    cycle: &CycleParameters,
+    low: f64,
+    floor: f64,
+) -> Result<CheckedPath, PathFault> {
+    let with_transfer = |transfer: Segment| {
+        CheckedPath::new(
+            model,
+            &candidate.pick,
+            &[
+                Leg { segment: linear(candidate.over_pick, cycle, cycle.blend), floor: low - 1e-3 },
+                Leg { segment: transfer, floor },
+                Leg { segment: linear(candidate.place, cycle, 0.0), floor: low - 1e-3 },
+            ],
+        )
+    };
+    with_transfer(joint(candidate.over_place, cycle, cycle.blend))
+        .or_else(|_| with_transfer(linear(candidate.over_place, cycle, cycle.blend)))
+}
+
+fn joint(target: Joints, cycle: &CycleParameters, blend: f64) -> Segment {
+    Segment::Joint { target, speed: cycle.joint_speed, acceleration: cycle.joint_acceleration, blend }
+}
+
+fn linear(target: Joints, cycle: &CycleParameters, blend: f64) -> Segment {
+    Segment::Linear { target, speed: cycle.tool_speed, acceleration: cycle.tool_acceleration, blend }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::kinematics::DhParameters;
+    use crate::motion::path::ArmLimits;
+    use rand::{RngExt, SeedableRng};
+
+    fn model(width: f64) -> ArmModel {
+        ArmModel {
+            dh: DhParameters::UR5E,
+            // The base stands behind the middle of the near edge.
+            base_from_table: Isometry3::translation(-width / 2.0, 0.18, 0.0),
+            flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
+            home: Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]),
+            limits: ArmLimits {
+                joint_range: [(-TAU, TAU); 6],
+                joint_speed: 2.0,
+                joint_acceleration: 4.0,
+                tool_speed: 0.5,
+                tool_acceleration: 2.0,
+                link_floor: 0.03,
+            },
+        }
+    }
+
+    fn cycle() -> CycleParameters {
+        CycleParameters {
+            tallest: 0.02,
+            air: 0.03,
+            approach: 0.04,
+            press: 0.001,
+            blend: 0.02,
+            joint_speed: 1.5,
+            joint_acceleration: 3.0,
+            tool_speed: 0.25,
+            tool_acceleration: 1.2,
+        }
+    }
+
+    /// Joints to begin with: the tool over the middle of the table.
+    fn home(model: &ArmModel, width: f64) -> Joints {
+        let over = tool_down(width / 2.0, width / 2.0, 0.3, 0.0);
+        model.joints_in_work_posture(&over, &model.home).expect("reachable")
+    }
+
+    #[test]
+    fn every_place_of_the_demo_table_is_served() {
+        let model = model(0.5);
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(11);
+        let mut at = home(&model, 0.5);
+        for _ in 0..200 {
+            let mut pose = || {
+                Pose2::new(
+                    rng.random_range(0.02..0.48),
+                    rng.random_range(0.02..0.48),
+                    rng.random_range(-3.1..3.1),
+                )
+            };
+            let task =
+                PickNPlace { from: pose(), to: pose(), grip_point: [0.0, 0.0], grip_yaw: None, height: 0.02 };
+            let paths =
+                plan(&model, &at, &task, &cycle()).unwrap_or_else(|fault| panic!("{task:?}: {fault}"));
+            let tip = model.tool_at(&paths.carry.end());
+            assert!((tip.translation.vector - Vector3::new(task.to.x, task.to.y, 0.019)).norm() < 1e-6);
+            let carried = paths.carry.start();
+            let turned = model.tool_at(&carried).rotation.rotation_to(&tip.rotation).scaled_axis().z;
+            assert!(wrap_angle(turned - (task.to.theta - task.from.theta)).abs() < 1e-6, "turned {turned}");
+            at = paths.retreat.end();
+        }
+    }
+
+    #[test]
+    fn a_place_beyond_the_reach_is_refused_by_name() {
+        let model = model(0.5);
+        let task = PickNPlace {
+            from: Pose2::new(0.25, 0.25, 0.0),
+            to: Pose2::new(0.25, 1.2, 0.0),
+            grip_point: [0.0, 0.0],
+            grip_yaw: None,
+            height: 0.02,
+        };
+        let fault = plan(&model, &home(&model, 0.5), &task, &cycle()).expect_err("too far");
+        assert!(fault.to_string().contains("place"), "{fault}");
+    }
+
+    #[test]
+    fn the_check_refuses_what_goes_too_low_too_fast_or_too_far() {
+        let model = model(0.5);
+        let start = home(&model, 0.5);
+        let down = model.joints_at(&tool_down(0.25, 0.25, 0.01, 0.0), &start).expect("reachable");
+        let leg = |segment, floor| CheckedPath::new(&model, &start, &[Leg { segment, floor }]);
+        assert!(matches!(leg(linear(down, &cycle(), 0.0), 0.02), Err(PathFault::TooLow { .. })));
+        assert!(leg(linear(down, &cycle(), 0.0), 0.0099).is_ok());
+        let fast = Segment::Joint { target: down, speed: 9.0, acceleration: 1.0, blend: 0.0 };
+        assert!(matches!(leg(fast, 0.0), Err(PathFault::Limit { what: "speed", .. })));
+        let mut turned = start;
+        turned.0[5] += 3.0 * TAU;
+        assert!(matches!(
+            leg(joint(turned, &cycle(), 0.0), 0.0),
+            Err(PathFault::JointRange { joint: 6, .. })
+        ));
+        let nan = Segment::Joint { target: down, speed: f64::NAN, acceleration: 1.0, blend: 0.0 };
+        assert!(leg(nan, 0.0).is_err());
+        assert_eq!(CheckedPath::new(&model, &start, &[]), Err(PathFault::Empty));
+    }
+}
