@@ -224,6 +224,7 @@ mod tests {
         let (address, _world) = started().await;
         let mut raw = TcpStream::connect(address).await.unwrap();
         raw.write_all(&[0xff; 64]).await.unwrap();
+        raw.shutdown().await.unwrap();
         let mut rest = Vec::new();
         // The server may reset the connection with bytes of ours unread: that is an end, too.
         drop(raw.read_to_end(&mut rest).await);

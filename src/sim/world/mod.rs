@@ -25,12 +25,13 @@ pub mod vacuum;
 mod view;
 
 use crate::geometry::pose::Pose2;
-use crate::sim::render::print::{Cells, marker_cells};
+use crate::sim::render::scene::Cells;
 use crate::sim::world::event::{Contact, Event, EventKind, Fault, FaultError};
 use crate::sim::world::section::Section;
 use crate::sim::world::spec::{GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec};
 use crate::sim::world::spec::{WorldError, WorldObject, WorldSpec};
 use crate::sim::world::vacuum::{Channel, Pump, VacuumMode};
+use crate::vision::image::tag36h11_bitmap;
 use nalgebra::{Isometry3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -206,8 +207,8 @@ impl World {
             table_from_base: spec.base_from_table.inverse(),
             reference,
             errors: spec.errors,
-            housing: Arc::new(spec.gripper.body.clone()),
-            housing_from_above: spec.gripper.body.turned_over(),
+            housing: Arc::new(Section::from_footprint(&spec.gripper.body)),
+            housing_from_above: Section::from_footprint(&spec.gripper.body).turned_over(),
             cup_sections: spec
                 .gripper
                 .cups
@@ -378,7 +379,7 @@ impl World {
 }
 
 fn cells_of(what: &str, id: u32) -> Result<Cells, WorldError> {
-    marker_cells(id).ok_or_else(|| WorldError::NoSuchMarker { what: what.to_string(), id })
+    tag36h11_bitmap(id).ok_or_else(|| WorldError::NoSuchMarker { what: what.to_string(), id })
 }
 
 fn body(index: usize, object: WorldObject) -> Result<Body, WorldError> {
@@ -387,11 +388,11 @@ fn body(index: usize, object: WorldObject) -> Result<Body, WorldError> {
         None => None,
     };
     Ok(Body {
-        section: Arc::new(object.section),
+        section: Arc::new(Section::from_footprint(&object.footprint)),
         height_m: object.height_m,
         mass_kg: object.mass_kg,
         marker,
-        grippable: object.grippable.map(Arc::new),
+        grippable: object.grippable.as_ref().map(|shape| Arc::new(Section::from_footprint(shape))),
         fixed: object.fixed,
         colour: object.colour.unwrap_or_else(|| palette(index)),
         table_from_object: object.pose.at_height(0.0),
@@ -427,7 +428,6 @@ fn check(spec: &WorldSpec) -> Result<(), WorldError> {
     for object in &spec.objects {
         positive(format!("{}: height", object.id), object.height_m)?;
         positive(format!("{}: mass", object.id), object.mass_kg)?;
-        positive(format!("{}: footprint", object.id), object.section.bounding_radius_m())?;
         finite(object.id.clone(), object.pose.is_finite())?;
         if !names.insert(&object.id) {
             return Err(WorldError::Twice { what: format!("object {}", object.id) });
