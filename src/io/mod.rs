@@ -1,1 +1,5 @@
 //! The edge: cameras, sockets, files, clocks. The only place that touches the outside, besides `sim` and `daemon`.
+
+pub mod clock;
+pub mod files;
+pub mod recording;

@@ -1,1 +1,7 @@
-//! Job files, spool folders and the journal database.
+//! Job files, spool folders and the journal database: from a dropped YAML file to its result.
+
+pub mod journal;
+pub mod policy;
+pub mod record;
+pub mod spool;
+pub mod utc;

@@ -56,6 +56,8 @@ pub struct PickNPlacePaths {
     pub approach: CheckedPath,
     /// Up, over, down to the new place.
     pub carry: CheckedPath,
+    /// Straight up from the pick again, for a grip that failed.
+    pub give_up: CheckedPath,
     /// Straight up.
     pub retreat: CheckedPath,
 }
@@ -189,12 +191,12 @@ fn assemble(
         ],
     )?;
     let carry = carry_path(model, candidate, cycle, low, carry_floor)?;
-    let retreat = CheckedPath::new(
-        model,
-        &candidate.place,
-        &[Leg { segment: linear(candidate.over_place, cycle, 0.0), floor: low - 1e-3 }],
-    )?;
-    Ok(PickNPlacePaths { approach, carry, retreat })
+    let up = |from: &Joints, to: Joints| {
+        CheckedPath::new(model, from, &[Leg { segment: linear(to, cycle, 0.0), floor: low - 1e-3 }])
+    };
+    let give_up = up(&candidate.pick, candidate.over_pick)?;
+    let retreat = up(&candidate.place, candidate.over_place)?;
+    Ok(PickNPlacePaths { approach, carry, give_up, retreat })
 }
 
 /// Lift, transfer, lower. The transfer goes through joint space where that keeps the height, else straight.

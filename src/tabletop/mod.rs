@@ -1,1 +1,3 @@
-//! Object catalogue, workspace, arrangement, instance files and importers.
+//! Object catalogue, workspace, arrangement, instance files and importers. Pure: text in, values out.
+
+pub mod instance;

@@ -1,0 +1,3 @@
+//! `celld demo`.
+
+pub mod teach;

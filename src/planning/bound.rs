@@ -1,0 +1,116 @@
+//! Lower bound on the cost of every plan: required moves, and what the dependency cycles cost on top.
+//!
+//! In: a scene and the cost of one move of each object. Out: a number no valid plan is cheaper than, with its
+//! parts. An object must move if its start is not its goal, or if it has no goal and blocks one. In a cycle of
+//! the dependency graph not all objects can go home in one move each, for each would have to wait for the
+//! next; so the objects that move twice form a feedback vertex set, and the cheapest one is added. Members of a
+//! group count only by what holds for every assignment: they take no part in the cycles, and the group needs
+//! as many moves as it has goals at which no member stands (or members that stand in the way of a goal, if that
+//! is more). The feedback vertex set is exact.
+
+use crate::geometry::pose::Pose2;
+use crate::planning::feedback;
+use crate::planning::graph::DependencyGraph;
+use crate::planning::object_set::ObjectSet;
+use crate::planning::scene::Scene;
+use std::collections::BTreeMap;
+
+/// The bound and what it is made of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LowerBound {
+    /// No plan costs less.
+    pub value: f64,
+    /// Objects (or nameless members of groups) that move at least once.
+    pub required_moves: usize,
+    /// Cost of these moves.
+    pub required_cost: f64,
+    /// Cost of the cheapest second moves that break all cycles.
+    pub cycle_cost: f64,
+}
+
+/// Arc i -> j exactly when i at its own goal and j at its start may not stand at once. Vertices are the
+/// problem's objects; those that are fixed have no arcs, those without a goal no outgoing ones.
+pub fn start_goal_graph(scene: &Scene) -> DependencyGraph {
+    let objects = &scene.problem.objects;
+    DependencyGraph::from_fn(objects.len(), |i, j| {
+        let movable = !objects[i].fixed && !objects[j].fixed;
+        movable && scene.goal(i).is_some_and(|goal| !scene.clear(goal, scene.start(j)))
+    })
+}
+
+/// The bound for the given cost of one move of each object of the problem.
+pub fn lower_bound(scene: &Scene, move_costs: &[f64]) -> LowerBound {
+    let graph = start_goal_graph(scene);
+    let groups = groups(scene);
+    let grouped: ObjectSet = groups.values().flatten().copied().collect();
+    let single: ObjectSet = scene.movable.iter().copied().filter(|&i| !grouped.contains(i)).collect();
+    let blocking = blocking(scene, &graph, &groups, single);
+    let alone: ObjectSet = single.iter().filter(|&i| must_move(scene, i, blocking)).collect();
+    let mut required_moves = alone.len();
+    let mut required_cost = alone.weight(move_costs);
+    for members in groups.values() {
+        let (moves, cost) = group_moves(scene, members, blocking, move_costs);
+        required_moves += moves;
+        required_cost += cost;
+    }
+    let cycle_cost = feedback::minimum(&graph.restricted(single), move_costs).lower_bound;
+    LowerBound { value: required_cost + cycle_cost, required_moves, required_cost, cycle_cost }
+}
+
+/// Movable objects by group, groups of at least two only: a lone member is like any other object.
+fn groups<'a>(scene: &Scene<'a>) -> BTreeMap<&'a str, Vec<usize>> {
+    let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for &i in &scene.movable {
+        if let Some(name) = &scene.problem.objects[i].group {
+            groups.entry(name).or_default().push(i);
+        }
+    }
+    groups.retain(|_, members| members.len() > 1);
+    groups
+}
+
+/// Objects whose start blocks a goal that will be filled whatever the assignment of groups.
+fn blocking(
+    scene: &Scene,
+    graph: &DependencyGraph,
+    groups: &BTreeMap<&str, Vec<usize>>,
+    single: ObjectSet,
+) -> ObjectSet {
+    let mut blocking = ObjectSet::EMPTY;
+    for i in single {
+        blocking = blocking | graph.blockers(i);
+    }
+    for members in groups.values() {
+        for &i in members {
+            // A member that starts at this goal might stay, and what stands beside it since the start as well.
+            let taken = scene.goal(i).is_some_and(|goal| stands_at(scene, members, &goal.pose));
+            if !taken {
+                blocking = blocking | graph.blockers(i);
+            }
+        }
+    }
+    blocking
+}
+
+fn must_move(scene: &Scene, i: usize, blocking: ObjectSet) -> bool {
+    match scene.goal(i) {
+        Some(goal) => !goal.pose.same(&scene.start(i).pose),
+        None => blocking.contains(i),
+    }
+}
+
+fn stands_at(scene: &Scene, members: &[usize], pose: &Pose2) -> bool {
+    members.iter().any(|&member| scene.start(member).pose.same(pose))
+}
+
+/// Moves that the group needs under every assignment, and their least cost.
+fn group_moves(scene: &Scene, members: &[usize], blocking: ObjectSet, costs: &[f64]) -> (usize, f64) {
+    let goals: Vec<Pose2> = members.iter().filter_map(|&i| scene.goal(i)).map(|goal| goal.pose).collect();
+    let empty_goals = goals.iter().filter(|goal| !stands_at(scene, members, goal)).count();
+    let stays = |i: usize| goals.iter().any(|goal| goal.same(&scene.start(i).pose));
+    let in_the_way = members.iter().filter(|&&i| blocking.contains(i) && !stays(i)).count();
+    let moves = empty_goals.max(in_the_way);
+    let mut cheapest: Vec<f64> = members.iter().map(|&i| costs[i]).collect();
+    cheapest.sort_by(f64::total_cmp);
+    (moves, cheapest.iter().take(moves).sum())
+}

@@ -1,0 +1,131 @@
+//! Minimum weight feedback vertex set: the cheapest objects that have to make way a second time.
+//!
+//! In: a dependency graph and a positive weight for each vertex. Out: a vertex set whose removal leaves no
+//! cycle, proved cheapest, or, when the node limit ends the search, the best one found with a valid lower bound.
+//! Branch and bound on bitsets: `kernel` shrinks a graph without changing its optimum, `packing` bounds from
+//! below by cliques and cycles, this file branches and splits into components. Source: the reductions are those
+//! of Levy and Low (1988) and Lin and Jou (2000), with the side conditions that weights need.
+
+pub mod kernel;
+
+pub mod packing;
+
+use crate::planning::feedback::kernel::Kernel;
+use crate::planning::graph::DependencyGraph;
+use crate::planning::object_set::ObjectSet;
+
+/// Nodes after which the search gives up its claim of optimality; the public graphs need far fewer.
+const NODE_LIMIT: u64 = 2_000_000;
+
+/// Two sums of weights closer than this, relative to the total weight, are the same.
+const RELATIVE_TOLERANCE: f64 = 1e-12;
+
+/// A feedback vertex set and what is known about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeedbackSet {
+    /// The vertices; removing them leaves no cycle.
+    pub vertices: ObjectSet,
+    /// Their total weight.
+    pub weight: f64,
+    /// No feedback vertex set weighs less; equal to `weight` when the search was completed.
+    pub lower_bound: f64,
+}
+
+/// The minimum weight feedback vertex set of `graph`; `weights` are positive and finite, one a vertex.
+pub fn minimum(graph: &DependencyGraph, weights: &[f64]) -> FeedbackSet {
+    minimum_within(graph, weights, NODE_LIMIT)
+}
+
+/// As [`minimum`], giving up the proof after `node_limit` nodes of the search.
+pub fn minimum_within(graph: &DependencyGraph, weights: &[f64], node_limit: u64) -> FeedbackSet {
+    let root = Kernel::new(graph);
+    let tolerance = RELATIVE_TOLERANCE * weights.iter().sum::<f64>();
+    let mut search = Search { weights, nodes_left: node_limit, tolerance };
+    let mut reduced = root.clone();
+    let forced = reduced.reduce(weights);
+    let floor = forced.weight(weights) + packing::lower_bound(&reduced, weights);
+    let greedy = search.greedy(root.clone());
+    let ceiling = greedy.weight(weights);
+    let found = search.solve(root, ceiling);
+    let vertices = found.unwrap_or(greedy);
+    let weight = vertices.weight(weights);
+    let proved = search.nodes_left > 0;
+    FeedbackSet { vertices, weight, lower_bound: if proved { weight } else { floor.min(weight) } }
+}
+
+struct Search<'a> {
+    weights: &'a [f64],
+    nodes_left: u64,
+    tolerance: f64,
+}
+
+impl Search<'_> {
+    /// A feedback vertex set by taking, again and again, the vertex on most paths for its weight.
+    fn greedy(&self, mut kernel: Kernel) -> ObjectSet {
+        let mut taken = kernel.reduce(self.weights);
+        while let Some(v) = kernel.busiest(self.weights) {
+            kernel.take(v);
+            taken = taken.with(v) | kernel.reduce(self.weights);
+        }
+        taken
+    }
+
+    /// The cheapest feedback vertex set that weighs less than `ceiling`, if there is one.
+    fn solve(&mut self, mut kernel: Kernel, ceiling: f64) -> Option<ObjectSet> {
+        if self.nodes_left == 0 {
+            return None;
+        }
+        self.nodes_left -= 1;
+        let forced = kernel.reduce(self.weights);
+        let paid = forced.weight(self.weights);
+        if paid >= ceiling - self.tolerance {
+            return None;
+        }
+        let rest = self.solve_reduced(kernel, ceiling - paid)?;
+        Some(forced | rest)
+    }
+
+    fn solve_reduced(&mut self, kernel: Kernel, ceiling: f64) -> Option<ObjectSet> {
+        let components = kernel.components();
+        if components.len() > 1 {
+            return self.solve_components(&kernel, &components, ceiling);
+        }
+        let Some(v) = kernel.busiest(self.weights) else { return Some(ObjectSet::EMPTY) };
+        if packing::lower_bound(&kernel, self.weights) >= ceiling - self.tolerance {
+            return None;
+        }
+        let mut best = None;
+        let mut ceiling = ceiling;
+        let mut taken = kernel.clone();
+        taken.take(v);
+        if let Some(set) = self.solve(taken, ceiling - self.weights[v]) {
+            let set = set.with(v);
+            ceiling = set.weight(self.weights);
+            best = Some(set);
+        }
+        let mut kept = kernel;
+        kept.keep(v);
+        self.solve(kept, ceiling).or(best)
+    }
+
+    /// Components are independent: each gets what the bounds of the others leave of the ceiling.
+    fn solve_components(&mut self, kernel: &Kernel, parts: &[ObjectSet], ceiling: f64) -> Option<ObjectSet> {
+        let mut parts: Vec<(Kernel, f64)> = parts
+            .iter()
+            .map(|part| kernel.restricted(*part))
+            .map(|part| (part.clone(), packing::lower_bound(&part, self.weights)))
+            .collect();
+        parts.sort_by_key(|(part, _)| part.alive().len());
+        let mut expected: f64 = parts.iter().map(|(_, bound)| bound).sum();
+        let mut all = ObjectSet::EMPTY;
+        for (part, bound) in parts {
+            expected -= bound;
+            let left = ceiling - all.weight(self.weights) - expected;
+            all = all | self.solve(part, left)?;
+        }
+        Some(all)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! A lower bound on every feedback vertex set, by packing cliques of partners and short cycles.
+//!
+//! In: a reduced graph and its weights. Out: a number no feedback vertex set can weigh less than. Each clique of
+//! k mutual partners charges the smallest weight left in it to all its members and counts it k - 1 times; each
+//! cycle does the same and counts it once. No vertex is ever charged more than its weight, so what was counted
+//! is a feasible solution of the linear programme's dual.
+
+use crate::planning::feedback::kernel::Kernel;
+use crate::planning::object_set::ObjectSet;
+
+/// Passes over the vertices by growing cycle length; the last takes cycles of any length.
+const CYCLE_LENGTHS: [usize; 3] = [3, 4, usize::MAX];
+
+/// The bound; 0 for an acyclic graph.
+pub fn lower_bound(kernel: &Kernel, weights: &[f64]) -> f64 {
+    let mut packing = Packing { kernel, left: weights.to_vec(), active: kernel.alive(), bound: 0.0 };
+    packing.pack_cliques();
+    for longest in CYCLE_LENGTHS {
+        packing.pack_cycles(longest);
+    }
+    packing.bound
+}
+
+struct Packing<'a> {
+    kernel: &'a Kernel,
+    left: Vec<f64>,
+    active: ObjectSet,
+    bound: f64,
+}
+
+impl Packing<'_> {
+    /// Charges the smallest weight left among `members` to each of them; it counts `times` in the bound.
+    fn charge(&mut self, members: ObjectSet, times: usize) {
+        let least = members.iter().map(|v| self.left[v]).fold(f64::INFINITY, f64::min);
+        self.bound += times as f64 * least;
+        for v in members {
+            self.left[v] -= least;
+            if self.left[v] <= 0.0 {
+                self.active.remove(v);
+            }
+        }
+    }
+
+    fn pack_cliques(&mut self) {
+        loop {
+            let partners = |v: usize| self.kernel.partners(v) & self.active;
+            let seed = self.active.iter().max_by_key(|&v| partners(v).len());
+            let Some(seed) = seed.filter(|&v| !partners(v).is_empty()) else { return };
+            let mut clique = ObjectSet::EMPTY.with(seed);
+            let mut candidates = partners(seed);
+            while let Some(v) = candidates.iter().max_by_key(|&v| (partners(v) & candidates).len()) {
+                clique.insert(v);
+                candidates = candidates & partners(v);
+            }
+            self.charge(clique, clique.len() - 1);
+        }
+    }
+
+    fn pack_cycles(&mut self, longest: usize) {
+        for v in self.active {
+            while self.active.contains(v) {
+                let Some(cycle) = self.shortest_cycle(v, longest) else { break };
+                self.charge(cycle, 1);
+            }
+        }
+    }
+
+    /// A shortest cycle through `v` among active vertices, of at most `longest` vertices.
+    fn shortest_cycle(&self, v: usize, longest: usize) -> Option<ObjectSet> {
+        let back = self.kernel.into(v) & self.active;
+        let mut layers = vec![ObjectSet::EMPTY.with(v)];
+        let mut seen = layers[0];
+        while layers.len() < longest {
+            let last = layers[layers.len() - 1];
+            let next = last.iter().fold(ObjectSet::EMPTY, |set, u| set | self.kernel.out(u));
+            let next = (next & self.active) - seen;
+            if next.is_empty() {
+                return None;
+            }
+            seen = seen | next;
+            layers.push(next);
+            if let Some(end) = (next & back).smallest() {
+                return Some(self.trace_back(&layers, end));
+            }
+        }
+        None
+    }
+
+    fn trace_back(&self, layers: &[ObjectSet], end: usize) -> ObjectSet {
+        let mut cycle = ObjectSet::EMPTY.with(end);
+        let mut at = end;
+        for layer in layers[..layers.len() - 1].iter().rev() {
+            if let Some(u) = (self.kernel.into(at) & *layer).smallest() {
+                cycle.insert(u);
+                at = u;
+            }
+        }
+        cycle
+    }
+}

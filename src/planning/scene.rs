@@ -1,0 +1,118 @@
+//! The table as the solvers see it: objects placed at poses, and which two of them may stand there at once.
+//!
+//! In: a [`Problem`] and, for every object, the goal it is to take (its own, one of its group's, or a free pose
+//! found for it). Out: [`Spot`]s, shared and never changed, that know whether they are the object's start or
+//! its goal: given arrangements may overlap a little, and only those pairs, in exactly those poses, are exempt.
+//! Pairs are decided by `geometry::collision`; the plan checker decides again by other means.
+
+use crate::geometry::collision::Placed;
+use crate::geometry::footprint::Footprint;
+use crate::geometry::pose::Pose2;
+use crate::planning::problem::Problem;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
+
+/// An object at a pose.
+#[derive(Debug)]
+pub struct Spot {
+    /// Where, in the table frame.
+    pub pose: Pose2,
+    placed: Placed,
+    at_start: bool,
+    at_goal: bool,
+}
+
+/// A problem with its footprints placed once for all that does not change.
+pub struct Scene<'a> {
+    /// The problem behind the scene.
+    pub problem: &'a Problem,
+    /// Objects that may be moved, in increasing order.
+    pub movable: Vec<usize>,
+    starts: Vec<Arc<Spot>>,
+    goals: Vec<Option<Arc<Spot>>>,
+    fixed: Vec<Arc<Spot>>,
+    keep_out: Vec<Placed>,
+}
+
+impl<'a> Scene<'a> {
+    /// Places everything that the problem gives.
+    pub fn new(problem: &'a Problem) -> Scene<'a> {
+        let spots = |pose: &dyn Fn(usize) -> Option<Pose2>| -> Vec<Option<Arc<Spot>>> {
+            (0..problem.objects.len()).map(|i| pose(i).map(|pose| Arc::new(new_spot(problem, i, pose)))).collect()
+        };
+        let starts: Vec<Arc<Spot>> = spots(&|i| Some(problem.objects[i].start)).into_iter().flatten().collect();
+        let is_fixed = |i: &usize| problem.objects[*i].fixed;
+        let all = || 0..problem.objects.len();
+        Scene {
+            problem,
+            movable: all().filter(|i| !is_fixed(i)).collect(),
+            goals: spots(&|i| problem.objects[i].goal),
+            fixed: all().filter(is_fixed).map(|i| starts[i].clone()).collect(),
+            keep_out: problem.keep_out.iter().map(|k| Placed::new(&k.footprint, k.pose)).collect(),
+            starts,
+        }
+    }
+
+    /// The object's start.
+    pub fn start(&self, object: usize) -> &Arc<Spot> {
+        &self.starts[object]
+    }
+
+    /// The object's own goal, if it has one.
+    pub fn goal(&self, object: usize) -> Option<&Arc<Spot>> {
+        self.goals[object].as_ref()
+    }
+
+    /// The object at any pose.
+    pub fn spot(&self, object: usize, pose: Pose2) -> Arc<Spot> {
+        Arc::new(new_spot(self.problem, object, pose))
+    }
+
+    /// May two objects stand at these spots at the same time?
+    pub fn clear(&self, a: &Spot, b: &Spot) -> bool {
+        let given = (a.at_start && b.at_start) || (a.at_goal && b.at_goal);
+        given || self.apart(&a.placed, &b.placed)
+    }
+
+    /// Clear of the keep-out areas and of everything that never moves. Given poses are so by definition.
+    pub fn admissible(&self, spot: &Spot) -> bool {
+        self.keep_out.iter().all(|area| self.apart(&spot.placed, area))
+            && self.fixed.iter().all(|fixed| self.clear(spot, fixed))
+    }
+
+    fn apart(&self, a: &Placed, b: &Placed) -> bool {
+        let clearance = self.problem.clearance;
+        if clearance > 0.0 { !a.closer_than(b, clearance) } else { !a.collides(b) }
+    }
+
+    /// A uniformly random pose of the object inside the table's edge; None if it does not fit at the angle
+    /// drawn. A disc keeps its angle, since turning it would serve nothing.
+    pub fn sample(&self, object: usize, rng: &mut ChaCha8Rng) -> Option<Arc<Spot>> {
+        let footprint = &self.problem.objects[object].footprint;
+        let theta = match footprint {
+            Footprint::Disc { .. } => self.problem.objects[object].start.theta,
+            _ => rng.random_range(-std::f64::consts::PI..std::f64::consts::PI),
+        };
+        let [[x_min, x_max], [y_min, y_max]] = footprint.extents(theta);
+        let (width, height) = (self.problem.workspace.width, self.problem.workspace.height);
+        let x = between(rng, -x_min, width - x_max)?;
+        let y = between(rng, -y_min, height - y_max)?;
+        Some(self.spot(object, Pose2::new(x, y, theta)))
+    }
+}
+
+fn between(rng: &mut ChaCha8Rng, low: f64, high: f64) -> Option<f64> {
+    (low < high).then(|| rng.random_range(low..high))
+}
+
+fn new_spot(problem: &Problem, object: usize, pose: Pose2) -> Spot {
+    let given = &problem.objects[object];
+    Spot {
+        pose,
+        placed: Placed::new(&given.footprint, pose),
+        at_start: pose == given.start,
+        // What never moves is where it should be.
+        at_goal: given.goal == Some(pose) || (given.fixed && pose == given.start),
+    }
+}
