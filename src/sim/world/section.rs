@@ -6,6 +6,7 @@
 //! area error is spread inside and outside (under 0.06 % of the radius). The simulator keeps this contact
 //! model of its own on purpose: a fault in the planner's collision kernel must not hide itself here.
 
+use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 
 /// Vertices that stand for an ellipse in the contact model.
@@ -38,6 +39,18 @@ pub struct Overlap {
 }
 
 impl Section {
+    /// The section of an upright body on that footprint.
+    pub fn from_footprint(footprint: &Footprint) -> Section {
+        match footprint {
+            Footprint::Rectangle { length, width } => Section::rectangle(*length, *width),
+            Footprint::Disc { radius } => Section::ellipse(2.0 * radius, 2.0 * radius),
+            Footprint::Ellipse { length, width } => Section::ellipse(*length, *width),
+            Footprint::Polygon(polygon) => {
+                Section::polygon(polygon.points().to_vec(), polygon.parts().to_vec())
+            }
+        }
+    }
+
     /// A polygon given counter-clockwise, with convex parts that cover it.
     pub fn polygon(outline: Vec<[f64; 2]>, parts: Vec<Vec<[f64; 2]>>) -> Section {
         let bounding_radius_m = outline.iter().map(|p| p[0].hypot(p[1])).fold(0.0, f64::max);

@@ -1,16 +1,17 @@
 //! The world driven as the controller would: a tool that moves in 2 ms frames.
 
 use super::*;
+use crate::geometry::footprint::Footprint;
 use crate::sim::world::spec::Cup;
 use nalgebra::{Translation3, UnitQuaternion};
 
 const CUP: f64 = 0.02;
 
-fn gripper() -> GripperSpec {
+pub(super) fn gripper() -> GripperSpec {
     GripperSpec {
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP }],
-        body: Section::rectangle(0.07, 0.07),
+        body: Footprint::rectangle(0.07, 0.07).unwrap(),
         body_above_lips_m: 0.08,
     }
 }
@@ -18,7 +19,7 @@ fn gripper() -> GripperSpec {
 fn block(id: &str, x: f64, y: f64) -> WorldObject {
     WorldObject {
         id: id.to_string(),
-        section: Section::rectangle(0.05, 0.05),
+        footprint: Footprint::rectangle(0.05, 0.05).unwrap(),
         height_m: 0.02,
         mass_kg: 0.1,
         pose: Pose2::new(x, y, 0.0),
@@ -160,7 +161,7 @@ fn a_cup_seals_only_flat_on_top_and_wholly_inside() {
 #[test]
 fn the_grippable_part_limits_the_cup() {
     let mut object = block("a", 0.1, 0.1);
-    object.grippable = Some(Section::rectangle(0.021, 0.021));
+    object.grippable = Some(Footprint::rectangle(0.021, 0.021).unwrap());
     let mut cell = Cell::new(vec![object], no_errors(), 1);
     cell.grip(0.103, 0.1, 0.02);
     assert_eq!(cell.world.held().count(), 0);
@@ -248,7 +249,8 @@ fn a_small_overlap_pushes_a_chain_apart() {
     let mut cell = Cell::new(objects, no_errors(), 5);
     cell.move_object([0.1, 0.1], [0.3008, 0.3], 0.0005);
     let [a, b, c] = ["a", "b", "c"].map(|id| cell.pose(id));
-    assert!(b.x - a.x >= 0.05 && c.x - b.x >= 0.05, "{a:?} {b:?} {c:?}");
+    // What remains after pushing is under the micrometre that counts as touching.
+    assert!(b.x - a.x >= 0.05 - 1e-6 && c.x - b.x >= 0.05 - 1e-6, "{a:?} {b:?} {c:?}");
     assert!(a.x < 0.3008 && a.x > 0.3 - 1e-4 && c.x > 0.4002 && c.x < 0.401);
     assert!(cell.happened(|kind| matches!(kind, EventKind::Pushed { .. })) >= 3);
     assert_eq!(cell.happened(|kind| matches!(kind, EventKind::Tilted { .. })), 0);
