@@ -5,7 +5,7 @@
 //! ([`MODELLED`] says which ones do something).
 
 use crate::urscript::host::Builtin;
-use crate::urscript_builtins;
+use crate::urscript::host::urscript_builtins;
 
 /// Built-ins that do what they say, or are modelled as documented where they are carried out.
 pub const MODELLED: &[Builtin] = urscript_builtins![
