@@ -9,10 +9,11 @@ use celld::sim::render::scene::look_at;
 use celld::sim::world::World;
 use celld::sim::world::spec::{CameraMount, Cup, GripperSpec, NominalCell, ObjectMarker, PlacementErrors};
 use celld::sim::world::spec::{ReferenceMarker, TableSpec, TruthSpec, WorldObject, WorldSpec};
-use celld::sim::world::vacuum::Channel;
+use celld::sim::world::vacuum::{Channel, VacuumMode};
 use celld::vision::camera::CameraModel;
 use celld::vision::cv;
 use celld::vision::detect::{DetectSettings, Detector};
+use celld::vision::image::Image;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -117,10 +118,7 @@ fn markers_in_drawn_pictures_have_their_corners_where_the_lens_puts_them() {
         let world = World::new(marked_table(seed), seed).unwrap();
         let eye = look_at([0.25, 0.10 - 0.05 * seed as f64, 0.50], [0.25, 0.18, 0.0], [1.0, 0.0, 0.0]);
         let picture = renderer.render(&world.scene(), &eye, seed, 1);
-        if let Some(folder) = std::env::var_os("CELLD_TEST_PICTURES") {
-            let path = std::path::Path::new(&folder).join(format!("render-{seed}.png"));
-            std::fs::write(path, picture.encode_png().unwrap()).unwrap();
-        }
+        keep(&picture, &seed.to_string());
         let detections = detector.detect(&picture.gray()).unwrap();
         for (id, size_m, table_from_marker) in markers(&world, &marked_table(seed)) {
             let half = size_m / 2.0;
@@ -148,4 +146,79 @@ fn markers(world: &World, spec: &WorldSpec) -> Vec<(u32, f64, Isometry3<f64>)> {
     });
     let on_table = spec.reference_markers.iter().map(|m| (m.id, m.size_m, m.pose.at_height(0.0)));
     on_objects.chain(on_table).collect()
+}
+
+/// An arm whose tool points straight down, moved in controller frames.
+struct Arm {
+    world: World,
+    now_s: f64,
+    at: [f64; 3],
+}
+
+impl Arm {
+    fn flange(&self) -> Isometry3<f64> {
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let table_from_tool = Isometry3::from_parts(Translation3::from(Vector3::from(self.at)), down);
+        self.world.base_from_table() * table_from_tool * gripper().flange_from_tool.inverse()
+    }
+
+    fn go(&mut self, to: [f64; 3], seconds: f64) {
+        let from = self.at;
+        let frames = (seconds / 0.002) as usize;
+        for k in 1..=frames {
+            let s = k as f64 / frames as f64;
+            let s = s * s * (3.0 - 2.0 * s);
+            self.at = std::array::from_fn(|i| from[i] + s * (to[i] - from[i]));
+            self.now_s += 0.002;
+            let flange = self.flange();
+            self.world.step(self.now_s, 0.002, &flange);
+        }
+    }
+
+    fn suck(&mut self, mode: VacuumMode) {
+        self.world.command_vacuum(Channel::A, mode, 0.6);
+        self.go(self.at, 0.5);
+    }
+}
+
+#[test]
+fn an_object_put_onto_another_is_seen_to_be_tilted() {
+    let mut spec = marked_table(4);
+    let (from, to) = (spec.objects[0].pose, spec.objects[5].pose);
+    let (marker, height_m) = (spec.objects[0].marker.unwrap(), spec.objects[0].height_m);
+    spec.base_from_table = truth(4).base_from_table;
+    let mut arm = Arm { world: World::new(spec, 4).unwrap(), now_s: 0.0, at: [0.25, 0.2, 0.2] };
+    for (x, y, mode) in [(from.x, from.y, VacuumMode::Grip), (to.x + 0.03, to.y, VacuumMode::Release)] {
+        arm.go([x, y, 0.1], 1.5);
+        arm.go([x, y, height_m], 1.0);
+        arm.suck(mode);
+        arm.go([x, y, 0.1], 1.0);
+    }
+    let true_tilt = arm.world.object("object-0").unwrap().tilt_rad().to_degrees();
+    assert!((5.0..12.1).contains(&true_tilt), "{true_tilt}");
+
+    arm.go([0.25, 0.1, 0.25], 1.0);
+    let truth = truth(4);
+    let scene = arm.world.scene();
+    let eye = scene.table_from_camera(&truth.mount);
+    let picture = Renderer::new(truth.camera.clone()).render(&scene, &eye, 4, 1);
+    keep(&picture, "tilted");
+    let detections = Detector::new(DetectSettings::default()).unwrap().detect(&picture.gray()).unwrap();
+    let tilt_of = |id: u32| {
+        let seen = detections.iter().find(|detection| detection.id == id).expect("marker in view");
+        let poses = cv::square_poses(&model(&truth.camera), &seen.corners, marker.size_m).unwrap();
+        let normal = |pose: &Isometry3<f64>| (eye * pose).rotation * Vector3::z();
+        normal(&poses[0].camera_from_target).angle(&Vector3::z()).to_degrees()
+    };
+    let (tilted, flat) = (tilt_of(0), tilt_of(6));
+    assert!((tilted - true_tilt).abs() < 2.0, "seen {tilted}, true {true_tilt}");
+    assert!(flat < 2.0, "{flat}");
+}
+
+/// Keeps a picture to look at, where `CELLD_TEST_PICTURES` names a folder.
+fn keep(picture: &Image, name: &str) {
+    if let Some(folder) = std::env::var_os("CELLD_TEST_PICTURES") {
+        let path = std::path::Path::new(&folder).join(format!("render-{name}.png"));
+        std::fs::write(path, picture.encode_png().unwrap()).unwrap();
+    }
 }
