@@ -4,10 +4,14 @@ pub mod camera_server;
 
 pub mod control_server;
 
+pub mod controller;
+
 pub mod gripper_server;
 
 pub mod motion;
 
 pub mod render;
+
+pub mod robot_server;
 
 pub mod world;
