@@ -1,1 +1,3 @@
+//! The binary: hands the command line to [`celld::cli`] and nothing else.
+
 fn main() {}

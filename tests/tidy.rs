@@ -1,1 +1,157 @@
+//! Holds the architecture: the module table of ARCHITECTURE.md against the sources, and the house rules.
+//!
+//! In: the repository as it stands. Out: every breach with file and line, all at once. The compiler does not
+//! enforce layers inside one crate, so this test reads the sources instead. The table below is the one
+//! place that says which module may use which; if a row hurts, change the row knowingly, not the code.
 
+#[path = "tidy/planted.rs"]
+mod planted;
+#[path = "tidy/rules.rs"]
+mod rules;
+#[path = "tidy/scan.rs"]
+mod scan;
+#[path = "tidy/tree.rs"]
+mod tree;
+
+use rules::{Row, Uses};
+
+/// The module table in reading order. An entry `a::b` allows that submodule only.
+const TABLE: &[Row] = &[
+    Row { module: "units", uses: Uses::Only(&[]), pure: true },
+    Row { module: "time", uses: Uses::Only(&[]), pure: true },
+    Row { module: "document", uses: Uses::Only(&[]), pure: true },
+    Row { module: "wire", uses: Uses::Only(&[]), pure: true },
+    Row { module: "urscript", uses: Uses::Only(&[]), pure: true },
+    Row { module: "geometry", uses: Uses::Only(&["units"]), pure: true },
+    Row { module: "tabletop", uses: Uses::Only(&["units", "geometry", "document"]), pure: true },
+    Row { module: "planning", uses: Uses::Only(&["units", "geometry", "tabletop"]), pure: true },
+    Row {
+        module: "vision",
+        uses: Uses::Only(&["units", "time", "geometry", "tabletop", "document"]),
+        pure: true,
+    },
+    Row {
+        module: "motion",
+        uses: Uses::Only(&["units", "time", "geometry", "tabletop", "planning"]),
+        pure: true,
+    },
+    Row { module: "device", uses: Uses::Only(&["units", "time", "wire", "motion"]), pure: true },
+    Row { module: "supervisor", uses: Uses::AllAboveBut(&["wire", "urscript"]), pure: true },
+    Row {
+        module: "report",
+        uses: Uses::Only(&["units", "time", "geometry", "tabletop", "planning", "vision", "motion"]),
+        pure: true,
+    },
+    Row {
+        module: "io",
+        uses: Uses::Only(&["units", "time", "vision::image", "vision::camera"]),
+        pure: false,
+    },
+    Row {
+        module: "jobs",
+        uses: Uses::Only(&["units", "time", "document", "geometry", "tabletop", "planning", "io::files"]),
+        pure: false,
+    },
+    Row { module: "config", uses: Uses::AllAboveBut(&["wire", "urscript"]), pure: false },
+    Row {
+        module: "sim",
+        uses: Uses::Only(&[
+            "units",
+            "time",
+            "document",
+            "geometry",
+            "tabletop",
+            "motion::kinematics",
+            "wire",
+            "urscript",
+            "vision::image",
+            "vision::camera",
+            "io",
+        ]),
+        pure: false,
+    },
+    Row { module: "daemon", uses: Uses::AllAboveBut(&["sim"]), pure: false },
+    Row { module: "bench", uses: Uses::AllAboveBut(&[]), pure: false },
+    Row { module: "cli", uses: Uses::AllAboveBut(&[]), pure: false },
+];
+
+/// Source lines a file may have before it has to be split.
+const MOST_LINES: usize = 600;
+
+#[track_caller]
+fn none(breaches: Vec<String>) {
+    assert!(breaches.is_empty(), "{} breach(es):\n{}", breaches.len(), breaches.join("\n"));
+}
+
+#[test]
+fn the_table_is_in_reading_order_and_keeps_the_fixed_borders() {
+    none(rules::table_faults(TABLE));
+    for (module, never) in [("sim", "device"), ("daemon", "sim"), ("device", "supervisor"), ("io", "daemon")]
+    {
+        assert!(!rules::allows(TABLE, module, never), "{module} may never use {never}");
+    }
+}
+
+#[test]
+fn every_module_is_in_the_table() {
+    none(rules::modules_missing_from(TABLE, &tree::sources()));
+}
+
+#[test]
+fn modules_only_look_down() {
+    none(rules::layering_breaches(TABLE, &tree::sources()));
+}
+
+#[test]
+fn pure_modules_are_pure() {
+    none(rules::purity_breaches(TABLE, &tree::sources()));
+}
+
+#[test]
+fn native_libraries_stay_in_their_files() {
+    none(rules::native_breaches(&tree::sources()));
+}
+
+#[test]
+fn files_open_with_a_doc_and_stay_short() {
+    let mut breaches = Vec::new();
+    for file in tree::rust_files() {
+        breaches.extend(rules::opening_breach(&file));
+    }
+    for file in tree::sources() {
+        breaches.extend(rules::length_breach(&file, MOST_LINES));
+    }
+    none(breaches);
+}
+
+#[test]
+fn nothing_is_left_unfinished() {
+    none(tree::text_files().iter().flat_map(rules::unfinished_marks).collect());
+}
+
+#[test]
+fn no_path_of_one_machine_is_named() {
+    none(tree::text_files().iter().flat_map(rules::machine_paths).collect());
+}
+
+#[test]
+fn every_dependency_has_its_reason() {
+    none(rules::dependency_breaches(&tree::read("Cargo.toml"), &tree::read("ARCHITECTURE.md")));
+}
+
+#[test]
+fn the_written_table_is_the_checked_table() {
+    none(rules::written_table_breaches(TABLE, &tree::read("ARCHITECTURE.md")));
+}
+
+#[test]
+fn ci_calls_the_makefile_and_the_makefile_sets_up_first() {
+    let ci = tree::read(".ci/run");
+    let commands: Vec<&str> =
+        ci.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
+    assert!(commands.contains(&"set -euo pipefail") && commands.contains(&"make test"), "{commands:?}");
+    let makefile = tree::read("Makefile");
+    for target in ["demo", "test"] {
+        assert!(makefile.contains(&format!("\n{target}: setup")), "{target} must call setup first");
+    }
+}

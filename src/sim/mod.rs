@@ -1,1 +1,17 @@
 //! The stand-in for the hardware: world, UR controller, VGC10 and camera behind the real protocols.
+
+pub mod camera_server;
+
+pub mod control_server;
+
+pub mod controller;
+
+pub mod gripper_server;
+
+pub mod motion;
+
+pub mod render;
+
+pub mod robot_server;
+
+pub mod world;

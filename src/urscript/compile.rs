@@ -1,6 +1,6 @@
 //! Syntax tree to instructions: names to slots, calls to functions or built-ins, control flow to jumps.
 //!
-//! In: text or a [`Script`], and the host that knows which built-ins exist. Out: [`Code`], or the first name
+//! In: text or a [`Script`], and which built-ins the host has. Out: [`Code`], or the first name
 //! or argument that does not fit, as the controller checks when it loads a program. Functions of the script
 //! hide built-ins of the same name.
 
@@ -10,19 +10,22 @@ use crate::urscript::ast::{
 };
 use crate::urscript::code::{Code, FunctionCode, Instruction, PathStep, Variable};
 use crate::urscript::fault::{CompileError, CompileErrorKind, Position};
-use crate::urscript::host::Host;
+use crate::urscript::host::Builtin;
 use crate::urscript::value::Value;
 use crate::urscript::{library, parser, scope};
 use std::collections::HashMap;
 use std::sync::Arc;
 
+/// Looks up a built-in of the host by name.
+pub type LookUp<'a> = &'a dyn Fn(&str) -> Option<&'static Builtin>;
+
 /// Parses and compiles one upload.
-pub fn compile(text: &str, host: &dyn Host) -> Result<Code, CompileError> {
+pub fn compile(text: &str, host: LookUp<'_>) -> Result<Code, CompileError> {
     compile_script(&parser::parse(text)?, host)
 }
 
 /// Compiles a parsed upload.
-pub fn compile_script(script: &Script, host: &dyn Host) -> Result<Code, CompileError> {
+pub fn compile_script(script: &Script, host: LookUp<'_>) -> Result<Code, CompileError> {
     let program = &script.main;
     let mut compiler =
         Compiler { host, globals: scope::globals(program), functions: Vec::new(), visible: Vec::new() };
@@ -44,7 +47,7 @@ struct Declared {
 }
 
 struct Compiler<'a> {
-    host: &'a dyn Host,
+    host: LookUp<'a>,
     globals: Vec<Arc<str>>,
     functions: Vec<Declared>,
     /// Functions by name, outermost scope first.
@@ -71,14 +74,14 @@ impl Body {
     /// Lets the jump at `index` go to the next instruction.
     fn land(&mut self, index: usize) {
         let here = self.instructions.len();
-        match self.instructions.get_mut(index) {
-            Some(
-                Instruction::Jump(to)
-                | Instruction::JumpUnless(to)
-                | Instruction::ShortCircuit(_, to)
-                | Instruction::JumpIfGiven(_, to),
-            ) => *to = here,
-            _ => {}
+        if let Some(
+            Instruction::Jump(to)
+            | Instruction::JumpUnless(to)
+            | Instruction::ShortCircuit(_, to)
+            | Instruction::JumpIfGiven(_, to),
+        ) = self.instructions.get_mut(index)
+        {
+            *to = here;
         }
     }
 }
@@ -340,7 +343,7 @@ impl Compiler<'_> {
             Instruction::Call(function, slots)
         } else if &**name == "struct" {
             self.structure(arguments, at, body)?
-        } else if let Some(builtin) = library::find(name).or_else(|| self.host.builtin(name)) {
+        } else if let Some(builtin) = library::find(name).or_else(|| (self.host)(name)) {
             let parameters: Vec<(&str, bool)> =
                 builtin.parameters.iter().map(|parameter| (parameter.name, parameter.optional)).collect();
             let slots = bind(name, &parameters, arguments, at)?;

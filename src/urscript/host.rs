@@ -24,7 +24,6 @@ pub struct Builtin {
 }
 
 /// Declares signatures: `name(a, b; c, d)`, those after the semicolon being optional.
-#[macro_export]
 macro_rules! urscript_builtins {
     ($($name:ident($($required:ident),* $(; $($optional:ident),+)?)),* $(,)?) => {
         &[$($crate::urscript::host::Builtin {
@@ -36,6 +35,8 @@ macro_rules! urscript_builtins {
         }),*]
     };
 }
+// Named by its path like everything else: a `macro_export` would put it at the crate root.
+pub(crate) use urscript_builtins;
 
 /// One call of a built-in, repeated until it is answered.
 #[derive(Debug)]
@@ -86,9 +87,6 @@ pub enum Reply {
 
 /// What a program runs on.
 pub trait Host {
-    /// The built-in called `name`, if there is one.
-    fn builtin(&self, name: &str) -> Option<&'static Builtin>;
-
     /// Carries out a call.
     ///
     /// # Errors

@@ -317,10 +317,14 @@ pub(crate) mod tests {
     use super::*;
     use crate::urscript::compile::compile;
     use crate::urscript::host::{Builtin, Call, Reply};
-    use crate::urscript_builtins;
+    use crate::urscript::host::urscript_builtins;
     use proptest::prelude::*;
 
     const BUILTINS: &[Builtin] = urscript_builtins![say(a; b), wait(frames), movej(q; a, v, t, r)];
+
+    fn find(name: &str) -> Option<&'static Builtin> {
+        BUILTINS.iter().find(|builtin| builtin.name == name)
+    }
 
     /// Writes what scripts say, with the frame they say it in.
     #[derive(Default)]
@@ -331,10 +335,6 @@ pub(crate) mod tests {
     }
 
     impl Host for Recorder {
-        fn builtin(&self, name: &str) -> Option<&'static Builtin> {
-            BUILTINS.iter().find(|builtin| builtin.name == name)
-        }
-
         fn call(&mut self, call: Call<'_>) -> Result<Reply, String> {
             match call.name {
                 "say" => {
@@ -363,7 +363,7 @@ pub(crate) mod tests {
     /// Runs `text` for at most `frames` frames; what it said, then how it ended.
     pub(crate) fn run(text: &str, frames: u32) -> (Recorder, Progress) {
         let mut host = Recorder::default();
-        let code = compile(text, &host).unwrap_or_else(|error| panic!("{error}\n{text}"));
+        let code = compile(text, &find).unwrap_or_else(|error| panic!("{error}\n{text}"));
         let mut program = Program::new(Arc::new(code), 7);
         for frame in 0..frames {
             host.frame = frame;
@@ -392,7 +392,7 @@ pub(crate) mod tests {
 
     #[track_caller]
     fn check_refused(text: &str, message: &str) {
-        let error = compile(text, &Recorder::default()).expect_err(text);
+        let error = compile(text, &find).expect_err(text);
         assert!(error.controller_text().contains(message), "{}", error.controller_text());
     }
 
@@ -582,7 +582,7 @@ pub(crate) mod tests {
                 "x = 1", "x = [1, 2]", "f()", "def f():", "x[0]", "end", "while x:", "sync() end",
             ]), 0..40)) {
             let mut host = Recorder::default();
-            if let Ok(code) = compile(&words.join(" "), &host) {
+            if let Ok(code) = compile(&words.join(" "), &find) {
                 let mut program = Program::new(Arc::new(code), 1);
                 for _ in 0..5 {
                     if program.frame(&mut host) != Progress::Running {

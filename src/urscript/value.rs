@@ -214,7 +214,7 @@ mod tests {
     fn text_is_what_a_script_would_write() {
         assert_eq!(Value::Bool(true).to_string(), "True");
         assert_eq!(Value::numbers([1.0, 0.5]).to_string(), "[1, 0.5]");
-        assert_eq!(Value::Pose([0.1, 0.0, 0.0, 0.0, 3.14, 0.0]).to_string(), "p[0.1, 0, 0, 0, 3.14, 0]");
+        assert_eq!(Value::Pose([0.1, 0.0, 0.0, 0.0, 3.25, 0.0]).to_string(), "p[0.1, 0, 0, 0, 3.25, 0]");
     }
 
     #[test]

@@ -1,1 +1,19 @@
 //! Images, marker detection, object poses with their uncertainty, calibration mathematics.
+//!
+//! The path of a picture: `image` (pixels) -> `detect` (marker corners) -> `observe` (what lies where, how sure). `camera`
+//! is the lens as numbers, `cv` what we let OpenCV compute with them, `calibrate` where camera and table are,
+//! `calibration` the files that keep it, `annotate` the picture for people, `marker` the print itself. Pure; OpenCV
+//! is called in `cv` alone and the AprilTag library in `detect` alone.
+
+pub mod annotate;
+pub mod calibrate;
+pub mod calibration;
+pub mod camera;
+pub mod cv;
+pub mod detect;
+pub mod image;
+pub mod marker;
+pub mod observe;
+
+#[cfg(test)]
+mod testing;

@@ -1,0 +1,52 @@
+# celld: build, try, test. `make demo` and `make test` need nothing but cargo, make and a C compiler on
+# Debian 12; they install what is missing first.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+
+# Found missing by the build otherwise: clang is run by the OpenCV bindings' generator, the others are the
+# OpenCV modules celld calls. Not libapriltag-dev: the crate brings the C sources it was made for.
+PACKAGES := clang pkg-config libopencv-core-dev libopencv-imgproc-dev libopencv-imgcodecs-dev \
+            libopencv-calib3d-dev libopencv-videoio-dev
+
+ARGS ?=
+
+.PHONY: help setup demo test
+
+help:
+	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out/demo"
+	@echo "make test                           formatting, lints, all tests"
+	@echo "make setup                          install what the build needs (Debian 12), nothing else"
+
+setup:
+	@command -v dpkg-query >/dev/null || { \
+	  echo "setup: no dpkg here; the build needs the equivalents of: $(PACKAGES)"; exit 0; }; \
+	missing=(); \
+	for package in $(PACKAGES); do \
+	  [ "$$(dpkg-query -W -f='$${db:Status-Status}' "$$package" 2>/dev/null | head -c 9)" = installed ] \
+	    || missing+=("$$package"); \
+	done; \
+	[ $${#missing[@]} -gt 0 ] || exit 0; \
+	as_root=(); \
+	if [ "$$(id -u)" -ne 0 ]; then \
+	  command -v sudo >/dev/null || { \
+	    echo "setup: neither root nor sudo; ask for: apt-get install $${missing[*]}" >&2; exit 1; }; \
+	  as_root=(sudo); \
+	fi; \
+	echo "setup: installing $${missing[*]}"; \
+	"$${as_root[@]}" apt-get update -qq; \
+	"$${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
+	  apt-get install -y -qq --no-install-recommends "$${missing[@]}"
+
+demo: setup
+	cargo run --release --quiet -- demo $(ARGS)
+
+# Without nextest the closed-loop tests (cell_*) run after the others, one at a time: they need the cores.
+test: setup
+	cargo fmt --check
+	cargo clippy --all-targets -- -D warnings
+	@if cargo nextest --version >/dev/null 2>&1; then \
+	  echo "cargo nextest run"; cargo nextest run; \
+	else \
+	  echo "cargo test"; cargo test -- --skip cell_; cargo test --test it cell_ -- --test-threads=1; \
+	fi

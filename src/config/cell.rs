@@ -1,0 +1,245 @@
+//! The cell's configuration after all checks: plain structs, SI, radians, absolute paths.
+//!
+//! In: nothing; `config::read_cell` builds these from YAML, the demo builds them from an instance. Out: the
+//! numbers from which the daemon makes the small parameter structs of vision, motion, device and supervisor.
+//! No field that is measured, and no speed or acceleration, has a `Default`: a cell that nobody measured
+//! must not start.
+
+use crate::geometry::pose::Pose2;
+use crate::jobs::policy::{Approval, JobObjective};
+use crate::tabletop::instance::{KeepOut, ObjectSpec};
+use crate::units::Joints;
+use nalgebra::Isometry3;
+use std::path::PathBuf;
+
+/// One robot cell, as `celld run` needs it.
+#[derive(Clone, Debug)]
+pub struct CellConfig {
+    /// Where the devices are.
+    pub devices: Devices,
+    /// Size and obstacles of the table.
+    pub workspace: WorkspaceConfig,
+    /// Everything that may lie on the table. `start` and `goal` are always absent here.
+    pub objects: Vec<ObjectSpec>,
+    /// Markers fixed to the table, in the table frame.
+    pub reference_markers: Vec<ReferenceMarkerConfig>,
+    /// Cups, body and vacuum of the gripper, in the tool frame.
+    pub gripper: GripperConfig,
+    /// From tool (centre of the cup lips, z out of the gripper) to flange.
+    pub flange_from_tool: Isometry3<f64>,
+    /// Nominal pose of the table frame in the robot's base frame; the calibration starts from it.
+    pub base_from_table: Isometry3<f64>,
+    /// Where the camera sits, nominally.
+    pub camera: CameraMount,
+    /// Taught joint poses that together see the whole workspace.
+    pub look_poses: Vec<Joints>,
+    /// Taught joint pose in which the arm waits.
+    pub park_pose: Joints,
+    /// Taught joint poses for `celld calibrate`.
+    pub calibration_poses: Vec<Joints>,
+    /// Files that `celld calibrate` writes and `celld run` reads.
+    pub calibration: CalibrationFiles,
+    /// What the arm may do at most.
+    pub limits: MotionLimits,
+    /// When something counts as where it should be, and as recent.
+    pub tolerances: Tolerances,
+    /// How plans are made.
+    pub planner: PlannerConfig,
+    /// Least approval a job needs.
+    pub approval: Approval,
+    /// Armed from the start; only accepted together with `simulation`.
+    pub arm_at_start: bool,
+    /// Present only when every device is simulated.
+    pub simulation: Option<SimulationConfig>,
+    /// Present when runs are recorded.
+    pub recording: Option<RecordingConfig>,
+    /// Folder against which relative `goal.file` paths of jobs resolve.
+    pub goal_folder: PathBuf,
+}
+
+/// Device addresses. The robot's ports are the controller's own and not configurable.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Devices {
+    /// Host name or address of the UR controller.
+    pub robot_host: String,
+    /// Host name or address of the gripper's compute box.
+    pub gripper_host: String,
+    /// Modbus TCP port of the compute box (502 on the real one).
+    pub gripper_port: u16,
+    /// The camera.
+    pub camera: CameraDevice,
+}
+
+/// Where pictures come from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CameraDevice {
+    /// The simulator's HTTP camera, `host:port`.
+    Simulator {
+        /// Host name or address.
+        host: String,
+        /// HTTP port.
+        port: u16,
+    },
+    /// Pictures of a folder, in the order of their names.
+    Folder {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A video file.
+    Video {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// The table.
+#[derive(Clone, Debug)]
+pub struct WorkspaceConfig {
+    /// Extent along x, m.
+    pub width_m: f64,
+    /// Extent along y, m.
+    pub height_m: f64,
+    /// Least distance between objects at every new place, m.
+    pub clearance_m: f64,
+    /// Places that stay free.
+    pub keep_out: Vec<KeepOut>,
+}
+
+/// A marker fixed to the table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferenceMarkerConfig {
+    /// Number within tag36h11.
+    pub id: u32,
+    /// Edge of the black square, m.
+    pub size_m: f64,
+    /// Surveyed pose in the table frame.
+    pub pose: Pose2,
+}
+
+/// The two suction channels of the VGC10.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum CupChannel {
+    /// Channel A.
+    A,
+    /// Channel B.
+    B,
+}
+
+/// One suction cup in the tool frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CupConfig {
+    /// The channel that feeds it.
+    pub channel: CupChannel,
+    /// Centre, m.
+    pub x_m: f64,
+    /// Centre, m.
+    pub y_m: f64,
+    /// Diameter of the lip, m.
+    pub diameter_m: f64,
+}
+
+/// The gripper.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GripperConfig {
+    /// At least one.
+    pub cups: Vec<CupConfig>,
+    /// Outline of the body in the tool frame, m: what must not touch the neighbours of a gripped object.
+    pub body_polygon: Vec<[f64; 2]>,
+    /// Height of the body's lower face above the cup lips, m.
+    pub body_height_m: f64,
+    /// Least relative vacuum (0 to 1) that counts as gripped.
+    pub vacuum_min: f64,
+    /// Mass of gripper and camera on the flange, kg.
+    pub mass_kg: f64,
+    /// Centre of that mass in the flange frame, m.
+    pub centre_of_gravity_m: [f64; 3],
+}
+
+/// Where the camera sits, nominally; the calibration files hold the measured transforms.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CameraMount {
+    /// On the wrist.
+    Flange {
+        /// Nominal mount.
+        flange_from_camera: Isometry3<f64>,
+    },
+    /// Beside the table; the arm parks before a look.
+    Fixed {
+        /// Nominal mount.
+        base_from_camera: Isometry3<f64>,
+    },
+}
+
+/// Paths of the calibration files, absolute.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CalibrationFiles {
+    /// Intrinsics and distortion of one camera, by serial number.
+    pub camera: PathBuf,
+    /// Camera on flange (or on base) with residuals.
+    pub hand_eye: PathBuf,
+    /// Table in base with residuals.
+    pub table: PathBuf,
+}
+
+/// What the arm may do at most, and the heights of a pick-n-place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionLimits {
+    /// rad/s, every joint.
+    pub joint_speed: f64,
+    /// rad/s2, every joint.
+    pub joint_acceleration: f64,
+    /// m/s at the tool.
+    pub tool_speed: f64,
+    /// m/s2 at the tool.
+    pub tool_acceleration: f64,
+    /// m/s of the last stretch down to and first stretch up from an object.
+    pub contact_speed: f64,
+    /// Free height above everything on the table at which objects are carried, m.
+    pub lift_height_m: f64,
+    /// Height above grip and place at which the slow stretch begins, m.
+    pub approach_height_m: f64,
+    /// Blend radius between carried segments, m.
+    pub blend_m: f64,
+}
+
+/// When something counts as where it should be, and as recent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tolerances {
+    /// m.
+    pub goal_position_m: f64,
+    /// rad.
+    pub goal_angle_rad: f64,
+    /// An observation older than this is not acted upon, s.
+    pub observation_age_s: f64,
+    /// Largest mean residual of the reference markers in a look, m.
+    pub reference_residual_m: f64,
+}
+
+/// How plans are made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannerConfig {
+    /// One of `jobs::policy::SOLVER_WORDS`.
+    pub solver: String,
+    /// For jobs that do not say.
+    pub objective: JobObjective,
+    /// Planning budget, s.
+    pub time_limit_s: f64,
+    /// For jobs that do not say.
+    pub seed: u64,
+}
+
+/// Only for cells whose devices are all simulated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulationConfig {
+    /// How much faster than real time the daemon's clock runs; the simulator's factor.
+    pub clock_factor: f64,
+}
+
+/// Where runs are recorded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordingConfig {
+    /// Folder for the MCAP files, absolute.
+    pub folder: PathBuf,
+    /// Pictures too, not only numbers.
+    pub pictures: bool,
+}

@@ -1,0 +1,311 @@
+//! Files that survive a power cut, and files of strangers that are opened with care.
+//!
+//! In: paths and bytes. Out: files written whole or not at all (temporary file, fsync, rename, fsync of the
+//! folder), renames that never overwrite, text of regular files of bounded size, an exclusive lock. A rename
+//! is atomic but not durable until the folder is synced; without the first fsync a crash may leave an empty file.
+
+use rustix::fs::{CWD, OFlags, RenameFlags};
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+/// Why a file was not read, written or moved.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The operating system refused.
+    #[error("{action} {path}")]
+    Io {
+        /// What was tried: "write", "rename to", ...
+        action: &'static str,
+        /// On what.
+        path: PathBuf,
+        /// The system's answer.
+        #[source]
+        source: io::Error,
+    },
+    /// Something other than a plain file of reasonable size and encoding.
+    #[error("{path}: {problem}")]
+    Unfit {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: Unfit,
+    },
+}
+
+/// What makes a stranger's file unfit to be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unfit {
+    /// A symbolic link, FIFO, socket, device or folder.
+    #[error("not a regular file")]
+    NotRegular,
+    /// A file with a second name: its content may change under another name.
+    #[error("has {0} hard links, one is allowed")]
+    HardLinked(u64),
+    /// Larger than the caller reads.
+    #[error("larger than {0} bytes")]
+    TooLarge(u64),
+    /// Not text.
+    #[error("not UTF-8 text")]
+    NotText,
+}
+
+impl FileError {
+    fn io(action: &'static str, path: &Path, source: io::Error) -> FileError {
+        FileError::Io { action, path: path.to_owned(), source }
+    }
+
+    /// True when the file or folder was not there.
+    pub fn is_absent(&self) -> bool {
+        matches!(self, FileError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
+    }
+
+    /// True when the target of a rename was there already.
+    pub fn is_present(&self) -> bool {
+        matches!(self, FileError::Io { source, .. } if source.kind() == io::ErrorKind::AlreadyExists)
+    }
+}
+
+/// What tells one file from another of the same name, and a finished one from one still being written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileIdentity {
+    /// Device number.
+    pub device: u64,
+    /// Inode number.
+    pub inode: u64,
+    /// Bytes.
+    pub size: u64,
+    /// Last change of the content, ns since 1970.
+    pub modified_ns: i128,
+}
+
+/// Identity of `path` itself (links are not followed) and whether it is a regular file.
+pub fn identify(path: &Path) -> Result<(FileIdentity, bool), FileError> {
+    let metadata = path.symlink_metadata().map_err(|e| FileError::io("look at", path, e))?;
+    Ok((identity_of(&metadata), metadata.is_file()))
+}
+
+fn identity_of(metadata: &std::fs::Metadata) -> FileIdentity {
+    FileIdentity {
+        device: metadata.dev(),
+        inode: metadata.ino(),
+        size: metadata.size(),
+        modified_ns: i128::from(metadata.mtime()) * 1_000_000_000 + i128::from(metadata.mtime_nsec()),
+    }
+}
+
+/// Text of a regular file with one name and at most `max_bytes`; never follows a link, never blocks on a FIFO.
+///
+/// # Errors
+/// [`FileError::Unfit`] for anything that is not such a file, [`FileError::Io`] when the system refuses.
+pub fn read_regular(path: &Path, max_bytes: u64) -> Result<(String, FileIdentity), FileError> {
+    let unfit = |problem| FileError::Unfit { path: path.to_owned(), problem };
+    let (_, regular) = identify(path)?;
+    if !regular {
+        return Err(unfit(Unfit::NotRegular));
+    }
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let file = OpenOptions::new()
+        .read(true)
+        .custom_flags(flags.bits().cast_signed())
+        .open(path)
+        .map_err(|e| FileError::io("open", path, e))?;
+    let metadata = file.metadata().map_err(|e| FileError::io("look at", path, e))?;
+    if !metadata.is_file() {
+        return Err(unfit(Unfit::NotRegular));
+    }
+    if metadata.nlink() != 1 {
+        return Err(unfit(Unfit::HardLinked(metadata.nlink())));
+    }
+    let mut bytes = Vec::new();
+    file.take(max_bytes + 1).read_to_end(&mut bytes).map_err(|e| FileError::io("read", path, e))?;
+    if bytes.len() as u64 > max_bytes {
+        return Err(unfit(Unfit::TooLarge(max_bytes)));
+    }
+    let text = String::from_utf8(bytes).map_err(|_| unfit(Unfit::NotText))?;
+    Ok((text, identity_of(&metadata)))
+}
+
+/// Writes `bytes` to `path` whole or not at all, and on return durably. Replaces what was there.
+pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let temporary = temporary_name(path);
+    let result = write_synced(&temporary, bytes)
+        .and_then(|()| std::fs::rename(&temporary, path).map_err(|e| FileError::io("rename to", path, e)));
+    if result.is_err() {
+        let _ = std::fs::remove_file(&temporary);
+    }
+    result?;
+    sync_folder(parent(path))
+}
+
+/// A hidden name beside `path`, of this process.
+pub fn temporary_name(path: &Path) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    parent(path).join(format!(".{name}.{}.tmp", std::process::id()))
+}
+
+fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let mut file = File::create(path).map_err(|e| FileError::io("create", path, e))?;
+    file.write_all(bytes).map_err(|e| FileError::io("write", path, e))?;
+    file.sync_all().map_err(|e| FileError::io("sync", path, e))
+}
+
+/// Renames `from` to `to` durably; fails if `to` exists. Both must be on one file system.
+pub fn rename_new(from: &Path, to: &Path) -> Result<(), FileError> {
+    rustix::fs::renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE)
+        .map_err(|e| FileError::io("rename to", to, e.into()))?;
+    sync_folder(parent(to))?;
+    if parent(from) != parent(to) {
+        sync_folder(parent(from))?;
+    }
+    Ok(())
+}
+
+/// Removes a file durably; a file that is not there is fine.
+pub fn remove(path: &Path) -> Result<(), FileError> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(FileError::io("remove", path, e)),
+        _ => sync_folder(parent(path)),
+    }
+}
+
+/// Creates a folder with its parents, durably as far as its own entry goes.
+pub fn create_folder(path: &Path) -> Result<(), FileError> {
+    std::fs::create_dir_all(path).map_err(|e| FileError::io("create folder", path, e))?;
+    sync_folder(parent(path))
+}
+
+/// Makes the entries of a folder durable.
+pub fn sync_folder(path: &Path) -> Result<(), FileError> {
+    File::open(path).and_then(|folder| folder.sync_all()).map_err(|e| FileError::io("sync folder", path, e))
+}
+
+fn parent(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// An exclusive lock, held until it is dropped or the process ends in any way.
+#[derive(Debug)]
+pub struct FileLock {
+    _file: File,
+}
+
+impl FileLock {
+    /// Takes the lock and leaves `note` in the file; `None` when another process holds it.
+    pub fn take(path: &Path, note: &str) -> Result<Option<FileLock>, FileError> {
+        let mut file = open_lock(path)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Ok(None),
+            Err(TryLockError::Error(e)) => return Err(FileError::io("lock", path, e)),
+        }
+        let write = file.set_len(0).and_then(|()| file.write_all(note.as_bytes()));
+        write.map_err(|e| FileError::io("write", path, e))?;
+        Ok(Some(FileLock { _file: file }))
+    }
+
+    /// True when some process holds the lock.
+    pub fn is_held(path: &Path) -> Result<bool, FileError> {
+        if !path.exists() {
+            return Ok(false);
+        }
+        match open_lock(path)?.try_lock_shared() {
+            Ok(()) => Ok(false),
+            Err(TryLockError::WouldBlock) => Ok(true),
+            Err(TryLockError::Error(e)) => Err(FileError::io("lock", path, e)),
+        }
+    }
+}
+
+fn open_lock(path: &Path) -> Result<File, FileError> {
+    OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(path)
+        .map_err(|e| FileError::io("open", path, e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn atomic_write_replaces_and_leaves_no_temporary_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("status.json");
+        write_atomic(&path, b"one").unwrap();
+        write_atomic(&path, b"two").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"two");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn rename_never_overwrites() {
+        let folder = tempfile::tempdir().unwrap();
+        let (a, b) = (folder.path().join("a"), folder.path().join("b"));
+        std::fs::write(&a, "a").unwrap();
+        std::fs::write(&b, "b").unwrap();
+        assert!(rename_new(&a, &b).unwrap_err().is_present());
+        assert!(rename_new(&folder.path().join("c"), &folder.path().join("d")).unwrap_err().is_absent());
+        assert_eq!(std::fs::read_to_string(&b).unwrap(), "b");
+    }
+
+    #[track_caller]
+    fn check_unfit(prepare: impl FnOnce(&Path, &Path), expected: Unfit) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("job.yaml");
+        prepare(folder.path(), &path);
+        match read_regular(&path, 10) {
+            Err(FileError::Unfit { problem, .. }) => assert_eq!(problem, expected),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn links_fifos_folders_and_large_files_are_refused() {
+        let write = |path: PathBuf| std::fs::write(path, "x").unwrap();
+        check_unfit(|_, path| std::fs::create_dir(path).unwrap(), Unfit::NotRegular);
+        check_unfit(
+            |folder, path| {
+                write(folder.join("other"));
+                std::os::unix::fs::symlink(folder.join("other"), path).unwrap();
+            },
+            Unfit::NotRegular,
+        );
+        check_unfit(
+            |folder, path| {
+                write(folder.join("other"));
+                std::fs::hard_link(folder.join("other"), path).unwrap();
+            },
+            Unfit::HardLinked(2),
+        );
+        check_unfit(
+            |_, path| {
+                let mode = rustix::fs::Mode::from_raw_mode(0o600);
+                rustix::fs::mknodat(CWD, path, rustix::fs::FileType::Fifo, mode, 0).unwrap();
+            },
+            Unfit::NotRegular,
+        );
+        check_unfit(|_, path| std::fs::write(path, "12345678901").unwrap(), Unfit::TooLarge(10));
+        check_unfit(|_, path| std::fs::write(path, [0xff, 0xfe]).unwrap(), Unfit::NotText);
+    }
+
+    #[test]
+    fn a_lock_has_one_holder() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lock");
+        assert!(!FileLock::is_held(&path).unwrap());
+        let lock = FileLock::take(&path, "1").unwrap().unwrap();
+        assert!(FileLock::is_held(&path).unwrap());
+        assert!(FileLock::take(&path, "2").unwrap().is_none());
+        drop(lock);
+        assert!(!FileLock::is_held(&path).unwrap());
+        assert!(FileLock::take(&path, "3").unwrap().is_some());
+    }
+}

@@ -1,0 +1,138 @@
+//! Rows of the journal database as records and back, and the lookup that makes claims happen once.
+//!
+//! In: rows, records. Out: records, JSON text. A job whose file is being moved is recognised by the file's
+//! identity (device, inode, size, time), so a crash between commit and rename is not a duplicate.
+
+use crate::io::files::FileIdentity;
+use crate::jobs::journal::{Claim, NewJob};
+use crate::jobs::record::{JobRecord, JobResult, JobStatus, ObjectResult, StepPhase, StepRecord};
+use rusqlite::{OptionalExtension, Row, Transaction};
+
+/// The columns of a job, text not decoded yet.
+pub(super) struct JobRow {
+    pub sequence: i64,
+    pub id: String,
+    pub name: String,
+    pub sha256: String,
+    pub text: String,
+    pub spec: String,
+    pub state: String,
+    pub approved: Option<String>,
+    pub claimed: f64,
+    pub started: Option<f64>,
+    pub ended: Option<f64>,
+    pub result: Option<String>,
+}
+
+/// Columns in the order of [`JobRow`].
+pub(super) const JOB_COLUMNS: &str =
+    "sequence, id, name, sha256, text, spec, state, approved, claimed, started, ended, result";
+
+pub(super) fn job_row(row: &Row) -> Result<JobRow, rusqlite::Error> {
+    Ok(JobRow {
+        sequence: row.get(0)?,
+        id: row.get(1)?,
+        name: row.get(2)?,
+        sha256: row.get(3)?,
+        text: row.get(4)?,
+        spec: row.get(5)?,
+        state: row.get(6)?,
+        approved: row.get(7)?,
+        claimed: row.get(8)?,
+        started: row.get(9)?,
+        ended: row.get(10)?,
+        result: row.get(11)?,
+    })
+}
+
+/// The id under which a job can be claimed, or what is known already.
+///
+/// An id that the file states is held to: the same content again is a repeated submission, other content a
+/// mistake. With `rerun: true`, and for names made here, a number makes the id unique.
+pub(super) fn free_id(
+    transaction: &Transaction,
+    job: &NewJob,
+) -> Result<Result<String, Claim>, rusqlite::Error> {
+    let sha256_of = |id: &str| -> Result<Option<String>, rusqlite::Error> {
+        let select = "SELECT sha256 FROM jobs WHERE id = ?1";
+        transaction.query_row(select, [id], |row| row.get(0)).optional()
+    };
+    let Some(sha256) = sha256_of(job.id)? else {
+        return Ok(Ok(job.id.to_owned()));
+    };
+    if job.spec.id.is_some() && !job.spec.rerun {
+        let id = job.id.to_owned();
+        let same = sha256 == job.sha256;
+        return Ok(Err(if same { Claim::Duplicate { of: id } } else { Claim::Conflict { with: id } }));
+    }
+    let mut number = 2_u32;
+    loop {
+        let id = format!("{}.{number}", job.id);
+        if sha256_of(&id)?.is_none() {
+            return Ok(Ok(id));
+        }
+        number += 1;
+    }
+}
+
+/// A file's identity as the database keeps it.
+pub(in crate::jobs) fn source_text(source: &FileIdentity) -> String {
+    format!("{}:{}:{}:{}", source.device, source.inode, source.size, source.modified_ns)
+}
+
+/// JSON of a record of ours; these have string keys only, so it cannot fail.
+pub(super) fn encode(value: &impl serde::Serialize) -> String {
+    serde_json::to_string(value).expect("records have string keys only")
+}
+
+/// A result without numbers that JSON cannot hold.
+pub(super) fn storable(result: &JobResult) -> JobResult {
+    let finite = |value: Option<f64>| value.filter(|value| value.is_finite());
+    let objects = result.objects.iter().map(|object| ObjectResult {
+        id: object.id.clone(),
+        goal: object.goal.filter(|pose| pose.is_finite()),
+        measured: object.measured.filter(|pose| pose.is_finite()),
+        error_mm: finite(object.error_mm),
+        error_deg: finite(object.error_deg),
+    });
+    JobResult {
+        seconds: finite(Some(result.seconds)).unwrap_or(0.0),
+        lower_bound: finite(result.lower_bound),
+        objects: objects.collect(),
+        ..result.clone()
+    }
+}
+
+/// The result of a job with a step of which nobody knows how far it got.
+pub(super) fn interrupted(
+    job: &JobRecord,
+    steps: &[StepRecord],
+    open: &StepRecord,
+    unix_s: f64,
+) -> JobResult {
+    let object = &open.intent.object;
+    let holding = open.phase == StepPhase::Gripped;
+    let remedy = if holding {
+        format!(
+            "the gripper may hold {object:?}: choose `celld recover --place`, `--hold` or `--release`, then submit the job again with `rerun: true`"
+        )
+    } else {
+        "look at the cell, `celld recover`, then submit the job again with `rerun: true`; it looks and plans anew"
+            .to_owned()
+    };
+    JobResult {
+        id: job.id.clone(),
+        status: JobStatus::Interrupted,
+        code: if holding { "E_INTERRUPTED_CARRYING" } else { "E_INTERRUPTED" }.to_owned(),
+        message: format!(
+            "celld ended during step {} ({object:?}, {}); how far the motion got is not known",
+            open.step,
+            open.phase.word()
+        ),
+        remedy,
+        moves: steps.iter().filter(|step| step.phase == StepPhase::Done).count() as u32,
+        lower_bound: None,
+        seconds: job.started_unix_s.map_or(0.0, |started| (unix_s - started).max(0.0)),
+        objects: Vec::new(),
+    }
+}

@@ -1,0 +1,88 @@
+//! The small words of a job: approval and objective, with the names that files use.
+//!
+//! In: a word from a job or configuration file. Out: the value, or `None`. Pure.
+
+use serde::{Deserialize, Serialize};
+
+/// Who has to agree before the arm moves. Ordered by strictness: a job may only be stricter than the cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Approval {
+    /// Nobody: an armed cell carries out accepted jobs at once.
+    Never,
+    /// A person approves each job once, with its first plan.
+    Job,
+    /// A person approves every plan, also each new plan within a job.
+    Always,
+}
+
+impl Approval {
+    /// The words a file may use, in the order of strictness.
+    pub const WORDS: [&'static str; 3] = ["never", "job", "always"];
+
+    /// The value that `word` stands for.
+    pub fn from_word(word: &str) -> Option<Approval> {
+        match word {
+            "never" => Some(Approval::Never),
+            "job" => Some(Approval::Job),
+            "always" => Some(Approval::Always),
+            _ => None,
+        }
+    }
+
+    /// The word a file uses.
+    pub fn word(self) -> &'static str {
+        Approval::WORDS[self as usize]
+    }
+}
+
+/// What a plan is judged by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum JobObjective {
+    /// Number of pick-n-places.
+    Pp,
+    /// Total impedance of the moves.
+    Ti,
+    /// Time on this cell.
+    Time,
+}
+
+impl JobObjective {
+    /// The words a file may use.
+    pub const WORDS: [&'static str; 3] = ["pp", "ti", "time"];
+
+    /// The value that `word` stands for.
+    pub fn from_word(word: &str) -> Option<JobObjective> {
+        match word {
+            "pp" => Some(JobObjective::Pp),
+            "ti" => Some(JobObjective::Ti),
+            "time" => Some(JobObjective::Time),
+            _ => None,
+        }
+    }
+
+    /// The word a file uses.
+    pub fn word(self) -> &'static str {
+        JobObjective::WORDS[self as usize]
+    }
+}
+
+/// The solver names that job and configuration files may use (those of `celld plan --solver`).
+pub const SOLVER_WORDS: [&str; 7] = ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_and_values_agree() {
+        for word in Approval::WORDS {
+            assert_eq!(Approval::from_word(word).map(Approval::word), Some(word));
+        }
+        for word in JobObjective::WORDS {
+            assert_eq!(JobObjective::from_word(word).map(JobObjective::word), Some(word));
+        }
+        assert!(Approval::Always > Approval::Job && Approval::Job > Approval::Never);
+    }
+}

@@ -1,0 +1,360 @@
+//! What the database keeps of a job: the order, its state, its steps and its result.
+//!
+//! In and out: plain values; `result.yaml` as text. Pure. The words of [`JobState`] and [`JobStatus`] are
+//! what people read in files and tables, so they do not change.
+
+use crate::geometry::pose::Pose2;
+use crate::jobs::policy::{Approval, JobObjective};
+use serde::{Deserialize, Serialize};
+use std::fmt::Write as _;
+
+/// One object's wanted pose, table frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GoalPose {
+    /// Object of the catalogue.
+    pub id: String,
+    /// Wanted pose: m, m, rad.
+    pub pose: Pose2,
+}
+
+/// A job after all checks: the goal resolved, everything else as the file said.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JobSpec {
+    /// The file's own id.
+    pub id: Option<String>,
+    /// Objects not named may end anywhere.
+    pub goal: Vec<GoalPose>,
+    /// Absent: the cell's.
+    pub objective: Option<JobObjective>,
+    /// Absent: the cell's.
+    pub solver: Option<String>,
+    /// Planning budget, s. Absent: the cell's.
+    pub time_limit_s: Option<f64>,
+    /// Absent: the cell's.
+    pub seed: Option<u64>,
+    /// Larger goes first.
+    pub priority: i64,
+    /// s since 1970; not started before.
+    pub not_before_unix_s: Option<f64>,
+    /// Absent: the cell's. Present: at least as strict as the cell's (the stricter one holds).
+    pub approval: Option<Approval>,
+    /// The same content may run again under a new id.
+    pub rerun: bool,
+}
+
+/// Where a job stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum JobState {
+    /// Accepted; waits for its turn, its time or an approval. Folder `hold`.
+    Waiting,
+    /// Being worked on; at most one. Folder `active`.
+    Active,
+    /// Ended, see [`JobStatus`].
+    Ended(JobStatus),
+}
+
+/// How a job ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum JobStatus {
+    /// The camera saw the goal. Folder `done`.
+    Done,
+    /// It could not be done. Folder `failed`.
+    Failed,
+    /// A person ended it. Folder `failed`.
+    Cancelled,
+    /// celld ended or lost the cell while something may have been in motion. Folder `failed`.
+    Interrupted,
+}
+
+impl JobState {
+    /// The word in the database and in tables.
+    pub fn word(self) -> &'static str {
+        match self {
+            JobState::Waiting => "waiting",
+            JobState::Active => "active",
+            JobState::Ended(status) => status.word(),
+        }
+    }
+
+    /// The state that `word` stands for.
+    pub fn from_word(word: &str) -> Option<JobState> {
+        match word {
+            "waiting" => Some(JobState::Waiting),
+            "active" => Some(JobState::Active),
+            other => JobStatus::from_word(other).map(JobState::Ended),
+        }
+    }
+}
+
+impl JobStatus {
+    /// The word in `result.yaml`.
+    pub fn word(self) -> &'static str {
+        match self {
+            JobStatus::Done => "done",
+            JobStatus::Failed => "failed",
+            JobStatus::Cancelled => "cancelled",
+            JobStatus::Interrupted => "interrupted",
+        }
+    }
+
+    /// The status that `word` stands for.
+    pub fn from_word(word: &str) -> Option<JobStatus> {
+        [JobStatus::Done, JobStatus::Failed, JobStatus::Cancelled, JobStatus::Interrupted]
+            .into_iter()
+            .find(|status| status.word() == word)
+    }
+}
+
+/// A job as the database has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JobRecord {
+    /// Order of arrival.
+    pub sequence: i64,
+    /// Unique name.
+    pub id: String,
+    /// Name of the file it came in.
+    pub name: String,
+    /// Hash of the file, lower-case hex.
+    pub sha256: String,
+    /// The file, verbatim.
+    pub text: String,
+    /// What it asks for.
+    pub spec: JobSpec,
+    /// Where it stands.
+    pub state: JobState,
+    /// What was approved (the caller's name for a plan), if anything was.
+    pub approved: Option<String>,
+    /// s since 1970.
+    pub claimed_unix_s: f64,
+    /// s since 1970; set while active and after.
+    pub started_unix_s: Option<f64>,
+    /// s since 1970; set when ended.
+    pub ended_unix_s: Option<f64>,
+    /// Set when ended.
+    pub result: Option<JobResult>,
+}
+
+/// One pick-n-place, as written down before its first byte of motion leaves the PC.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StepIntent {
+    /// Object of the catalogue.
+    pub object: String,
+    /// Where it is gripped.
+    pub from: Pose2,
+    /// Where it is put.
+    pub to: Pose2,
+    /// "goal" or "buffer".
+    pub kind: String,
+}
+
+/// How far a step got.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum StepPhase {
+    /// Written down; motion may have begun.
+    Intent,
+    /// Vacuum verified: the object is on the cups.
+    Gripped,
+    /// Vacuum off at the place.
+    Released,
+    /// The arm has left the object.
+    Done,
+    /// Given up after a fault; the table has to be looked at again.
+    Abandoned,
+}
+
+impl StepPhase {
+    /// The word in the database.
+    pub fn word(self) -> &'static str {
+        match self {
+            StepPhase::Intent => "intent",
+            StepPhase::Gripped => "gripped",
+            StepPhase::Released => "released",
+            StepPhase::Done => "done",
+            StepPhase::Abandoned => "abandoned",
+        }
+    }
+
+    /// The phase that `word` stands for.
+    pub fn from_word(word: &str) -> Option<StepPhase> {
+        use StepPhase::{Abandoned, Done, Gripped, Intent, Released};
+        [Intent, Gripped, Released, Done, Abandoned].into_iter().find(|phase| phase.word() == word)
+    }
+
+    /// True while motion may be under way or unfinished.
+    pub fn is_open(self) -> bool {
+        matches!(self, StepPhase::Intent | StepPhase::Gripped | StepPhase::Released)
+    }
+}
+
+/// A step as the database has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepRecord {
+    /// Counts from 1 within the job, across new plans.
+    pub step: u32,
+    /// What was meant.
+    pub intent: StepIntent,
+    /// How far it got.
+    pub phase: StepPhase,
+}
+
+/// The content of `result.yaml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JobResult {
+    /// The job.
+    pub id: String,
+    /// How it ended.
+    pub status: JobStatus,
+    /// Short constant for programs: `OK`, `E_...`.
+    pub code: String,
+    /// One sentence for people.
+    pub message: String,
+    /// What to do now; empty when there is nothing to do.
+    pub remedy: String,
+    /// Pick-n-places carried out.
+    pub moves: u32,
+    /// Of the first plan.
+    pub lower_bound: Option<f64>,
+    /// From start to end of the job, s.
+    pub seconds: f64,
+    /// Objects with a goal, as the camera last saw them.
+    pub objects: Vec<ObjectResult>,
+}
+
+/// One object of a result.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ObjectResult {
+    /// Object of the catalogue.
+    pub id: String,
+    /// Wanted pose.
+    pub goal: Option<Pose2>,
+    /// Last measured pose.
+    pub measured: Option<Pose2>,
+    /// Distance between the two, mm.
+    pub error_mm: Option<f64>,
+    /// Angle between the two, degrees.
+    pub error_deg: Option<f64>,
+}
+
+impl ObjectResult {
+    /// Compares a wanted with a measured pose.
+    pub fn new(id: impl Into<String>, goal: Option<Pose2>, measured: Option<Pose2>) -> ObjectResult {
+        let both = goal.zip(measured);
+        ObjectResult {
+            id: id.into(),
+            goal,
+            measured,
+            error_mm: both.map(|(goal, measured)| goal.distance(&measured) * 1e3),
+            error_deg: both.map(|(goal, measured)| goal.angle_difference(&measured).to_degrees()),
+        }
+    }
+}
+
+impl JobResult {
+    /// The text of `result.yaml`. Strings are double-quoted as in JSON, which YAML reads alike.
+    pub fn to_yaml(&self) -> String {
+        let mut yaml = String::from("version: 1\n");
+        let mut line = |key: &str, value: String| {
+            let _ = writeln!(yaml, "{key}: {value}");
+        };
+        line("id", quoted(&self.id));
+        line("status", self.status.word().to_owned());
+        line("code", quoted(&self.code));
+        line("message", quoted(&self.message));
+        line("remedy", quoted(&self.remedy));
+        line("moves", self.moves.to_string());
+        line("lower_bound", number(self.lower_bound));
+        line("seconds", number(Some(self.seconds)));
+        if self.objects.is_empty() {
+            line("objects", "[]".to_owned());
+            return yaml;
+        }
+        yaml.push_str("objects:\n");
+        for object in &self.objects {
+            let _ = writeln!(
+                yaml,
+                "  - {{id: {}, goal: {}, measured: {}, error_mm: {}, error_deg: {}}}",
+                quoted(&object.id),
+                pose(object.goal),
+                pose(object.measured),
+                number(object.error_mm.map(rounded)),
+                number(object.error_deg.map(rounded))
+            );
+        }
+        yaml
+    }
+}
+
+/// A string as a double-quoted YAML (and JSON) scalar.
+pub fn quoted(text: &str) -> String {
+    serde_json::Value::from(text).to_string()
+}
+
+fn number(value: Option<f64>) -> String {
+    match value {
+        Some(value) if value.is_finite() => format!("{value}"),
+        _ => "null".to_owned(),
+    }
+}
+
+/// To a tenth of a micrometre or of a millidegree: what is beyond is noise.
+fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}
+
+fn pose(pose: Option<Pose2>) -> String {
+    match pose {
+        Some(Pose2 { x, y, theta }) => format!("[{x}, {y}, {theta}]"),
+        None => "null".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn result_yaml_has_the_keys_of_the_design() {
+        let goal = Pose2::new(0.1, 0.2, 0.0);
+        let measured = Pose2::new(0.1, 0.2003, 0.01);
+        let result = JobResult {
+            id: "tidy-42".into(),
+            status: JobStatus::Failed,
+            code: "E_GRIP".into(),
+            message: "no vacuum on \"mug\": cup \n worn?".into(),
+            remedy: String::new(),
+            moves: 3,
+            lower_bound: Some(2.0),
+            seconds: 61.5,
+            objects: vec![
+                ObjectResult::new("mug", Some(goal), Some(measured)),
+                ObjectResult::new("cap", Some(goal), None),
+            ],
+        };
+        insta::assert_snapshot!(result.to_yaml(), @r#"
+        version: 1
+        id: "tidy-42"
+        status: failed
+        code: "E_GRIP"
+        message: "no vacuum on \"mug\": cup \n worn?"
+        remedy: ""
+        moves: 3
+        lower_bound: 2
+        seconds: 61.5
+        objects:
+          - {id: "mug", goal: [0.1, 0.2, 0], measured: [0.1, 0.2003, 0.01], error_mm: 0.3, error_deg: 0.573}
+          - {id: "cap", goal: [0.1, 0.2, 0], measured: null, error_mm: null, error_deg: null}
+        "#);
+    }
+
+    #[test]
+    fn states_and_phases_keep_their_words() {
+        for word in ["waiting", "active", "done", "failed", "cancelled", "interrupted"] {
+            assert_eq!(JobState::from_word(word).map(JobState::word), Some(word));
+        }
+        for word in ["intent", "gripped", "released", "done", "abandoned"] {
+            assert_eq!(StepPhase::from_word(word).map(StepPhase::word), Some(word));
+        }
+    }
+}

@@ -1,0 +1,405 @@
+//! The life of job files, with a reader of its own and a clock turned by hand; crashes at every point.
+
+use super::*;
+use crate::geometry::pose::Pose2;
+use crate::jobs::journal::{Journal, Recovered};
+use crate::jobs::record::{JobResult, JobState, JobStatus, StepIntent};
+use std::fs;
+
+const NOW: f64 = 1_795_248_000.0;
+
+/// Accepts text that begins with `goal`; `id X` on a line of its own names the job, `open` at the end of the
+/// text makes it incomplete.
+fn read(text: &str, _name: &str) -> Result<JobSpec, Refusal> {
+    if !text.starts_with("goal") {
+        let mut refusal = Refusal::new("E_INVALID", "1 complaint", "correct the file");
+        refusal.incomplete = text.ends_with("open");
+        refusal.complaints.push(RefusalDetail {
+            path: "goal".into(),
+            line: 1,
+            column: 1,
+            message: "missing".into(),
+            help: String::new(),
+        });
+        return Err(refusal);
+    }
+    Ok(JobSpec {
+        id: text.lines().find_map(|line| line.strip_prefix("id ")).map(str::to_owned),
+        goal: Vec::new(),
+        objective: None,
+        solver: None,
+        time_limit_s: None,
+        seed: None,
+        priority: 0,
+        not_before_unix_s: None,
+        approval: None,
+        rerun: false,
+    })
+}
+
+struct Bench {
+    state: tempfile::TempDir,
+    spool: Spool,
+    journal: Journal,
+}
+
+impl Bench {
+    fn new() -> Bench {
+        // In memory where there is such a folder: the sweep below syncs some ten thousand times.
+        let state = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
+        let spool = Spool::open(state.path(), SpoolSettings::STANDARD).unwrap();
+        let journal = Journal::open(&state.path().join("history.sqlite")).unwrap();
+        Bench { state, spool, journal }
+    }
+
+    /// The process ends and another one starts.
+    fn restart(self) -> Bench {
+        let Bench { state, spool, journal } = self;
+        drop((spool, journal));
+        let mut spool = Spool::open(state.path(), SpoolSettings::STANDARD).unwrap();
+        let mut journal = Journal::open(&state.path().join("history.sqlite")).unwrap();
+        journal.recover(NOW).unwrap();
+        spool.reconcile_at_start(&mut journal).unwrap();
+        Bench { state, spool, journal }
+    }
+
+    fn drop_file(&self, name: &str, text: &str) {
+        fs::write(self.spool.incoming().join(name), text).unwrap();
+    }
+
+    fn scan(&mut self, at_ms: u64) -> Vec<SpoolEvent> {
+        let now = Timestamp::ZERO + Duration::from_millis(at_ms);
+        self.spool.scan(&mut self.journal, &read, now, NOW).unwrap()
+    }
+
+    /// Paths below `jobs`, files only.
+    fn files(&self) -> Vec<String> {
+        let jobs = self.state.path().join("jobs");
+        let mut open = vec![jobs.clone()];
+        let mut files = Vec::new();
+        while let Some(folder) = open.pop() {
+            for entry in fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.symlink_metadata().unwrap().is_dir() {
+                    open.push(path);
+                } else {
+                    files.push(path.strip_prefix(&jobs).unwrap().to_string_lossy().into_owned());
+                }
+            }
+        }
+        files.sort();
+        files
+    }
+}
+
+#[track_caller]
+fn check_rejected(events: &[SpoolEvent], expected_name: &str, expected_code: &str) {
+    match events {
+        [SpoolEvent::Rejected { name, code, reason, .. }] => {
+            assert_eq!((name.as_str(), code.as_str()), (expected_name, expected_code));
+            let text = fs::read_to_string(reason).unwrap();
+            assert!(text.contains(&format!("code: \"{expected_code}\"")), "{text}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_file_is_taken_once_it_settled() {
+    let mut bench = Bench::new();
+    bench.drop_file("tidy.yaml", "goal");
+    assert!(bench.scan(0).is_empty());
+    assert!(bench.scan(400).is_empty());
+    bench.drop_file("tidy.yaml", "goal, longer");
+    assert!(bench.scan(600).is_empty(), "it changed: the settle time begins again");
+    assert!(bench.scan(1000).is_empty());
+    let events = bench.scan(1100);
+    let [SpoolEvent::Claimed { id, name }] = events.as_slice() else { panic!("{events:?}") };
+    assert_eq!(name, "tidy.yaml");
+    assert!(id.starts_with("20261121T080000Z-tidy-"), "{id}");
+    assert_eq!(bench.files(), [format!("hold/{id}/job.yaml")]);
+    assert_eq!(bench.journal.job(id).unwrap().unwrap().text, "goal, longer");
+    assert!(bench.scan(5000).is_empty());
+}
+
+#[test]
+fn a_bad_file_lies_beside_its_reason() {
+    let mut bench = Bench::new();
+    for round in 0..2 {
+        bench.drop_file("bad.yaml", "gaol");
+        bench.scan(round * 10_000);
+        check_rejected(&bench.scan(round * 10_000 + 500), "bad.yaml", "E_INVALID");
+    }
+    assert_eq!(
+        bench.files(),
+        [
+            "rejected/bad.2.yaml",
+            "rejected/bad.2.yaml.reason.yaml",
+            "rejected/bad.yaml",
+            "rejected/bad.yaml.reason.yaml"
+        ]
+    );
+}
+
+#[test]
+fn a_file_that_ends_in_the_middle_is_given_time() {
+    let mut bench = Bench::new();
+    bench.drop_file("slow.yaml", "{open");
+    bench.scan(0);
+    assert!(bench.scan(600).is_empty());
+    bench.drop_file("slow.yaml", "goal {open, closed}");
+    bench.scan(1000);
+    assert!(matches!(bench.scan(1500).as_slice(), [SpoolEvent::Claimed { .. }]));
+    bench.drop_file("torn.yaml", "{open");
+    bench.scan(10_000);
+    assert!(bench.scan(11_900).is_empty());
+    check_rejected(&bench.scan(12_000), "torn.yaml", "E_INCOMPLETE");
+}
+
+#[test]
+fn what_is_no_plain_file_stays_and_is_reported_once() {
+    let mut bench = Bench::new();
+    let incoming = bench.spool.incoming();
+    bench.drop_file(".hidden.yaml", "goal");
+    bench.drop_file("upload.yaml.part", "goal");
+    fs::write(bench.state.path().join("secret"), "goal").unwrap();
+    std::os::unix::fs::symlink(bench.state.path().join("secret"), incoming.join("link.yaml")).unwrap();
+    check_rejected(&bench.scan(0), "link.yaml", "E_NOT_A_PLAIN_FILE");
+    assert!(bench.scan(10_000).is_empty());
+    fs::create_dir(incoming.join("folder.yaml")).unwrap();
+    check_rejected(&bench.scan(10_100), "folder.yaml", "E_NOT_A_PLAIN_FILE");
+    fs::write(incoming.join("folder.yaml/inside"), "goal").unwrap();
+    assert!(bench.scan(20_000).is_empty(), "the same folder with other content");
+    fs::hard_link(bench.state.path().join("secret"), incoming.join("hard.yaml")).unwrap();
+    bench.scan(30_000);
+    check_rejected(&bench.scan(31_000), "hard.yaml", "E_NOT_A_PLAIN_FILE");
+    let mut bench = bench.restart();
+    bench.scan(0);
+    assert!(bench.scan(10_000).is_empty(), "a restart does not report them again");
+    let left: Vec<_> = bench.files().into_iter().filter(|file| file.starts_with("incoming")).collect();
+    let expected = [".hidden.yaml", "folder.yaml/inside", "hard.yaml", "link.yaml", "upload.yaml.part"];
+    assert_eq!(left, expected.map(|name| format!("incoming/{name}")));
+}
+
+#[test]
+fn odd_names_and_contents_are_refused() {
+    let mut bench = Bench::new();
+    bench.drop_file("two words.yaml", "goal");
+    bench.scan(0);
+    check_rejected(&bench.scan(500), "two words.yaml", "E_NAME");
+    fs::write(bench.spool.incoming().join("bytes.yaml"), [0xff_u8; 4]).unwrap();
+    bench.scan(1000);
+    check_rejected(&bench.scan(1500), "bytes.yaml", "E_NOT_TEXT");
+    fs::write(bench.spool.incoming().join("large.yaml"), vec![b'x'; 256 * 1024 + 1]).unwrap();
+    bench.scan(2000);
+    check_rejected(&bench.scan(2500), "large.yaml", "E_TOO_LARGE");
+    assert!(bench.files().iter().all(|file| file.starts_with("rejected/")));
+    assert!(bench.files().contains(&"rejected/two_words.yaml".to_owned()));
+}
+
+#[test]
+fn the_same_id_is_taken_once() {
+    let mut bench = Bench::new();
+    for (at, name, text, code) in [
+        (0, "one.yaml", "goal\nid a", None),
+        (10_000, "two.yaml", "goal\nid a", Some("E_DUPLICATE")),
+        (20_000, "three.yaml", "goal other\nid a", Some("E_ID_CONFLICT")),
+    ] {
+        bench.drop_file(name, text);
+        bench.scan(at);
+        let events = bench.scan(at + 500);
+        match code {
+            None => assert!(matches!(events.as_slice(), [SpoolEvent::Claimed { .. }]), "{events:?}"),
+            Some(code) => check_rejected(&events, name, code),
+        }
+    }
+    assert_eq!(bench.journal.waiting().unwrap(), 1);
+}
+
+#[test]
+fn a_full_queue_leaves_files_where_they_are() {
+    let mut bench = Bench::new();
+    bench.spool.settings.queue_limit = 1;
+    bench.drop_file("a.yaml", "goal\nid a");
+    bench.drop_file("b.yaml", "goal\nid b");
+    bench.scan(0);
+    let events = bench.scan(500);
+    assert!(
+        matches!(events.as_slice(), [SpoolEvent::Claimed { .. }, SpoolEvent::Full { name }] if name == "b.yaml")
+    );
+    assert!(bench.scan(600).is_empty(), "reported once");
+    bench.journal.start("a", NOW).unwrap();
+    assert!(matches!(bench.scan(700).as_slice(), [SpoolEvent::Claimed { .. }]));
+}
+
+#[test]
+fn a_cancel_file_names_its_job() {
+    let mut bench = Bench::new();
+    bench.drop_file("tidy-42.cancel", "");
+    bench.scan(0);
+    assert_eq!(bench.scan(500), [SpoolEvent::Cancel { id: "tidy-42".into() }]);
+    assert!(bench.files().is_empty());
+}
+
+#[test]
+fn folders_follow_the_journal() {
+    let mut bench = Bench::new();
+    bench.drop_file("a.yaml", "goal\nid a");
+    bench.scan(0);
+    bench.scan(500);
+    bench.journal.start("a", NOW).unwrap();
+    bench.spool.reconcile(&mut bench.journal).unwrap();
+    assert_eq!(bench.files(), ["active/a/job.yaml"]);
+    fs::write(bench.state.path().join("jobs/active/a/plan.json"), "{}").unwrap();
+    bench.journal.finish("a", &result("a", JobStatus::Cancelled), NOW).unwrap();
+    bench.spool.reconcile(&mut bench.journal).unwrap();
+    let folder = "failed/2026-11/a";
+    assert_eq!(
+        bench.files(),
+        ["job.yaml", "plan.json", "result.yaml"].map(|name| format!("{folder}/{name}"))
+    );
+    let found = bench.spool.folder_of(&bench.journal, "a").unwrap();
+    assert_eq!(found, Some(bench.state.path().join("jobs").join(folder)));
+}
+
+#[test]
+fn a_folder_without_a_row_goes_back_to_incoming() {
+    let bench = Bench::new();
+    let stray = bench.state.path().join("jobs/active/stray");
+    fs::create_dir(&stray).unwrap();
+    fs::write(stray.join("job.yaml"), "goal").unwrap();
+    assert_eq!(bench.restart().files(), ["incoming/stray.yaml"]);
+}
+
+#[test]
+fn a_lost_folder_is_restored_from_the_journal() {
+    let mut bench = Bench::new();
+    bench.drop_file("a.yaml", "goal\nid a");
+    bench.scan(0);
+    bench.scan(500);
+    fs::remove_dir_all(bench.state.path().join("jobs/hold/a")).unwrap();
+    let bench = bench.restart();
+    assert_eq!(fs::read_to_string(bench.state.path().join("jobs/hold/a/job.yaml")).unwrap(), "goal\nid a");
+}
+
+fn result(id: &str, status: JobStatus) -> JobResult {
+    JobResult {
+        id: id.into(),
+        status,
+        code: "OK".into(),
+        message: String::new(),
+        remedy: String::new(),
+        moves: 1,
+        lower_bound: Some(1.0),
+        seconds: 1.0,
+        objects: Vec::new(),
+    }
+}
+
+/// The daemon's day: take what is there, carry out two steps for each job, end it. Counts intents per job
+/// in `motions` only after the journal has them, as the daemon sends motion only then.
+fn work(bench: &mut Bench, motions: &mut Vec<(String, u32)>) -> Result<(), SpoolError> {
+    let Bench { spool, journal, .. } = bench;
+    for at_ms in [0, 500] {
+        let now = Timestamp::ZERO + Duration::from_millis(at_ms);
+        spool.scan(journal, &read, now, NOW)?;
+    }
+    while let Some(job) = journal.next_ready(NOW)? {
+        spool.point()?;
+        journal.start(&job.id, NOW)?;
+        spool.point()?;
+        spool.reconcile(journal)?;
+        for _ in 0..2 {
+            let pose = Pose2::default();
+            let intent = StepIntent { object: "mug".into(), from: pose, to: pose, kind: "goal".into() };
+            let step = journal.step_intent(&job.id, &intent, NOW)?;
+            motions.push((job.id.clone(), step));
+            spool.point()?;
+            journal.step_gripped(&job.id, step, NOW)?;
+            spool.point()?;
+            journal.step_done(&job.id, step, NOW)?;
+            spool.point()?;
+        }
+        journal.finish(&job.id, &result(&job.id, JobStatus::Done), NOW)?;
+        spool.point()?;
+        spool.reconcile(journal)?;
+        spool.point()?;
+    }
+    Ok(())
+}
+
+/// Property: wherever celld dies, and dies again, each file ends in exactly one place, each job is claimed
+/// once, each step's motion is ordered at most once, and whatever was refused has its reason.
+#[test]
+fn a_crash_at_any_point_loses_and_doubles_nothing() {
+    let texts = ["goal A", "goal B\nid b", "gaol C", "goal B, other\nid b"];
+    let mut survived = false;
+    let mut crash = 0;
+    while !survived {
+        for second_crash in [None, Some(0), Some(3), Some(7)] {
+            let mut bench = Bench::new();
+            for (index, text) in texts.iter().enumerate() {
+                bench.drop_file(&format!("job{index}.yaml"), text);
+            }
+            let mut motions = Vec::new();
+            bench.spool.crash_after.set(Some(crash));
+            match work(&mut bench, &mut motions) {
+                Ok(()) => survived = true,
+                Err(error) => assert!(matches!(error, SpoolError::Crash), "{error:?}"),
+            }
+            let mut bench = bench.restart();
+            bench.spool.crash_after.set(second_crash);
+            let _ = work(&mut bench, &mut motions);
+            let mut bench = bench.restart();
+            work(&mut bench, &mut motions).unwrap();
+            check_nothing_lost(&bench, &texts, &motions, crash);
+        }
+        crash += 1;
+    }
+    assert!(crash > 40, "only {crash} points: the sweep does not reach the work");
+}
+
+fn check_nothing_lost(bench: &Bench, texts: &[&str], motions: &[(String, u32)], crash: u32) {
+    let files = bench.files();
+    let jobs = bench.state.path().join("jobs");
+    for text in texts {
+        let holders: Vec<_> = files
+            .iter()
+            .filter(|file| fs::read_to_string(jobs.join(file)).is_ok_and(|content| content == *text))
+            .collect();
+        assert_eq!(holders.len(), 1, "crash {crash}: {text:?} in {holders:?}");
+    }
+    for file in files.iter().filter(|file| file.starts_with("rejected/") && !file.ends_with(".reason.yaml")) {
+        assert!(files.contains(&format!("{file}.reason.yaml")), "crash {crash}: {file} has no reason");
+    }
+    for file in files.iter().filter(|file| file.starts_with("done/") || file.starts_with("failed/")) {
+        let folder = file.rsplit_once('/').unwrap().0;
+        assert!(files.contains(&format!("{folder}/result.yaml")), "crash {crash}: {folder} has no result");
+    }
+    let records = bench.journal.latest(100).unwrap();
+    assert_eq!(records.len(), 2, "crash {crash}: each good job is claimed once");
+    assert!(records.iter().all(|job| matches!(job.state, JobState::Ended(_))), "crash {crash}");
+    let mut unique = motions.to_vec();
+    unique.sort();
+    unique.dedup();
+    assert_eq!(unique.len(), motions.len(), "crash {crash}: a motion was ordered twice");
+    let left: Vec<_> = files.iter().filter(|file| file.starts_with("incoming")).collect();
+    assert!(left.is_empty(), "crash {crash}: {left:?}");
+}
+
+#[test]
+fn an_interrupted_step_ends_the_job_with_a_named_state() {
+    let mut bench = Bench::new();
+    bench.drop_file("a.yaml", "goal\nid a");
+    bench.scan(0);
+    bench.scan(500);
+    bench.journal.start("a", NOW).unwrap();
+    let pose = Pose2::default();
+    let intent = StepIntent { object: "mug".into(), from: pose, to: pose, kind: "buffer".into() };
+    bench.journal.step_intent("a", &intent, NOW).unwrap();
+    let recovered = bench.journal.recover(NOW).unwrap();
+    assert!(matches!(recovered.as_slice(), [Recovered::Interrupted { id, .. }] if id == "a"));
+    bench.spool.reconcile(&mut bench.journal).unwrap();
+    let text = fs::read_to_string(bench.state.path().join("jobs/failed/2026-11/a/result.yaml")).unwrap();
+    assert!(text.contains("status: interrupted"), "{text}");
+}

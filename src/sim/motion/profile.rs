@@ -1,0 +1,199 @@
+//! Speed over a path: a trapezoid, with a slower end where the next segment blends in and a timed start
+//! where this one blends in.
+//!
+//! In: length, speed and acceleration of the path, blend distance at its end, length in time of the
+//! predecessor's end. Out: position and speed along the path at any time. Pure arithmetic; lengths in the
+//! path's own unit (rad of the leading joint, m of the tool).
+//! A blend is the sum of two motions: while one brakes to a stop over the blend distance, the next starts,
+//! taking as long to reach its speed. Both ramps being equally long, speed in a straight continuation stays
+//! constant, and round a corner the path is a parabola.
+
+/// What a profile is built from.
+#[derive(Clone, Copy, Debug)]
+pub struct Shape {
+    /// Length of the path; not negative.
+    pub length: f64,
+    /// Cruising speed; positive.
+    pub speed: f64,
+    /// Acceleration; positive.
+    pub acceleration: f64,
+    /// Distance before the end at which the successor may start; 0 for none.
+    pub blend: f64,
+    /// Time the predecessor still needs, s; 0 for a start from rest.
+    pub lead: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Phase {
+    duration: f64,
+    speed: f64,
+    acceleration: f64,
+}
+
+/// Position and speed over time.
+#[derive(Clone, Debug)]
+pub struct Profile {
+    phases: Vec<Phase>,
+    length: f64,
+    /// Profile seconds per second, when a duration was asked for.
+    rate: f64,
+    tail: f64,
+}
+
+impl Profile {
+    /// The fastest profile of a shape.
+    pub fn new(shape: &Shape) -> Profile {
+        let Shape { length, speed, acceleration: a, lead, .. } = *shape;
+        if length <= 0.0 {
+            return Profile { phases: Vec::new(), length: 0.0, rate: 1.0, tail: 0.0 };
+        }
+        // The middle of the path belongs to no blend, so that the two of a path cannot overlap.
+        let blend = shape.blend.clamp(0.0, length / 2.0);
+        let until_tail = length - blend;
+        let mut out = if blend > 0.0 { speed.min((2.0 * a * blend).sqrt()) } else { 0.0 };
+        let start = start_speed(lead, speed, a, until_tail, out);
+        let ramp = start * lead / 2.0;
+        let middle = (until_tail - ramp).max(0.0);
+        out = out.min((start * start + 2.0 * a * middle).sqrt());
+        let peak =
+            speed.min(((2.0 * a * middle + start * start + out * out) / 2.0).sqrt()).max(start).max(out);
+        let ramps = (2.0 * peak * peak - start * start - out * out) / (2.0 * a);
+        let tail = if out > 0.0 { 2.0 * blend / out } else { 0.0 };
+        let lead_slope = if lead > 0.0 { start / lead } else { 0.0 };
+        let tail_slope = if tail > 0.0 { -out / tail } else { 0.0 };
+        let phases = [
+            Phase { duration: if start > 0.0 { lead } else { 0.0 }, speed: 0.0, acceleration: lead_slope },
+            Phase { duration: (peak - start) / a, speed: start, acceleration: a },
+            Phase { duration: ((middle - ramps) / peak).max(0.0), speed: peak, acceleration: 0.0 },
+            Phase { duration: (peak - out) / a, speed: peak, acceleration: -a },
+            Phase { duration: tail, speed: out, acceleration: tail_slope },
+        ];
+        let phases = phases.into_iter().filter(|phase| phase.duration > 0.0).collect();
+        Profile { phases, length, rate: 1.0, tail }
+    }
+
+    /// The same profile stretched or squeezed to take `seconds`.
+    pub fn lasting(mut self, seconds: f64) -> Profile {
+        let natural: f64 = self.phases.iter().map(|phase| phase.duration).sum();
+        if natural > 0.0 {
+            self.rate = natural / seconds;
+        }
+        self
+    }
+
+    /// Time from start to end, s.
+    pub fn duration(&self) -> f64 {
+        self.phases.iter().map(|phase| phase.duration).sum::<f64>() / self.rate
+    }
+
+    /// Time at which the successor may start: the end, or the begin of the blend, s.
+    pub fn release(&self) -> f64 {
+        (self.duration() - self.tail / self.rate).max(0.0)
+    }
+
+    /// Fraction of the path that is behind at `time` (s), 0 to 1.
+    pub fn fraction(&self, time: f64) -> f64 {
+        if self.length <= 0.0 || time >= self.duration() {
+            return 1.0;
+        }
+        let mut left = (time * self.rate).max(0.0);
+        let mut position = 0.0;
+        for phase in &self.phases {
+            let t = left.min(phase.duration);
+            position += phase.speed * t + phase.acceleration * t * t / 2.0;
+            left -= t;
+            if left <= 0.0 {
+                break;
+            }
+        }
+        (position / self.length).min(1.0)
+    }
+}
+
+/// Speed at the end of the timed start: what `acceleration` gives in `lead`, unless the way left would then
+/// be too short to brake to `out`.
+fn start_speed(lead: f64, speed: f64, a: f64, distance: f64, out: f64) -> f64 {
+    if lead <= 0.0 {
+        return 0.0;
+    }
+    let wanted = speed.min(a * lead);
+    let needed = wanted * lead / 2.0 + (wanted * wanted - out * out).max(0.0) / (2.0 * a);
+    if needed <= distance {
+        return wanted;
+    }
+    // v lead / 2 + (v^2 - out^2) / (2 a) = distance, the positive root; and never past the distance.
+    let half = a * lead / 2.0;
+    let root = -half + (half * half + 2.0 * a * distance + out * out).sqrt();
+    wanted.min(root).min(2.0 * distance / lead).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn shape(length: f64, acceleration: f64, speed: f64) -> Shape {
+        Shape { length, speed, acceleration, blend: 0.0, lead: 0.0 }
+    }
+
+    #[test]
+    fn published_times_of_trapezoids() {
+        for (length, a, v, seconds) in [
+            (0.5, 1.2, 0.25, 2.21),
+            (0.1, 1.2, 0.25, 0.61),
+            (0.5, 3.0, 1.0, 0.83),
+            (std::f64::consts::FRAC_PI_2, 1.4, 1.05, 2.25),
+            (std::f64::consts::FRAC_PI_2, 8.0, 3.0, 0.90),
+        ] {
+            let duration = Profile::new(&shape(length, a, v)).duration();
+            assert!((duration / seconds - 1.0).abs() < 0.02, "{duration} instead of {seconds}");
+        }
+    }
+
+    #[test]
+    fn a_duration_can_be_asked_for() {
+        let profile = Profile::new(&shape(1.0, 1.0, 1.0)).lasting(5.0);
+        assert!((profile.duration() - 5.0).abs() < 1e-12);
+        assert!((profile.fraction(2.5) - 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_straight_continuation_keeps_its_speed() {
+        let first = Profile::new(&Shape { blend: 0.1, ..shape(1.0, 2.0, 0.5) });
+        let lead = first.duration() - first.release();
+        let second = Profile::new(&Shape { lead, ..shape(1.0, 2.0, 0.5) });
+        let at = |t: f64| first.fraction(first.release() + t) + second.fraction(t);
+        for k in 0..20 {
+            let t = lead * f64::from(k) / 20.0;
+            let speed = (at(t + 1e-6) - at(t)) / 1e-6;
+            assert!((speed - 0.5).abs() < 1e-3, "{speed} at {t}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn limits_hold(length in 1e-4..3.0f64, speed in 0.01..3.0f64, acceleration in 0.1..20.0f64,
+                       blend in 0.0..0.5f64, lead in 0.0..1.0f64) {
+            let shape = Shape { length, speed, acceleration, blend, lead };
+            let profile = Profile::new(&shape);
+            let steps = 400;
+            let dt = profile.duration() / f64::from(steps);
+            let mut last = 0.0;
+            let mut last_speed = None;
+            for k in 1..=steps {
+                let position = profile.fraction(f64::from(k) * dt) * length;
+                let moved = (position - last) / dt;
+                prop_assert!(moved >= -1e-9 && moved <= speed * (1.0 + 1e-6), "speed {moved} at {k}");
+                if let Some(before) = last_speed {
+                    let change: f64 = (moved - before) / dt;
+                    prop_assert!(change.abs() <= acceleration * (1.0 + 1e-3) + 1e-6, "acceleration {change} at {k}");
+                }
+                (last, last_speed) = (position, Some(moved));
+            }
+            prop_assert!((last - length).abs() < 1e-9);
+            prop_assert!((profile.fraction(profile.duration() - 1e-9) - 1.0).abs() < 1e-6, "jump at the end");
+            let first = profile.fraction(dt) * length / dt;
+            prop_assert!(first <= acceleration * dt + 1e-6, "jump at the start: {first}");
+        }
+    }
+}

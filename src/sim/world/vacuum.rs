@@ -1,0 +1,154 @@
+//! One channel of the vacuum gripper: pump, vents and the relative vacuum they leave.
+//!
+//! In: the mode written to the gripper, whether the cups of the channel are sealed, time steps. Out: relative
+//! vacuum (0 = ambient, 0.6 = 60 %). A first-order model: the pump pulls towards what it can reach with
+//! `tau` = 0.12 s; unsealed cups leave 12 %; open vents release with 0.05 s; idle keeps what is there, and
+//! a sealed cup leaks with 40 s. Source of the figures: the device's data sheet times (0.35 s to grip, 0.2 s to
+//! release) and field reports; not measured by us.
+
+/// Time constant of the pump on sealed cups, s.
+const PUMP_TAU_S: f64 = 0.12;
+/// Time constant of open vents and of air through an unsealed cup, s.
+const VENT_TAU_S: f64 = 0.05;
+/// Time constant of a sealed cup with the pump off, s.
+const SEAL_TAU_S: f64 = 40.0;
+/// What the pump reaches when the cups suck air.
+pub const UNSEALED_VACUUM: f64 = 0.12;
+/// Highest target the device takes.
+pub const HIGHEST_TARGET: f64 = 0.8;
+
+/// A channel of the gripper.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Channel {
+    /// Holding register 0, status 258.
+    A,
+    /// Holding register 1, status 259.
+    B,
+}
+
+impl Channel {
+    /// Both channels, in register order.
+    pub const ALL: [Channel; 2] = [Channel::A, Channel::B];
+
+    /// 0 for A, 1 for B.
+    pub fn index(self) -> usize {
+        match self {
+            Channel::A => 0,
+            Channel::B => 1,
+        }
+    }
+}
+
+/// What the pump and the vents of a channel do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum VacuumMode {
+    /// Vents open, pump off.
+    Release,
+    /// Vents shut, pump keeps the target.
+    Grip,
+    /// Vents shut, pump off.
+    Idle,
+}
+
+/// State of one channel.
+#[derive(Clone, Debug)]
+pub struct Pump {
+    mode: VacuumMode,
+    target: f64,
+    vacuum: f64,
+}
+
+impl Pump {
+    /// A channel at ambient pressure with open vents.
+    pub fn new() -> Pump {
+        Pump { mode: VacuumMode::Release, target: 0.0, vacuum: 0.0 }
+    }
+
+    /// Takes a new mode; the target (fraction) is clamped to what the device takes and ignored but for grip.
+    pub fn command(&mut self, mode: VacuumMode, target: f64) {
+        self.mode = mode;
+        self.target = if target.is_finite() { target.clamp(0.0, HIGHEST_TARGET) } else { 0.0 };
+    }
+
+    /// The mode last commanded.
+    pub fn mode(&self) -> VacuumMode {
+        self.mode
+    }
+
+    /// The target last commanded, fraction.
+    pub fn target(&self) -> f64 {
+        self.target
+    }
+
+    /// Relative vacuum, fraction.
+    pub fn vacuum(&self) -> f64 {
+        self.vacuum
+    }
+
+    /// True when nothing would change: vents open and ambient pressure inside.
+    pub fn at_rest(&self) -> bool {
+        self.mode != VacuumMode::Grip && self.vacuum < 1e-6
+    }
+
+    /// Lets all air in at once (a fault).
+    pub fn collapse(&mut self) {
+        self.vacuum = 0.0;
+    }
+
+    /// Advances by `dt_s`, exactly for the first-order model, so that the step size does not matter.
+    pub fn step(&mut self, dt_s: f64, sealed: bool) {
+        let (goal, tau) = match (self.mode, sealed) {
+            (VacuumMode::Grip, true) => (self.target, PUMP_TAU_S),
+            (VacuumMode::Grip, false) if self.vacuum > UNSEALED_VACUUM => {
+                (UNSEALED_VACUUM.min(self.target), VENT_TAU_S)
+            }
+            (VacuumMode::Grip, false) => (UNSEALED_VACUUM.min(self.target), PUMP_TAU_S),
+            (VacuumMode::Release, _) | (VacuumMode::Idle, false) => (0.0, VENT_TAU_S),
+            (VacuumMode::Idle, true) => (0.0, SEAL_TAU_S),
+        };
+        self.vacuum += (goal - self.vacuum) * -(-dt_s / tau).exp_m1();
+    }
+}
+
+impl Default for Pump {
+    fn default() -> Pump {
+        Pump::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(pump: &mut Pump, seconds: f64, sealed: bool) -> f64 {
+        for _ in 0..(seconds / 0.002).round() as usize {
+            pump.step(0.002, sealed);
+        }
+        pump.vacuum()
+    }
+
+    #[test]
+    fn a_sealed_cup_follows_the_first_order_curve() {
+        let mut pump = Pump::new();
+        pump.command(VacuumMode::Grip, 0.6);
+        assert!((run(&mut pump, 0.12, true) - 0.6 * (1.0 - (-1.0f64).exp())).abs() < 1e-9);
+        assert!((run(&mut pump, 1.0, true) - 0.6).abs() < 1e-3);
+        pump.command(VacuumMode::Idle, 0.0);
+        assert!((run(&mut pump, 1.0, true) - 0.6 * (-1.0f64 / 40.0).exp()).abs() < 1e-3);
+        pump.command(VacuumMode::Release, 0.0);
+        assert!(run(&mut pump, 0.2, true) < 0.6 * 0.02);
+    }
+
+    #[test]
+    fn an_open_cup_reaches_twelve_per_cent_and_loses_more_quickly() {
+        let mut pump = Pump::new();
+        pump.command(VacuumMode::Grip, 0.6);
+        assert!((run(&mut pump, 2.0, false) - 0.12).abs() < 1e-6);
+        run(&mut pump, 2.0, true);
+        assert!(run(&mut pump, 0.15, false) < 0.12 + 0.48 * 0.051);
+        pump.command(VacuumMode::Grip, 9.0);
+        assert_eq!(pump.target(), HIGHEST_TARGET);
+        pump.command(VacuumMode::Grip, f64::NAN);
+        assert_eq!(pump.target(), 0.0);
+    }
+}

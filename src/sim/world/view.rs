@@ -1,0 +1,76 @@
+//! What can be seen of the world: the scene the camera draws.
+//!
+//! In: the world. Out: a [`Scene`] in the table frame; the gripper is drawn as its housing (from the flange down) and
+//! its cups. The arm itself is not drawn: from the wrist nothing of it is in view.
+
+use crate::sim::render::scene::{Print, Prism, Scene};
+use crate::sim::world::{Body, World};
+use nalgebra::Isometry3;
+
+impl World {
+    /// A light copy of what can be seen now.
+    pub fn scene(&self) -> Scene {
+        let margin = self.table.margin_m;
+        let flange = self.tool.map_or(Isometry3::identity(), |tool| tool.base_from_flange);
+        let table_from_flange = self.table_from_base * flange;
+        let on_table = self.reference.iter().map(|(marker, cells)| Print {
+            cells: *cells,
+            size_m: marker.size_m,
+            pose: marker.pose,
+        });
+        let mut prisms: Vec<Prism> =
+            self.bodies.iter().filter(|body| !body.is_fallen()).map(object).collect();
+        if self.tool.is_some() {
+            prisms.extend(self.gripper_prisms(&table_from_flange));
+        }
+        Scene {
+            board: [-margin, -margin, self.table.width_m + margin, self.table.height_m + margin],
+            table_from_flange,
+            prisms,
+            prints: on_table.collect(),
+        }
+    }
+
+    /// Housing between flange and `body_above_lips_m`, and the cups below it, as drawn shapes.
+    fn gripper_prisms(&self, table_from_flange: &Isometry3<f64>) -> Vec<Prism> {
+        let gripper = &self.gripper;
+        let table_from_tool = table_from_flange * gripper.flange_from_tool;
+        let reach_m = gripper.flange_from_tool.translation.z;
+        let under_m = gripper.body_above_lips_m;
+        let mut prisms = Vec::new();
+        if reach_m > under_m {
+            prisms.push(Prism {
+                table_from_prism: table_from_tool * Isometry3::translation(0.0, 0.0, -reach_m),
+                section: self.housing.clone(),
+                height_m: reach_m - under_m,
+                colour: [70, 72, 78],
+                print: None,
+            });
+        }
+        for (cup, lip) in gripper.cups.iter().zip(&self.cup_sections) {
+            prisms.push(Prism {
+                table_from_prism: table_from_tool * Isometry3::translation(cup.x_m, cup.y_m, -under_m),
+                section: lip.clone(),
+                height_m: under_m,
+                colour: [40, 40, 44],
+                print: None,
+            });
+        }
+        prisms
+    }
+}
+
+fn object(body: &Body) -> Prism {
+    let print = body.marker.as_ref().map(|(marker, cells)| Print {
+        cells: *cells,
+        size_m: marker.size_m,
+        pose: marker.offset,
+    });
+    Prism {
+        table_from_prism: body.table_from_object,
+        section: body.section.clone(),
+        height_m: body.height_m,
+        colour: body.colour,
+        print,
+    }
+}

@@ -1,0 +1,192 @@
+//! Planted breaches: the scanner and every rule have to find them, and leave their harmless twins alone.
+//!
+//! In: small made-up sources. Out: proof that a green tidy test means something.
+
+use crate::rules::{self, Row, Uses};
+use crate::scan;
+use crate::tree::File;
+
+const MINIATURE: &[Row] = &[
+    Row { module: "low", uses: Uses::Only(&[]), pure: true },
+    Row { module: "side", uses: Uses::Only(&[]), pure: true },
+    Row { module: "high", uses: Uses::Only(&["low", "side::open"]), pure: true },
+    Row { module: "shell", uses: Uses::AllAboveBut(&["side"]), pure: false },
+];
+
+fn layering(path: &str, text: &str) -> Vec<String> {
+    rules::layering_breaches(MINIATURE, &[File::planted(path, text)])
+}
+
+fn purity(text: &str) -> Vec<String> {
+    rules::purity_breaches(MINIATURE, &[File::planted("src/low/clock.rs", text)])
+}
+
+#[track_caller]
+fn flagged(breaches: Vec<String>, wanted: &[&str]) {
+    assert_eq!(breaches.len(), wanted.len(), "{breaches:?}");
+    for (breach, part) in breaches.iter().zip(wanted) {
+        assert!(breach.contains(part), "{breach:?} does not say {part:?}");
+    }
+}
+
+#[test]
+fn comments_and_literals_are_blanked_and_lines_kept() {
+    let text =
+        "a /* x /* y */ z\n */ b // c\n\"q \\\" \n r\" d r##\"\"# \"## e 'f' '\\'' 'g: &'h i b\"j\" r#type";
+    let code = scan::blank_comments_and_literals(text);
+    assert_eq!(code.lines().count(), text.lines().count());
+    let words: Vec<&str> = code.split_whitespace().collect();
+    assert_eq!(words, ["a", "b", "d", "e", "'g:", "&'h", "i", "r#type"]);
+}
+
+#[test]
+fn paths_are_unfolded_through_nested_groups() {
+    let code = "use crate::{a::{b, c as d}, e,\n  f::*};\nlet x = std::mem::take::<g::H>(y);";
+    let found: Vec<(usize, String)> =
+        scan::paths(code).into_iter().map(|path| (path.line, path.text())).collect();
+    let wanted = [
+        (1, "crate::a::b"),
+        (1, "crate::a::c"),
+        (1, "crate::e"),
+        (2, "crate::f::*"),
+        (3, "std::mem::take"),
+        (3, "g::H"),
+    ];
+    assert_eq!(found, wanted.map(|(line, text)| (line, text.to_string())));
+}
+
+#[test]
+fn a_use_from_above_is_flagged_however_it_is_written() {
+    flagged(
+        layering("src/low/x.rs", "use crate::high::thing;"),
+        &["src/low/x.rs:1: `low` may not use `high::thing`"],
+    );
+    flagged(layering("src/low.rs", "fn f() -> crate::shell::X { todo }"), &["`shell::X`"]);
+    flagged(layering("src/low.rs", "use crate::{\n    low::a,\n    high::{b, c},\n};"), &[":3: ", ":3: "]);
+    flagged(layering("src/high/x.rs", "use crate::side::closed::Y;"), &["`high` may not use `side::closed`"]);
+    flagged(layering("src/high/x.rs", "use crate::side;"), &["`high` may not use `side`"]);
+    flagged(layering("src/shell/x.rs", "use crate::side::open;"), &["`shell` may not use `side::open`"]);
+    flagged(layering("src/low/x.rs", "#[cfg(test)]\nmod tests { use crate::high::t; }"), &[":2: "]);
+}
+
+#[test]
+fn ways_around_the_scan_are_flagged() {
+    flagged(layering("src/low/x.rs", "use crate::*;"), &["whole crate"]);
+    flagged(layering("src/low/x.rs", "use celld::low;"), &["inside the library"]);
+    flagged(layering("src/low/mod.rs", "use super::high;"), &["leaves the module unseen"]);
+    flagged(layering("src/low/deep/x.rs", "use super::super::high;"), &["`super::super`"]);
+}
+
+#[test]
+fn allowed_uses_are_left_alone() {
+    for (path, text) in [
+        ("src/high/x.rs", "use crate::{low::a, high::b, side::open::c};"),
+        ("src/shell.rs", "use crate::high::x;\nmod inner { use super::*; }"),
+        ("src/low/x.rs", "// use crate::high;\nconst S: &str = \"crate::high\";\nuse super::y;"),
+        ("src/main.rs", "fn main() { celld::shell::main() }"),
+    ] {
+        flagged(layering(path, text), &[]);
+    }
+}
+
+#[test]
+fn impure_names_are_flagged_in_pure_modules_only() {
+    flagged(purity("let t = Instant::now();"), &["Instant::now"]);
+    flagged(
+        purity("use std::{\n  fs::File,\n  io,\n  net::{TcpStream, UdpSocket},\n};"),
+        &[":2:", ":4:", ":4:"],
+    );
+    flagged(purity("use std::time::{Duration, Instant};"), &["std::time::Instant"]);
+    flagged(
+        purity("fn f() { println!(\"{}\", rand::random::<u8>()); dbg!(1); }"),
+        &["rand::random", "println!", "dbg!"],
+    );
+    flagged(
+        purity("use tokio::sync::mpsc; use std::thread; use std::env::var;"),
+        &["tokio", "thread", "env"],
+    );
+    let shell = File::planted("src/shell/x.rs", "use tokio::net::TcpStream;");
+    flagged(rules::purity_breaches(MINIATURE, &[shell]), &[]);
+}
+
+#[test]
+fn test_items_are_exempt_from_purity_and_nothing_behind_them() {
+    flagged(purity("#[cfg(test)]\nmod tests { fn a() { println!(); } }\nfn b() {}"), &[]);
+    flagged(purity("#[cfg(test)]\nuse std::fs;\nuse std::net;"), &["std::net"]);
+    flagged(purity("#[cfg(test)]\nmod tests { fn a() {} }\nfn b() { println!(); }"), &["println!"]);
+    flagged(purity("fn log() { tracing::info!(\"x\"); write!(f, \"println!()\"); }"), &[]);
+    let parent = File::planted("src/low/mod.rs", "#[cfg(test)]\nmod fixtures;\nmod real;");
+    let fixture = File::planted("src/low/fixtures.rs", "use std::fs;");
+    let real = File::planted("src/low/real.rs", "use std::fs;");
+    flagged(rules::purity_breaches(MINIATURE, &[parent, fixture, real]), &["src/low/real.rs"]);
+}
+
+#[test]
+fn native_libraries_are_flagged_outside_their_files() {
+    let inside = File::planted("src/vision/cv.rs", "use opencv::core;");
+    let outside = File::planted("src/vision/observe.rs", "use opencv::core;\nuse apriltag::Detector;");
+    flagged(rules::native_breaches(&[inside, outside]), &["`opencv`", "`apriltag`"]);
+}
+
+#[test]
+fn a_table_with_a_cycle_or_a_stranger_is_flagged() {
+    let cyclic = [
+        Row { module: "a", uses: Uses::Only(&["b"]), pure: true },
+        Row { module: "b", uses: Uses::Only(&["a"]), pure: true },
+    ];
+    flagged(rules::table_faults(&cyclic), &["a: `b`"]);
+    let impure = [
+        Row { module: "a", uses: Uses::Only(&[]), pure: false },
+        Row { module: "b", uses: Uses::Only(&["a"]), pure: true },
+    ];
+    flagged(rules::table_faults(&impure), &["b: pure"]);
+    let files = [File::planted("src/low.rs", ""), File::planted("src/stranger/x.rs", "")];
+    let missing = rules::modules_missing_from(&MINIATURE[..1], &files);
+    flagged(missing, &["`stranger` is not in the table"]);
+    flagged(rules::modules_missing_from(&MINIATURE[..1], &files[1..]), &["`stranger`", "`low` has no file"]);
+}
+
+#[test]
+fn the_root_re_exports_nothing_and_lists_the_table() {
+    let low = File::planted("src/low.rs", "");
+    let good = File::planted("src/lib.rs", "//! Doc.\npub mod low;\n");
+    flagged(rules::modules_missing_from(&MINIATURE[..1], &[low.clone(), good]), &[]);
+    let bad = File::planted("src/lib.rs", "mod low;\nmod other;\npub use low::Thing;\n");
+    flagged(rules::modules_missing_from(&MINIATURE[..1], &[low, bad]), &["declares", "re-export"]);
+}
+
+#[test]
+fn openings_lengths_marks_and_paths_are_flagged() {
+    assert!(rules::opening_breach(&File::planted("a.rs", "use std::fs;")).is_some());
+    assert!(rules::opening_breach(&File::planted("a.rs", "//! Says what it does.")).is_none());
+    assert!(rules::length_breach(&File::planted("a.rs", "x\nx\nx\n"), 2).is_some());
+    assert!(rules::length_breach(&File::planted("a.rs", "x\nx\n"), 2).is_none());
+    for halves in [["// TO", "DO: later"], ["todo", "!()"], ["#[ig", "nore]"]] {
+        flagged(rules::unfinished_marks(&File::planted("a.rs", &halves.concat())), &["a.rs:1"]);
+    }
+    flagged(rules::unfinished_marks(&File::planted("a.rs", "// a mastodon, to do good")), &[]);
+    flagged(rules::unfinished_marks(&File::planted("a.rs", &["PROGRAM_XX", "X_STARTED"].concat())), &[]);
+    flagged(rules::machine_paths(&File::planted("src/a.rs", "x\n\"../shared/data\"")), &["src/a.rs:2"]);
+    flagged(rules::machine_paths(&File::planted("tests/it/a.rs", "\"../shared/data\"")), &[]);
+}
+
+#[test]
+fn a_dependency_without_a_reason_is_flagged_and_so_is_a_reason_without_a_dependency() {
+    let manifest = "[package]\nname = \"x\"\n[dependencies]\none = \"1\"\ntwo = { version = \"2\" }\n[lints.rust]\na = \"b\"\n";
+    let both =
+        "\n## Dependencies\n\n| crate | why |\n|---|---|\n| `one`, `two` | because it saves us work |\n";
+    flagged(rules::dependency_breaches(manifest, both), &[]);
+    let one = both.replace("`two`", "`three`");
+    flagged(rules::dependency_breaches(manifest, &one), &["`two` has no line", "`three` is not"]);
+    let silent = both.replace("because it saves us work", "yes");
+    flagged(rules::dependency_breaches(manifest, &silent), &["says no reason"]);
+}
+
+#[test]
+fn a_written_table_that_drifts_is_flagged() {
+    let good = "\n## Modules\n\n| module | job | may use |\n|---|---|---|\n| `low` | a | - |\n| `side` | b | - |\n\
+                | `high` | c | `low`, `side::open` |\n| `shell` | d | all above but `side` |\n\n## Next\n| `x` | y | z |\n";
+    flagged(rules::written_table_breaches(MINIATURE, good), &[]);
+    let drifted = good.replace("`low`, `side::open` |", "`low` |");
+    flagged(rules::written_table_breaches(MINIATURE, &drifted), &["`high`"]);
+}
