@@ -5,6 +5,8 @@
 
 pub mod problem;
 
+pub mod check;
+mod overlap;
 pub mod plan;
 
 pub mod check;
