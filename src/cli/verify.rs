@@ -5,10 +5,10 @@
 //! 1 when a fault was found, 2 for files that cannot be read.
 
 use crate::cli::task::{TaskArgs, complain, print, read_text};
-use crate::planning::check::CheckedPlan;
+use crate::planning::check::{self, CheckedPlan, GivenIn};
 use crate::planning::object_set::ObjectSet;
 use crate::planning::plan::{Action, Objective, PlanFile, Status};
-use crate::planning::problem::{Given, Problem};
+use crate::planning::problem::Problem;
 use crate::planning::scene::Scene;
 use crate::planning::solver;
 use std::path::PathBuf;
@@ -60,21 +60,21 @@ pub fn run(args: &VerifyArgs) -> u8 {
             return 2;
         }
     };
-    let fault = fault(&problem, &file, &actions);
-    let report = Report { valid: fault.is_none(), fault, moves: actions.len(), exempt: exempt(&problem) };
+    let (fault, exempt) = examine(&problem, &file, &actions);
+    let report = Report { valid: fault.is_none(), fault, moves: actions.len(), exempt };
     print(&if args.format == "json" { json(&report) } else { text(&report) });
     if report.valid { 0 } else { 1 }
 }
 
-/// The first thing that is wrong with the plan or with what the file claims.
-fn fault(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option<String> {
+/// The first thing that is wrong with the plan or with what the file claims, and the given overlaps.
+fn examine(problem: &Problem, file: &PlanFile, actions: &[Action]) -> (Option<String>, Vec<Exempt>) {
     if matches!(file.status, Status::Infeasible | Status::Timeout) {
-        return Some("the file holds no plan: its status says that none was found".to_string());
+        return (Some("the file holds no plan: its status says that none was found".to_string()), Vec::new());
     }
-    if let Err(fault) = CheckedPlan::new(problem, actions) {
-        return Some(fault.to_string());
+    match CheckedPlan::new(problem, actions) {
+        Err(fault) => (Some(fault.to_string()), Vec::new()),
+        Ok(plan) => (false_claim(problem, file, actions), plan.exempt().iter().map(Exempt::new).collect()),
     }
-    false_claim(problem, file, actions)
 }
 
 fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option<String> {
@@ -110,16 +110,15 @@ fn same(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-6 * a.abs().max(b.abs()).max(1.0)
 }
 
-fn exempt(problem: &Problem) -> Vec<Exempt> {
-    let named = |given: Given, arrangement: &'static str| {
-        problem.contacts(given).into_iter().map(move |witness| Exempt {
-            arrangement,
-            object: witness.object,
-            meets: witness.meets,
-            depth_mm: witness.depth_m * 1e3,
-        })
-    };
-    named(Given::Start, "start").chain(named(Given::Goal, "goal")).collect()
+impl Exempt {
+    fn new(exempt: &check::Exempt) -> Exempt {
+        let arrangement = match exempt.given {
+            GivenIn::Start => "start",
+            GivenIn::Goal => "goal",
+        };
+        let (object, meets) = (exempt.object.clone(), exempt.meets.clone());
+        Exempt { arrangement, object, meets, depth_mm: exempt.depth_m * 1e3 }
+    }
 }
 
 fn json(report: &Report) -> String {
