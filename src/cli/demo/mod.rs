@@ -11,6 +11,7 @@ pub mod teach;
 pub mod watch;
 
 use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, FOCAL_PX, LOOK_DISTANCE_M};
+use crate::cli::task::TaskArgs;
 use crate::daemon::setup::CUP_MARGIN_M;
 use crate::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
 use crate::tabletop::instance::Instance;
@@ -104,10 +105,7 @@ fn prepare(args: &DemoArgs) -> Result<Option<Instance>, String> {
 }
 
 fn read_instance(path: &Path) -> Result<Instance, String> {
-    let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let shapes = crate::cli::plan::shapes_beside(path, None);
-    crate::tabletop::parse::parse_instance(&text, &path.display().to_string(), &shapes)
-        .map_err(|complaints| complaints.to_string())
+    TaskArgs { instance: path.to_path_buf(), goal: None, shapes: None }.read_instance()
 }
 
 fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
