@@ -259,7 +259,7 @@ mod tests {
             let (p, q) = (outline[i], outline[(i + 1) % n]);
             let middle = [(p[0] + q[0]) / 2.0, (p[1] + q[1]) / 2.0];
             let level = (middle[0] / 0.2).powi(2) + (middle[1] / 0.1).powi(2);
-            assert!(level >= 1.0 - 1e-12 && level < 1.001, "{level}");
+            assert!((1.0 - 1e-12..1.001).contains(&level), "{level}");
         }
     }
 

@@ -311,7 +311,10 @@ mod tests {
     use super::*;
     use crate::tabletop::instance::ObjectSpec;
 
-    fn instance(poses: &[(f64, f64, Option<(f64, f64)>)]) -> Instance {
+    /// Where a square starts, and where it should end.
+    type Places = (f64, f64, Option<(f64, f64)>);
+
+    fn instance(poses: &[Places]) -> Instance {
         let square = Footprint::rectangle(0.1, 0.1).expect("valid");
         let objects = poses
             .iter()

@@ -141,7 +141,7 @@ pub fn footprint(decoder: &mut Decoder, at: &At) -> Option<Footprint> {
 fn length_of(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<f64> {
     let at = fields.required(key, decoder)?;
     let value = decoder.positive(&at, "m")?;
-    if value < 1e-6 || value > 100.0 {
+    if !(1e-6..=100.0).contains(&value) {
         decoder.complain_at(&at, format!("{value} m is out of range"), "lengths are in m");
         return None;
     }

@@ -30,6 +30,11 @@ impl Random {
 
 const KINDS: [&str; 5] = ["rectangle", "disc", "ellipse", "convex polygon", "non-convex polygon"];
 
+/// Every pair of kinds once, and each kind with itself.
+fn combinations() -> Vec<(usize, usize)> {
+    (0..KINDS.len()).flat_map(|i| (i..KINDS.len()).map(move |j| (i, j))).collect()
+}
+
 fn shape(kind: usize, random: &mut Random) -> Footprint {
     let size = random.between(0.05, 0.3);
     let ratio = random.between(0.15, 1.0);
@@ -119,40 +124,38 @@ const OFFSETS: [f64; 10] = [3e-8, -3e-8, 1e-6, -1e-6, 1e-7, -1e-7, 1e-5, -1e-5, 
 fn checker_and_kernel_agree_on_a_hundred_thousand_pairs() {
     const PAIRS: usize = 7000;
     let (mut tested, mut near, mut overlapping) = (0usize, 0usize, 0usize);
-    for i in 0..KINDS.len() {
-        for j in i..KINDS.len() {
-            let seed = (10 * i + j) as u64;
-            let mut random = Random(seed);
-            for k in 0..PAIRS {
-                let (a, b) = (shape(i, &mut random), shape(j, &mut random));
-                let pose_a = pose(&mut random, 0.5);
-                let close = (k % 2 == 0).then(|| touching(&a, &pose_a, &b, &mut random)).flatten();
-                let pose_b = match close {
-                    Some((contact, away)) => {
-                        near += 1;
-                        let d = random.pick(&OFFSETS);
-                        Pose2::new(contact.x + d * away[0], contact.y + d * away[1], contact.theta)
-                    }
-                    None => {
-                        let shift = pose(&mut random, 0.25);
-                        Pose2::new(pose_a.x + shift.x, pose_a.y + shift.y, shift.theta)
-                    }
-                };
-                let (placed_a, placed_b) = (Placed::new(&a, pose_a), Placed::new(&b, pose_b));
-                let kernel = placed_a.collides(&placed_b);
-                let checker = Body::new(&a, &pose_a).overlaps_deeper(&Body::new(&b, &pose_b), TOUCH_M);
-                tested += 1;
-                overlapping += usize::from(kernel);
-                assert_eq!(
-                    kernel,
-                    checker,
-                    "{} and {}, seed {seed}, pair {k}: {a:?} at {pose_a:?}, {b:?} at {pose_b:?}, depth {:e}, distance {:e}",
-                    KINDS[i],
-                    KINDS[j],
-                    placed_a.penetration(&placed_b),
-                    placed_a.distance(&placed_b),
-                );
-            }
+    for (i, j) in combinations() {
+        let seed = (10 * i + j) as u64;
+        let mut random = Random(seed);
+        for k in 0..PAIRS {
+            let (a, b) = (shape(i, &mut random), shape(j, &mut random));
+            let pose_a = pose(&mut random, 0.5);
+            let close = (k % 2 == 0).then(|| touching(&a, &pose_a, &b, &mut random)).flatten();
+            let pose_b = match close {
+                Some((contact, away)) => {
+                    near += 1;
+                    let d = random.pick(&OFFSETS);
+                    Pose2::new(contact.x + d * away[0], contact.y + d * away[1], contact.theta)
+                }
+                None => {
+                    let shift = pose(&mut random, 0.25);
+                    Pose2::new(pose_a.x + shift.x, pose_a.y + shift.y, shift.theta)
+                }
+            };
+            let (placed_a, placed_b) = (Placed::new(&a, pose_a), Placed::new(&b, pose_b));
+            let kernel = placed_a.collides(&placed_b);
+            let checker = Body::new(&a, &pose_a).overlaps_deeper(&Body::new(&b, &pose_b), TOUCH_M);
+            tested += 1;
+            overlapping += usize::from(kernel);
+            assert_eq!(
+                kernel,
+                checker,
+                "{} and {}, seed {seed}, pair {k}: {a:?} at {pose_a:?}, {b:?} at {pose_b:?}, depth {:e}, distance {:e}",
+                KINDS[i],
+                KINDS[j],
+                placed_a.penetration(&placed_b),
+                placed_a.distance(&placed_b),
+            );
         }
     }
     println!("{tested} pairs, {near} of them near-touching, {overlapping} overlapping; seeds 10 i + j");
@@ -162,40 +165,33 @@ fn checker_and_kernel_agree_on_a_hundred_thousand_pairs() {
 #[test]
 fn clearance_and_depth_agree_too() {
     let mut compared = [0usize; 2];
-    for i in 0..KINDS.len() {
-        for j in i..KINDS.len() {
-            let seed = 1000 + (10 * i + j) as u64;
-            let mut random = Random(seed);
-            for k in 0..200 {
-                let (a, b) = (shape(i, &mut random), shape(j, &mut random));
-                let pose_a = pose(&mut random, 0.5);
-                let Some((contact, away)) = touching(&a, &pose_a, &b, &mut random) else { continue };
-                let d = random.between(-0.01, 0.01);
-                let pose_b = Pose2::new(contact.x + d * away[0], contact.y + d * away[1], contact.theta);
-                let (placed_a, placed_b) = (Placed::new(&a, pose_a), Placed::new(&b, pose_b));
-                let (body_a, body_b) = (Body::new(&a, &pose_a), Body::new(&b, &pose_b));
-                let what = || format!("{} and {}, seed {seed}, pair {k}", KINDS[i], KINDS[j]);
-                let gap = placed_a.distance(&placed_b);
-                if gap > 1e-6 {
-                    compared[0] += 1;
-                    for (clearance, nearer) in [(gap + 2e-7, true), (gap - 2e-7, false)] {
-                        assert_eq!(body_a.nearer_than(&body_b, clearance), nearer, "{} gap {gap}", what());
-                        assert_eq!(
-                            placed_a.closer_than(&placed_b, clearance),
-                            nearer,
-                            "{} gap {gap}",
-                            what()
-                        );
-                    }
+    for (i, j) in combinations() {
+        let seed = 1000 + (10 * i + j) as u64;
+        let mut random = Random(seed);
+        for k in 0..200 {
+            let (a, b) = (shape(i, &mut random), shape(j, &mut random));
+            let pose_a = pose(&mut random, 0.5);
+            let Some((contact, away)) = touching(&a, &pose_a, &b, &mut random) else { continue };
+            let d = random.between(-0.01, 0.01);
+            let pose_b = Pose2::new(contact.x + d * away[0], contact.y + d * away[1], contact.theta);
+            let (placed_a, placed_b) = (Placed::new(&a, pose_a), Placed::new(&b, pose_b));
+            let (body_a, body_b) = (Body::new(&a, &pose_a), Body::new(&b, &pose_b));
+            let what = || format!("{} and {}, seed {seed}, pair {k}", KINDS[i], KINDS[j]);
+            let gap = placed_a.distance(&placed_b);
+            if gap > 1e-6 {
+                compared[0] += 1;
+                for (clearance, nearer) in [(gap + 2e-7, true), (gap - 2e-7, false)] {
+                    assert_eq!(body_a.nearer_than(&body_b, clearance), nearer, "{} gap {gap}", what());
+                    assert_eq!(placed_a.closer_than(&placed_b, clearance), nearer, "{} gap {gap}", what());
                 }
-                // Of non-convex polygons the two take different convex pieces: depths differ, answers do not.
-                let depth = placed_a.penetration(&placed_b);
-                if depth > 1e-6 && j < 3 {
-                    compared[1] += 1;
-                    assert!(body_a.overlaps_deeper(&body_b, depth - 2e-7), "{} depth {depth}", what());
-                    assert!(!body_a.overlaps_deeper(&body_b, depth + 2e-7), "{} depth {depth}", what());
-                    assert!((body_a.depth(&body_b) - depth).abs() < 2e-7, "{}", what());
-                }
+            }
+            // Of non-convex polygons the two take different convex pieces: depths differ, answers do not.
+            let depth = placed_a.penetration(&placed_b);
+            if depth > 1e-6 && j < 3 {
+                compared[1] += 1;
+                assert!(body_a.overlaps_deeper(&body_b, depth - 2e-7), "{} depth {depth}", what());
+                assert!(!body_a.overlaps_deeper(&body_b, depth + 2e-7), "{} depth {depth}", what());
+                assert!((body_a.depth(&body_b) - depth).abs() < 2e-7, "{}", what());
             }
         }
     }
