@@ -12,6 +12,8 @@ pub mod graph;
 
 pub mod object_set;
 
+pub mod check;
+mod overlap;
 pub mod plan;
 
 pub mod primitive;
