@@ -1,5 +1,6 @@
 //! Pictures and pages people look at: SVG, HTML, tables. Pure.
 
+pub mod plan_svg;
 pub mod html;
 pub mod run;
 pub mod summary;

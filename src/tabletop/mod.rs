@@ -11,3 +11,9 @@ pub mod write;
 
 #[cfg(test)]
 mod tests;
+
+pub mod fit;
+
+pub mod room;
+
+pub mod scenes;
