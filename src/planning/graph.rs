@@ -16,8 +16,7 @@ pub struct DependencyGraph {
 impl DependencyGraph {
     /// A graph of `count` vertices with an arc i -> j wherever `blocks(i, j)` holds and i != j.
     pub fn from_fn(count: usize, mut blocks: impl FnMut(usize, usize) -> bool) -> DependencyGraph {
-        let blockers =
-            (0..count).map(|i| (0..count).filter(|&j| j != i && blocks(i, j)).collect()).collect();
+        let blockers = (0..count).map(|i| (0..count).filter(|&j| j != i && blocks(i, j)).collect()).collect();
         DependencyGraph { blockers }
     }
 

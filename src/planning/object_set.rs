@@ -72,7 +72,11 @@ impl ObjectSet {
 
     /// The smallest member.
     pub fn smallest(&self) -> Option<usize> {
-        self.0.iter().enumerate().find(|(_, word)| **word != 0).map(|(at, w)| at * 64 + w.trailing_zeros() as usize)
+        self.0
+            .iter()
+            .enumerate()
+            .find(|(_, word)| **word != 0)
+            .map(|(at, w)| at * 64 + w.trailing_zeros() as usize)
     }
 
     /// The members in increasing order.

@@ -260,7 +260,12 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use std::collections::BTreeSet;
 
-    fn plan_all(graph: &DependencyGraph, weights: &[u32], preference: Preference, seed: u64) -> ComponentPlan {
+    fn plan_all(
+        graph: &DependencyGraph,
+        weights: &[u32],
+        preference: Preference,
+        seed: u64,
+    ) -> ComponentPlan {
         let costs = vec![1.0; graph.len()];
         let buffer = RunningBuffer { graph, weights, costs: &costs, preference };
         let all: Vec<usize> = (0..graph.len()).collect();
@@ -343,8 +348,12 @@ mod tests {
     fn the_effort_ends_it() {
         let graph = DependencyGraph::from_fn(30, |i, j| (i * 7 + j * 13) % 5 < 2);
         let (weights, costs) = ([1; 30], [1.0; 30]);
-        let buffer =
-            RunningBuffer { graph: &graph, weights: &weights, costs: &costs, preference: Preference::FirstFound };
+        let buffer = RunningBuffer {
+            graph: &graph,
+            weights: &weights,
+            costs: &costs,
+            preference: Preference::FirstFound,
+        };
         let mut effort = Effort::new(Some(3), &|| false);
         assert!(buffer.plan(&mut ChaCha8Rng::seed_from_u64(0), &mut effort).is_none());
     }

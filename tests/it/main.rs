@@ -1,3 +1,3 @@
 //! Tests across module borders, in one binary: closed loops over real sockets, files, the command line.
 
-fn main() {}
+mod on_robot_program;

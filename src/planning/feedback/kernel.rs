@@ -139,7 +139,9 @@ impl Kernel {
         }
         let partners = self.partners(v);
         partners == (self.out[v] | self.into[v])
-            && partners.iter().all(|u| weights[u] <= weights[v] && partners.without(u).is_subset(&self.partners(u)))
+            && partners
+                .iter()
+                .all(|u| weights[u] <= weights[v] && partners.without(u).is_subset(&self.partners(u)))
     }
 
     /// Drops one-way arcs that lie on no cycle of one-way arcs: every longer cycle over a two-way arc contains

@@ -86,7 +86,11 @@ fn equals_brute_force_on_small_graphs() {
         let found = minimum(&graph, &weights);
         let wanted = brute_force(&graph, &weights);
         assert!(is_acyclic(&graph, found.vertices), "case {case}: {graph:?}");
-        assert!((found.weight - wanted).abs() < 1e-9, "case {case}: {} not {wanted}; {graph:?}", found.weight);
+        assert!(
+            (found.weight - wanted).abs() < 1e-9,
+            "case {case}: {} not {wanted}; {graph:?}",
+            found.weight
+        );
         assert_eq!(found.weight, found.lower_bound);
     }
 }
@@ -102,7 +106,11 @@ fn equals_the_integer_programme_on_random_graphs() {
         let found = minimum(&graph, &weights);
         let wanted = by_integer_programme(&graph, &weights);
         assert!(is_acyclic(&graph, found.vertices), "case {case}");
-        assert!((found.weight - wanted).abs() < 1e-7, "case {case}: {} not {wanted}; {graph:?}", found.weight);
+        assert!(
+            (found.weight - wanted).abs() < 1e-7,
+            "case {case}: {} not {wanted}; {graph:?}",
+            found.weight
+        );
     }
 }
 
