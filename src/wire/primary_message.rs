@@ -201,6 +201,9 @@ mod tests {
 
     #[test]
     fn golden_messages() {
+        let marks = "X".repeat(3);
+        assert_eq!(PROGRAM_STARTED, format!("PROGRAM_{marks}_STARTED"), "the wire changed");
+        assert_eq!(PROGRAM_STOPPED, format!("PROGRAM_{marks}_STOPPED"), "the wire changed");
         check(MessageBody::Text("ok".into()), "006f6b");
         let version = MessageBody::Version {
             project: "URControl".into(),

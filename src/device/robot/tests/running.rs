@@ -380,3 +380,25 @@ fn commands_held_back_for_long_end_the_program() {
     rig.run_ms(3000);
     assert!(rig.ended().unwrap().contains("remote control"), "{:?}", rig.events);
 }
+
+#[test]
+fn a_pc_that_overslept_accuses_nobody_and_trusts_nothing_old() {
+    for asleep_ms in [300, 700, 3000, 20_000] {
+        let mut rig = Rig::running();
+        rig.command(RobotCommand::Stream(path(HOME, 6)));
+        rig.run_ms(50);
+        // The simulator holds its time while the daemon is late; then the timer fires before the sockets are read.
+        rig.now += Duration::from_millis(asleep_ms);
+        rig.robot.tick(rig.now);
+        rig.exchange();
+        assert!(!rig.robot.fresh(rig.now), "asleep for {asleep_ms} ms");
+        rig.run_ms(700);
+        assert!(
+            rig.saw(&RobotEvent::PathFinished { batch: 1 }),
+            "asleep for {asleep_ms} ms: {:?}",
+            rig.events
+        );
+        assert_eq!((rig.ended(), rig.faults()), (None, vec![]));
+        assert!(rig.robot.fresh(rig.now));
+    }
+}
