@@ -1,7 +1,7 @@
 //! celld: the daemon of a robot cell that rearranges a cluttered table.
 //!
 //! Modules are listed in reading order; each may use only the ones its row in ARCHITECTURE.md names, and
-//! `tests/tidy.rs` checks that. The pure core runs down to `report`; `jobs`, `io`, `sim`, `daemon`, `bench`
+//! `tests/tidy.rs` checks that. The pure core runs down to `report`; `io`, `jobs`, `sim`, `daemon`, `bench`
 //! and `cli` are the shell around it.
 
 pub mod units;
@@ -30,9 +30,9 @@ pub mod supervisor;
 
 pub mod report;
 
-pub mod jobs;
-
 pub mod io;
+
+pub mod jobs;
 
 pub mod config;
 

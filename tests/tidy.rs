@@ -43,13 +43,13 @@ const TABLE: &[Row] = &[
         pure: true,
     },
     Row {
-        module: "jobs",
-        uses: Uses::Only(&["units", "time", "document", "tabletop", "planning"]),
+        module: "io",
+        uses: Uses::Only(&["units", "time", "vision::image", "vision::camera"]),
         pure: false,
     },
     Row {
-        module: "io",
-        uses: Uses::Only(&["units", "time", "vision::image", "vision::camera"]),
+        module: "jobs",
+        uses: Uses::Only(&["units", "time", "document", "geometry", "tabletop", "planning", "io::files"]),
         pure: false,
     },
     Row { module: "config", uses: Uses::AllAboveBut(&["wire", "urscript"]), pure: false },

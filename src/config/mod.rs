@@ -1,1 +1,4 @@
 //! Checked configuration of the cell and of the simulator.
+
+pub mod cell;
+pub mod simulated;

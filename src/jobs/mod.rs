@@ -1,7 +1,12 @@
 //! Job files, spool folders and the journal database: from a dropped YAML file to its result.
 
+pub mod command;
+pub mod goal;
+pub mod job_file;
 pub mod journal;
 pub mod policy;
 pub mod record;
 pub mod spool;
+pub mod state;
+pub mod status;
 pub mod utc;

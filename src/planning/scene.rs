@@ -94,7 +94,7 @@ impl<'a> Scene<'a> {
             Footprint::Disc { .. } => self.problem.objects[object].start.theta,
             _ => rng.random_range(-std::f64::consts::PI..std::f64::consts::PI),
         };
-        let [[x_min, x_max], [y_min, y_max]] = footprint.extents(theta);
+        let ([x_min, y_min], [x_max, y_max]) = footprint.bounds(&Pose2::new(0.0, 0.0, theta));
         let (width, height) = (self.problem.workspace.width, self.problem.workspace.height);
         let x = between(rng, -x_min, width - x_max)?;
         let y = between(rng, -y_min, height - y_max)?;
@@ -112,7 +112,6 @@ fn new_spot(problem: &Problem, object: usize, pose: Pose2) -> Spot {
         pose,
         placed: Placed::new(&given.footprint, pose),
         at_start: pose == given.start,
-        // What never moves is where it should be.
-        at_goal: given.goal == Some(pose) || (given.fixed && pose == given.start),
+        at_goal: given.goal == Some(pose),
     }
 }

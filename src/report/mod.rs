@@ -1,1 +1,8 @@
 //! Pictures and pages people look at: SVG, HTML, tables. Pure.
+
+pub mod plan_svg;
+pub mod html;
+pub mod run;
+pub mod summary;
+pub mod table_svg;
+pub mod text;

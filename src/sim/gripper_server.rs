@@ -1,1 +1,235 @@
-//! Placeholder.
+//! The gripper's Modbus TCP server: the registers of a vacuum gripper behind its compute box.
+//!
+//! In: requests of unit 65: read holding registers (0x03), write one (0x06) or several (0x10). Out: register values, or
+//! the exceptions the protocol has for what the device does not offer. Registers: 0 and 1 control of channels A and B
+//! (high byte 0 release, 1 grip, 2 idle; low byte target in per cent, more than 80 is taken as 80), 2 current limit in
+//! mA (up to 1000), 258 and 259 relative vacuum in per mille, read only. A lost connection leaves the last command
+//! active, as on the device. Source: reference drivers of the device; the answer to other units (exception
+//! 0x0B) is our choice.
+
+use crate::sim::world::vacuum::{Channel, HIGHEST_TARGET, VacuumMode};
+use crate::sim::world::{SharedWorld, World, lock};
+use std::future::{Future, Ready, ready};
+use std::net::SocketAddr;
+use tokio::net::{TcpListener, TcpStream};
+use tokio_modbus::prelude::{ExceptionCode, Request, Response, SlaveRequest};
+use tokio_modbus::server::Service;
+use tokio_modbus::server::tcp::Server;
+
+/// The unit number the device answers to.
+pub const UNIT: u8 = 65;
+/// Control of channel A; B follows.
+pub const CONTROL_REGISTER: u16 = 0;
+/// Current limit, mA.
+pub const CURRENT_LIMIT_REGISTER: u16 = 2;
+/// Relative vacuum of channel A, per mille; B follows.
+pub const VACUUM_REGISTER: u16 = 258;
+/// Highest current limit, mA.
+const HIGHEST_CURRENT_MA: u16 = 1000;
+/// Most registers in one request, by the protocol.
+const MOST_REGISTERS: u16 = 125;
+
+struct Registers {
+    world: SharedWorld,
+}
+
+/// Serves clients until `stop` resolves.
+///
+/// # Errors
+/// The listener failed.
+pub async fn serve(
+    listener: TcpListener,
+    world: SharedWorld,
+    stop: impl Future<Output = ()> + Send + Sync + 'static,
+) -> std::io::Result<()> {
+    let on_connected = |stream: TcpStream, _: SocketAddr| {
+        let world = world.clone();
+        async move {
+            stream.set_nodelay(true)?;
+            Ok(Some((Registers { world }, stream)))
+        }
+    };
+    let on_error = |error: std::io::Error| tracing::debug!(%error, "gripper client dropped");
+    Server::new(listener).serve_until(&on_connected, on_error, stop).await?;
+    Ok(())
+}
+
+impl Service for Registers {
+    type Request = SlaveRequest<'static>;
+    type Response = Response;
+    type Exception = ExceptionCode;
+    type Future = Ready<Result<Response, ExceptionCode>>;
+
+    fn call(&self, request: SlaveRequest<'static>) -> Self::Future {
+        if request.slave != UNIT {
+            return ready(Err(ExceptionCode::GatewayTargetDevice));
+        }
+        ready(answer(&mut lock(&self.world), &request.request))
+    }
+}
+
+fn answer(world: &mut World, request: &Request) -> Result<Response, ExceptionCode> {
+    match request {
+        Request::ReadHoldingRegisters(address, count) => {
+            read(world, *address, *count).map(Response::ReadHoldingRegisters)
+        }
+        Request::WriteSingleRegister(address, value) => {
+            write(world, *address, &[*value])?;
+            Ok(Response::WriteSingleRegister(*address, *value))
+        }
+        Request::WriteMultipleRegisters(address, values) => {
+            write(world, *address, values)?;
+            let count = u16::try_from(values.len()).map_err(|_| ExceptionCode::IllegalDataValue)?;
+            Ok(Response::WriteMultipleRegisters(*address, count))
+        }
+        _ => Err(ExceptionCode::IllegalFunction),
+    }
+}
+
+fn addresses(first: u16, count: usize) -> Result<impl Iterator<Item = u16>, ExceptionCode> {
+    if count == 0 || count > usize::from(MOST_REGISTERS) {
+        return Err(ExceptionCode::IllegalDataValue);
+    }
+    let last = first.checked_add(count as u16 - 1).ok_or(ExceptionCode::IllegalDataAddress)?;
+    Ok(first..=last)
+}
+
+fn read(world: &World, first: u16, count: u16) -> Result<Vec<u16>, ExceptionCode> {
+    addresses(first, usize::from(count))?
+        .map(|address| match address {
+            CURRENT_LIMIT_REGISTER => Ok(world.current_limit_ma()),
+            _ => match (control_channel(address), vacuum_channel(address)) {
+                (Some(channel), _) => Ok(control_word(world, channel)),
+                (_, Some(channel)) => Ok(world.vacuum_reading_per_mille(channel)),
+                (None, None) => Err(ExceptionCode::IllegalDataAddress),
+            },
+        })
+        .collect()
+}
+
+/// Writes all or nothing: every value is checked before the first takes effect.
+fn write(world: &mut World, first: u16, values: &[u16]) -> Result<(), ExceptionCode> {
+    for (address, value) in addresses(first, values.len())?.zip(values) {
+        match (address, control_channel(address)) {
+            (_, Some(_)) => drop(mode_of(*value)?),
+            (CURRENT_LIMIT_REGISTER, None) if *value <= HIGHEST_CURRENT_MA => {}
+            (CURRENT_LIMIT_REGISTER, None) => return Err(ExceptionCode::IllegalDataValue),
+            _ => return Err(ExceptionCode::IllegalDataAddress),
+        }
+    }
+    for (address, value) in addresses(first, values.len())?.zip(values) {
+        match control_channel(address) {
+            Some(channel) => {
+                let target = (f64::from(value & 0xff) / 100.0).min(HIGHEST_TARGET);
+                world.command_vacuum(channel, mode_of(*value)?, target);
+            }
+            None => world.set_current_limit_ma(*value),
+        }
+    }
+    Ok(())
+}
+
+fn mode_of(word: u16) -> Result<VacuumMode, ExceptionCode> {
+    match word >> 8 {
+        0 => Ok(VacuumMode::Release),
+        1 => Ok(VacuumMode::Grip),
+        2 => Ok(VacuumMode::Idle),
+        _ => Err(ExceptionCode::IllegalDataValue),
+    }
+}
+
+fn control_word(world: &World, channel: Channel) -> u16 {
+    let (mode, target) = world.vacuum_command(channel);
+    let mode = match mode {
+        VacuumMode::Release => 0u16,
+        VacuumMode::Grip => 1,
+        VacuumMode::Idle => 2,
+    };
+    mode << 8 | (target * 100.0).round() as u16
+}
+
+fn control_channel(address: u16) -> Option<Channel> {
+    Channel::ALL.into_iter().find(|channel| address == CONTROL_REGISTER + channel.index() as u16)
+}
+
+fn vacuum_channel(address: u16) -> Option<Channel> {
+    Channel::ALL.into_iter().find(|channel| address == VACUUM_REGISTER + channel.index() as u16)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::world::empty_world;
+    use nalgebra::Isometry3;
+    use std::sync::{Arc, Mutex};
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio_modbus::client::{Context, Reader, Writer, tcp};
+    use tokio_modbus::prelude::Slave;
+
+    async fn started() -> (SocketAddr, SharedWorld) {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let world = Arc::new(Mutex::new(empty_world(5)));
+        tokio::spawn(serve(listener, world.clone(), std::future::pending()));
+        (address, world)
+    }
+
+    async fn client(address: SocketAddr) -> Context {
+        tcp::connect_slave(address, Slave(UNIT)).await.unwrap()
+    }
+
+    fn run(world: &SharedWorld, frames: u64) {
+        for frame in 0..frames {
+            lock(world).step(frame as f64 * 0.002, 0.002, &Isometry3::identity());
+        }
+    }
+
+    #[tokio::test]
+    async fn grip_is_written_and_the_leaking_vacuum_read_back() {
+        let (address, world) = started().await;
+        let mut client = client(address).await;
+        client.write_multiple_registers(0, &[0x013C, 0x0200]).await.unwrap().unwrap();
+        assert_eq!(lock(&world).vacuum_command(Channel::A), (VacuumMode::Grip, 0.6));
+        assert_eq!(lock(&world).vacuum_command(Channel::B), (VacuumMode::Idle, 0.0));
+        run(&world, 1000);
+        let vacuum = client.read_holding_registers(258, 2).await.unwrap().unwrap();
+        assert!((112..=128).contains(&vacuum[0]) && vacuum[1] <= 8, "{vacuum:?}");
+        assert_eq!(client.read_holding_registers(0, 3).await.unwrap().unwrap(), [0x013C, 0x0200, 500]);
+        client.write_single_register(2, 900).await.unwrap().unwrap();
+        client.write_single_register(1, 0x01FF).await.unwrap().unwrap();
+        assert_eq!(client.read_holding_registers(1, 2).await.unwrap().unwrap(), [0x0150, 900]);
+    }
+
+    #[tokio::test]
+    async fn what_the_device_does_not_offer_is_an_exception_and_changes_nothing() {
+        let (address, world) = started().await;
+        let mut client = client(address).await;
+        let bad_value = Err(ExceptionCode::IllegalDataValue);
+        let bad_address = Err(ExceptionCode::IllegalDataAddress);
+        assert_eq!(client.write_multiple_registers(0, &[0x013C, 0x0300]).await.unwrap(), bad_value);
+        assert_eq!(lock(&world).vacuum_command(Channel::A), (VacuumMode::Release, 0.0));
+        assert_eq!(client.write_single_register(2, 1001).await.unwrap(), bad_value);
+        assert_eq!(client.write_single_register(258, 1).await.unwrap(), bad_address);
+        assert_eq!(client.write_multiple_registers(1, &[0, 500, 0]).await.unwrap(), bad_address);
+        assert_eq!(client.read_holding_registers(257, 2).await.unwrap().map(drop), bad_address);
+        assert_eq!(client.read_holding_registers(65535, 2).await.unwrap().map(drop), bad_address);
+        assert_eq!(client.read_coils(0, 1).await.unwrap().map(drop), Err(ExceptionCode::IllegalFunction));
+        let mut stranger = tcp::connect_slave(address, Slave(66)).await.unwrap();
+        let refused = stranger.read_holding_registers(0, 1).await.unwrap().map(drop);
+        assert_eq!(refused, Err(ExceptionCode::GatewayTargetDevice));
+    }
+
+    #[tokio::test]
+    async fn garbage_ends_only_its_own_connection() {
+        let (address, _world) = started().await;
+        let mut raw = TcpStream::connect(address).await.unwrap();
+        raw.write_all(&[0xff; 64]).await.unwrap();
+        raw.shutdown().await.unwrap();
+        let mut rest = Vec::new();
+        // The server may reset the connection with bytes of ours unread: that is an end, too.
+        drop(raw.read_to_end(&mut rest).await);
+        assert!(rest.is_empty());
+        let mut client = client(address).await;
+        assert_eq!(client.read_holding_registers(2, 1).await.unwrap().unwrap(), [500]);
+    }
+}

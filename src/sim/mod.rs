@@ -2,12 +2,18 @@
 
 pub mod camera_server;
 
+pub mod cell;
+
 pub mod control_server;
+
+pub mod controller;
 
 pub mod gripper_server;
 
 pub mod motion;
 
 pub mod render;
+
+pub mod robot_server;
 
 pub mod world;

@@ -1,1 +1,16 @@
 //! What the cell does next: a pure state machine from inputs to actions.
+//!
+//! `model`: what the machine knows of the cell. `order`: a job as it sees it, and its result. `input`: what it
+//! is told and what it asks for. `gates`: the conditions without which nothing moves. `cell`: the machine:
+//! look, plan, approve, pick, verify, place, look again; `look`, `work` and `trouble` hold its parts.
+//! No clock, no socket: time and the devices' last word come in with every call, so that each decision can be
+//! replayed from a record.
+
+pub mod cell;
+pub mod gates;
+pub mod input;
+mod look;
+pub mod model;
+pub mod order;
+mod trouble;
+mod work;

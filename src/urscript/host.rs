@@ -24,7 +24,6 @@ pub struct Builtin {
 }
 
 /// Declares signatures: `name(a, b; c, d)`, those after the semicolon being optional.
-#[macro_export]
 macro_rules! urscript_builtins {
     ($($name:ident($($required:ident),* $(; $($optional:ident),+)?)),* $(,)?) => {
         &[$($crate::urscript::host::Builtin {
@@ -36,6 +35,8 @@ macro_rules! urscript_builtins {
         }),*]
     };
 }
+// Named by its path like everything else: a `macro_export` would put it at the crate root.
+pub(crate) use urscript_builtins;
 
 /// One call of a built-in, repeated until it is answered.
 #[derive(Debug)]

@@ -7,7 +7,7 @@
 use crate::urscript::host::{Builtin, Call};
 use crate::urscript::value::Value;
 use crate::urscript::{list_library, pose_library, string_library};
-use crate::urscript_builtins;
+use crate::urscript::host::urscript_builtins;
 
 /// Built-ins of the language itself; `sync` and `sleep` are the scheduler's.
 pub const BUILTINS: &[Builtin] = urscript_builtins![

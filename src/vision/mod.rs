@@ -5,11 +5,15 @@
 //! `calibration` the files that keep it, `annotate` the picture for people, `marker` the print itself. Pure; OpenCV
 //! is called in `cv` alone and the AprilTag library in `detect` alone.
 
+pub mod annotate;
+pub mod calibrate;
+pub mod calibration;
 pub mod camera;
 pub mod cv;
 pub mod detect;
 pub mod image;
 pub mod marker;
+pub mod observe;
 
 #[cfg(test)]
 mod testing;

@@ -207,3 +207,26 @@ pub fn normal(random: &mut ChaCha8Rng) -> f64 {
     let (u, v): (f64, f64) = (random.random(), random.random());
     (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
+
+/// What a detector with this corner noise (standard deviation along each axis, pixels) would report.
+pub fn detections(
+    camera: &CameraModel,
+    table_from_camera: &Isometry3<f64>,
+    prints: &[Print],
+    noise_px: f64,
+    random: &mut ChaCha8Rng,
+) -> Vec<crate::vision::detect::Detection> {
+    let mut detection = |print: &Print| crate::vision::detect::Detection {
+        family: crate::vision::marker::FAMILY.to_owned(),
+        id: print.id,
+        corners: print
+            .corners(camera, table_from_camera)
+            .map(|corner| corner.map(|value| value + noise_px * normal(random))),
+        decision_margin: 80.0,
+        hamming: 0,
+    };
+    let limits = [f64::from(camera.width), f64::from(camera.height)];
+    let inside = |corner: &[f64; 2]| (0..2).all(|axis| (0.0..limits[axis]).contains(&corner[axis]));
+    let visible = |print: &&Print| print.corners(camera, table_from_camera).iter().all(inside);
+    prints.iter().filter(visible).map(&mut detection).collect()
+}

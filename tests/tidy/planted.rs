@@ -165,6 +165,7 @@ fn openings_lengths_marks_and_paths_are_flagged() {
         flagged(rules::unfinished_marks(&File::planted("a.rs", &halves.concat())), &["a.rs:1"]);
     }
     flagged(rules::unfinished_marks(&File::planted("a.rs", "// a mastodon, to do good")), &[]);
+    flagged(rules::unfinished_marks(&File::planted("a.rs", &["PROGRAM_XX", "X_STARTED"].concat())), &[]);
     flagged(rules::machine_paths(&File::planted("src/a.rs", "x\n\"../shared/data\"")), &["src/a.rs:2"]);
     flagged(rules::machine_paths(&File::planted("tests/it/a.rs", "\"../shared/data\"")), &[]);
 }

@@ -276,11 +276,23 @@ fn marks() -> Vec<String> {
     halves.iter().map(|(a, b)| format!("{a}{b}")).collect()
 }
 
+/// True when `mark` occurs in `line` and is not a piece of a longer word (the controller really sends
+/// messages with such a piece in their names).
+fn stands_alone(line: &str, mark: &str) -> bool {
+    let in_word = |c: char| c == '_' || c.is_alphanumeric();
+    line.match_indices(mark).any(|(at, _)| {
+        let before = line[..at].chars().next_back().is_some_and(in_word);
+        let after = line[at + mark.len()..].chars().next().is_some_and(in_word);
+        !before && !(after && mark.ends_with(in_word))
+    })
+}
+
+/// Marks of unfinished work, wherever they stand.
 pub fn unfinished_marks(file: &File) -> Vec<String> {
     let marks = marks();
     let lines = file.text.lines().enumerate();
     let found = lines.filter_map(|(number, line)| {
-        let mark = marks.iter().find(|mark| line.contains(mark.as_str()))?;
+        let mark = marks.iter().find(|mark| stands_alone(line, mark))?;
         Some(format!("{}:{}: `{mark}`", file.path, number + 1))
     });
     found.collect()

@@ -143,7 +143,10 @@ impl Mover {
     pub fn released(&self, id: MoveId) -> bool {
         let Task::Segments(segments) = &self.task else { return true };
         let active = segments.iter().find(|active| active.id == id);
-        active.is_none_or(|active| active.time + FRAME_SECONDS >= active.segment.release())
+        active.is_none_or(|active| {
+            let release = active.segment.release();
+            release < active.segment.duration() && active.time + FRAME_SECONDS >= release
+        })
     }
 
     /// True while a move that was not released yet is under way.
@@ -215,7 +218,7 @@ impl Mover {
         if !matches!(self.task, Task::ToolSpeed { .. } | Task::StopTool { .. }) {
             self.tool_speed = None;
         }
-        let ramp = FRAME_SECONDS / SCALING_SECONDS;
+        let ramp = if matches!(self.task, Task::Stand) { 1.0 } else { FRAME_SECONDS / SCALING_SECONDS };
         self.scaling += (scaling - self.scaling).clamp(-ramp, ramp);
         match self.next_position().and_then(|next| self.check(&next).map(|()| next)) {
             Ok(next) => {

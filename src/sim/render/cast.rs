@@ -6,8 +6,7 @@
 //! parameter of a hit is its depth and bodies compare by it.
 
 use crate::sim::render::lens::CameraTruth;
-use crate::sim::render::print::Cells;
-use crate::sim::render::scene::{Print, Prism, Scene};
+use crate::sim::render::scene::{Cells, Print, Prism, Scene};
 use crate::sim::render::texture::Texture;
 use crate::sim::world::section::{Shape, edges, inside_polygon};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -166,7 +165,7 @@ impl<'a> Target<'a> {
         let (to_bottom, to_top) = (-o[2] / d[2], (self.height_m - o[2]) / d[2]);
         let enter = to_bottom.min(to_top).max(NEAR_M);
         let leave = to_bottom.max(to_top).min(limit);
-        if !(enter < leave) {
+        if enter >= leave {
             return None;
         }
         let start = [o[0] + enter * d[0], o[1] + enter * d[1]];

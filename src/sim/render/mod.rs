@@ -9,7 +9,6 @@
 
 pub mod cast;
 pub mod lens;
-pub mod print;
 pub mod scene;
 pub mod sensor;
 pub mod texture;
@@ -19,6 +18,7 @@ use crate::sim::render::lens::{CameraTruth, RayGrid};
 use crate::sim::render::scene::Scene;
 use crate::sim::render::sensor::{Noise, blur};
 use crate::sim::render::texture::Texture;
+use crate::vision::image::Image;
 use nalgebra::Isometry3;
 
 /// Rays along one side of a pixel on an edge.
@@ -99,12 +99,126 @@ fn on_edge(keys: &[u32], width: usize, height: usize, column: usize, row: usize)
         .any(|y| keys[y * width + left..=y * width + right].iter().any(|key| *key != own))
 }
 
-/// A picture: rows from the top, three bytes a pixel.
-pub struct Image {
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// Red, green, blue.
-    pub rgb: Vec<u8>,
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::pose::Pose2;
+    use crate::sim::render::scene::{Prism, look_at};
+    use crate::sim::world::section::Section;
+    use nalgebra::Point3;
+    use std::sync::Arc;
+
+    fn camera() -> CameraTruth {
+        let mut camera = CameraTruth::ideal("t", 320, 180, 300.0);
+        camera.distortion = [-0.05, 0.06, 8e-4, -7e-4, -0.02];
+        camera.noise_sigma = 0.0;
+        camera
+    }
+
+    fn prism(section: Section, pose: Pose2, height_m: f64) -> Prism {
+        Prism {
+            table_from_prism: pose.at_height(0.0),
+            section: Arc::new(section),
+            height_m,
+            colour: [0; 3],
+            print: None,
+        }
+    }
+
+    fn scene(prisms: Vec<Prism>) -> Scene {
+        let table_from_flange = Isometry3::identity();
+        Scene { board: [-1.0, -1.0, 1.0, 1.0], table_from_flange, prisms, prints: Vec::new() }
+    }
+
+    /// Sum of (1 - level / background) over the picture: the dark area in px, and its centre of mass.
+    fn dark_area(with: &Image, without: &Image) -> (f64, [f64; 2]) {
+        let (mut area, mut centre) = (0.0, [0.0; 2]);
+        for row in 0..with.height {
+            for column in 0..with.width {
+                let at = 3 * (row * with.width + column) as usize;
+                let share = 1.0 - f64::from(with.rgb[at]) / f64::from(without.rgb[at]);
+                area += share;
+                centre[0] += share * f64::from(column);
+                centre[1] += share * f64::from(row);
+            }
+        }
+        (area, centre.map(|c| c / area))
+    }
+
+    #[test]
+    fn a_thin_disc_covers_the_pixels_the_lens_gives_it() {
+        let renderer = Renderer::new(camera());
+        let eye = look_at([0.03, -0.05, 0.4], [0.02, 0.01, 0.0], [1.0, 0.0, 0.0]);
+        let disc = prism(Section::ellipse(0.1, 0.06), Pose2::new(0.04, 0.02, 0.5), 1e-4);
+        let outline = Section::ellipse(0.1, 0.06);
+        let [with, without] = [scene(vec![disc]), scene(Vec::new())].map(|s| renderer.render(&s, &eye, 0, 0));
+        let (area, centre) = dark_area(&with, &without);
+        // The same by projecting the outline and integrating it (shoelace).
+        let pose = Pose2::new(0.04, 0.02, 0.5);
+        let crate::sim::world::section::Shape::Ellipse(half) = outline.shape() else { panic!() };
+        let pixels: Vec<[f64; 2]> = (0..2000)
+            .map(|i| {
+                let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / 2000.0).sin_cos();
+                let [x, y] = pose.transform([half[0] * cos, half[1] * sin]);
+                let p = eye.inverse() * Point3::new(x, y, 1e-4);
+                renderer.camera().project([p.x, p.y, p.z]).unwrap()
+            })
+            .collect();
+        let (mut twice, mut moment) = (0.0, [0.0; 2]);
+        for (a, b) in crate::sim::world::section::edges(&pixels) {
+            let cross = a[0] * b[1] - b[0] * a[1];
+            twice += cross;
+            moment[0] += cross * (a[0] + b[0]) / 3.0;
+            moment[1] += cross * (a[1] + b[1]) / 3.0;
+        }
+        let wanted = [moment[0] / twice, moment[1] / twice];
+        assert!((area / (twice.abs() / 2.0) - 1.0).abs() < 5e-3, "{area} {twice}");
+        assert!((centre[0] - wanted[0]).hypot(centre[1] - wanted[1]) < 0.03, "{centre:?} {wanted:?}");
+    }
+
+    #[test]
+    fn walls_are_seen_from_the_side_and_near_bodies_hide_far_ones() {
+        let renderer = Renderer::new(camera());
+        let eye = look_at([0.0, -0.3, 0.25], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]);
+        let mut low = prism(Section::rectangle(0.1, 0.02), Pose2::new(0.0, 0.05, 0.0), 0.02);
+        low.colour = [200, 0, 0];
+        let mut tall = prism(Section::rectangle(0.1, 0.02), Pose2::new(0.0, 0.0, 0.0), 0.1);
+        tall.colour = [0, 200, 0];
+        let picture = renderer.render(&scene(vec![low, tall]), &eye, 0, 0);
+        let level = |point: [f64; 3]| {
+            let p = eye.inverse() * Point3::from(point);
+            let [u, v] = renderer.camera().project([p.x, p.y, p.z]).unwrap();
+            let at = 3 * (v.round() as usize * 320 + u.round() as usize);
+            [picture.rgb[at], picture.rgb[at + 1], picture.rgb[at + 2]]
+        };
+        let (wall, top, hidden) =
+            (level([0.0, -0.01, 0.05]), level([0.0, 0.0, 0.1]), level([0.0, 0.05, 0.02]));
+        assert!(wall[1] > 60 && wall[0] < 10, "{wall:?}");
+        assert!(top[1] > wall[1] + 20, "{top:?} {wall:?}");
+        assert!(hidden[0] < 10, "the low body is behind the tall one: {hidden:?}");
+        assert!(level([0.049, 0.05, 0.02])[0] < 10 && level([0.2, 0.05, 0.0])[0] > 100);
+    }
+
+    #[test]
+    fn frames_repeat_by_seed_and_number() {
+        let mut camera = camera();
+        camera.noise_sigma = 2.0;
+        let renderer = Renderer::new(camera);
+        let eye = look_at([0.0, -0.1, 0.4], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]);
+        let draw = |seed, frame| renderer.render(&scene(Vec::new()), &eye, seed, frame).rgb;
+        assert_eq!(draw(1, 1), draw(1, 1));
+        assert_ne!(draw(1, 1), draw(1, 2));
+    }
+
+    #[test]
+    fn a_camera_inside_or_beside_things_draws_without_trouble() {
+        let renderer = Renderer::new(camera());
+        let body = || prism(Section::rectangle(0.4, 0.4), Pose2::new(0.0, 0.0, 0.0), 0.5);
+        let inside = look_at([0.0, 0.0, 0.25], [0.3, 0.0, 0.2], [0.0, 1.0, 0.0]);
+        let up = look_at([0.0, 0.0, 0.1], [0.0, 0.01, 0.9], [1.0, 0.0, 0.0]);
+        let level = look_at([-1.0, 0.0, 0.25], [0.0, 0.0, 0.25], [0.0, -1.0, 0.0]);
+        for eye in [inside, up, level] {
+            assert_eq!(renderer.render(&scene(vec![body()]), &eye, 0, 0).rgb.len(), 320 * 180 * 3);
+        }
+    }
 }

@@ -3,11 +3,13 @@
 //! In: the world. Out: prisms (objects, gripper), prints on the table, the board, and the flange pose. Shapes are
 //! shared, so that a copy costs some hundred bytes an object.
 
-use crate::sim::render::print::Cells;
 use crate::sim::world::section::Section;
 use crate::sim::world::spec::CameraMount;
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion};
 use std::sync::Arc;
+
+/// A marker's modules as printed: row 0 at the top, true = white; the white ring, the black border, the code.
+pub type Cells = [[bool; 10]; 10];
 
 /// A scene in the table frame.
 pub struct Scene {

@@ -25,23 +25,32 @@ pub mod vacuum;
 mod view;
 
 use crate::geometry::pose::Pose2;
-use crate::sim::render::print::{Cells, marker_cells};
+use crate::sim::render::scene::Cells;
 use crate::sim::world::event::{Contact, Event, EventKind, Fault, FaultError};
 use crate::sim::world::section::Section;
 use crate::sim::world::spec::{GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec};
 use crate::sim::world::spec::{WorldError, WorldObject, WorldSpec};
 use crate::sim::world::vacuum::{Channel, Pump, VacuumMode};
+use crate::vision::image::tag36h11_bitmap;
 use nalgebra::{Isometry3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::{HashSet, VecDeque};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Events kept; older ones are dropped.
 const EVENT_CAPACITY: usize = 4096;
 /// Time constant of the filter behind the tool's acceleration, s: a controller frame's step in speed (a stop)
 /// must not read as 100 m/s2.
 const ACCELERATION_TAU_S: f64 = 0.02;
+
+/// The world as the simulator's threads share it.
+pub type SharedWorld = Arc<Mutex<World>>;
+
+/// Locks the world. A thread that panicked while holding it left it usable: every step writes whole values.
+pub fn lock(world: &SharedWorld) -> MutexGuard<'_, World> {
+    world.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// The simulated cell's true state.
 pub struct World {
@@ -198,8 +207,8 @@ impl World {
             table_from_base: spec.base_from_table.inverse(),
             reference,
             errors: spec.errors,
-            housing: Arc::new(spec.gripper.body.clone()),
-            housing_from_above: spec.gripper.body.turned_over(),
+            housing: Arc::new(Section::from_footprint(&spec.gripper.body)),
+            housing_from_above: Section::from_footprint(&spec.gripper.body).turned_over(),
             cup_sections: spec
                 .gripper
                 .cups
@@ -249,6 +258,16 @@ impl World {
     /// True relative vacuum of a channel, fraction.
     pub fn vacuum(&self, channel: Channel) -> f64 {
         self.channels[channel.index()].pump.vacuum()
+    }
+
+    /// What the gripper's sensor says about a channel, per mille: the truth with a noise of up to +-8, the same for
+    /// all readings within one frame.
+    pub fn vacuum_reading_per_mille(&self, channel: Channel) -> u16 {
+        let mut z = self.seed ^ (self.steps * 2 + channel.index() as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        let noise = (z >> 40) % 9 + (z >> 20) % 9; // triangular, 0 to 16
+        (self.vacuum(channel) * 1000.0 + noise as f64 - 8.0).round().clamp(0.0, 1000.0) as u16
     }
 
     /// The gripper's current limit, mA: kept, and without effect on this pump.
@@ -339,7 +358,9 @@ impl World {
 
     fn track_tool(&mut self, dt_s: f64, base_from_flange: &Isometry3<f64>) {
         let table_from_tool = self.table_from_base * base_from_flange * self.gripper.flange_from_tool;
-        let (mut velocity, mut acceleration) = (Vector3::zeros(), Vector3::zeros());
+        let (mut velocity, mut acceleration) = self
+            .tool
+            .map_or((Vector3::zeros(), Vector3::zeros()), |before| (before.velocity, before.acceleration));
         if let Some(before) = &self.tool
             && dt_s > 0.0
         {
@@ -360,7 +381,7 @@ impl World {
 }
 
 fn cells_of(what: &str, id: u32) -> Result<Cells, WorldError> {
-    marker_cells(id).ok_or_else(|| WorldError::NoSuchMarker { what: what.to_string(), id })
+    tag36h11_bitmap(id).ok_or_else(|| WorldError::NoSuchMarker { what: what.to_string(), id })
 }
 
 fn body(index: usize, object: WorldObject) -> Result<Body, WorldError> {
@@ -369,11 +390,11 @@ fn body(index: usize, object: WorldObject) -> Result<Body, WorldError> {
         None => None,
     };
     Ok(Body {
-        section: Arc::new(object.section),
+        section: Arc::new(Section::from_footprint(&object.footprint)),
         height_m: object.height_m,
         mass_kg: object.mass_kg,
         marker,
-        grippable: object.grippable.map(Arc::new),
+        grippable: object.grippable.as_ref().map(|shape| Arc::new(Section::from_footprint(shape))),
         fixed: object.fixed,
         colour: object.colour.unwrap_or_else(|| palette(index)),
         table_from_object: object.pose.at_height(0.0),
@@ -409,7 +430,6 @@ fn check(spec: &WorldSpec) -> Result<(), WorldError> {
     for object in &spec.objects {
         positive(format!("{}: height", object.id), object.height_m)?;
         positive(format!("{}: mass", object.id), object.mass_kg)?;
-        positive(format!("{}: footprint", object.id), object.section.bounding_radius_m())?;
         finite(object.id.clone(), object.pose.is_finite())?;
         if !names.insert(&object.id) {
             return Err(WorldError::Twice { what: format!("object {}", object.id) });
@@ -430,3 +450,17 @@ fn check(spec: &WorldSpec) -> Result<(), WorldError> {
 
 #[cfg(test)]
 mod tests;
+
+/// A table with nothing on it and a one-cup gripper, for the tests of the servers.
+#[cfg(test)]
+pub(crate) fn empty_world(seed: u64) -> World {
+    let spec = WorldSpec {
+        table: TableSpec { width_m: 0.5, height_m: 0.5, margin_m: 0.1 },
+        base_from_table: Isometry3::identity(),
+        objects: Vec::new(),
+        reference_markers: Vec::new(),
+        errors: PlacementErrors::default(),
+        gripper: tests::gripper(),
+    };
+    World::new(spec, seed).expect("an empty table is a valid world")
+}

@@ -4,9 +4,9 @@
 //! deviations that a daemon can only learn by calibrating. Lengths m, angles rad, masses kg; poses of objects
 //! and markers in the table frame, cups in the tool frame.
 
+use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::sim::render::lens::CameraTruth;
-use crate::sim::world::section::Section;
 use crate::sim::world::vacuum::Channel;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -46,7 +46,7 @@ pub struct WorldObject {
     /// Its name.
     pub id: String,
     /// Its footprint.
-    pub section: Section,
+    pub footprint: Footprint,
     /// Its height, m.
     pub height_m: f64,
     /// Its mass, kg.
@@ -56,7 +56,7 @@ pub struct WorldObject {
     /// The marker on its top.
     pub marker: Option<ObjectMarker>,
     /// Where cups may sit; absent: the whole top.
-    pub grippable: Option<Section>,
+    pub grippable: Option<Footprint>,
     /// Screwed to the table.
     pub fixed: bool,
     /// Colour of its top; absent: one by its number.
@@ -117,7 +117,7 @@ pub struct GripperSpec {
     /// The cups.
     pub cups: Vec<Cup>,
     /// Outline of the housing in the tool frame, seen along -z; drawn, and it touches tall objects.
-    pub body: Section,
+    pub body: Footprint,
     /// Height of the housing's underside above the cup lips, m.
     pub body_above_lips_m: f64,
 }

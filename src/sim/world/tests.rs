@@ -1,16 +1,19 @@
 //! The world driven as the controller would: a tool that moves in 2 ms frames.
 
 use super::*;
+use crate::geometry::footprint::Footprint;
+use crate::sim::world::grip::YIELD_M;
 use crate::sim::world::spec::Cup;
 use nalgebra::{Translation3, UnitQuaternion};
+use rand::RngExt;
 
 const CUP: f64 = 0.02;
 
-fn gripper() -> GripperSpec {
+pub(super) fn gripper() -> GripperSpec {
     GripperSpec {
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP }],
-        body: Section::rectangle(0.07, 0.07),
+        body: Footprint::rectangle(0.07, 0.07).unwrap(),
         body_above_lips_m: 0.08,
     }
 }
@@ -18,7 +21,7 @@ fn gripper() -> GripperSpec {
 fn block(id: &str, x: f64, y: f64) -> WorldObject {
     WorldObject {
         id: id.to_string(),
-        section: Section::rectangle(0.05, 0.05),
+        footprint: Footprint::rectangle(0.05, 0.05).unwrap(),
         height_m: 0.02,
         mass_kg: 0.1,
         pose: Pose2::new(x, y, 0.0),
@@ -160,7 +163,7 @@ fn a_cup_seals_only_flat_on_top_and_wholly_inside() {
 #[test]
 fn the_grippable_part_limits_the_cup() {
     let mut object = block("a", 0.1, 0.1);
-    object.grippable = Some(Section::rectangle(0.021, 0.021));
+    object.grippable = Some(Footprint::rectangle(0.021, 0.021).unwrap());
     let mut cell = Cell::new(vec![object], no_errors(), 1);
     cell.grip(0.103, 0.1, 0.02);
     assert_eq!(cell.world.held().count(), 0);
@@ -248,7 +251,8 @@ fn a_small_overlap_pushes_a_chain_apart() {
     let mut cell = Cell::new(objects, no_errors(), 5);
     cell.move_object([0.1, 0.1], [0.3008, 0.3], 0.0005);
     let [a, b, c] = ["a", "b", "c"].map(|id| cell.pose(id));
-    assert!(b.x - a.x >= 0.05 && c.x - b.x >= 0.05, "{a:?} {b:?} {c:?}");
+    // What remains after pushing is under the micrometre that counts as touching.
+    assert!(b.x - a.x >= 0.05 - 1e-6 && c.x - b.x >= 0.05 - 1e-6, "{a:?} {b:?} {c:?}");
     assert!(a.x < 0.3008 && a.x > 0.3 - 1e-4 && c.x > 0.4002 && c.x < 0.401);
     assert!(cell.happened(|kind| matches!(kind, EventKind::Pushed { .. })) >= 3);
     assert_eq!(cell.happened(|kind| matches!(kind, EventKind::Tilted { .. })), 0);
@@ -386,4 +390,54 @@ fn bad_specs_are_refused_by_name() {
     let mut marked = block("a", 0.1, 0.1);
     marked.marker = Some(ObjectMarker { id: 587, size_m: 0.02, offset: Pose2::default() });
     assert!(matches!(World::new(spec(vec![marked]), 0), Err(WorldError::NoSuchMarker { .. })));
+}
+
+#[test]
+fn any_sequence_of_moves_leaves_flat_objects_apart() {
+    let shapes = [
+        Footprint::rectangle(0.07, 0.04).unwrap(),
+        Footprint::disc(0.03).unwrap(),
+        Footprint::ellipse(0.08, 0.05).unwrap(),
+        Footprint::polygon(&[
+            [-0.03, -0.03],
+            [0.03, -0.03],
+            [0.03, 0.01],
+            [-0.01, 0.01],
+            [-0.01, 0.04],
+            [-0.03, 0.04],
+        ])
+        .unwrap(),
+    ];
+    let objects = (0..8).map(|k| {
+        let mut object = block(&k.to_string(), 0.08 + 0.11 * (k % 4) as f64, 0.1 + 0.2 * (k / 4) as f64);
+        object.footprint = shapes[k % 4].clone();
+        object
+    });
+    let mut cell = Cell::new(objects.collect(), PlacementErrors::default(), 21);
+    let mut rng = ChaCha8Rng::seed_from_u64(22);
+    let (mut moved, mut tilted) = (0, 0);
+    for _ in 0..60 {
+        let body = &cell.world.objects()[rng.random_range(0..8)];
+        let on = body.pose().transform(if body.id == "3" || body.id == "7" {
+            [-0.015, -0.015]
+        } else {
+            [0.0, 0.0]
+        });
+        let height = if rng.random_bool(0.8) { 0.001 } else { 0.05 };
+        cell.move_object(on, [rng.random_range(0.05..0.45), rng.random_range(0.05..0.45)], height);
+        moved += cell.happened(|kind| matches!(kind, EventKind::Gripped { .. }));
+        let bodies = cell.world.objects();
+        tilted += bodies.iter().filter(|body| body.is_tilted()).count();
+        for (i, a) in bodies.iter().enumerate() {
+            let up =
+                if a.is_tilted() { a.bottom_m() > -1e-9 } else { a.table_from_object.translation.z == 0.0 };
+            assert!(a.pose().is_finite() && up, "{a:?}");
+            for b in bodies[..i].iter().filter(|b| !a.is_tilted() && !b.is_tilted()) {
+                let depth =
+                    Section::overlap(&a.section, &a.pose(), &b.section, &b.pose()).map_or(0.0, |o| o.depth_m);
+                assert!(depth < YIELD_M, "{} and {} overlap by {depth}", a.id, b.id);
+            }
+        }
+    }
+    assert!(moved > 30 && tilted > 5, "{moved} {tilted}");
 }

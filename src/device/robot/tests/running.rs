@@ -137,14 +137,18 @@ fn an_old_program_is_stopped_first() {
 
 #[test]
 fn a_program_that_does_not_show_its_nonce_does_not_run() {
-    let mut rig = Rig::ready();
-    rig.fake.set_out(24, 999);
-    rig.fake.runtime_state = 1;
-    rig.fake.ignore_uploads = true;
-    rig.command(RobotCommand::StartProgram { nonce: Nonce::new(3) });
-    rig.run_ms(5100);
-    assert!(rig.ended().unwrap().contains("nonce"), "{:?}", rig.events);
-    assert!(!rig.events.iter().any(|event| matches!(event, RobotEvent::ProgramRunning { .. })));
+    for foreign_program_plays in [false, true] {
+        let mut rig = Rig::ready();
+        rig.fake.set_out(24, 999);
+        rig.fake.ignore_uploads = true;
+        rig.command(RobotCommand::StartProgram { nonce: Nonce::new(3) });
+        if foreign_program_plays {
+            rig.fake.runtime_state = 2;
+        }
+        rig.run_ms(5100);
+        assert!(rig.ended().unwrap().contains("nonce"), "{:?}", rig.events);
+        assert!(!rig.events.iter().any(|event| matches!(event, RobotEvent::ProgramRunning { .. })));
+    }
 }
 
 #[test]

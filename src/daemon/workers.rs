@@ -1,0 +1,157 @@
+//! Slow work on threads of its own: frames and markers, planning.
+//!
+//! In: requests. Out: one [`Answer`] each over a bounded channel. Workers run at a lower priority than the
+//! loop that keeps the robot's heartbeat, and planning has a stop flag that the loop may raise.
+
+use crate::io::camera::CameraSource;
+use crate::io::clock::Clock;
+use crate::planning::plan::Status;
+use crate::planning::problem::Problem;
+use crate::planning::solver::{Control, solve};
+use crate::supervisor::input::{PlanAnswer, PlanRequest};
+use crate::vision::camera::CameraModel;
+use crate::vision::detect::Detector;
+use crate::vision::image::Image;
+use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
+use nalgebra::Isometry3;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+use tokio::sync::mpsc;
+
+/// What the workers answer.
+#[derive(Debug)]
+pub enum Answer {
+    /// Frames of one look pose with the markers found, and the last picture.
+    Captured(Result<(Vec<View>, Image), String>),
+    /// A look put together.
+    Observed(Result<Box<Observation>, String>),
+    /// A plan, or why not.
+    Planned(Box<PlanAnswer>),
+}
+
+/// What the eye is asked for.
+pub enum EyeRequest {
+    /// Take this many frames with the camera there.
+    Capture {
+        /// Number of frames.
+        frames: usize,
+        /// Camera pose.
+        table_from_camera: Isometry3<f64>,
+    },
+    /// Put these views together.
+    Observe(Vec<View>),
+}
+
+/// What the eye has to know.
+pub struct EyeParameters {
+    /// Calibrated camera.
+    pub camera: CameraModel,
+    /// Markers to look for.
+    pub objects: Vec<MarkedObject>,
+    /// Reference markers round the table.
+    pub reference: Vec<ReferenceMarker>,
+    /// Limits of plausibility.
+    pub limits: ObserveLimits,
+}
+
+/// Starts the thread that owns the camera and the detector.
+pub fn spawn_eye(
+    mut source: Box<dyn CameraSource + Send>,
+    mut detector: Detector,
+    parameters: EyeParameters,
+    clock: Clock,
+    answers: mpsc::Sender<Answer>,
+) -> mpsc::Sender<EyeRequest> {
+    let (requests_in, mut requests) = mpsc::channel(4);
+    std::thread::spawn(move || {
+        lower_priority();
+        while let Some(request) = requests.blocking_recv() {
+            let answer = match request {
+                EyeRequest::Capture { frames, table_from_camera } => {
+                    let taken = capture(&mut *source, &mut detector, frames, table_from_camera, &clock);
+                    Answer::Captured(taken)
+                }
+                EyeRequest::Observe(views) => Answer::Observed(put_together(&parameters, &views)),
+            };
+            if answers.blocking_send(answer).is_err() {
+                return;
+            }
+        }
+    });
+    requests_in
+}
+
+fn put_together(parameters: &EyeParameters, views: &[View]) -> Result<Box<Observation>, String> {
+    let EyeParameters { camera, objects, reference, limits } = parameters;
+    observe(objects, reference, camera, views, limits).map(Box::new).map_err(|error| error.to_string())
+}
+
+/// Takes `frames` new frames and finds the markers in each.
+///
+/// # Errors
+/// The camera's own words, or that no frame was asked for.
+pub fn capture(
+    source: &mut dyn CameraSource,
+    detector: &mut Detector,
+    frames: usize,
+    table_from_camera: Isometry3<f64>,
+    clock: &Clock,
+) -> Result<(Vec<View>, Image), String> {
+    let mut views = Vec::with_capacity(frames);
+    let mut last = None;
+    for _ in 0..frames {
+        let frame = source.grab().map_err(|error| error.to_string())?;
+        let detections = detector.detect(&frame.image.gray()).map_err(|error| error.to_string())?;
+        views.push(View { table_from_camera, detections, time: clock.now() });
+        last = Some(frame.image);
+    }
+    last.map(|image| (views, image)).ok_or_else(|| "no frame was asked for".to_string())
+}
+
+/// Starts one planning run; `stop` ends it early with the best plan so far.
+pub fn spawn_plan(
+    request: PlanRequest,
+    stop: Arc<AtomicBool>,
+    answers: mpsc::Sender<Answer>,
+) {
+    std::thread::spawn(move || {
+        lower_priority();
+        let answer = plan(&request, &stop);
+        let _ = answers.blocking_send(Answer::Planned(Box::new(answer)));
+    });
+}
+
+fn plan(request: &PlanRequest, stop: &AtomicBool) -> PlanAnswer {
+    let problem = match Problem::new(&request.instance) {
+        Ok(problem) => problem,
+        Err(error) => return PlanAnswer::Refused(error.to_string()),
+    };
+    // Planning is work of this computer, so its budget is real time even when the cell's time is scaled.
+    let started = Instant::now();
+    let over = || stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit;
+    let control = Control::until(&over);
+    let outcome = match solve(&problem, request.solver, request.objective, &control, request.seed) {
+        Ok(outcome) => outcome,
+        Err(error) => return PlanAnswer::Refused(error.to_string()),
+    };
+    match (outcome.status, outcome.plan, outcome.cost) {
+        (Status::Optimal | Status::Solved, Some(plan), Some(cost)) => PlanAnswer::Found {
+            actions: plan.actions().to_vec(),
+            cost,
+            lower_bound: outcome.lower_bound,
+            seconds: started.elapsed().as_secs_f64(),
+        },
+        (Status::Infeasible, ..) => {
+            PlanAnswer::Infeasible(outcome.witness.map(|w| w.to_string()).unwrap_or_default())
+        }
+        _ => PlanAnswer::Timeout,
+    }
+}
+
+/// Lets the threads that talk to the robot go first; only this thread is affected.
+fn lower_priority() {
+    if let Err(error) = rustix::process::nice(10) {
+        tracing::debug!(%error, "worker keeps its priority");
+    }
+}

@@ -1,0 +1,285 @@
+//! Commands of the operator to the running daemon, as files in the state folder.
+//!
+//! In: a [`Command`] from `celld arm` and its like. Out: the same in the daemon, once, and its answer back.
+//! A command is a file, renamed into place whole, that carries the name of the daemon it was meant for: one
+//! that nobody took (the daemon had just ended) is never obeyed by the next daemon, so an old `arm` cannot
+//! move an arm. The daemon removes the file before it obeys: a command is carried out at most once.
+
+use crate::io::files::{FileError, create_folder, read_regular, remove, rename_new, write_atomic};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Longest file that is read as a command.
+const MAX_BYTES: u64 = 64 * 1024;
+
+/// Most commands taken in one turn; the rest waits for the next.
+const MAX_AT_ONCE: usize = 32;
+
+/// What an operator may ask of the daemon.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "do", rename_all = "lowercase", deny_unknown_fields)]
+pub enum Command {
+    /// Allow motion.
+    Arm,
+    /// Forbid motion after the present step.
+    Disarm,
+    /// Agree to a job's plan.
+    Approve {
+        /// The job.
+        id: String,
+    },
+    /// Refuse a job's plan: the job ends as cancelled.
+    Reject {
+        /// The job.
+        id: String,
+    },
+    /// End a job, waiting or active.
+    Cancel {
+        /// The job.
+        id: String,
+    },
+    /// Stop after the present step.
+    Pause,
+    /// Go on after a pause.
+    Resume,
+    /// One step, then pause.
+    Step,
+    /// Stop the arm now and end the active job.
+    Abort,
+    /// Move to the park pose, gripper empty.
+    Park,
+    /// Vacuum off, wherever the arm is.
+    Release {
+        /// Absent: both.
+        channel: Option<ReleaseChannel>,
+    },
+    /// Leave a fault.
+    Recover {
+        /// What to do with an object on the cups.
+        how: RecoverHow,
+    },
+}
+
+/// A suction channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ReleaseChannel {
+    /// Channel A.
+    A,
+    /// Channel B.
+    B,
+}
+
+/// What to do with an object on the cups after a fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RecoverHow {
+    /// Nothing was said: only right when nothing is held.
+    Plain,
+    /// Put it down at a free spot that the camera has verified.
+    Place,
+    /// Keep it, retreat straight up.
+    Hold,
+    /// Vacuum off where it is.
+    Release,
+}
+
+/// The daemon's answer.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Reply {
+    /// The daemon does it.
+    pub accepted: bool,
+    /// One sentence; why not, and what to do instead.
+    pub message: String,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Envelope {
+    daemon: String,
+    command: Command,
+}
+
+/// A command that the daemon took, to be answered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Taken {
+    /// What is asked.
+    pub command: Command,
+    reply: PathBuf,
+}
+
+/// The daemon's end.
+#[derive(Debug)]
+pub struct Inbox {
+    folder: PathBuf,
+    daemon: String,
+}
+
+impl Inbox {
+    /// Opens the folder for the daemon called `daemon` (a name no other run has) and clears what was left.
+    pub fn open(folder: &Path, daemon: impl Into<String>) -> Result<Inbox, FileError> {
+        create_folder(folder)?;
+        for path in list(folder)? {
+            remove(&path)?;
+        }
+        Ok(Inbox { folder: folder.to_owned(), daemon: daemon.into() })
+    }
+
+    /// Takes what is there, in the order of sending. Files that are no command for this daemon are removed.
+    pub fn take(&mut self) -> Result<Vec<Taken>, FileError> {
+        let mut taken = Vec::new();
+        for path in list(&self.folder)?.into_iter().filter(|path| is_command(path)).take(MAX_AT_ONCE) {
+            let envelope = read_regular(&path, MAX_BYTES)
+                .ok()
+                .and_then(|(text, _)| serde_json::from_str::<Envelope>(&text).ok());
+            remove(&path)?;
+            let reply = path.with_extension("reply");
+            match envelope {
+                Some(envelope) if envelope.daemon == self.daemon => {
+                    taken.push(Taken { command: envelope.command, reply });
+                }
+                Some(_) => answer(&reply, false, "this command was meant for a daemon that has ended")?,
+                None => answer(&reply, false, "this file is not a command of this version of celld")?,
+            }
+        }
+        Ok(taken)
+    }
+
+    /// Answers a command.
+    pub fn reply(&self, taken: &Taken, reply: &Reply) -> Result<(), FileError> {
+        answer(&taken.reply, reply.accepted, &reply.message)
+    }
+}
+
+/// A command on its way, seen from the sender.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sent {
+    command: PathBuf,
+    reply: PathBuf,
+}
+
+impl Sent {
+    /// Leaves `command` for the daemon called `daemon`. `unix_s` orders the commands of several senders.
+    pub fn send(folder: &Path, daemon: &str, command: &Command, unix_s: f64) -> Result<Sent, FileError> {
+        let envelope = Envelope { daemon: daemon.to_owned(), command: command.clone() };
+        let text = serde_json::to_string(&envelope).expect("commands have string keys only");
+        let pid = std::process::id();
+        let hidden = folder.join(format!(".{pid}.tmp"));
+        write_atomic(&hidden, text.as_bytes())?;
+        let mut number = 0_u32;
+        loop {
+            let path = folder.join(format!("{:020}-{pid}-{number:03}.command", (unix_s * 1e6) as u64));
+            match rename_new(&hidden, &path) {
+                Err(error) if error.is_present() && number < 999 => number += 1,
+                Err(error) => return Err(error),
+                Ok(()) => return Ok(Sent { reply: path.with_extension("reply"), command: path }),
+            }
+        }
+    }
+
+    /// The answer, once it is there; it is removed.
+    pub fn poll(&self) -> Result<Option<Reply>, FileError> {
+        let text = match read_regular(&self.reply, MAX_BYTES) {
+            Err(error) if error.is_absent() => return Ok(None),
+            other => other?.0,
+        };
+        remove(&self.reply)?;
+        let unreadable =
+            |_| Reply { accepted: false, message: "the daemon's answer is not readable".to_owned() };
+        Ok(Some(serde_json::from_str(&text).unwrap_or_else(unreadable)))
+    }
+
+    /// Takes the command back; false when the daemon has it already.
+    pub fn withdraw(&self) -> Result<bool, FileError> {
+        let there = self.command.exists();
+        remove(&self.command)?;
+        Ok(there)
+    }
+}
+
+fn answer(path: &Path, accepted: bool, message: &str) -> Result<(), FileError> {
+    let reply = Reply { accepted, message: message.to_owned() };
+    let text = serde_json::to_string(&reply).expect("replies have string keys only");
+    write_atomic(path, text.as_bytes())
+}
+
+fn is_command(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "command")
+}
+
+/// Plain entries of the folder by name; what is hidden is still being written.
+fn list(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
+    let fail = |source| FileError::Io { action: "list", path: folder.to_owned(), source };
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(fail)? {
+        let entry = entry.map_err(fail)?;
+        let hidden = entry.file_name().to_string_lossy().starts_with('.');
+        if !hidden && entry.file_type().is_ok_and(|kind| !kind.is_dir()) {
+            paths.push(entry.path());
+        }
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder() -> tempfile::TempDir {
+        tempfile::tempdir().unwrap()
+    }
+
+    #[test]
+    fn commands_arrive_once_in_order_and_are_answered() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let approve = Command::Approve { id: "tidy".into() };
+        let first = Sent::send(folder.path(), "d1", &Command::Arm, 10.0).unwrap();
+        Sent::send(folder.path(), "d1", &approve, 10.0).unwrap();
+        assert_eq!(first.poll().unwrap(), None);
+        let taken = inbox.take().unwrap();
+        assert_eq!(taken.iter().map(|taken| &taken.command).collect::<Vec<_>>(), [&Command::Arm, &approve]);
+        assert!(inbox.take().unwrap().is_empty());
+        let reply = Reply { accepted: false, message: "the robot is in local mode".into() };
+        inbox.reply(&taken[0], &reply).unwrap();
+        assert_eq!(first.poll().unwrap(), Some(reply));
+        assert_eq!(first.poll().unwrap(), None);
+    }
+
+    #[test]
+    fn an_old_command_never_reaches_the_next_daemon() {
+        let folder = folder();
+        let late = Sent::send(folder.path(), "d1", &Command::Arm, 10.0).unwrap();
+        let mut inbox = Inbox::open(folder.path(), "d2").unwrap();
+        assert!(inbox.take().unwrap().is_empty(), "cleared at start");
+        let later = Sent::send(folder.path(), "d1", &Command::Arm, 11.0).unwrap();
+        assert!(inbox.take().unwrap().is_empty(), "meant for the daemon before");
+        assert!(!later.poll().unwrap().unwrap().accepted);
+        assert!(!late.withdraw().unwrap());
+    }
+
+    #[test]
+    fn rubbish_is_removed_and_never_obeyed() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        for (name, text) in [
+            ("1.command", "arm"),
+            ("2.command", r#"{"daemon": "d1", "command": {"do": "fly"}}"#),
+            ("3.command", r#"{"daemon": "d1", "command": {"do": "arm"}, "extra": 1}"#),
+        ] {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        std::os::unix::fs::symlink("/dev/zero", folder.path().join("4.command")).unwrap();
+        assert!(inbox.take().unwrap().is_empty());
+        assert!(!list(folder.path()).unwrap().iter().any(|path| is_command(path)));
+    }
+
+    #[test]
+    fn a_command_can_be_taken_back() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let sent = Sent::send(folder.path(), "d1", &Command::Park, 10.0).unwrap();
+        assert!(sent.withdraw().unwrap());
+        assert!(inbox.take().unwrap().is_empty());
+    }
+}

@@ -1,0 +1,270 @@
+//! Wanted arrangements: the list of poses in a job or goal file, and whether the table can hold it.
+//!
+//! In: located values, the catalogue and the table. Out: poses with the places where they were written, and
+//! complaints at those places. A goal file holds `objects: [{id, pose}]`, or is an instance whose goals count.
+
+use crate::document::decode::{At, Decoder, Fields, suggestion};
+use crate::document::{Complaints, Location, parse};
+use crate::geometry::collision::{TOUCH_M, overhang, penetration};
+use crate::geometry::pose::Pose2;
+use crate::jobs::record::GoalPose;
+use crate::tabletop::instance::{KeepOut, ObjectSpec};
+use std::collections::BTreeMap;
+
+/// Most objects in one goal.
+const MAX_OBJECTS: usize = 1000;
+
+/// Catalogue and table a goal is checked against.
+#[derive(Clone, Copy, Debug)]
+pub struct GoalContext<'a> {
+    /// The catalogue.
+    pub objects: &'a [ObjectSpec],
+    /// Table extent along x, m.
+    pub width_m: f64,
+    /// Table extent along y, m.
+    pub height_m: f64,
+    /// Places that stay free.
+    pub keep_out: &'a [KeepOut],
+    /// Overlap that a measured goal may have, m (three standard deviations of the measurement).
+    pub overlap_tolerance_m: f64,
+}
+
+/// A wanted pose and where it was written.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GoalEntry {
+    /// The pose.
+    pub goal: GoalPose,
+    /// Place of the entry.
+    pub at: Location,
+    /// Path of the entry.
+    pub path: String,
+}
+
+/// Reads the list under `objects`.
+pub fn decode_goal(decoder: &mut Decoder, at: &At) -> Option<Vec<GoalEntry>> {
+    let items = decoder.sequence(at)?;
+    if items.is_empty() || items.len() > MAX_OBJECTS {
+        let message = format!("{} objects, between 1 and {MAX_OBJECTS} are wanted", items.len());
+        decoder.complain_at(at, message, "a job has to ask for something");
+        return None;
+    }
+    let entries: Vec<_> = items.iter().map(|item| decode_entry(decoder, item)).collect();
+    let entries: Option<Vec<_>> = entries.into_iter().collect();
+    let entries = entries?;
+    check_unique(decoder, &entries);
+    Some(entries)
+}
+
+fn decode_entry(decoder: &mut Decoder, at: &At) -> Option<GoalEntry> {
+    let fields = decoder.map(at, &["id", "pose", "pose_deg"])?;
+    let id = fields.required("id", decoder).and_then(|at| decoder.text(&at));
+    let pose = required_pose(decoder, &fields, "pose");
+    Some(GoalEntry { goal: GoalPose { id: id?, pose: pose? }, at: at.node.at, path: at.path.clone() })
+}
+
+fn required_pose(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<Pose2> {
+    let Some([x, y, theta]) = decoder.pose(fields, key)? else {
+        let help = "add it: [x, y, theta] in m, m, rad, or the same with _deg and the angle in degrees";
+        decoder.complain(fields.at(), fields.path(), format!("key {key:?} is missing"), help);
+        return None;
+    };
+    Some(Pose2::new(x, y, theta))
+}
+
+fn check_unique(decoder: &mut Decoder, entries: &[GoalEntry]) {
+    let mut first: BTreeMap<&str, Location> = BTreeMap::new();
+    for entry in entries {
+        let id = entry.goal.id.as_str();
+        match first.get(id) {
+            Some(at) => {
+                let message = format!("object {id:?} has a goal already, at line {}", at.line);
+                decoder.complain(entry.at, &entry.path, message, "remove one of the two");
+            }
+            None => {
+                first.insert(id, entry.at);
+            }
+        }
+    }
+}
+
+/// Reads a goal file; with a context, also checks it.
+///
+/// # Errors
+/// Every complaint, with the places in the goal file.
+pub fn parse_goal_file(
+    text: &str,
+    source: &str,
+    context: Option<&GoalContext>,
+) -> Result<Vec<GoalEntry>, Complaints> {
+    let node = parse(text, source)?;
+    let mut decoder = Decoder::new(source);
+    let top = At::top(&node);
+    let entries = if node.get("workspace").is_some() {
+        decode_instance_goals(&mut decoder, &top)
+    } else {
+        let fields = decoder.map(&top, &["version", "objects"]);
+        fields
+            .and_then(|fields| fields.required("objects", &mut decoder))
+            .and_then(|at| decode_goal(&mut decoder, &at))
+    };
+    if let (Some(entries), Some(context)) = (&entries, context) {
+        check_goal(&mut decoder, entries, context);
+    }
+    decoder.finish(entries)
+}
+
+/// The goals of an instance file. Its other keys belong to the instance parser and are not judged here.
+fn decode_instance_goals(decoder: &mut Decoder, top: &At) -> Option<Vec<GoalEntry>> {
+    let fields = decoder.open_map(top)?;
+    let objects = fields.required("objects", decoder)?;
+    let mut entries = Vec::new();
+    for item in decoder.sequence(&objects)? {
+        let object = decoder.open_map(&item)?;
+        let id = object.required("id", decoder).and_then(|at| decoder.text(&at))?;
+        if let Some([x, y, theta]) = decoder.pose(&object, "goal")? {
+            let goal = GoalPose { id, pose: Pose2::new(x, y, theta) };
+            entries.push(GoalEntry { goal, at: item.node.at, path: item.path.clone() });
+        }
+    }
+    check_unique(decoder, &entries);
+    Some(entries)
+}
+
+/// Complains about what the catalogue does not know and the table cannot hold.
+pub fn check_goal(decoder: &mut Decoder, entries: &[GoalEntry], context: &GoalContext) {
+    let ids: Vec<_> = context.objects.iter().map(|object| object.id.as_str()).collect();
+    let mut known: Vec<(&GoalEntry, &ObjectSpec)> = Vec::new();
+    for entry in entries {
+        match context.objects.iter().find(|object| object.id == entry.goal.id) {
+            None => complain_unknown(decoder, entry, &ids),
+            Some(object) if object.fixed => {
+                let message = format!("object {:?} is fixed, it never moves", object.id);
+                decoder.complain(entry.at, &entry.path, message, "remove it from the goal");
+            }
+            Some(object) => known.push((entry, object)),
+        }
+    }
+    let tolerance_m = context.overlap_tolerance_m.max(TOUCH_M);
+    for (index, (entry, object)) in known.iter().enumerate() {
+        check_place(decoder, entry, object, context, tolerance_m);
+        for (other, other_object) in known.iter().take(index) {
+            let depth = penetration(
+                &object.footprint,
+                &entry.goal.pose,
+                &other_object.footprint,
+                &other.goal.pose,
+            );
+            if depth > tolerance_m {
+                let message = format!(
+                    "the goals of {:?} and {:?} (line {}) overlap by {}",
+                    entry.goal.id, other.goal.id, other.at.line, millimetres(depth)
+                );
+                decoder.complain(entry.at, &entry.path, message, "move them apart");
+            }
+        }
+    }
+}
+
+fn complain_unknown(decoder: &mut Decoder, entry: &GoalEntry, ids: &[&str]) {
+    let id = entry.goal.id.as_str();
+    let help = match suggestion(id, ids) {
+        Some(near) => format!("did you mean {near:?}?"),
+        None => format!("the catalogue has: {}", ids.join(", ")),
+    };
+    decoder.complain(entry.at, &entry.path, format!("object {id:?} is unknown"), help);
+}
+
+fn check_place(
+    decoder: &mut Decoder,
+    entry: &GoalEntry,
+    object: &ObjectSpec,
+    context: &GoalContext,
+    tolerance_m: f64,
+) {
+    let pose = &entry.goal.pose;
+    let beyond = overhang(&object.footprint, pose, context.width_m, context.height_m);
+    if beyond > tolerance_m {
+        let message = format!("the goal of {:?} reaches {} over the table's edge", object.id, millimetres(beyond));
+        let help = format!("the table is {} m x {} m", context.width_m, context.height_m);
+        decoder.complain(entry.at, &entry.path, message, help);
+    }
+    for region in context.keep_out {
+        let depth = penetration(&object.footprint, pose, &region.footprint, &region.pose);
+        if depth > TOUCH_M {
+            let message =
+                format!("the goal of {:?} reaches {} into a keep-out region", object.id, millimetres(depth));
+            decoder.complain(entry.at, &entry.path, message, "move it away");
+        }
+    }
+}
+
+fn millimetres(metres: f64) -> String {
+    let mm = metres * 1e3;
+    if mm < 0.01 { format!("{mm:.6} mm") } else { format!("{mm:.2} mm") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::footprint::Footprint;
+
+    fn complaints(text: &str) -> String {
+        let plank = |id: &str| ObjectSpec::new(id, Footprint::rectangle(0.1, 0.04).unwrap());
+        let base = ObjectSpec { fixed: true, ..plank("base") };
+        let objects = [plank("plank-1"), plank("plank-2"), base];
+        let keep_out =
+            [KeepOut { footprint: Footprint::disc(0.02).unwrap(), pose: Pose2::new(0.45, 0.45, 0.0) }];
+        let context = GoalContext {
+            objects: &objects,
+            width_m: 0.5,
+            height_m: 0.5,
+            keep_out: &keep_out,
+            overlap_tolerance_m: 0.0005,
+        };
+        match parse_goal_file(text, "goal.yaml", Some(&context)) {
+            Ok(entries) => format!("{} fine", entries.len()),
+            Err(complaints) => complaints.to_string(),
+        }
+    }
+
+    #[test]
+    fn a_goal_that_the_table_holds_is_fine() {
+        let touching = "objects:\n  - {id: plank-1, pose: [0.1, 0.1, 0]}\n  - {id: plank-2, pose: [0.2, 0.1, 0]}\n";
+        assert_eq!(complaints(touching), "2 fine");
+        assert_eq!(complaints(&touching.replace("0.2,", "0.1996,")), "2 fine", "0.4 mm are measurement");
+        assert_eq!(complaints("objects:\n  - {id: plank-1, pose_deg: [0.02, 0.05, 90]}\n"), "1 fine");
+        let instance = "workspace: {width: 1, height: 1}\nobjects:\n  - {id: plank-1, goal: [0.1, 0.1, 0]}\n  - {id: other}\n";
+        assert_eq!(complaints(instance), "1 fine");
+    }
+
+    #[test]
+    fn every_fault_of_a_goal_is_named_with_its_line() {
+        let text = "objects:
+  - {id: plank-1, pose: [0.1, 0.1, 0]}
+  - {id: plank-2, pose: [0.19, 0.1, 0]}
+  - {id: plnk-1, pose: [0.3, 0.3, 0]}
+  - {id: base, pose: [0.3, 0.3, 0]}
+";
+        assert_eq!(
+            complaints(text),
+            "goal.yaml:3:5: objects[1]: the goals of \"plank-2\" and \"plank-1\" (line 2) overlap by 10.00 mm; move them apart\n\
+             goal.yaml:4:5: objects[2]: object \"plnk-1\" is unknown; did you mean \"plank-1\"?\n\
+             goal.yaml:5:5: objects[3]: object \"base\" is fixed, it never moves; remove it from the goal"
+        );
+        let off = complaints("objects:\n  - {id: plank-1, pose: [0.04, 0.1, 0]}\n");
+        assert!(off.contains("2:5: objects[0]: the goal of \"plank-1\" reaches 10.00 mm over"), "{off}");
+        let keep_out = complaints("objects:\n  - {id: plank-1, pose: [0.45, 0.42, 0]}\n");
+        assert!(keep_out.contains("into a keep-out region"), "{keep_out}");
+        let twice = complaints(
+            "objects:\n  - {id: plank-1, pose: [0.1, 0.1, 0]}\n  - {id: plank-1, pose: [0.3, 0.3, 0]}\n",
+        );
+        assert!(twice.contains("3:5: objects[1]: object \"plank-1\" has a goal already, at line 2"), "{twice}");
+    }
+
+    #[test]
+    fn a_missing_pose_and_a_unit_are_named_together() {
+        let told = complaints("objects:\n  - {id: plank-1}\n  - {id: plank-2, pose: [100 mm, 0, 0]}\n");
+        assert!(told.contains("2:5: objects[0]: key \"pose\" is missing"), "{told}");
+        assert!(told.contains("objects[1].pose[0]: \"100 mm\" is not a number"), "{told}");
+    }
+}

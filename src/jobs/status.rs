@@ -1,0 +1,138 @@
+//! What the daemon says about itself in `STATE/status.json`, for `celld status` and other programs.
+//!
+//! In and out: [`Status`] as JSON. The daemon writes the file whole on every change and every few seconds;
+//! whether it is alive says the lock, not this file.
+
+use crate::io::files::{FileError, read_regular, write_atomic};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// The daemon's own words about its state.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// Name of this run of the daemon; commands carry it.
+    pub daemon: String,
+    /// Process id.
+    pub pid: u32,
+    /// s since 1970.
+    pub started_unix_s: f64,
+    /// s since 1970.
+    pub written_unix_s: f64,
+    /// One word: the supervisor's state.
+    pub state: String,
+    /// One sentence for the operator.
+    pub message: String,
+    /// What to do; empty when there is nothing to do.
+    pub remedy: String,
+    /// Motion is allowed.
+    pub armed: bool,
+    /// Stopped between steps on the operator's order.
+    pub paused: bool,
+    /// The active job.
+    pub job: Option<String>,
+    /// The step under way, from 1, and how many the plan has.
+    pub step: Option<(u32, u32)>,
+    /// The object on the cups.
+    pub holding: Option<String>,
+    /// Jobs whose plan waits for approval.
+    pub awaiting_approval: Vec<String>,
+    /// Jobs that wait for their turn.
+    pub waiting: u32,
+    /// Robot, gripper, camera and what each is doing.
+    pub devices: Vec<DeviceStatus>,
+}
+
+/// One device.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct DeviceStatus {
+    /// "robot", "gripper", "camera".
+    pub name: String,
+    /// Where it is.
+    pub address: String,
+    /// It answers and may be used.
+    pub ready: bool,
+    /// One sentence.
+    pub message: String,
+}
+
+impl Status {
+    /// Writes the file whole.
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        let text = serde_json::to_string_pretty(self).expect("a status has string keys only");
+        write_atomic(path, text.as_bytes())
+    }
+
+    /// Reads the file; `None` when there is none or it is of another version.
+    pub fn read(path: &Path) -> Result<Option<Status>, FileError> {
+        match read_regular(path, 1024 * 1024) {
+            Err(error) if error.is_absent() => Ok(None),
+            other => Ok(serde_json::from_str(&other?.0).ok()),
+        }
+    }
+
+    /// A few lines for the terminal.
+    pub fn text(&self) -> String {
+        let mut lines = vec![format!(
+            "{} ({}{}): {}",
+            self.state,
+            if self.armed { "armed" } else { "disarmed" },
+            if self.paused { ", paused" } else { "" },
+            self.message
+        )];
+        if !self.remedy.is_empty() {
+            lines.push(format!("  to do: {}", self.remedy));
+        }
+        if let Some(job) = &self.job {
+            let step = self.step.map(|(step, of)| format!(", step {step} of {of}")).unwrap_or_default();
+            lines.push(format!("  job {job}{step}"));
+        }
+        if let Some(holding) = &self.holding {
+            lines.push(format!("  holding {holding}"));
+        }
+        for id in &self.awaiting_approval {
+            lines.push(format!("  waits for `celld approve {id}`"));
+        }
+        lines.push(format!("  {} waiting", self.waiting));
+        for device in &self.devices {
+            let word = if device.ready { "ready" } else { "NOT READY" };
+            lines.push(format!("  {} at {}: {word}, {}", device.name, device.address, device.message));
+        }
+        lines.join("\n")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_status_reads_back_and_speaks() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("status.json");
+        assert_eq!(Status::read(&path).unwrap(), None);
+        let status = Status {
+            daemon: "d1".into(),
+            state: "executing".into(),
+            armed: true,
+            job: Some("tidy".into()),
+            step: Some((2, 7)),
+            devices: vec![DeviceStatus {
+                name: "gripper".into(),
+                address: "127.0.0.2:5020".into(),
+                ready: false,
+                message: "no answer for 300 ms".into(),
+            }],
+            ..Status::default()
+        };
+        status.write(&path).unwrap();
+        assert_eq!(Status::read(&path).unwrap(), Some(status.clone()));
+        insta::assert_snapshot!(status.text(), @r"
+        executing (armed): 
+          job tidy, step 2 of 7
+          0 waiting
+          gripper at 127.0.0.2:5020: NOT READY, no answer for 300 ms
+        ");
+        std::fs::write(&path, "{").unwrap();
+        assert_eq!(Status::read(&path).unwrap(), None);
+    }
+}

@@ -1,0 +1,496 @@
+//! The independent plan checker: the only way to a plan that a robot may carry out.
+//!
+//! In: a [`Problem`] and actions. Out: a [`CheckedPlan`], or the first [`PlanFault`]. It re-derives who lies where
+//! action by action from the start, and decides contact with `planning::overlap`, which shares no predicate
+//! with the solvers' collision kernel. The rules are those of the design, section 3: no overlap of interiors
+//! beyond 1e-9 m, clearance between objects and to keep-out regions at every new place, nothing over the edge;
+//! pairs that overlap as given are exempt while both are exactly in those poses. The last action of an object
+//! repeats its goal's numbers exactly; members of a group end on the group's goals in any order.
+
+use std::fmt;
+
+use crate::geometry::pose::Pose2;
+use crate::planning::overlap::{Body, TOUCH_M};
+use crate::planning::plan::{Action, ActionKind};
+use crate::planning::problem::Problem;
+
+/// A plan that passed the check. There is no other way to make one.
+#[derive(Clone, Debug)]
+pub struct CheckedPlan {
+    actions: Vec<Action>,
+    exempt: Vec<Exempt>,
+    final_poses: Vec<Pose2>,
+}
+
+/// A given overlap (or closeness) that was taken as it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Exempt {
+    /// The object.
+    pub object: String,
+    /// What it meets: another object, a keep-out region, the table's edge.
+    pub meets: String,
+    /// The arrangement that gives it.
+    pub given: GivenIn,
+    /// Depth of the overlap, m.
+    pub depth_m: f64,
+}
+
+/// The arrangement that gives an overlap.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GivenIn {
+    /// The start arrangement.
+    Start,
+    /// The goal arrangement.
+    Goal,
+}
+
+impl fmt::Display for Exempt {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let given = match self.given {
+            GivenIn::Start => "start",
+            GivenIn::Goal => "goal",
+        };
+        write!(
+            f,
+            "{} overlaps {} by {:.1} um as given in the {given}",
+            self.object,
+            self.meets,
+            self.depth_m * 1e6
+        )
+    }
+}
+
+/// Why a plan is refused. Actions count from 0; lengths are micrometres.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PlanFault {
+    /// The start arrangement itself overlaps beyond the tolerance.
+    #[error("start: {object} overlaps {meets} by {depth_um:.3} um; {tolerated_um:.3} um are tolerated")]
+    Start {
+        /// The object.
+        object: String,
+        /// Whom or what it meets.
+        meets: String,
+        /// Depth.
+        depth_um: f64,
+        /// Tolerated depth.
+        tolerated_um: f64,
+    },
+    /// An action names no object of the problem.
+    #[error("action {action}: there is no object number {object}")]
+    NoSuchObject {
+        /// Action.
+        action: usize,
+        /// The number.
+        object: usize,
+    },
+    /// A pose has NaN or infinity in it.
+    #[error("action {action}: a pose of {object} is not finite")]
+    NotFinite {
+        /// Action.
+        action: usize,
+        /// The object.
+        object: String,
+    },
+    /// A fixed object is moved.
+    #[error("action {action}: {object} is fixed")]
+    Fixed {
+        /// Action.
+        action: usize,
+        /// The object.
+        object: String,
+    },
+    /// The object is not where the action takes it from.
+    #[error(
+        "action {action}: {object} is {off_um:.3} um and {off_deg:.6} deg from where the action picks it"
+    )]
+    From {
+        /// Action.
+        action: usize,
+        /// The object.
+        object: String,
+        /// Distance.
+        off_um: f64,
+        /// Angle, degrees.
+        off_deg: f64,
+    },
+    /// An action that claims to go to a goal goes elsewhere.
+    #[error("action {action}: {object} does not go to its goal, {off_um:.3} um and {off_deg:.6} deg off")]
+    NotItsGoal {
+        /// Action.
+        action: usize,
+        /// The object.
+        object: String,
+        /// Distance from the nearest goal it may take.
+        off_um: f64,
+        /// Angle from that goal, degrees.
+        off_deg: f64,
+    },
+    /// The object would reach over the table's edge.
+    #[error("action {action}: {object} reaches over the table's edge by {depth_um:.3} um")]
+    Edge {
+        /// Action.
+        action: usize,
+        /// The object.
+        object: String,
+        /// Overhang.
+        depth_um: f64,
+    },
+    /// The object would overlap another object or a keep-out region.
+    #[error("action {action}: {object} overlaps {meets} by {depth_um:.3} um")]
+    Overlap {
+        /// Action.
+        action: usize,
+        /// The object.
+        object: String,
+        /// Whom or what it meets.
+        meets: String,
+        /// Depth.
+        depth_um: f64,
+    },
+    /// The object would be nearer than the clearance.
+    #[error(
+        "action {action}: {object} comes within {gap_um:.3} um of {meets}; the clearance is {clearance_um:.3} um"
+    )]
+    Clearance {
+        /// Action.
+        action: usize,
+        /// The object.
+        object: String,
+        /// Whom or what it comes near.
+        meets: String,
+        /// Distance.
+        gap_um: f64,
+        /// Wanted distance.
+        clearance_um: f64,
+    },
+    /// An object with a goal does not end exactly there.
+    #[error(
+        "{object} ends {off_um:.6} um and {off_deg:.9} deg from its goal; its last action must repeat the goal's numbers"
+    )]
+    Goal {
+        /// The object.
+        object: String,
+        /// Distance.
+        off_um: f64,
+        /// Angle, degrees.
+        off_deg: f64,
+    },
+    /// A goal of a group is taken by no member.
+    #[error("group {group}: no member ends at the goal given with {object}")]
+    GroupGoal {
+        /// The group.
+        group: String,
+        /// The object with which the goal was given.
+        object: String,
+    },
+}
+
+impl CheckedPlan {
+    /// Checks the plan from the start arrangement to the last action.
+    ///
+    /// # Errors
+    /// The first fault in the order of the plan, then faults of the final arrangement.
+    pub fn new(problem: &Problem, actions: &[Action]) -> Result<CheckedPlan, PlanFault> {
+        let mut table = Table::new(problem);
+        table.check_start()?;
+        for (index, action) in actions.iter().enumerate() {
+            table.carry_out(index, action)?;
+        }
+        table.check_end(actions)?;
+        Ok(CheckedPlan { actions: actions.to_vec(), exempt: table.exempt, final_poses: table.poses })
+    }
+
+    /// The actions in order.
+    pub fn actions(&self) -> &[Action] {
+        &self.actions
+    }
+
+    /// Given overlaps that were taken as they are.
+    pub fn exempt(&self) -> &[Exempt] {
+        &self.exempt
+    }
+
+    /// Where every object ends.
+    pub fn final_poses(&self) -> &[Pose2] {
+        &self.final_poses
+    }
+}
+
+/// Who lies where.
+struct Table<'p> {
+    problem: &'p Problem,
+    poses: Vec<Pose2>,
+    bodies: Vec<Body>,
+    regions: Vec<Body>,
+    /// Goals each object may take: its own, or all of its group's; a fixed object's start.
+    goals: Vec<Vec<Pose2>>,
+    exempt: Vec<Exempt>,
+}
+
+impl<'p> Table<'p> {
+    fn new(problem: &'p Problem) -> Table<'p> {
+        let objects = &problem.objects;
+        let goals_of = |k: usize| -> Vec<Pose2> {
+            let object = &objects[k];
+            if object.fixed {
+                return vec![object.start];
+            }
+            match &object.group {
+                Some(group) => objects
+                    .iter()
+                    .filter(|o| o.group.as_ref() == Some(group))
+                    .filter_map(|o| o.goal)
+                    .collect(),
+                None => object.goal.into_iter().collect(),
+            }
+        };
+        Table {
+            problem,
+            poses: objects.iter().map(|object| object.start).collect(),
+            bodies: objects.iter().map(|object| Body::new(&object.footprint, &object.start)).collect(),
+            regions: problem
+                .keep_out
+                .iter()
+                .map(|region| Body::new(&region.footprint, &region.pose))
+                .collect(),
+            goals: (0..objects.len()).map(goals_of).collect(),
+            exempt: Vec::new(),
+        }
+    }
+
+    fn name(&self, k: usize) -> String {
+        self.problem.objects[k].id.clone()
+    }
+
+    /// Depth that a given pose is allowed to have.
+    fn tolerated(&self) -> f64 {
+        self.problem.overlap_tolerance.max(0.0) + TOUCH_M
+    }
+
+    fn check_start(&mut self) -> Result<(), PlanFault> {
+        for k in 0..self.poses.len() {
+            if !self.poses[k].is_finite() {
+                return Err(PlanFault::NotFinite { action: 0, object: self.name(k) });
+            }
+            let mut found = self.edge_contact(k, &self.bodies[k]);
+            found.extend(self.region_contacts(&self.bodies[k]));
+            found.extend((0..k).filter_map(|j| self.object_contact(j, &self.bodies[k])));
+            self.admit(k, found, GivenIn::Start)?;
+        }
+        Ok(())
+    }
+
+    /// Takes given overlaps within the tolerance as they are, and refuses deeper ones.
+    fn admit(&mut self, k: usize, found: Vec<(String, f64, bool)>, given: GivenIn) -> Result<(), PlanFault> {
+        for (meets, depth_m, too_deep) in found {
+            if too_deep {
+                let (depth_um, tolerated_um) = (depth_m * 1e6, self.problem.overlap_tolerance * 1e6);
+                return Err(PlanFault::Start { object: self.name(k), meets, depth_um, tolerated_um });
+            }
+            self.note(Exempt { object: self.name(k), meets, given, depth_m });
+        }
+        Ok(())
+    }
+
+    fn note(&mut self, exempt: Exempt) {
+        let known = |e: &Exempt| {
+            e.given == exempt.given
+                && ((e.object == exempt.object && e.meets == exempt.meets)
+                    || (e.object == exempt.meets && e.meets == exempt.object))
+        };
+        if !self.exempt.iter().any(known) {
+            self.exempt.push(exempt);
+        }
+    }
+
+    /// What is met, how deep, and whether that is beyond the tolerance.
+    fn edge_contact(&self, _k: usize, body: &Body) -> Vec<(String, f64, bool)> {
+        let (width, height) = (self.problem.workspace.width, self.problem.workspace.height);
+        if !body.reaches_over(width, height, TOUCH_M) {
+            return Vec::new();
+        }
+        let too_far = body.reaches_over(width, height, self.tolerated());
+        vec![("the table's edge".to_string(), body.overhang(width, height), too_far)]
+    }
+
+    fn region_contacts(&self, body: &Body) -> Vec<(String, f64, bool)> {
+        let contact = |(r, region): (usize, &Body)| {
+            region.overlaps_deeper(body, TOUCH_M).then(|| {
+                (format!("keep_out[{r}]"), region.depth(body), region.overlaps_deeper(body, self.tolerated()))
+            })
+        };
+        self.regions.iter().enumerate().filter_map(contact).collect()
+    }
+
+    fn object_contact(&self, j: usize, body: &Body) -> Option<(String, f64, bool)> {
+        let other = &self.bodies[j];
+        other
+            .overlaps_deeper(body, TOUCH_M)
+            .then(|| (self.name(j), other.depth(body), other.overlaps_deeper(body, self.tolerated())))
+    }
+
+    fn carry_out(&mut self, index: usize, action: &Action) -> Result<(), PlanFault> {
+        let k = action.object;
+        let Some(object) = self.problem.objects.get(k) else {
+            return Err(PlanFault::NoSuchObject { action: index, object: k });
+        };
+        let name = object.id.clone();
+        if !action.from.is_finite() || !action.to.is_finite() {
+            return Err(PlanFault::NotFinite { action: index, object: name });
+        }
+        if object.fixed {
+            return Err(PlanFault::Fixed { action: index, object: name });
+        }
+        if !self.poses[k].same(&action.from) {
+            let (off_um, off_deg) = off(&self.poses[k], &action.from);
+            return Err(PlanFault::From { action: index, object: name, off_um, off_deg });
+        }
+        if action.kind == ActionKind::Goal && !self.goals[k].contains(&action.to) {
+            let nearest = self.nearest_goal(k, &action.to);
+            let (off_um, off_deg) = nearest.map_or((f64::INFINITY, 0.0), |goal| off(goal, &action.to));
+            return Err(PlanFault::NotItsGoal { action: index, object: name, off_um, off_deg });
+        }
+        let body = Body::new(&object.footprint, &action.to);
+        self.check_surroundings(index, k, &action.to, &body)?;
+        self.check_neighbours(index, k, &action.to, &body)?;
+        self.poses[k] = action.to;
+        self.bodies[k] = body;
+        Ok(())
+    }
+
+    fn nearest_goal(&self, k: usize, pose: &Pose2) -> Option<&Pose2> {
+        self.goals[k].iter().min_by(|a, b| a.distance(pose).total_cmp(&b.distance(pose)))
+    }
+
+    /// The table's edge and the keep-out regions; a given pose is exempt up to the tolerance.
+    fn check_surroundings(
+        &mut self,
+        action: usize,
+        k: usize,
+        to: &Pose2,
+        body: &Body,
+    ) -> Result<(), PlanFault> {
+        let given = self.given_alone(k, to);
+        for (_, depth_m, too_deep) in self.edge_contact(k, body) {
+            match given {
+                Some(given) if !too_deep => {
+                    let meets = "the table's edge".to_string();
+                    self.note(Exempt { object: self.name(k), meets, given, depth_m });
+                }
+                _ => return Err(PlanFault::Edge { action, object: self.name(k), depth_um: depth_m * 1e6 }),
+            }
+        }
+        for (meets, depth_m, too_deep) in self.region_contacts(body) {
+            match given {
+                Some(given) if !too_deep => self.note(Exempt { object: self.name(k), meets, given, depth_m }),
+                _ => {
+                    let (object, depth_um) = (self.name(k), depth_m * 1e6);
+                    return Err(PlanFault::Overlap { action, object, meets, depth_um });
+                }
+            }
+        }
+        if given.is_none() {
+            for (r, region) in self.regions.iter().enumerate() {
+                self.check_clearance(action, k, body, region, || format!("keep_out[{r}]"))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn check_neighbours(
+        &mut self,
+        action: usize,
+        k: usize,
+        to: &Pose2,
+        body: &Body,
+    ) -> Result<(), PlanFault> {
+        for j in (0..self.poses.len()).filter(|&j| j != k) {
+            let given = self.given_together(k, to, j);
+            match (self.object_contact(j, body), given) {
+                (Some((meets, depth_m, false)), Some(given)) => {
+                    self.note(Exempt { object: self.name(k), meets, given, depth_m });
+                }
+                (Some((meets, depth_m, _)), _) => {
+                    let (object, depth_um) = (self.name(k), depth_m * 1e6);
+                    return Err(PlanFault::Overlap { action, object, meets, depth_um });
+                }
+                (None, Some(_)) => {}
+                (None, None) => self.check_clearance(action, k, body, &self.bodies[j], || self.name(j))?,
+            }
+        }
+        Ok(())
+    }
+
+    fn check_clearance(
+        &self,
+        action: usize,
+        k: usize,
+        body: &Body,
+        other: &Body,
+        name: impl Fn() -> String,
+    ) -> Result<(), PlanFault> {
+        let clearance = self.problem.clearance;
+        if clearance > 0.0 && other.nearer_than(body, clearance) {
+            return Err(PlanFault::Clearance {
+                action,
+                object: self.name(k),
+                meets: name(),
+                gap_um: other.gap(body, clearance) * 1e6,
+                clearance_um: clearance * 1e6,
+            });
+        }
+        Ok(())
+    }
+
+    /// Is the pose exactly one that the files give for this object?
+    fn given_alone(&self, k: usize, pose: &Pose2) -> Option<GivenIn> {
+        if *pose == self.problem.objects[k].start {
+            return Some(GivenIn::Start);
+        }
+        self.goals[k].contains(pose).then_some(GivenIn::Goal)
+    }
+
+    /// Are both exactly as given, in the same arrangement?
+    fn given_together(&self, k: usize, pose: &Pose2, j: usize) -> Option<GivenIn> {
+        let other = &self.poses[j];
+        if *pose == self.problem.objects[k].start && *other == self.problem.objects[j].start {
+            return Some(GivenIn::Start);
+        }
+        (self.goals[k].contains(pose) && self.goals[j].contains(other)).then_some(GivenIn::Goal)
+    }
+
+    fn check_end(&self, actions: &[Action]) -> Result<(), PlanFault> {
+        let moved = |k: usize| actions.iter().any(|action| action.object == k);
+        // An object that never moves is there if its start is the goal, angles modulo a full turn.
+        let arrived = |k: usize, goal: &Pose2| {
+            if moved(k) { self.poses[k] == *goal } else { self.poses[k].same(goal) }
+        };
+        for (k, object) in self.problem.objects.iter().enumerate() {
+            let Some(goal) = object.goal.filter(|_| !object.fixed) else { continue };
+            let Some(group) = &object.group else {
+                if !arrived(k, &goal) {
+                    let (off_um, off_deg) = off(&self.poses[k], &goal);
+                    return Err(PlanFault::Goal { object: object.id.clone(), off_um, off_deg });
+                }
+                continue;
+            };
+            // Goals do not coincide (they would overlap), so that each is taken by at most one member.
+            let members =
+                (0..self.poses.len()).filter(|&m| self.problem.objects[m].group.as_ref() == Some(group));
+            if !members.into_iter().any(|m| arrived(m, &goal)) {
+                return Err(PlanFault::GroupGoal { group: group.clone(), object: object.id.clone() });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Distance in micrometres and angle in degrees between two poses.
+fn off(a: &Pose2, b: &Pose2) -> (f64, f64) {
+    (a.distance(b) * 1e6, a.angle_difference(b).to_degrees())
+}
+
+#[cfg(test)]
+mod agreement;
+#[cfg(test)]
+mod bad_plans;

@@ -1,0 +1,275 @@
+//! One shape for all solvers: a problem, a control, a seed in; an outcome with its lower bound out.
+//!
+//! In: [`Problem`], the kind of solver, the objective, [`Control`]. Out: [`Outcome`]: optimal, solved, infeasible
+//! with a witness, or no plan found. Every plan has passed the independent checker before anybody sees it.
+//! Deterministic: the same seed and work limit give the same outcome; no clock is read here.
+
+use crate::planning::bound::{self, LowerBound};
+use crate::planning::check::CheckedPlan;
+use crate::planning::completion;
+use crate::planning::effort::Effort;
+use crate::planning::object_set::ObjectSet;
+use crate::planning::plan::{Action, ActionKind, Objective, Status};
+use crate::planning::primitive::{Preference, RunningBuffer};
+use crate::planning::problem::{Problem, Witness};
+use crate::planning::scene::Scene;
+use crate::planning::trlb::{Move, Trlb};
+use crate::planning::weights;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+/// The solvers of the paper, and ours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum SolverKind {
+    /// Total buffer minimisation.
+    Tbm,
+    /// Running buffer minimisation.
+    Rbm,
+    /// Total buffer minimisation with object weights.
+    Etbm,
+    /// Running buffer minimisation with object weights.
+    Erbm,
+    /// Monte Carlo tree search.
+    Mcts,
+    /// Monte Carlo tree search with object weights.
+    Emcts,
+    /// Our own anytime solver.
+    Auto,
+}
+
+impl SolverKind {
+    /// The word on the command line and in files.
+    pub fn word(self) -> &'static str {
+        match self {
+            SolverKind::Tbm => "tbm",
+            SolverKind::Rbm => "rbm",
+            SolverKind::Etbm => "etbm",
+            SolverKind::Erbm => "erbm",
+            SolverKind::Mcts => "mcts",
+            SolverKind::Emcts => "emcts",
+            SolverKind::Auto => "auto",
+        }
+    }
+
+    /// The kind of that word.
+    pub fn from_word(word: &str) -> Option<SolverKind> {
+        use SolverKind::{Auto, Emcts, Erbm, Etbm, Mcts, Rbm, Tbm};
+        [Tbm, Rbm, Etbm, Erbm, Mcts, Emcts, Auto].into_iter().find(|kind| kind.word() == word)
+    }
+}
+
+/// Estimated seconds of a whole plan.
+pub type PlanSeconds<'a> = &'a (dyn Fn(&[Action]) -> f64 + Sync);
+
+/// What limits a search, and who hears of its progress.
+pub struct Control<'a> {
+    /// Deterministic steps (sampled poses, search nodes) after which the search ends.
+    pub work_limit: Option<u64>,
+    /// Asked often; true ends the search: the caller's clock, Ctrl-C.
+    pub stop: &'a (dyn Fn() -> bool + Sync),
+    /// Called with each better plan and its cost, after the plan was checked.
+    pub on_plan: &'a (dyn Fn(&[Action], f64) + Sync),
+    /// Stop at the first plan. The paper's solvers always do.
+    pub first: bool,
+    /// Primitive plans as the paper's code makes them: the first of minimum peak, however many buffers it uses.
+    pub strict_paper: bool,
+    /// For the objective `time`: seconds of a plan.
+    pub seconds: Option<PlanSeconds<'a>>,
+    /// For the objective `time`: seconds that no single move can undercut; 0 is always valid.
+    pub least_move_seconds: f64,
+}
+
+impl<'a> Control<'a> {
+    /// No limit but `stop`, nobody listening.
+    pub fn until(stop: &'a (dyn Fn() -> bool + Sync)) -> Control<'a> {
+        Control {
+            work_limit: None,
+            stop,
+            on_plan: &|_, _| (),
+            first: false,
+            strict_paper: false,
+            seconds: None,
+            least_move_seconds: 0.0,
+        }
+    }
+}
+
+/// How a search ended.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Optimal, solved, infeasible, timeout.
+    pub status: Status,
+    /// The plan, if there is one; it may be empty when nothing has to move.
+    pub plan: Option<CheckedPlan>,
+    /// Cost of the plan in the objective.
+    pub cost: Option<f64>,
+    /// No plan is cheaper.
+    pub lower_bound: f64,
+    /// Why there can be no plan.
+    pub witness: Option<Witness>,
+    /// Steps spent.
+    pub work: u64,
+}
+
+/// Why a solver cannot even start.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SolveError {
+    /// A solver that this version does not have.
+    #[error("the solver {0} is not built into this version; use erbm or rbm")]
+    NotBuilt(&'static str),
+    /// More objects than the bitsets hold.
+    #[error("{found} objects; the planner takes at most {most}")]
+    TooManyObjects {
+        /// Objects of the problem.
+        found: usize,
+        /// The limit.
+        most: usize,
+    },
+    /// The objective `time` without anybody who knows times.
+    #[error("the objective time needs a cell that knows how long its moves take; use pp or ti here")]
+    NoTimes,
+}
+
+/// Cost of a plan in an objective.
+pub fn cost(problem: &Problem, objective: Objective, control: &Control, actions: &[Action]) -> f64 {
+    match (objective, control.seconds) {
+        (Objective::Ti, _) => actions.iter().map(|action| problem.objects[action.object].impedance).sum(),
+        (Objective::Time, Some(seconds)) => seconds(actions),
+        (Objective::Pp | Objective::Time, _) => actions.len() as f64,
+    }
+}
+
+/// The lower bound on the cost of every plan in an objective.
+pub fn lower_bound(scene: &Scene, objective: Objective, least_move_seconds: f64) -> LowerBound {
+    let objects = &scene.problem.objects;
+    match objective {
+        Objective::Pp => bound::lower_bound(scene, &vec![1.0; objects.len()]),
+        Objective::Ti => {
+            let impedances: Vec<f64> = objects.iter().map(|object| object.impedance).collect();
+            bound::lower_bound(scene, &impedances)
+        }
+        Objective::Time => {
+            let moves = bound::lower_bound(scene, &vec![1.0; objects.len()]);
+            LowerBound {
+                value: moves.value * least_move_seconds,
+                required_moves: moves.required_moves,
+                required_cost: moves.required_cost * least_move_seconds,
+                cycle_cost: moves.cycle_cost * least_move_seconds,
+            }
+        }
+    }
+}
+
+/// Solves the problem as far as the control allows.
+///
+/// # Errors
+/// What makes the question itself impossible; that no plan was found is an [`Outcome`].
+pub fn solve(
+    problem: &Problem,
+    solver: SolverKind,
+    objective: Objective,
+    control: &Control,
+    seed: u64,
+) -> Result<Outcome, SolveError> {
+    if problem.objects.len() > ObjectSet::CAPACITY {
+        let (found, most) = (problem.objects.len(), ObjectSet::CAPACITY);
+        return Err(SolveError::TooManyObjects { found, most });
+    }
+    if objective == Objective::Time && control.seconds.is_none() {
+        return Err(SolveError::NoTimes);
+    }
+    let weighted = match solver {
+        SolverKind::Rbm => false,
+        SolverKind::Erbm => true,
+        other => return Err(SolveError::NotBuilt(other.word())),
+    };
+    let scene = Scene::new(problem);
+    let lower_bound = lower_bound(&scene, objective, control.least_move_seconds).value;
+    if let Some(witness) = problem.goal_conflict() {
+        let status = Status::Infeasible;
+        return Ok(Outcome { status, plan: None, cost: None, lower_bound, witness: Some(witness), work: 0 });
+    }
+    let mut effort = Effort::new(control.work_limit, control.stop);
+    let plan = running_buffer(&scene, weighted, objective, control, seed, &mut effort);
+    let cost = plan.as_ref().map(|plan| cost(problem, objective, control, plan.actions()));
+    if let (Some(plan), Some(cost)) = (&plan, cost) {
+        (control.on_plan)(plan.actions(), cost);
+    }
+    let status = match cost {
+        Some(cost) if reaches(cost, lower_bound) => Status::Optimal,
+        Some(_) => Status::Solved,
+        None => Status::Timeout,
+    };
+    Ok(Outcome { status, plan, cost, lower_bound, witness: None, work: effort.done() })
+}
+
+/// Equal but for the rounding of sums.
+fn reaches(cost: f64, bound: f64) -> bool {
+    cost <= bound + 1e-9 * bound.abs().max(1.0)
+}
+
+/// RBM (`weighted` false) and ERBM: TRLB with primitive plans of minimum running buffer, first plan.
+fn running_buffer(
+    scene: &Scene,
+    weighted: bool,
+    objective: Objective,
+    control: &Control,
+    seed: u64,
+    effort: &mut Effort,
+) -> Option<CheckedPlan> {
+    let problem = scene.problem;
+    let (weights, costs) = object_weights(scene, weighted, objective);
+    let preference = if control.strict_paper { Preference::FirstFound } else { Preference::FewerBuffers };
+    let planner = |graph: &_, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
+        let weights: Vec<u32> = objects.iter().map(|&o| weights[o]).collect();
+        let costs: Vec<f64> = objects.iter().map(|&o| costs[o]).collect();
+        RunningBuffer { graph, weights: &weights, costs: &costs, preference }.plan(rng, effort)
+    };
+    let trlb = Trlb { scene, planner: &planner };
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let goals = completion::assigned_goals(scene);
+    while !effort.is_over() {
+        // Found anew each time: where an object without a goal ends may decide whether there is a plan.
+        let start = (0..problem.objects.len()).map(|i| scene.start(i).clone()).collect();
+        let moves = completion::complete(scene, &goals, &mut rng, effort)
+            .and_then(|goal| trlb.search(start, goal, &mut rng, effort));
+        let checked = moves.and_then(|moves| CheckedPlan::new(problem, &actions(problem, &moves)).ok());
+        if checked.is_some() {
+            return checked;
+        }
+        effort.step();
+    }
+    None
+}
+
+/// Buffer weight and move cost of every object of the problem.
+fn object_weights(scene: &Scene, weighted: bool, objective: Objective) -> (Vec<u32>, Vec<f64>) {
+    let count = scene.problem.objects.len();
+    let (mut weights, mut costs) = (vec![1; count], vec![1.0; count]);
+    if !weighted {
+        return (weights, costs);
+    }
+    let movable = &scene.movable;
+    let values = match objective {
+        Objective::Ti => weights::task_impedance(scene.problem, movable),
+        Objective::Pp | Objective::Time => weights::collision_probability(scene.problem, movable),
+    };
+    for (&object, rounded) in movable.iter().zip(weights::rounded(&values)) {
+        weights[object] = rounded;
+        if objective == Objective::Ti {
+            costs[object] = scene.problem.objects[object].impedance;
+        }
+    }
+    (weights, costs)
+}
+
+fn actions(problem: &Problem, moves: &[Move]) -> Vec<Action> {
+    moves
+        .iter()
+        .map(|m| {
+            let at_goal = problem.objects[m.object].goal == Some(m.to.pose);
+            let kind = if at_goal { ActionKind::Goal } else { ActionKind::Buffer };
+            Action { object: m.object, from: m.from.pose, to: m.to.pose, kind }
+        })
+        .collect()
+}

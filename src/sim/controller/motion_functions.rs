@@ -1,0 +1,171 @@
+//! Built-ins that move the arm.
+//!
+//! In: calls from running programs, repeated each frame until they are done. Out: waits and, in the end,
+//! nothing. Defaults are those of the script manual. `movep` is carried out as `movel`: both keep the tool on
+//! a line, and the blend keeps the speed as far as it can.
+//! A target that is not finite or that no posture reaches is a runtime exception; a joint out of range or a
+//! line through a singularity is a protective stop, as on the arm.
+
+use crate::geometry::pose::isometry_from_ur_pose;
+use crate::motion::kinematics::inverse_near;
+use crate::sim::controller::Core;
+use crate::sim::motion::mover::MoveId;
+use crate::sim::motion::segment::MoveLimits;
+use crate::sim::motion::{FRAME_SECONDS, MotionFault};
+use crate::units::Joints;
+use crate::urscript::host::{Call, Reply};
+use crate::urscript::value::Value;
+use nalgebra::{Isometry3, Vector6};
+
+/// Carries out a built-in of this file; `None` if it is none of them.
+pub fn call(core: &mut Core, call: &mut Call<'_>) -> Option<Result<Reply, String>> {
+    let first = call.frames == 0;
+    Some(match call.name {
+        "movej" | "movel" | "movep" if first => start_move(core, call),
+        "movej" | "movel" | "movep" => Ok(done_if(core.mover.released(MoveId(*call.note)))),
+        "stopj" | "stopl" if first => stop(core, call),
+        "stopj" | "stopl" => Ok(done_if(core.mover.stands())),
+        "servoj" => servo(core, call),
+        "speedj" | "speedl" => speed(core, call),
+        _ => return None,
+    })
+}
+
+fn done_if(done: bool) -> Reply {
+    if done { Reply::Value(Value::Nothing) } else { Reply::Wait }
+}
+
+/// A number that must be positive, with its default.
+fn positive(call: &Call<'_>, index: usize, default: f64) -> Result<f64, String> {
+    let number = call.number_or(index, default)?;
+    if number.is_finite() && number > 0.0 {
+        Ok(number)
+    } else {
+        Err(format!("{}: argument {} must be positive, not {number}", call.name, index + 1))
+    }
+}
+
+fn not_negative(call: &Call<'_>, index: usize) -> Result<f64, String> {
+    let number = call.number_or(index, 0.0)?;
+    if number.is_finite() && number >= 0.0 {
+        Ok(number)
+    } else {
+        Err(format!("{}: argument {} must not be negative, not {number}", call.name, index + 1))
+    }
+}
+
+fn finite(call: &Call<'_>) -> Result<[f64; 6], String> {
+    let numbers = call.required(0)?.array::<6>()?;
+    match numbers.iter().all(|number| number.is_finite()) {
+        true => Ok(numbers),
+        false => Err(format!("{}: the target has numbers that are not finite", call.name)),
+    }
+}
+
+/// Nobody else may be moving the arm.
+fn take_arm(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
+    let other = core.owner.is_some_and(|(owner, id)| owner != call.thread && !core.mover.released(id));
+    if other {
+        return Err("another thread is already controlling the robot".to_owned());
+    }
+    core.orphaned = false;
+    Ok(())
+}
+
+/// Turns what the arm cannot do into a protective stop; the program waits and is paused by it.
+fn or_stop<T>(core: &mut Core, result: Result<T, MotionFault>) -> Option<T> {
+    result.map_err(|fault| core.stop_asked = Some(fault.to_string())).ok()
+}
+
+fn start_move(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
+    take_arm(core, call)?;
+    let target = finite(call)?;
+    let is_pose = matches!(call.required(0)?, Value::Pose(_));
+    let joint_move = call.name == "movej";
+    let (a, v) = if joint_move { (1.4, 1.05) } else { (1.2, 0.25) };
+    // movep has no duration: its fourth argument is the blend radius.
+    let (seconds, blend) = match call.name {
+        "movep" => (0.0, not_negative(call, 3)?),
+        _ => (not_negative(call, 3)?, not_negative(call, 4)?),
+    };
+    let (acceleration, speed) = (positive(call, 1, a)?, positive(call, 2, v)?);
+    let mut limits = MoveLimits { acceleration, speed, seconds, blend };
+    let started = if joint_move {
+        limits.speed = limits.speed.min(core.mover.arm.joint_speed);
+        let joints = if is_pose { joints_for(core, &isometry_from_ur_pose(target))? } else { Joints(target) };
+        core.mover.move_joints(&joints, &limits)
+    } else {
+        let pose = if is_pose { isometry_from_ur_pose(target) } else { core.mover.arm.tcp(&Joints(target)) };
+        core.mover.move_tool(&pose, &limits)
+    };
+    match or_stop(core, started) {
+        Some(id) => {
+            *call.note = id.0;
+            core.owner = Some((call.thread, id));
+        }
+        None => core.owner = None,
+    }
+    Ok(Reply::Wait)
+}
+
+fn joints_for(core: &Core, base_from_tcp: &Isometry3<f64>) -> Result<Joints, String> {
+    let arm = &core.mover.arm;
+    let flange = base_from_tcp * arm.flange_from_tcp.inverse();
+    inverse_near(&arm.dh, &flange, &core.mover.q(), (-arm.joint_range, arm.joint_range))
+        .ok_or_else(|| "movej: unable to find an inverse kinematics solution".to_owned())
+}
+
+fn stop(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
+    let acceleration = positive(call, 0, 1.0)?;
+    core.orphaned = false;
+    core.owner = None;
+    if core.mover.stands() && !core.mover.busy() {
+        core.mover.freeze();
+        return Ok(Reply::Value(Value::Nothing));
+    }
+    if call.name == "stopj" {
+        core.mover.stop_joints(acceleration);
+    } else {
+        core.mover.stop_tool(acceleration);
+    }
+    Ok(Reply::Wait)
+}
+
+/// Waits its time `t` even if that is one frame, so that a loop of calls runs once per frame.
+fn servo(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
+    let seconds = positive(call, 3, FRAME_SECONDS)?;
+    if call.frames == 0 {
+        take_arm(core, call)?;
+        let target = Joints(finite(call)?);
+        let lookahead = call.number_or(4, 0.1)?;
+        let gain = call.number_or(5, 300.0)?;
+        if !(0.03..=0.2).contains(&lookahead) || !(100.0..=2000.0).contains(&gain) {
+            return Err(format!("servoj: lookahead {lookahead} s or gain {gain} is out of range"));
+        }
+        let started = core.mover.servo(&target, lookahead, seconds);
+        or_stop(core, started);
+    }
+    Ok(done_if(call.frames as f64 * FRAME_SECONDS >= seconds - 1e-9))
+}
+
+fn speed(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
+    if call.frames == 0 {
+        take_arm(core, call)?;
+        let target = finite(call)?;
+        if call.name == "speedj" {
+            let limit = core.mover.arm.joint_speed;
+            let acceleration = positive(call, 1, 1.4)?;
+            core.mover.joint_speed(target.map(|speed| speed.clamp(-limit, limit)), acceleration);
+        } else {
+            let acceleration = positive(call, 1, 1.2)?;
+            let turning = positive(call, 3, acceleration)?;
+            core.mover.tool_speed(Vector6::from(target), acceleration, turning);
+        }
+        return Ok(Reply::Wait);
+    }
+    let seconds = not_negative(call, 2)?;
+    if seconds > 0.0 {
+        return Ok(done_if(call.frames as f64 * FRAME_SECONDS >= seconds - 1e-9));
+    }
+    Ok(done_if(core.mover.at_speed()))
+}

@@ -1,0 +1,125 @@
+//! The robot state package of the primary and secondary interface.
+//!
+//! In: the controller's state. Out: sub-packages 0, 1, 2, 3 and 4, which go out ten times a second, and 5 and
+//! 6, which a connection gets once. Sub-package 5 is this arm's calibration, as a real controller reports it:
+//! it is the only way in which a client learns the simulated arm's true parameters.
+
+use crate::sim::controller::Controller;
+use crate::sim::controller::outputs::{joint_mode, speed_scaling};
+use crate::wire::primary_state::{
+    CartesianData, ConfigurationData, JointData, KinematicsData, MasterboardData, RobotModeData, SubPackage,
+    ToolData,
+};
+use sha2::{Digest, Sha256};
+
+/// `robot type` of a UR5.
+const ROBOT_TYPE_UR5: i32 = 1;
+
+/// Calibration status of a calibrated arm.
+const CALIBRATED: u32 = 0;
+
+/// What changes.
+pub fn periodic(controller: &Controller) -> Vec<SubPackage> {
+    vec![
+        SubPackage::RobotMode(robot_mode(controller)),
+        SubPackage::Joints(joints(controller)),
+        SubPackage::Tool(ToolData { voltage_48v: 48.0, temperature: 35.0, mode: 253, ..ToolData::default() }),
+        SubPackage::Masterboard(masterboard(controller)),
+        SubPackage::Cartesian(CartesianData {
+            tcp_pose: controller.core.tcp_pose(),
+            tcp_offset: controller.core.tcp_offset,
+        }),
+    ]
+}
+
+/// What a connection gets once: kinematics and configuration.
+pub fn once(controller: &Controller) -> Vec<SubPackage> {
+    let arm = &controller.core.mover.arm;
+    let dh = arm.dh;
+    vec![
+        SubPackage::Kinematics(KinematicsData {
+            checksum: checksum(controller),
+            theta: dh.theta,
+            a: dh.a,
+            d: dh.d,
+            alpha: dh.alpha,
+            calibration_status: CALIBRATED,
+        }),
+        SubPackage::Configuration(ConfigurationData {
+            joint_limits: [[-arm.joint_range, arm.joint_range]; 6],
+            joint_maxima: [[arm.joint_speed, arm.joint_acceleration]; 6],
+            defaults: [1.05, 1.4, 0.25, 1.2],
+            equivalent_radius: 0.2,
+            a: dh.a,
+            d: dh.d,
+            alpha: dh.alpha,
+            theta: dh.theta,
+            masterboard_version: 0,
+            controller_box_type: 0,
+            robot_type: ROBOT_TYPE_UR5,
+            robot_sub_type: 0,
+        }),
+    ]
+}
+
+/// One number per joint that changes with its calibration.
+fn checksum(controller: &Controller) -> [u32; 6] {
+    let dh = controller.core.mover.arm.dh;
+    std::array::from_fn(|joint| {
+        let mut hash = Sha256::new();
+        [dh.theta[joint], dh.a[joint], dh.d[joint], dh.alpha[joint]]
+            .into_iter()
+            .for_each(|value| hash.update(value.to_be_bytes()));
+        hash.finalize().iter().take(4).fold(0, |word, byte| word << 8 | u32::from(*byte))
+    })
+}
+
+fn robot_mode(controller: &Controller) -> RobotModeData {
+    let modes = &controller.core.modes;
+    RobotModeData {
+        timestamp: (controller.core.timestamp() * 1e6) as u64,
+        real_robot_connected: true,
+        real_robot_enabled: true,
+        power_on: modes.powered(),
+        emergency_stopped: modes.emergency_stopped(),
+        protective_stopped: modes.protective_stopped(),
+        program_running: controller.programs.playing(),
+        program_paused: controller.programs.paused(),
+        robot_mode: modes.robot_mode().code() as i8,
+        control_mode: 0,
+        target_speed_fraction: controller.core.registers.speed_fraction(),
+        speed_scaling: speed_scaling(controller),
+        target_speed_fraction_limit: 1.0,
+        reserved: 0,
+    }
+}
+
+fn joints(controller: &Controller) -> [JointData; 6] {
+    let (q, qd) = (controller.core.mover.q(), controller.core.mover.qd());
+    let mode = joint_mode(controller) as u8;
+    std::array::from_fn(|joint| JointData {
+        q_actual: q.0[joint],
+        q_target: q.0[joint],
+        qd_actual: qd[joint],
+        current: 0.0,
+        voltage: 48.0,
+        motor_temperature: 35.0,
+        micro_temperature: 0.0,
+        mode,
+    })
+}
+
+fn masterboard(controller: &Controller) -> MasterboardData {
+    let registers = &controller.core.registers;
+    MasterboardData {
+        digital_input_bits: registers.digital_inputs as u32,
+        digital_output_bits: registers.digital_outputs as u32,
+        analog_output_domain: registers.analog_output_voltage.map(u8::from),
+        analog_output: registers.analog_outputs,
+        temperature: 40.0,
+        robot_voltage_48v: 48.0,
+        robot_current: 0.6,
+        safety_mode: controller.core.modes.safety_mode().code() as u8,
+        ..MasterboardData::default()
+    }
+}

@@ -1,0 +1,189 @@
+//! Connections to the RTDE server, protocol versions 1 and 2.
+//!
+//! In: packages. Out: replies and, after a start, data packages from the outlets. A connection has one output
+//! recipe (a second replaces it) and up to 255 input recipes, numbered from 1 in the order they are asked
+//! for; input packages are taken before and without a start, longer ones are cut to their recipe, as clients
+//! in use rely on. What is wrong with a package is said in a text message; only a broken length ends the
+//! connection.
+
+use crate::sim::controller::outputs;
+use crate::sim::controller::registers::{ClientId, Input};
+use crate::sim::controller::{Controller, FRAMES_PER_SECOND};
+use crate::sim::robot_server::RobotShared;
+use crate::sim::robot_server::outlets::{Feed, Subscription};
+use crate::sim::robot_server::script_ports::write_all;
+use crate::wire::rtde::{ControllerVersion, Level, Reply, Request, Splitter, TextMessage, Version};
+use crate::wire::rtde_values::{Leftover, Offer, Recipe};
+use crate::wire::rtde_variables;
+use std::sync::Arc;
+use tokio::io::AsyncReadExt;
+use tokio::net::TcpStream;
+
+/// Frames between packages of a version 1 client, which cannot choose (125 Hz).
+const VERSION_1_INTERVAL: u64 = 4;
+
+/// Input recipes of a connection.
+const MAX_RECIPES: usize = 255;
+
+/// Serves one connection to its end.
+pub async fn connection(shared: Arc<RobotShared>, stream: TcpStream) {
+    let (mut reader, writer) = stream.into_split();
+    let inlet = shared.outlets().open(Feed::Rtde);
+    let mut session = Session { id: inlet.id, version: Version::V1, inputs: Vec::new() };
+    let (dropped, replies) = (inlet.dropped.clone(), inlet.replies.clone());
+    let mut writing = tokio::spawn(write_all(inlet, writer));
+    let reading = async {
+        let mut splitter = Splitter::default();
+        let mut buffer = vec![0; 16 * 1024];
+        while let Ok(count @ 1..) = reader.read(&mut buffer).await {
+            splitter.push(&buffer[..count]);
+            loop {
+                let frame = match splitter.next_frame() {
+                    Ok(Some(frame)) => frame,
+                    Ok(None) => break,
+                    Err(_) => return,
+                };
+                let reply = match Request::decode(session.version, &frame) {
+                    Ok(request) => session.handle(&shared, request),
+                    Err(error) => Some((session.text(&error.to_string()), session.version)),
+                };
+                if let Some((reply, version)) = reply
+                    && replies.send(reply.encode(version).into()).await.is_err()
+                {
+                    return;
+                }
+            }
+        }
+    };
+    tokio::select! {
+        () = reading => {}
+        () = dropped.notified() => {}
+        _ = &mut writing => {}
+    }
+    shared.controller().core.registers.release(session.id);
+    shared.outlets().close(session.id);
+    writing.abort();
+}
+
+/// An input recipe.
+struct InputRecipe {
+    recipe: Recipe,
+    fields: Vec<Input>,
+}
+
+struct Session {
+    id: ClientId,
+    version: Version,
+    inputs: Vec<InputRecipe>,
+}
+
+impl Session {
+    /// The reply and the version to write it in; `None` if there is none.
+    fn handle(&mut self, shared: &RobotShared, request: Request) -> Option<(Reply, Version)> {
+        let before = self.version;
+        let reply = match request {
+            Request::ProtocolVersion(wanted) => {
+                self.version = match wanted {
+                    1 => Version::V1,
+                    2 => Version::V2,
+                    _ => return Some((Reply::ProtocolVersion(false), before)),
+                };
+                Reply::ProtocolVersion(true)
+            }
+            Request::ControllerVersion => {
+                let [major, minor, bugfix, build] = shared.controller().core.config.version;
+                Reply::ControllerVersion(ControllerVersion { major, minor, bugfix, build })
+            }
+            Request::Text(_) => return None,
+            Request::SetupOutputs { frequency_hz, names } => {
+                self.set_up_outputs(shared, frequency_hz, &names)
+            }
+            Request::SetupInputs { names } => self.set_up_inputs(&mut shared.controller(), &names),
+            Request::Start => Reply::Start(shared.outlets().start(self.id, true)),
+            Request::Pause => {
+                shared.outlets().start(self.id, false);
+                Reply::Pause(true)
+            }
+            Request::Data { recipe, payload } => return self.write(shared, recipe, &payload),
+        };
+        Some((reply, before))
+    }
+
+    fn set_up_outputs(&self, shared: &RobotShared, frequency_hz: Option<f64>, names: &[String]) -> Reply {
+        let offers: Vec<Offer> = names
+            .iter()
+            .map(|name| rtde_variables::output_type(name).map_or(Offer::NotFound, Offer::Type))
+            .collect();
+        let fields: Option<Vec<_>> = names.iter().map(|name| outputs::find(name)).collect();
+        let interval = match frequency_hz {
+            None => Some(VERSION_1_INTERVAL),
+            Some(frequency) => interval(frequency),
+        };
+        let recipe = recipe(1, names, &offers);
+        let (Some(recipe), Some(fields), Some(interval)) = (recipe, fields, interval) else {
+            return Reply::SetupOutputs { recipe: 0, offers };
+        };
+        let subscription = Subscription { recipe, fields, interval, version: self.version };
+        shared.outlets().subscribe(self.id, subscription);
+        Reply::SetupOutputs { recipe: 1, offers }
+    }
+
+    fn set_up_inputs(&mut self, controller: &mut Controller, names: &[String]) -> Reply {
+        if self.inputs.len() >= MAX_RECIPES {
+            return Reply::SetupInputs { recipe: 0, offers: vec![Offer::NotFound; names.len()] };
+        }
+        let id = self.inputs.len() as u8 + 1;
+        let offers = controller.core.registers.claim(self.id, names);
+        let fields: Option<Vec<Input>> = names.iter().map(|name| Input::from_name(name)).collect();
+        match (recipe(id, names, &offers), fields) {
+            (Some(recipe), Some(fields)) => {
+                self.inputs.push(InputRecipe { recipe, fields });
+                Reply::SetupInputs { recipe: id, offers }
+            }
+            _ => Reply::SetupInputs { recipe: 0, offers },
+        }
+    }
+
+    fn write(&self, shared: &RobotShared, recipe: u8, payload: &[u8]) -> Option<(Reply, Version)> {
+        let Some(input) = self.inputs.iter().find(|input| input.recipe.id == recipe) else {
+            return Some((self.text(&format!("there is no input recipe {recipe}")), self.version));
+        };
+        match input.recipe.decode(payload, Leftover::Ignore) {
+            Ok(values) => {
+                let mut controller = shared.controller();
+                controller.core.registers.write(&input.fields, &values);
+                let step = controller.core.step;
+                shared.outlets().wrote(self.id, step);
+                None
+            }
+            Err(error) => Some((self.text(&format!("input recipe {recipe}: {error}")), self.version)),
+        }
+    }
+
+    fn text(&self, message: &str) -> Reply {
+        let (message, source) = (message.to_owned(), "RTDE".to_owned());
+        Reply::Text(TextMessage { message, source, level: Level::Error })
+    }
+}
+
+/// Frames between two packages; `None` for a frequency that is refused.
+fn interval(frequency_hz: f64) -> Option<u64> {
+    if frequency_hz.is_nan() || frequency_hz <= 0.0 {
+        return None;
+    }
+    let frames = (FRAMES_PER_SECOND as f64 / frequency_hz).floor();
+    Some(frames.clamp(1.0, 1e6) as u64)
+}
+
+/// The recipe, if all names can be had and there is at least one.
+fn recipe(id: u8, names: &[String], offers: &[Offer]) -> Option<Recipe> {
+    let fields: Option<Vec<_>> = names
+        .iter()
+        .zip(offers)
+        .map(|(name, offer)| match offer {
+            Offer::Type(kind) => Some((name.clone(), *kind)),
+            Offer::NotFound | Offer::InUse => None,
+        })
+        .collect();
+    fields.filter(|fields| !fields.is_empty()).map(|fields| Recipe { id, fields })
+}

@@ -1,0 +1,87 @@
+//! The conditions without which nothing moves (design, section 7, rule 1).
+//!
+//! In: what the devices last said, whether the cell is armed, what was observed when. Out: `Ok`, or the first
+//! condition that is missing, in words. One function for each class of motion; every motion goes through one.
+
+use crate::device::program::Nonce;
+use crate::supervisor::input::Outside;
+use crate::wire::enumerations::{RobotMode, SafetyMode};
+
+/// Why a motion may not start.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Closed {
+    /// No state of the robot within the staleness limit.
+    #[error("the robot's state is not fresh")]
+    Stale,
+    /// The safety system does not allow motion.
+    #[error("the safety mode is {0}")]
+    Safety(String),
+    /// The arm is not powered with its brakes released.
+    #[error("the robot mode is {0}")]
+    Mode(String),
+    /// The pendant is in local control, or has not said otherwise.
+    #[error("remote control is off: switch the pendant to Remote Control")]
+    Local,
+    /// The program running on the controller is not the one uploaded.
+    #[error("the on-robot program is not acknowledged")]
+    Program,
+    /// Nobody armed the cell.
+    #[error("the cell is disarmed")]
+    Disarmed,
+    /// The gripper does not answer.
+    #[error("the gripper does not answer")]
+    Gripper,
+    /// The table changed since it was last seen.
+    #[error("the table was not observed since the last motion of an object")]
+    NotObserved,
+    /// The plan waits for a person.
+    #[error("the plan is not approved")]
+    NotApproved,
+}
+
+/// What every motion needs.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn any_motion(armed: bool, outside: &Outside, nonce: Option<Nonce>) -> Result<(), Closed> {
+    let robot = match outside.robot {
+        Some(robot) if outside.robot_fresh => robot,
+        _ => return Err(Closed::Stale),
+    };
+    if !matches!(robot.safety_mode, SafetyMode::Normal | SafetyMode::Reduced) {
+        return Err(Closed::Safety(format!("{:?}", robot.safety_mode)));
+    }
+    if robot.robot_mode != RobotMode::Running {
+        return Err(Closed::Mode(format!("{:?}", robot.robot_mode)));
+    }
+    if robot.remote_control != Some(true) {
+        return Err(Closed::Local);
+    }
+    if nonce.is_none_or(|nonce| robot.nonce != nonce.number()) {
+        return Err(Closed::Program);
+    }
+    if armed { Ok(()) } else { Err(Closed::Disarmed) }
+}
+
+/// What moving an object needs besides.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn manipulate(
+    armed: bool,
+    outside: &Outside,
+    nonce: Option<Nonce>,
+    observed: bool,
+    approved: bool,
+) -> Result<(), Closed> {
+    any_motion(armed, outside, nonce)?;
+    if !outside.gripper_answers {
+        Err(Closed::Gripper)
+    } else if !observed {
+        Err(Closed::NotObserved)
+    } else if !approved {
+        Err(Closed::NotApproved)
+    } else {
+        Ok(())
+    }
+}

@@ -1,0 +1,379 @@
+//! Looking at the table: going round the look poses, judging what was seen, deciding what to do about it.
+//!
+//! A frame counts only if the arm stood still before and after it was taken. What a look tells is valid until
+//! an object is picked, placed or dropped, or the cell was stopped.
+
+use crate::device::robot_types::RobotCommand;
+use crate::geometry::pose::Pose2;
+use crate::motion::path::{CheckedPath, Leg, Segment};
+use crate::planning::check::CheckedPlan;
+use crate::planning::plan::{Action as PlanAction, ActionKind};
+use crate::planning::problem::Problem;
+use crate::supervisor::cell::{Cell, JobRun, Look, LookStage, Phase, RouteAction, alarm, say};
+use crate::supervisor::input::{Action, JournalEntry, Outside, PlanAnswer, PlanRequest};
+use crate::supervisor::order::JobEnd;
+use crate::tabletop::instance::{Instance, ObjectSpec};
+use crate::time::Timestamp;
+use crate::units::Joints;
+use crate::vision::observe::{Observation, View};
+
+/// The arm counts as still below this joint speed, rad/s: 0.5 mm/s at the tool.
+const STILL_RAD_S: f64 = 5e-4;
+
+/// And as not having moved during a frame below this joint difference, rad.
+const SAME_PLACE_RAD: f64 = 2e-4;
+
+/// Part of the planner's clearance that a running plan must still keep after placing errors.
+const CLEARANCE_SHARE: f64 = 0.3;
+
+impl Cell {
+    /// Sends the arm to look pose `view`.
+    pub(crate) fn begin_look(&mut self, now: Timestamp, outside: &Outside, view: usize, out: &mut Vec<Action>) {
+        let Some(robot) = outside.robot else { return };
+        let Some(target) = self.model.look_poses.get(view).copied() else { return };
+        let views = match &mut self.phase {
+            Phase::Look(look) => std::mem::take(&mut look.views),
+            _ => Vec::new(),
+        };
+        match self.transfer_to(&robot.q, target) {
+            Ok(path) => {
+                out.push(Action::Robot(RobotCommand::Stream(path)));
+                let look = Look { view, stage: LookStage::Moving, views };
+                self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
+            }
+            Err(fault) => {
+                self.phase = Phase::Ready;
+                let message = format!("look pose {} cannot be reached: {fault}", view + 1);
+                self.armed = false;
+                alarm(out, format!("{message}; disarmed"));
+                let remedy = "move the arm free by hand or teach the look poses again, then arm";
+                self.finish(now, JobEnd::Failed, "unreachable", &message, remedy, out);
+            }
+        }
+    }
+
+    /// A checked joint move, gripper empty, over everything that stands on the table.
+    pub(crate) fn transfer_to(
+        &self,
+        from: &Joints,
+        target: Joints,
+    ) -> Result<CheckedPath, crate::motion::path::PathFault> {
+        let cycle = &self.model.cycle;
+        let segment = Segment::Joint {
+            target,
+            speed: cycle.joint_speed,
+            acceleration: cycle.joint_acceleration,
+            blend: 0.0,
+        };
+        let here = self.model.arm.tool_at(from).translation.vector.z;
+        // After a stop the arm may stand lower than the transfer height: it may leave from there, not dip.
+        let floor = (cycle.tallest + 0.5 * cycle.air).min(here - 1e-3);
+        CheckedPath::new(&self.model.arm, from, &[Leg { segment, floor }])
+    }
+
+    pub(crate) fn begin_park(&mut self, outside: &Outside, out: &mut Vec<Action>) {
+        let Some(robot) = outside.robot else { return };
+        match self.transfer_to(&robot.q, self.model.park) {
+            Ok(path) => {
+                out.push(Action::Robot(RobotCommand::Stream(path)));
+                self.enter(Phase::Park, self.model.tolerances.look_deadline);
+            }
+            Err(fault) => {
+                self.park_wanted = false;
+                alarm(out, format!("cannot park: {fault}"));
+            }
+        }
+    }
+
+    pub(crate) fn look_pose_reached(&mut self) {
+        if let Phase::Look(Look { stage: stage @ LookStage::Moving, .. }) = &mut self.phase {
+            *stage = LookStage::Settling { still_since: None };
+        }
+    }
+
+    /// While settling: asks for frames once the arm has stood still long enough.
+    pub(crate) fn watch_settling(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+        let Phase::Look(Look { stage: LookStage::Settling { still_since }, .. }) = &mut self.phase else { return };
+        let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
+        if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
+            *still_since = None;
+            return;
+        }
+        let since = *still_since.get_or_insert(now);
+        if now.since(since) >= self.model.tolerances.settle {
+            let table_from_camera = self.model.camera_at(&robot.q);
+            out.push(Action::Capture { frames: self.model.frames_per_view, table_from_camera });
+            if let Phase::Look(look) = &mut self.phase {
+                look.stage = LookStage::Capturing { q: robot.q };
+            }
+        }
+    }
+
+    pub(crate) fn on_captured(
+        &mut self,
+        outside: &Outside,
+        result: Result<Vec<View>, String>,
+        out: &mut Vec<Action>,
+    ) {
+        let Phase::Look(look) = &mut self.phase else { return };
+        let LookStage::Capturing { q } = &look.stage else { return };
+        let moved = outside.robot.is_none_or(|robot| robot.q.max_difference(q) > SAME_PLACE_RAD);
+        match result {
+            Ok(views) if !moved => look.views.extend(views),
+            Ok(_) => {
+                say(out, "the arm moved while a frame was taken; taking it again");
+                look.stage = LookStage::Settling { still_since: None };
+                return;
+            }
+            Err(reason) => {
+                // The look's deadline decides when this has gone on for too long.
+                alarm(out, format!("no frame: {reason}"));
+                look.stage = LookStage::Settling { still_since: None };
+                return;
+            }
+        }
+        let next = look.view + 1;
+        if next < self.model.look_poses.len() {
+            self.begin_look(self.clock(), outside, next, out);
+        } else {
+            look.stage = LookStage::Observing;
+            out.push(Action::Observe(std::mem::take(&mut look.views)));
+        }
+    }
+
+    pub(crate) fn on_observed(
+        &mut self,
+        now: Timestamp,
+        result: Result<Box<Observation>, String>,
+        out: &mut Vec<Action>,
+    ) {
+        if !matches!(self.phase, Phase::Look(Look { stage: LookStage::Observing, .. })) {
+            return;
+        }
+        self.phase = Phase::Ready;
+        let observation = match result {
+            Ok(observation) => *observation,
+            Err(reason) => {
+                let remedy = "check the camera's calibration and the markers in the configuration";
+                self.finish(now, JobEnd::Failed, "observation", &reason, remedy, out);
+                return;
+            }
+        };
+        let trouble = self.judge(&observation);
+        let Some(job) = &mut self.job else { return };
+        for object in &observation.objects {
+            job.last_seen.retain(|(id, _)| *id != object.id);
+            job.last_seen.push((object.id.clone(), object.pose));
+        }
+        match trouble {
+            None => {
+                job.look_failures = 0;
+                self.seen = Some(observation);
+            }
+            Some((code, message)) if job.look_failures >= self.model.tolerances.retries => {
+                let remedy = "look at the end picture of the job, put the table right, submit again";
+                self.finish(now, JobEnd::Failed, &code, &message, remedy, out);
+            }
+            Some((_, message)) => {
+                job.look_failures += 1;
+                say(out, format!("{message}; looking again"));
+            }
+        }
+    }
+
+    /// What makes an observation useless for the active job: code and sentence.
+    fn judge(&self, observation: &Observation) -> Option<(String, String)> {
+        let job = self.job.as_ref()?;
+        if let Some(duplicate) = observation.duplicates.first() {
+            let message = format!("marker {} of {} was seen in two places", duplicate.marker_id, duplicate.id);
+            return Some(("marker_twice".into(), message));
+        }
+        let seen = |id: &str| observation.objects.iter().find(|object| object.id == id);
+        let needed = job.order.goals.iter().map(|(id, _)| id).chain(job.last_seen.iter().map(|(id, _)| id));
+        for id in needed {
+            if let Some(suspicious) = observation.suspicious.iter().find(|suspicious| suspicious.id == *id) {
+                let message = format!("{id} does not lie flat on the table: {}", suspicious.reason);
+                return Some((format!("object_tilted:{id}"), message));
+            }
+            match seen(id) {
+                None => {
+                    return Some((format!("object_missing:{id}"), format!("{id} is not to be seen on the table")));
+                }
+                Some(object) if object.std_xy_m > self.model.tolerances.measurement_std => {
+                    let mm = object.std_xy_m * 1e3;
+                    return Some((format!("object_uncertain:{id}"), format!("{id} is only known to {mm:.1} mm")));
+                }
+                Some(_) => {}
+            }
+        }
+        let suspicious = observation.suspicious.first()?;
+        let (id, reason) = (&suspicious.id, &suspicious.reason);
+        Some((format!("object_tilted:{id}"), format!("{id} does not lie flat on the table: {reason}")))
+    }
+
+    /// The table is known: done, go on with the route, or plan.
+    pub(crate) fn compare_and_continue(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+        let (Some(job), Some(seen)) = (&self.job, &self.seen) else { return };
+        let there = |(id, goal): &(String, Pose2)| {
+            seen.objects.iter().any(|object| object.id == *id && self.model.at_goal(&object.pose, goal))
+        };
+        if job.order.goals.iter().all(there) {
+            self.finish(now, JobEnd::Done, "done", "every object is at its goal", "", out);
+            return;
+        }
+        match self.checked_remainder(job, seen) {
+            Some(route) => {
+                if let Some(job) = &mut self.job {
+                    job.route = Some(route);
+                }
+                self.begin_work(now, outside, out);
+            }
+            None => self.request_plan(now, out),
+        }
+    }
+
+    /// The rest of the route on the table as it was seen, if the checker still accepts it.
+    fn checked_remainder(&self, job: &JobRun, seen: &Observation) -> Option<Vec<RouteAction>> {
+        let mut route = job.route.clone().filter(|route| !route.is_empty())?;
+        let instance = self.instance(job, seen, self.model.clearance * CLEARANCE_SHARE);
+        let problem = Problem::new(&instance).ok()?;
+        let mut at: Vec<(String, Pose2)> =
+            seen.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();
+        let mut actions = Vec::with_capacity(route.len());
+        for step in &mut route {
+            let (_, pose) = at.iter_mut().find(|(id, _)| *id == step.object)?;
+            let (position, angle) = (self.model.tolerances.expected_position, self.model.tolerances.expected_angle);
+            if pose.distance(&step.from) > position || pose.angle_difference(&step.from) > angle {
+                return None;
+            }
+            step.from = *pose;
+            *pose = step.to;
+            let object = problem.objects.iter().position(|object| object.id == step.object)?;
+            let kind = if step.to_goal { ActionKind::Goal } else { ActionKind::Buffer };
+            actions.push(PlanAction { object, from: step.from, to: step.to, kind });
+        }
+        CheckedPlan::new(&problem, &actions).ok().map(|_| route)
+    }
+
+    /// The table as seen, with the job's goals, as a planning instance.
+    ///
+    /// An object that counts as being at its goal is given its present pose as goal: it need not move, and it
+    /// must not be nudged for the sake of a tenth of a millimetre.
+    fn instance(&self, job: &JobRun, seen: &Observation, clearance: f64) -> Instance {
+        let mut worst_std: f64 = 0.0;
+        let mut objects = Vec::with_capacity(seen.objects.len());
+        for estimate in &seen.objects {
+            let Some(object) = self.model.object(&estimate.id) else { continue };
+            worst_std = worst_std.max(estimate.std_xy_m);
+            let wanted = job.order.goals.iter().find(|(id, _)| *id == estimate.id).map(|(_, goal)| *goal);
+            let goal = wanted.map(|goal| {
+                if self.model.at_goal(&estimate.pose, &goal) { estimate.pose } else { goal }
+            });
+            objects.push(ObjectSpec {
+                id: object.id.clone(),
+                footprint: object.footprint.clone(),
+                impedance: object.impedance,
+                start: Some(estimate.pose),
+                goal,
+                fixed: false,
+                group: None,
+                height: Some(object.height),
+                mass: Some(object.mass),
+                marker: None,
+                grippable: None,
+            });
+        }
+        Instance {
+            workspace: self.model.workspace,
+            clearance,
+            // Measured arrangements overlap a little: what touches may be measured as overlapping by the
+            // errors of two objects, and a goal by the tolerance it was reached with.
+            overlap_tolerance: (3.0 * worst_std).max(2.0 * self.model.tolerances.goal_position),
+            keep_out: Vec::new(),
+            objects,
+        }
+    }
+
+    fn request_plan(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        let (Some(job), Some(seen)) = (&self.job, &self.seen) else { return };
+        if job.replans > 0 && job.replans > self.model.tolerances.retries + job.moves as u32 {
+            let message = format!("the table disagreed with the plan {} times", job.replans);
+            let remedy = "see that nothing else moves the objects, then submit again";
+            self.finish(now, JobEnd::Failed, "table_disturbed", &message, remedy, out);
+            return;
+        }
+        let instance = self.instance(job, seen, self.model.clearance);
+        let request = PlanRequest {
+            instance,
+            objective: job.order.objective,
+            solver: job.order.solver,
+            seed: job.order.seed.wrapping_add(u64::from(job.replans)),
+            time_limit: job.order.time_limit,
+        };
+        let limit = request.time_limit + self.model.tolerances.plan_grace;
+        if job.route.is_some() {
+            say(out, "the table is not as the plan expects; planning again");
+        }
+        out.push(Action::Plan(Box::new(request)));
+        self.enter(Phase::Plan, limit);
+    }
+
+    pub(crate) fn on_planned(&mut self, now: Timestamp, answer: PlanAnswer, out: &mut Vec<Action>) {
+        if !matches!(self.phase, Phase::Plan) {
+            return;
+        }
+        self.phase = Phase::Ready;
+        let PlanAnswer::Found { actions, lower_bound, seconds, .. } = answer else {
+            return self.on_no_plan(now, &answer, out);
+        };
+        let (Some(job), Some(seen)) = (&mut self.job, &self.seen) else { return };
+        // The request listed the objects in the order they were seen.
+        let listed: Vec<&str> = seen
+            .objects
+            .iter()
+            .filter(|object| self.model.objects.iter().any(|known| known.id == object.id))
+            .map(|object| object.id.as_str())
+            .collect();
+        let route: Option<Vec<RouteAction>> = actions
+            .iter()
+            .map(|action| {
+                let object = listed.get(action.object)?.to_string();
+                let to_goal = action.kind == ActionKind::Goal;
+                Some(RouteAction { object, from: action.from, to: action.to, to_goal })
+            })
+            .collect();
+        let Some(route) = route else { return };
+        let buffers = route.iter().filter(|action| !action.to_goal).count();
+        say(out, format!("plan: {} pick-n-places, {buffers} to a buffer, bound {lower_bound}", route.len()));
+        out.push(Action::Journal(JournalEntry::Planned { moves: route.len() }));
+        if job.planned.is_none() {
+            job.planned = Some((route.len(), buffers));
+            job.lower_bound = Some(lower_bound);
+            job.planning_seconds = seconds;
+        }
+        job.replans += 1;
+        job.route = Some(route);
+        job.approved = !job.order.needs_approval;
+        if !job.approved {
+            alarm(out, format!("job {}: the plan waits for approval", job.order.id));
+            self.phase = Phase::Approve;
+        }
+    }
+
+    fn on_no_plan(&mut self, now: Timestamp, answer: &PlanAnswer, out: &mut Vec<Action>) {
+        match answer {
+            PlanAnswer::Infeasible(witness) => {
+                let message = format!("there is no plan: {witness}");
+                self.finish(now, JobEnd::Failed, "infeasible", &message, "change the goal", out);
+            }
+            PlanAnswer::Refused(reason) => {
+                let message = format!("the measured table is no valid start: {reason}");
+                self.finish(now, JobEnd::Failed, "bad_start", &message, "separate the objects by hand", out);
+            }
+            PlanAnswer::Timeout | PlanAnswer::Found { .. } => {
+                let remedy = "give the job a longer time_limit_s, or clear the table a little";
+                self.finish(now, JobEnd::Failed, "no_plan", "no plan was found in time", remedy, out);
+            }
+        }
+    }
+}

@@ -1,0 +1,542 @@
+//! Where the camera sits on the flange and the table under the robot, from pictures of the reference markers.
+//!
+//! In: [`Sample`]s (arm pose and detections), the surveyed reference markers, the lens, a rough guess. Out: [`HandEye`] with its errors in
+//! pixels and metres, or the sentence that says what is missing. Both transforms are solved together (robot-world and
+//! hand-eye): a closed form or the guess starts, Levenberg-Marquardt on pixel errors with a robust loss
+//! finishes. Poses that leave a direction unseen are refused instead of answered with a number. Pure.
+//!
+//! Honest errors: `held_out_*` predicts samples that were not used, `halves_*` compares two independent halves.
+
+pub mod observability;
+pub mod problem;
+
+use crate::vision::camera::{CameraModel, CameraModelError};
+use crate::vision::cv::{self, CvError};
+use crate::vision::detect::Detection;
+use crate::vision::observe::ReferenceMarker;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3, Vector6};
+use problem::{Fit, Problem};
+use serde::{Deserialize, Serialize};
+
+/// One stop of the arm: where the flange was and what the camera saw.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// The flange in the robot's base, by the calibrated kinematics and the joint positions of that moment.
+    pub base_from_flange: Isometry3<f64>,
+    /// What was detected; markers that are not reference markers are ignored.
+    pub detections: Vec<Detection>,
+}
+
+/// Where to start, within some 5 cm and 30 degrees: the drawing's numbers do.
+#[derive(Clone, Copy, Debug)]
+pub struct HandEyeGuess {
+    /// The camera in the flange frame.
+    pub flange_from_camera: Isometry3<f64>,
+    /// The table in the base frame.
+    pub base_from_table: Isometry3<f64>,
+}
+
+/// What is asked of the data.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandEyeSettings {
+    /// Corner noise along each axis, pixels: decides what is well determined.
+    pub corner_std_px: f64,
+    /// Corner errors beyond this pull less and less, pixels.
+    pub robust_px: f64,
+    /// Fewest samples with a reference marker.
+    pub samples_min: usize,
+    /// Largest standard deviation of the worst determined direction, m (rotations count by a lever of 0.3 m).
+    pub std_max_m: f64,
+    /// Samples with a residual above this many times the median are left out, at most a quarter of them.
+    pub outlier_ratio: f64,
+    /// Parts for the held-out error; each is predicted by a fit to the others.
+    pub folds: usize,
+}
+
+impl Default for HandEyeSettings {
+    fn default() -> HandEyeSettings {
+        HandEyeSettings {
+            corner_std_px: 0.1,
+            robust_px: 0.5,
+            samples_min: 6,
+            std_max_m: 1e-3,
+            outlier_ratio: 4.0,
+            folds: 5,
+        }
+    }
+}
+
+/// How well one sample fits.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SampleResidual {
+    /// Its place among the samples given, from 0.
+    pub sample: usize,
+    /// Reference markers it shows.
+    pub markers: usize,
+    /// Root mean square corner error, pixels.
+    pub residual_px: f64,
+    /// Root mean square corner error on the table, m.
+    pub residual_m: f64,
+    /// The same with a fit that has not seen this sample, m; `None` if there are too few samples for that.
+    pub held_out_m: Option<f64>,
+    /// Left out of the fit because it disagrees with all others.
+    pub rejected: bool,
+}
+
+/// Standard deviations of a transform, root mean square over all three directions together.
+///
+/// The larger of two answers: what corner noise alone explains, and the jackknife over the folds, which also sees
+/// errors that all corners of a sample share (the arm's).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TransformStd {
+    /// Of the translation, m.
+    pub translation_m: f64,
+    /// Of the rotation, rad.
+    pub rotation_rad: f64,
+}
+
+/// The calibration and everything that says how good it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HandEye {
+    /// The camera in the flange frame.
+    pub flange_from_camera: Isometry3<f64>,
+    /// The table in the base frame.
+    pub base_from_table: Isometry3<f64>,
+    /// Standard deviation of `flange_from_camera`.
+    pub flange_from_camera_std: TransformStd,
+    /// Standard deviation of `base_from_table`.
+    pub base_from_table_std: TransformStd,
+    /// Root mean square corner error of the samples used, pixels.
+    pub reprojection_px_rms: f64,
+    /// Root mean square error on the table of samples predicted without having been used, m.
+    pub held_out_rms_m: Option<f64>,
+    /// Largest of those by sample, m.
+    pub held_out_max_m: Option<f64>,
+    /// How far the camera's place moves between fits to two halves of the samples, m.
+    pub halves_m: Option<f64>,
+    /// How far its rotation turns between them, rad.
+    pub halves_rad: Option<f64>,
+    /// One entry for each sample with a reference marker.
+    pub samples: Vec<SampleResidual>,
+}
+
+/// Why there is no calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrateError {
+    /// Too few samples show a reference marker.
+    #[error(
+        "only {found} of {given} samples show a reference marker, {wanted} are needed: check the marker ids and sizes in the \
+         config, the light, and that the camera looks at the table"
+    )]
+    TooFewSamples {
+        /// Samples with a reference marker.
+        found: usize,
+        /// Samples given.
+        given: usize,
+        /// Samples needed.
+        wanted: usize,
+    },
+    /// The poses leave something undetermined.
+    #[error("{sentence} (worst direction known to {std_mm:.1} mm only, {limit_mm:.1} mm is the limit)")]
+    NotObservable {
+        /// Which motion is missing.
+        sentence: String,
+        /// Standard deviation of the worst direction, mm.
+        std_mm: f64,
+        /// The limit, mm.
+        limit_mm: f64,
+    },
+    /// The fit did not come near the data.
+    #[error(
+        "the best fit misses the corners by {reprojection_px:.1} px: samples taken while the arm moved, wrong marker sizes, \
+         a wrong marker survey, or the camera's intrinsics of another resolution"
+    )]
+    NoFit {
+        /// Root mean square corner error, pixels.
+        reprojection_px: f64,
+    },
+    /// The camera's numbers are broken.
+    #[error("the camera's calibration cannot be used")]
+    Camera(#[from] CameraModelError),
+    /// OpenCV failed.
+    #[error("the corners could not be undistorted")]
+    Cv(#[from] CvError),
+}
+
+/// A fit worse than this is no fit, pixels.
+const NO_FIT_PX: f64 = 3.0;
+
+/// Solves for the camera on the flange and the table in the base.
+///
+/// # Errors
+/// `TooFewSamples`, `NotObservable` with the missing motion in words, `NoFit`, `Camera`, `Cv`.
+pub fn solve_hand_eye(
+    samples: &[Sample],
+    reference: &[ReferenceMarker],
+    camera: &CameraModel,
+    start: &HandEyeGuess,
+    settings: &HandEyeSettings,
+) -> Result<HandEye, CalibrateError> {
+    camera.check()?;
+    let problem = Problem::new(samples, reference, camera)?;
+    if problem.stops.len() < settings.samples_min.max(3) {
+        return Err(CalibrateError::TooFewSamples {
+            found: problem.stops.len(),
+            given: samples.len(),
+            wanted: settings.samples_min.max(3),
+        });
+    }
+    let all: Vec<usize> = (0..problem.stops.len()).collect();
+    let first = best_start(&problem, &all, camera, start, settings)
+        .ok_or(CalibrateError::NoFit { reprojection_px: f64::INFINITY })?;
+    let used = without_outliers(&problem, &first, settings);
+    let fit = problem.fit(&used, first.guess, settings).unwrap_or(first);
+    observability::check(&problem, &used, &fit, settings)?;
+    let reprojection_px_rms = problem.residual_px(&used, &fit.guess);
+    if reprojection_px_rms > NO_FIT_PX {
+        return Err(CalibrateError::NoFit { reprojection_px: reprojection_px_rms });
+    }
+    Ok(report(&problem, &used, &fit, reprojection_px_rms, settings))
+}
+
+/// Fits from the guess and from the closed form, whichever ends lower.
+fn best_start(
+    problem: &Problem,
+    all: &[usize],
+    camera: &CameraModel,
+    start: &HandEyeGuess,
+    settings: &HandEyeSettings,
+) -> Option<Fit> {
+    let closed = closed_form(problem, camera);
+    let fits = [Some(*start), closed].into_iter().flatten();
+    fits.filter_map(|guess| problem.fit(all, guess, settings)).min_by(|a, b| a.cost.total_cmp(&b.cost))
+}
+
+/// Park's closed form on the pose of the whole marker layout in each picture; `None` where it breaks down.
+fn closed_form(problem: &Problem, camera: &CameraModel) -> Option<HandEyeGuess> {
+    let (mut flanges, mut tables) = (Vec::new(), Vec::new());
+    for stop in &problem.stops {
+        if let Ok(pose) = cv::board_pose(camera, &stop.board_m, &stop.pixels) {
+            flanges.push(stop.base_from_flange);
+            tables.push(pose.camera_from_target);
+        }
+    }
+    if flanges.len() < 3 {
+        return None;
+    }
+    let flange_from_camera = cv::hand_eye_park(&flanges, &tables).ok()?;
+    let in_base = flanges.iter().zip(&tables).map(|(flange, table)| flange * flange_from_camera * table);
+    Some(HandEyeGuess { flange_from_camera, base_from_table: mean_pose(in_base)? })
+}
+
+/// Mean translation and rotation of poses that lie close together.
+fn mean_pose(poses: impl Iterator<Item = Isometry3<f64>>) -> Option<Isometry3<f64>> {
+    let poses: Vec<Isometry3<f64>> = poses.collect();
+    let first = poses.first()?;
+    let count = poses.len() as f64;
+    let place = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / count;
+    let turn = poses.iter().map(|p| (first.rotation.inverse() * p.rotation).scaled_axis());
+    let turn = UnitQuaternion::from_scaled_axis(turn.sum::<Vector3<f64>>() / count);
+    Some(Isometry3::from_parts(Translation3::from(place), first.rotation * turn))
+}
+
+/// The stops whose residual is in line with the others'.
+fn without_outliers(problem: &Problem, fit: &Fit, settings: &HandEyeSettings) -> Vec<usize> {
+    let mut by_residual: Vec<(f64, usize)> =
+        (0..problem.stops.len()).map(|stop| (problem.residual_px(&[stop], &fit.guess), stop)).collect();
+    by_residual.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let median = by_residual[by_residual.len() / 2].0.max(settings.corner_std_px);
+    let droppable =
+        (by_residual.len() / 4).min(by_residual.len().saturating_sub(settings.samples_min.max(3)));
+    let keep_at_least = by_residual.len() - droppable;
+    let kept = by_residual.iter().enumerate();
+    let kept = kept.filter(|(rank, (px, _))| *rank < keep_at_least || *px <= settings.outlier_ratio * median);
+    let mut used: Vec<usize> = kept.map(|(_, &(_, stop))| stop).collect();
+    used.sort_unstable();
+    used
+}
+
+/// Everything a person needs to believe or doubt the fit.
+fn report(
+    problem: &Problem,
+    used: &[usize],
+    fit: &Fit,
+    reprojection_px_rms: f64,
+    settings: &HandEyeSettings,
+) -> HandEye {
+    let folds = folds(problem, used, fit, settings);
+    let held_out = |index: usize| {
+        let fold = folds.iter().find(|fold| fold.tested.contains(&index))?;
+        problem.residual_m(index, &fold.guess)
+    };
+    let sample = |(index, stop): (usize, &problem::Stop)| SampleResidual {
+        sample: stop.sample,
+        markers: stop.board_m.len() / 4,
+        residual_px: problem.residual_px(&[index], &fit.guess),
+        residual_m: problem.residual_m(index, &fit.guess).unwrap_or(f64::INFINITY),
+        held_out_m: held_out(index),
+        rejected: !used.contains(&index),
+    };
+    let samples: Vec<SampleResidual> = problem.stops.iter().enumerate().map(sample).collect();
+    let predicted: Vec<f64> = samples.iter().filter(|s| !s.rejected).filter_map(|s| s.held_out_m).collect();
+    let squares: f64 = predicted.iter().map(|error| error * error).sum();
+    let known = !predicted.is_empty();
+    let halves = halves(problem, used, fit, settings);
+    let noise_px = reprojection_px_rms.max(settings.corner_std_px) / std::f64::consts::SQRT_2;
+    let covariance = fit.information.try_inverse().map(|inverse| inverse * noise_px.powi(2));
+    let std = |from: usize, of: fn(&HandEyeGuess) -> Isometry3<f64>| {
+        let by_corners = covariance.map(|c| c.diagonal().fixed_rows::<6>(from).into_owned());
+        transform_std(by_corners, jackknife(&folds, of))
+    };
+    HandEye {
+        flange_from_camera: fit.guess.flange_from_camera,
+        base_from_table: fit.guess.base_from_table,
+        flange_from_camera_std: std(0, |guess| guess.flange_from_camera),
+        base_from_table_std: std(6, |guess| guess.base_from_table),
+        reprojection_px_rms,
+        held_out_rms_m: known.then(|| (squares / predicted.len() as f64).sqrt()),
+        held_out_max_m: known.then(|| predicted.iter().copied().fold(0.0, f64::max)),
+        halves_m: halves.map(|(m, _)| m),
+        halves_rad: halves.map(|(_, rad)| rad),
+        samples,
+    }
+}
+
+/// A fit that has not seen some of the stops.
+struct Fold {
+    tested: Vec<usize>,
+    guess: HandEyeGuess,
+}
+
+fn folds(problem: &Problem, used: &[usize], fit: &Fit, settings: &HandEyeSettings) -> Vec<Fold> {
+    let count = settings.folds.clamp(2, used.len().max(2));
+    let mut folds = Vec::new();
+    for fold in 0..count {
+        let part = |wanted: bool| -> Vec<usize> {
+            let places = used.iter().enumerate();
+            places.filter(|(place, _)| (place % count == fold) == wanted).map(|(_, &stop)| stop).collect()
+        };
+        let (tested, kept) = (part(true), part(false));
+        if kept.len() >= 3
+            && let Some(other) = problem.fit(&kept, fit.guess, settings)
+        {
+            folds.push(Fold { tested, guess: other.guess });
+        }
+    }
+    folds
+}
+
+/// Variances (translation m2, rotation rad2, all directions together) by leaving out one fold at a time.
+fn jackknife(folds: &[Fold], of: fn(&HandEyeGuess) -> Isometry3<f64>) -> (f64, f64) {
+    let poses: Vec<Isometry3<f64>> = folds.iter().map(|fold| of(&fold.guess)).collect();
+    let Some(mean) = mean_pose(poses.iter().copied()) else { return (0.0, 0.0) };
+    let off: Vec<Isometry3<f64>> = poses.iter().map(|pose| mean.inverse() * pose).collect();
+    let factor = (poses.len() as f64 - 1.0) / poses.len() as f64;
+    let shifts: f64 = off.iter().map(|pose| pose.translation.vector.norm_squared()).sum();
+    let turns: f64 = off.iter().map(|pose| pose.rotation.angle().powi(2)).sum();
+    (factor * shifts, factor * turns)
+}
+
+fn transform_std(by_corners: Option<Vector6<f64>>, by_folds: (f64, f64)) -> TransformStd {
+    let Some(variances) = by_corners else {
+        return TransformStd { translation_m: f64::INFINITY, rotation_rad: f64::INFINITY };
+    };
+    let sum = |from: usize| (from..from + 3).map(|i| variances[i]).sum::<f64>();
+    TransformStd { translation_m: sum(0).max(by_folds.0).sqrt(), rotation_rad: sum(3).max(by_folds.1).sqrt() }
+}
+
+/// Distance and angle between the cameras of two fits to every other sample.
+fn halves(problem: &Problem, used: &[usize], fit: &Fit, settings: &HandEyeSettings) -> Option<(f64, f64)> {
+    if used.len() < 6 {
+        return None;
+    }
+    let half = |odd: usize| {
+        let stops: Vec<usize> = used.iter().copied().skip(odd).step_by(2).collect();
+        problem.fit(&stops, fit.guess, settings).map(|fit| fit.guess.flange_from_camera)
+    };
+    let between = half(0)?.inverse() * half(1)?;
+    Some((between.translation.vector.norm(), between.rotation.angle()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::pose::Pose2;
+    use crate::vision::testing::{self, Print, normal};
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    fn reference() -> Vec<ReferenceMarker> {
+        let places =
+            [(-0.05, -0.05), (0.25, -0.05), (0.55, -0.05), (-0.05, 0.25), (0.55, 0.25), (0.25, 0.55)];
+        let marker = |(i, &(x, y)): (usize, &(f64, f64))| ReferenceMarker {
+            id: 500 + i as u32,
+            size: 0.03,
+            pose: Pose2::new(x, y, 0.1 * i as f64),
+        };
+        places.iter().enumerate().map(marker).collect()
+    }
+
+    fn truth() -> HandEyeGuess {
+        let down = Vector3::new(0.01, -0.02, 0.03);
+        HandEyeGuess {
+            flange_from_camera: Isometry3::new(Vector3::new(0.004, -0.073, 0.028), down),
+            base_from_table: Isometry3::new(
+                Vector3::new(-0.25, 0.18, 0.003),
+                Vector3::new(0.004, -0.003, 0.01),
+            ),
+        }
+    }
+
+    fn nominal() -> HandEyeGuess {
+        HandEyeGuess {
+            flange_from_camera: Isometry3::translation(0.0, -0.07, 0.03),
+            base_from_table: Isometry3::translation(-0.25, 0.18, 0.0),
+        }
+    }
+
+    /// Samples with the camera at given poses over the table; noise of corners (px) and of the arm (m).
+    fn samples(poses: &[Isometry3<f64>], noise_px: f64, arm_m: f64, seed: u64) -> Vec<Sample> {
+        let camera = testing::camera(1280, 720);
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let prints: Vec<Print> =
+            reference().iter().map(|m| Print::level(m.id, m.size, m.pose, 0.0)).collect();
+        let truth = truth();
+        let mut sample = |table_from_camera: &Isometry3<f64>| {
+            let detections = testing::detections(&camera, table_from_camera, &prints, noise_px, &mut random);
+            let mut base_from_flange =
+                truth.base_from_table * table_from_camera * truth.flange_from_camera.inverse();
+            base_from_flange.translation.vector +=
+                Vector3::new(normal(&mut random), normal(&mut random), normal(&mut random)) * arm_m;
+            Sample { base_from_flange, detections }
+        };
+        poses.iter().map(&mut sample).collect()
+    }
+
+    /// Fifteen poses as an operator would teach them: tilts of about 20 degrees, turns, heights.
+    fn varied() -> Vec<Isometry3<f64>> {
+        (0..15)
+            .map(|i| {
+                let t = f64::from(i);
+                let tilt = [0.35 * (1.7 * t).sin(), 0.35 * (2.3 * t + 0.5).cos()];
+                let (x, y) = (0.25 + 0.1 * t.sin(), 0.25 + 0.1 * (1.3 * t).cos());
+                testing::looking_down(x, y, 0.5 + 0.08 * (0.9 * t).sin(), tilt, 0.6 * (0.7 * t).sin())
+            })
+            .collect()
+    }
+
+    fn solve(samples: &[Sample], start: &HandEyeGuess) -> Result<HandEye, CalibrateError> {
+        let camera = testing::camera(1280, 720);
+        solve_hand_eye(samples, &reference(), &camera, start, &HandEyeSettings::default())
+    }
+
+    fn error(found: &HandEye) -> (f64, f64) {
+        let off = found.flange_from_camera.inverse() * truth().flange_from_camera;
+        (off.translation.vector.norm(), off.rotation.angle())
+    }
+
+    #[test]
+    fn exact_data_gives_the_exact_answer_even_from_a_useless_guess() {
+        let samples = samples(&varied(), 0.0, 0.0, 0);
+        let useless = HandEyeGuess {
+            flange_from_camera: Isometry3::new(Vector3::new(0.1, 0.1, 0.1), Vector3::new(0.0, 0.0, 2.5)),
+            base_from_table: Isometry3::translation(1.0, 1.0, 0.0),
+        };
+        for start in [nominal(), useless] {
+            let found = solve(&samples, &start).unwrap();
+            let (off_m, off_rad) = error(&found);
+            assert!(off_m < 1e-6 && off_rad < 1e-6, "{off_m} {off_rad}");
+            assert!(found.reprojection_px_rms < 1e-3);
+        }
+    }
+
+    #[test]
+    fn noise_leaves_less_than_half_a_millimetre_and_is_reported_honestly() {
+        let (mut worst_m, mut worst_rad, mut normalised) = (0.0_f64, 0.0_f64, Vec::new());
+        for seed in 0..10 {
+            let samples = samples(&varied(), 0.1, 5e-5, seed);
+            let found = solve(&samples, &nominal()).unwrap();
+            let (off_m, off_rad) = error(&found);
+            worst_m = worst_m.max(off_m);
+            worst_rad = worst_rad.max(off_rad);
+            normalised.push(off_m / found.flange_from_camera_std.translation_m);
+            assert!((0.1..0.3).contains(&found.reprojection_px_rms), "{}", found.reprojection_px_rms);
+            let held_out = found.held_out_rms_m.unwrap();
+            assert!((3e-5..3e-4).contains(&held_out), "{held_out}");
+            assert!(found.halves_m.unwrap() < 1e-3 && found.halves_rad.unwrap() < 2e-3);
+            assert_eq!(found.samples.len(), 15);
+        }
+        println!(
+            "worst of 10: {:.3} mm, {:.4} deg; normalised {normalised:.1?}",
+            worst_m * 1e3,
+            worst_rad.to_degrees()
+        );
+        assert!(worst_m < 5e-4 && worst_rad < 0.05_f64.to_radians(), "{worst_m} m {worst_rad} rad");
+        normalised.sort_by(f64::total_cmp);
+        assert!((0.4..2.0).contains(&normalised[5]), "{normalised:?}");
+    }
+
+    #[test]
+    fn motions_that_leave_a_direction_unseen_are_refused_with_what_is_missing() {
+        let sentence = |poses: Vec<Isometry3<f64>>| {
+            let samples = samples(&poses, 0.1, 5e-5, 3);
+            match solve(&samples, &nominal()) {
+                Err(CalibrateError::NotObservable { sentence, std_mm, .. }) => {
+                    assert!(std_mm > 1.0);
+                    sentence
+                }
+                other => panic!("not refused: {other:?}"),
+            }
+        };
+        let steps = || (0..12).map(f64::from);
+        let shifted = steps()
+            .map(|t| testing::looking_down(0.25 + 0.1 * t.sin(), 0.25 + 0.1 * t.cos(), 0.5, [0.0, 0.0], 0.0));
+        let text = sentence(shifted.collect());
+        assert!(text.contains("hardly rotates"), "{text}");
+        let turned = steps()
+            .map(|t| testing::looking_down(0.25 + 0.05 * t.sin(), 0.25, 0.5, [0.0, 0.0], 0.15 * t - 0.8));
+        let text = sentence(turned.collect());
+        assert!(
+            text.contains("nearest the camera's z") && text.contains("x axis and about the camera's y"),
+            "{text}"
+        );
+        let nodding = steps()
+            .map(|t| testing::looking_down(0.25, 0.25 + 0.05 * t.sin(), 0.5, [0.06 * t - 0.33, 0.0], 0.0));
+        let text = sentence(nodding.collect());
+        assert!(text.contains("nearest the camera's x") && text.contains("camera's y axis"), "{text}");
+    }
+
+    #[test]
+    fn too_few_samples_are_counted() {
+        let mut samples = samples(&varied(), 0.1, 0.0, 0);
+        for sample in samples.iter_mut().skip(4) {
+            sample.detections.clear();
+        }
+        let error = solve(&samples, &nominal()).unwrap_err();
+        assert!(matches!(error, CalibrateError::TooFewSamples { found: 4, given: 15, wanted: 6 }), "{error}");
+    }
+
+    #[test]
+    fn one_sample_taken_while_the_arm_moved_is_left_out_and_shown() {
+        let mut samples = samples(&varied(), 0.1, 5e-5, 1);
+        samples[6].base_from_flange.translation.vector += Vector3::new(6e-3, 0.0, 0.0);
+        let found = solve(&samples, &nominal()).unwrap();
+        let rejected: Vec<usize> = found.samples.iter().filter(|s| s.rejected).map(|s| s.sample).collect();
+        assert_eq!(rejected, [6]);
+        assert!(found.samples[6].residual_m > 3e-3 && found.samples[6].residual_px > 3.0);
+        assert!(error(&found).0 < 5e-4);
+    }
+
+    #[test]
+    fn wrong_marker_sizes_are_no_fit() {
+        let samples = samples(&varied(), 0.1, 0.0, 0);
+        let camera = testing::camera(1280, 720);
+        let wrong: Vec<_> = reference().into_iter().map(|m| ReferenceMarker { size: 0.05, ..m }).collect();
+        let error =
+            solve_hand_eye(&samples, &wrong, &camera, &nominal(), &HandEyeSettings::default()).unwrap_err();
+        assert!(
+            matches!(error, CalibrateError::NoFit { .. } | CalibrateError::NotObservable { .. }),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,168 @@
+//! Calibration files: what was measured, how well, with which devices, when.
+//!
+//! In: YAML (or JSON) text. Out: checked values, or every complaint with line and column; and the text of a new file. Three kinds, told by
+//! their top-level key: `camera` (the lens), `hand_eye` (camera on the flange), `table` (table under the robot). Lengths in
+//! m, angles in rad, rotations as unit quaternions [x, y, z, w]. Nothing measured has a default, and a rotation
+//! that is none, or a camera half a metre off the flange, is refused. Pure: files are opened by the caller.
+
+pub mod camera;
+pub mod hand_eye;
+pub mod table;
+
+use crate::document::decode::{At, Decoder, Fields};
+use crate::document::tree::Node;
+use crate::document::write::Out;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+
+/// The version of all three formats.
+pub const VERSION: i64 = 1;
+
+/// Kinds of calibration file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// The lens.
+    Camera,
+    /// The camera on the flange.
+    HandEye,
+    /// The table under the robot.
+    Table,
+}
+
+/// Tells the kind by the top-level key, `None` if it is no calibration file.
+pub fn kind(top: &Node) -> Option<Kind> {
+    let kinds = [("camera", Kind::Camera), ("hand_eye", Kind::HandEye), ("table", Kind::Table)];
+    let measured = top.get("version").is_some() && top.get("date").is_some();
+    kinds.into_iter().find(|(key, _)| measured && top.get(key).is_some()).map(|(_, kind)| kind)
+}
+
+/// Complains unless `version` is there and known.
+fn check_version(fields: &Fields, decoder: &mut Decoder) -> Option<()> {
+    let at = fields.required("version", decoder)?;
+    decoder.integer(&at, VERSION..=VERSION).map(|_| ())
+}
+
+/// A text of 1 to 100 characters.
+fn short_text(fields: &Fields, key: &str, decoder: &mut Decoder) -> Option<String> {
+    let at = fields.required(key, decoder)?;
+    let text = decoder.text(&at)?;
+    if (1..=100).contains(&text.chars().count()) {
+        return Some(text);
+    }
+    decoder.complain_at(&at, "the text is empty or longer than 100 characters", "");
+    None
+}
+
+/// A number of at least 0 that may be absent.
+fn optional_size(fields: &Fields, key: &str, unit: &str, decoder: &mut Decoder) -> Option<Option<f64>> {
+    match fields.optional(key) {
+        Some(at) => decoder.non_negative(&at, unit).map(Some),
+        None => Some(None),
+    }
+}
+
+/// A number of at least 0 that has to be there.
+fn size(fields: &Fields, key: &str, unit: &str, decoder: &mut Decoder) -> Option<f64> {
+    let at = fields.required(key, decoder)?;
+    decoder.non_negative(&at, unit)
+}
+
+/// A transform: `{translation_m: [x, y, z], rotation_xyzw: [x, y, z, w]}`, no further than `reach_m`.
+fn transform(at: &At, reach_m: f64, decoder: &mut Decoder) -> Option<Isometry3<f64>> {
+    let fields = decoder.map(at, &["translation_m", "rotation_xyzw"])?;
+    let translation = fields.required("translation_m", decoder);
+    let rotation = fields.required("rotation_xyzw", decoder);
+    let translation = translation.and_then(|at| {
+        let [x, y, z] = decoder.numbers::<3>(&at)?;
+        let far = x.hypot(y).hypot(z);
+        if far > reach_m {
+            let help =
+                format!("at most {reach_m} m is plausible here: lengths are in metres, not millimetres");
+            decoder.complain_at(&at, format!("{far:.3} m away"), help);
+            return None;
+        }
+        Some(Translation3::new(x, y, z))
+    });
+    let rotation = rotation.and_then(|at| {
+        let [x, y, z, w] = decoder.numbers::<4>(&at)?;
+        let quaternion = Quaternion::new(w, x, y, z);
+        if (quaternion.norm() - 1.0).abs() > 1e-6 {
+            let message = format!("a quaternion of length {:.6} is no rotation", quaternion.norm());
+            decoder.complain_at(&at, message, "its length has to be 1; the order is x, y, z, w");
+            return None;
+        }
+        Some(UnitQuaternion::from_quaternion(quaternion))
+    });
+    Some(Isometry3::from_parts(translation?, rotation?))
+}
+
+/// The transform as [`transform`] reads it.
+fn transform_out(transform: &Isometry3<f64>) -> Out {
+    let t = transform.translation.vector;
+    let q = transform.rotation.coords;
+    Out::map(vec![
+        ("translation_m", Out::numbers(&[t.x, t.y, t.z])),
+        ("rotation_xyzw", Out::numbers(&[q.x, q.y, q.z, q.w])),
+    ])
+}
+
+/// Adds a number if there is one.
+fn push_number(pairs: &mut Vec<(&str, Out)>, key: &'static str, value: Option<f64>) {
+    if let Some(value) = value.filter(|value| value.is_finite()) {
+        pairs.push((key, Out::Number(value)));
+    }
+}
+
+/// A number to be written; what is not finite becomes a very large number that no reader takes for good.
+fn finite(value: f64) -> Out {
+    Out::Number(if value.is_finite() { value } else { f64::MAX })
+}
+
+fn counted(value: usize) -> Out {
+    Out::Integer(i64::try_from(value).unwrap_or(i64::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::parse;
+
+    fn read(text: &str) -> Result<Isometry3<f64>, String> {
+        let node = parse(text, "t.yaml").unwrap();
+        let mut decoder = Decoder::new("t.yaml");
+        let value = transform(&At::top(&node), 0.5, &mut decoder);
+        decoder.finish(value).map_err(|complaints| complaints.to_string())
+    }
+
+    #[test]
+    fn a_transform_keeps_every_digit() {
+        let pose =
+            Isometry3::new(nalgebra::Vector3::new(0.1, -0.07, 0.03), nalgebra::Vector3::new(0.1, 2.0, -0.4));
+        let back = read(&transform_out(&pose).to_yaml(1)).unwrap();
+        assert!((back.translation.vector - pose.translation.vector).norm() == 0.0);
+        assert!(back.rotation.angle_to(&pose.rotation) < 1e-15);
+    }
+
+    #[test]
+    fn millimetres_and_stretched_rotations_are_refused_at_their_place() {
+        let told = read("translation_m: [0, -70, 30]\nrotation_xyzw: [0, 0, 0, 2]\n").unwrap_err();
+        assert!(
+            told.contains("t.yaml:1:16: translation_m: 76.158 m away") && told.contains("not millimetres"),
+            "{told}"
+        );
+        assert!(told.contains("t.yaml:2:16: rotation_xyzw: a quaternion of length 2.0"), "{told}");
+        let told = read("translation_m: [0, 0]\n").unwrap_err();
+        assert!(
+            told.contains("2 values, 3 are wanted") && told.contains("\"rotation_xyzw\" is missing"),
+            "{told}"
+        );
+    }
+
+    #[test]
+    fn the_kind_is_told_by_the_keys() {
+        let told = |text: &str| kind(&parse(text, "f").unwrap());
+        assert_eq!(told("version: 1\ndate: d\ntable: {}\n"), Some(Kind::Table));
+        assert_eq!(told("version: 1\ndate: d\nhand_eye: {}\n"), Some(Kind::HandEye));
+        assert_eq!(told("version: 1\ncamera: {address: x}\n"), None);
+        assert_eq!(told("objects: []\n"), None);
+    }
+}

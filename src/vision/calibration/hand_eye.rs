@@ -1,0 +1,289 @@
+//! `hand_eye.yaml`: where the camera sits on the flange, with every sample's error.
+//!
+//! In: text, or a [`HandEye`] solution and the devices it was made with. Out: [`HandEyeCalibration`], or complaints; and the text of a new
+//! file. Camera and robot serial numbers and the checksum of the robot's kinematics tell when it no longer holds. Pure.
+
+use crate::document::decode::{At, Decoder, Fields};
+use crate::document::write::Out;
+use crate::document::{Complaints, parse};
+use crate::vision::calibrate::{HandEye, SampleResidual, TransformStd};
+use crate::vision::calibration;
+use nalgebra::Isometry3;
+
+/// The devices a calibration belongs to, and when it was made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Provenance {
+    /// Serial number of the camera.
+    pub camera_serial: String,
+    /// Serial number of the robot.
+    pub robot_serial: String,
+    /// Checksum of the robot's calibrated kinematics, as the controller reports it.
+    pub kinematics_checksum: String,
+    /// When the samples were taken.
+    pub date: String,
+}
+
+/// How well the samples fit, as in [`HandEye`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Residuals {
+    /// Root mean square corner error, pixels.
+    pub reprojection_px_rms: f64,
+    /// Root mean square error on the table of samples that were not used, m.
+    pub held_out_rms_m: Option<f64>,
+    /// Largest of them, m.
+    pub held_out_max_m: Option<f64>,
+    /// Between fits to two halves, m.
+    pub halves_m: Option<f64>,
+    /// Between fits to two halves, rad.
+    pub halves_rad: Option<f64>,
+}
+
+/// The camera on the flange.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HandEyeCalibration {
+    /// The camera in the flange frame.
+    pub flange_from_camera: Isometry3<f64>,
+    /// How uncertain that is.
+    pub std: TransformStd,
+    /// Whose it is and when.
+    pub provenance: Provenance,
+    /// How well the samples fit.
+    pub residuals: Residuals,
+    /// Every sample's error.
+    pub samples: Vec<SampleResidual>,
+}
+
+/// Furthest plausible camera from the flange, m.
+const REACH_M: f64 = 0.5;
+
+impl HandEyeCalibration {
+    /// The file's content from a solution.
+    pub fn from_solution(solution: &HandEye, provenance: Provenance) -> HandEyeCalibration {
+        HandEyeCalibration {
+            flange_from_camera: solution.flange_from_camera,
+            std: solution.flange_from_camera_std,
+            provenance,
+            residuals: Residuals::of(solution),
+            samples: solution.samples.clone(),
+        }
+    }
+
+    /// Reads the text of a file; `name` is for the complaints.
+    ///
+    /// # Errors
+    /// Everything that is wrong with it.
+    pub fn parse(text: &str, name: &str) -> Result<HandEyeCalibration, Complaints> {
+        let node = parse(text, name)?;
+        let mut decoder = Decoder::new(name);
+        let value = decode(&At::top(&node), &mut decoder);
+        decoder.finish(value)
+    }
+
+    /// The text of the file.
+    pub fn to_yaml(&self) -> String {
+        let mut pairs = vec![
+            ("version", Out::Integer(calibration::VERSION)),
+            (
+                "hand_eye",
+                Out::map(vec![
+                    ("flange_from_camera", calibration::transform_out(&self.flange_from_camera)),
+                    ("std_m", calibration::finite(self.std.translation_m)),
+                    ("std_rad", calibration::finite(self.std.rotation_rad)),
+                ]),
+            ),
+        ];
+        self.provenance.write(&mut pairs);
+        pairs.push(("residuals", self.residuals.to_out()));
+        pairs.push(("samples", Out::List(self.samples.iter().map(sample_out).collect())));
+        let header = "# Camera on the flange, by celld calibrate: lengths m, angles rad, rotations as quaternions x, y, z, w.\n";
+        format!("{header}{}", Out::map(pairs).to_yaml(2))
+    }
+}
+
+impl Provenance {
+    /// Keys this adds at the top level of a file.
+    pub const KEYS: [&str; 4] = ["camera_serial", "robot_serial", "kinematics_checksum", "date"];
+
+    /// Reads the keys.
+    pub fn decode(fields: &Fields, decoder: &mut Decoder) -> Option<Provenance> {
+        let [camera, robot, kinematics, date] =
+            Provenance::KEYS.map(|key| calibration::short_text(fields, key, decoder));
+        Some(Provenance {
+            camera_serial: camera?,
+            robot_serial: robot?,
+            kinematics_checksum: kinematics?,
+            date: date?,
+        })
+    }
+
+    /// Adds the keys.
+    pub fn write(&self, pairs: &mut Vec<(&str, Out)>) {
+        let values = [&self.camera_serial, &self.robot_serial, &self.kinematics_checksum, &self.date];
+        pairs.extend(Provenance::KEYS.into_iter().zip(values).map(|(key, v)| (key, Out::Text(v.clone()))));
+    }
+}
+
+impl Residuals {
+    /// The residuals of a solution.
+    pub fn of(solution: &HandEye) -> Residuals {
+        Residuals {
+            reprojection_px_rms: solution.reprojection_px_rms,
+            held_out_rms_m: solution.held_out_rms_m,
+            held_out_max_m: solution.held_out_max_m,
+            halves_m: solution.halves_m,
+            halves_rad: solution.halves_rad,
+        }
+    }
+
+    /// Reads the map.
+    pub fn decode(at: &At, decoder: &mut Decoder) -> Option<Residuals> {
+        let keys = ["reprojection_px_rms", "held_out_rms_m", "held_out_max_m", "halves_m", "halves_rad"];
+        let fields = decoder.map(at, &keys)?;
+        let reprojection = calibration::size(&fields, keys[0], "px", decoder);
+        let [rms, max, halves] =
+            [keys[1], keys[2], keys[3]].map(|key| calibration::optional_size(&fields, key, "m", decoder));
+        let turn = calibration::optional_size(&fields, keys[4], "rad", decoder);
+        Some(Residuals {
+            reprojection_px_rms: reprojection?,
+            held_out_rms_m: rms?,
+            held_out_max_m: max?,
+            halves_m: halves?,
+            halves_rad: turn?,
+        })
+    }
+
+    /// The map.
+    pub fn to_out(self) -> Out {
+        let mut pairs = vec![("reprojection_px_rms", calibration::finite(self.reprojection_px_rms))];
+        calibration::push_number(&mut pairs, "held_out_rms_m", self.held_out_rms_m);
+        calibration::push_number(&mut pairs, "held_out_max_m", self.held_out_max_m);
+        calibration::push_number(&mut pairs, "halves_m", self.halves_m);
+        calibration::push_number(&mut pairs, "halves_rad", self.halves_rad);
+        Out::map(pairs)
+    }
+}
+
+fn decode(top: &At, decoder: &mut Decoder) -> Option<HandEyeCalibration> {
+    let mut known = vec!["version", "hand_eye", "residuals", "samples"];
+    known.extend(Provenance::KEYS);
+    let fields = decoder.map(top, &known)?;
+    let version = calibration::check_version(&fields, decoder);
+    let placed = fields.required("hand_eye", decoder).and_then(|at| placed(&at, decoder));
+    let provenance = Provenance::decode(&fields, decoder);
+    let residuals = fields.required("residuals", decoder).and_then(|at| Residuals::decode(&at, decoder));
+    let samples = match fields.required("samples", decoder).and_then(|at| decoder.sequence(&at)) {
+        Some(items) => items.iter().map(|item| sample(item, decoder)).collect::<Vec<_>>(),
+        None => vec![None],
+    };
+    version?;
+    let (flange_from_camera, std) = placed?;
+    Some(HandEyeCalibration {
+        flange_from_camera,
+        std,
+        provenance: provenance?,
+        residuals: residuals?,
+        samples: samples.into_iter().collect::<Option<_>>()?,
+    })
+}
+
+fn placed(at: &At, decoder: &mut Decoder) -> Option<(Isometry3<f64>, TransformStd)> {
+    let fields = decoder.map(at, &["flange_from_camera", "std_m", "std_rad"])?;
+    let camera = fields.required("flange_from_camera", decoder);
+    let camera = camera.and_then(|at| calibration::transform(&at, REACH_M, decoder));
+    let std_m = calibration::size(&fields, "std_m", "m", decoder);
+    let std_rad = calibration::size(&fields, "std_rad", "rad", decoder);
+    Some((camera?, TransformStd { translation_m: std_m?, rotation_rad: std_rad? }))
+}
+
+fn sample(at: &At, decoder: &mut Decoder) -> Option<SampleResidual> {
+    let keys = ["sample", "markers", "residual_px", "residual_m", "held_out_m", "rejected"];
+    let fields = decoder.map(at, &keys)?;
+    let [sample, markers] = ["sample", "markers"].map(|key| {
+        let at = fields.required(key, decoder)?;
+        decoder.integer(&at, 0..=1_000_000).and_then(|value| usize::try_from(value).ok())
+    });
+    let residual_px = calibration::size(&fields, "residual_px", "px", decoder);
+    let residual_m = calibration::size(&fields, "residual_m", "m", decoder);
+    let held_out_m = calibration::optional_size(&fields, "held_out_m", "m", decoder);
+    let rejected = fields.required("rejected", decoder).and_then(|at| decoder.boolean(&at));
+    Some(SampleResidual {
+        sample: sample?,
+        markers: markers?,
+        residual_px: residual_px?,
+        residual_m: residual_m?,
+        held_out_m: held_out_m?,
+        rejected: rejected?,
+    })
+}
+
+fn sample_out(sample: &SampleResidual) -> Out {
+    let mut pairs = vec![
+        ("sample", calibration::counted(sample.sample)),
+        ("markers", calibration::counted(sample.markers)),
+        ("residual_px", calibration::finite(sample.residual_px)),
+        ("residual_m", calibration::finite(sample.residual_m)),
+    ];
+    calibration::push_number(&mut pairs, "held_out_m", sample.held_out_m);
+    pairs.push(("rejected", Out::Boolean(sample.rejected)));
+    Out::map(pairs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn measured() -> HandEyeCalibration {
+        let sample = |index: usize| SampleResidual {
+            sample: index,
+            markers: 4,
+            residual_px: 0.1,
+            residual_m: 1.2e-4,
+            held_out_m: (index != 1).then_some(2e-4),
+            rejected: index == 1,
+        };
+        HandEyeCalibration {
+            flange_from_camera: Isometry3::new(
+                Vector3::new(0.001, -0.07, 0.03),
+                Vector3::new(0.01, 0.02, 0.03),
+            ),
+            std: TransformStd { translation_m: 1e-4, rotation_rad: 2e-4 },
+            provenance: Provenance {
+                camera_serial: "405".into(),
+                robot_serial: "20235500001".into(),
+                kinematics_checksum: "0x12ab".into(),
+                date: "2026-11-21".into(),
+            },
+            residuals: Residuals {
+                reprojection_px_rms: 0.14,
+                held_out_rms_m: Some(1.5e-4),
+                held_out_max_m: Some(3e-4),
+                halves_m: None,
+                halves_rad: None,
+            },
+            samples: (0..3).map(sample).collect(),
+        }
+    }
+
+    #[test]
+    fn a_file_is_read_back_as_it_was_written() {
+        let text = measured().to_yaml();
+        let back = HandEyeCalibration::parse(&text, "hand_eye.yaml").unwrap();
+        assert!(back.flange_from_camera.rotation.angle_to(&measured().flange_from_camera.rotation) < 1e-12);
+        let same_rotation = HandEyeCalibration { flange_from_camera: measured().flange_from_camera, ..back };
+        assert_eq!(same_rotation, measured(), "{text}");
+    }
+
+    #[test]
+    fn a_camera_without_serial_or_in_millimetres_is_refused() {
+        let text = measured().to_yaml().replace("-0.07", "-70").replace("camera_serial", "camera_serail");
+        let told = HandEyeCalibration::parse(&text, "h.yaml").unwrap_err().to_string();
+        assert!(
+            told.contains("not millimetres") && told.contains("did you mean \"camera_serial\""),
+            "{told}"
+        );
+        let text = measured().to_yaml().replace("residual_px: 0.1", "residual_px: .nan");
+        let told = HandEyeCalibration::parse(&text, "h.yaml").unwrap_err().to_string();
+        assert!(told.contains("samples[0].residual_px") && told.contains("samples[2].residual_px"), "{told}");
+    }
+}
