@@ -1,3 +1,4 @@
 //! `celld demo`.
 
+pub mod cell;
 pub mod teach;
