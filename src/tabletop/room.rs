@@ -70,7 +70,12 @@ pub fn place_for_square(footprint: &Footprint, edge: f64) -> Option<Point> {
 /// The grip nearest to the centroid at which every cup lies on the footprint (and on `grippable`, if that is
 /// given) with `margin` to spare, m. The tool points down: its x axis lies at the yaw, its y axis 90 degrees
 /// clockwise of that, seen from above.
-pub fn place_for_cups(footprint: &Footprint, grippable: Option<&Polygon>, cups: &[Cup], margin: f64) -> Option<Grip> {
+pub fn place_for_cups(
+    footprint: &Footprint,
+    grippable: Option<&Polygon>,
+    cups: &[Cup],
+    margin: f64,
+) -> Option<Grip> {
     let target = footprint.centroid();
     let on_axis = cups.iter().all(|cup| cup.x.hypot(cup.y) < 1e-9);
     let yaws = if on_axis { 1 } else { YAWS };
@@ -130,7 +135,10 @@ fn max_norm_to_segment(p: Point, a: Point, b: Point) -> f64 {
     let (ux, uy) = (b[0] - a[0], b[1] - a[1]);
     let at = |t: f64| (ax + t * ux).abs().max((ay + t * uy).abs());
     let zeros = [(ax, ux), (ay, uy), (ax - ay, ux - uy), (ax + ay, ux + uy)];
-    let inner = zeros.iter().filter(|(_, slope)| *slope != 0.0).map(|(value, slope)| (-value / slope).clamp(0.0, 1.0));
+    let inner = zeros
+        .iter()
+        .filter(|(_, slope)| *slope != 0.0)
+        .map(|(value, slope)| (-value / slope).clamp(0.0, 1.0));
     inner.chain([0.0, 1.0]).map(at).fold(f64::INFINITY, f64::min)
 }
 
@@ -199,7 +207,12 @@ fn most_room(footprint: &Footprint, room: &dyn Fn(Point) -> f64) -> f64 {
 /// The point nearest to `target` (farther by at most [`EXACT_M`]) whose room is not negative. Over a square of
 /// half edge h, `room` changes by at most `slope` h from its centre. A place that has room on less than a few
 /// hundredths of a micrometre around it may be missed.
-fn nearest_with_room(footprint: &Footprint, target: Point, slope: f64, room: &dyn Fn(Point) -> f64) -> Option<Point> {
+fn nearest_with_room(
+    footprint: &Footprint,
+    target: Point,
+    slope: f64,
+    room: &dyn Fn(Point) -> f64,
+) -> Option<Point> {
     const FINEST_M: f64 = 1e-8;
     let mut best: Option<(f64, Point)> = None;
     let half = cover(footprint, target);
@@ -241,7 +254,8 @@ mod tests {
     fn square_is_on(footprint: &Footprint, centre: Point, edge: f64) {
         for i in 0..=40 {
             for j in 0..=40 {
-                let p = [centre[0] + edge * (i as f64 / 40.0 - 0.5), centre[1] + edge * (j as f64 / 40.0 - 0.5)];
+                let p =
+                    [centre[0] + edge * (i as f64 / 40.0 - 0.5), centre[1] + edge * (j as f64 / 40.0 - 0.5)];
                 // The square may touch the outline: look a micrometre inside.
                 let q = [p[0] + (centre[0] - p[0]) * 1e-4, p[1] + (centre[1] - p[1]) * 1e-4];
                 assert!(footprint.contains_point(q, 0.0), "{q:?} is off the top");
@@ -298,7 +312,8 @@ mod tests {
     fn cups_keep_to_the_grippable_area() {
         let cup = [Cup { x: 0.0, y: 0.0, radius: 0.01 }];
         let area = Polygon::new(&[[0.02, -0.02], [0.06, -0.02], [0.06, 0.02], [0.02, 0.02]]).unwrap();
-        let grip = place_for_cups(&Footprint::rectangle(0.2, 0.1).unwrap(), Some(&area), &cup, 0.001).unwrap();
+        let grip =
+            place_for_cups(&Footprint::rectangle(0.2, 0.1).unwrap(), Some(&area), &cup, 0.001).unwrap();
         assert!(distance(grip.point, [0.031, 0.0]) < 1e-4, "{grip:?}");
     }
 
@@ -316,7 +331,8 @@ mod tests {
         let cups = [Cup { x: 0.0, y: 0.03, radius: 0.01 }, Cup { x: 0.0, y: 0.0, radius: 0.01 }];
         // Room for the second cup only at smaller y than the first: the tool's y axis must point to -y, yaw 0.
         let area = Polygon::new(&[[-0.012, -0.05], [0.012, -0.05], [0.012, 0.012], [-0.012, 0.012]]).unwrap();
-        let grip = place_for_cups(&Footprint::rectangle(0.1, 0.1).unwrap(), Some(&area), &cups, 0.001).unwrap();
+        let grip =
+            place_for_cups(&Footprint::rectangle(0.1, 0.1).unwrap(), Some(&area), &cups, 0.001).unwrap();
         assert_eq!((grip.point, grip.yaw), ([0.0, 0.0], Some(0.0)));
     }
 }

@@ -7,24 +7,37 @@
 use celld::device::program::{Nonce, PROGRAM_TEXT, ProgramTemplate, WATCHDOG_FRAMES};
 use celld::device::registers::{CommandRegisters, Opcode};
 use celld::urscript::compile::compile;
-use celld::urscript::host::{Builtin, Call, Host, Reply};
+use celld::urscript::host::{Builtin, BuiltinParameter, Call, Host, Reply};
 use celld::urscript::program::{Program, Progress};
 use celld::urscript::value::{ThreadId, Value};
-use celld::urscript_builtins;
 use celld::wire::rtde_values::Value as RtdeValue;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-const BUILTINS: &[Builtin] = urscript_builtins![
-    read_input_integer_register(address),
-    read_input_float_register(address),
-    write_output_integer_register(address, value),
-    movej(q; a, v, t, r),
-    movel(pose; a, v, t, r),
-    stopj(a),
-    set_payload(m; cog),
-    set_tcp(pose),
-    textmsg(s1; s2),
+const fn needed(name: &'static str) -> BuiltinParameter {
+    BuiltinParameter { name, optional: false }
+}
+
+const fn optional(name: &'static str) -> BuiltinParameter {
+    BuiltinParameter { name, optional: true }
+}
+
+const BUILTINS: &[Builtin] = &[
+    Builtin { name: "read_input_integer_register", parameters: &[needed("address")] },
+    Builtin { name: "read_input_float_register", parameters: &[needed("address")] },
+    Builtin { name: "write_output_integer_register", parameters: &[needed("address"), needed("value")] },
+    Builtin {
+        name: "movej",
+        parameters: &[needed("q"), optional("a"), optional("v"), optional("t"), optional("r")],
+    },
+    Builtin {
+        name: "movel",
+        parameters: &[needed("pose"), optional("a"), optional("v"), optional("t"), optional("r")],
+    },
+    Builtin { name: "stopj", parameters: &[needed("a")] },
+    Builtin { name: "set_payload", parameters: &[needed("m"), optional("cog")] },
+    Builtin { name: "set_tcp", parameters: &[needed("pose")] },
+    Builtin { name: "textmsg", parameters: &[needed("s1"), optional("s2")] },
 ];
 
 const NONCE: i32 = 4711;
