@@ -4,6 +4,8 @@
 //! What is held here is the register protocol of hardware/ur5e/README.md. The robot session is tested against the
 //! same protocol in `device`; the two meet over real sockets in the simulator.
 
+#![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
+
 use celld::device::program::{Nonce, PROGRAM_TEXT, ProgramTemplate, WATCHDOG_FRAMES};
 use celld::device::registers::{CommandRegisters, Opcode};
 use celld::urscript::compile::compile;

@@ -1,6 +1,8 @@
 //! The robot session against the simulated controller, over real sockets: what `device` and `sim` each took from
 //! the vendor's guides has to fit together, and the on-robot program in between is the real one.
 
+#![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
+
 use celld::device::program::Nonce;
 use celld::device::robot::Robot;
 use celld::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
