@@ -5,12 +5,12 @@
 
 use crate::daemon::links::{LinkEvent, LinkOrder, spawn_modbus, spawn_tcp};
 use crate::device::gripper::{Gripper, GripperCommand, GripperEvent, GripperParameters, ModbusRequest};
+use crate::device::program::TemplateError;
 use crate::device::robot::Robot;
 use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters};
 use crate::io::clock::Clock;
 use crate::supervisor::input::Outside;
 use crate::time::Timestamp;
-use crate::device::program::TemplateError;
 use std::net::SocketAddr;
 use std::time::Duration;
 use tokio::sync::mpsc;

@@ -4,7 +4,9 @@
 //! In: an instance whose objects fit the cell, addresses, a seed. Out: a [`CellConfig`] with nominal values
 //! and a [`SimConfig`] whose truth deviates from them by the seed. Nothing measured passes between the two.
 
-use crate::cli::demo::teach::{BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers};
+use crate::cli::demo::teach::{
+    BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
+};
 use crate::config::cell::{
     CalibrationFiles, CameraDevice, CameraMount, CellConfig, CupChannel, CupConfig, Devices, GripperConfig,
     MotionLimits, PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
