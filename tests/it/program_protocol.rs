@@ -5,7 +5,6 @@
 use celld::sim::controller::registers::Input;
 use celld::sim::controller::{Controller, ControllerConfig, builtins};
 use celld::units::Joints;
-use celld::urscript::compile::compile;
 use celld::wire::rtde_values::Value;
 ========
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
@@ -72,7 +71,7 @@ impl Driver {
         let text = PROGRAM
             .replace("{{NONCE}}", &NONCE.to_string())
             .replace("{{WATCHDOG_FRAMES}}", &WATCHDOG_FRAMES.to_string());
-        let code = compile(&text, &builtins::find);
+        let code = builtins::compile_program(&text);
         assert!(code.is_ok(), "{}", code.unwrap_err());
         assert!(controller.programs.upload(code));
         let mut driver = Driver { controller, heartbeat: 0, silent: false, sequence: 0 };
