@@ -26,7 +26,7 @@ pub mod motion;
 
 pub mod device;
 
-//pub mod supervisor;
+pub mod supervisor;
 
 pub mod report;
 
@@ -38,7 +38,7 @@ pub mod config;
 
 pub mod sim;
 
-//pub mod daemon;
+pub mod daemon;
 
 pub mod bench;
 

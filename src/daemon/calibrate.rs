@@ -6,7 +6,8 @@
 //! (design, section 7, rule 1, class *calibrate*).
 
 use crate::daemon::hardware::{Happening, Hardware};
-use crate::device::robot::{RobotCommand, RobotEvent};
+use crate::device::robot_types::{RobotCommand, RobotEvent};
+use crate::device::program::Nonce;
 use crate::io::camera::CameraSource;
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
@@ -98,7 +99,7 @@ pub async fn kinematics(
 /// What kept the robot from coming up.
 pub async fn bring_up(
     hardware: &mut Hardware,
-    nonce: i32,
+    nonce: Nonce,
     address: &str,
     stop: &dyn Fn() -> bool,
 ) -> Result<(), DriveError> {
@@ -108,7 +109,7 @@ pub async fn bring_up(
     loop {
         trouble(&hardware.next().await)?;
         let Some(robot) = hardware.robot().state() else { continue };
-        let (mode, running_ours) = (robot.robot_mode, robot.nonce == nonce && program_asked);
+        let (mode, running_ours) = (robot.robot_mode, robot.nonce == nonce.number() && program_asked);
         let command = match mode {
             RobotMode::PowerOff if asked != Some(mode) => Some(RobotCommand::PowerOn),
             RobotMode::Idle if asked != Some(mode) => Some(RobotCommand::ReleaseBrakes),
@@ -135,7 +136,7 @@ pub async fn bring_up(
 /// The path's fault, or what interrupted the motion.
 pub async fn move_to(round: &mut Round<'_>, pose: usize, target: Joints) -> Result<Joints, DriveError> {
     let started = round.hardware.now();
-    any_motion(true, &round.hardware.outside(started), round.nonce)?;
+    any_motion(true, &round.hardware.outside(started), Some(round.nonce))?;
     let Some(q) = round.hardware.robot().state().map(|robot| robot.q) else {
         return Err(Closed::Stale.into());
     };
@@ -181,7 +182,7 @@ pub struct Round<'a> {
     /// The arm, with the nominal table.
     pub model: &'a ArmModel,
     /// Nonce of the running program.
-    pub nonce: i32,
+    pub nonce: Nonce,
     /// The operator's stop.
     pub stop: &'a dyn Fn() -> bool,
 }
@@ -217,20 +218,23 @@ pub async fn collect(
 /// Markers of one new frame. The frame is taken on another thread, so that the robot's heartbeat goes on.
 async fn detect(hardware: &mut Hardware, mut eye: Eye) -> Result<(Eye, Vec<Detection>), DriveError> {
     let task = tokio::task::spawn_blocking(move || {
-        let found = eye.camera.grab().map(|frame| eye.detector.detect(&frame.image.gray()));
+        let frame = eye.camera.grab().map_err(|error| error.to_string());
+        let found = frame.and_then(|frame| {
+            eye.detector.detect(&frame.image.gray()).map_err(|error| error.to_string())
+        });
         (eye, found)
     });
     while !task.is_finished() {
         trouble(&hardware.next().await)?;
     }
     let (eye, found) = task.await.map_err(|error| DriveError::Camera(error.to_string()))?;
-    Ok((eye, found.map_err(|error| DriveError::Camera(error.to_string()))?))
+    Ok((eye, found.map_err(DriveError::Camera)?))
 }
 
 fn trouble(happenings: &[Happening]) -> Result<(), DriveError> {
     for happening in happenings {
         let message = match happening {
-            Happening::Robot(RobotEvent::ProgramEnded { reason }) => reason.clone(),
+            Happening::Robot(RobotEvent::ProgramEnded { reason }) => reason.to_string(),
             Happening::Robot(RobotEvent::RuntimeException { line, text, .. }) => format!("line {line}: {text}"),
             Happening::Robot(RobotEvent::Refused { what, reply }) => format!("{what}: {reply}"),
             _ => continue,

@@ -5,10 +5,12 @@
 
 use crate::daemon::links::{LinkEvent, LinkOrder, spawn_modbus, spawn_tcp};
 use crate::device::gripper::{Gripper, GripperCommand, GripperEvent, GripperParameters, ModbusRequest};
-use crate::device::robot::{Link, Robot, RobotCommand, RobotEvent, RobotParameters};
+use crate::device::robot::Robot;
+use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters};
 use crate::io::clock::Clock;
 use crate::supervisor::input::Outside;
 use crate::time::Timestamp;
+use crate::device::program::TemplateError;
 use std::net::SocketAddr;
 use std::time::Duration;
 use tokio::sync::mpsc;
@@ -61,20 +63,20 @@ impl Hardware {
         clock: Clock,
         robot: RobotParameters,
         gripper: GripperParameters,
-    ) -> Hardware {
+    ) -> Result<Hardware, TemplateError> {
         let (sender, events) = mpsc::channel(EVENTS);
         let tcp = |link, address| spawn_tcp(link, address, clock.clone(), sender.clone());
-        Hardware {
+        Ok(Hardware {
             rtde: tcp(Link::Rtde, addresses.rtde),
             dashboard: tcp(Link::Dashboard, addresses.dashboard),
             primary: tcp(Link::Primary, addresses.primary),
             modbus: spawn_modbus(addresses.gripper, clock.clone(), Duration::from_secs(1), sender.clone()),
             clock,
-            robot: Robot::new(robot),
+            robot: Robot::new(robot)?,
             gripper: Gripper::new(gripper),
             events,
             gripper_answers: false,
-        }
+        })
     }
 
     /// The cell's time.
@@ -99,7 +101,7 @@ impl Hardware {
     /// Gives the robot session a command; a refusal comes back as an event would.
     pub fn command_robot(&mut self, command: RobotCommand) -> Option<RobotEvent> {
         let now = self.clock.now();
-        let what = command.name();
+        let what = command_name(&command);
         let refused = self.robot.command(now, command).err();
         self.flush();
         refused.map(|refused| RobotEvent::Refused { what: what.to_string(), reply: refused.to_string() })
@@ -108,7 +110,10 @@ impl Hardware {
     /// Gives the gripper session a command.
     pub fn command_gripper(&mut self, command: GripperCommand) {
         let now = self.clock.now();
-        self.gripper.command(now, command);
+        // What the session refuses never reaches the device; the phase that waits for it runs into its deadline.
+        if let Err(refused) = self.gripper.command(now, command) {
+            tracing::warn!(%refused, ?command, "gripper command refused");
+        }
         self.flush();
     }
 
@@ -145,7 +150,7 @@ impl Hardware {
             LinkEvent::Connected(link) => self.robot.connected(now, link),
             LinkEvent::Disconnected(link, reason) => {
                 tracing::debug!(?link, reason, "link down");
-                self.robot.disconnected(now, link, reason);
+                self.robot.disconnected(now, link, &reason);
             }
             LinkEvent::Received(link, bytes) => self.robot.received(now, link, &bytes),
             LinkEvent::Modbus(answer) => self.gripper.response(now, answer),
@@ -163,7 +168,7 @@ impl Hardware {
         while let Some(link) = self.robot.poll_close() {
             let _ = self.link(link).try_send(LinkOrder::Reconnect);
         }
-        while let Some(request) = self.gripper.poll_request() {
+        while let Some(request) = self.gripper.poll_request(self.clock.now()) {
             if self.modbus.try_send(request).is_err() {
                 tracing::warn!("gripper queue full, request dropped");
             }
@@ -176,5 +181,21 @@ impl Hardware {
             Link::Dashboard => &self.dashboard,
             Link::Primary => &self.primary,
         }
+    }
+}
+
+/// The command in a word, for messages.
+fn command_name(command: &RobotCommand) -> &'static str {
+    match command {
+        RobotCommand::PowerOn => "power on",
+        RobotCommand::ReleaseBrakes => "brake release",
+        RobotCommand::StartProgram { .. } => "starting the program",
+        RobotCommand::Stream(_) => "a path",
+        RobotCommand::SetPayload { .. } => "the payload",
+        RobotCommand::SetTcp(_) => "the TCP",
+        RobotCommand::Stop => "stop",
+        RobotCommand::EndProgram => "ending the program",
+        RobotCommand::UnlockProtectiveStop => "unlocking the protective stop",
+        RobotCommand::CloseSafetyPopup => "closing the popup",
     }
 }

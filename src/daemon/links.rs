@@ -6,7 +6,7 @@
 //! ecosystem, 0.3).
 
 use crate::device::gripper::{ModbusFailure, ModbusRequest};
-use crate::device::robot::Link;
+use crate::device::robot_types::Link;
 use crate::io::clock::Clock;
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -154,7 +154,7 @@ async fn exchange(
     address: SocketAddr,
     request: ModbusRequest,
 ) -> Result<Vec<u16>, ModbusFailure> {
-    let link = |error: &dyn std::fmt::Display| ModbusFailure::Link(error.to_string());
+    let link = |error: &dyn std::fmt::Display| ModbusFailure::Connection(error.to_string());
     let context = match connection {
         Some(context) => context,
         None => {

@@ -6,7 +6,7 @@
 
 use crate::daemon::hardware::{Happening, Hardware};
 use crate::daemon::workers::{Answer, EyeRequest, spawn_plan};
-use crate::device::robot::RobotState;
+use crate::device::robot_types::RobotState;
 use crate::geometry::pose::Pose2;
 use crate::supervisor::cell::{Cell, Status};
 use crate::supervisor::input::{Action, Input, JournalEntry, Notice, PlanAnswer};
@@ -228,9 +228,11 @@ impl Shell<'_> {
                 Some(Input::Captured(Ok(views)))
             }
             Answer::Captured(Err(reason)) => Some(Input::Captured(Err(reason))),
-            Answer::Observed(observation) => {
-                self.observer.on(now, Event::Observed(&observation));
-                Some(Input::Observed(observation))
+            Answer::Observed(result) => {
+                if let Ok(observation) = &result {
+                    self.observer.on(now, Event::Observed(observation));
+                }
+                Some(Input::Observed(result))
             }
             Answer::Planned(answer) => {
                 if let PlanAnswer::Refused(reason) = &*answer {

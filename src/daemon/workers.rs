@@ -5,10 +5,9 @@
 
 use crate::io::camera::CameraSource;
 use crate::io::clock::Clock;
-use crate::planning::check::CheckedPlan;
-use crate::planning::plan::Objective;
+use crate::planning::plan::Status;
 use crate::planning::problem::Problem;
-use crate::planning::solver::{Control, Outcome, solve};
+use crate::planning::solver::{Control, solve};
 use crate::supervisor::input::{PlanAnswer, PlanRequest};
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::Detector;
@@ -26,7 +25,7 @@ pub enum Answer {
     /// Frames of one look pose with the markers found, and the last picture.
     Captured(Result<(Vec<View>, Image), String>),
     /// A look put together.
-    Observed(Box<Observation>),
+    Observed(Result<Box<Observation>, String>),
     /// A plan, or why not.
     Planned(Box<PlanAnswer>),
 }
@@ -73,13 +72,7 @@ pub fn spawn_eye(
                     let taken = capture(&mut *source, &mut detector, frames, table_from_camera, &clock);
                     Answer::Captured(taken)
                 }
-                EyeRequest::Observe(views) => Answer::Observed(Box::new(observe(
-                    &parameters.objects,
-                    &parameters.reference,
-                    &parameters.camera,
-                    &views,
-                    &parameters.limits,
-                ))),
+                EyeRequest::Observe(views) => Answer::Observed(put_together(&parameters, &views)),
             };
             if answers.blocking_send(answer).is_err() {
                 return;
@@ -87,6 +80,11 @@ pub fn spawn_eye(
         }
     });
     requests_in
+}
+
+fn put_together(parameters: &EyeParameters, views: &[View]) -> Result<Box<Observation>, String> {
+    let EyeParameters { camera, objects, reference, limits } = parameters;
+    observe(objects, reference, camera, views, limits).map(Box::new).map_err(|error| error.to_string())
 }
 
 /// Takes `frames` new frames and finds the markers in each.
@@ -104,7 +102,7 @@ pub fn capture(
     let mut last = None;
     for _ in 0..frames {
         let frame = source.grab().map_err(|error| error.to_string())?;
-        let detections = detector.detect(&frame.image.gray());
+        let detections = detector.detect(&frame.image.gray()).map_err(|error| error.to_string())?;
         views.push(View { table_from_camera, detections, time: clock.now() });
         last = Some(frame.image);
     }
@@ -132,24 +130,22 @@ fn plan(request: &PlanRequest, stop: &AtomicBool) -> PlanAnswer {
     // Planning is work of this computer, so its budget is real time even when the cell's time is scaled.
     let started = Instant::now();
     let over = || stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit;
-    let control = Control::new(&over);
-    match solve(&problem, request.solver, request.objective, &control, request.seed) {
-        Outcome::Plan { actions, lower_bound, .. } => match CheckedPlan::new(&problem, &actions) {
-            Ok(plan) => PlanAnswer::Found {
-                cost: match request.objective {
-                    Objective::Pp => actions.len() as f64,
-                    Objective::Ti | Objective::Time => {
-                        actions.iter().map(|a| problem.objects[a.object].impedance).sum()
-                    }
-                },
-                actions: plan.actions().to_vec(),
-                lower_bound,
-                seconds: started.elapsed().as_secs_f64(),
-            },
-            Err(fault) => PlanAnswer::Refused(format!("the checker refused the plan: {fault}")),
+    let control = Control::until(&over);
+    let outcome = match solve(&problem, request.solver, request.objective, &control, request.seed) {
+        Ok(outcome) => outcome,
+        Err(error) => return PlanAnswer::Refused(error.to_string()),
+    };
+    match (outcome.status, outcome.plan, outcome.cost) {
+        (Status::Optimal | Status::Solved, Some(plan), Some(cost)) => PlanAnswer::Found {
+            actions: plan.actions().to_vec(),
+            cost,
+            lower_bound: outcome.lower_bound,
+            seconds: started.elapsed().as_secs_f64(),
         },
-        Outcome::Infeasible { witness, .. } => PlanAnswer::Infeasible(witness.to_string()),
-        Outcome::Timeout { .. } => PlanAnswer::Timeout,
+        (Status::Infeasible, ..) => {
+            PlanAnswer::Infeasible(outcome.witness.map(|w| w.to_string()).unwrap_or_default())
+        }
+        _ => PlanAnswer::Timeout,
     }
 }
 

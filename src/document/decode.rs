@@ -201,8 +201,8 @@ impl Decoder {
             return Some(number);
         }
         let (low, high) = (range.start(), range.end());
-        let help = format!("it has to be between {low} and {high} {unit}");
-        self.complain_at(at, format!("{number} {unit} is out of range"), help.trim_end());
+        let help = format!("it has to be between {low} and {}", with_unit(*high, unit));
+        self.complain_at(at, format!("{} is out of range", with_unit(number, unit)), help);
         None
     }
 
@@ -212,7 +212,7 @@ impl Decoder {
         if number > 0.0 {
             return Some(number);
         }
-        self.complain_at(at, format!("{number} {unit} is not over 0"), "");
+        self.complain_at(at, format!("{} is not over 0", with_unit(number, unit)), "");
         None
     }
 
@@ -222,7 +222,7 @@ impl Decoder {
         if number >= 0.0 {
             return Some(number);
         }
-        self.complain_at(at, format!("{number} {unit} is below 0"), "");
+        self.complain_at(at, format!("{} is below 0", with_unit(number, unit)), "");
         None
     }
 
@@ -319,6 +319,10 @@ impl Decoder {
         self.complain_at(at, format!("{found} where {wanted} is wanted"), "");
         None
     }
+}
+
+fn with_unit(number: f64, unit: &str) -> String {
+    if unit.is_empty() { number.to_string() } else { format!("{number} {unit}") }
 }
 
 /// Letters that follow a number, as in `300 mm`.

@@ -1,363 +1,496 @@
-//! The independent plan checker, and the only way to a plan the robot may carry out.
+//! The independent plan checker: the only way to a plan that a robot may carry out.
 //!
-//! In: a problem and a list of actions. Out: a [`CheckedPlan`], or the first [`PlanFault`] with its action, its
-//! objects and its micrometres. It shares poses and footprints with the solvers and no predicate: shapes are
-//! polygons here, decided by the robust predicates of `geo`, and occupancy is derived anew from the start,
-//! action by action. `overlap` holds the geometry.
+//! In: a [`Problem`] and actions. Out: a [`CheckedPlan`], or the first [`PlanFault`]. It re-derives who lies where
+//! action by action from the start, and decides contact with `planning::overlap`, which shares no predicate
+//! with the solvers' collision kernel. The rules are those of the design, section 3: no overlap of interiors
+//! beyond 1e-9 m, clearance between objects and to keep-out regions at every new place, nothing over the edge;
+//! pairs that overlap as given are exempt while both are exactly in those poses. The last action of an object
+//! repeats its goal's numbers exactly; members of a group end on the group's goals in any order.
 
-mod overlap;
-
-#[cfg(test)]
-mod tests;
+use std::fmt;
 
 use crate::geometry::pose::Pose2;
+use crate::planning::overlap::{Body, TOUCH_M};
 use crate::planning::plan::{Action, ActionKind};
 use crate::planning::problem::Problem;
-use overlap::{Body, deeper_than, depth, nearer_than, overhang};
 
-/// Penetration up to here is touching, m (design, section 3).
-const TOUCH_M: f64 = 1e-9;
+/// A plan that passed the check. There is no other way to make one.
+#[derive(Clone, Debug)]
+pub struct CheckedPlan {
+    actions: Vec<Action>,
+    exempt: Vec<Exempt>,
+    final_poses: Vec<Pose2>,
+}
 
-/// What is wrong with a plan. Actions count from 0.
+/// A given overlap (or closeness) that was taken as it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Exempt {
+    /// The object.
+    pub object: String,
+    /// What it meets: another object, a keep-out region, the table's edge.
+    pub meets: String,
+    /// The arrangement that gives it.
+    pub given: GivenIn,
+    /// Depth of the overlap, m.
+    pub depth_m: f64,
+}
+
+/// The arrangement that gives an overlap.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GivenIn {
+    /// The start arrangement.
+    Start,
+    /// The goal arrangement.
+    Goal,
+}
+
+impl fmt::Display for Exempt {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let given = match self.given {
+            GivenIn::Start => "start",
+            GivenIn::Goal => "goal",
+        };
+        write!(
+            f,
+            "{} overlaps {} by {:.1} um as given in the {given}",
+            self.object,
+            self.meets,
+            self.depth_m * 1e6
+        )
+    }
+}
+
+/// Why a plan is refused. Actions count from 0; lengths are micrometres.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PlanFault {
-    /// No such object.
-    #[error("action {action}: the problem has no object number {object}")]
-    UnknownObject {
+    /// The start arrangement itself overlaps beyond the tolerance.
+    #[error("start: {object} overlaps {meets} by {depth_um:.3} um; {tolerated_um:.3} um are tolerated")]
+    Start {
+        /// The object.
+        object: String,
+        /// Whom or what it meets.
+        meets: String,
+        /// Depth.
+        depth_um: f64,
+        /// Tolerated depth.
+        tolerated_um: f64,
+    },
+    /// An action names no object of the problem.
+    #[error("action {action}: there is no object number {object}")]
+    NoSuchObject {
         /// Action.
         action: usize,
-        /// Index given.
+        /// The number.
         object: usize,
     },
-    /// A pose is not finite.
-    #[error("action {action}: a pose of {object} is not a finite number")]
+    /// A pose has NaN or infinity in it.
+    #[error("action {action}: a pose of {object} is not finite")]
     NotFinite {
         /// Action.
         action: usize,
-        /// Object.
+        /// The object.
         object: String,
     },
-    /// The object is an obstacle.
+    /// A fixed object is moved.
     #[error("action {action}: {object} is fixed")]
     Fixed {
         /// Action.
         action: usize,
-        /// Object.
+        /// The object.
         object: String,
     },
-    /// The object is not where the action picks it.
+    /// The object is not where the action takes it from.
     #[error(
-        "action {action}: {object} is not at `from`, but {off_um:.1} um and {off_mrad:.3} mrad away from it"
+        "action {action}: {object} is {off_um:.3} um and {off_deg:.6} deg from where the action picks it"
     )]
     From {
         /// Action.
         action: usize,
-        /// Object.
+        /// The object.
         object: String,
-        /// Distance, um.
+        /// Distance.
         off_um: f64,
-        /// Angle, mrad.
-        off_mrad: f64,
+        /// Angle, degrees.
+        off_deg: f64,
     },
-    /// The new place is over the edge.
-    #[error("action {action}: {object} would reach {over_um:.3} um over the table's edge")]
+    /// An action that claims to go to a goal goes elsewhere.
+    #[error("action {action}: {object} does not go to its goal, {off_um:.3} um and {off_deg:.6} deg off")]
+    NotItsGoal {
+        /// Action.
+        action: usize,
+        /// The object.
+        object: String,
+        /// Distance from the nearest goal it may take.
+        off_um: f64,
+        /// Angle from that goal, degrees.
+        off_deg: f64,
+    },
+    /// The object would reach over the table's edge.
+    #[error("action {action}: {object} reaches over the table's edge by {depth_um:.3} um")]
     Edge {
         /// Action.
         action: usize,
-        /// Object.
+        /// The object.
         object: String,
-        /// By how much, um.
-        over_um: f64,
+        /// Overhang.
+        depth_um: f64,
     },
-    /// The new place overlaps something.
-    #[error("action {action}: {object} would overlap {other} by {depth_um:.3} um")]
+    /// The object would overlap another object or a keep-out region.
+    #[error("action {action}: {object} overlaps {meets} by {depth_um:.3} um")]
     Overlap {
         /// Action.
         action: usize,
-        /// Object moved.
+        /// The object.
         object: String,
-        /// What it meets.
-        other: String,
-        /// Depth, um.
+        /// Whom or what it meets.
+        meets: String,
+        /// Depth.
         depth_um: f64,
     },
-    /// The new place is too near to something.
+    /// The object would be nearer than the clearance.
     #[error(
-        "action {action}: {object} would be nearer to {other} than the clearance of {clearance_um:.1} um"
+        "action {action}: {object} comes within {gap_um:.3} um of {meets}; the clearance is {clearance_um:.3} um"
     )]
     Clearance {
         /// Action.
         action: usize,
-        /// Object moved.
+        /// The object.
         object: String,
-        /// What it comes near to.
-        other: String,
-        /// Clearance asked for, um.
+        /// Whom or what it comes near.
+        meets: String,
+        /// Distance.
+        gap_um: f64,
+        /// Wanted distance.
         clearance_um: f64,
     },
-    /// The action says it goes to the goal, and does not, or the other way round.
-    #[error("action {action}: {object} is said to go to {said}, but does not")]
-    Kind {
-        /// Action.
-        action: usize,
-        /// Object.
+    /// An object with a goal does not end exactly there.
+    #[error(
+        "{object} ends {off_um:.6} um and {off_deg:.9} deg from its goal; its last action must repeat the goal's numbers"
+    )]
+    Goal {
+        /// The object.
         object: String,
-        /// "its goal" or "a buffer".
-        said: &'static str,
-    },
-    /// An object does not end at its goal, to the last digit.
-    #[error("{object} does not end at its goal, but {off_um:.3} um and {off_mrad:.3} mrad away from it")]
-    NotAtGoal {
-        /// Object.
-        object: String,
-        /// Distance, um.
+        /// Distance.
         off_um: f64,
-        /// Angle, mrad.
-        off_mrad: f64,
+        /// Angle, degrees.
+        off_deg: f64,
     },
-    /// A given arrangement overlaps by more than the tolerance.
-    #[error("{arrangement}: {object} overlaps {other} by {depth_um:.3} um, more than the tolerance")]
-    Given {
-        /// "start" or "goal".
-        arrangement: &'static str,
-        /// One object.
+    /// A goal of a group is taken by no member.
+    #[error("group {group}: no member ends at the goal given with {object}")]
+    GroupGoal {
+        /// The group.
+        group: String,
+        /// The object with which the goal was given.
         object: String,
-        /// The other, or the table's edge.
-        other: String,
-        /// Depth, um.
-        depth_um: f64,
     },
-}
-
-/// A plan that passed the check; there is no other way to make one.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CheckedPlan {
-    actions: Vec<Action>,
-    cost_pp: usize,
-    cost_ti: f64,
 }
 
 impl CheckedPlan {
-    /// Replays `actions` from the problem's start.
+    /// Checks the plan from the start arrangement to the last action.
     ///
     /// # Errors
-    /// The first fault.
+    /// The first fault in the order of the plan, then faults of the final arrangement.
     pub fn new(problem: &Problem, actions: &[Action]) -> Result<CheckedPlan, PlanFault> {
         let mut table = Table::new(problem);
-        table.check_given("start", |i| Some(problem.objects[i].start))?;
-        table.check_given("goal", |i| problem.objects[i].goal)?;
+        table.check_start()?;
         for (index, action) in actions.iter().enumerate() {
-            table.apply(index, action)?;
+            table.carry_out(index, action)?;
         }
-        table.check_end()?;
-        let cost_ti = actions.iter().map(|action| problem.objects[action.object].impedance).sum();
-        Ok(CheckedPlan { actions: actions.to_vec(), cost_pp: actions.len(), cost_ti })
+        table.check_end(actions)?;
+        Ok(CheckedPlan { actions: actions.to_vec(), exempt: table.exempt, final_poses: table.poses })
     }
 
-    /// The actions.
+    /// The actions in order.
     pub fn actions(&self) -> &[Action] {
         &self.actions
     }
 
-    /// Number of pick-n-places.
-    pub fn cost_pp(&self) -> usize {
-        self.cost_pp
+    /// Given overlaps that were taken as they are.
+    pub fn exempt(&self) -> &[Exempt] {
+        &self.exempt
     }
 
-    /// Total task impedance.
-    pub fn cost_ti(&self) -> f64 {
-        self.cost_ti
+    /// Where every object ends.
+    pub fn final_poses(&self) -> &[Pose2] {
+        &self.final_poses
     }
 }
 
-/// Pairs of a given arrangement that overlap by more than touching: names and depth, m. For `celld verify`.
-pub fn exempt_pairs(problem: &Problem) -> Vec<(String, String, f64)> {
-    let table = Table::new(problem);
-    let mut out = Vec::new();
-    for arrangement in [true, false] {
-        let pose = |i: usize| {
-            let object = &problem.objects[i];
-            if arrangement { Some(object.start) } else { object.goal }
-        };
-        for i in 0..problem.objects.len() {
-            let Some(at) = pose(i) else { continue };
-            let a = table.body(i, at);
-            for j in i + 1..problem.objects.len() {
-                let Some(at) = pose(j) else { continue };
-                let b = table.body(j, at);
-                if deeper_than(&a, &b, TOUCH_M) {
-                    let names = (problem.objects[i].id.clone(), problem.objects[j].id.clone());
-                    out.push((names.0, names.1, depth(&a, &b)));
-                }
+/// Who lies where.
+struct Table<'p> {
+    problem: &'p Problem,
+    poses: Vec<Pose2>,
+    bodies: Vec<Body>,
+    regions: Vec<Body>,
+    /// Goals each object may take: its own, or all of its group's; a fixed object's start.
+    goals: Vec<Vec<Pose2>>,
+    exempt: Vec<Exempt>,
+}
+
+impl<'p> Table<'p> {
+    fn new(problem: &'p Problem) -> Table<'p> {
+        let objects = &problem.objects;
+        let goals_of = |k: usize| -> Vec<Pose2> {
+            let object = &objects[k];
+            if object.fixed {
+                return vec![object.start];
             }
-        }
-    }
-    out
-}
-
-/// The table while a plan is replayed.
-struct Table<'a> {
-    problem: &'a Problem,
-    at: Vec<Pose2>,
-    keep_out: Vec<Body>,
-}
-
-impl<'a> Table<'a> {
-    fn new(problem: &'a Problem) -> Table<'a> {
+            match &object.group {
+                Some(group) => objects
+                    .iter()
+                    .filter(|o| o.group.as_ref() == Some(group))
+                    .filter_map(|o| o.goal)
+                    .collect(),
+                None => object.goal.into_iter().collect(),
+            }
+        };
         Table {
             problem,
-            at: problem.objects.iter().map(|object| object.start).collect(),
-            keep_out: problem.keep_out.iter().map(|r| Body::new(&r.footprint, r.pose)).collect(),
+            poses: objects.iter().map(|object| object.start).collect(),
+            bodies: objects.iter().map(|object| Body::new(&object.footprint, &object.start)).collect(),
+            regions: problem
+                .keep_out
+                .iter()
+                .map(|region| Body::new(&region.footprint, &region.pose))
+                .collect(),
+            goals: (0..objects.len()).map(goals_of).collect(),
+            exempt: Vec::new(),
         }
     }
 
-    fn body(&self, object: usize, pose: Pose2) -> Body {
-        Body::new(&self.problem.objects[object].footprint, pose)
+    fn name(&self, k: usize) -> String {
+        self.problem.objects[k].id.clone()
     }
 
-    /// A given arrangement may overlap by the tolerance and no more.
-    fn check_given(
-        &self,
-        arrangement: &'static str,
-        pose: impl Fn(usize) -> Option<Pose2>,
-    ) -> Result<(), PlanFault> {
-        let tolerance = self.problem.overlap_tolerance + TOUCH_M;
-        let bodies: Vec<Option<Body>> =
-            (0..self.at.len()).map(|i| pose(i).map(|pose| self.body(i, pose))).collect();
-        for (i, a) in bodies.iter().enumerate() {
-            let Some(a) = a else { continue };
-            let fault = |other: String, depth_m: f64| PlanFault::Given {
-                arrangement,
-                object: self.problem.objects[i].id.clone(),
-                other,
-                depth_um: depth_m * 1e6,
-            };
-            let workspace = &self.problem.workspace;
-            let over = overhang(a, workspace.width, workspace.height);
-            if over > tolerance {
-                return Err(fault("the table's edge".to_string(), over));
+    /// Depth that a given pose is allowed to have.
+    fn tolerated(&self) -> f64 {
+        self.problem.overlap_tolerance.max(0.0) + TOUCH_M
+    }
+
+    fn check_start(&mut self) -> Result<(), PlanFault> {
+        for k in 0..self.poses.len() {
+            if !self.poses[k].is_finite() {
+                return Err(PlanFault::NotFinite { action: 0, object: self.name(k) });
             }
-            for (j, b) in bodies.iter().enumerate().skip(i + 1) {
-                if let Some(b) = b.as_ref().filter(|b| deeper_than(a, b, tolerance)) {
-                    return Err(fault(self.problem.objects[j].id.clone(), depth(a, b)));
-                }
-            }
+            let mut found = self.edge_contact(k, &self.bodies[k]);
+            found.extend(self.region_contacts(&self.bodies[k]));
+            found.extend((0..k).filter_map(|j| self.object_contact(j, &self.bodies[k])));
+            self.admit(k, found, GivenIn::Start)?;
         }
         Ok(())
     }
 
-    fn apply(&mut self, index: usize, action: &Action) -> Result<(), PlanFault> {
-        let unknown = PlanFault::UnknownObject { action: index, object: action.object };
-        let object = self.problem.objects.get(action.object).ok_or(unknown)?;
-        let name = || object.id.clone();
+    /// Takes given overlaps within the tolerance as they are, and refuses deeper ones.
+    fn admit(&mut self, k: usize, found: Vec<(String, f64, bool)>, given: GivenIn) -> Result<(), PlanFault> {
+        for (meets, depth_m, too_deep) in found {
+            if too_deep {
+                let (depth_um, tolerated_um) = (depth_m * 1e6, self.problem.overlap_tolerance * 1e6);
+                return Err(PlanFault::Start { object: self.name(k), meets, depth_um, tolerated_um });
+            }
+            self.note(Exempt { object: self.name(k), meets, given, depth_m });
+        }
+        Ok(())
+    }
+
+    fn note(&mut self, exempt: Exempt) {
+        let known = |e: &Exempt| {
+            e.given == exempt.given
+                && ((e.object == exempt.object && e.meets == exempt.meets)
+                    || (e.object == exempt.meets && e.meets == exempt.object))
+        };
+        if !self.exempt.iter().any(known) {
+            self.exempt.push(exempt);
+        }
+    }
+
+    /// What is met, how deep, and whether that is beyond the tolerance.
+    fn edge_contact(&self, _k: usize, body: &Body) -> Vec<(String, f64, bool)> {
+        let (width, height) = (self.problem.workspace.width, self.problem.workspace.height);
+        if !body.reaches_over(width, height, TOUCH_M) {
+            return Vec::new();
+        }
+        let too_far = body.reaches_over(width, height, self.tolerated());
+        vec![("the table's edge".to_string(), body.overhang(width, height), too_far)]
+    }
+
+    fn region_contacts(&self, body: &Body) -> Vec<(String, f64, bool)> {
+        let contact = |(r, region): (usize, &Body)| {
+            region.overlaps_deeper(body, TOUCH_M).then(|| {
+                (format!("keep_out[{r}]"), region.depth(body), region.overlaps_deeper(body, self.tolerated()))
+            })
+        };
+        self.regions.iter().enumerate().filter_map(contact).collect()
+    }
+
+    fn object_contact(&self, j: usize, body: &Body) -> Option<(String, f64, bool)> {
+        let other = &self.bodies[j];
+        other
+            .overlaps_deeper(body, TOUCH_M)
+            .then(|| (self.name(j), other.depth(body), other.overlaps_deeper(body, self.tolerated())))
+    }
+
+    fn carry_out(&mut self, index: usize, action: &Action) -> Result<(), PlanFault> {
+        let k = action.object;
+        let Some(object) = self.problem.objects.get(k) else {
+            return Err(PlanFault::NoSuchObject { action: index, object: k });
+        };
+        let name = object.id.clone();
         if !action.from.is_finite() || !action.to.is_finite() {
-            return Err(PlanFault::NotFinite { action: index, object: name() });
+            return Err(PlanFault::NotFinite { action: index, object: name });
         }
         if object.fixed {
-            return Err(PlanFault::Fixed { action: index, object: name() });
+            return Err(PlanFault::Fixed { action: index, object: name });
         }
-        let here = self.at[action.object];
-        if !here.same(&action.from) {
-            let (off_um, off_mrad) = difference(&here, &action.from);
-            return Err(PlanFault::From { action: index, object: name(), off_um, off_mrad });
+        if !self.poses[k].same(&action.from) {
+            let (off_um, off_deg) = off(&self.poses[k], &action.from);
+            return Err(PlanFault::From { action: index, object: name, off_um, off_deg });
         }
-        let to_goal = self.is_goal(action.object, &action.to);
-        if to_goal != (action.kind == ActionKind::Goal) {
-            let said = if to_goal { "a buffer" } else { "its goal" };
-            return Err(PlanFault::Kind { action: index, object: name(), said });
+        if action.kind == ActionKind::Goal && !self.goals[k].contains(&action.to) {
+            let nearest = self.nearest_goal(k, &action.to);
+            let (off_um, off_deg) = nearest.map_or((f64::INFINITY, 0.0), |goal| off(goal, &action.to));
+            return Err(PlanFault::NotItsGoal { action: index, object: name, off_um, off_deg });
         }
-        self.check_place(index, action)?;
-        self.at[action.object] = action.to;
+        let body = Body::new(&object.footprint, &action.to);
+        self.check_surroundings(index, k, &action.to, &body)?;
+        self.check_neighbours(index, k, &action.to, &body)?;
+        self.poses[k] = action.to;
+        self.bodies[k] = body;
         Ok(())
     }
 
-    fn check_place(&self, index: usize, action: &Action) -> Result<(), PlanFault> {
-        let (problem, moved) = (self.problem, action.object);
-        let object = problem.objects[moved].id.clone();
-        let body = self.body(moved, action.to);
-        let given = action.to == problem.objects[moved].start || self.is_goal(moved, &action.to);
-        let over = overhang(&body, problem.workspace.width, problem.workspace.height);
-        if over > TOUCH_M + if given { problem.overlap_tolerance } else { 0.0 } {
-            return Err(PlanFault::Edge { action: index, object, over_um: over * 1e6 });
-        }
-        for (k, region) in self.keep_out.iter().enumerate() {
-            if !given {
-                self.check_pair(index, &object, &body, &format!("keep_out[{k}]"), region)?;
+    fn nearest_goal(&self, k: usize, pose: &Pose2) -> Option<&Pose2> {
+        self.goals[k].iter().min_by(|a, b| a.distance(pose).total_cmp(&b.distance(pose)))
+    }
+
+    /// The table's edge and the keep-out regions; a given pose is exempt up to the tolerance.
+    fn check_surroundings(
+        &mut self,
+        action: usize,
+        k: usize,
+        to: &Pose2,
+        body: &Body,
+    ) -> Result<(), PlanFault> {
+        let given = self.given_alone(k, to);
+        for (_, depth_m, too_deep) in self.edge_contact(k, body) {
+            match given {
+                Some(given) if !too_deep => {
+                    let meets = "the table's edge".to_string();
+                    self.note(Exempt { object: self.name(k), meets, given, depth_m });
+                }
+                _ => return Err(PlanFault::Edge { action, object: self.name(k), depth_um: depth_m * 1e6 }),
             }
         }
-        for other in (0..self.at.len()).filter(|&other| other != moved) {
-            if !self.exempt(moved, &action.to, other, &self.at[other]) {
-                let there = self.body(other, self.at[other]);
-                self.check_pair(index, &object, &body, &problem.objects[other].id, &there)?;
+        for (meets, depth_m, too_deep) in self.region_contacts(body) {
+            match given {
+                Some(given) if !too_deep => self.note(Exempt { object: self.name(k), meets, given, depth_m }),
+                _ => {
+                    let (object, depth_um) = (self.name(k), depth_m * 1e6);
+                    return Err(PlanFault::Overlap { action, object, meets, depth_um });
+                }
+            }
+        }
+        if given.is_none() {
+            for (r, region) in self.regions.iter().enumerate() {
+                self.check_clearance(action, k, body, region, || format!("keep_out[{r}]"))?;
             }
         }
         Ok(())
     }
 
-    fn check_pair(
+    fn check_neighbours(
+        &mut self,
+        action: usize,
+        k: usize,
+        to: &Pose2,
+        body: &Body,
+    ) -> Result<(), PlanFault> {
+        for j in (0..self.poses.len()).filter(|&j| j != k) {
+            let given = self.given_together(k, to, j);
+            match (self.object_contact(j, body), given) {
+                (Some((meets, depth_m, false)), Some(given)) => {
+                    self.note(Exempt { object: self.name(k), meets, given, depth_m });
+                }
+                (Some((meets, depth_m, _)), _) => {
+                    let (object, depth_um) = (self.name(k), depth_m * 1e6);
+                    return Err(PlanFault::Overlap { action, object, meets, depth_um });
+                }
+                (None, Some(_)) => {}
+                (None, None) => self.check_clearance(action, k, body, &self.bodies[j], || self.name(j))?,
+            }
+        }
+        Ok(())
+    }
+
+    fn check_clearance(
         &self,
         action: usize,
-        object: &str,
+        k: usize,
         body: &Body,
-        other: &str,
-        there: &Body,
+        other: &Body,
+        name: impl Fn() -> String,
     ) -> Result<(), PlanFault> {
-        let (object, other) = (object.to_string(), other.to_string());
-        if deeper_than(body, there, TOUCH_M) {
-            let depth_um = depth(body, there) * 1e6;
-            return Err(PlanFault::Overlap { action, object, other, depth_um });
-        }
         let clearance = self.problem.clearance;
-        if clearance > TOUCH_M && nearer_than(body, there, clearance - TOUCH_M) {
-            return Err(PlanFault::Clearance { action, object, other, clearance_um: clearance * 1e6 });
+        if clearance > 0.0 && other.nearer_than(body, clearance) {
+            return Err(PlanFault::Clearance {
+                action,
+                object: self.name(k),
+                meets: name(),
+                gap_um: other.gap(body, clearance) * 1e6,
+                clearance_um: clearance * 1e6,
+            });
         }
         Ok(())
     }
 
-    /// Both exactly at given starts, or both exactly at given goals: their contact was checked at the outset.
-    fn exempt(&self, i: usize, at_i: &Pose2, j: usize, at_j: &Pose2) -> bool {
-        let start = |k: usize, pose: &Pose2| *pose == self.problem.objects[k].start;
-        (start(i, at_i) && start(j, at_j)) || (self.is_goal(i, at_i) && self.is_goal(j, at_j))
+    /// Is the pose exactly one that the files give for this object?
+    fn given_alone(&self, k: usize, pose: &Pose2) -> Option<GivenIn> {
+        if *pose == self.problem.objects[k].start {
+            return Some(GivenIn::Start);
+        }
+        self.goals[k].contains(pose).then_some(GivenIn::Goal)
     }
 
-    /// Exactly a goal of the object, or of another member of its group.
-    fn is_goal(&self, object: usize, pose: &Pose2) -> bool {
-        let mine = &self.problem.objects[object];
-        self.problem.objects.iter().enumerate().any(|(k, other)| {
-            let shares = k == object || (mine.group.is_some() && mine.group == other.group);
-            shares && other.goal.is_some_and(|goal| goal == *pose)
-        })
+    /// Are both exactly as given, in the same arrangement?
+    fn given_together(&self, k: usize, pose: &Pose2, j: usize) -> Option<GivenIn> {
+        let other = &self.poses[j];
+        if *pose == self.problem.objects[k].start && *other == self.problem.objects[j].start {
+            return Some(GivenIn::Start);
+        }
+        (self.goals[k].contains(pose) && self.goals[j].contains(other)).then_some(GivenIn::Goal)
     }
 
-    fn check_end(&self) -> Result<(), PlanFault> {
-        let objects = &self.problem.objects;
-        for (i, object) in objects.iter().enumerate() {
-            let Some(goal) = object.goal else { continue };
-            if object.group.is_some() {
-                // The goal has to be taken by some member; as many goals as takers make it a permutation.
-                let taken = objects
-                    .iter()
-                    .enumerate()
-                    .any(|(k, other)| other.group == object.group && self.at[k] == goal);
-                if taken {
-                    continue;
+    fn check_end(&self, actions: &[Action]) -> Result<(), PlanFault> {
+        let moved = |k: usize| actions.iter().any(|action| action.object == k);
+        // An object that never moves is there if its start is the goal, angles modulo a full turn.
+        let arrived = |k: usize, goal: &Pose2| {
+            if moved(k) { self.poses[k] == *goal } else { self.poses[k].same(goal) }
+        };
+        for (k, object) in self.problem.objects.iter().enumerate() {
+            let Some(goal) = object.goal.filter(|_| !object.fixed) else { continue };
+            let Some(group) = &object.group else {
+                if !arrived(k, &goal) {
+                    let (off_um, off_deg) = off(&self.poses[k], &goal);
+                    return Err(PlanFault::Goal { object: object.id.clone(), off_um, off_deg });
                 }
-            } else if self.at[i] == goal || self.never_moved_and_there(i, &goal) {
                 continue;
+            };
+            // Goals do not coincide (they would overlap), so that each is taken by at most one member.
+            let members =
+                (0..self.poses.len()).filter(|&m| self.problem.objects[m].group.as_ref() == Some(group));
+            if !members.into_iter().any(|m| arrived(m, &goal)) {
+                return Err(PlanFault::GroupGoal { group: group.clone(), object: object.id.clone() });
             }
-            let (off_um, off_mrad) = difference(&self.at[i], &goal);
-            return Err(PlanFault::NotAtGoal { object: object.id.clone(), off_um, off_mrad });
         }
         Ok(())
     }
-
-    /// An object whose start is its goal but for a whole turn need not be moved.
-    fn never_moved_and_there(&self, object: usize, goal: &Pose2) -> bool {
-        let start = &self.problem.objects[object].start;
-        self.at[object] == *start && start.same(goal)
-    }
 }
 
-fn difference(a: &Pose2, b: &Pose2) -> (f64, f64) {
-    (a.distance(b) * 1e6, a.angle_difference(b) * 1e3)
+/// Distance in micrometres and angle in degrees between two poses.
+fn off(a: &Pose2, b: &Pose2) -> (f64, f64) {
+    (a.distance(b) * 1e6, a.angle_difference(b).to_degrees())
 }
+
+#[cfg(test)]
+mod agreement;
+#[cfg(test)]
+mod bad_plans;

@@ -6,7 +6,8 @@
 //! stands still while the program is paused.
 
 use crate::device::gripper::GripperEvent;
-use crate::device::robot::{RobotCommand, RobotEvent};
+use crate::device::program::Nonce;
+use crate::device::robot_types::{RobotCommand, RobotEvent};
 use crate::geometry::pose::{Pose2, ur_pose_from_isometry};
 use crate::motion::pick_n_place::PickNPlacePaths;
 use crate::supervisor::gates::{self, Closed};
@@ -69,7 +70,6 @@ pub(crate) enum LookStage {
 #[derive(Debug)]
 pub(crate) struct Work {
     pub object: String,
-    pub to: Pose2,
     pub paths: PickNPlacePaths,
     pub stage: WorkStage,
 }
@@ -132,8 +132,10 @@ pub struct Cell {
     pub(crate) shutting_down: bool,
     pub(crate) job: Option<JobRun>,
     pub(crate) seen: Option<Seen>,
-    /// Nonce of the program uploaded last; 0 before the first.
-    pub(crate) nonce: i32,
+    /// Nonce of the program uploaded last.
+    pub(crate) nonce: Option<Nonce>,
+    /// The next nonce is made from this.
+    next_nonce: u64,
     /// Time the phase may still take at full speed.
     pub(crate) remaining: Duration,
     last_now: Timestamp,
@@ -166,8 +168,8 @@ const NOT_READY_LIMIT: Duration = Duration::from_secs(60);
 pub(crate) const BRING_UP_LIMIT: Duration = Duration::from_secs(30);
 
 impl Cell {
-    /// A disarmed cell without a job. `first_nonce` must differ from run to run.
-    pub fn new(model: CellModel, first_nonce: i32) -> Cell {
+    /// A disarmed cell without a job. `nonce_seed` must differ from run to run.
+    pub fn new(model: CellModel, nonce_seed: u64) -> Cell {
         Cell {
             model,
             phase: Phase::Ready,
@@ -178,7 +180,8 @@ impl Cell {
             shutting_down: false,
             job: None,
             seen: None,
-            nonce: first_nonce.clamp(1, i32::MAX - 1_000_000),
+            nonce: None,
+            next_nonce: nonce_seed,
             remaining: Duration::ZERO,
             last_now: Timestamp::ZERO,
             waiting_for: None,
@@ -258,7 +261,7 @@ impl Cell {
             Input::Robot(event) => self.on_robot(now, outside, event, &mut out),
             Input::Gripper(event) => self.on_gripper(now, event, &mut out),
             Input::Captured(result) => self.on_captured(outside, result, &mut out),
-            Input::Observed(observation) => self.on_observed(now, *observation, &mut out),
+            Input::Observed(result) => self.on_observed(now, result, &mut out),
             Input::Planned(answer) => self.on_planned(now, *answer, &mut out),
             Input::Job(order) => self.on_job(now, *order, &mut out),
             Input::Operator(command) => self.on_operator(now, command, &mut out),
@@ -402,7 +405,10 @@ impl Cell {
                 bring_up.asked = Some(RobotMode::Idle);
                 out.push(Action::Robot(RobotCommand::ReleaseBrakes));
             }
-            RobotMode::Running if robot.nonce == self.nonce && bring_up.program_asked => {
+            RobotMode::Running
+                if bring_up.program_asked
+                    && self.nonce.is_some_and(|nonce| robot.nonce == nonce.number()) =>
+            {
                 self.phase = Phase::Ready;
                 let tcp = ur_pose_from_isometry(&self.model.arm.flange_from_tool);
                 out.push(Action::Robot(RobotCommand::SetTcp(tcp)));
@@ -410,8 +416,10 @@ impl Cell {
             }
             RobotMode::Running if !bring_up.program_asked => {
                 bring_up.program_asked = true;
-                self.nonce += 1;
-                out.push(Action::Robot(RobotCommand::StartProgram { nonce: self.nonce }));
+                let nonce = Nonce::new(self.next_nonce);
+                self.next_nonce = self.next_nonce.wrapping_add(1);
+                self.nonce = Some(nonce);
+                out.push(Action::Robot(RobotCommand::StartProgram { nonce }));
             }
             _ => {}
         }

@@ -3,6 +3,7 @@
 //! In: what the devices last said, whether the cell is armed, what was observed when. Out: `Ok`, or the first
 //! condition that is missing, in words. One function for each class of motion; every motion goes through one.
 
+use crate::device::program::Nonce;
 use crate::supervisor::input::Outside;
 use crate::wire::enumerations::{RobotMode, SafetyMode};
 
@@ -42,7 +43,7 @@ pub enum Closed {
 ///
 /// # Errors
 /// The first condition that does not hold.
-pub fn any_motion(armed: bool, outside: &Outside, nonce: i32) -> Result<(), Closed> {
+pub fn any_motion(armed: bool, outside: &Outside, nonce: Option<Nonce>) -> Result<(), Closed> {
     let robot = match outside.robot {
         Some(robot) if outside.robot_fresh => robot,
         _ => return Err(Closed::Stale),
@@ -56,7 +57,7 @@ pub fn any_motion(armed: bool, outside: &Outside, nonce: i32) -> Result<(), Clos
     if robot.remote_control != Some(true) {
         return Err(Closed::Local);
     }
-    if nonce == 0 || robot.nonce != nonce {
+    if nonce.is_none_or(|nonce| robot.nonce != nonce.number()) {
         return Err(Closed::Program);
     }
     if armed { Ok(()) } else { Err(Closed::Disarmed) }
@@ -69,7 +70,7 @@ pub fn any_motion(armed: bool, outside: &Outside, nonce: i32) -> Result<(), Clos
 pub fn manipulate(
     armed: bool,
     outside: &Outside,
-    nonce: i32,
+    nonce: Option<Nonce>,
     observed: bool,
     approved: bool,
 ) -> Result<(), Closed> {

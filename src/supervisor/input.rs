@@ -1,7 +1,7 @@
 //! What the supervisor is told, and what it asks for.
 
 use crate::device::gripper::{GripperCommand, GripperEvent};
-use crate::device::robot::{RobotCommand, RobotEvent, RobotState};
+use crate::device::robot_types::{RobotCommand, RobotEvent, RobotState};
 use crate::geometry::pose::Pose2;
 use crate::planning::plan::{Action as PlanAction, Objective};
 use crate::planning::solver::SolverKind;
@@ -83,7 +83,7 @@ pub enum Input {
     /// The frames of one look pose were taken and searched for markers.
     Captured(Result<Vec<View>, String>),
     /// The views of a look were put together.
-    Observed(Box<Observation>),
+    Observed(Result<Box<Observation>, String>),
     /// The planner answered.
     Planned(Box<PlanAnswer>),
     /// A job was claimed.

@@ -3,7 +3,7 @@
 //! A frame counts only if the arm stood still before and after it was taken. What a look tells is valid until
 //! an object is picked, placed or dropped, or the cell was stopped.
 
-use crate::device::robot::RobotCommand;
+use crate::device::robot_types::RobotCommand;
 use crate::geometry::pose::Pose2;
 use crate::motion::path::{CheckedPath, Leg, Segment};
 use crate::planning::check::CheckedPlan;
@@ -141,11 +141,24 @@ impl Cell {
         }
     }
 
-    pub(crate) fn on_observed(&mut self, now: Timestamp, observation: Observation, out: &mut Vec<Action>) {
+    pub(crate) fn on_observed(
+        &mut self,
+        now: Timestamp,
+        result: Result<Box<Observation>, String>,
+        out: &mut Vec<Action>,
+    ) {
         if !matches!(self.phase, Phase::Look(Look { stage: LookStage::Observing, .. })) {
             return;
         }
         self.phase = Phase::Ready;
+        let observation = match result {
+            Ok(observation) => *observation,
+            Err(reason) => {
+                let remedy = "check the camera's calibration and the markers in the configuration";
+                self.finish(now, JobEnd::Failed, "observation", &reason, remedy, out);
+                return;
+            }
+        };
         let trouble = self.judge(&observation);
         let Some(job) = &mut self.job else { return };
         for object in &observation.objects {
@@ -172,11 +185,16 @@ impl Cell {
     fn judge(&self, observation: &Observation) -> Option<(String, String)> {
         let job = self.job.as_ref()?;
         if let Some(duplicate) = observation.duplicates.first() {
-            return Some(("marker_twice".into(), format!("marker {duplicate} was seen in two places")));
+            let message = format!("marker {} of {} was seen in two places", duplicate.marker_id, duplicate.id);
+            return Some(("marker_twice".into(), message));
         }
         let seen = |id: &str| observation.objects.iter().find(|object| object.id == id);
         let needed = job.order.goals.iter().map(|(id, _)| id).chain(job.last_seen.iter().map(|(id, _)| id));
         for id in needed {
+            if let Some(suspicious) = observation.suspicious.iter().find(|suspicious| suspicious.id == *id) {
+                let message = format!("{id} does not lie flat on the table: {}", suspicious.reason);
+                return Some((format!("object_tilted:{id}"), message));
+            }
             match seen(id) {
                 None => {
                     return Some((format!("object_missing:{id}"), format!("{id} is not to be seen on the table")));
@@ -188,7 +206,8 @@ impl Cell {
                 Some(_) => {}
             }
         }
-        let (id, reason) = observation.suspicious.first()?;
+        let suspicious = observation.suspicious.first()?;
+        let (id, reason) = (&suspicious.id, &suspicious.reason);
         Some((format!("object_tilted:{id}"), format!("{id} does not lie flat on the table: {reason}")))
     }
 

@@ -3,6 +3,7 @@
 //! In: checked configuration, calibration, and the kinematics that the controller reported. Out: plain data.
 //! Lengths in m, angles in rad, masses in kg.
 
+use crate::device::gripper::Channels;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::motion::path::ArmModel;
@@ -61,8 +62,8 @@ pub struct Tolerances {
 /// The gripper as the supervisor uses it.
 #[derive(Clone, Debug)]
 pub struct GripSettings {
-    /// Channels whose cups are used: A, B.
-    pub channels: [bool; 2],
+    /// Channels whose cups are used.
+    pub channels: Channels,
     /// Relative vacuum asked for, 0..0.8.
     pub vacuum_target: f64,
     /// Mass of the gripper with camera, kg.

@@ -3,8 +3,8 @@
 //! One rule: the arm is told to stop first, the vacuum stays as it is, the job gets a named end, the cell is
 //! disarmed, and nothing continues until a person has armed it and the table has been seen again.
 
-use crate::device::gripper::GripperCommand;
-use crate::device::robot::{RobotCommand, RobotEvent};
+use crate::device::gripper::{Channels, GripperCommand};
+use crate::device::robot_types::{RobotCommand, RobotEvent};
 use crate::supervisor::cell::{Cell, Phase, alarm, say};
 use crate::supervisor::input::{Action, Outside};
 use crate::supervisor::order::JobEnd;
@@ -56,7 +56,8 @@ impl Cell {
             RobotEvent::RuntimeException { line, column, text } => {
                 format!("the on-robot program failed at line {line}, column {column}: {text}")
             }
-            RobotEvent::ProtocolFault { link, detail } => format!("{link:?} link: {detail}"),
+            RobotEvent::ProtocolFault { link, detail, .. } => format!("{link}: {detail}"),
+            RobotEvent::RtdeLost => "the RTDE link was lost".to_string(),
             RobotEvent::Refused { what, reply } => format!("the controller refused {what}: {reply}"),
             RobotEvent::Safety { mode } if !matches!(mode, SafetyMode::Normal | SafetyMode::Reduced) => {
                 format!("safety mode {mode:?}")
@@ -82,7 +83,7 @@ impl Cell {
     pub(crate) fn on_release_order(&mut self, out: &mut Vec<Action>) {
         say(out, "vacuum off by the operator's order");
         self.seen = None;
-        out.push(Action::Gripper(GripperCommand::Release { channels: [true, true] }));
+        out.push(Action::Gripper(GripperCommand::Release { channels: Channels::Both }));
     }
 
     pub(crate) fn on_shutdown(&mut self, now: Timestamp, out: &mut Vec<Action>) {

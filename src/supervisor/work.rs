@@ -1,7 +1,7 @@
 //! One pick-n-place: approach, grip and verify, carry, release, retreat; and what to do when a grip fails.
 
 use crate::device::gripper::{GripperCommand, GripperEvent};
-use crate::device::robot::RobotCommand;
+use crate::device::robot_types::RobotCommand;
 use crate::motion::pick_n_place::{PickNPlace, plan};
 use crate::supervisor::cell::{Cell, Phase, Work, WorkStage, alarm, say};
 use crate::supervisor::gates;
@@ -43,7 +43,7 @@ impl Cell {
             to: next.to,
         }));
         out.push(Action::Robot(RobotCommand::Stream(paths.approach.clone())));
-        let work = Work { object: next.object, to: next.to, paths, stage: WorkStage::Approaching };
+        let work = Work { object: next.object, paths, stage: WorkStage::Approaching };
         self.enter(Phase::Work(Box::new(work)), self.model.tolerances.phase_deadline);
     }
 

@@ -1,3 +1,19 @@
-//! Object catalogue, workspace, arrangement, instance files and importers. Pure: text in, values out.
+//! Object catalogue, workspace, arrangement, instance formats and importers. Pure: text in, values out.
+//!
+//! `instance`: the structs. `decode`: objects and footprints out of a document. `parse`: instance files, all
+//! complaints at once. `public_data`: the importers. `write`: instances back to YAML and JSON.
 
+pub mod decode;
 pub mod instance;
+pub mod parse;
+pub mod public_data;
+pub mod write;
+
+#[cfg(test)]
+mod tests;
+
+pub mod fit;
+
+pub mod room;
+
+pub mod scenes;

@@ -1,0 +1,288 @@
+//! Importers for the instances published with the HeTORI and TRLB papers.
+//!
+//! In: a located tree of one of their JSON files. Out: an [`Instance`] on a table of 1 m (their unit is the
+//! millimetre of a 1 m table), with `overlap_tolerance` 0.002 of the width, because their ellipses are inscribed
+//! polygons and their arrangements overlap a little for true ones. Formats: one file per heterogeneous task; one
+//! file per arrangement of discs or sticks, two of which make a task. Object k of a file is named
+//! `<shape>-<k>`. Impedance is area over the smallest area, 1 for discs and sticks.
+
+use std::collections::HashMap;
+
+use crate::document::decode::{At, Decoder, Fields};
+use crate::document::{Complaints, Node, parse};
+use crate::geometry::footprint::{Footprint, FootprintFault};
+use crate::geometry::polygon::Point;
+use crate::geometry::pose::Pose2;
+use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
+use crate::tabletop::parse::{MAX_OBJECTS, Place, ShapeLookup};
+
+/// Their length units in a metre; divided by, not multiplied with the inverse, so that 700 becomes 0.7.
+const UNITS_PER_M: f64 = 1000.0;
+
+/// Given overlap taken as it is, share of the workspace width.
+const TOLERANCE_SHARE: f64 = 0.002;
+
+/// True for a heterogeneous task file.
+pub fn is_heterogeneous(node: &Node) -> bool {
+    node.get("object_list").is_some()
+}
+
+/// True for one arrangement of discs or sticks.
+pub fn is_arrangement(node: &Node) -> bool {
+    node.get("point_list").is_some()
+}
+
+/// Reads a heterogeneous task.
+pub(crate) fn heterogeneous(
+    decoder: &mut Decoder,
+    node: &Node,
+    shapes: ShapeLookup,
+) -> Option<(Instance, Vec<Place>)> {
+    let known =
+        ["Workspace_Density", "Workspace_Height", "Workspace_Width", "number_of_objects", "object_list"];
+    let fields = decoder.map(&At::top(node), &known)?;
+    let workspace = workspace(decoder, &fields);
+    let items = fields.required("object_list", decoder).and_then(|at| limited(decoder, &at))?;
+    let mut models = Models { lookup: shapes, known: HashMap::new() };
+    let objects: Vec<Option<ObjectSpec>> = items
+        .iter()
+        .enumerate()
+        .map(|(k, item)| heterogeneous_object(decoder, item, k, &mut models))
+        .collect();
+    let mut objects: Vec<ObjectSpec> = objects.into_iter().collect::<Option<_>>()?;
+    let smallest = objects.iter().map(|object| object.footprint.area()).fold(f64::INFINITY, f64::min);
+    for object in &mut objects {
+        object.impedance = Some(object.footprint.area() / smallest);
+    }
+    let at = |item: &At, key: &str| item.node.get(key).map_or(item.node.at, |node| node.at);
+    let places = items
+        .iter()
+        .map(|item| Place {
+            path: item.path.clone(),
+            start: at(item, "initial_pose"),
+            goal: at(item, "goal_pose"),
+        })
+        .collect();
+    Some((instance(workspace?, objects), places))
+}
+
+fn instance(workspace: Workspace, objects: Vec<ObjectSpec>) -> Instance {
+    Instance {
+        workspace,
+        clearance: 0.0,
+        overlap_tolerance: TOLERANCE_SHARE * workspace.width,
+        keep_out: Vec::new(),
+        objects,
+    }
+}
+
+fn workspace(decoder: &mut Decoder, fields: &Fields) -> Option<Workspace> {
+    let mut length = |key: &str| {
+        let at = fields.required(key, decoder)?;
+        decoder.number_in(&at, 1.0..=100_000.0, "mm").map(|length| length / UNITS_PER_M)
+    };
+    let (width, height) = (length("Workspace_Width"), length("Workspace_Height"));
+    Some(Workspace { width: width?, height: height? })
+}
+
+fn limited<'n>(decoder: &mut Decoder, at: &At<'n>) -> Option<Vec<At<'n>>> {
+    let items = decoder.sequence(at)?;
+    if items.len() > MAX_OBJECTS {
+        decoder.complain_at(at, format!("{} objects, at most {MAX_OBJECTS} are read", items.len()), "");
+        return None;
+    }
+    Some(items)
+}
+
+fn heterogeneous_object(
+    decoder: &mut Decoder,
+    item: &At,
+    k: usize,
+    models: &mut Models,
+) -> Option<ObjectSpec> {
+    let known = ["Object_Shape", "Object_Length", "Object_Width", "initial_pose", "goal_pose"];
+    let fields = decoder.map(item, &known)?;
+    let shape_at = fields.required("Object_Shape", decoder);
+    let shape = shape_at.as_ref().and_then(|at| decoder.text(at));
+    let mut number = |key: &str| fields.required(key, decoder).and_then(|at| decoder.positive(&at, "mm"));
+    let (length, width) = (number("Object_Length"), number("Object_Width"));
+    let mut pose = |key: &str| {
+        let at = fields.required(key, decoder)?;
+        decoder.numbers::<3>(&at).map(|[x, y, theta]| Pose2::new(x / UNITS_PER_M, y / UNITS_PER_M, theta))
+    };
+    let (start, goal) = (pose("initial_pose"), pose("goal_pose"));
+    let (shape_at, shape, length, width) = (shape_at?, shape?, length? / UNITS_PER_M, width? / UNITS_PER_M);
+    let (word, footprint) = match shape.as_str() {
+        "cuboid" => ("rectangle", Footprint::rectangle(length, width)),
+        "disc" => ("ellipse", Footprint::ellipse(length, width)),
+        name => {
+            let points = models.points(decoder, &shape_at, name)?;
+            let scaled: Vec<Point> = points.iter().map(|p| [p[0] * length, p[1] * width]).collect();
+            (name, Footprint::polygon(&scaled))
+        }
+    };
+    let mut object = ObjectSpec::new(format!("{word}-{k}"), accepted(decoder, item, footprint)?);
+    object.start = Some(start?);
+    object.goal = Some(goal?);
+    Some(object)
+}
+
+fn accepted(decoder: &mut Decoder, at: &At, shape: Result<Footprint, FootprintFault>) -> Option<Footprint> {
+    match shape {
+        Ok(shape) => Some(shape),
+        Err(fault) => {
+            decoder.complain_at(at, fault.to_string(), "");
+            None
+        }
+    }
+}
+
+/// Named polygons, read once each.
+struct Models<'a> {
+    lookup: ShapeLookup<'a>,
+    known: HashMap<String, Option<Vec<Point>>>,
+}
+
+impl Models<'_> {
+    fn points(&mut self, decoder: &mut Decoder, at: &At, name: &str) -> Option<Vec<Point>> {
+        if let Some(known) = self.known.get(name) {
+            return known.clone();
+        }
+        let plain =
+            !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+        let points = match plain.then(|| (self.lookup)(name)).flatten() {
+            Some(text) => shape_points(decoder, at, name, &text),
+            None => {
+                let help = format!("give the folder that holds {name}.json with --shapes DIR");
+                decoder.complain_at(at, format!("the shape {name:?} is not known"), help);
+                None
+            }
+        };
+        self.known.insert(name.to_string(), points.clone());
+        points
+    }
+}
+
+fn shape_points(decoder: &mut Decoder, at: &At, name: &str, text: &str) -> Option<Vec<Point>> {
+    let source = format!("{name}.json");
+    let node = match parse(text, &source) {
+        Ok(node) => node,
+        Err(faults) => {
+            decoder.complain_at(at, format!("its shape file cannot be read: {faults}"), "");
+            return None;
+        }
+    };
+    let mut inner = Decoder::new(source);
+    let points = inner.map(&At::top(&node), &["center", "radius", "points"]).and_then(|fields| {
+        let list = fields.required("points", &mut inner).and_then(|at| inner.sequence(&at))?;
+        let points: Vec<Option<Point>> = list.iter().map(|item| inner.numbers::<2>(item)).collect();
+        points.into_iter().collect::<Option<Vec<Point>>>()
+    });
+    match inner.finish(points) {
+        Ok(points) => Some(points),
+        Err(faults) => {
+            decoder.complain_at(at, format!("its shape file cannot be read: {faults}"), "");
+            None
+        }
+    }
+}
+
+struct Arrangement {
+    workspace: Workspace,
+    word: &'static str,
+    footprint: Footprint,
+    poses: Vec<Pose2>,
+}
+
+/// Two arrangements of discs or sticks make a task: object k is the k-th entry of both.
+pub(crate) fn arrangement_pair(
+    (start, start_source): (&Node, &str),
+    (goal, goal_source): (&Node, &str),
+) -> Result<Instance, Complaints> {
+    let (start, mut faults) = match arrangement(start, start_source) {
+        Ok(start) => (Some(start), Vec::new()),
+        Err(faults) => (None, faults.0),
+    };
+    let wanted = match arrangement(goal, goal_source) {
+        Ok(wanted) => Some(wanted),
+        Err(more) => {
+            faults.extend(more.0);
+            None
+        }
+    };
+    let (Some(start), Some(wanted)) = (start, wanted) else { return Err(Complaints(faults)) };
+    let mut decoder = Decoder::new(goal_source);
+    if start.footprint != wanted.footprint || start.workspace != wanted.workspace {
+        let message = format!("its workspace or object size differs from that of {start_source}");
+        decoder.complain(goal.at, "", message, "take two files of one folder");
+    }
+    if start.poses.len() != wanted.poses.len() {
+        let message = format!("{} objects, {start_source} has {}", wanted.poses.len(), start.poses.len());
+        decoder.complain(goal.at, "point_list", message, "take two files of one folder");
+    }
+    let objects = start
+        .poses
+        .iter()
+        .zip(&wanted.poses)
+        .enumerate()
+        .map(|(k, (from, to))| {
+            let mut object = ObjectSpec::new(format!("{}-{k}", start.word), start.footprint.clone());
+            object.impedance = Some(1.0);
+            (object.start, object.goal) = (Some(*from), Some(*to));
+            object
+        })
+        .collect();
+    decoder.finish(Some(instance(start.workspace, objects)))
+}
+
+fn arrangement(node: &Node, source: &str) -> Result<Arrangement, Complaints> {
+    let mut decoder = Decoder::new(source);
+    let read = read_arrangement(&mut decoder, node);
+    decoder.finish(read)
+}
+
+fn read_arrangement(decoder: &mut Decoder, node: &Node) -> Option<Arrangement> {
+    let known = [
+        "Object_Radius",
+        "Object_Length",
+        "Object_Width",
+        "Object_Shape",
+        "Workspace_Density",
+        "Workspace_Height",
+        "Workspace_Width",
+        "number_of_objects",
+        "point_list",
+    ];
+    let fields = decoder.map(&At::top(node), &known)?;
+    let workspace = workspace(decoder, &fields);
+    let shape_at = fields.required("Object_Shape", decoder)?;
+    let sticks = decoder.choice(&shape_at, &[("disc", false), ("cuboid", true)])?;
+    let mut number = |key: &str| {
+        fields
+            .required(key, decoder)
+            .and_then(|at| decoder.positive(&at, "mm"))
+            .map(|length| length / UNITS_PER_M)
+    };
+    let (word, shape) = if sticks {
+        let (length, width) = (number("Object_Length"), number("Object_Width"));
+        ("stick", Footprint::rectangle(length?, width?))
+    } else {
+        ("disc", Footprint::disc(number("Object_Radius")?))
+    };
+    let footprint = accepted(decoder, &shape_at, shape);
+    let items = fields.required("point_list", decoder).and_then(|at| limited(decoder, &at))?;
+    let poses: Vec<Option<Pose2>> = items
+        .iter()
+        .map(|item| {
+            let [x, y, theta] = if sticks {
+                decoder.numbers::<3>(item)?
+            } else {
+                let [x, y] = decoder.numbers::<2>(item)?;
+                [x, y, 0.0]
+            };
+            Some(Pose2::new(x / UNITS_PER_M, y / UNITS_PER_M, theta))
+        })
+        .collect();
+    let poses = poses.into_iter().collect::<Option<_>>()?;
+    Some(Arrangement { workspace: workspace?, word, footprint: footprint?, poses })
+}
