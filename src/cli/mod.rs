@@ -5,6 +5,7 @@
 
 pub mod bench_planning;
 pub mod demo;
+pub mod detect;
 pub mod plan;
 pub mod task;
 pub mod verify;

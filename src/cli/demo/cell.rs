@@ -4,7 +4,9 @@
 //! In: an instance whose objects fit the cell, addresses, a seed. Out: a [`CellConfig`] with nominal values
 //! and a [`SimConfig`] whose truth deviates from them by the seed. Nothing measured passes between the two.
 
-use crate::cli::demo::teach::{BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers};
+use crate::cli::demo::teach::{
+    BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
+};
 use crate::config::cell::{
     CalibrationFiles, CameraDevice, CameraMount, CellConfig, CupChannel, CupConfig, Devices, GripperConfig,
     MotionLimits, PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
@@ -24,6 +26,7 @@ use crate::tabletop::instance::Instance;
 use crate::units::Joints;
 use nalgebra::Isometry3;
 use std::net::IpAddr;
+use std::f64::consts::TAU;
 use std::path::Path;
 
 /// Distance of the camera over the table while looking, m.
@@ -35,6 +38,9 @@ const PICTURE: (u32, u32) = (1280, 720);
 
 /// Diameter of the one cup, m.
 pub const CUP_DIAMETER_M: f64 = 0.02;
+
+/// Elbow up over the table: the posture of all work.
+const HOME: Joints = Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]);
 
 /// What the demo may choose.
 #[derive(Clone, Debug)]
@@ -84,7 +90,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             .collect(),
         gripper: GripperConfig {
             cups: vec![CupConfig { channel: CupChannel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP_DIAMETER_M }],
-            body_polygon: vec![[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]],
+            body_polygon: vec![[-0.035, -0.035], [0.035, -0.035], [0.035, 0.035], [-0.035, 0.035]],
             body_height_m: 0.08,
             vacuum_min: 0.4,
             mass_kg: 0.95,
@@ -94,7 +100,8 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         base_from_table,
         camera: CameraMount::Flange { flange_from_camera },
         look_poses: Vec::new(),
-        park_pose: Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]),
+        park_pose: HOME,
+        work_pose: HOME,
         calibration_poses: Vec::new(),
         calibration: CalibrationFiles {
             camera: out.join("calibration/camera.yaml"),
@@ -106,7 +113,9 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             joint_acceleration: 3.0,
             tool_speed: 0.25,
             tool_acceleration: 1.2,
-            contact_speed: 0.05,
+            joint_range: [(-TAU, TAU); 6],
+            link_floor_m: 0.03,
+            press_m: 5e-4,
             lift_height_m: 0.03,
             approach_height_m: 0.04,
             blend_m: 0.015,
@@ -219,6 +228,6 @@ fn gripper_spec(config: &CellConfig) -> spec::GripperSpec {
         cups: cups.collect(),
         // A body that cannot be drawn is no reason to stop: it only hides part of a picture.
         body: Footprint::polygon(&gripper.body_polygon).unwrap_or(Footprint::Disc { radius: 0.04 }),
-        body_above_lips_m: 0.03,
+        body_above_lips_m: 0.08,
     }
 }

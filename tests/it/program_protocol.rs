@@ -1,11 +1,50 @@
 //! celld's program on the robot, run by the simulated controller frame by frame, driven through registers
 //! alone: what the daemon relies on, without the daemon.
 
+<<<<<<<< HEAD:tests/it/on_robot_program.rs
 use celld::sim::controller::registers::Input;
 use celld::sim::controller::{Controller, ControllerConfig, builtins};
 use celld::units::Joints;
-use celld::urscript::compile::compile;
 use celld::wire::rtde_values::Value;
+========
+#![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
+
+use celld::device::program::{Nonce, PROGRAM_TEXT, ProgramTemplate, WATCHDOG_FRAMES};
+use celld::device::registers::{CommandRegisters, Opcode};
+use celld::urscript::compile::compile;
+use celld::urscript::host::{Builtin, BuiltinParameter, Call, Host, Reply};
+use celld::urscript::program::{Program, Progress};
+use celld::urscript::value::{ThreadId, Value};
+use celld::wire::rtde_values::Value as RtdeValue;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+const fn needed(name: &'static str) -> BuiltinParameter {
+    BuiltinParameter { name, optional: false }
+}
+
+const fn optional(name: &'static str) -> BuiltinParameter {
+    BuiltinParameter { name, optional: true }
+}
+
+const BUILTINS: &[Builtin] = &[
+    Builtin { name: "read_input_integer_register", parameters: &[needed("address")] },
+    Builtin { name: "read_input_float_register", parameters: &[needed("address")] },
+    Builtin { name: "write_output_integer_register", parameters: &[needed("address"), needed("value")] },
+    Builtin {
+        name: "movej",
+        parameters: &[needed("q"), optional("a"), optional("v"), optional("t"), optional("r")],
+    },
+    Builtin {
+        name: "movel",
+        parameters: &[needed("pose"), optional("a"), optional("v"), optional("t"), optional("r")],
+    },
+    Builtin { name: "stopj", parameters: &[needed("a")] },
+    Builtin { name: "set_payload", parameters: &[needed("m"), optional("cog")] },
+    Builtin { name: "set_tcp", parameters: &[needed("pose")] },
+    Builtin { name: "textmsg", parameters: &[needed("s1"), optional("s2")] },
+];
+>>>>>>>> robot:tests/it/program_protocol.rs
 
 const PROGRAM: &str = include_str!("../../hardware/ur5e/celld_program.script");
 const NONCE: i32 = 4711;
@@ -32,7 +71,7 @@ impl Driver {
         let text = PROGRAM
             .replace("{{NONCE}}", &NONCE.to_string())
             .replace("{{WATCHDOG_FRAMES}}", &WATCHDOG_FRAMES.to_string());
-        let code = compile(&text, &builtins::find);
+        let code = builtins::compile_program(&text);
         assert!(code.is_ok(), "{}", code.unwrap_err());
         assert!(controller.programs.upload(code));
         let mut driver = Driver { controller, heartbeat: 0, silent: false, sequence: 0 };
