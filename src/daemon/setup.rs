@@ -16,7 +16,6 @@ use crate::time::Duration;
 use crate::vision::camera::CameraModel;
 use crate::vision::observe::{MarkedObject, ObserveLimits, ReferenceMarker};
 use nalgebra::{Isometry3, Vector3};
-use std::f64::consts::TAU;
 
 /// What calibration found and the controller reported.
 #[derive(Clone, Debug)]
@@ -76,7 +75,7 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
             tallest,
             air: limits.lift_height_m,
             approach: limits.approach_height_m,
-            press: 5e-4,
+            press: limits.press_m,
             blend: limits.blend_m,
             joint_speed: limits.joint_speed,
             joint_acceleration: limits.joint_acceleration,
@@ -115,12 +114,12 @@ pub fn arm_model(config: &CellConfig, dh: DhParameters, base_from_table: Isometr
         flange_from_tool: config.flange_from_tool,
         home: config.look_poses.first().copied().unwrap_or(config.park_pose),
         limits: ArmLimits {
-            joint_range: [(-TAU, TAU); 6],
+            joint_range: limits.joint_range,
             joint_speed: limits.joint_speed,
             joint_acceleration: limits.joint_acceleration,
             tool_speed: limits.tool_speed,
             tool_acceleration: limits.tool_acceleration,
-            link_floor: 0.03,
+            link_floor: limits.link_floor_m,
         },
     }
 }

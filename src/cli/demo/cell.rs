@@ -4,7 +4,9 @@
 //! In: an instance whose objects fit the cell, addresses, a seed. Out: a [`CellConfig`] with nominal values
 //! and a [`SimConfig`] whose truth deviates from them by the seed. Nothing measured passes between the two.
 
-use crate::cli::demo::teach::{BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers};
+use crate::cli::demo::teach::{
+    BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
+};
 use crate::config::cell::{
     CalibrationFiles, CameraDevice, CameraMount, CellConfig, CupChannel, CupConfig, Devices, GripperConfig,
     MotionLimits, PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
@@ -102,13 +104,15 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             table: out.join("calibration/table.yaml"),
         },
         limits: MotionLimits {
+            joint_range: [(-std::f64::consts::TAU, std::f64::consts::TAU); 6],
             joint_speed: 1.5,
             joint_acceleration: 3.0,
             tool_speed: 0.25,
             tool_acceleration: 1.2,
-            contact_speed: 0.05,
+            link_floor_m: 0.03,
             lift_height_m: 0.03,
             approach_height_m: 0.04,
+            press_m: 5e-4,
             blend_m: 0.015,
         },
         tolerances: Tolerances {
