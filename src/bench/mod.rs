@@ -1,1 +1,3 @@
 //! Benchmark runners and their tables.
+
+pub mod planning;

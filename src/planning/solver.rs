@@ -4,6 +4,7 @@
 //! with a witness, or no plan found. Every plan has passed the independent checker before anybody sees it.
 //! Deterministic: the same seed and work limit give the same outcome; no clock is read here.
 
+use crate::geometry::pose::Pose2;
 use crate::planning::bound::{self, LowerBound};
 use crate::planning::check::CheckedPlan;
 use crate::planning::completion;
@@ -11,7 +12,7 @@ use crate::planning::effort::Effort;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::plan::{Action, ActionKind, Objective, Status};
 use crate::planning::primitive::{Preference, RunningBuffer};
-use crate::planning::problem::{Problem, Witness};
+use crate::planning::problem::{Problem, ProblemObject, Witness};
 use crate::planning::scene::Scene;
 use crate::planning::trlb::{Move, Trlb};
 use crate::planning::weights;
@@ -267,9 +268,16 @@ fn actions(problem: &Problem, moves: &[Move]) -> Vec<Action> {
     moves
         .iter()
         .map(|m| {
-            let at_goal = problem.objects[m.object].goal == Some(m.to.pose);
-            let kind = if at_goal { ActionKind::Goal } else { ActionKind::Buffer };
+            let kind = if is_goal_of(problem, m.object, &m.to.pose) { ActionKind::Goal } else { ActionKind::Buffer };
             Action { object: m.object, from: m.from.pose, to: m.to.pose, kind }
         })
         .collect()
+}
+
+/// Is the pose the object's goal, or one of its group's?
+fn is_goal_of(problem: &Problem, object: usize, pose: &Pose2) -> bool {
+    let group = &problem.objects[object].group;
+    let shared = |o: &ProblemObject| group.is_some() && o.group == *group;
+    let may_take = problem.objects.iter().enumerate().filter(|(k, o)| *k == object || shared(o));
+    may_take.into_iter().any(|(_, o)| o.goal == Some(*pose))
 }

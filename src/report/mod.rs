@@ -1,7 +1,7 @@
 //! Pictures and pages people look at: SVG, HTML, tables. Pure.
 
-pub mod plan_svg;
 pub mod html;
+pub mod plan_svg;
 pub mod run;
 pub mod summary;
 pub mod table_svg;

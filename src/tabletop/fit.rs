@@ -256,7 +256,11 @@ fn fit_object(object: &ObjectSpec, needs: &Requirements) -> Result<(f64, Point, 
     if px < needs.least_module_px - 1e-9 {
         let needed = needs.least_module_px;
         let stated = object.marker.is_some();
-        return Err(if stated { Lack::StatedMarker { size, px, needed } } else { Lack::Marker { size, px, needed } });
+        return Err(if stated {
+            Lack::StatedMarker { size, px, needed }
+        } else {
+            Lack::Marker { size, px, needed }
+        });
     }
     let grip = place_for_cups(&object.footprint, object.grippable.as_ref(), &needs.cups, needs.cup_margin);
     Ok((size, centre, grip.ok_or(cups_lack(needs))?))

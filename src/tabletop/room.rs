@@ -4,6 +4,7 @@
 //! points with enough room around them, and room changes no faster than the point moves; so a search over
 //! squares that halves the promising ones is exact to its stated tolerance, also on non-convex tops.
 
+use crate::geometry::collision::TOUCH_M;
 use crate::geometry::ellipse::distance_to_ellipse;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::{Point, Polygon, contains, distance, distance_to_outline};
@@ -58,7 +59,7 @@ pub fn place_for_square(footprint: &Footprint, edge: f64) -> Option<Point> {
     match footprint {
         // Convex and symmetric: if the square fits anywhere, it fits in the middle.
         Footprint::Rectangle { .. } | Footprint::Disc { .. } | Footprint::Ellipse { .. } => {
-            (edge <= largest_square(footprint)).then_some(target)
+            (edge <= largest_square(footprint) + TOUCH_M).then_some(target)
         }
         Footprint::Polygon(polygon) => {
             let room = |p: Point| square_room(polygon.points(), p) - half;
@@ -70,7 +71,12 @@ pub fn place_for_square(footprint: &Footprint, edge: f64) -> Option<Point> {
 /// The grip nearest to the centroid at which every cup lies on the footprint (and on `grippable`, if that is
 /// given) with `margin` to spare, m. The tool points down: its x axis lies at the yaw, its y axis 90 degrees
 /// clockwise of that, seen from above.
-pub fn place_for_cups(footprint: &Footprint, grippable: Option<&Polygon>, cups: &[Cup], margin: f64) -> Option<Grip> {
+pub fn place_for_cups(
+    footprint: &Footprint,
+    grippable: Option<&Polygon>,
+    cups: &[Cup],
+    margin: f64,
+) -> Option<Grip> {
     let target = footprint.centroid();
     let on_axis = cups.iter().all(|cup| cup.x.hypot(cup.y) < 1e-9);
     let yaws = if on_axis { 1 } else { YAWS };
@@ -130,7 +136,10 @@ fn max_norm_to_segment(p: Point, a: Point, b: Point) -> f64 {
     let (ux, uy) = (b[0] - a[0], b[1] - a[1]);
     let at = |t: f64| (ax + t * ux).abs().max((ay + t * uy).abs());
     let zeros = [(ax, ux), (ay, uy), (ax - ay, ux - uy), (ax + ay, ux + uy)];
-    let inner = zeros.iter().filter(|(_, slope)| *slope != 0.0).map(|(value, slope)| (-value / slope).clamp(0.0, 1.0));
+    let inner = zeros
+        .iter()
+        .filter(|(_, slope)| *slope != 0.0)
+        .map(|(value, slope)| (-value / slope).clamp(0.0, 1.0));
     inner.chain([0.0, 1.0]).map(at).fold(f64::INFINITY, f64::min)
 }
 
@@ -197,10 +206,15 @@ fn most_room(footprint: &Footprint, room: &dyn Fn(Point) -> f64) -> f64 {
 }
 
 /// The point nearest to `target` (farther by at most [`EXACT_M`]) whose room is not negative. Over a square of
-/// half edge h, `room` changes by at most `slope` h from its centre. A place that has room on less than a few
-/// hundredths of a micrometre around it may be missed.
-fn nearest_with_room(footprint: &Footprint, target: Point, slope: f64, room: &dyn Fn(Point) -> f64) -> Option<Point> {
-    const FINEST_M: f64 = 1e-8;
+/// half edge h, `room` changes by at most `slope` h from its centre. Where room is left for a few micrometres only,
+/// it may be missed: looking closer would take ever longer along a strip that just fails.
+fn nearest_with_room(
+    footprint: &Footprint,
+    target: Point,
+    slope: f64,
+    room: &dyn Fn(Point) -> f64,
+) -> Option<Point> {
+    const FINEST_M: f64 = 2e-6;
     let mut best: Option<(f64, Point)> = None;
     let half = cover(footprint, target);
     let mut cells = BinaryHeap::from([Cell { centre: target, half, promise: 0.0 }]);
@@ -210,7 +224,7 @@ fn nearest_with_room(footprint: &Footprint, target: Point, slope: f64, room: &dy
         }
         let here = room(cell.centre);
         let off = distance(cell.centre, target);
-        if here >= 0.0 && best.is_none_or(|(least, _)| off < least) {
+        if here >= -TOUCH_M && best.is_none_or(|(least, _)| off < least) {
             best = Some((off, cell.centre));
         }
         if here + slope * cell.half < 0.0 || cell.half < FINEST_M {
@@ -241,7 +255,8 @@ mod tests {
     fn square_is_on(footprint: &Footprint, centre: Point, edge: f64) {
         for i in 0..=40 {
             for j in 0..=40 {
-                let p = [centre[0] + edge * (i as f64 / 40.0 - 0.5), centre[1] + edge * (j as f64 / 40.0 - 0.5)];
+                let p =
+                    [centre[0] + edge * (i as f64 / 40.0 - 0.5), centre[1] + edge * (j as f64 / 40.0 - 0.5)];
                 // The square may touch the outline: look a micrometre inside.
                 let q = [p[0] + (centre[0] - p[0]) * 1e-4, p[1] + (centre[1] - p[1]) * 1e-4];
                 assert!(footprint.contains_point(q, 0.0), "{q:?} is off the top");
@@ -281,9 +296,8 @@ mod tests {
         assert_eq!(grip, Grip { point: [0.0, 0.0], yaw: None });
         let grip = place_for_cups(&angle(), None, &cup, 0.001).unwrap();
         assert!(angle().contains_point(grip.point, 0.011 - 1e-9), "{grip:?}");
-        // The nearest point of the L with that room lies on the diagonal through its inner corner.
-        let along = 0.011 / SQRT_2;
-        assert!(distance(grip.point, [0.04 - along, 0.04 - along]) < 1e-4, "{grip:?}");
+        // The centroid (44 mm, 44 mm) is off the L; straight below it an arm begins at 40 mm, less 11 mm.
+        assert!((distance(grip.point, [0.044, 0.044]) - 0.015).abs() < 3e-5, "{grip:?}");
     }
 
     #[test]
@@ -298,7 +312,8 @@ mod tests {
     fn cups_keep_to_the_grippable_area() {
         let cup = [Cup { x: 0.0, y: 0.0, radius: 0.01 }];
         let area = Polygon::new(&[[0.02, -0.02], [0.06, -0.02], [0.06, 0.02], [0.02, 0.02]]).unwrap();
-        let grip = place_for_cups(&Footprint::rectangle(0.2, 0.1).unwrap(), Some(&area), &cup, 0.001).unwrap();
+        let grip =
+            place_for_cups(&Footprint::rectangle(0.2, 0.1).unwrap(), Some(&area), &cup, 0.001).unwrap();
         assert!(distance(grip.point, [0.031, 0.0]) < 1e-4, "{grip:?}");
     }
 
@@ -316,7 +331,8 @@ mod tests {
         let cups = [Cup { x: 0.0, y: 0.03, radius: 0.01 }, Cup { x: 0.0, y: 0.0, radius: 0.01 }];
         // Room for the second cup only at smaller y than the first: the tool's y axis must point to -y, yaw 0.
         let area = Polygon::new(&[[-0.012, -0.05], [0.012, -0.05], [0.012, 0.012], [-0.012, 0.012]]).unwrap();
-        let grip = place_for_cups(&Footprint::rectangle(0.1, 0.1).unwrap(), Some(&area), &cups, 0.001).unwrap();
+        let grip =
+            place_for_cups(&Footprint::rectangle(0.1, 0.1).unwrap(), Some(&area), &cups, 0.001).unwrap();
         assert_eq!((grip.point, grip.yaw), ([0.0, 0.0], Some(0.0)));
     }
 }

@@ -78,7 +78,10 @@ mod tests {
     use crate::geometry::pose::Pose2;
 
     fn all() -> Vec<(&'static str, Instance)> {
-        SCENES.iter().map(|one| (one.name, scene(one.name).unwrap_or_else(|fault| panic!("{fault}")))).collect()
+        SCENES
+            .iter()
+            .map(|one| (one.name, scene(one.name).unwrap_or_else(|fault| panic!("{fault}"))))
+            .collect()
     }
 
     fn poses(instance: &Instance) -> (Vec<Pose2>, Vec<Pose2>) {
@@ -88,7 +91,10 @@ mod tests {
     #[test]
     fn an_unknown_scene_is_refused_with_the_names_there_are() {
         let message = scene("tetris").unwrap_err().to_string();
-        assert!(message.contains("`tetris`") && message.contains("tetris-heart, planks, blocks, desk"), "{message}");
+        assert!(
+            message.contains("`tetris`") && message.contains("tetris-heart, planks, blocks, desk"),
+            "{message}"
+        );
     }
 
     #[test]

@@ -4,8 +4,7 @@
 //! in what is simulated are here too, so that a script loads; calling one is a runtime exception
 //! ([`MODELLED`] says which ones do something).
 
-use crate::urscript::host::Builtin;
-use crate::urscript::host::urscript_builtins;
+use crate::urscript::host::{Builtin, urscript_builtins};
 
 /// Built-ins that do what they say, or are modelled as documented where they are carried out.
 pub const MODELLED: &[Builtin] = urscript_builtins![

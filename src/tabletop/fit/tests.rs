@@ -53,7 +53,8 @@ fn what_is_missing_is_filled_in_and_what_is_given_stays() {
 fn small_objects_are_refused_all_at_once_with_the_table_that_would_do() {
     let mut needs = demo();
     needs.pixels_per_metre = 1000.0; // 3 px a module: 24 mm of black square, 30 mm of print
-    let objects = vec![rectangle("fine", 0.1, 0.1), rectangle("tag", 0.1, 0.025), rectangle("fixed", 0.01, 0.01)];
+    let objects =
+        vec![rectangle("fine", 0.1, 0.1), rectangle("tag", 0.1, 0.025), rectangle("fixed", 0.01, 0.01)];
     let mut task = task(objects);
     task.objects[2].fixed = true;
     let FitError::Refused(refusals) = fit(&task, &needs).unwrap_err() else { panic!("another error") };
@@ -82,7 +83,10 @@ fn the_smallest_table_is_that_of_the_smallest_object_and_fits() {
     fit(&scaled_to_table(&task, size - 0.01).unwrap(), &needs).unwrap_err();
     let none = smallest_table_size(&task, &needs, 0.3).unwrap_err();
     let text = none.to_string();
-    assert!(text.contains("0.30 m") && text.contains("`small`") && text.contains("0.38 m would do"), "{text}");
+    assert!(
+        text.contains("0.30 m") && text.contains("`small`") && text.contains("0.38 m would do"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -90,7 +94,10 @@ fn an_unreadable_marker_in_the_file_is_refused() {
     let mut object = rectangle("labelled", 0.1, 0.1);
     object.marker = Some(MarkerSpec { family: FAMILY.into(), id: 3, size: 0.01, offset: Pose2::default() });
     let error = fit(&task(vec![object]), &demo()).unwrap_err();
-    assert!(error.to_string().contains("marker of object `labelled` (10.0 mm) is too small to be read"), "{error}");
+    assert!(
+        error.to_string().contains("marker of object `labelled` (10.0 mm) is too small to be read"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -110,9 +117,22 @@ fn is_ready(fitted: &Fitted, needs: &Requirements) {
         assert!(ids.insert(marker.id), "marker {} is used twice", marker.id);
         assert!(needs.module_px(marker.size) >= needs.least_module_px - 1e-9, "{}", object.id);
         let half = marker.size * PRINT_MODULES / BLACK_MODULES / 2.0 * (1.0 - 1e-6);
-        for (x, y) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)] {
+        for (x, y) in [
+            (-1.0, -1.0),
+            (-1.0, 1.0),
+            (1.0, -1.0),
+            (1.0, 1.0),
+            (1.0, 0.0),
+            (0.0, 1.0),
+            (-1.0, 0.0),
+            (0.0, -1.0),
+        ] {
             let corner = marker.offset.transform([x * half, y * half]);
-            assert!(object.footprint.contains_point(corner, 0.0), "{}: print off the top at {corner:?}", object.id);
+            assert!(
+                object.footprint.contains_point(corner, 0.0),
+                "{}: print off the top at {corner:?}",
+                object.id
+            );
         }
         let grip = grip.unwrap();
         assert!(object.footprint.contains_point(grip.point, 0.011 - 1e-9), "{}: {grip:?}", object.id);
@@ -130,7 +150,8 @@ fn every_scene_is_ready_for_the_demo_cell_as_it_is() {
 
 fn public_data() -> Option<PathBuf> {
     let given = std::env::var_os("CELLD_DATA").map(PathBuf::from);
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).parent().map(|folder| folder.join("shared").join("data"));
+    let beside =
+        || Path::new(env!("CARGO_MANIFEST_DIR")).parent().map(|folder| folder.join("shared").join("data"));
     let folder = given.or_else(beside)?;
     if folder.join("hetori/instances").is_dir() {
         return Some(folder);
@@ -153,7 +174,8 @@ fn the_public_instances_of_the_demo_fit_a_table_of_at_most_80_cm() {
     ] {
         let text = std::fs::read_to_string(data.join("hetori/instances").join(path)).unwrap();
         let instance = parse_instance(&text, path, &shapes).unwrap_or_else(|faults| panic!("{faults}"));
-        let size = smallest_table_size(&instance, &demo(), 0.8).unwrap_or_else(|error| panic!("{path}: {error}"));
+        let size =
+            smallest_table_size(&instance, &demo(), 0.8).unwrap_or_else(|error| panic!("{path}: {error}"));
         println!("{path}: {size:.2} m");
         is_ready(&fit(&scaled_to_table(&instance, size).unwrap(), &demo()).unwrap(), &demo());
     }

@@ -1,0 +1,257 @@
+//! `celld plan`: solves an instance and prints, writes and draws the plan.
+//!
+//! In: an instance file, solver, objective, limits. Out: the plan on standard output (text or JSON), files with
+//! `--out` and `--svg`, progress on standard error. Exit code 0 with a plan, 1 without one, 2 for bad input,
+//! 130 after Ctrl-C before there was a plan. The clock is read here and nowhere below.
+
+use crate::cli::task::{TaskArgs, complain, print};
+use crate::planning::check::CheckedPlan;
+use crate::planning::plan::{Action, ActionKind, Objective, PlanFile, Status};
+use crate::planning::problem::Problem;
+use crate::planning::solver::{Control, Outcome, SolverKind, solve};
+use crate::report::plan_svg::plan_svg;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// A search shorter than this shows no progress.
+const QUIET: Duration = Duration::from_millis(500);
+
+/// Arguments of `celld plan`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PlanArgs {
+    /// The task
+    #[command(flatten)]
+    pub task: TaskArgs,
+    /// erbm: fewest hard-to-place objects out of the way at once, fast and dependable; rbm: the same, all objects
+    /// alike; tbm, etbm: fewest buffer moves in all; mcts, emcts: tree search over arrangements; auto: ours
+    #[arg(long, default_value = "erbm", value_parser = solver_parser())]
+    pub solver: SolverKind,
+    /// What is minimised: pp number of moves, ti total impedance, time seconds
+    #[arg(long, default_value = "pp", value_parser = objective_parser())]
+    pub objective: Objective,
+    /// Seconds of planning; default 600 for the paper's solvers, 10 for auto
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub time_limit: Option<f64>,
+    /// Deterministic steps of planning; with it the same seed gives the same plan on any machine
+    #[arg(long, value_name = "N")]
+    pub work: Option<u64>,
+    /// Stop at the first plan, as the paper's solvers always do
+    #[arg(long)]
+    pub first: bool,
+    /// Seed of every random choice
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Threads; the paper's solvers use one
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub threads: Option<u16>,
+    /// Take the first primitive plan of minimum running buffer, as the paper's code does
+    #[arg(long)]
+    pub strict_paper: bool,
+    /// Write the plan (JSON) to this file
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Draw the plan (SVG) into this file
+    #[arg(long, value_name = "FILE")]
+    pub svg: Option<PathBuf>,
+    /// What standard output gets
+    #[arg(long, default_value = "text", value_parser = ["text", "json"])]
+    pub format: String,
+}
+
+/// A solver by its word.
+pub fn solver_parser() -> impl TypedValueParser<Value = SolverKind> {
+    PossibleValuesParser::new(["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"])
+        .map(|word| SolverKind::from_word(&word).unwrap_or(SolverKind::Erbm))
+}
+
+/// An objective by its word.
+pub fn objective_parser() -> impl TypedValueParser<Value = Objective> {
+    PossibleValuesParser::new(["pp", "ti", "time"]).map(|word| match word.as_str() {
+        "ti" => Objective::Ti,
+        "time" => Objective::Time,
+        _ => Objective::Pp,
+    })
+}
+
+/// A finite number that is not negative.
+///
+/// # Errors
+/// What is wrong with the text.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "not a number of seconds".to_string())?;
+    if value.is_finite() && value >= 0.0 { Ok(value) } else { Err("has to be finite and not negative".into()) }
+}
+
+/// Runs `celld plan`; `stop` is set by Ctrl-C. Returns the exit code.
+pub fn run(args: &PlanArgs, stop: &AtomicBool) -> u8 {
+    let problem = match args.task.read() {
+        Ok(problem) => problem,
+        Err(complaints) => {
+            complain(&complaints);
+            return 2;
+        }
+    };
+    let (outcome, timing) = match search(args, &problem, stop) {
+        Ok(done) => done,
+        Err(error) => {
+            complain(&format!("{}: {error}", args.task.instance.display()));
+            return 2;
+        }
+    };
+    if outcome.plan.is_none() && stop.load(Ordering::Relaxed) {
+        complain("stopped before a plan was found");
+        return 130;
+    }
+    let file = plan_file(args, &problem, &outcome, &timing);
+    if let Err(error) = write_files(args, &problem, &outcome, &file) {
+        complain(&error);
+        return 2;
+    }
+    print(&if args.format == "json" { file.to_json() } else { summary(&problem, &outcome, &file) });
+    if outcome.plan.is_some() { 0 } else { 1 }
+}
+
+/// Seconds to the first plan, and in all.
+struct Timing {
+    first_plan: Option<f64>,
+    all: f64,
+}
+
+fn search(
+    args: &PlanArgs,
+    problem: &Problem,
+    stop: &AtomicBool,
+) -> Result<(Outcome, Timing), crate::planning::solver::SolveError> {
+    let limit = args.time_limit.unwrap_or(if args.solver == SolverKind::Auto { 10.0 } else { 600.0 });
+    let begun = Instant::now();
+    let first_plan = Mutex::new(None);
+    let progress = Progress::new(begun, limit);
+    let stop = || {
+        progress.tick();
+        stop.load(Ordering::Relaxed) || begun.elapsed().as_secs_f64() >= limit
+    };
+    let on_plan = |_: &[Action], cost: f64| {
+        if let Ok(mut first) = first_plan.lock() {
+            first.get_or_insert(begun.elapsed().as_secs_f64());
+        }
+        progress.found(cost);
+    };
+    let control = Control {
+        work_limit: args.work,
+        on_plan: &on_plan,
+        first: args.first,
+        strict_paper: args.strict_paper,
+        ..Control::until(&stop)
+    };
+    let outcome = solve(problem, args.solver, args.objective, &control, args.seed);
+    progress.clear();
+    let first_plan = first_plan.lock().ok().and_then(|first| *first);
+    Ok((outcome?, Timing { first_plan, all: begun.elapsed().as_secs_f64() }))
+}
+
+/// A line on standard error that appears only when a search takes long, and only on a terminal.
+struct Progress {
+    begun: Instant,
+    limit: f64,
+    bar: Mutex<Option<ProgressBar>>,
+    best: Mutex<Option<f64>>,
+}
+
+impl Progress {
+    fn new(begun: Instant, limit: f64) -> Progress {
+        Progress { begun, limit, bar: Mutex::new(None), best: Mutex::new(None) }
+    }
+
+    fn found(&self, cost: f64) {
+        if let Ok(mut best) = self.best.lock() {
+            *best = Some(cost);
+        }
+    }
+
+    fn tick(&self) {
+        let passed = self.begun.elapsed();
+        if passed < QUIET {
+            return;
+        }
+        let (Ok(mut bar), Ok(best)) = (self.bar.lock(), self.best.lock()) else { return };
+        let bar = bar.get_or_insert_with(|| {
+            let template = ProgressStyle::with_template("{spinner} planning {msg}");
+            ProgressBar::new_spinner().with_style(template.unwrap_or_else(|_| ProgressStyle::default_spinner()))
+        });
+        let best = best.map_or("no plan yet".to_string(), |cost| format!("best {cost}"));
+        bar.set_message(format!("{:.1} s of at most {:.0} s, {best}", passed.as_secs_f64(), self.limit));
+        bar.tick();
+    }
+
+    fn clear(&self) {
+        if let Ok(Some(bar)) = self.bar.lock().as_deref() {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn plan_file(args: &PlanArgs, problem: &Problem, outcome: &Outcome, timing: &Timing) -> PlanFile {
+    let actions = outcome.plan.as_ref().map(CheckedPlan::actions);
+    PlanFile {
+        solver: args.solver.word().to_string(),
+        objective: args.objective,
+        seed: args.seed,
+        status: outcome.status,
+        cost: outcome.cost,
+        moves: actions.map(<[Action]>::len),
+        lower_bound: outcome.lower_bound,
+        first_plan_seconds: timing.first_plan,
+        seconds: timing.all,
+        witness: outcome.witness.as_ref().map(ToString::to_string),
+        actions: PlanFile::entries(problem, actions.unwrap_or_default()),
+    }
+}
+
+fn write_files(args: &PlanArgs, problem: &Problem, outcome: &Outcome, file: &PlanFile) -> Result<(), String> {
+    let write = |path: &Path, text: &str| {
+        std::fs::write(path, text).map_err(|error| format!("{}: cannot be written: {error}", path.display()))
+    };
+    if let Some(path) = &args.out {
+        write(path, &file.to_json())?;
+    }
+    if let Some(path) = &args.svg {
+        let actions = outcome.plan.as_ref().map(CheckedPlan::actions).unwrap_or_default();
+        write(path, &plan_svg(problem, actions, &headline(file)))?;
+    }
+    Ok(())
+}
+
+fn headline(file: &PlanFile) -> String {
+    let bound = file.lower_bound;
+    let objective = file.objective.word();
+    match (file.status, file.cost, file.moves) {
+        (Status::Infeasible, ..) => format!("{}: there is no plan", file.solver),
+        (_, Some(cost), Some(moves)) => {
+            let optimal = if file.status == Status::Optimal { ", optimal" } else { "" };
+            format!("{}: {moves} moves, {objective} cost {cost:.6}, lower bound {bound:.6}{optimal}", file.solver)
+        }
+        _ => format!("{}: no plan found, lower bound {bound:.6} ({objective})", file.solver),
+    }
+}
+
+/// The plan for people: one line for the result, one a move.
+fn summary(problem: &Problem, outcome: &Outcome, file: &PlanFile) -> String {
+    let mut text = format!("{} in {:.3} s\n", headline(file), file.seconds);
+    if let Some(witness) = &file.witness {
+        let _ = writeln!(text, "the goal arrangement is impossible: {witness}");
+    }
+    let actions = outcome.plan.as_ref().map(CheckedPlan::actions).unwrap_or_default();
+    let width = actions.iter().map(|a| problem.objects[a.object].id.chars().count()).max().unwrap_or(0);
+    for (number, action) in actions.iter().enumerate() {
+        let kind = if action.kind == ActionKind::Goal { "to its goal" } else { "out of the way" };
+        let (x, y, degrees) = (action.to.x, action.to.y, action.to.theta.to_degrees());
+        let id = &problem.objects[action.object].id;
+        let _ = writeln!(text, "{:4}  {id:width$}  to x {x:.4} m, y {y:.4} m, {degrees:.1} deg  {kind}", number + 1);
+    }
+    text
+}

@@ -1,0 +1,141 @@
+//! `celld verify`: checks a plan file against its instance, independently of the solver that made it.
+//!
+//! In: an instance and a plan file. Out: whether the plan can be carried out as written, whether what the file
+//! says of itself is true, and which given overlaps were taken as they are. Exit code 0 when all is well,
+//! 1 when a fault was found, 2 for files that cannot be read.
+
+use crate::cli::task::{TaskArgs, complain, print, read_text};
+use crate::planning::check::{self, CheckedPlan, GivenIn};
+use crate::planning::object_set::ObjectSet;
+use crate::planning::plan::{Action, Objective, PlanFile, Status};
+use crate::planning::problem::Problem;
+use crate::planning::scene::Scene;
+use crate::planning::solver;
+use std::path::PathBuf;
+
+/// Arguments of `celld verify`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct VerifyArgs {
+    /// The task
+    #[command(flatten)]
+    pub task: TaskArgs,
+    /// The plan file to check
+    pub plan: PathBuf,
+    /// What standard output gets
+    #[arg(long, default_value = "text", value_parser = ["text", "json"])]
+    pub format: String,
+}
+
+/// What `verify` found.
+#[derive(Debug, serde::Serialize)]
+struct Report {
+    valid: bool,
+    fault: Option<String>,
+    moves: usize,
+    /// Given overlaps that are exempt.
+    exempt: Vec<Exempt>,
+}
+
+#[derive(Debug, serde::Serialize)]
+struct Exempt {
+    arrangement: &'static str,
+    object: String,
+    meets: String,
+    depth_mm: f64,
+}
+
+/// Runs `celld verify`. Returns the exit code.
+pub fn run(args: &VerifyArgs) -> u8 {
+    let read = || -> Result<(Problem, PlanFile, Vec<Action>), String> {
+        let problem = args.task.read()?;
+        let located = |error: &dyn std::fmt::Display| format!("{}: {error}", args.plan.display());
+        let file = PlanFile::parse(&read_text(&args.plan)?).map_err(|error| located(&error))?;
+        let actions = file.actions_for(&problem).map_err(|error| located(&error))?;
+        Ok((problem, file, actions))
+    };
+    let (problem, file, actions) = match read() {
+        Ok(all) => all,
+        Err(complaints) => {
+            complain(&complaints);
+            return 2;
+        }
+    };
+    let (fault, exempt) = examine(&problem, &file, &actions);
+    let report = Report { valid: fault.is_none(), fault, moves: actions.len(), exempt };
+    print(&if args.format == "json" { json(&report) } else { text(&report) });
+    if report.valid { 0 } else { 1 }
+}
+
+/// The first thing that is wrong with the plan or with what the file claims, and the given overlaps.
+fn examine(problem: &Problem, file: &PlanFile, actions: &[Action]) -> (Option<String>, Vec<Exempt>) {
+    if matches!(file.status, Status::Infeasible | Status::Timeout) {
+        return (Some("the file holds no plan: its status says that none was found".to_string()), Vec::new());
+    }
+    match CheckedPlan::new(problem, actions) {
+        Err(fault) => (Some(fault.to_string()), Vec::new()),
+        Ok(plan) => (false_claim(problem, file, actions), plan.exempt().iter().map(Exempt::new).collect()),
+    }
+}
+
+fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option<String> {
+    if file.moves != Some(actions.len()) {
+        return Some(format!("`moves` says {:?}, the plan has {}", file.moves, actions.len()));
+    }
+    let cost = match file.objective {
+        Objective::Pp => actions.len() as f64,
+        Objective::Ti => actions.iter().map(|action| problem.objects[action.object].impedance).sum(),
+        // Seconds depend on a robot that the instance does not describe.
+        Objective::Time => return None,
+    };
+    if !file.cost.is_some_and(|claimed| same(claimed, cost)) {
+        return Some(format!("`cost` says {:?}, the plan costs {cost}", file.cost));
+    }
+    if file.status == Status::Optimal && !same(cost, file.lower_bound) {
+        return Some(format!("`status` says optimal, but the plan costs {cost}, the bound {}", file.lower_bound));
+    }
+    let bound = provable_bound(problem, file.objective)?;
+    if file.lower_bound > bound && !same(file.lower_bound, bound) {
+        return Some(format!("`lower_bound` says {}; what can be proved is {bound}", file.lower_bound));
+    }
+    None
+}
+
+/// The bound computed afresh; None for more objects than that is made for.
+fn provable_bound(problem: &Problem, objective: Objective) -> Option<f64> {
+    let few = problem.objects.len() <= ObjectSet::CAPACITY;
+    few.then(|| solver::lower_bound(&Scene::new(problem), objective, 0.0).value)
+}
+
+fn same(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-6 * a.abs().max(b.abs()).max(1.0)
+}
+
+impl Exempt {
+    fn new(exempt: &check::Exempt) -> Exempt {
+        let arrangement = match exempt.given {
+            GivenIn::Start => "start",
+            GivenIn::Goal => "goal",
+        };
+        let (object, meets) = (exempt.object.clone(), exempt.meets.clone());
+        Exempt { arrangement, object, meets, depth_mm: exempt.depth_m * 1e3 }
+    }
+}
+
+fn json(report: &Report) -> String {
+    // The report has string keys and finite numbers only; nothing in it can fail to serialise.
+    serde_json::to_string_pretty(report).unwrap_or_default() + "\n"
+}
+
+fn text(report: &Report) -> String {
+    let mut text = match &report.fault {
+        None => format!("valid: {} moves\n", report.moves),
+        Some(fault) => format!("not valid: {fault}\n"),
+    };
+    for e in &report.exempt {
+        text += &format!(
+            "taken as given: {} overlaps {} by {:.3} mm in the {} arrangement\n",
+            e.object, e.meets, e.depth_mm, e.arrangement
+        );
+    }
+    text
+}
