@@ -112,7 +112,7 @@ pub fn arm_model(config: &CellConfig, dh: DhParameters, base_from_table: Isometr
         dh,
         base_from_table,
         flange_from_tool: config.flange_from_tool,
-        home: config.look_poses.first().copied().unwrap_or(config.park_pose),
+        home: config.work_pose,
         limits: ArmLimits {
             joint_range: limits.joint_range,
             joint_speed: limits.joint_speed,
@@ -126,7 +126,8 @@ pub fn arm_model(config: &CellConfig, dh: DhParameters, base_from_table: Isometr
 
 /// The cups as the fit needs them.
 pub fn cups(config: &CellConfig) -> Vec<Cup> {
-    let cup = |cup: &crate::config::cell::CupConfig| Cup { x: cup.x_m, y: cup.y_m, radius: cup.diameter_m / 2.0 };
+    let cup =
+        |cup: &crate::config::cell::CupConfig| Cup { x: cup.x_m, y: cup.y_m, radius: cup.diameter_m / 2.0 };
     config.gripper.cups.iter().map(cup).collect()
 }
 

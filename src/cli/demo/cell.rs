@@ -26,6 +26,7 @@ use crate::tabletop::instance::Instance;
 use crate::units::Joints;
 use nalgebra::Isometry3;
 use std::net::IpAddr;
+use std::f64::consts::TAU;
 use std::path::Path;
 
 /// Distance of the camera over the table while looking, m.
@@ -37,6 +38,9 @@ const PICTURE: (u32, u32) = (1280, 720);
 
 /// Diameter of the one cup, m.
 pub const CUP_DIAMETER_M: f64 = 0.02;
+
+/// Elbow up over the table: the posture of all work.
+const HOME: Joints = Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]);
 
 /// What the demo may choose.
 #[derive(Clone, Debug)]
@@ -86,7 +90,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             .collect(),
         gripper: GripperConfig {
             cups: vec![CupConfig { channel: CupChannel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP_DIAMETER_M }],
-            body_polygon: vec![[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]],
+            body_polygon: vec![[-0.035, -0.035], [0.035, -0.035], [0.035, 0.035], [-0.035, 0.035]],
             body_height_m: 0.08,
             vacuum_min: 0.4,
             mass_kg: 0.95,
@@ -96,7 +100,8 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         base_from_table,
         camera: CameraMount::Flange { flange_from_camera },
         look_poses: Vec::new(),
-        park_pose: Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]),
+        park_pose: HOME,
+        work_pose: HOME,
         calibration_poses: Vec::new(),
         calibration: CalibrationFiles {
             camera: out.join("calibration/camera.yaml"),
@@ -104,15 +109,15 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             table: out.join("calibration/table.yaml"),
         },
         limits: MotionLimits {
-            joint_range: [(-std::f64::consts::TAU, std::f64::consts::TAU); 6],
             joint_speed: 1.5,
             joint_acceleration: 3.0,
             tool_speed: 0.25,
             tool_acceleration: 1.2,
+            joint_range: [(-TAU, TAU); 6],
             link_floor_m: 0.03,
+            press_m: 5e-4,
             lift_height_m: 0.03,
             approach_height_m: 0.04,
-            press_m: 5e-4,
             blend_m: 0.015,
         },
         tolerances: Tolerances {
@@ -223,6 +228,6 @@ fn gripper_spec(config: &CellConfig) -> spec::GripperSpec {
         cups: cups.collect(),
         // A body that cannot be drawn is no reason to stop: it only hides part of a picture.
         body: Footprint::polygon(&gripper.body_polygon).unwrap_or(Footprint::Disc { radius: 0.04 }),
-        body_above_lips_m: 0.03,
+        body_above_lips_m: 0.08,
     }
 }
