@@ -306,10 +306,14 @@ fn run_frames(
 
 /// Waits while a client is late or behind; then gives those up, so that a dead one does not stop the time.
 fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
-    let step = robot.controller().core.step;
+    let (step, playing) = {
+        let controller = robot.controller();
+        (controller.core.step, controller.programs.playing())
+    };
+    // Only a running program listens for signs of life; without one a client may stop writing at any time.
     let waiting = || {
         let outlets = robot.outlets();
-        outlets.someone_is_late(step) || outlets.someone_is_behind()
+        (playing && outlets.someone_is_late(step)) || outlets.someone_is_behind()
     };
     if !waiting() {
         return Duration::ZERO;
@@ -437,7 +441,7 @@ mod tests {
         let sim = start(config("127.0.0.1", 100.0)).await.unwrap();
         let script =
             "def press():\n movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.6,0,0,0]), v=0.5)\nend\n";
-        let code = crate::urscript::compile::compile(script, &crate::sim::controller::builtins::find);
+        let code = crate::sim::controller::builtins::compile_program(script);
         sim.robot().controller().programs.upload(code);
         while !sim.robot().controller().core.modes.protective_stopped() {
             tokio::task::yield_now().await;

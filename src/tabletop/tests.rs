@@ -343,7 +343,9 @@ fn arbitrary_trees_never_panic() {
 /// The public data, when this machine has them.
 pub(crate) fn data_folder() -> Option<PathBuf> {
     let given = std::env::var_os("CELLD_DATA").map(PathBuf::from);
-    let folder = given.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
+    let beside =
+        || Path::new(env!("CARGO_MANIFEST_DIR")).parent().map(|folder| folder.join("shared").join("data"));
+    let folder = given.or_else(beside)?;
     if folder.join("hetori").is_dir() {
         return Some(folder);
     }

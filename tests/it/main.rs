@@ -3,3 +3,4 @@
 mod on_robot_program;
 mod program_protocol;
 mod render;
+mod robot_session;

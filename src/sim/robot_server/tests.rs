@@ -197,11 +197,9 @@ impl Rtde {
     }
 
     async fn data(&mut self, recipe: &Recipe) -> Vec<Value> {
-        loop {
-            match self.next().await.expect("closed") {
-                Reply::Data { payload, .. } => return recipe.decode(&payload, Leftover::Refuse).unwrap(),
-                other => panic!("{other:?}"),
-            }
+        match self.next().await.expect("closed") {
+            Reply::Data { payload, .. } => recipe.decode(&payload, Leftover::Refuse).unwrap(),
+            other => panic!("{other:?}"),
         }
     }
 }

@@ -4,7 +4,7 @@ use super::*;
 use crate::tabletop::instance::Workspace;
 use crate::tabletop::parse::parse_instance;
 use crate::tabletop::scenes::{SCENES, scene};
-use std::path::{Path, PathBuf};
+use crate::tabletop::tests::data_folder;
 
 /// The demo cell: a camera of 650 px focal length at 0.45 m, one cup of 20 mm.
 fn demo() -> Requirements {
@@ -148,22 +148,10 @@ fn every_scene_is_ready_for_the_demo_cell_as_it_is() {
     }
 }
 
-fn public_data() -> Option<PathBuf> {
-    let given = std::env::var_os("CELLD_DATA").map(PathBuf::from);
-    let beside =
-        || Path::new(env!("CARGO_MANIFEST_DIR")).parent().map(|folder| folder.join("shared").join("data"));
-    let folder = given.or_else(beside)?;
-    if folder.join("hetori/instances").is_dir() {
-        return Some(folder);
-    }
-    eprintln!("SKIPPED: no public data at {} (set CELLD_DATA to their folder)", folder.display());
-    None
-}
-
 /// The five public instances the demo has to carry out at the smallest table up to 0.8 m.
 #[test]
 fn the_public_instances_of_the_demo_fit_a_table_of_at_most_80_cm() {
-    let Some(data) = public_data() else { return };
+    let Some(data) = data_folder() else { return };
     let shapes = |name: &str| std::fs::read_to_string(data.join(format!("hetori/shapes/{name}.json"))).ok();
     for path in [
         "random_general/Density=0.30/numObjs=10/0_10_0.30.json",
