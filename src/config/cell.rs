@@ -32,10 +32,12 @@ pub struct CellConfig {
     pub base_from_table: Isometry3<f64>,
     /// Where the camera sits, nominally.
     pub camera: CameraMount,
-    /// Taught joint poses that together see the whole workspace; work is done in the posture of the first one.
+    /// Taught joint poses that together see the whole workspace.
     pub look_poses: Vec<Joints>,
     /// Taught joint pose in which the arm waits.
     pub park_pose: Joints,
+    /// Taught joint pose over the table: work is done in its posture (shoulder, elbow and wrist side).
+    pub work_pose: Joints,
     /// Taught joint poses for `celld calibrate`.
     pub calibration_poses: Vec<Joints>,
     /// Files that `celld calibrate` writes and `celld run` reads.

@@ -117,6 +117,7 @@ fn check_poses(decoder: &mut Decoder, cell: &CellConfig, places: &Places) {
         }
     }
     check_range(decoder, &cell.limits, &cell.park_pose, places.at(&["park_pose_deg"]), "park_pose_deg");
+    check_range(decoder, &cell.limits, &cell.work_pose, places.at(&["work_pose_deg"]), "work_pose_deg");
 }
 
 fn check_range(decoder: &mut Decoder, limits: &MotionLimits, pose: &Joints, at: Location, path: &str) {

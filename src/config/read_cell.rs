@@ -37,6 +37,7 @@ pub const CELL_KEYS: &[&str] = &[
     "camera",
     "look_poses_deg",
     "park_pose_deg",
+    "work_pose_deg",
     "calibration_poses_deg",
     "calibration",
     "limits",
@@ -103,6 +104,7 @@ fn cell(
     let look_poses = required_list(decoder, fields, "look_poses_deg", joints_deg);
     let calibration_poses = required_list(decoder, fields, "calibration_poses_deg", joints_deg);
     let park_pose = required_joints(decoder, fields, "park_pose_deg");
+    let work_pose = required_joints(decoder, fields, "work_pose_deg");
     let calibration =
         fields.required("calibration", decoder).and_then(|at| calibration(decoder, &at, folder));
     let limits = fields.required("limits", decoder).and_then(|at| limits(decoder, &at));
@@ -127,6 +129,7 @@ fn cell(
         camera: camera?,
         look_poses: look_poses?,
         park_pose: park_pose?,
+        work_pose: work_pose?,
         calibration_poses: calibration_poses?,
         calibration: calibration?,
         limits: limits?,
