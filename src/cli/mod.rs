@@ -4,9 +4,12 @@
 //! Ctrl-C without a result.
 
 pub mod bench_planning;
+pub mod check;
 pub mod demo;
 pub mod detect;
+pub mod jobs;
 pub mod plan;
+pub mod submit;
 pub mod task;
 pub mod verify;
 
@@ -31,6 +34,10 @@ enum Command {
     Plan(plan::PlanArgs),
     /// Check a plan independently
     Verify(verify::VerifyArgs),
+    /// Check files: configuration, calibration, job, goal, instance
+    Check(check::CheckArgs),
+    #[command(flatten)]
+    Client(jobs::ClientCommand),
 }
 
 /// Parses the process's arguments and runs the subcommand.
@@ -42,6 +49,8 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => demo::run(&args, stop),
         Command::Plan(args) => plan::run(&args, &stop),
         Command::Verify(args) => verify::run(&args),
+        Command::Check(args) => check::run(&args),
+        Command::Client(command) => jobs::run(command),
     })
 }
 

@@ -102,6 +102,18 @@ impl Journal {
         self.database.query_row(select, [source_text(source)], rejection).optional().map_err(|e| self.fail(e))
     }
 
+    /// The newest job that came in a file of this name.
+    pub fn job_of_file(&self, name: &str) -> Result<Option<JobRecord>, JournalError> {
+        Ok(self.select("WHERE name = ?1 ORDER BY sequence DESC LIMIT 1", params![name])?.pop())
+    }
+
+    /// The newest refusal of a file of this name.
+    pub fn rejection_of_name(&self, name: &str) -> Result<Option<Rejection>, JournalError> {
+        let select = "SELECT sequence, name, stored, code, reason, moves, source FROM rejections
+                      WHERE name = ?1 ORDER BY sequence DESC LIMIT 1";
+        self.database.query_row(select, [name], rejection).optional().map_err(|e| self.fail(e))
+    }
+
     /// Refusals whose files may not be in their place yet.
     pub(in crate::jobs) fn unsettled_rejections(&self) -> Result<Vec<Rejection>, JournalError> {
         let select = "SELECT sequence, name, stored, code, reason, moves, source FROM rejections

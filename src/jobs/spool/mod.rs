@@ -24,6 +24,8 @@ use std::fmt::Write as _;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+pub use scan::id_of_file;
+
 /// Folders below `STATE/jobs`.
 pub const FOLDERS: [&str; 6] = ["incoming", "hold", "active", "done", "failed", "rejected"];
 

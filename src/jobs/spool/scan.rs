@@ -178,7 +178,7 @@ impl Spool {
             return Ok(first.then(|| SpoolEvent::Full { name: entry.name.clone() }));
         }
         self.full = false;
-        let made = made_up_id(&entry.name, sha256, round.unix_s);
+        let made = id_of_file(&entry.name, sha256, round.unix_s);
         let id = spec.id.as_deref().unwrap_or(&made);
         self.point()?;
         let job = NewJob { id, name: &entry.name, sha256, text, spec, source };
@@ -289,11 +289,18 @@ fn plain_name(name: &str) -> String {
     if text.is_empty() { "unnamed".to_owned() } else { text }
 }
 
-/// `<utc>-<name>-<first 8 of the hash>` for a job that states no id.
-fn made_up_id(name: &str, sha256: &str, unix_s: f64) -> String {
+/// The id of a job that states none: `<utc>-<name>-<first 8 of the hash>`, or the file's name if it is of that
+/// form already, as `celld submit` names its files.
+pub fn id_of_file(name: &str, sha256: &str, unix_s: f64) -> String {
     let stem = Path::new(name).file_stem().map(|stem| stem.to_string_lossy().into_owned());
-    let stem: String = stem.unwrap_or_default().chars().take(40).collect();
-    format!("{}-{stem}-{}", utc::compact(unix_s), sha256.get(..8).unwrap_or(sha256))
+    let stem: String = stem.unwrap_or_default().chars().take(60).collect();
+    let hash = sha256.get(..8).unwrap_or(sha256);
+    let named = stem.get(17..).is_some_and(|rest| rest.contains(&format!("-{hash}")));
+    if named && stem.as_bytes().get(16) == Some(&b'-') && stem.as_bytes().get(15) == Some(&b'Z') {
+        return stem;
+    }
+    let stem: String = stem.chars().take(40).collect();
+    format!("{}-{stem}-{hash}", utc::compact(unix_s))
 }
 
 /// Lower-case hex.

@@ -1,0 +1,207 @@
+//! `celld check FILE...`: every complaint about configuration, calibration, job, goal and instance files.
+//!
+//! In: files; their kind is told by their top-level keys. Out: one line for each complaint, with file, line
+//! and column, on stdout; exit code 2 if there is any. Nothing is changed and no daemon is needed.
+
+use crate::config::load::{load_cell, load_sim, read_text};
+use crate::document::tree::Node;
+use crate::document::{Complaints, parse};
+use crate::jobs::goal::parse_goal_file;
+use crate::jobs::job_file::{JobContext, read_job};
+use crate::jobs::policy::Approval;
+use crate::tabletop::parse::parse_with_sound_goals;
+use crate::vision::calibration;
+use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
+
+/// Arguments of `celld check`.
+#[derive(Args, Debug)]
+pub struct CheckArgs {
+    /// Files to check.
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// What they are, where the top-level keys do not tell.
+    #[arg(long)]
+    kind: Option<Kind>,
+    /// Folder of named shapes, for public instances.
+    #[arg(long)]
+    shapes: Option<PathBuf>,
+}
+
+/// Kinds of file that celld reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// `config/cell.yaml`.
+    Config,
+    /// `config/sim.yaml`.
+    Sim,
+    /// A calibration file.
+    Calibration,
+    /// A job.
+    Job,
+    /// A goal that jobs name.
+    Goal,
+    /// A task for the planner.
+    Instance,
+}
+
+/// Checks the files and returns the exit code: 0 when all are sound, else 2.
+pub fn run(args: &CheckArgs) -> u8 {
+    let mut sound = true;
+    for path in &args.files {
+        match check(path, args.kind, args.shapes.as_deref()) {
+            Ok(kind) => eprintln!("{}: sound ({kind:?})", path.display()),
+            Err(message) => {
+                sound = false;
+                println!("{message}");
+            }
+        }
+    }
+    if sound { 0 } else { 2 }
+}
+
+fn check(path: &Path, kind: Option<Kind>, shapes: Option<&Path>) -> Result<Kind, String> {
+    let source = path.display().to_string();
+    let text = read_text(path).map_err(|reason| format!("{source}: {reason}"))?;
+    let kind = match kind {
+        Some(kind) => kind,
+        None => {
+            let node = parse(&text, &source).map_err(|complaints| complaints.to_string())?;
+            kind_of(&node).ok_or_else(|| {
+                format!("{source}:1:1: its top-level keys are those of no file of celld; say what it is with --kind config, sim, calibration, job, goal or instance")
+            })?
+        }
+    };
+    check_as(kind, path, &text, &source, shapes)?;
+    Ok(kind)
+}
+
+/// The kind of file that has such top-level keys.
+pub fn kind_of(top: &Node) -> Option<Kind> {
+    let has = |key: &str| top.get(key).is_some();
+    if calibration::kind(top).is_some() {
+        Some(Kind::Calibration)
+    } else if has("devices") || has("limits") {
+        Some(Kind::Config)
+    } else if has("bind") || has("ports") {
+        Some(Kind::Sim)
+    } else if has("workspace") || has("object_list") || has("point_list") {
+        Some(Kind::Instance)
+    } else if has("goal") {
+        Some(Kind::Job)
+    } else if has("objects") {
+        Some(Kind::Goal)
+    } else {
+        None
+    }
+}
+
+fn check_as(kind: Kind, path: &Path, text: &str, source: &str, shapes: Option<&Path>) -> Result<(), String> {
+    let told = |complaints: Complaints| complaints.to_string();
+    match kind {
+        Kind::Config => load_cell(path).map(drop).map_err(|error| error.to_string()),
+        Kind::Sim => load_sim(path).map(drop).map_err(|error| error.to_string()),
+        Kind::Calibration => check_calibration(text, source),
+        Kind::Job => {
+            let read_goal = |name: &str| read_text(&beside(path, name));
+            let context = JobContext { goal: None, approval: Approval::Never, read_goal: &read_goal };
+            read_job(text, source, &context).map(drop).map_err(told)
+        }
+        Kind::Goal => parse_goal_file(text, source, None).map(drop).map_err(told),
+        Kind::Instance => {
+            let folder = shapes.map_or_else(|| default_shapes(path), Path::to_path_buf);
+            let lookup = |name: &str| read_text(&folder.join(format!("{name}.json"))).ok();
+            parse_with_sound_goals(text, source, &lookup).map(drop).map_err(told)
+        }
+    }
+}
+
+fn check_calibration(text: &str, source: &str) -> Result<(), String> {
+    let told = |complaints: Complaints| complaints.to_string();
+    let node = parse(text, source).map_err(told)?;
+    match calibration::kind(&node) {
+        Some(calibration::Kind::Camera) => {
+            calibration::camera::CameraCalibration::parse(text, source).map(drop).map_err(told)
+        }
+        Some(calibration::Kind::HandEye) => {
+            calibration::hand_eye::HandEyeCalibration::parse(text, source).map(drop).map_err(told)
+        }
+        Some(calibration::Kind::Table) => {
+            calibration::table::TableCalibration::parse(text, source).map(drop).map_err(told)
+        }
+        None => Err(format!(
+            "{source}:1:1: no calibration file has these keys; it has `version`, `date` and one of `camera`, `hand_eye`, `table`"
+        )),
+    }
+}
+
+/// `name` relative to the folder of `path`.
+pub fn beside(path: &Path, name: &str) -> PathBuf {
+    path.parent().unwrap_or(Path::new("")).join(name)
+}
+
+/// The `shapes` folder beside the `instances` folder that holds `path`, as in the public data.
+fn default_shapes(path: &Path) -> PathBuf {
+    let instances =
+        path.ancestors().find(|folder| folder.file_name().is_some_and(|name| name == "instances"));
+    instances.and_then(Path::parent).unwrap_or(Path::new(".")).join("shapes")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[track_caller]
+    fn check_kind(text: &str, expected: Option<Kind>) {
+        assert_eq!(kind_of(&parse(text, "f").unwrap()), expected, "{text}");
+    }
+
+    #[test]
+    fn the_kind_is_told_by_the_keys() {
+        check_kind("version: 1\ngoal: {file: goal.yaml}\n", Some(Kind::Job));
+        check_kind("objects: []\n", Some(Kind::Goal));
+        check_kind("workspace: {width: 1, height: 1}\nobjects: []\n", Some(Kind::Instance));
+        check_kind("version: 1\ncamera: {}\ndate: today\n", Some(Kind::Calibration));
+        check_kind(include_str!("../../config/cell.yaml"), Some(Kind::Config));
+        check_kind(include_str!("../../config/sim.yaml"), Some(Kind::Sim));
+        check_kind("colour: blue\n", None);
+        check_kind("- 1\n", None);
+    }
+
+    #[test]
+    fn complaints_are_exit_code_2() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            path
+        };
+        let good = path("good.yaml", "version: 1\ngoal: {objects: [{id: a, pose: [0, 0, 0]}]}\n");
+        let bad = path("bad.yaml", "version: 1\ngoal: {objects: [{id: a, psoe: [0, 0, 0]}]}\n");
+        let none = path("none.yaml", "colour: blue\n");
+        let code = |files: &[&PathBuf], kind| {
+            let files = files.iter().map(|path| (*path).clone()).collect();
+            run(&CheckArgs { files, kind, shapes: None })
+        };
+        assert_eq!(code(&[&good], None), 0);
+        assert_eq!(code(&[&good, &bad], None), 2);
+        assert_eq!(code(&[&none], None), 2);
+        assert_eq!(code(&[&good], Some(Kind::Instance)), 2);
+        assert_eq!(code(&[&folder.path().join("absent.yaml")], None), 2);
+        let told = check(&bad, None, None).unwrap_err();
+        assert!(
+            told.contains("bad.yaml:2:26: goal.objects[0].psoe: unknown key; did you mean \"pose\"?"),
+            "{told}"
+        );
+    }
+
+    #[test]
+    fn a_job_finds_its_goal_file_beside_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let job = folder.path().join("job.yaml");
+        std::fs::write(&job, "version: 1\ngoal: {file: goal.yaml}\n").unwrap();
+        assert!(check(&job, None, None).unwrap_err().contains("goal.file: goal.yaml:"));
+        std::fs::write(folder.path().join("goal.yaml"), "objects:\n  - {id: a, pose: [0, 0, 0]}\n").unwrap();
+        assert_eq!(check(&job, None, None), Ok(Kind::Job));
+    }
+}

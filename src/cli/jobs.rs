@@ -1,0 +1,383 @@
+//! The commands that reach the daemon through the state folder: jobs, arming, recovery, status.
+//!
+//! In: arguments. Out: what came of it on stdout, exit code 0, 1 or 2. `submit`, `jobs` and `status` work with
+//! the daemon off; every other command is refused then, and never stored for a later daemon.
+
+use crate::cli::submit::{SubmitArgs, submit};
+use crate::io::clock::unix_now_s;
+use crate::io::files::FileError;
+use crate::jobs::command::{Command, RecoverHow, ReleaseChannel, Reply, Sent};
+use crate::jobs::journal::{Journal, JournalError};
+use crate::jobs::record::{JobRecord, quoted};
+use crate::jobs::state::{StateError, StateFolder};
+use crate::jobs::status::Status;
+use crate::jobs::utc;
+use crate::report::text::{columns, or_dash};
+use clap::{Args, Subcommand, ValueEnum};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// How long a daemon may take to answer.
+const ANSWER_WITHIN: Duration = Duration::from_secs(10);
+
+/// How often the answer is looked for.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// Where the daemon is found.
+#[derive(Args, Clone, Debug)]
+pub struct StateArg {
+    /// The state folder.
+    #[arg(long, default_value = "./state")]
+    pub state: PathBuf,
+}
+
+impl StateArg {
+    pub(super) fn folder(&self) -> StateFolder {
+        StateFolder::new(&self.state)
+    }
+}
+
+/// Output for people or programs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For people.
+    Text,
+    /// For programs.
+    Json,
+}
+
+/// Commands to the cell.
+#[derive(Subcommand, Debug)]
+pub enum ClientCommand {
+    /// Hand in a job; works with the daemon off.
+    Submit(SubmitArgs),
+    /// List jobs, newest first.
+    Jobs {
+        #[command(flatten)]
+        state: StateArg,
+        /// How many.
+        #[arg(long, default_value_t = 20)]
+        last: u32,
+        /// Table or JSON.
+        #[arg(long, value_enum, default_value_t = Format::Text)]
+        format: Format,
+    },
+    /// Allow motion.
+    Arm(StateArg),
+    /// Forbid motion after the present step.
+    Disarm(StateArg),
+    /// Agree to a job's plan.
+    Approve(JobArg),
+    /// Refuse a job's plan; the job ends as cancelled.
+    Reject(JobArg),
+    /// End a job, waiting or active.
+    Cancel(JobArg),
+    /// Stop after the present step.
+    Pause(StateArg),
+    /// Go on after a pause.
+    Resume(StateArg),
+    /// One step, then pause.
+    Step(StateArg),
+    /// Stop the arm now and end the active job.
+    Abort(StateArg),
+    /// Move to the park pose, gripper empty.
+    Park(StateArg),
+    /// Vacuum off, wherever the arm is: what it holds falls.
+    Release {
+        #[command(flatten)]
+        state: StateArg,
+        /// Only this channel.
+        #[arg(long, value_enum, ignore_case = true)]
+        channel: Option<ChannelArg>,
+        /// Yes, let go.
+        #[arg(long, required = true)]
+        yes: bool,
+    },
+    /// Leave a fault.
+    Recover(RecoverArgs),
+    /// What the cell is doing.
+    Status {
+        #[command(flatten)]
+        state: StateArg,
+        /// Text or JSON.
+        #[arg(long, value_enum, default_value_t = Format::Text)]
+        format: Format,
+    },
+}
+
+/// A job by its id.
+#[derive(Args, Debug)]
+pub struct JobArg {
+    /// The job.
+    id: String,
+    #[command(flatten)]
+    state: StateArg,
+}
+
+/// What to do with an object on the cups.
+#[derive(Args, Debug)]
+#[group(multiple = false)]
+struct RecoverChoice {
+    /// Put it down at a free spot that the camera has verified.
+    #[arg(long)]
+    place: bool,
+    /// Keep it and retreat straight up.
+    #[arg(long)]
+    hold: bool,
+    /// Vacuum off where it is.
+    #[arg(long)]
+    release: bool,
+}
+
+/// Arguments of `celld recover`.
+#[derive(Args, Debug)]
+pub struct RecoverArgs {
+    #[command(flatten)]
+    how: RecoverChoice,
+    #[command(flatten)]
+    state: StateArg,
+}
+
+/// A suction channel on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ChannelArg {
+    /// Channel A.
+    A,
+    /// Channel B.
+    B,
+}
+
+/// Why a command did not come about. All are exit code 1.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ClientError {
+    #[error("no daemon runs on the state folder {0}; start it with `celld run --config ... --state {0}`")]
+    NoDaemon(PathBuf),
+    #[error("the daemon did not take the command within {0} s; see `celld status`")]
+    NoAnswer(u64),
+    #[error("the daemon took the command and did not answer within {0} s; see `celld status`")]
+    NoReply(u64),
+    #[error(transparent)]
+    State(#[from] StateError),
+    #[error(transparent)]
+    Files(#[from] FileError),
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+}
+
+/// Carries out a client command and returns the exit code.
+pub fn run(command: ClientCommand) -> u8 {
+    let told = match command {
+        ClientCommand::Submit(args) => return submit(&args),
+        ClientCommand::Jobs { state, last, format } => jobs(&state.folder(), last, format),
+        ClientCommand::Status { state, format } => status(&state.folder(), format),
+        other => {
+            let (state, command) = to_send(other);
+            send(&state, &command)
+        }
+    };
+    match told {
+        Ok(code) => code,
+        Err(error) => complain(&error),
+    }
+}
+
+/// The error with its causes on stderr; exit code 1.
+pub(super) fn complain(error: &ClientError) -> u8 {
+    let mut text = error.to_string();
+    let mut cause = std::error::Error::source(error);
+    while let Some(error) = cause {
+        text.push_str(&format!(": {error}"));
+        cause = error.source();
+    }
+    eprintln!("{text}");
+    1
+}
+
+fn to_send(command: ClientCommand) -> (StateFolder, Command) {
+    match command {
+        ClientCommand::Arm(state) => (state.folder(), Command::Arm),
+        ClientCommand::Disarm(state) => (state.folder(), Command::Disarm),
+        ClientCommand::Pause(state) => (state.folder(), Command::Pause),
+        ClientCommand::Resume(state) => (state.folder(), Command::Resume),
+        ClientCommand::Step(state) => (state.folder(), Command::Step),
+        ClientCommand::Abort(state) => (state.folder(), Command::Abort),
+        ClientCommand::Park(state) => (state.folder(), Command::Park),
+        ClientCommand::Approve(job) => (job.state.folder(), Command::Approve { id: job.id }),
+        ClientCommand::Reject(job) => (job.state.folder(), Command::Reject { id: job.id }),
+        ClientCommand::Cancel(job) => (job.state.folder(), Command::Cancel { id: job.id }),
+        ClientCommand::Release { state, channel, yes: _ } => {
+            let channel = channel.map(|channel| match channel {
+                ChannelArg::A => ReleaseChannel::A,
+                ChannelArg::B => ReleaseChannel::B,
+            });
+            (state.folder(), Command::Release { channel })
+        }
+        ClientCommand::Recover(args) => {
+            let how = match (args.how.place, args.how.hold, args.how.release) {
+                (true, ..) => RecoverHow::Place,
+                (_, true, _) => RecoverHow::Hold,
+                (.., true) => RecoverHow::Release,
+                (false, false, false) => RecoverHow::Plain,
+            };
+            (args.state.folder(), Command::Recover { how })
+        }
+        ClientCommand::Submit(_) | ClientCommand::Jobs { .. } | ClientCommand::Status { .. } => {
+            unreachable!("these are not sent")
+        }
+    }
+}
+
+fn send(state: &StateFolder, command: &Command) -> Result<u8, ClientError> {
+    let daemon = running_daemon(state)?;
+    let sent = Sent::send(&state.commands(), &daemon, command, unix_now_s())?;
+    let begun = Instant::now();
+    while begun.elapsed() < ANSWER_WITHIN {
+        if let Some(Reply { accepted, message }) = sent.poll()? {
+            println!("{message}");
+            return Ok(if accepted { 0 } else { 1 });
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+    // Taken back, so that it is not obeyed once nobody expects it any more.
+    let seconds = ANSWER_WITHIN.as_secs();
+    Err(if sent.withdraw()? { ClientError::NoAnswer(seconds) } else { ClientError::NoReply(seconds) })
+}
+
+/// The name of the daemon that runs on `state`.
+fn running_daemon(state: &StateFolder) -> Result<String, ClientError> {
+    let none = || ClientError::NoDaemon(state.root().to_owned());
+    if !state.is_taken()? {
+        return Err(none());
+    }
+    Ok(Status::read(&state.status())?.ok_or_else(none)?.daemon)
+}
+
+fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
+    let running = state.is_taken()?;
+    let status = Status::read(&state.status())?;
+    if format == Format::Json {
+        let status = status.filter(|_| running);
+        println!("{}", serde_json::json!({"running": running, "status": status}));
+        return Ok(0);
+    }
+    match status {
+        Some(status) if running => println!("{}", status.text()),
+        Some(status) => println!(
+            "no daemon runs on {}; the last one, {}, was {} at {}",
+            state.root().display(),
+            status.daemon,
+            status.state,
+            utc::text(status.written_unix_s)
+        ),
+        None => println!("no daemon runs on {}", state.root().display()),
+    }
+    Ok(0)
+}
+
+fn jobs(state: &StateFolder, last: u32, format: Format) -> Result<u8, ClientError> {
+    let records = if state.journal().exists() {
+        Journal::open_to_read(&state.journal())?.latest(last)?
+    } else {
+        Vec::new()
+    };
+    match format {
+        Format::Json => println!("[{}]", records.iter().map(job_json).collect::<Vec<_>>().join(",\n ")),
+        Format::Text if records.is_empty() => println!("no jobs in {}", state.root().display()),
+        Format::Text => {
+            let rows: Vec<_> = records.iter().map(job_row).collect();
+            println!("{}", columns(&["job", "state", "claimed", "moves", "code"], &rows));
+        }
+    }
+    Ok(0)
+}
+
+fn job_row(job: &JobRecord) -> Vec<String> {
+    let result = job.result.as_ref();
+    vec![
+        job.id.clone(),
+        job.state.word().to_owned(),
+        utc::text(job.claimed_unix_s),
+        or_dash(result, |result| result.moves.to_string()),
+        or_dash(result, |result| result.code.clone()),
+    ]
+}
+
+fn job_json(job: &JobRecord) -> String {
+    let result = serde_json::to_string(&job.result).unwrap_or_else(|_| "null".to_owned());
+    format!(
+        "{{\"id\": {}, \"state\": {}, \"claimed_unix_s\": {}, \"result\": {result}}}",
+        quoted(&job.id),
+        quoted(job.state.word()),
+        job.claimed_unix_s
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::command::Inbox;
+    use clap::Parser;
+
+    #[derive(Parser, Debug)]
+    struct Line {
+        #[command(subcommand)]
+        command: ClientCommand,
+    }
+
+    #[track_caller]
+    fn command(line: &str) -> Command {
+        let words = std::iter::once("celld").chain(line.split_whitespace());
+        to_send(Line::try_parse_from(words).unwrap().command).1
+    }
+
+    #[test]
+    fn words_become_commands() {
+        assert_eq!(command("arm"), Command::Arm);
+        assert_eq!(command("approve tidy --state /s"), Command::Approve { id: "tidy".into() });
+        assert_eq!(
+            command("release --yes --channel b"),
+            Command::Release { channel: Some(ReleaseChannel::B) }
+        );
+        assert_eq!(command("recover"), Command::Recover { how: RecoverHow::Plain });
+        assert_eq!(command("recover --hold"), Command::Recover { how: RecoverHow::Hold });
+        for wrong in ["release", "approve", "recover --hold --place", "release --channel C --yes"] {
+            let words = std::iter::once("celld").chain(wrong.split_whitespace());
+            assert!(Line::try_parse_from(words).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn without_a_daemon_nothing_is_stored_for_the_next_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon(_))));
+        let lock = state.take().unwrap();
+        Status { daemon: "d1".into(), ..Status::default() }.write(&state.status()).unwrap();
+        drop(lock);
+        assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon(_))));
+        assert_eq!(std::fs::read_dir(state.commands()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn the_daemon_s_answer_is_the_exit_code() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        let _lock = state.take().unwrap();
+        Status { daemon: "d1".into(), ..Status::default() }.write(&state.status()).unwrap();
+        let mut inbox = Inbox::open(&state.commands(), "d1").unwrap();
+        for accepted in [true, false] {
+            let answer = std::thread::scope(|scope| {
+                let client = scope.spawn(|| send(&state, &Command::Arm));
+                let taken = loop {
+                    if let Some(taken) = inbox.take().unwrap().pop() {
+                        break taken;
+                    }
+                    std::thread::yield_now();
+                };
+                inbox.reply(&taken, &Reply { accepted, message: "heard".into() }).unwrap();
+                client.join().unwrap()
+            });
+            assert_eq!(answer.unwrap(), u8::from(!accepted));
+        }
+    }
+}

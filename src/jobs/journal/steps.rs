@@ -1,0 +1,85 @@
+//! The step journal: what was meant before anything moves, and how far it got.
+//!
+//! In: intents and phases. Out: numbered steps. At most one step of a job is open; the database's own index
+//! holds that too.
+
+use crate::jobs::journal::rows::encode;
+use crate::jobs::journal::{Journal, JournalError};
+use crate::jobs::record::{JobState, StepIntent, StepPhase, StepRecord};
+use rusqlite::params;
+
+impl Journal {
+    /// Writes down a step before its first byte of motion leaves the PC, and returns its number.
+    ///
+    /// # Errors
+    /// [`JournalError::WrongState`] unless the job is active and has no open step: no motion is ordered twice.
+    pub fn step_intent(&mut self, id: &str, intent: &StepIntent, unix_s: f64) -> Result<u32, JournalError> {
+        let job = self.job(id)?.ok_or_else(|| JournalError::UnknownJob { id: id.to_owned() })?;
+        let open = self.steps(id)?.iter().any(|step| step.phase.is_open());
+        if job.state != JobState::Active || open {
+            let state = if open { "in the middle of a step" } else { job.state.word() };
+            return Err(JournalError::WrongState { id: id.to_owned(), state, action: "begin a step" });
+        }
+        let text = encode(intent);
+        self.transact(|transaction| {
+            let next = "SELECT coalesce(max(step), 0) + 1 FROM steps WHERE job = ?1";
+            let step: u32 = transaction.query_row(next, [job.sequence], |row| row.get(0))?;
+            transaction.execute(
+                "INSERT INTO steps (job, step, intent, phase, changed) VALUES (?1, ?2, ?3, 'intent', ?4)",
+                params![job.sequence, step, text, unix_s],
+            )?;
+            Ok(step)
+        })
+    }
+
+    /// The vacuum holds: the object left the table.
+    pub fn step_gripped(&mut self, id: &str, step: u32, unix_s: f64) -> Result<(), JournalError> {
+        self.step_phase(id, step, StepPhase::Gripped, unix_s)
+    }
+
+    /// The vacuum is off at the place.
+    pub fn step_released(&mut self, id: &str, step: u32, unix_s: f64) -> Result<(), JournalError> {
+        self.step_phase(id, step, StepPhase::Released, unix_s)
+    }
+
+    /// The step is over.
+    pub fn step_done(&mut self, id: &str, step: u32, unix_s: f64) -> Result<(), JournalError> {
+        self.step_phase(id, step, StepPhase::Done, unix_s)
+    }
+
+    /// The step was given up after a fault that is understood; a new look has to come first.
+    pub fn step_abandoned(&mut self, id: &str, step: u32, unix_s: f64) -> Result<(), JournalError> {
+        self.step_phase(id, step, StepPhase::Abandoned, unix_s)
+    }
+
+    fn step_phase(&mut self, id: &str, step: u32, to: StepPhase, unix_s: f64) -> Result<(), JournalError> {
+        let update = "UPDATE steps SET phase = ?3, changed = ?4 WHERE step = ?2
+             AND job = (SELECT sequence FROM jobs WHERE id = ?1) AND phase IN ('intent','gripped','released')";
+        let changed =
+            self.transact(|transaction| transaction.execute(update, params![id, step, to.word(), unix_s]))?;
+        if changed == 1 {
+            return Ok(());
+        }
+        Err(JournalError::WrongStep { id: id.to_owned(), step, action: to.word() })
+    }
+
+    /// All steps of a job, in order.
+    pub fn steps(&self, id: &str) -> Result<Vec<StepRecord>, JournalError> {
+        let select =
+            "SELECT step, intent, phase FROM steps WHERE job = (SELECT sequence FROM jobs WHERE id = ?1)
+                      ORDER BY step";
+        let mut statement = self.database.prepare(select).map_err(|e| self.fail(e))?;
+        let rows = statement
+            .query_map([id], |row| {
+                Ok((row.get::<_, u32>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?))
+            })
+            .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+            .map_err(|e| self.fail(e))?;
+        rows.into_iter().map(|(step, intent, phase)| self.step_record(step, &intent, &phase)).collect()
+    }
+
+    fn step_record(&self, step: u32, intent: &str, phase: &str) -> Result<StepRecord, JournalError> {
+        let phase = StepPhase::from_word(phase).ok_or_else(|| self.damaged("steps.phase", phase))?;
+        Ok(StepRecord { step, intent: self.decode("steps.intent", intent)?, phase })
+    }
+}

@@ -1,0 +1,208 @@
+//! Claims, order, steps and recovery against a database on disk.
+
+use super::*;
+use crate::geometry::pose::Pose2;
+use crate::jobs::record::{JobStatus, StepIntent};
+
+const NOW: f64 = 1_795_248_000.0;
+
+fn spec(priority: i64, not_before_unix_s: Option<f64>, rerun: bool) -> JobSpec {
+    JobSpec {
+        id: None,
+        goal: Vec::new(),
+        objective: None,
+        solver: None,
+        time_limit_s: None,
+        seed: None,
+        priority,
+        not_before_unix_s,
+        approval: None,
+        rerun,
+    }
+}
+
+fn claim(journal: &mut Journal, id: &str, sha256: &str, spec: &JobSpec) -> Claim {
+    let source = FileIdentity { device: 1, inode: 2, size: 3, modified_ns: 4 };
+    let job = NewJob { id, name: "job.yaml", sha256, text: "version: 1", spec, source };
+    journal.claim(&job, NOW).unwrap()
+}
+
+fn intent() -> StepIntent {
+    StepIntent {
+        object: "mug".into(),
+        from: Pose2::default(),
+        to: Pose2::new(0.1, 0.2, 0.3),
+        kind: "goal".into(),
+    }
+}
+
+fn folder() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("history.sqlite");
+    (folder, path)
+}
+
+#[test]
+fn a_job_is_claimed_once() {
+    let (_folder, path) = folder();
+    let mut journal = Journal::open(&path).unwrap();
+    let plain = JobSpec { id: Some("a".into()), ..spec(0, None, false) };
+    let claimed = |id: &str| Claim::Claimed { id: id.into() };
+    assert_eq!(claim(&mut journal, "a", "00", &plain), claimed("a"));
+    assert_eq!(claim(&mut journal, "a", "00", &plain), Claim::Duplicate { of: "a".into() });
+    assert_eq!(claim(&mut journal, "a", "11", &plain), Claim::Conflict { with: "a".into() });
+    let rerun = JobSpec { rerun: true, ..plain.clone() };
+    assert_eq!(claim(&mut journal, "a", "00", &rerun), claimed("a.2"));
+    assert_eq!(claim(&mut journal, "a", "00", &rerun), claimed("a.3"));
+    let nameless = spec(0, None, false);
+    assert_eq!(claim(&mut journal, "made-up", "00", &nameless), claimed("made-up"));
+    assert_eq!(claim(&mut journal, "made-up", "00", &nameless), claimed("made-up.2"));
+    drop(journal);
+    let mut journal = Journal::open(&path).unwrap();
+    assert_eq!(claim(&mut journal, "a", "00", &plain), Claim::Duplicate { of: "a".into() });
+}
+
+#[test]
+fn commits_reach_the_disk_before_they_return() {
+    let (_folder, path) = folder();
+    let journal = Journal::open(&path).unwrap();
+    let mode: String = journal.database.query_row("PRAGMA journal_mode", [], |row| row.get(0)).unwrap();
+    let synchronous: i64 = journal.database.query_row("PRAGMA synchronous", [], |row| row.get(0)).unwrap();
+    assert_eq!((mode.as_str(), synchronous), ("wal", 2));
+}
+
+#[test]
+fn order_is_priority_then_time_then_arrival() {
+    let (_folder, path) = folder();
+    let mut journal = Journal::open(&path).unwrap();
+    claim(&mut journal, "first", "1", &spec(0, None, false));
+    claim(&mut journal, "second", "2", &spec(0, None, false));
+    claim(&mut journal, "later", "3", &spec(9, Some(NOW + 60.0), false));
+    claim(&mut journal, "urgent", "4", &spec(5, None, false));
+    let mut order = Vec::new();
+    while let Some(job) = journal.next_ready(NOW).unwrap() {
+        journal.start(&job.id, NOW).unwrap();
+        journal.finish(&job.id, &result(&job.id, JobStatus::Done), NOW).unwrap();
+        order.push(job.id);
+    }
+    assert_eq!(order, ["urgent", "first", "second"]);
+    assert_eq!(journal.next_ready(NOW + 61.0).unwrap().unwrap().id, "later");
+}
+
+fn result(id: &str, status: JobStatus) -> JobResult {
+    JobResult {
+        id: id.into(),
+        status,
+        code: "OK".into(),
+        message: String::new(),
+        remedy: String::new(),
+        moves: 0,
+        lower_bound: Some(f64::NAN),
+        seconds: f64::INFINITY,
+        objects: Vec::new(),
+    }
+}
+
+#[test]
+fn one_job_is_active_and_ends_once() {
+    let (_folder, path) = folder();
+    let mut journal = Journal::open(&path).unwrap();
+    for id in ["a", "b"] {
+        claim(&mut journal, id, id, &spec(0, None, false));
+    }
+    journal.start("a", NOW).unwrap();
+    assert!(matches!(journal.start("b", NOW), Err(JournalError::WrongState { .. })));
+    assert!(matches!(journal.start("c", NOW), Err(JournalError::UnknownJob { .. })));
+    journal.finish("a", &result("a", JobStatus::Done), NOW).unwrap();
+    let again = journal.finish("a", &result("a", JobStatus::Failed), NOW);
+    assert!(matches!(again, Err(JournalError::WrongState { state: "done", .. })));
+    assert_eq!(journal.job("a").unwrap().unwrap().result.unwrap().seconds, 0.0);
+}
+
+#[test]
+fn no_step_begins_while_one_is_open() {
+    let (_folder, path) = folder();
+    let mut journal = Journal::open(&path).unwrap();
+    claim(&mut journal, "a", "1", &spec(0, None, false));
+    assert!(journal.step_intent("a", &intent(), NOW).is_err(), "the job is not active yet");
+    journal.start("a", NOW).unwrap();
+    assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 1);
+    assert!(matches!(journal.step_intent("a", &intent(), NOW), Err(JournalError::WrongState { .. })));
+    journal.step_gripped("a", 1, NOW).unwrap();
+    assert!(matches!(journal.requeue("a"), Err(JournalError::WrongState { .. })));
+    journal.step_done("a", 1, NOW).unwrap();
+    assert!(matches!(journal.step_done("a", 1, NOW), Err(JournalError::WrongStep { step: 1, .. })));
+    assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 2);
+    journal.step_abandoned("a", 2, NOW).unwrap();
+    assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 3);
+}
+
+#[track_caller]
+fn check_recovery(steps: impl FnOnce(&mut Journal), expected: &str) {
+    let (_folder, path) = folder();
+    let mut journal = Journal::open(&path).unwrap();
+    claim(&mut journal, "other", "0", &spec(9, None, false));
+    claim(&mut journal, "a", "1", &spec(0, None, false));
+    journal.start("a", NOW).unwrap();
+    steps(&mut journal);
+    drop(journal);
+    let mut journal = Journal::open(&path).unwrap();
+    journal.recover(NOW).unwrap();
+    assert!(journal.recover(NOW).unwrap().is_empty(), "recovery is done once");
+    let job = journal.job("a").unwrap().unwrap();
+    let code = job.result.map(|result| result.code).unwrap_or_default();
+    assert_eq!(format!("{} {code}", job.state.word()).trim(), expected);
+    let next = journal.next_ready(NOW).unwrap().unwrap().id;
+    assert_eq!(next, if expected == "waiting" { "a" } else { "other" });
+}
+
+#[test]
+fn after_a_crash_only_a_job_at_rest_goes_on() {
+    let intend = |journal: &mut Journal| journal.step_intent("a", &intent(), NOW).unwrap();
+    check_recovery(|_| {}, "waiting");
+    check_recovery(
+        |journal| {
+            intend(journal);
+        },
+        "interrupted E_INTERRUPTED",
+    );
+    check_recovery(
+        |journal| {
+            intend(journal);
+            journal.step_gripped("a", 1, NOW).unwrap();
+        },
+        "interrupted E_INTERRUPTED_CARRYING",
+    );
+    check_recovery(
+        |journal| {
+            intend(journal);
+            journal.step_released("a", 1, NOW).unwrap();
+        },
+        "interrupted E_INTERRUPTED",
+    );
+    check_recovery(
+        |journal| {
+            intend(journal);
+            journal.step_done("a", 1, NOW).unwrap();
+        },
+        "waiting",
+    );
+}
+
+#[test]
+fn another_schema_version_is_refused() {
+    let (_folder, path) = folder();
+    Journal::open(&path).unwrap().database.execute_batch("PRAGMA user_version=7").unwrap();
+    assert!(matches!(Journal::open(&path), Err(JournalError::Version { found: 7, .. })));
+    assert!(matches!(Journal::open_to_read(&path), Err(JournalError::Version { found: 7, .. })));
+}
+
+#[test]
+fn a_reader_sees_jobs_beside_the_daemon_and_changes_nothing() {
+    let (_folder, path) = folder();
+    let mut journal = Journal::open(&path).unwrap();
+    claim(&mut journal, "a", "1", &spec(0, None, false));
+    let mut reader = Journal::open_to_read(&path).unwrap();
+    assert_eq!(reader.latest(10).unwrap().len(), 1);
+    assert!(reader.start("a", NOW).is_err());
+}
