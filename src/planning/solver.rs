@@ -281,3 +281,6 @@ fn is_goal_of(problem: &Problem, object: usize, pose: &Pose2) -> bool {
     let may_take = problem.objects.iter().enumerate().filter(|(k, o)| *k == object || shared(o));
     may_take.into_iter().any(|(_, o)| o.goal == Some(*pose))
 }
+
+#[cfg(test)]
+mod tests;
