@@ -95,7 +95,8 @@ impl<'a> Allocator<'a> {
 
     /// Makes the poses of all stays hold up to the end of `step`; false, and nothing changed, if none do.
     fn settle(&mut self, step: usize, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
-        let mut open: Vec<usize> = (0..self.stays.len()).filter(|&s| self.stays[s].is_open_after(step)).collect();
+        let mut open: Vec<usize> =
+            (0..self.stays.len()).filter(|&s| self.stays[s].is_open_after(step)).collect();
         if open.iter().all(|&s| self.holds(s, step)) {
             return true;
         }
@@ -104,10 +105,8 @@ impl<'a> Allocator<'a> {
         for _ in 0..RESTARTS {
             open.shuffle(rng);
             let mut old: Vec<Option<Arc<Spot>>> = open.iter().map(|&s| self.stays[s].spot.take()).collect();
-            let all_placed = open
-                .iter()
-                .zip(&mut old)
-                .all(|(&s, old)| self.place(s, step, old.take(), rng, effort));
+            let all_placed =
+                open.iter().zip(&mut old).all(|(&s, old)| self.place(s, step, old.take(), rng, effort));
             if all_placed {
                 return true;
             }
@@ -176,7 +175,11 @@ impl<'a> Allocator<'a> {
         let Stay { object, end, .. } = self.stays[stay];
         (0..self.to.len()).all(|o| {
             let arrives = self.arrives[o];
-            o == object || arrives >= end || arrives < first || arrives > last || self.scene.clear(spot, &self.to[o])
+            o == object
+                || arrives >= end
+                || arrives < first
+                || arrives > last
+                || self.scene.clear(spot, &self.to[o])
         })
     }
 
@@ -190,7 +193,9 @@ impl<'a> Allocator<'a> {
     fn moves(&self, steps: &[Step]) -> Vec<(usize, Arc<Spot>)> {
         let spot = |at: usize, step: &Step| match step.target {
             Target::Goal => Some(self.to[step.object].clone()),
-            Target::Buffer => self.stays.iter().find(|stay| stay.begin == at).and_then(|stay| stay.spot.clone()),
+            Target::Buffer => {
+                self.stays.iter().find(|stay| stay.begin == at).and_then(|stay| stay.spot.clone())
+            }
         };
         steps.iter().enumerate().filter_map(|(at, step)| Some((step.object, spot(at, step)?))).collect()
     }

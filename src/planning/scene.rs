@@ -39,9 +39,12 @@ impl<'a> Scene<'a> {
     /// Places everything that the problem gives.
     pub fn new(problem: &'a Problem) -> Scene<'a> {
         let spots = |pose: &dyn Fn(usize) -> Option<Pose2>| -> Vec<Option<Arc<Spot>>> {
-            (0..problem.objects.len()).map(|i| pose(i).map(|pose| Arc::new(new_spot(problem, i, pose)))).collect()
+            (0..problem.objects.len())
+                .map(|i| pose(i).map(|pose| Arc::new(new_spot(problem, i, pose))))
+                .collect()
         };
-        let starts: Vec<Arc<Spot>> = spots(&|i| Some(problem.objects[i].start)).into_iter().flatten().collect();
+        let starts: Vec<Arc<Spot>> =
+            spots(&|i| Some(problem.objects[i].start)).into_iter().flatten().collect();
         let is_fixed = |i: &usize| problem.objects[*i].fixed;
         let all = || 0..problem.objects.len();
         Scene {

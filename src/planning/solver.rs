@@ -268,7 +268,8 @@ fn actions(problem: &Problem, moves: &[Move]) -> Vec<Action> {
     moves
         .iter()
         .map(|m| {
-            let kind = if is_goal_of(problem, m.object, &m.to.pose) { ActionKind::Goal } else { ActionKind::Buffer };
+            let kind =
+                if is_goal_of(problem, m.object, &m.to.pose) { ActionKind::Goal } else { ActionKind::Buffer };
             Action { object: m.object, from: m.from.pose, to: m.to.pose, kind }
         })
         .collect()

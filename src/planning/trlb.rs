@@ -109,7 +109,13 @@ impl Trlb<'_> {
     }
 
     /// A primitive plan from `from` to `to`, carried out as far as buffers are found.
-    fn attempt(&self, from: &Arrangement, to: &Arrangement, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Attempt {
+    fn attempt(
+        &self,
+        from: &Arrangement,
+        to: &Arrangement,
+        rng: &mut ChaCha8Rng,
+        effort: &mut Effort,
+    ) -> Attempt {
         let objects: Vec<usize> =
             self.scene.movable.iter().copied().filter(|&o| from[o].pose != to[o].pose).collect();
         let graph = DependencyGraph::from_fn(objects.len(), |i, j| {
@@ -135,14 +141,19 @@ impl Trlb<'_> {
 
 /// The node whose arrangement differs from `arrangement` in the fewest objects; the oldest of these.
 fn nearest_node(tree: &[Node], arrangement: &Arrangement) -> usize {
-    let differing = |node: &Node| {
-        node.arrangement.iter().zip(arrangement).filter(|(a, b)| a.pose != b.pose).count()
-    };
+    let differing =
+        |node: &Node| node.arrangement.iter().zip(arrangement).filter(|(a, b)| a.pose != b.pose).count();
     tree.iter().enumerate().min_by_key(|(_, node)| differing(node)).map_or(0, |(at, _)| at)
 }
 
 /// The plan over `near_node` of the tree `near`, the link, and `far_node` of the other tree, from start to goal.
-fn join(trees: &[Vec<Node>; 2], near: usize, near_node: usize, link: Vec<Move>, far_node: usize) -> Vec<Move> {
+fn join(
+    trees: &[Vec<Node>; 2],
+    near: usize,
+    near_node: usize,
+    link: Vec<Move>,
+    far_node: usize,
+) -> Vec<Move> {
     let mut plan = from_root(&trees[near], near_node);
     plan.extend(link);
     plan.extend(reversed(from_root(&trees[1 - near], far_node)));

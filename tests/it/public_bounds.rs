@@ -14,10 +14,8 @@ use std::path::PathBuf;
 
 /// The folder with the public data, or a loud line and nothing.
 fn data() -> Option<PathBuf> {
-    let folder = std::env::var_os("CELLD_DATA").map_or_else(
-        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")),
-        PathBuf::from,
-    );
+    let folder = std::env::var_os("CELLD_DATA")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")), PathBuf::from);
     if folder.join("hetori").is_dir() && folder.join("trlb").is_dir() {
         return Some(folder);
     }
@@ -81,7 +79,13 @@ fn running_buffers_solve_the_easy_public_instances() {
         let problem = public_task(&data, family, density, n, id).read().expect("a public instance");
         for solver in [SolverKind::Rbm, SolverKind::Erbm] {
             for objective in [Objective::Pp, Objective::Ti] {
-                let run = Run { solver, objective, seed: 3, limit_seconds: f64::INFINITY, work_limit: Some(3_000_000) };
+                let run = Run {
+                    solver,
+                    objective,
+                    seed: 3,
+                    limit_seconds: f64::INFINITY,
+                    work_limit: Some(3_000_000),
+                };
                 let label = Label { scenario: family.into(), density: density.to_string(), id: id.into() };
                 let row = run_case(&problem, label, run, &|| false).expect("solvers that are built");
                 assert!(matches!(row.status, Status::Optimal | Status::Solved), "{}", row.csv());

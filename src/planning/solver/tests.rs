@@ -27,7 +27,13 @@ fn row(width: f64, places: &[(f64, Option<f64>)]) -> Instance {
     }
 }
 
-fn solve_within(instance: &Instance, solver: SolverKind, objective: Objective, work: u64, seed: u64) -> Outcome {
+fn solve_within(
+    instance: &Instance,
+    solver: SolverKind,
+    objective: Objective,
+    work: u64,
+    seed: u64,
+) -> Outcome {
     let problem = Problem::new(instance).unwrap();
     let control = Control { work_limit: Some(work), ..Control::until(&|| false) };
     solve(&problem, solver, objective, &control, seed).unwrap()
@@ -94,7 +100,12 @@ fn the_clearance_is_kept_around_buffers() {
         let buffer = plan.actions()[0];
         let moved = &problem.objects[buffer.object].footprint;
         for other in problem.objects.iter().filter(|o| o.id != problem.objects[buffer.object].id) {
-            let gap = crate::geometry::collision::distance_between(moved, &buffer.to, &other.footprint, &other.start);
+            let gap = crate::geometry::collision::distance_between(
+                moved,
+                &buffer.to,
+                &other.footprint,
+                &other.start,
+            );
             assert!(gap >= 0.05 - 1e-9, "{gap}");
         }
     }
@@ -142,7 +153,8 @@ fn a_failed_search_is_a_timeout_and_never_infeasible() {
 
 /// Nine squares of 0.09 m, rotated by one place each on a table with little room.
 fn ring() -> Instance {
-    let places: Vec<(f64, f64)> = (0..9).map(|k| (0.06 + 0.11 * f64::from(k % 3), 0.06 + 0.11 * f64::from(k / 3))).collect();
+    let places: Vec<(f64, f64)> =
+        (0..9).map(|k| (0.06 + 0.11 * f64::from(k % 3), 0.06 + 0.11 * f64::from(k / 3))).collect();
     let objects = (0..9)
         .map(|k| {
             let mut object = ObjectSpec::new(format!("o{k}"), Footprint::rectangle(0.09, 0.09).unwrap());
