@@ -14,7 +14,7 @@ ARGS ?=
 .PHONY: help setup demo test
 
 help:
-	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out/demo"
+	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
 	@echo "make test                           formatting, lints, all tests"
 	@echo "make setup                          install what the build needs (Debian 12), nothing else"
 

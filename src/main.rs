@@ -1,3 +1,5 @@
 //! The binary: hands the command line to [`celld::cli`] and nothing else.
 
-fn main() {}
+fn main() -> std::process::ExitCode {
+    celld::cli::main()
+}

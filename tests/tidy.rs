@@ -36,7 +36,11 @@ const TABLE: &[Row] = &[
         pure: true,
     },
     Row { module: "device", uses: Uses::Only(&["units", "time", "wire", "motion"]), pure: true },
-    Row { module: "supervisor", uses: Uses::AllAboveBut(&["wire", "urscript"]), pure: true },
+    Row {
+        module: "supervisor",
+        uses: Uses::AllAbove { but: &["wire", "urscript"], also: &["wire::enumerations"] },
+        pure: true,
+    },
     Row {
         module: "report",
         uses: Uses::Only(&["units", "time", "geometry", "tabletop", "planning", "vision", "motion"]),
@@ -52,7 +56,7 @@ const TABLE: &[Row] = &[
         uses: Uses::Only(&["units", "time", "document", "geometry", "tabletop", "planning", "io::files"]),
         pure: false,
     },
-    Row { module: "config", uses: Uses::AllAboveBut(&["wire", "urscript"]), pure: false },
+    Row { module: "config", uses: Uses::AllAbove { but: &["wire", "urscript"], also: &[] }, pure: false },
     Row {
         module: "sim",
         uses: Uses::Only(&[
@@ -70,9 +74,9 @@ const TABLE: &[Row] = &[
         ]),
         pure: false,
     },
-    Row { module: "daemon", uses: Uses::AllAboveBut(&["sim"]), pure: false },
-    Row { module: "bench", uses: Uses::AllAboveBut(&[]), pure: false },
-    Row { module: "cli", uses: Uses::AllAboveBut(&[]), pure: false },
+    Row { module: "daemon", uses: Uses::AllAbove { but: &["sim"], also: &[] }, pure: false },
+    Row { module: "bench", uses: Uses::AllAbove { but: &[], also: &[] }, pure: false },
+    Row { module: "cli", uses: Uses::AllAbove { but: &[], also: &[] }, pure: false },
 ];
 
 /// Source lines a file may have before it has to be split.

@@ -1,11 +1,53 @@
-//! The command line: one file a subcommand.
-
-pub mod demo;
-
-pub mod task;
-
-pub mod plan;
-
-pub mod verify;
+//! The command line: one file a subcommand, and the dispatcher.
+//!
+//! In: arguments. Out: an exit code: 0 done, 1 understood and not succeeded, 2 bad input or usage, 130 after
+//! Ctrl-C without a result.
 
 pub mod bench_planning;
+pub mod demo;
+pub mod detect;
+pub mod plan;
+pub mod task;
+pub mod verify;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// A robot cell that rearranges a cluttered table.
+#[derive(Parser, Debug)]
+#[command(name = "celld", version, about, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    /// Run the whole cell in simulation, one command
+    Demo(demo::DemoArgs),
+    /// Plan a rearrangement
+    Plan(plan::PlanArgs),
+    /// Check a plan independently
+    Verify(verify::VerifyArgs),
+}
+
+/// Parses the process's arguments and runs the subcommand.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    start_log();
+    let stop = Arc::new(AtomicBool::new(false));
+    ExitCode::from(match cli.command {
+        Command::Demo(args) => demo::run(&args, stop),
+        Command::Plan(args) => plan::run(&args, &stop),
+        Command::Verify(args) => verify::run(&args),
+    })
+}
+
+/// Logs go to stderr; `CELLD_LOG` chooses what (`info`, `celld::daemon=debug`, ...).
+fn start_log() {
+    let filter = tracing_subscriber::EnvFilter::try_from_env("CELLD_LOG")
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("error"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+}

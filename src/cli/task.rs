@@ -35,7 +35,11 @@ impl TaskArgs {
         Problem::new(&instance).map_err(|faults| prefixed(&self.instance, &faults.to_string()))
     }
 
-    fn read_instance(&self) -> Result<Instance, String> {
+    /// Reads the instance alone; what only a problem can find wrong is not looked for.
+    ///
+    /// # Errors
+    /// The text to show: one line for each complaint.
+    pub fn read_instance(&self) -> Result<Instance, String> {
         let folder = self.shapes.clone().or_else(|| shapes_beside(&self.instance));
         let shapes = |name: &str| shape_text(folder.as_deref()?, name);
         let text = read_text(&self.instance)?;

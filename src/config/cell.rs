@@ -19,7 +19,8 @@ pub struct CellConfig {
     pub devices: Devices,
     /// Size and obstacles of the table.
     pub workspace: WorkspaceConfig,
-    /// Everything that may lie on the table. `start` and `goal` are always absent here.
+    /// Everything that may lie on the table: height, mass and marker present, `goal` absent, `start` only for
+    /// fixed objects.
     pub objects: Vec<ObjectSpec>,
     /// Markers fixed to the table, in the table frame.
     pub reference_markers: Vec<ReferenceMarkerConfig>,
@@ -35,6 +36,8 @@ pub struct CellConfig {
     pub look_poses: Vec<Joints>,
     /// Taught joint pose in which the arm waits.
     pub park_pose: Joints,
+    /// Taught joint pose over the table: work is done in its posture (shoulder, elbow and wrist side).
+    pub work_pose: Joints,
     /// Taught joint poses for `celld calibrate`.
     pub calibration_poses: Vec<Joints>,
     /// Files that `celld calibrate` writes and `celld run` reads.
@@ -184,21 +187,25 @@ pub struct CalibrationFiles {
 /// What the arm may do at most, and the heights of a pick-n-place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionLimits {
+    /// Lowest and highest position of each joint, rad.
+    pub joint_range: [(f64, f64); 6],
     /// rad/s, every joint.
     pub joint_speed: f64,
     /// rad/s2, every joint.
     pub joint_acceleration: f64,
-    /// m/s at the tool.
+    /// m/s at the tool, on the straight parts.
     pub tool_speed: f64,
-    /// m/s2 at the tool.
+    /// m/s2 at the tool, on the straight parts.
     pub tool_acceleration: f64,
-    /// m/s of the last stretch down to and first stretch up from an object.
-    pub contact_speed: f64,
-    /// Free height above everything on the table at which objects are carried, m.
+    /// Lowest height of elbow and wrist over the table, m.
+    pub link_floor_m: f64,
+    /// Air kept between what is carried and what stands, m.
     pub lift_height_m: f64,
-    /// Height above grip and place at which the slow stretch begins, m.
+    /// How far over the object the slow, straight part of approach and retreat begins, m.
     pub approach_height_m: f64,
-    /// Blend radius between carried segments, m.
+    /// How far the cups are pressed below the nominal top so that they seal, m.
+    pub press_m: f64,
+    /// Blend radius between segments, m.
     pub blend_m: f64,
 }
 

@@ -1,4 +1,11 @@
 //! Checked configuration of the cell and of the simulator.
 
 pub mod cell;
+pub mod check;
+mod fields;
+pub mod load;
+pub mod read_cell;
+pub mod read_sim;
 pub mod simulated;
+#[cfg(test)]
+mod tests;

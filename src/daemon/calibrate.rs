@@ -6,8 +6,8 @@
 //! (design, section 7, rule 1, class *calibrate*).
 
 use crate::daemon::hardware::{Happening, Hardware};
-use crate::device::robot_types::{RobotCommand, RobotEvent};
 use crate::device::program::Nonce;
+use crate::device::robot_types::{RobotCommand, RobotEvent};
 use crate::io::camera::CameraSource;
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
@@ -145,7 +145,9 @@ pub async fn move_to(round: &mut Round<'_>, pose: usize, target: Joints) -> Resu
     let segment = Segment::Joint { target, speed, acceleration: limits.joint_acceleration, blend: 0.0 };
     let path = CheckedPath::new(round.model, &q, &[Leg { segment, floor: FLOOR }])
         .map_err(|fault| DriveError::Path { pose, fault })?;
-    if let Some(RobotEvent::Refused { what, reply }) = round.hardware.command_robot(RobotCommand::Stream(path)) {
+    if let Some(RobotEvent::Refused { what, reply }) =
+        round.hardware.command_robot(RobotCommand::Stream(path))
+    {
         return Err(DriveError::Robot(format!("{what} refused: {reply}")));
     }
     let mut finished = false;
@@ -219,9 +221,8 @@ pub async fn collect(
 async fn detect(hardware: &mut Hardware, mut eye: Eye) -> Result<(Eye, Vec<Detection>), DriveError> {
     let task = tokio::task::spawn_blocking(move || {
         let frame = eye.camera.grab().map_err(|error| error.to_string());
-        let found = frame.and_then(|frame| {
-            eye.detector.detect(&frame.image.gray()).map_err(|error| error.to_string())
-        });
+        let found = frame
+            .and_then(|frame| eye.detector.detect(&frame.image.gray()).map_err(|error| error.to_string()));
         (eye, found)
     });
     while !task.is_finished() {
@@ -235,7 +236,9 @@ fn trouble(happenings: &[Happening]) -> Result<(), DriveError> {
     for happening in happenings {
         let message = match happening {
             Happening::Robot(RobotEvent::ProgramEnded { reason }) => reason.to_string(),
-            Happening::Robot(RobotEvent::RuntimeException { line, text, .. }) => format!("line {line}: {text}"),
+            Happening::Robot(RobotEvent::RuntimeException { line, text, .. }) => {
+                format!("line {line}: {text}")
+            }
             Happening::Robot(RobotEvent::Refused { what, reply }) => format!("{what}: {reply}"),
             _ => continue,
         };

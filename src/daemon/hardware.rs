@@ -5,12 +5,12 @@
 
 use crate::daemon::links::{LinkEvent, LinkOrder, spawn_modbus, spawn_tcp};
 use crate::device::gripper::{Gripper, GripperCommand, GripperEvent, GripperParameters, ModbusRequest};
+use crate::device::program::TemplateError;
 use crate::device::robot::Robot;
 use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters};
 use crate::io::clock::Clock;
 use crate::supervisor::input::Outside;
 use crate::time::Timestamp;
-use crate::device::program::TemplateError;
 use std::net::SocketAddr;
 use std::time::Duration;
 use tokio::sync::mpsc;
@@ -100,7 +100,11 @@ impl Hardware {
 
     /// Gives the robot session a command; a refusal comes back as an event would.
     pub fn command_robot(&mut self, command: RobotCommand) -> Option<RobotEvent> {
+        // Working the command out may have taken a while: what came in meanwhile is newer than what was known.
         let now = self.clock.now();
+        while let Ok(event) = self.events.try_recv() {
+            self.take(now, event);
+        }
         let what = command_name(&command);
         let refused = self.robot.command(now, command).err();
         self.flush();

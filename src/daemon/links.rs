@@ -133,10 +133,11 @@ pub fn spawn_modbus(
         let mut connection: Option<tokio_modbus::client::Context> = None;
         while let Some(request) = requests.recv().await {
             let deadline = clock.wall(patience);
-            let answer = match tokio::time::timeout(deadline, exchange(&mut connection, address, request)).await {
-                Ok(answer) => answer,
-                Err(_) => Err(ModbusFailure::Timeout),
-            };
+            let answer =
+                match tokio::time::timeout(deadline, exchange(&mut connection, address, request)).await {
+                    Ok(answer) => answer,
+                    Err(_) => Err(ModbusFailure::Timeout),
+                };
             // After a failure the answer to an old request could be taken for that to a new one.
             if answer.is_err() {
                 connection = None;
@@ -163,11 +164,13 @@ async fn exchange(
         }
     };
     match request {
-        ModbusRequest::Read { address, count } => match context.read_holding_registers(address, count).await {
-            Ok(Ok(words)) => Ok(words),
-            Ok(Err(exception)) => Err(ModbusFailure::Exception(exception.into())),
-            Err(error) => Err(link(&error)),
-        },
+        ModbusRequest::Read { address, count } => {
+            match context.read_holding_registers(address, count).await {
+                Ok(Ok(words)) => Ok(words),
+                Ok(Err(exception)) => Err(ModbusFailure::Exception(exception.into())),
+                Err(error) => Err(link(&error)),
+            }
+        }
         ModbusRequest::Write { address, values } => {
             match context.write_multiple_registers(address, &values).await {
                 Ok(Ok(())) => Ok(Vec::new()),

@@ -9,5 +9,5 @@ pub mod calibrate;
 pub mod hardware;
 pub mod links;
 pub mod run;
-//pub mod setup;
+pub mod setup;
 pub mod workers;

@@ -110,11 +110,7 @@ pub fn capture(
 }
 
 /// Starts one planning run; `stop` ends it early with the best plan so far.
-pub fn spawn_plan(
-    request: PlanRequest,
-    stop: Arc<AtomicBool>,
-    answers: mpsc::Sender<Answer>,
-) {
+pub fn spawn_plan(request: PlanRequest, stop: Arc<AtomicBool>, answers: mpsc::Sender<Answer>) {
     std::thread::spawn(move || {
         lower_priority();
         let answer = plan(&request, &stop);

@@ -9,6 +9,7 @@
 //! Only the registers of the channels in question are written, so that nothing is released by the way.
 
 use crate::device::outbox::{Outbox, earlier};
+use crate::device::pace::Pace;
 use crate::time::{Duration, Timestamp};
 use std::collections::VecDeque;
 
@@ -247,6 +248,7 @@ pub struct Gripper {
     answering: bool,
     unreachable_told: bool,
     reading: Option<(Timestamp, [f64; 2])>,
+    pace: Pace,
     outbox: Outbox<GripperEvent>,
 }
 
@@ -265,6 +267,7 @@ impl Gripper {
             answering: false,
             unreachable_told: false,
             reading: None,
+            pace: Pace::default(),
             outbox: Outbox::default(),
         }
     }
@@ -274,6 +277,13 @@ impl Gripper {
     /// # Errors
     /// Why it is not done; then nothing has changed.
     pub fn command(&mut self, now: Timestamp, command: GripperCommand) -> Result<(), GripperRefused> {
+        let now = self.pace.wake(now);
+        self.take_command(now, command)?;
+        self.sleep();
+        Ok(())
+    }
+
+    fn take_command(&mut self, now: Timestamp, command: GripperCommand) -> Result<(), GripperRefused> {
         if self.waiting.len() >= MAX_WAITING {
             return Err(GripperRefused::QueueFull(self.waiting.len()));
         }
@@ -311,12 +321,14 @@ impl Gripper {
 
     /// The next request; `None` while one is under way or nothing is due.
     pub fn poll_request(&mut self, now: Timestamp) -> Option<ModbusRequest> {
+        let now = self.pace.wake(now);
         if self.outstanding.is_some() {
             return None;
         }
         let (request, tries) = self.next_request(now)?;
         let deadline = now + ANSWER_WITHIN;
         self.outstanding = Some(Outstanding { request: request.clone(), deadline, tries });
+        self.sleep();
         Some(request)
     }
 
@@ -338,6 +350,8 @@ impl Gripper {
 
     /// The answer to the request that is under way; an answer without a request is ignored.
     pub fn response(&mut self, now: Timestamp, answer: Result<Vec<u16>, ModbusFailure>) {
+        let clock = now;
+        let now = self.pace.wake(now);
         let Some(outstanding) = self.outstanding.take() else { return };
         match (&outstanding.request, answer) {
             (ModbusRequest::Write { .. }, Ok(_)) => {
@@ -347,6 +361,7 @@ impl Gripper {
             (ModbusRequest::Read { .. }, Ok(words)) => match vacuum_of(&words) {
                 Ok(vacuum) => {
                     self.answered();
+                    self.reading = Some((clock, vacuum));
                     self.take_reading(now, vacuum);
                 }
                 Err(failure) => self.failed(failure),
@@ -357,11 +372,23 @@ impl Gripper {
                 self.write_failed(now, outstanding);
             }
         }
-        self.tick(now);
+        self.check_deadlines(now);
+        self.sleep();
     }
 
     /// Time went by.
     pub fn tick(&mut self, now: Timestamp) {
+        let now = self.pace.wake(now);
+        self.check_deadlines(now);
+        self.sleep();
+    }
+
+    fn sleep(&mut self) {
+        let due = self.next_wake().map(|(at, _)| at);
+        self.pace.sleep_until(due);
+    }
+
+    fn check_deadlines(&mut self, now: Timestamp) {
         if let Some(outstanding) = &mut self.outstanding
             && now >= outstanding.deadline
         {
@@ -396,6 +423,11 @@ impl Gripper {
 
     /// When to call [`Gripper::tick`] and [`Gripper::poll_request`] next, and why.
     pub fn poll_timeout(&self) -> Option<(Timestamp, &'static str)> {
+        self.next_wake().map(|(at, why)| (self.pace.on_the_clock(at), why))
+    }
+
+    /// As [`Gripper::poll_timeout`], in session time.
+    fn next_wake(&self) -> Option<(Timestamp, &'static str)> {
         let request = match &self.outstanding {
             Some(outstanding) => (outstanding.deadline, "gripper answer"),
             None if !self.waiting.is_empty() && self.again.is_none() => (Timestamp::ZERO, "gripper command"),
@@ -472,7 +504,6 @@ impl Gripper {
     }
 
     fn take_reading(&mut self, now: Timestamp, vacuum: [f64; 2]) {
-        self.reading = Some((now, vacuum));
         self.outbox.report(GripperEvent::Reading { vacuum });
         match &mut self.hold {
             Hold::Empty | Hold::Failed => {}

@@ -7,6 +7,8 @@
 
 pub mod outbox;
 
+pub mod pace;
+
 pub mod registers;
 
 pub mod program;

@@ -20,6 +20,7 @@ mod tests;
 
 use crate::device::dashboard_session::DashboardSession;
 use crate::device::outbox::earlier;
+use crate::device::pace::Pace;
 use crate::device::primary_session::PrimarySession;
 use crate::device::program::{ProgramTemplate, TemplateError};
 use crate::device::robot_types::{
@@ -77,7 +78,13 @@ pub struct Robot {
     arm_waits: Vec<ArmWait>,
     exception: Option<ProgramEnd>,
     faults: VecDeque<Timestamp>,
+    /// Session time of the last advance.
     last_advance: Timestamp,
+    pace: Pace,
+    /// The clock at the last call, for how old a state is.
+    clock: Timestamp,
+    /// Session time and clock of the last package that proved something.
+    package: (Timestamp, Timestamp),
     events: VecDeque<RobotEvent>,
     closes: VecDeque<Link>,
 }
@@ -108,6 +115,9 @@ impl Robot {
             exception: None,
             faults: VecDeque::new(),
             last_advance: Timestamp::ZERO,
+            pace: Pace::default(),
+            clock: Timestamp::ZERO,
+            package: (Timestamp::ZERO, Timestamp::ZERO),
             events: VecDeque::new(),
             closes: VecDeque::new(),
         })
@@ -115,6 +125,7 @@ impl Robot {
 
     /// A TCP connection stands.
     pub fn connected(&mut self, now: Timestamp, link: Link) {
+        let now = self.wake(now);
         match link {
             Link::Rtde => {
                 self.lose_rtde(now);
@@ -132,6 +143,7 @@ impl Robot {
 
     /// A TCP connection is gone, or could not be made; `reason` is for people.
     pub fn disconnected(&mut self, now: Timestamp, link: Link, reason: &str) {
+        let now = self.wake(now);
         match link {
             Link::Rtde => self.lose_rtde(now),
             Link::Dashboard => self.lose_dashboard(reason),
@@ -142,6 +154,7 @@ impl Robot {
 
     /// Bytes arrived.
     pub fn received(&mut self, now: Timestamp, link: Link, bytes: &[u8]) {
+        let now = self.wake(now);
         match link {
             Link::Rtde => self.rtde.received(now, bytes),
             Link::Dashboard => self.dashboard.received(now, bytes),
@@ -155,6 +168,7 @@ impl Robot {
     /// # Errors
     /// Why it is not done; then nothing has changed.
     pub fn command(&mut self, now: Timestamp, command: RobotCommand) -> Result<(), Refused> {
+        let now = self.wake(now);
         self.advance(now);
         self.take_command(now, command)?;
         self.advance(now);
@@ -163,6 +177,7 @@ impl Robot {
 
     /// Time went by.
     pub fn tick(&mut self, now: Timestamp) {
+        let now = self.wake(now);
         self.advance(now);
     }
 
@@ -185,6 +200,11 @@ impl Robot {
 
     /// When to call [`Robot::tick`] next, and why.
     pub fn poll_timeout(&self) -> Option<(Timestamp, &'static str)> {
+        self.next_wake().map(|(at, why)| (self.pace.on_the_clock(at), why))
+    }
+
+    /// As [`Robot::poll_timeout`], in session time.
+    fn next_wake(&self) -> Option<(Timestamp, &'static str)> {
         let links = earlier(
             earlier(self.rtde.poll_timeout(), self.dashboard.poll_timeout()),
             self.primary.poll_timeout(),
@@ -217,6 +237,12 @@ impl Robot {
         self.stream.last_batch()
     }
 
+    /// From the clock to session time; all deadlines are kept in that.
+    fn wake(&mut self, now: Timestamp) -> Timestamp {
+        self.clock = now;
+        self.pace.wake(now)
+    }
+
     /// The one place where everything moves on, whatever woke the session.
     fn advance(&mut self, now: Timestamp) {
         let passed = now.since(self.last_advance);
@@ -231,6 +257,8 @@ impl Robot {
         self.check_arm_waits(now);
         self.send_heartbeat(now);
         self.send_commands(now);
+        let due = self.next_wake().map(|(at, _)| at);
+        self.pace.sleep_until(due);
     }
 
     fn report(&mut self, event: RobotEvent) {

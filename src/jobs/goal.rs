@@ -148,16 +148,15 @@ pub fn check_goal(decoder: &mut Decoder, entries: &[GoalEntry], context: &GoalCo
     for (index, (entry, object)) in known.iter().enumerate() {
         check_place(decoder, entry, object, context, tolerance_m);
         for (other, other_object) in known.iter().take(index) {
-            let depth = penetration(
-                &object.footprint,
-                &entry.goal.pose,
-                &other_object.footprint,
-                &other.goal.pose,
-            );
+            let depth =
+                penetration(&object.footprint, &entry.goal.pose, &other_object.footprint, &other.goal.pose);
             if depth > tolerance_m {
                 let message = format!(
                     "the goals of {:?} and {:?} (line {}) overlap by {}",
-                    entry.goal.id, other.goal.id, other.at.line, millimetres(depth)
+                    entry.goal.id,
+                    other.goal.id,
+                    other.at.line,
+                    millimetres(depth)
                 );
                 decoder.complain(entry.at, &entry.path, message, "move them apart");
             }
@@ -184,7 +183,8 @@ fn check_place(
     let pose = &entry.goal.pose;
     let beyond = overhang(&object.footprint, pose, context.width_m, context.height_m);
     if beyond > tolerance_m {
-        let message = format!("the goal of {:?} reaches {} over the table's edge", object.id, millimetres(beyond));
+        let message =
+            format!("the goal of {:?} reaches {} over the table's edge", object.id, millimetres(beyond));
         let help = format!("the table is {} m x {} m", context.width_m, context.height_m);
         decoder.complain(entry.at, &entry.path, message, help);
     }
@@ -229,7 +229,8 @@ mod tests {
 
     #[test]
     fn a_goal_that_the_table_holds_is_fine() {
-        let touching = "objects:\n  - {id: plank-1, pose: [0.1, 0.1, 0]}\n  - {id: plank-2, pose: [0.2, 0.1, 0]}\n";
+        let touching =
+            "objects:\n  - {id: plank-1, pose: [0.1, 0.1, 0]}\n  - {id: plank-2, pose: [0.2, 0.1, 0]}\n";
         assert_eq!(complaints(touching), "2 fine");
         assert_eq!(complaints(&touching.replace("0.2,", "0.1996,")), "2 fine", "0.4 mm are measurement");
         assert_eq!(complaints("objects:\n  - {id: plank-1, pose_deg: [0.02, 0.05, 90]}\n"), "1 fine");
@@ -258,7 +259,10 @@ mod tests {
         let twice = complaints(
             "objects:\n  - {id: plank-1, pose: [0.1, 0.1, 0]}\n  - {id: plank-1, pose: [0.3, 0.3, 0]}\n",
         );
-        assert!(twice.contains("3:5: objects[1]: object \"plank-1\" has a goal already, at line 2"), "{twice}");
+        assert!(
+            twice.contains("3:5: objects[1]: object \"plank-1\" has a goal already, at line 2"),
+            "{twice}"
+        );
     }
 
     #[test]

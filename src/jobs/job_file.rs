@@ -337,7 +337,10 @@ rerun: true
     fn a_goal_file_is_taken_into_the_job() {
         let job = read("version: 1\ngoal: {file: goal.yaml}\n").unwrap();
         assert_eq!(job.goal[0].pose, Pose2::new(0.1, 0.2, 0.3));
-        check_complaint("version: 1\ngoal: {file: none.yaml}\n", "job.yaml:2:14: goal.file: none.yaml: no such file");
+        check_complaint(
+            "version: 1\ngoal: {file: none.yaml}\n",
+            "job.yaml:2:14: goal.file: none.yaml: no such file",
+        );
         let told = read("version: 1\ngoal: {file: bad.yaml}\n").unwrap_err().to_string();
         assert!(told.starts_with("bad.yaml:2:5: ") && !told.contains("job.yaml"), "{told}");
     }
@@ -366,7 +369,9 @@ rerun: true
     fn a_torn_file_is_told_from_a_wrong_one() {
         let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file };
         let refuse = |text: &str| read_for_spool(text, "job.yaml", &context).unwrap_err();
-        for torn in ["", "  \n", "version: 1\ngoal: {objects: [{id: mug, pose: [0.1,", "version: 1\ngoal: {obj"] {
+        for torn in
+            ["", "  \n", "version: 1\ngoal: {objects: [{id: mug, pose: [0.1,", "version: 1\ngoal: {obj"]
+        {
             assert!(refuse(torn).incomplete, "{torn:?}");
         }
         for wrong in ["version: 1\n", "version: 1\ngoal: }\nseed: 1\npriority: 2\n"] {

@@ -1,37 +1,24 @@
 //! The rearrangement problem, its solvers, lower bound and independent plan checker. Pure.
 //!
-//! Reading order: `problem` (a task with its rules of contact) and `plan` (actions, status, their file);
-//! `check`, the independent checker and the only way to a plan the robot may carry out; `scene`, the same table
-//! as the solvers see it; `graph`, `feedback` and `bound`, what no plan can undercut; `weights`, `primitive`,
-//! `buffers`, `trlb` and `completion`, the parts of the running-buffer solvers; `solver`, the front of all of them.
-
-pub mod problem;
-
-pub mod plan;
-
-pub mod check;
-mod overlap;
-
-pub mod effort;
-
-pub mod object_set;
-
-pub mod graph;
-
-pub mod feedback;
-
-pub mod scene;
-
-pub mod weights;
+//! `problem`: a task with its rules of contact. `plan`: actions, status, and their file. `check` (with
+//! `overlap`): the independent checker, the only way to a plan the robot may carry out. `graph`, `feedback`,
+//! `bound`: dependency graph, minimum feedback vertex sets, lower bound. `weights`, `primitive`: HeCP and HeTI,
+//! primitive plans of minimum running buffer. `scene`, `buffers`, `trlb`: lazy buffer allocation and the
+//! bidirectional search. `completion`, `solver`: one shape for all solvers.
 
 pub mod bound;
-
-pub mod primitive;
-
 pub mod buffers;
-
-pub mod trlb;
-
+pub mod check;
 pub mod completion;
-
+pub mod effort;
+pub mod feedback;
+pub mod graph;
+pub mod object_set;
+mod overlap;
+pub mod plan;
+pub mod primitive;
+pub mod problem;
+pub mod scene;
 pub mod solver;
+pub mod trlb;
+pub mod weights;

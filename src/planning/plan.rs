@@ -181,3 +181,65 @@ impl PlanFile {
             .collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(poses: &[Pose2]) -> PlanFile {
+        let entry = |pair: &[Pose2]| ActionEntry {
+            object: "a \"quoted\" name".to_string(),
+            from: pair[0],
+            to: pair[1],
+            kind: ActionKind::Buffer,
+        };
+        PlanFile {
+            solver: "erbm".to_string(),
+            objective: Objective::Ti,
+            seed: u64::MAX,
+            status: Status::Solved,
+            cost: Some(0.1 + 0.2),
+            moves: Some(poses.len() - 1),
+            lower_bound: 1.0 / 3.0,
+            first_plan_seconds: Some(0.004),
+            seconds: 0.012,
+            witness: None,
+            actions: poses.windows(2).map(entry).collect(),
+        }
+    }
+
+    #[test]
+    fn poses_are_read_back_to_the_last_bit() {
+        let mut state = 7u64;
+        let mut random = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let poses: Vec<Pose2> =
+            (0..5000).map(|_| Pose2::new(random(), random() / 3.0, 7.0 * random())).collect();
+        let plan = file(&poses);
+        assert_eq!(PlanFile::parse(&plan.to_json()), Ok(plan));
+    }
+
+    #[test]
+    fn the_keys_are_those_of_the_design() {
+        let plan = file(&[Pose2::new(0.0, 0.0, 0.0), Pose2::new(1.0, 0.0, 0.0)]);
+        let value: serde_json::Value = serde_json::from_str(&plan.to_json()).expect("JSON");
+        assert_eq!(value["status"], "solved");
+        assert_eq!(value["objective"], "ti");
+        assert_eq!(value["actions"][0]["kind"], "buffer");
+        assert_eq!(value["actions"][0]["to"], serde_json::json!([1.0, 0.0, 0.0]));
+        let none = PlanFile { cost: None, moves: None, actions: Vec::new(), status: Status::Timeout, ..plan };
+        let value: serde_json::Value = serde_json::from_str(&none.to_json()).expect("JSON");
+        assert!(value["cost"].is_null() && value["moves"].is_null());
+        assert_eq!(value["actions"], serde_json::json!([]));
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_file_has_a_place() {
+        let told = PlanFile::parse("{\n  \"solver\": 3}").expect_err("refused");
+        assert!(matches!(told, PlanFileError::Syntax { line: 2, .. }), "{told}");
+        let unknown = file(&[Pose2::default()]).to_json().replace("\"seed\"", "\"sead\"");
+        assert!(PlanFile::parse(&unknown).is_err());
+    }
+}

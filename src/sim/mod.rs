@@ -2,6 +2,8 @@
 
 pub mod camera_server;
 
+pub mod cell;
+
 pub mod control_server;
 
 pub mod controller;

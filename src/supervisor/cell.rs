@@ -389,7 +389,14 @@ impl Cell {
         }
         if closed != Closed::Disarmed && now.since(self.waiting_since) > NOT_READY_LIMIT {
             let message = closed.to_string();
-            self.finish(now, JobEnd::Failed, "not_ready", &message, "run `celld doctor`, then submit again", out);
+            self.finish(
+                now,
+                JobEnd::Failed,
+                "not_ready",
+                &message,
+                "run `celld doctor`, then submit again",
+                out,
+            );
         }
     }
 

@@ -28,7 +28,13 @@ const CLEARANCE_SHARE: f64 = 0.3;
 
 impl Cell {
     /// Sends the arm to look pose `view`.
-    pub(crate) fn begin_look(&mut self, now: Timestamp, outside: &Outside, view: usize, out: &mut Vec<Action>) {
+    pub(crate) fn begin_look(
+        &mut self,
+        now: Timestamp,
+        outside: &Outside,
+        view: usize,
+        out: &mut Vec<Action>,
+    ) {
         let Some(robot) = outside.robot else { return };
         let Some(target) = self.model.look_poses.get(view).copied() else { return };
         let views = match &mut self.phase {
@@ -93,7 +99,9 @@ impl Cell {
 
     /// While settling: asks for frames once the arm has stood still long enough.
     pub(crate) fn watch_settling(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
-        let Phase::Look(Look { stage: LookStage::Settling { still_since }, .. }) = &mut self.phase else { return };
+        let Phase::Look(Look { stage: LookStage::Settling { still_since }, .. }) = &mut self.phase else {
+            return;
+        };
         let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
         if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
             *still_since = None;
@@ -185,7 +193,8 @@ impl Cell {
     fn judge(&self, observation: &Observation) -> Option<(String, String)> {
         let job = self.job.as_ref()?;
         if let Some(duplicate) = observation.duplicates.first() {
-            let message = format!("marker {} of {} was seen in two places", duplicate.marker_id, duplicate.id);
+            let message =
+                format!("marker {} of {} was seen in two places", duplicate.marker_id, duplicate.id);
             return Some(("marker_twice".into(), message));
         }
         let seen = |id: &str| observation.objects.iter().find(|object| object.id == id);
@@ -197,11 +206,17 @@ impl Cell {
             }
             match seen(id) {
                 None => {
-                    return Some((format!("object_missing:{id}"), format!("{id} is not to be seen on the table")));
+                    return Some((
+                        format!("object_missing:{id}"),
+                        format!("{id} is not to be seen on the table"),
+                    ));
                 }
                 Some(object) if object.std_xy_m > self.model.tolerances.measurement_std => {
                     let mm = object.std_xy_m * 1e3;
-                    return Some((format!("object_uncertain:{id}"), format!("{id} is only known to {mm:.1} mm")));
+                    return Some((
+                        format!("object_uncertain:{id}"),
+                        format!("{id} is only known to {mm:.1} mm"),
+                    ));
                 }
                 Some(_) => {}
             }
@@ -242,7 +257,8 @@ impl Cell {
         let mut actions = Vec::with_capacity(route.len());
         for step in &mut route {
             let (_, pose) = at.iter_mut().find(|(id, _)| *id == step.object)?;
-            let (position, angle) = (self.model.tolerances.expected_position, self.model.tolerances.expected_angle);
+            let (position, angle) =
+                (self.model.tolerances.expected_position, self.model.tolerances.expected_angle);
             if pose.distance(&step.from) > position || pose.angle_difference(&step.from) > angle {
                 return None;
             }
@@ -266,9 +282,8 @@ impl Cell {
             let Some(object) = self.model.object(&estimate.id) else { continue };
             worst_std = worst_std.max(estimate.std_xy_m);
             let wanted = job.order.goals.iter().find(|(id, _)| *id == estimate.id).map(|(_, goal)| *goal);
-            let goal = wanted.map(|goal| {
-                if self.model.at_goal(&estimate.pose, &goal) { estimate.pose } else { goal }
-            });
+            let goal = wanted
+                .map(|goal| if self.model.at_goal(&estimate.pose, &goal) { estimate.pose } else { goal });
             objects.push(ObjectSpec {
                 id: object.id.clone(),
                 footprint: object.footprint.clone(),

@@ -2,11 +2,15 @@
 //!
 //! `instance`: the structs. `decode`: objects and footprints out of a document. `parse`: instance files, all
 //! complaints at once. `public_data`: the importers. `write`: instances back to YAML and JSON.
+//! `scenes`: the demo's named tasks. `fit`: any task made ready for a cell, by what has `room` on an object's top.
 
 pub mod decode;
+pub mod fit;
 pub mod instance;
 pub mod parse;
 pub mod public_data;
+pub mod room;
+pub mod scenes;
 pub mod write;
 
 #[cfg(test)]

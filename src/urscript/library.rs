@@ -4,10 +4,10 @@
 //! unless the name says otherwise. The generator behind `random` belongs to the program, so that a seed
 //! repeats a run.
 
+use crate::urscript::host::urscript_builtins;
 use crate::urscript::host::{Builtin, Call};
 use crate::urscript::value::Value;
 use crate::urscript::{list_library, pose_library, string_library};
-use crate::urscript::host::urscript_builtins;
 
 /// Built-ins of the language itself; `sync` and `sleep` are the scheduler's.
 pub const BUILTINS: &[Builtin] = urscript_builtins![

@@ -316,8 +316,8 @@ fn abandon(scheduled: &Scheduled, host: &mut dyn Host) {
 pub(crate) mod tests {
     use super::*;
     use crate::urscript::compile::compile;
-    use crate::urscript::host::{Builtin, Call, Reply};
     use crate::urscript::host::urscript_builtins;
+    use crate::urscript::host::{Builtin, Call, Reply};
     use proptest::prelude::*;
 
     const BUILTINS: &[Builtin] = urscript_builtins![say(a; b), wait(frames), movej(q; a, v, t, r)];

@@ -86,13 +86,12 @@ impl Splitter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::primary_message::MessageBody;
+    use crate::wire::primary_message::{MessageBody, PROGRAM_STARTED};
     use crate::wire::primary_state::tests::{all_kinds, kinematics};
     use proptest::prelude::*;
 
     fn stream() -> (Vec<Package>, Vec<u8>) {
-        let key =
-            MessageBody::Key { code: 0, argument: 0, title: "PROGRAM_XXX_STARTED".into(), text: "p".into() };
+        let key = MessageBody::Key { code: 0, argument: 0, title: PROGRAM_STARTED.into(), text: "p".into() };
         let packages = vec![
             Package::RobotState(all_kinds()),
             Package::Message(Message { timestamp: 7, source: -2, body: key }),

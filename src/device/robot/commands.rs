@@ -32,12 +32,12 @@ impl Robot {
             }
             RobotCommand::CloseSafetyPopup => self.ask_dashboard(now, Command::CloseSafetyPopup),
             RobotCommand::StartProgram { nonce } => {
-                self.arm_is_ready(now)?;
+                self.arm_is_ready()?;
                 self.start_program(now, nonce)
             }
-            RobotCommand::Stream(path) => self.stream_path(now, &path),
+            RobotCommand::Stream(path) => self.stream_path(&path),
             RobotCommand::SetPayload { mass_kg, centre_of_gravity_m } => {
-                self.program_takes_commands(now)?;
+                self.program_takes_commands()?;
                 within("payload in kg", mass_kg, 0.0, MAX_PAYLOAD_KG)?;
                 for value in centre_of_gravity_m {
                     within("centre of gravity in m", value, -1.0, 1.0)?;
@@ -45,7 +45,7 @@ impl Robot {
                 self.stream.push_payload(mass_kg, centre_of_gravity_m)
             }
             RobotCommand::SetTcp(tcp) => {
-                self.program_takes_commands(now)?;
+                self.program_takes_commands()?;
                 for (index, value) in tcp.into_iter().enumerate() {
                     let limit = if index < 3 { 0.57 } else { std::f64::consts::PI };
                     within("TCP", value, -limit, limit)?;
@@ -89,9 +89,9 @@ impl Robot {
     }
 
     /// What has to hold before a program is started: all of it is the robot's state, fresh.
-    fn arm_is_ready(&self, now: Timestamp) -> Result<&RobotState, Refused> {
+    fn arm_is_ready(&self) -> Result<&RobotState, Refused> {
         let state = self.state.as_ref().ok_or(Refused::NotConnected(Link::Rtde))?;
-        if !state.fresh(now) {
+        if !state.fresh(self.clock) {
             return Err(Refused::Stale);
         }
         if !state.safety_mode.allows_motion() {
@@ -106,8 +106,8 @@ impl Robot {
         Ok(state)
     }
 
-    pub(super) fn program_takes_commands(&self, now: Timestamp) -> Result<&RobotState, Refused> {
-        let state = self.arm_is_ready(now)?;
+    pub(super) fn program_takes_commands(&self) -> Result<&RobotState, Refused> {
+        let state = self.arm_is_ready()?;
         match &self.program {
             Program::Running { .. } if state.runtime_state == RuntimeState::Playing => Ok(state),
             Program::Running { .. } => Err(Refused::Busy("the program is paused")),
@@ -118,8 +118,8 @@ impl Robot {
         }
     }
 
-    fn stream_path(&mut self, now: Timestamp, path: &CheckedPath) -> Result<(), Refused> {
-        let state = self.program_takes_commands(now)?;
+    fn stream_path(&mut self, path: &CheckedPath) -> Result<(), Refused> {
+        let state = self.program_takes_commands()?;
         let from = self.stream.end().unwrap_or(state.q);
         let difference_rad = from.max_difference(&path.start());
         if difference_rad > START_TOLERANCE_RAD || !path.start().is_finite() {

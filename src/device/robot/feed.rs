@@ -73,7 +73,7 @@ impl Robot {
     /// Writes what the program can take now. Nothing is written on a stale state or outside remote control and
     /// normal safety, whatever was streamed before.
     pub(super) fn send_commands(&mut self, now: Timestamp) {
-        if let Err(refused) = self.program_takes_commands(now) {
+        if let Err(refused) = self.program_takes_commands() {
             return self.hold_commands(now, refused);
         }
         self.held_since = None;

@@ -251,7 +251,11 @@ impl Robot {
     /// Takes over the latest state and reports what changed in it.
     pub(super) fn take_state(&mut self, now: Timestamp) {
         let Some(latest) = self.rtde.latest() else { return };
-        let state = RobotState { remote_control: self.remote_control, ..latest.clone() };
+        if latest.received != self.package.0 {
+            self.package = (latest.received, self.clock);
+        }
+        let received = self.package.1;
+        let state = RobotState { received, remote_control: self.remote_control, ..latest.clone() };
         self.mode_is(now, state.robot_mode);
         self.safety_is(now, state.safety_mode);
         let paused = matches!(state.runtime_state, RuntimeState::Pausing | RuntimeState::Paused);

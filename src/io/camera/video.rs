@@ -1,14 +1,17 @@
 //! A video file as a camera, read by OpenCV.
 //!
 //! In: a file and the lens it was taken with. Out: frames numbered from 0 with the file's own time stamps. Compressed video blurs corners:
-//! good for trying things out, not for measuring.
+//! good for trying things out, not for measuring. Only the FFmpeg reader is asked: the others guess at file names
+//! and write their guesses to the log.
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use crate::vision::camera::CameraModel;
 use crate::vision::image::Image;
 use opencv::core::{Mat, MatTraitConst, MatTraitConstManual};
-use opencv::videoio::{CAP_ANY, CAP_PROP_POS_MSEC, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst};
+use opencv::videoio::{
+    CAP_FFMPEG, CAP_PROP_POS_MSEC, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,
+};
 use std::path::{Path, PathBuf};
 
 /// Frames of a video file.
@@ -29,7 +32,7 @@ impl VideoCamera {
     pub fn open(path: &Path, lens: Option<CameraModel>) -> Result<VideoCamera, CameraError> {
         std::fs::metadata(path).map_err(|source| CameraError::File { path: path.to_owned(), source })?;
         let failed = |what, source| CameraError::Video { path: path.to_owned(), what, source };
-        let capture = VideoCapture::from_file(path, CAP_ANY)
+        let capture = VideoCapture::from_file(path, CAP_FFMPEG)
             .map_err(|source| failed("OpenCV refuses it", Some(source)))?;
         if !capture.is_opened().unwrap_or(false) {
             return Err(failed("it is no video of a known kind", None));

@@ -4,8 +4,10 @@
 //! in what is simulated are here too, so that a script loads; calling one is a runtime exception
 //! ([`MODELLED`] says which ones do something).
 
-use crate::urscript::host::Builtin;
-use crate::urscript::host::urscript_builtins;
+use crate::urscript::code::Code;
+use crate::urscript::compile::compile;
+use crate::urscript::fault::CompileError;
+use crate::urscript::host::{Builtin, urscript_builtins};
 
 /// Built-ins that do what they say, or are modelled as documented where they are carried out.
 pub const MODELLED: &[Builtin] = urscript_builtins![
@@ -57,6 +59,14 @@ pub const KNOWN: &[Builtin] = urscript_builtins![
 /// The signature of a built-in of the controller.
 pub fn find(name: &str) -> Option<&'static Builtin> {
     MODELLED.iter().chain(KNOWN).find(|builtin| builtin.name == name)
+}
+
+/// Parses and checks a program as the controller does when it is uploaded.
+///
+/// # Errors
+/// The first thing that keeps it from being loaded, with line and column.
+pub fn compile_program(text: &str) -> Result<Code, CompileError> {
+    compile(text, &find)
 }
 
 #[cfg(test)]

@@ -31,7 +31,7 @@ use crate::motion::kinematics::{DhParameters, forward};
 use crate::sim::controller::modes::Modes;
 use crate::sim::controller::programs::Programs;
 use crate::sim::controller::registers::Registers;
-use crate::sim::motion::mover::{MoveId, Mover};
+use crate::sim::motion::mover::{HARD_RAMP_SECONDS, MoveId, Mover, SOFT_RAMP_SECONDS};
 use crate::sim::motion::{Arm, FRAME_SECONDS, MotionFault};
 use crate::units::Joints;
 use crate::urscript::value::ThreadId;
@@ -217,7 +217,9 @@ impl Controller {
     }
 
     fn move_arm(&mut self) -> Result<(), MotionFault> {
-        let held = self.programs.paused() || !self.core.modes.motion_allowed();
+        let safe = self.core.modes.motion_allowed();
+        self.core.mover.set_ramp(if safe { SOFT_RAMP_SECONDS } else { HARD_RAMP_SECONDS });
+        let held = self.programs.paused() || !safe;
         let scaling = if held { 0.0 } else { self.core.registers.speed_fraction() };
         self.core.mover.step(scaling)
     }

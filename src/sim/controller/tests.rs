@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::sim::controller::registers::{ClientId, Input};
-use crate::urscript::compile::compile;
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 use crate::wire::rtde_values::Value;
 
@@ -11,7 +10,7 @@ fn running() -> Controller {
 }
 
 fn upload(controller: &mut Controller, text: &str) {
-    assert!(controller.programs.upload(compile(text, &builtins::find)));
+    assert!(controller.programs.upload(builtins::compile_program(text)));
 }
 
 /// Steps until `done`, at most a simulated minute.

@@ -15,8 +15,11 @@ use crate::units::Joints;
 use nalgebra::{Isometry3, Vector3, Vector6};
 use std::collections::VecDeque;
 
-/// Time in which speed scaling goes from 1 to 0, s: pause, slider, protective stop.
-const SCALING_SECONDS: f64 = 0.2;
+/// Time in which speed scaling goes from 1 to 0, s: pause and slider.
+pub const SOFT_RAMP_SECONDS: f64 = 0.2;
+
+/// The same for protective and safeguard stops.
+pub const HARD_RAMP_SECONDS: f64 = 0.04;
 
 /// Identity of a move command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,6 +53,7 @@ pub struct Mover {
     qdd: [f64; 6],
     task: Task,
     scaling: f64,
+    ramp_seconds: f64,
     last_id: u64,
     still_frames: u64,
     /// Tool speed set in the last frame of a tool-speed task; measuring it anew each frame would drift.
@@ -66,6 +70,7 @@ impl Mover {
             qdd: [0.0; 6],
             task: Task::Stand,
             scaling: 1.0,
+            ramp_seconds: SOFT_RAMP_SECONDS,
             last_id: 0,
             still_frames: 0,
             tool_speed: None,
@@ -203,6 +208,11 @@ impl Mover {
         *self = Mover::new(self.arm.clone(), q);
     }
 
+    /// Time in which speed scaling goes from 1 to 0 from now on, s.
+    pub fn set_ramp(&mut self, seconds: f64) {
+        self.ramp_seconds = seconds;
+    }
+
     /// Ends whatever the arm does at once, as the brakes do.
     pub fn freeze(&mut self) {
         self.task = Task::Stand;
@@ -218,7 +228,7 @@ impl Mover {
         if !matches!(self.task, Task::ToolSpeed { .. } | Task::StopTool { .. }) {
             self.tool_speed = None;
         }
-        let ramp = if matches!(self.task, Task::Stand) { 1.0 } else { FRAME_SECONDS / SCALING_SECONDS };
+        let ramp = if matches!(self.task, Task::Stand) { 1.0 } else { FRAME_SECONDS / self.ramp_seconds };
         self.scaling += (scaling - self.scaling).clamp(-ramp, ramp);
         match self.next_position().and_then(|next| self.check(&next).map(|()| next)) {
             Ok(next) => {

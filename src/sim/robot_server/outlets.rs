@@ -83,6 +83,7 @@ struct Outlet {
     queue: mpsc::Sender<Bytes>,
     dropped: Arc<Notify>,
     behind: u64,
+    given_up: bool,
     subscription: Option<Subscription>,
     started: bool,
     writes: Writes,
@@ -119,6 +120,7 @@ impl Outlets {
             queue: sender.clone(),
             dropped: dropped.clone(),
             behind: 0,
+            given_up: false,
             subscription: None,
             started: false,
             writes: Writes::default(),
@@ -162,19 +164,20 @@ impl Outlets {
         self.outlets.iter().any(|outlet| outlet.is_late(step))
     }
 
-    /// Gives up waiting for those that are late: they count as irregular until they write regularly again.
-    pub fn forget_the_late(&mut self, step: u64) {
-        self.outlets
-            .iter_mut()
-            .filter(|outlet| outlet.is_late(step))
-            .for_each(|late| late.writes.intervals = 0);
+    /// An RTDE client's queue is more than half full, and was not given up.
+    pub fn someone_is_behind(&self) -> bool {
+        self.outlets.iter().any(Outlet::is_behind)
     }
 
-    /// An RTDE client's queue is more than half full.
-    pub fn someone_is_behind(&self) -> bool {
-        self.outlets
-            .iter()
-            .any(|outlet| outlet.started && outlet.behind == 0 && outlet.queue.capacity() < QUEUE / 2)
+    /// Gives up waiting: who is late counts as irregular until it writes regularly again, who is behind until
+    /// its queue has room again.
+    pub fn give_up(&mut self, step: u64) {
+        for outlet in &mut self.outlets {
+            if outlet.is_late(step) {
+                outlet.writes.intervals = 0;
+            }
+            outlet.given_up |= outlet.is_behind();
+        }
     }
 
     /// Connections with this feed.
@@ -251,12 +254,17 @@ impl Outlets {
 }
 
 impl Outlet {
+    fn is_behind(&self) -> bool {
+        self.started && !self.given_up && self.queue.capacity() < QUEUE / 2
+    }
+
     fn is_late(&self, step: u64) -> bool {
         self.writes.intervals >= REGULAR_INTERVALS && step.saturating_sub(self.writes.last_step) > LATE_FRAMES
     }
 
     /// Queues a package, or counts the frames it was to last if there is no room.
     fn send(&mut self, bytes: Bytes) {
+        self.given_up &= self.queue.capacity() < QUEUE / 2;
         let frames = self.subscription.as_ref().map_or(1, |subscription| subscription.interval);
         match self.queue.try_send(bytes) {
             Ok(()) => self.behind = 0,

@@ -7,7 +7,6 @@ use crate::sim::controller::{builtins, robot_state};
 use crate::sim::robot_server::RobotShared;
 use crate::sim::robot_server::outlets::{Feed, Inlet, encode_message, encode_state};
 use crate::sim::robot_server::script_channel::{ScriptChannel, Upload};
-use crate::urscript::compile::compile;
 use crate::wire::primary_message::{MessageBody, READ_ONLY};
 use std::sync::Arc;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -99,7 +98,7 @@ fn carry_out(
 ) {
     // Compiling takes milliseconds for a large program: not under the lock that the frames need.
     let code = match &upload {
-        Upload::Program(text) => Some(compile(text, &builtins::find)),
+        Upload::Program(text) => Some(builtins::compile_program(text)),
         _ => None,
     };
     let mut controller = shared.controller();

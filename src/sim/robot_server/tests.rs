@@ -197,11 +197,9 @@ impl Rtde {
     }
 
     async fn data(&mut self, recipe: &Recipe) -> Vec<Value> {
-        loop {
-            match self.next().await.expect("closed") {
-                Reply::Data { payload, .. } => return recipe.decode(&payload, Leftover::Refuse).unwrap(),
-                other => panic!("{other:?}"),
-            }
+        match self.next().await.expect("closed") {
+            Reply::Data { payload, .. } => recipe.decode(&payload, Leftover::Refuse).unwrap(),
+            other => panic!("{other:?}"),
         }
     }
 }
@@ -435,7 +433,7 @@ async fn regular_writers_are_waited_for_and_dead_ones_forgotten() {
         outlets.wrote(inlet.id, step);
     }
     assert!(!outlets.someone_is_late(130) && outlets.someone_is_late(131));
-    outlets.forget_the_late(131);
+    outlets.give_up(131);
     assert!(!outlets.someone_is_late(1000));
     outlets.wrote(inlet.id, 1000);
     assert!(!outlets.someone_is_late(2000), "one package does not make a writer regular");

@@ -358,7 +358,9 @@ impl World {
 
     fn track_tool(&mut self, dt_s: f64, base_from_flange: &Isometry3<f64>) {
         let table_from_tool = self.table_from_base * base_from_flange * self.gripper.flange_from_tool;
-        let (mut velocity, mut acceleration) = (Vector3::zeros(), Vector3::zeros());
+        let (mut velocity, mut acceleration) = self
+            .tool
+            .map_or((Vector3::zeros(), Vector3::zeros()), |before| (before.velocity, before.acceleration));
         if let Some(before) = &self.tool
             && dt_s > 0.0
         {

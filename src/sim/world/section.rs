@@ -218,6 +218,9 @@ fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::collision;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
     fn at(x: f64, y: f64, theta: f64) -> Pose2 {
         Pose2::new(x, y, theta)
@@ -263,5 +266,34 @@ mod tests {
         let ellipse = Section::ellipse(0.1, 0.06);
         assert!(ellipse.contains([0.0, 0.0], 0.0299) && !ellipse.contains([0.0, 0.0], 0.0301));
         assert!((ellipse.support([1.0, 0.0]) - 0.05).abs() < 1e-15);
+    }
+
+    #[test]
+    fn depths_agree_with_the_planner_s_kernel_on_convex_shapes() {
+        let shapes = [
+            Footprint::rectangle(0.1, 0.04).unwrap(),
+            Footprint::disc(0.03).unwrap(),
+            Footprint::ellipse(0.12, 0.05).unwrap(),
+            Footprint::polygon(&[[0.0, 0.0], [0.08, 0.01], [0.02, 0.06]]).unwrap(),
+        ];
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut overlapping = 0;
+        for round in 0..4000 {
+            let (a, b) = (&shapes[round % 4], &shapes[(round / 4) % 4]);
+            let mut pose = || {
+                at(rng.random_range(-0.07..0.07), rng.random_range(-0.07..0.07), rng.random_range(-4.0..4.0))
+            };
+            let (pose_a, pose_b) = (pose(), pose());
+            let theirs = collision::penetration(a, &pose_a, b, &pose_b);
+            let found =
+                Section::overlap(&Section::from_footprint(a), &pose_a, &Section::from_footprint(b), &pose_b);
+            let ours = found.map_or(0.0, |overlap| overlap.depth_m);
+            overlapping += usize::from(theirs > 0.0);
+            // 0.06 % of the largest radius on each side, and what a 96-gon's nearest edge leaves of the direction;
+            // deep overlaps, where the kernel's own figure for ellipses is not the least one, within 2 %.
+            let allowed = if theirs.min(ours) < 5e-3 { 1.5e-4 } else { 0.02 * theirs };
+            assert!((ours - theirs).abs() < allowed, "{a:?} {pose_a:?} {b:?} {pose_b:?}: {ours} {theirs}");
+        }
+        assert!(overlapping > 1000, "{overlapping}");
     }
 }

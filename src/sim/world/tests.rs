@@ -2,8 +2,10 @@
 
 use super::*;
 use crate::geometry::footprint::Footprint;
+use crate::sim::world::grip::YIELD_M;
 use crate::sim::world::spec::Cup;
 use nalgebra::{Translation3, UnitQuaternion};
+use rand::RngExt;
 
 const CUP: f64 = 0.02;
 
@@ -388,4 +390,54 @@ fn bad_specs_are_refused_by_name() {
     let mut marked = block("a", 0.1, 0.1);
     marked.marker = Some(ObjectMarker { id: 587, size_m: 0.02, offset: Pose2::default() });
     assert!(matches!(World::new(spec(vec![marked]), 0), Err(WorldError::NoSuchMarker { .. })));
+}
+
+#[test]
+fn any_sequence_of_moves_leaves_flat_objects_apart() {
+    let shapes = [
+        Footprint::rectangle(0.07, 0.04).unwrap(),
+        Footprint::disc(0.03).unwrap(),
+        Footprint::ellipse(0.08, 0.05).unwrap(),
+        Footprint::polygon(&[
+            [-0.03, -0.03],
+            [0.03, -0.03],
+            [0.03, 0.01],
+            [-0.01, 0.01],
+            [-0.01, 0.04],
+            [-0.03, 0.04],
+        ])
+        .unwrap(),
+    ];
+    let objects = (0..8).map(|k| {
+        let mut object = block(&k.to_string(), 0.08 + 0.11 * (k % 4) as f64, 0.1 + 0.2 * (k / 4) as f64);
+        object.footprint = shapes[k % 4].clone();
+        object
+    });
+    let mut cell = Cell::new(objects.collect(), PlacementErrors::default(), 21);
+    let mut rng = ChaCha8Rng::seed_from_u64(22);
+    let (mut moved, mut tilted) = (0, 0);
+    for _ in 0..60 {
+        let body = &cell.world.objects()[rng.random_range(0..8)];
+        let on = body.pose().transform(if body.id == "3" || body.id == "7" {
+            [-0.015, -0.015]
+        } else {
+            [0.0, 0.0]
+        });
+        let height = if rng.random_bool(0.8) { 0.001 } else { 0.05 };
+        cell.move_object(on, [rng.random_range(0.05..0.45), rng.random_range(0.05..0.45)], height);
+        moved += cell.happened(|kind| matches!(kind, EventKind::Gripped { .. }));
+        let bodies = cell.world.objects();
+        tilted += bodies.iter().filter(|body| body.is_tilted()).count();
+        for (i, a) in bodies.iter().enumerate() {
+            let up =
+                if a.is_tilted() { a.bottom_m() > -1e-9 } else { a.table_from_object.translation.z == 0.0 };
+            assert!(a.pose().is_finite() && up, "{a:?}");
+            for b in bodies[..i].iter().filter(|b| !a.is_tilted() && !b.is_tilted()) {
+                let depth =
+                    Section::overlap(&a.section, &a.pose(), &b.section, &b.pose()).map_or(0.0, |o| o.depth_m);
+                assert!(depth < YIELD_M, "{} and {} overlap by {depth}", a.id, b.id);
+            }
+        }
+    }
+    assert!(moved > 30 && tilted > 5, "{moved} {tilted}");
 }

@@ -6,7 +6,7 @@ use crate::device::robot_types::Link;
 use crate::time::{Duration, Timestamp};
 use crate::wire::dashboard::{self, Command, LineSplitter};
 use crate::wire::primary::Package;
-use crate::wire::primary_message::{Message, MessageBody};
+use crate::wire::primary_message::{Message, MessageBody, PROGRAM_STOPPED};
 use crate::wire::primary_state::{KinematicsData, SubPackage};
 use crate::wire::rtde::{ControllerVersion, Reply, Request, Splitter, Version};
 use crate::wire::rtde_values::{Leftover, Offer, Recipe, Value};
@@ -291,7 +291,7 @@ impl Fake {
         let name = format!("celld_{nonce}");
         if self.fail_uploads {
             self.message(MessageBody::RuntimeException { line: 3, column: 9, text: "no".into() });
-            let title = "PROGRAM_XXX_STOPPED".into();
+            let title = PROGRAM_STOPPED.into();
             return self.message(MessageBody::Key { code: 0, argument: 0, title, text: name });
         }
         self.program = Some(nonce.parse().unwrap());

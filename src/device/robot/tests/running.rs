@@ -137,14 +137,18 @@ fn an_old_program_is_stopped_first() {
 
 #[test]
 fn a_program_that_does_not_show_its_nonce_does_not_run() {
-    let mut rig = Rig::ready();
-    rig.fake.set_out(24, 999);
-    rig.fake.runtime_state = 1;
-    rig.fake.ignore_uploads = true;
-    rig.command(RobotCommand::StartProgram { nonce: Nonce::new(3) });
-    rig.run_ms(5100);
-    assert!(rig.ended().unwrap().contains("nonce"), "{:?}", rig.events);
-    assert!(!rig.events.iter().any(|event| matches!(event, RobotEvent::ProgramRunning { .. })));
+    for foreign_program_plays in [false, true] {
+        let mut rig = Rig::ready();
+        rig.fake.set_out(24, 999);
+        rig.fake.ignore_uploads = true;
+        rig.command(RobotCommand::StartProgram { nonce: Nonce::new(3) });
+        if foreign_program_plays {
+            rig.fake.runtime_state = 2;
+        }
+        rig.run_ms(5100);
+        assert!(rig.ended().unwrap().contains("nonce"), "{:?}", rig.events);
+        assert!(!rig.events.iter().any(|event| matches!(event, RobotEvent::ProgramRunning { .. })));
+    }
 }
 
 #[test]
@@ -379,4 +383,26 @@ fn commands_held_back_for_long_end_the_program() {
     assert!(rig.refusals().is_empty());
     rig.run_ms(3000);
     assert!(rig.ended().unwrap().contains("remote control"), "{:?}", rig.events);
+}
+
+#[test]
+fn a_pc_that_overslept_accuses_nobody_and_trusts_nothing_old() {
+    for asleep_ms in [300, 700, 3000, 20_000] {
+        let mut rig = Rig::running();
+        rig.command(RobotCommand::Stream(path(HOME, 6)));
+        rig.run_ms(50);
+        // The simulator holds its time while the daemon is late; then the timer fires before the sockets are read.
+        rig.now += Duration::from_millis(asleep_ms);
+        rig.robot.tick(rig.now);
+        rig.exchange();
+        assert!(!rig.robot.fresh(rig.now), "asleep for {asleep_ms} ms");
+        rig.run_ms(700);
+        assert!(
+            rig.saw(&RobotEvent::PathFinished { batch: 1 }),
+            "asleep for {asleep_ms} ms: {:?}",
+            rig.events
+        );
+        assert_eq!((rig.ended(), rig.faults()), (None, vec![]));
+        assert!(rig.robot.fresh(rig.now));
+    }
 }

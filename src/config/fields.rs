@@ -1,0 +1,207 @@
+//! The pieces that both configuration files have: transforms, joint poses, cups, reference markers, paths.
+//!
+//! In: located values and a decoder that collects complaints. Out: values in SI, or `None` with a complaint
+//! kept. Degrees end here.
+
+use crate::config::cell::{CupChannel, CupConfig, GripperConfig, ReferenceMarkerConfig};
+use crate::document::decode::{At, Decoder, Fields};
+use crate::tabletop::decode;
+use crate::units::{Joints, rad_from_deg};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+/// Most reference markers, poses and cups in one list.
+const MAX_ITEMS: usize = 200;
+
+/// Every item of the list under a required key.
+pub(super) fn required_list<T>(
+    decoder: &mut Decoder,
+    fields: &Fields,
+    key: &str,
+    read: impl FnMut(&mut Decoder, &At) -> Option<T>,
+) -> Option<Vec<T>> {
+    let at = fields.required(key, decoder)?;
+    list(decoder, &at, read)
+}
+
+/// Every item of a list; complaints of all items are collected.
+pub(super) fn list<T>(
+    decoder: &mut Decoder,
+    at: &At,
+    mut read: impl FnMut(&mut Decoder, &At) -> Option<T>,
+) -> Option<Vec<T>> {
+    let items = decoder.sequence(at)?;
+    if items.len() > MAX_ITEMS {
+        decoder.complain_at(at, format!("{} entries, at most {MAX_ITEMS} are read", items.len()), "");
+        return None;
+    }
+    let values: Vec<Option<T>> = items.iter().map(|item| read(decoder, item)).collect();
+    values.into_iter().collect()
+}
+
+/// A required number within `range`, in `unit`.
+pub(super) fn required_number(
+    decoder: &mut Decoder,
+    fields: &Fields,
+    key: &str,
+    range: RangeInclusive<f64>,
+    unit: &str,
+) -> Option<f64> {
+    let at = fields.required(key, decoder)?;
+    decoder.number_in(&at, range, unit)
+}
+
+/// A required speed, acceleration or length: over 0 and at most `most`, in `unit`.
+pub(super) fn required_positive(
+    decoder: &mut Decoder,
+    fields: &Fields,
+    key: &str,
+    most: f64,
+    unit: &str,
+) -> Option<f64> {
+    let at = fields.required(key, decoder)?;
+    decoder.positive(&at, unit)?;
+    decoder.number_in(&at, 0.0..=most, unit)
+}
+
+/// The value under an optional key, or `default`.
+pub(super) fn optional<'n, T>(
+    decoder: &mut Decoder,
+    fields: &Fields<'n>,
+    key: &str,
+    default: T,
+    read: impl FnOnce(&mut Decoder, &At<'n>) -> Option<T>,
+) -> Option<T> {
+    match fields.optional(key) {
+        Some(at) => read(decoder, &at),
+        None => Some(default),
+    }
+}
+
+/// `{translation: [x, y, z], quaternion: [x, y, z, w]}`: m and a unit quaternion.
+pub(super) fn transform(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<Isometry3<f64>> {
+    let at = fields.required(key, decoder)?;
+    let inner = decoder.map(&at, &["translation", "quaternion"])?;
+    let translation = inner.required("translation", decoder).and_then(|at| decoder.numbers::<3>(&at));
+    let rotation = inner.required("quaternion", decoder).and_then(|at| rotation(decoder, &at));
+    let [x, y, z] = translation?;
+    if [x, y, z].iter().any(|v| v.abs() > 10.0) {
+        decoder.complain_at(&at, "more than 10 m away", "the translation is in m");
+        return None;
+    }
+    Some(Isometry3::from_parts(Translation3::new(x, y, z), rotation?))
+}
+
+fn rotation(decoder: &mut Decoder, at: &At) -> Option<UnitQuaternion<f64>> {
+    let [x, y, z, w] = decoder.numbers::<4>(at)?;
+    let quaternion = Quaternion::new(w, x, y, z);
+    let norm = quaternion.norm();
+    if (norm - 1.0).abs() > 1e-3 {
+        let message = format!("a quaternion of length {norm:.4}, a rotation has length 1");
+        decoder.complain_at(at, message, "the order is [x, y, z, w]; no rotation is [0, 0, 0, 1]");
+        return None;
+    }
+    Some(UnitQuaternion::from_quaternion(quaternion))
+}
+
+/// Six joint positions in degrees.
+pub(super) fn joints_deg(decoder: &mut Decoder, at: &At) -> Option<Joints> {
+    let degrees = decoder.numbers::<6>(at)?;
+    if let Some((joint, value)) = degrees.iter().enumerate().find(|(_, value)| value.abs() > 363.0) {
+        decoder.complain_at(
+            at,
+            format!("joint {} at {value} degrees is beyond what the arm can do", joint + 1),
+            "",
+        );
+        return None;
+    }
+    Some(Joints(degrees.map(rad_from_deg)))
+}
+
+/// Cups, body and mass of the gripper.
+pub(super) fn gripper(decoder: &mut Decoder, at: &At) -> Option<GripperConfig> {
+    let known = ["cups", "body", "vacuum_min", "mass_kg", "centre_of_gravity_m"];
+    let fields = decoder.map(at, &known)?;
+    let cups = required_list(decoder, &fields, "cups", cup);
+    let body = fields.required("body", decoder).and_then(|at| {
+        let fields = decoder.map(&at, &["polygon", "height"])?;
+        let polygon = fields.required("polygon", decoder).and_then(|at| decode::polygon(decoder, &at));
+        let height = required_number(decoder, &fields, "height", 0.0..=1.0, "m");
+        Some((polygon?.points().to_vec(), height?))
+    });
+    let vacuum_min = required_number(decoder, &fields, "vacuum_min", 0.05..=0.8, "of an atmosphere");
+    let mass_kg = required_positive(decoder, &fields, "mass_kg", 5.0, "kg");
+    let centre = fields.required("centre_of_gravity_m", decoder).and_then(|at| decoder.numbers::<3>(&at));
+    let cups = cups?;
+    if cups.is_empty() {
+        decoder.complain_at(at, "no cups are given", "add at least one to `cups`");
+        return None;
+    }
+    let (body_polygon, body_height_m) = body?;
+    Some(GripperConfig {
+        cups,
+        body_polygon,
+        body_height_m,
+        vacuum_min: vacuum_min?,
+        mass_kg: mass_kg?,
+        centre_of_gravity_m: centre?,
+    })
+}
+
+fn cup(decoder: &mut Decoder, at: &At) -> Option<CupConfig> {
+    let fields = decoder.map(at, &["channel", "x", "y", "diameter"])?;
+    let channels = [("A", CupChannel::A), ("B", CupChannel::B)];
+    let channel = fields.required("channel", decoder).and_then(|at| decoder.choice(&at, &channels));
+    let x = required_number(decoder, &fields, "x", -0.5..=0.5, "m");
+    let y = required_number(decoder, &fields, "y", -0.5..=0.5, "m");
+    let diameter = required_number(decoder, &fields, "diameter", 0.003..=0.2, "m");
+    Some(CupConfig { channel: channel?, x_m: x?, y_m: y?, diameter_m: diameter? })
+}
+
+/// Markers fixed to the table.
+pub(super) fn reference_markers(decoder: &mut Decoder, at: &At) -> Option<Vec<ReferenceMarkerConfig>> {
+    let markers = list(decoder, at, |decoder, at| {
+        let fields = decoder.map(at, &["id", "size", "pose", "pose_deg"])?;
+        let id = fields.required("id", decoder).and_then(|at| decoder.integer(&at, 0..=586));
+        let size = required_number(decoder, &fields, "size", 0.005..=0.5, "m");
+        let pose = decode::required_pose(decoder, &fields, "pose");
+        Some(ReferenceMarkerConfig { id: u32::try_from(id?).ok()?, size_m: size?, pose: pose? })
+    })?;
+    if markers.len() < 4 {
+        let message = format!("{} reference markers, a look has to see at least 4", markers.len());
+        decoder.complain_at(at, message, "add markers round the workspace");
+        return None;
+    }
+    Some(markers)
+}
+
+/// A path relative to the file's own folder, made absolute against it.
+pub(super) fn path(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<PathBuf> {
+    let text = decoder.text(at)?;
+    if text.is_empty() || text.contains('\0') {
+        decoder.complain_at(at, "not a path", "write a file name relative to this file's folder");
+        return None;
+    }
+    Some(folder.join(text))
+}
+
+/// A port number.
+pub(super) fn port(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<u16> {
+    let at = fields.required(key, decoder)?;
+    decoder.integer(&at, 1..=65_535).and_then(|port| u16::try_from(port).ok())
+}
+
+/// A host name or an address without a port.
+pub(super) fn host(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<String> {
+    let at = fields.required(key, decoder)?;
+    let host = decoder.text(&at)?;
+    let colons = host.matches(':').count();
+    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | ':' | '_');
+    if host.is_empty() || !host.chars().all(plain) || colons == 1 {
+        let help = "write the name or address alone, without scheme and port";
+        decoder.complain_at(&at, format!("{host:?} is not a host name or address"), help);
+        return None;
+    }
+    Some(host)
+}

@@ -1,0 +1,388 @@
+//! `config/cell.yaml`: text to [`CellConfig`].
+//!
+//! In: the text, its name, the folder its paths are relative to, and a reader for files it names. Out: the
+//! checked configuration, or every complaint at once. Nothing measured and no limit has a default; what may
+//! be left out are the keys that only switch something on.
+
+use crate::config::cell::{
+    CalibrationFiles, CameraDevice, CameraMount, CellConfig, Devices, MotionLimits, PlannerConfig,
+    RecordingConfig, SimulationConfig, Tolerances, WorkspaceConfig,
+};
+use crate::config::check::{Places, check_cell};
+use crate::config::fields::{
+    gripper, host, joints_deg, list, optional, path, port, reference_markers, required_list, required_number,
+    required_positive, transform,
+};
+use crate::document::decode::{At, Decoder, Fields};
+use crate::document::{Complaints, parse};
+use crate::jobs::policy::{Approval, JobObjective, SOLVER_WORDS};
+use crate::tabletop::decode;
+use crate::tabletop::instance::ObjectSpec;
+use crate::tabletop::parse::{unique_names_and_markers, workspace};
+use crate::units::{Joints, rad_from_deg};
+use std::path::Path;
+
+/// Keys of the file.
+pub const CELL_KEYS: &[&str] = &[
+    "version",
+    "devices",
+    "workspace",
+    "clearance",
+    "keep_out",
+    "objects",
+    "reference_markers",
+    "gripper",
+    "flange_from_tool",
+    "base_from_table",
+    "camera",
+    "look_poses_deg",
+    "park_pose_deg",
+    "work_pose_deg",
+    "calibration_poses_deg",
+    "calibration",
+    "limits",
+    "tolerances",
+    "planner",
+    "approval",
+    "arm_at_start",
+    "simulation",
+    "recording",
+    "goal_folder",
+];
+
+/// Text of a file that the configuration names; `Err` says why it cannot be had.
+pub type ReadFile<'a> = dyn Fn(&Path) -> Result<String, String> + 'a;
+
+/// Reads and checks a cell's configuration.
+///
+/// # Errors
+/// Every complaint, those about an object file with the places in that file.
+pub fn read_cell(
+    text: &str,
+    source: &str,
+    folder: &Path,
+    read_file: &ReadFile,
+) -> Result<CellConfig, Complaints> {
+    let node = parse(text, source)?;
+    let mut decoder = Decoder::new(source);
+    let mut beside = Complaints::default();
+    let cell = decoder.map(&At::top(&node), CELL_KEYS).and_then(|fields| {
+        let cell = cell(&mut decoder, &fields, folder, read_file, &mut beside)?;
+        check_cell(&mut decoder, &cell, &Places::new(&node));
+        Some(cell)
+    });
+    match decoder.finish(cell) {
+        Ok(cell) if beside.0.is_empty() => Ok(cell),
+        Ok(_) => Err(beside),
+        Err(mut complaints) => {
+            complaints.0.extend(beside.0);
+            Err(complaints)
+        }
+    }
+}
+
+fn cell(
+    decoder: &mut Decoder,
+    fields: &Fields,
+    folder: &Path,
+    read_file: &ReadFile,
+    beside: &mut Complaints,
+) -> Option<CellConfig> {
+    if let Some(at) = fields.required("version", decoder) {
+        decoder.integer(&at, 1..=1);
+    }
+    let devices = fields.required("devices", decoder).and_then(|at| devices(decoder, &at, folder));
+    let workspace = table(decoder, fields);
+    let objects =
+        fields.required("objects", decoder).and_then(|at| objects(decoder, &at, folder, read_file, beside));
+    let markers =
+        fields.required("reference_markers", decoder).and_then(|at| reference_markers(decoder, &at));
+    let gripper = fields.required("gripper", decoder).and_then(|at| gripper(decoder, &at));
+    let flange_from_tool = transform(decoder, fields, "flange_from_tool");
+    let base_from_table = transform(decoder, fields, "base_from_table");
+    let camera = fields.required("camera", decoder).and_then(|at| camera(decoder, &at));
+    let look_poses = required_list(decoder, fields, "look_poses_deg", joints_deg);
+    let calibration_poses = required_list(decoder, fields, "calibration_poses_deg", joints_deg);
+    let park_pose = required_joints(decoder, fields, "park_pose_deg");
+    let work_pose = required_joints(decoder, fields, "work_pose_deg");
+    let calibration =
+        fields.required("calibration", decoder).and_then(|at| calibration(decoder, &at, folder));
+    let limits = fields.required("limits", decoder).and_then(|at| limits(decoder, &at));
+    let tolerances = fields.required("tolerances", decoder).and_then(|at| tolerances(decoder, &at));
+    let planner = fields.required("planner", decoder).and_then(|at| planner(decoder, &at));
+    let approvals = [Approval::Never, Approval::Job, Approval::Always].map(|value| (value.word(), value));
+    let approval =
+        optional(decoder, fields, "approval", Approval::Always, |decoder, at| decoder.choice(at, &approvals));
+    let arm_at_start = optional(decoder, fields, "arm_at_start", false, |decoder, at| decoder.boolean(at));
+    let simulation = optional(decoder, fields, "simulation", None, |d, at| simulation(d, at).map(Some));
+    let recording = optional(decoder, fields, "recording", None, |d, at| recording(d, at, folder).map(Some));
+    let goal_folder =
+        optional(decoder, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder));
+    Some(CellConfig {
+        devices: devices?,
+        workspace: workspace?,
+        objects: objects?,
+        reference_markers: markers?,
+        gripper: gripper?,
+        flange_from_tool: flange_from_tool?,
+        base_from_table: base_from_table?,
+        camera: camera?,
+        look_poses: look_poses?,
+        park_pose: park_pose?,
+        work_pose: work_pose?,
+        calibration_poses: calibration_poses?,
+        calibration: calibration?,
+        limits: limits?,
+        tolerances: tolerances?,
+        planner: planner?,
+        approval: approval?,
+        arm_at_start: arm_at_start?,
+        simulation: simulation?,
+        recording: recording?,
+        goal_folder: goal_folder?,
+    })
+}
+
+fn required_joints(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<Joints> {
+    let at = fields.required(key, decoder)?;
+    joints_deg(decoder, &at)
+}
+
+fn devices(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Devices> {
+    let fields = decoder.map(at, &["robot", "gripper", "camera"])?;
+    let robot = fields.required("robot", decoder).and_then(|at| {
+        let fields = decoder.map(&at, &["host"])?;
+        host(decoder, &fields, "host")
+    });
+    let gripper = fields.required("gripper", decoder).and_then(|at| {
+        let fields = decoder.map(&at, &["host", "port"])?;
+        let (host, port) = (host(decoder, &fields, "host"), port(decoder, &fields, "port"));
+        Some((host?, port?))
+    });
+    let camera = fields.required("camera", decoder).and_then(|at| camera_device(decoder, &at, folder));
+    let (gripper_host, gripper_port) = gripper?;
+    Some(Devices { robot_host: robot?, gripper_host, gripper_port, camera: camera? })
+}
+
+fn camera_device(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CameraDevice> {
+    let kinds = [("simulator", "simulator"), ("folder", "folder"), ("video", "video")];
+    let kind_at = decoder.open_map(at)?.required("kind", decoder)?;
+    match decoder.choice(&kind_at, &kinds)? {
+        "simulator" => {
+            let fields = decoder.map(at, &["kind", "host", "port"])?;
+            let (host, port) = (host(decoder, &fields, "host"), port(decoder, &fields, "port"));
+            Some(CameraDevice::Simulator { host: host?, port: port? })
+        }
+        kind => {
+            let fields = decoder.map(at, &["kind", "path"])?;
+            let path = fields.required("path", decoder).and_then(|at| path(decoder, &at, folder))?;
+            Some(if kind == "folder" { CameraDevice::Folder { path } } else { CameraDevice::Video { path } })
+        }
+    }
+}
+
+fn table(decoder: &mut Decoder, fields: &Fields) -> Option<WorkspaceConfig> {
+    let size = fields.required("workspace", decoder).and_then(|at| workspace(decoder, &at));
+    let clearance_m = required_number(decoder, fields, "clearance", 0.0..=0.2, "m");
+    let keep_out =
+        optional(decoder, fields, "keep_out", Vec::new(), |decoder, at| list(decoder, at, decode::keep_out));
+    let size = size?;
+    Some(WorkspaceConfig {
+        width_m: size.width,
+        height_m: size.height,
+        clearance_m: clearance_m?,
+        keep_out: keep_out?,
+    })
+}
+
+/// The catalogue: a list, or `{file: ...}` with a file that holds the list under `objects`.
+fn objects(
+    decoder: &mut Decoder,
+    at: &At,
+    folder: &Path,
+    read_file: &ReadFile,
+    beside: &mut Complaints,
+) -> Option<Vec<ObjectSpec>> {
+    if at.node.get("file").is_none() {
+        return object_list(decoder, at);
+    }
+    let fields = decoder.map(at, &["file"])?;
+    let file_at = fields.required("file", decoder)?;
+    let file = path(decoder, &file_at, folder)?;
+    let text = match read_file(&file) {
+        Ok(text) => text,
+        Err(reason) => {
+            decoder.complain_at(&file_at, format!("{}: {reason}", file.display()), "correct the path");
+            return None;
+        }
+    };
+    match object_file(&text, &file.display().to_string()) {
+        Ok(objects) => Some(objects),
+        Err(complaints) => {
+            beside.0.extend(complaints.0);
+            Some(Vec::new())
+        }
+    }
+}
+
+fn object_file(text: &str, source: &str) -> Result<Vec<ObjectSpec>, Complaints> {
+    let node = parse(text, source)?;
+    let mut decoder = Decoder::new(source);
+    let objects = decoder.map(&At::top(&node), &["version", "objects"]).and_then(|fields| {
+        let at = fields.required("objects", &mut decoder)?;
+        object_list(&mut decoder, &at)
+    });
+    decoder.finish(objects)
+}
+
+fn object_list(decoder: &mut Decoder, at: &At) -> Option<Vec<ObjectSpec>> {
+    let items = decoder.sequence(at)?;
+    unique_names_and_markers(decoder, &items);
+    list(decoder, at, |decoder, at| {
+        let object = decode::object(decoder, at)?;
+        let missing: Vec<&str> = [
+            ("height (m)", object.height.is_none()),
+            ("mass (kg)", object.mass.is_none()),
+            ("marker", object.marker.is_none()),
+        ]
+        .iter()
+        .filter_map(|(key, missing)| missing.then_some(*key))
+        .collect();
+        if !missing.is_empty() {
+            let message = format!("{:?} has no {}", object.id, missing.join(", no "));
+            decoder.complain_at(at, message, "measure and add it; the cell guesses none of these");
+        }
+        if object.goal.is_some() || (object.start.is_some() && !object.fixed) {
+            let message = format!("{:?} has a start or goal, the catalogue says only what it is", object.id);
+            decoder.complain_at(at, message, "the camera finds the start, the job says the goal");
+        }
+        Some(object)
+    })
+}
+
+fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
+    let mount_at = decoder.open_map(at)?.required("mount", decoder)?;
+    match decoder.choice(&mount_at, &[("flange", "flange"), ("fixed", "fixed")])? {
+        "flange" => {
+            let fields = decoder.map(at, &["mount", "flange_from_camera"])?;
+            let flange_from_camera = transform(decoder, &fields, "flange_from_camera")?;
+            Some(CameraMount::Flange { flange_from_camera })
+        }
+        _ => {
+            let fields = decoder.map(at, &["mount", "base_from_camera"])?;
+            let base_from_camera = transform(decoder, &fields, "base_from_camera")?;
+            Some(CameraMount::Fixed { base_from_camera })
+        }
+    }
+}
+
+fn calibration(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CalibrationFiles> {
+    let fields = decoder.map(at, &["camera", "hand_eye", "table"])?;
+    let mut file = |key: &str| fields.required(key, decoder).and_then(|at| path(decoder, &at, folder));
+    let (camera, hand_eye, table) = (file("camera"), file("hand_eye"), file("table"));
+    Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table? })
+}
+
+fn limits(decoder: &mut Decoder, at: &At) -> Option<MotionLimits> {
+    let known = [
+        "joint_range_deg",
+        "joint_speed_deg_s",
+        "joint_acceleration_deg_s2",
+        "tool_speed_m_s",
+        "tool_acceleration_m_s2",
+        "link_floor_m",
+        "lift_height_m",
+        "approach_height_m",
+        "press_m",
+        "blend_m",
+    ];
+    let fields = decoder.map(at, &known)?;
+    let range = fields.required("joint_range_deg", decoder).and_then(|at| joint_range(decoder, &at));
+    // The arm's own maxima: UR5e, 180 deg/s, tool 1 m/s as the manual gives them.
+    let joint_speed = required_positive(decoder, &fields, "joint_speed_deg_s", 180.0, "deg/s");
+    let joint_acceleration =
+        required_positive(decoder, &fields, "joint_acceleration_deg_s2", 2000.0, "deg/s2");
+    let tool_speed = required_positive(decoder, &fields, "tool_speed_m_s", 1.0, "m/s");
+    let tool_acceleration = required_positive(decoder, &fields, "tool_acceleration_m_s2", 20.0, "m/s2");
+    let link_floor = required_number(decoder, &fields, "link_floor_m", 0.0..=1.0, "m");
+    let lift = required_positive(decoder, &fields, "lift_height_m", 0.5, "m");
+    let approach = required_positive(decoder, &fields, "approach_height_m", 0.5, "m");
+    let press = required_number(decoder, &fields, "press_m", 0.0..=0.01, "m");
+    let blend = required_number(decoder, &fields, "blend_m", 0.0..=0.1, "m");
+    Some(MotionLimits {
+        joint_range: range?,
+        joint_speed: rad_from_deg(joint_speed?),
+        joint_acceleration: rad_from_deg(joint_acceleration?),
+        tool_speed: tool_speed?,
+        tool_acceleration: tool_acceleration?,
+        link_floor_m: link_floor?,
+        lift_height_m: lift?,
+        approach_height_m: approach?,
+        press_m: press?,
+        blend_m: blend?,
+    })
+}
+
+/// Six pairs [lowest, highest] in degrees.
+fn joint_range(decoder: &mut Decoder, at: &At) -> Option<[(f64, f64); 6]> {
+    let pairs = list(decoder, at, |decoder, at| {
+        let [low, high] = decoder.numbers::<2>(at)?;
+        if low >= high || low < -363.0 || high > 363.0 {
+            let message = format!("[{low}, {high}] is not a joint range");
+            decoder.complain_at(at, message, "lowest and highest position in degrees, within -363 to 363");
+            return None;
+        }
+        Some((rad_from_deg(low), rad_from_deg(high)))
+    })?;
+    let count = pairs.len();
+    let range = <[(f64, f64); 6]>::try_from(pairs).ok();
+    if range.is_none() {
+        decoder.complain_at(at, format!("{count} pairs, 6 are wanted"), "one for each joint, base first");
+    }
+    range
+}
+
+fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
+    let known = ["goal_position_m", "goal_angle_deg", "observation_age_s", "reference_residual_m"];
+    let fields = decoder.map(at, &known)?;
+    let position = required_positive(decoder, &fields, "goal_position_m", 0.1, "m");
+    let angle = required_positive(decoder, &fields, "goal_angle_deg", 90.0, "degrees");
+    let age = required_positive(decoder, &fields, "observation_age_s", 3600.0, "s");
+    let residual = required_positive(decoder, &fields, "reference_residual_m", 0.1, "m");
+    Some(Tolerances {
+        goal_position_m: position?,
+        goal_angle_rad: rad_from_deg(angle?),
+        observation_age_s: age?,
+        reference_residual_m: residual?,
+    })
+}
+
+fn planner(decoder: &mut Decoder, at: &At) -> Option<PlannerConfig> {
+    let fields = decoder.map(at, &["solver", "objective", "time_limit_s", "seed"])?;
+    let solvers = SOLVER_WORDS.map(|word| (word, word));
+    let objectives =
+        [JobObjective::Pp, JobObjective::Ti, JobObjective::Time].map(|value| (value.word(), value));
+    let solver = fields.required("solver", decoder).and_then(|at| decoder.choice(&at, &solvers));
+    let objective = fields.required("objective", decoder).and_then(|at| decoder.choice(&at, &objectives));
+    let time_limit_s = required_positive(decoder, &fields, "time_limit_s", 86_400.0, "s");
+    let seed = fields.required("seed", decoder).and_then(|at| decoder.integer(&at, 0..=i64::MAX));
+    Some(PlannerConfig {
+        solver: solver?.to_owned(),
+        objective: objective?,
+        time_limit_s: time_limit_s?,
+        seed: u64::try_from(seed?).ok()?,
+    })
+}
+
+fn simulation(decoder: &mut Decoder, at: &At) -> Option<SimulationConfig> {
+    let fields = decoder.map(at, &["clock_factor"])?;
+    let clock_factor = required_number(decoder, &fields, "clock_factor", 0.01..=1000.0, "times real time")?;
+    Some(SimulationConfig { clock_factor })
+}
+
+fn recording(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<RecordingConfig> {
+    let fields = decoder.map(at, &["folder", "pictures"])?;
+    let target = fields.required("folder", decoder).and_then(|at| path(decoder, &at, folder));
+    let pictures = optional(decoder, &fields, "pictures", true, |decoder, at| decoder.boolean(at));
+    Some(RecordingConfig { folder: target?, pictures: pictures? })
+}

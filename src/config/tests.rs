@@ -1,0 +1,157 @@
+//! The example files are sound, and every kind of mistake is told with its place.
+
+use crate::config::cell::{CameraMount, CellConfig, CupChannel};
+use crate::config::read_cell::{CELL_KEYS, read_cell};
+use crate::config::read_sim::{DEFAULT_ERRORS, SIM_KEYS, read_sim};
+use crate::document::Complaints;
+use std::path::Path;
+
+const CELL: &str = include_str!("../../config/cell.yaml");
+const SIM: &str = include_str!("../../config/sim.yaml");
+
+fn cell(text: &str) -> Result<CellConfig, Complaints> {
+    let read = |path: &Path| match path.to_str() {
+        Some("/etc/celld/objects.yaml") => {
+            Ok("objects:\n  - {id: mug, footprint: {disc: {radius: 0}}}\n".to_owned())
+        }
+        _ => Err("no such file".to_owned()),
+    };
+    read_cell(text, "cell.yaml", Path::new("/etc/celld"), &read)
+}
+
+/// Changes one thing in the example and expects one complaint that contains `expected`.
+#[track_caller]
+fn check(from: &str, to: &str, expected: &str) {
+    assert!(CELL.contains(from), "the example has no {from:?}");
+    let complaints = cell(&CELL.replacen(from, to, 1)).unwrap_err();
+    let told = complaints.to_string();
+    assert!(told.contains(expected), "{told}");
+    assert_eq!(complaints.0.len(), 1, "{told}");
+    let line = CELL.split(from).next().unwrap().lines().count();
+    let told_line = complaints.0[0].at.line;
+    assert!(
+        told_line.abs_diff(line) <= 4 || expected.contains("missing"),
+        "line {told_line}, not {line}: {told}"
+    );
+}
+
+#[test]
+fn the_example_cell_is_sound() {
+    let cell = cell(CELL).unwrap_or_else(|complaints| panic!("{complaints}"));
+    assert_eq!(cell.objects.len(), 4);
+    assert_eq!(cell.reference_markers.len(), 12);
+    assert_eq!(cell.gripper.cups[0].channel, CupChannel::A);
+    assert!((cell.limits.joint_speed - std::f64::consts::FRAC_PI_3).abs() < 1e-12);
+    assert!(matches!(cell.camera, CameraMount::Flange { .. }));
+    assert_eq!(cell.calibration.table, Path::new("/etc/celld/../calibration/sim/table.yaml"));
+    assert!(!cell.look_poses.is_empty() && cell.calibration_poses.len() >= 8);
+}
+
+#[test]
+fn the_example_simulation_is_sound_and_fits_the_cell() {
+    let sim = read_sim(SIM, "sim.yaml").unwrap_or_else(|complaints| panic!("{complaints}"));
+    let cell = cell(CELL).unwrap();
+    assert_eq!(sim.errors, DEFAULT_ERRORS);
+    assert_eq!(sim.reference_markers, cell.reference_markers);
+    assert_eq!(sim.gripper, cell.gripper);
+    assert_eq!(sim.base_from_table, cell.base_from_table);
+    assert_eq!(sim.flange_from_tool, cell.flange_from_tool);
+    assert_eq!(
+        (sim.bind.as_str(), sim.ports.modbus),
+        (cell.devices.robot_host.as_str(), cell.devices.gripper_port)
+    );
+    for (simulated, known) in sim.objects.iter().zip(&cell.objects) {
+        assert_eq!((&simulated.id, &simulated.footprint), (&known.id, &known.footprint));
+        assert_eq!((simulated.height, &simulated.marker), (known.height, &known.marker));
+        assert!(sim.start_of(&known.id).is_some());
+    }
+}
+
+/// Every key in the examples is explained, and the examples show every key.
+#[test]
+fn examples_show_and_comment_every_key() {
+    for (text, keys) in [(CELL, CELL_KEYS), (SIM, SIM_KEYS)] {
+        for key in keys {
+            assert!(text.lines().any(|line| line.starts_with(&format!("{key}:"))), "{key} is not shown");
+        }
+    }
+}
+
+#[test]
+fn a_missing_key_is_named() {
+    for key in ["limits", "gripper", "flange_from_tool", "reference_markers", "planner", "clearance"] {
+        let without = CELL.replace(&format!("\n{key}:"), &format!("\nx-{key}:"));
+        let told = cell(&without).unwrap_err().to_string();
+        assert!(told.contains(&format!("key \"{key}\" is missing")), "{told}");
+        assert!(told.contains(&format!("x-{key}: unknown key")), "{told}");
+    }
+}
+
+#[test]
+fn a_unit_or_type_is_told() {
+    check("joint_speed_deg_s: 60", "joint_speed_deg_s: 60 deg", "write the number alone, without \"deg\"");
+    check("tool_speed_m_s: 0.25", "tool_speed_m_s: 250", "out of range");
+    check("vacuum_min: 0.3", "vacuum_min: 30", "out of range");
+    check("clearance: 0.002", "clearance: .nan", "not a finite number");
+    check("clearance: 0.002", "clearance: '0.002'", "text in quotes");
+    check("port: 5020", "port: 70000", "out of range");
+    check("host: 127.0.0.2}", "host: 'http://127.0.0.2:80'}", "not a host name");
+    check("solver: erbm", "solver: best", "one of: tbm");
+    check("\napproval: always", "\napproval: maybe", "one of: never");
+    check(
+        "[0, 0, 0.2], quaternion: [0, 0, 0, 1]",
+        "[0, 0, 0.2], quaternion: [1, 0, 0, 1]",
+        "a rotation has length 1",
+    );
+    check("{kind: simulator,", "{kind: webcam,", "one of: simulator");
+    check("[[-360, 360], [-360", "[[360, -360], [-360", "is not a joint range");
+    check("park_pose_deg: [", "park_pose_deg: [0, ", "7 values, 6 are wanted");
+}
+
+#[test]
+fn limits_are_not_optional() {
+    for key in ["joint_speed_deg_s", "joint_acceleration_deg_s2", "tool_speed_m_s", "tool_acceleration_m_s2"]
+    {
+        let line = CELL.lines().find(|line| line.trim_start().starts_with(key)).unwrap();
+        let told = cell(&CELL.replace(line, "")).unwrap_err().to_string();
+        assert!(told.contains(&format!("key \"{key}\" is missing")), "{told}");
+    }
+}
+
+#[test]
+fn parts_that_do_not_fit_are_told() {
+    let told = cell(&CELL.replacen("host: 127.0.0.2}", "host: 192.168.1.20}", 1)).unwrap_err().to_string();
+    assert!(told.contains("simulation: the robot is at \"192.168.1.20\""), "{told}");
+    let real = CELL.replace("simulation: {clock_factor: 1}", "simulation: null");
+    assert!(cell(&real).is_ok());
+    let told = cell(&real.replace("arm_at_start: false", "arm_at_start: true")).unwrap_err().to_string();
+    assert!(told.contains("only a simulated cell may be armed at start"), "{told}");
+    check("id: 1, size: 0.036", "id: 0, size: 0.036", "marker 0 is used twice");
+    check("id: 500, size", "id: 3, size", "marker 3 is also that of object \"lid\"");
+    check("{id: 501, size", "{id: 500, size", "marker 500 is used twice");
+    check("id: 2, size: 0.05,", "id: 2, size: 0.07,", "sticks out over the object");
+    check(
+        "rectangle: {length: 0.08, width: 0.08}",
+        "rectangle: {length: 0.8, width: 0.08}",
+        "larger than the table",
+    );
+    check("mass: 0.12", "mass: 3", "its cups hold");
+    let told = cell(&CELL.replace("diameter: 0.02", "diameter: 0.06")).unwrap_err().to_string();
+    assert!(told.contains("no place on \"plank-1\"") && !told.contains("no place on \"block\""), "{told}");
+    check("blend_m: 0.02 ", "blend_m: 0.05 ", "rounds the corner");
+    check("    mass: 0.12\n", "", "has no mass (kg)");
+    check("park_pose_deg: [-91.7", "park_pose_deg: [361", "joint 1 at 361.0 degrees is outside its range");
+    let told = cell(&CELL.replace("keep_out: []", "keep_out: []\nkeep_ut: []")).unwrap_err().to_string();
+    assert!(told.contains("keep_ut: unknown key; did you mean \"keep_out\"?"), "{told}");
+}
+
+#[test]
+fn a_catalogue_in_a_file_is_judged_with_its_own_places() {
+    let start = CELL.find("objects:\n").unwrap();
+    let end = CELL.find("# Markers fixed to the table round").unwrap();
+    let with = |objects: &str| format!("{}{objects}\n{}", &CELL[..start], &CELL[end..]);
+    let told = cell(&with("objects: {file: objects.yaml}")).unwrap_err().to_string();
+    assert!(told.contains("/etc/celld/objects.yaml:2:") && told.contains("radius"), "{told}");
+    let told = cell(&with("objects: {file: none.yaml}")).unwrap_err().to_string();
+    assert!(told.contains("no such file"), "{told}");
+}

@@ -1,0 +1,202 @@
+//! From configuration and calibration to the parameter structs of supervisor, eye and devices.
+//!
+//! In: a checked [`CellConfig`], what calibration found, the kinematics the controller reported. Out: plain
+//! structs; no other part of the daemon reads the configuration. Pure.
+
+use crate::config::cell::{CellConfig, CupChannel};
+use crate::daemon::workers::EyeParameters;
+use crate::device::gripper::{Channels, GripperParameters};
+use crate::motion::kinematics::DhParameters;
+use crate::motion::path::{ArmLimits, ArmModel};
+use crate::motion::pick_n_place::CycleParameters;
+use crate::supervisor::model::{CellModel, CellObject, GripSettings, Tolerances};
+use crate::tabletop::instance::{ObjectSpec, Workspace};
+use crate::tabletop::room::{Cup, Grip, place_for_cups};
+use crate::time::Duration;
+use crate::vision::camera::CameraModel;
+use crate::vision::observe::{MarkedObject, ObserveLimits, ReferenceMarker};
+use nalgebra::{Isometry3, Vector3};
+
+/// What calibration found and the controller reported.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// The arm's calibrated kinematics.
+    pub dh: DhParameters,
+    /// Where the table is.
+    pub base_from_table: Isometry3<f64>,
+    /// Where the camera sits on the flange.
+    pub flange_from_camera: Isometry3<f64>,
+    /// The camera's lens.
+    pub camera: CameraModel,
+}
+
+/// Why a configuration cannot be worked with, although each key is fine.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SetupError {
+    /// Height, mass or marker is missing.
+    #[error("object {id} has no {what}; the cell needs it")]
+    Lacks {
+        /// Object.
+        id: String,
+        /// What is missing.
+        what: &'static str,
+    },
+    /// The cups do not fit on it.
+    #[error("object {id}: no place on its top where all cups lie with 1 mm to spare")]
+    NoGrip {
+        /// Object.
+        id: String,
+    },
+}
+
+/// Distance every cup keeps to the edge of a top, m (design, section 4.4).
+pub const CUP_MARGIN_M: f64 = 1e-3;
+
+/// Relative vacuum asked for; regulated down from the pump's 80 % to spare the filters.
+const VACUUM_TARGET: f64 = 0.6;
+
+/// The supervisor's model of the cell.
+///
+/// # Errors
+/// What an object of the catalogue lacks.
+pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel, SetupError> {
+    let objects = config
+        .objects
+        .iter()
+        .filter(|object| !object.fixed)
+        .map(|object| cell_object(config, object))
+        .collect::<Result<Vec<_>, _>>()?;
+    let tallest = config.objects.iter().filter_map(|object| object.height).fold(0.0, f64::max);
+    let limits = &config.limits;
+    let tolerances = &config.tolerances;
+    Ok(CellModel {
+        arm: arm_model(config, measured.dh, measured.base_from_table),
+        cycle: CycleParameters {
+            tallest,
+            air: limits.lift_height_m,
+            approach: limits.approach_height_m,
+            press: limits.press_m,
+            blend: limits.blend_m,
+            joint_speed: limits.joint_speed,
+            joint_acceleration: limits.joint_acceleration,
+            tool_speed: limits.tool_speed,
+            tool_acceleration: limits.tool_acceleration,
+        },
+        flange_from_camera: measured.flange_from_camera,
+        look_poses: config.look_poses.clone(),
+        frames_per_view: 2,
+        park: config.park_pose,
+        workspace: Workspace { width: config.workspace.width_m, height: config.workspace.height_m },
+        clearance: config.workspace.clearance_m,
+        objects,
+        tolerances: Tolerances {
+            goal_position: tolerances.goal_position_m,
+            goal_angle: tolerances.goal_angle_rad,
+            expected_position: 2.0 * tolerances.goal_position_m,
+            expected_angle: 2.0 * tolerances.goal_angle_rad,
+            measurement_std: tolerances.goal_position_m,
+            retries: 2,
+            settle: Duration::from_millis(150),
+            look_deadline: Duration::from_secs(60),
+            phase_deadline: Duration::from_secs(60),
+            plan_grace: Duration::from_secs(600),
+        },
+        grip: grip_settings(config),
+    })
+}
+
+/// The arm with the table at `base_from_table`: nominal for calibration, calibrated for work.
+pub fn arm_model(config: &CellConfig, dh: DhParameters, base_from_table: Isometry3<f64>) -> ArmModel {
+    let limits = &config.limits;
+    ArmModel {
+        dh,
+        base_from_table,
+        flange_from_tool: config.flange_from_tool,
+        home: config.work_pose,
+        limits: ArmLimits {
+            joint_range: limits.joint_range,
+            joint_speed: limits.joint_speed,
+            joint_acceleration: limits.joint_acceleration,
+            tool_speed: limits.tool_speed,
+            tool_acceleration: limits.tool_acceleration,
+            link_floor: limits.link_floor_m,
+        },
+    }
+}
+
+/// The cups as the fit needs them.
+pub fn cups(config: &CellConfig) -> Vec<Cup> {
+    let cup =
+        |cup: &crate::config::cell::CupConfig| Cup { x: cup.x_m, y: cup.y_m, radius: cup.diameter_m / 2.0 };
+    config.gripper.cups.iter().map(cup).collect()
+}
+
+fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, SetupError> {
+    let lacks = |what| SetupError::Lacks { id: object.id.clone(), what };
+    let grip: Grip =
+        place_for_cups(&object.footprint, object.grippable.as_ref(), &cups(config), CUP_MARGIN_M)
+            .ok_or_else(|| SetupError::NoGrip { id: object.id.clone() })?;
+    Ok(CellObject {
+        id: object.id.clone(),
+        footprint: object.footprint.clone(),
+        impedance: object.impedance,
+        height: object.height.ok_or_else(|| lacks("height"))?,
+        mass: object.mass.ok_or_else(|| lacks("mass"))?,
+        marker: object.marker.clone().ok_or_else(|| lacks("marker"))?,
+        grip_point: grip.point,
+        grip_yaw: grip.yaw,
+    })
+}
+
+fn grip_settings(config: &CellConfig) -> GripSettings {
+    let has = |channel| config.gripper.cups.iter().any(|cup| cup.channel == channel);
+    GripSettings {
+        channels: match (has(CupChannel::A), has(CupChannel::B)) {
+            (true, true) => Channels::Both,
+            (false, true) => Channels::B,
+            (true, false) | (false, false) => Channels::A,
+        },
+        vacuum_target: VACUUM_TARGET.max(config.gripper.vacuum_min),
+        tool_mass: config.gripper.mass_kg,
+        tool_centre: Vector3::from(config.gripper.centre_of_gravity_m),
+    }
+}
+
+/// The gripper session's thresholds.
+pub fn gripper_parameters(config: &CellConfig) -> GripperParameters {
+    GripperParameters {
+        vacuum_min: config.gripper.vacuum_min,
+        vacuum_hold: 0.8 * config.gripper.vacuum_min,
+        grip_within: Duration::from_secs(2),
+        release_within: Duration::from_secs(2),
+    }
+}
+
+/// The surveyed reference markers.
+pub fn reference_markers(config: &CellConfig) -> Vec<ReferenceMarker> {
+    let marker = |m: &crate::config::cell::ReferenceMarkerConfig| ReferenceMarker {
+        id: m.id,
+        size: m.size_m,
+        pose: m.pose,
+    };
+    config.reference_markers.iter().map(marker).collect()
+}
+
+/// What the eye looks for.
+pub fn eye_parameters(config: &CellConfig, camera: CameraModel) -> EyeParameters {
+    let objects = config
+        .objects
+        .iter()
+        .filter_map(|object| {
+            let marker = object.marker.as_ref()?;
+            Some(MarkedObject {
+                id: object.id.clone(),
+                marker_id: marker.id,
+                marker_size: marker.size,
+                height: object.height.unwrap_or(0.0),
+                offset: marker.offset,
+            })
+        })
+        .collect();
+    EyeParameters { camera, objects, reference: reference_markers(config), limits: ObserveLimits::default() }
+}

@@ -1,0 +1,122 @@
+//! How good a hand-eye fit is, in numbers a person can believe or doubt.
+//!
+//! In: the problem, the stops used, the fit. Out: [`HandEye`] with residuals by sample, errors of samples predicted without having been
+//! used, the difference of two halves, and standard deviations. Corner scatter alone would be too proud of itself: all
+//! corners of a sample share the arm's error, which only leaving whole samples out brings to light.
+
+use crate::vision::calibrate::problem::{Fit, Problem, Stop};
+use crate::vision::calibrate::{HandEye, HandEyeGuess, HandEyeSettings, SampleResidual, TransformStd};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3, Vector6};
+
+/// Everything a person needs to believe or doubt the fit.
+pub fn report(
+    problem: &Problem,
+    used: &[usize],
+    fit: &Fit,
+    reprojection_px_rms: f64,
+    settings: &HandEyeSettings,
+) -> HandEye {
+    let folds = folds(problem, used, fit, settings);
+    let held_out = |index: usize| {
+        let fold = folds.iter().find(|fold| fold.tested.contains(&index))?;
+        problem.residual_m(index, &fold.guess)
+    };
+    let sample = |(index, stop): (usize, &Stop)| SampleResidual {
+        sample: stop.sample,
+        markers: stop.board_m.len() / 4,
+        residual_px: problem.residual_px(&[index], &fit.guess),
+        residual_m: problem.residual_m(index, &fit.guess).unwrap_or(f64::INFINITY),
+        held_out_m: held_out(index),
+        rejected: !used.contains(&index),
+    };
+    let samples: Vec<SampleResidual> = problem.stops.iter().enumerate().map(sample).collect();
+    let predicted: Vec<f64> = samples.iter().filter(|s| !s.rejected).filter_map(|s| s.held_out_m).collect();
+    let squares: f64 = predicted.iter().map(|error| error * error).sum();
+    let known = !predicted.is_empty();
+    let halves = halves(problem, used, fit, settings);
+    let noise_px = reprojection_px_rms.max(settings.corner_std_px) / std::f64::consts::SQRT_2;
+    let covariance = fit.information.try_inverse().map(|inverse| inverse * noise_px.powi(2));
+    let std = |from: usize, of: fn(&HandEyeGuess) -> Isometry3<f64>| {
+        let by_corners = covariance.map(|c| c.diagonal().fixed_rows::<6>(from).into_owned());
+        transform_std(by_corners, jackknife(&folds, of))
+    };
+    HandEye {
+        flange_from_camera: fit.guess.flange_from_camera,
+        base_from_table: fit.guess.base_from_table,
+        flange_from_camera_std: std(0, |guess| guess.flange_from_camera),
+        base_from_table_std: std(6, |guess| guess.base_from_table),
+        reprojection_px_rms,
+        held_out_rms_m: known.then(|| (squares / predicted.len() as f64).sqrt()),
+        held_out_max_m: known.then(|| predicted.iter().copied().fold(0.0, f64::max)),
+        halves_m: halves.map(|(m, _)| m),
+        halves_rad: halves.map(|(_, rad)| rad),
+        samples,
+    }
+}
+
+/// A fit that has not seen some of the stops.
+struct Fold {
+    tested: Vec<usize>,
+    guess: HandEyeGuess,
+}
+
+fn folds(problem: &Problem, used: &[usize], fit: &Fit, settings: &HandEyeSettings) -> Vec<Fold> {
+    let count = settings.folds.clamp(2, used.len().max(2));
+    let mut folds = Vec::new();
+    for fold in 0..count {
+        let part = |wanted: bool| -> Vec<usize> {
+            let places = used.iter().enumerate();
+            places.filter(|(place, _)| (place % count == fold) == wanted).map(|(_, &stop)| stop).collect()
+        };
+        let (tested, kept) = (part(true), part(false));
+        if kept.len() >= 3
+            && let Some(other) = problem.fit(&kept, fit.guess, settings)
+        {
+            folds.push(Fold { tested, guess: other.guess });
+        }
+    }
+    folds
+}
+
+/// Variances (translation m2, rotation rad2, all directions together) by leaving out one fold at a time.
+fn jackknife(folds: &[Fold], of: fn(&HandEyeGuess) -> Isometry3<f64>) -> (f64, f64) {
+    let poses: Vec<Isometry3<f64>> = folds.iter().map(|fold| of(&fold.guess)).collect();
+    let Some(mean) = mean_pose(poses.iter().copied()) else { return (0.0, 0.0) };
+    let off: Vec<Isometry3<f64>> = poses.iter().map(|pose| mean.inverse() * pose).collect();
+    let factor = (poses.len() as f64 - 1.0) / poses.len() as f64;
+    let shifts: f64 = off.iter().map(|pose| pose.translation.vector.norm_squared()).sum();
+    let turns: f64 = off.iter().map(|pose| pose.rotation.angle().powi(2)).sum();
+    (factor * shifts, factor * turns)
+}
+
+fn transform_std(by_corners: Option<Vector6<f64>>, by_folds: (f64, f64)) -> TransformStd {
+    let Some(variances) = by_corners else {
+        return TransformStd { translation_m: f64::INFINITY, rotation_rad: f64::INFINITY };
+    };
+    let sum = |from: usize| (from..from + 3).map(|i| variances[i]).sum::<f64>();
+    TransformStd { translation_m: sum(0).max(by_folds.0).sqrt(), rotation_rad: sum(3).max(by_folds.1).sqrt() }
+}
+
+/// Distance and angle between the cameras of two fits to every other sample.
+fn halves(problem: &Problem, used: &[usize], fit: &Fit, settings: &HandEyeSettings) -> Option<(f64, f64)> {
+    if used.len() < 6 {
+        return None;
+    }
+    let half = |odd: usize| {
+        let stops: Vec<usize> = used.iter().copied().skip(odd).step_by(2).collect();
+        problem.fit(&stops, fit.guess, settings).map(|fit| fit.guess.flange_from_camera)
+    };
+    let between = half(0)?.inverse() * half(1)?;
+    Some((between.translation.vector.norm(), between.rotation.angle()))
+}
+
+/// Mean translation and rotation of poses that lie close together.
+pub fn mean_pose(poses: impl Iterator<Item = Isometry3<f64>>) -> Option<Isometry3<f64>> {
+    let poses: Vec<Isometry3<f64>> = poses.collect();
+    let first = poses.first()?;
+    let count = poses.len() as f64;
+    let place = poses.iter().map(|p| p.translation.vector).sum::<Vector3<f64>>() / count;
+    let turn = poses.iter().map(|p| (first.rotation.inverse() * p.rotation).scaled_axis());
+    let turn = UnitQuaternion::from_scaled_axis(turn.sum::<Vector3<f64>>() / count);
+    Some(Isometry3::from_parts(Translation3::from(place), first.rotation * turn))
+}
