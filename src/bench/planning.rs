@@ -132,12 +132,29 @@ pub fn summary(rows: &[Row]) -> String {
     let mut cells: BTreeMap<(&str, &str, usize, &str, &str), Vec<&Row>> = BTreeMap::new();
     for row in rows {
         let Label { scenario, density, .. } = &row.label;
-        let key = (scenario.as_str(), density.as_str(), row.objects, row.run.solver.word(), row.run.objective.word());
+        let key = (
+            scenario.as_str(),
+            density.as_str(),
+            row.objects,
+            row.run.solver.word(),
+            row.run.objective.word(),
+        );
         cells.entry(key).or_default().push(row);
     }
     let mut text = format!(
         "{:<22} {:>7} {:>4} {:<6} {:<4} {:>8} {:>8} {:>9} {:>9} {:>7} {:>10} {:>10}\n",
-        "scenario", "density", "n", "solver", "obj", "solved", "moves", "cost", "bound", "gap", "median s", "max s"
+        "scenario",
+        "density",
+        "n",
+        "solver",
+        "obj",
+        "solved",
+        "moves",
+        "cost",
+        "bound",
+        "gap",
+        "median s",
+        "max s"
     );
     for ((scenario, density, n, solver, objective), rows) in cells {
         let solved: Vec<&Row> = rows.iter().copied().filter(|row| row.cost.is_some()).collect();

@@ -73,7 +73,11 @@ pub fn run(args: &BenchPlanningArgs, stop: &AtomicBool) -> u8 {
         complain(&format!("{}: no case of the cells asked for", args.data.display()));
         return 2;
     }
-    if csv { complain(&summary(&rows)) } else { print(&summary(&rows)) }
+    if csv {
+        complain(&summary(&rows))
+    } else {
+        print(&summary(&rows))
+    }
     0
 }
 
@@ -89,7 +93,8 @@ fn run_one(
     for &solver in &args.solver {
         for &objective in &args.objective {
             for &seed in &args.seed {
-                let run = Run { solver, objective, seed, limit_seconds: args.time_limit, work_limit: args.work };
+                let run =
+                    Run { solver, objective, seed, limit_seconds: args.time_limit, work_limit: args.work };
                 let row = run_case(&problem, label.clone(), run, &|| stop.load(Ordering::Relaxed))
                     .map_err(|error| format!("{}: {error}", task.instance.display()))?;
                 if csv {

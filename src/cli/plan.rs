@@ -84,7 +84,11 @@ pub fn objective_parser() -> impl TypedValueParser<Value = Objective> {
 /// What is wrong with the text.
 pub fn seconds(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "not a number of seconds".to_string())?;
-    if value.is_finite() && value >= 0.0 { Ok(value) } else { Err("has to be finite and not negative".into()) }
+    if value.is_finite() && value >= 0.0 {
+        Ok(value)
+    } else {
+        Err("has to be finite and not negative".into())
+    }
 }
 
 /// Runs `celld plan`; `stop` is set by Ctrl-C. Returns the exit code.
@@ -181,7 +185,8 @@ impl Progress {
         let (Ok(mut bar), Ok(best)) = (self.bar.lock(), self.best.lock()) else { return };
         let bar = bar.get_or_insert_with(|| {
             let template = ProgressStyle::with_template("{spinner} planning {msg}");
-            ProgressBar::new_spinner().with_style(template.unwrap_or_else(|_| ProgressStyle::default_spinner()))
+            ProgressBar::new_spinner()
+                .with_style(template.unwrap_or_else(|_| ProgressStyle::default_spinner()))
         });
         let best = best.map_or("no plan yet".to_string(), |cost| format!("best {cost}"));
         bar.set_message(format!("{:.1} s of at most {:.0} s, {best}", passed.as_secs_f64(), self.limit));
@@ -233,7 +238,10 @@ fn headline(file: &PlanFile) -> String {
         (Status::Infeasible, ..) => format!("{}: there is no plan", file.solver),
         (_, Some(cost), Some(moves)) => {
             let optimal = if file.status == Status::Optimal { ", optimal" } else { "" };
-            format!("{}: {moves} moves, {objective} cost {cost:.6}, lower bound {bound:.6}{optimal}", file.solver)
+            format!(
+                "{}: {moves} moves, {objective} cost {cost:.6}, lower bound {bound:.6}{optimal}",
+                file.solver
+            )
         }
         _ => format!("{}: no plan found, lower bound {bound:.6} ({objective})", file.solver),
     }
@@ -251,7 +259,11 @@ fn summary(problem: &Problem, outcome: &Outcome, file: &PlanFile) -> String {
         let kind = if action.kind == ActionKind::Goal { "to its goal" } else { "out of the way" };
         let (x, y, degrees) = (action.to.x, action.to.y, action.to.theta.to_degrees());
         let id = &problem.objects[action.object].id;
-        let _ = writeln!(text, "{:4}  {id:width$}  to x {x:.4} m, y {y:.4} m, {degrees:.1} deg  {kind}", number + 1);
+        let _ = writeln!(
+            text,
+            "{:4}  {id:width$}  to x {x:.4} m, y {y:.4} m, {degrees:.1} deg  {kind}",
+            number + 1
+        );
     }
     text
 }

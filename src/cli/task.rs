@@ -86,7 +86,8 @@ fn prefixed(path: &Path, lines: &str) -> String {
 /// `.../shapes` for an instance somewhere below `.../instances`.
 fn shapes_beside(instance: &Path) -> Option<PathBuf> {
     let absolute = std::path::absolute(instance).ok()?;
-    let instances = absolute.ancestors().find(|folder| folder.file_name().is_some_and(|n| n == "instances"))?;
+    let instances =
+        absolute.ancestors().find(|folder| folder.file_name().is_some_and(|n| n == "instances"))?;
     Some(instances.parent()?.join("shapes")).filter(|folder| folder.is_dir())
 }
 

