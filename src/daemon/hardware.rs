@@ -7,7 +7,7 @@ use crate::daemon::links::{LinkEvent, LinkOrder, spawn_modbus, spawn_tcp};
 use crate::device::gripper::{Gripper, GripperCommand, GripperEvent, GripperParameters, ModbusRequest};
 use crate::device::program::TemplateError;
 use crate::device::robot::Robot;
-use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters};
+use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters, STALE_AFTER};
 use crate::io::clock::Clock;
 use crate::supervisor::input::Outside;
 use crate::time::Timestamp;
@@ -48,10 +48,16 @@ pub struct Hardware {
     primary: mpsc::Sender<LinkOrder>,
     modbus: mpsc::Sender<ModbusRequest>,
     gripper_answers: bool,
+    last_turn: Timestamp,
+    /// Until then silence may be this daemon's own doing.
+    listening_from: Timestamp,
 }
 
 /// Link events that may wait for the loop: at 500 states a second, two seconds' worth.
 const EVENTS: usize = 1024;
+
+/// A turn of the loop that took longer than this says nothing about the robot: the computer was busy.
+const LATE_TURN: Duration = Duration::from_millis(50);
 
 /// How often the sessions are given time when nothing comes in, in the cell's time.
 const TICK: Duration = Duration::from_millis(10);
@@ -76,6 +82,8 @@ impl Hardware {
             gripper: Gripper::new(gripper),
             events,
             gripper_answers: false,
+            last_turn: Timestamp::ZERO,
+            listening_from: Timestamp::ZERO,
         })
     }
 
@@ -94,6 +102,7 @@ impl Hardware {
         Outside {
             robot: self.robot.state(),
             robot_fresh: self.robot.fresh(now),
+            robot_silent: !self.robot.fresh(now) && now >= self.listening_from,
             gripper_answers: self.gripper_answers,
         }
     }
@@ -123,8 +132,13 @@ impl Hardware {
 
     /// Waits for the next thing to happen, at most one tick, and returns all that did.
     pub async fn next(&mut self) -> Vec<Happening> {
+        let held_up = self.clock.now().since(self.last_turn) > LATE_TURN;
         let first = tokio::time::timeout(self.clock.wall(TICK), self.events.recv()).await;
         let now = self.clock.now();
+        if held_up || now.since(self.last_turn) > LATE_TURN {
+            self.listening_from = now + STALE_AFTER;
+        }
+        self.last_turn = now;
         if let Ok(Some(event)) = first {
             self.take(now, event);
         }

@@ -146,7 +146,7 @@ fn plan(request: &PlanRequest, stop: &AtomicBool) -> PlanAnswer {
 }
 
 /// Lets the threads that talk to the robot go first; only this thread is affected.
-fn lower_priority() {
+pub fn lower_priority() {
     if let Err(error) = rustix::process::nice(10) {
         tracing::debug!(%error, "worker keeps its priority");
     }

@@ -18,6 +18,9 @@ pub struct Outside<'a> {
     pub robot: Option<&'a RobotState>,
     /// The robot's last state is younger than the staleness limit.
     pub robot_fresh: bool,
+    /// The robot has been silent for longer than the staleness limit while the daemon was listening: not
+    /// merely because the daemon was held up itself.
+    pub robot_silent: bool,
     /// The gripper answered within its deadline.
     pub gripper_answers: bool,
 }

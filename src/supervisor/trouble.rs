@@ -114,7 +114,7 @@ impl Cell {
 /// What in the robot's state forbids going on with a motion.
 fn motion_trouble(outside: &Outside) -> Option<String> {
     let Some(robot) = outside.robot else { return Some("the robot was never heard of".to_string()) };
-    if !outside.robot_fresh {
+    if outside.robot_silent {
         Some("the robot's state stopped coming".to_string())
     } else if !matches!(robot.safety_mode, SafetyMode::Normal | SafetyMode::Reduced) {
         Some(format!("safety mode {:?}", robot.safety_mode))

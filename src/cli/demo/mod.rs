@@ -48,7 +48,7 @@ pub struct DemoArgs {
     #[arg(long, default_value_t = 2.0, value_name = "S")]
     time_limit: f64,
     /// Simulated seconds per second.
-    #[arg(long, default_value_t = 20.0, value_name = "F")]
+    #[arg(long, default_value_t = 5.0, value_name = "F")]
     time_factor: f64,
     /// Loopback address of the simulated devices.
     #[arg(long, default_value = "127.0.0.1")]

@@ -4,6 +4,7 @@
 //! In: the daemon's events. Out: [`Watch`], from which the report is made, a recording, and lines on stderr.
 
 use crate::daemon::run::{Event, Observer};
+use crate::daemon::workers::lower_priority;
 use crate::geometry::pose::Pose2;
 use crate::io::recording::{PictureFormat, RecordedObject, Recording, Severity};
 use crate::report::run::LogRow;
@@ -26,6 +27,8 @@ pub struct Watch {
     bar: ProgressBar,
     recording: Option<Recording>,
     last_recorded: Timestamp,
+    to_encode: std::sync::mpsc::Sender<(Timestamp, Image)>,
+    encoded: std::sync::mpsc::Receiver<(Timestamp, Vec<u8>)>,
     /// Sentences with the cell's time.
     pub log: Vec<LogRow>,
     /// Annotated pictures of the look under way, then of the last one.
@@ -58,10 +61,13 @@ impl Watch {
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
+        let (to_encode, encoded) = encoder();
         Watch {
             bar,
             recording,
             last_recorded: Timestamp::ZERO,
+            to_encode,
+            encoded,
             log: Vec::new(),
             look: Vec::new(),
             look_over: true,
@@ -110,10 +116,8 @@ impl Watch {
         }
         let mut drawn = image.clone();
         draw_detections(&mut drawn, detections);
-        // A picture that cannot be encoded is a fault of this program, and no reason to stop an arm.
-        if let Ok(png) = drawn.encode_png() {
-            self.record(now, |recording| recording.picture(now, PictureFormat::Png, &png));
-        }
+        // Encoding takes tens of milliseconds, in which the robot would not hear from us.
+        let _ = self.to_encode.send((now, drawn.clone()));
         self.look.push(drawn);
     }
 
@@ -161,8 +165,29 @@ impl Watch {
     }
 }
 
+/// A thread that turns pictures into PNG; it ends when the sender is dropped.
+fn encoder()
+-> (std::sync::mpsc::Sender<(Timestamp, Image)>, std::sync::mpsc::Receiver<(Timestamp, Vec<u8>)>) {
+    let (pictures_in, pictures) = std::sync::mpsc::channel::<(Timestamp, Image)>();
+    let (encoded_in, encoded) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        lower_priority();
+        for (taken, picture) in pictures {
+            // A picture that cannot be encoded is a fault of this program, and no reason to stop an arm.
+            let Ok(png) = picture.encode_png() else { continue };
+            if encoded_in.send((taken, png)).is_err() {
+                return;
+            }
+        }
+    });
+    (pictures_in, encoded)
+}
+
 impl Observer for Watch {
     fn on(&mut self, now: Timestamp, event: Event) {
+        while let Ok((taken, png)) = self.encoded.try_recv() {
+            self.record(now, |recording| recording.picture(taken, PictureFormat::Png, &png));
+        }
         match event {
             Event::Status(status) => {
                 self.bar.set_message(status.phase.clone());
