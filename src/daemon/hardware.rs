@@ -71,12 +71,12 @@ impl Hardware {
         gripper: GripperParameters,
     ) -> Result<Hardware, TemplateError> {
         let (sender, events) = mpsc::channel(EVENTS);
-        let tcp = |link, address| spawn_tcp(link, address, clock.clone(), sender.clone());
+        let tcp = |link, address| spawn_tcp(link, address, clock, sender.clone());
         Ok(Hardware {
             rtde: tcp(Link::Rtde, addresses.rtde),
             dashboard: tcp(Link::Dashboard, addresses.dashboard),
             primary: tcp(Link::Primary, addresses.primary),
-            modbus: spawn_modbus(addresses.gripper, clock.clone(), Duration::from_secs(1), sender.clone()),
+            modbus: spawn_modbus(addresses.gripper, clock, Duration::from_secs(1), sender.clone()),
             clock,
             robot: Robot::new(robot)?,
             gripper: Gripper::new(gripper),

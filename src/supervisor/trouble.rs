@@ -16,10 +16,8 @@ impl Cell {
     pub(crate) fn watch(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
         self.watch_settling(now, outside, out);
         self.bring_up(outside, out);
-        if self.moving() {
-            if let Some(message) = motion_trouble(outside) {
-                return self.stop_all(now, JobEnd::Interrupted, "robot_stopped", &message, out);
-            }
+        if let Some(message) = motion_trouble(outside).filter(|_| self.moving()) {
+            return self.stop_all(now, JobEnd::Interrupted, "robot_stopped", &message, out);
         }
         if self.remaining.is_zero() {
             self.on_deadline(now, out);

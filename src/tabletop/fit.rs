@@ -307,7 +307,7 @@ fn table_for_object(object: &ObjectSpec, needs: &Requirements, present: f64, max
     let for_cups = present * widest / object.footprint.bounding_radius();
     let first = (for_marker.max(for_cups) * TABLE_STEPS_PER_M - 1e-6).ceil().max(1.0);
     let last = (max * TABLE_STEPS_PER_M + 1e-6).floor();
-    if !(first <= last) {
+    if first.is_nan() || last.is_nan() || first > last {
         return None;
     }
     (first as u64..=last as u64).map(|steps| steps as f64 / TABLE_STEPS_PER_M).find(|size| {

@@ -32,7 +32,9 @@ impl Driver {
             .replace("{{NONCE}}", &NONCE.to_string())
             .replace("{{WATCHDOG_FRAMES}}", &WATCHDOG_FRAMES.to_string());
         let code = builtins::compile_program(&text);
-        assert!(code.is_ok(), "{}", code.unwrap_err());
+        if let Err(error) = &code {
+            panic!("{error}");
+        }
         assert!(controller.programs.upload(code));
         let mut driver = Driver { controller, heartbeat: 0, silent: false, sequence: 0 };
         driver.until(|d| d.output(24) == NONCE);

@@ -3,7 +3,7 @@
 use celld::cli::plan::{PlanArgs, run as plan};
 use celld::cli::verify::{VerifyArgs, run as verify};
 use celld::planning::plan::{PlanFile, Status};
-use clap::{Args, Command, FromArgMatches};
+use clap::{Args, Command};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 

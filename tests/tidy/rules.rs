@@ -35,7 +35,7 @@ pub fn allows(table: &[Row], module: &str, used: &str) -> bool {
         Uses::Only(names) => names.iter().any(|name| *name == top || *name == used),
         Uses::AllAbove { but, also } => {
             let above = table[..row].iter().any(|above| above.module == top);
-            above && (!but.contains(&top) || also.iter().any(|name| *name == used))
+            above && (!but.contains(&top) || also.contains(&used))
         }
     }
 }
@@ -286,7 +286,7 @@ fn stands_alone(line: &str, mark: &str) -> bool {
     line.match_indices(mark).any(|(at, _)| {
         let before = line[..at].chars().next_back().is_some_and(in_word);
         let after = line[at + mark.len()..].chars().next().is_some_and(in_word);
-        !before && !(after && mark.ends_with(in_word))
+        !(before || after && mark.ends_with(in_word))
     })
 }
 

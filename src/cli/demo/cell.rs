@@ -25,8 +25,8 @@ use crate::sim::world::vacuum::Channel;
 use crate::tabletop::instance::Instance;
 use crate::units::Joints;
 use nalgebra::Isometry3;
-use std::net::IpAddr;
 use std::f64::consts::TAU;
+use std::net::IpAddr;
 use std::path::Path;
 
 /// Distance of the camera over the table while looking, m.

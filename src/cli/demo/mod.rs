@@ -121,7 +121,11 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
         return 2;
     }
     let table = fit::table_size(instance);
-    eprintln!("{} objects on a table of {table:.2} m, density {:.2}", instance.objects.len(), instance.density());
+    eprintln!(
+        "{} objects on a table of {table:.2} m, density {:.2}",
+        instance.objects.len(),
+        instance.density()
+    );
     let runtime = match tokio::runtime::Builder::new_multi_thread().worker_threads(3).enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => {

@@ -44,7 +44,9 @@ pub fn write(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice, ou
     if let Some(svg) = first_plan_svg(&outcome.watch, instance) {
         save("plan.svg", svg.as_bytes());
     }
-    for (name, images) in [("start.png", &outcome.watch.first_look[..]), ("end.png", outcome.watch.last_look())] {
+    for (name, images) in
+        [("start.png", &outcome.watch.first_look[..]), ("end.png", outcome.watch.last_look())]
+    {
         if let Some(png) = stacked(images).and_then(|image| image.encode_png().ok()) {
             save(name, &png);
         }
@@ -113,7 +115,10 @@ fn settings(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice) -> 
         pair("seed", choice.seed.to_string()),
         pair("time factor", format!("{} asked, {:.1} reached", choice.time_factor, outcome.factor)),
         pair("calibration", format!("{:.2} px rms", calibration.reprojection_px_rms)),
-        pair("held out", calibration.held_out_rms_m.map_or("-".to_string(), |m| format!("{:.2} mm", m * 1e3))),
+        pair(
+            "held out",
+            calibration.held_out_rms_m.map_or("-".to_string(), |m| format!("{:.2} mm", m * 1e3)),
+        ),
     ]
 }
 

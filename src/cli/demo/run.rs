@@ -9,13 +9,15 @@ use crate::config::cell::{CameraMount, CellConfig};
 use crate::daemon::calibrate::{Eye, Round, bring_up, collect, kinematics};
 use crate::daemon::hardware::{Addresses, Hardware};
 use crate::daemon::run::{Office, Shell, Workers, run};
-use crate::daemon::setup::{Measured, arm_model, cell_model, eye_parameters, gripper_parameters, reference_markers};
+use crate::daemon::setup::{
+    Measured, arm_model, cell_model, eye_parameters, gripper_parameters, reference_markers,
+};
 use crate::daemon::workers::spawn_eye;
 use crate::device::program::Nonce;
 use crate::device::robot_types::{RobotCommand, RobotParameters};
 use crate::geometry::pose::Pose2;
-use crate::io::camera::http::HttpCamera;
 use crate::io::camera::CameraSource;
+use crate::io::camera::http::HttpCamera;
 use crate::io::clock::Clock;
 use crate::io::recording::Recording;
 use crate::planning::plan::Objective;
@@ -120,8 +122,7 @@ async fn with_sim(
     let (answers_in, answers) = tokio::sync::mpsc::channel(16);
     let camera = HttpCamera::new(&camera_address, FRAME_LIMIT).with_lens(lens.clone());
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let eye =
-        spawn_eye(Box::new(camera), detector, eye_parameters(config, lens), clock, answers_in.clone());
+    let eye = spawn_eye(Box::new(camera), detector, eye_parameters(config, lens), clock, answers_in.clone());
     let recording = Recording::create(&out.join("run.mcap"), crate::io::clock::unix_now_s());
     let mut watch = Watch::new(recording.ok());
     let mut office = OneJob { order: Some(order(instance, choice)?), armed: false, over: stop.clone() };

@@ -15,9 +15,14 @@ use crate::vision::image::Image;
 use crate::vision::observe::Observation;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
+use std::sync::mpsc::{Receiver, Sender, channel};
 
 /// One step of a route: object, from, to, whether `to` is its goal.
 pub type RouteStep = (String, Pose2, Pose2, bool);
+
+/// A picture with the time it was taken, before and after encoding.
+type Picture = (Timestamp, Image);
+type EncodedPicture = (Timestamp, Vec<u8>);
 
 /// How often joint states are recorded, in the cell's time.
 const RECORD_EVERY: Duration = Duration::from_millis(40);
@@ -27,8 +32,8 @@ pub struct Watch {
     bar: ProgressBar,
     recording: Option<Recording>,
     last_recorded: Timestamp,
-    to_encode: std::sync::mpsc::Sender<(Timestamp, Image)>,
-    encoded: std::sync::mpsc::Receiver<(Timestamp, Vec<u8>)>,
+    to_encode: Sender<Picture>,
+    encoded: Receiver<EncodedPicture>,
     /// Sentences with the cell's time.
     pub log: Vec<LogRow>,
     /// Annotated pictures of the look under way, then of the last one.
@@ -146,11 +151,12 @@ impl Watch {
 
     /// A shorter route is a move done; any other change is a new plan.
     fn routed(&mut self, now: Timestamp, route: &[RouteStep]) {
-        let one_less = self.route.len() == route.len() + 1
-            && self.route.iter().skip(1).map(|s| (&s.0, s.2)).eq(route.iter().map(|s| (&s.0, s.2)));
-        if one_less {
+        // Where an object is picked up is measured anew before every move; the plan is the objects and places.
+        let places = |steps: &[RouteStep]| steps.iter().map(|s| (s.0.clone(), s.2)).collect::<Vec<_>>();
+        let (before, after) = (places(&self.route), places(route));
+        if before.get(1..) == Some(&after[..]) {
             self.done.push((self.route[0].clone(), now));
-        } else if !route.is_empty() {
+        } else if before != after && !after.is_empty() {
             self.plans += 1;
             if self.plan.is_empty() {
                 self.plan = route.to_vec();
@@ -166,10 +172,9 @@ impl Watch {
 }
 
 /// A thread that turns pictures into PNG; it ends when the sender is dropped.
-fn encoder()
--> (std::sync::mpsc::Sender<(Timestamp, Image)>, std::sync::mpsc::Receiver<(Timestamp, Vec<u8>)>) {
-    let (pictures_in, pictures) = std::sync::mpsc::channel::<(Timestamp, Image)>();
-    let (encoded_in, encoded) = std::sync::mpsc::channel();
+fn encoder() -> (Sender<Picture>, Receiver<EncodedPicture>) {
+    let (pictures_in, pictures) = channel::<Picture>();
+    let (encoded_in, encoded) = channel();
     std::thread::spawn(move || {
         lower_priority();
         for (taken, picture) in pictures {
