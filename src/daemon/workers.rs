@@ -5,6 +5,7 @@
 
 use crate::io::camera::CameraSource;
 use crate::io::clock::Clock;
+use crate::io::priority;
 use crate::planning::plan::Status;
 use crate::planning::problem::Problem;
 use crate::planning::solver::{Control, solve};
@@ -65,7 +66,7 @@ pub fn spawn_eye(
 ) -> mpsc::Sender<EyeRequest> {
     let (requests_in, mut requests) = mpsc::channel(4);
     std::thread::spawn(move || {
-        lower_priority();
+        priority::lower();
         while let Some(request) = requests.blocking_recv() {
             let answer = match request {
                 EyeRequest::Capture { frames, table_from_camera } => {
@@ -112,7 +113,7 @@ pub fn capture(
 /// Starts one planning run; `stop` ends it early with the best plan so far.
 pub fn spawn_plan(request: PlanRequest, stop: Arc<AtomicBool>, answers: mpsc::Sender<Answer>) {
     std::thread::spawn(move || {
-        lower_priority();
+        priority::lower();
         let answer = plan(&request, &stop);
         let _ = answers.blocking_send(Answer::Planned(Box::new(answer)));
     });
@@ -142,12 +143,5 @@ fn plan(request: &PlanRequest, stop: &AtomicBool) -> PlanAnswer {
             PlanAnswer::Infeasible(outcome.witness.map(|w| w.to_string()).unwrap_or_default())
         }
         _ => PlanAnswer::Timeout,
-    }
-}
-
-/// Lets the threads that talk to the robot go first; only this thread is affected.
-pub fn lower_priority() {
-    if let Err(error) = rustix::process::nice(10) {
-        tracing::debug!(%error, "worker keeps its priority");
     }
 }

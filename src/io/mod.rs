@@ -3,4 +3,5 @@
 pub mod camera;
 pub mod clock;
 pub mod files;
+pub mod priority;
 pub mod recording;

@@ -71,7 +71,11 @@ async fn frame(State(camera): State<Arc<Camera>>) -> Response {
     *sequence += 1;
     let number = *sequence;
     let drawing = camera.clone();
-    let drawn = tokio::task::spawn_blocking(move || drawing.take(number)).await;
+    let draw = move || {
+        crate::io::priority::lower();
+        drawing.take(number)
+    };
+    let drawn = tokio::task::spawn_blocking(draw).await;
     drop(sequence);
     match drawn {
         Ok(Ok((png, time_s))) => {

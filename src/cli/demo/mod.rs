@@ -13,6 +13,7 @@ pub mod watch;
 use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, FOCAL_PX, LOOK_DISTANCE_M};
 use crate::cli::task::TaskArgs;
 use crate::daemon::setup::CUP_MARGIN_M;
+use crate::io::priority;
 use crate::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
 use crate::tabletop::instance::Instance;
 use crate::tabletop::room::Cup;
@@ -126,7 +127,12 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
         instance.objects.len(),
         instance.density()
     );
-    let runtime = match tokio::runtime::Builder::new_multi_thread().worker_threads(3).enable_all().build() {
+    let runtime = match tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(3)
+        .enable_all()
+        .on_thread_start(priority::raise)
+        .build()
+    {
         Ok(runtime) => runtime,
         Err(error) => {
             eprintln!("celld demo: {error}");
@@ -134,6 +140,7 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
         }
     };
     let interrupted = Arc::new(AtomicBool::new(false));
+    priority::raise();
     let watcher = watch_for_interrupt(&runtime, stop.clone(), interrupted.clone());
     let outcome = runtime.block_on(run::demo(instance, &choice, &args.out, stop));
     watcher.abort();

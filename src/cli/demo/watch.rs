@@ -4,8 +4,8 @@
 //! In: the daemon's events. Out: [`Watch`], from which the report is made, a recording, and lines on stderr.
 
 use crate::daemon::run::{Event, Observer};
-use crate::daemon::workers::lower_priority;
 use crate::geometry::pose::Pose2;
+use crate::io::priority;
 use crate::io::recording::{PictureFormat, RecordedObject, Recording, Severity};
 use crate::report::run::LogRow;
 use crate::supervisor::order::JobReport;
@@ -176,7 +176,7 @@ fn encoder() -> (Sender<Picture>, Receiver<EncodedPicture>) {
     let (pictures_in, pictures) = channel::<Picture>();
     let (encoded_in, encoded) = channel();
     std::thread::spawn(move || {
-        lower_priority();
+        priority::lower();
         for (taken, picture) in pictures {
             // A picture that cannot be encoded is a fault of this program, and no reason to stop an arm.
             let Ok(png) = picture.encode_png() else { continue };
