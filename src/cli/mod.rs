@@ -5,10 +5,12 @@
 
 pub mod bench_planning;
 pub mod check;
+pub mod daemon;
 pub mod demo;
 pub mod detect;
 pub mod jobs;
 pub mod plan;
+pub mod sim;
 pub mod submit;
 pub mod task;
 pub mod verify;
@@ -30,6 +32,14 @@ struct Cli {
 enum Command {
     /// Run the whole cell in simulation, one command
     Demo(demo::DemoArgs),
+    /// Run the daemon: job files in, a tidy table out
+    Run(daemon::RunArgs),
+    /// Simulated UR5e, VGC10 and camera behind the real protocols
+    Sim(sim::SimArgs),
+    /// Calibrate camera and table against live devices
+    Calibrate(daemon::CalibrateArgs),
+    /// Markers found in a picture
+    Detect(detect::DetectArgs),
     /// Plan a rearrangement
     Plan(plan::PlanArgs),
     /// Check a plan independently
@@ -47,6 +57,10 @@ pub fn main() -> ExitCode {
     let stop = Arc::new(AtomicBool::new(false));
     ExitCode::from(match cli.command {
         Command::Demo(args) => demo::run(&args, stop),
+        Command::Run(args) => daemon::run(&args, stop),
+        Command::Sim(args) => sim::run(&args),
+        Command::Calibrate(args) => daemon::calibrate(&args, stop),
+        Command::Detect(args) => detect::run(&args),
         Command::Plan(args) => plan::run(&args, &stop),
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),

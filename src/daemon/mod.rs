@@ -1,13 +1,14 @@
 //! The tokio shell: it moves bytes, keeps time, runs the slow work on threads, and decides nothing.
 //!
 //! `links`: TCP to the controller and Modbus to the gripper, reconnecting. `hardware`: the device sessions
-//! fed by those links. `workers`: detection and planning on threads of their own. `setup`: configuration and
+//! fed by those links. `workers`: detection and planning on threads of their own. `office`: the state folder. `setup`: configuration and
 //! calibration files into the supervisor's model. `run`: the daemon's loop. `calibrate`: the same hardware
 //! driven through the calibration poses. Nothing here knows whether it talks to a robot or to the simulator.
 
 pub mod calibrate;
 pub mod hardware;
 pub mod links;
+pub mod office;
 pub mod run;
 pub mod setup;
 pub mod workers;

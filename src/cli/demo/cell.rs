@@ -2,26 +2,20 @@
 //! people who only share the drawing would write them.
 //!
 //! In: an instance whose objects fit the cell, addresses, a seed. Out: a [`CellConfig`] with nominal values
-//! and a [`SimConfig`] whose truth deviates from them by the seed. Nothing measured passes between the two.
+//! and a [`SimFile`] whose truth deviates from them by the seed. Nothing measured passes between the two.
 
 use crate::cli::demo::teach::{
     BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
 };
+use crate::cli::sim::{FOCAL_PX, PICTURE};
 use crate::config::cell::{
     CalibrationFiles, CameraDevice, CameraMount, CellConfig, CupChannel, CupConfig, Devices, GripperConfig,
     MotionLimits, PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
 };
+use crate::config::simulated::{SimErrors, SimFile, SimPorts};
 use crate::daemon::setup::arm_model;
-use crate::geometry::footprint::Footprint;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::kinematics::DhParameters;
-use crate::sim::camera_server::CameraSetup;
-use crate::sim::cell::SimConfig;
-use crate::sim::controller::ControllerConfig;
-use crate::sim::render::lens::CameraTruth;
-use crate::sim::robot_server::RobotPorts;
-use crate::sim::world::spec;
-use crate::sim::world::vacuum::Channel;
 use crate::tabletop::instance::Instance;
 use crate::units::Joints;
 use nalgebra::Isometry3;
@@ -31,10 +25,6 @@ use std::path::Path;
 
 /// Distance of the camera over the table while looking, m.
 pub const LOOK_DISTANCE_M: f64 = 0.42;
-
-/// Nominal focal length of the camera, px, and its picture.
-pub const FOCAL_PX: f64 = 650.0;
-const PICTURE: (u32, u32) = (1280, 720);
 
 /// Diameter of the one cup, m.
 pub const CUP_DIAMETER_M: f64 = 0.02;
@@ -148,86 +138,38 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
     Ok(config)
 }
 
-/// The simulator's side, with a truth of its own.
-pub fn sim_config(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -> SimConfig {
-    let mount = match config.camera {
-        CameraMount::Flange { flange_from_camera } => spec::CameraMount::Flange(flange_from_camera),
-        CameraMount::Fixed { base_from_camera } => {
-            spec::CameraMount::Fixed(config.base_from_table.inverse() * base_from_camera)
-        }
+/// The simulator's side; its truth comes from the seed.
+pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -> Result<SimFile, String> {
+    let CameraMount::Flange { flange_from_camera } = config.camera else {
+        return Err("the demo's camera sits on the flange".to_string());
     };
-    let nominal = spec::NominalCell {
-        base_from_table: config.base_from_table,
-        mount,
-        camera: CameraTruth::ideal("sim-d405", PICTURE.0, PICTURE.1, FOCAL_PX),
-    };
-    let truth = spec::TruthSpec::from_seed(&nominal, choice.seed);
-    let mut controller = ControllerConfig::ur5e(choice.seed);
-    controller.start = config.park_pose;
-    SimConfig {
-        bind: choice.bind,
-        ports: RobotPorts::ANY,
-        modbus_port: 0,
-        camera_port: 0,
-        control_port: None,
-        time_factor: choice.time_factor,
-        controller,
-        world: spec::WorldSpec {
-            table: spec::TableSpec {
-                width_m: instance.workspace.width,
-                height_m: instance.workspace.height,
-                margin_m: 0.12,
-            },
-            base_from_table: truth.base_from_table,
-            objects: instance.objects.iter().filter_map(world_object).collect(),
-            reference_markers: config
-                .reference_markers
-                .iter()
-                .map(|m| spec::ReferenceMarker { id: m.id, size_m: m.size_m, pose: m.pose })
-                .collect(),
-            errors: spec::PlacementErrors::default(),
-            gripper: gripper_spec(config),
-        },
-        camera: CameraSetup { truth: truth.camera, reported: truth.reported, mount: truth.mount },
+    Ok(SimFile {
+        bind: choice.bind.to_string(),
+        ports: SimPorts { modbus: 0, camera: 0, control: 0 },
         seed: choice.seed,
-    }
-}
-
-fn world_object(object: &crate::tabletop::instance::ObjectSpec) -> Option<spec::WorldObject> {
-    Some(spec::WorldObject {
-        id: object.id.clone(),
-        footprint: object.footprint.clone(),
-        height_m: object.height?,
-        mass_kg: object.mass?,
-        pose: object.start?,
-        marker: object.marker.as_ref().map(|marker| spec::ObjectMarker {
-            id: marker.id,
-            size_m: marker.size,
-            offset: marker.offset,
-        }),
-        grippable: object.grippable.clone().map(Footprint::Polygon),
-        fixed: object.fixed,
-        colour: None,
+        time_factor: choice.time_factor,
+        width_m: instance.workspace.width,
+        height_m: instance.workspace.height,
+        base_from_table: config.base_from_table,
+        flange_from_tool: config.flange_from_tool,
+        flange_from_camera,
+        gripper: config.gripper.clone(),
+        objects: instance.objects.clone(),
+        reference_markers: config.reference_markers.clone(),
+        start_pose: config.park_pose,
+        errors: ERRORS,
     })
 }
 
-fn gripper_spec(config: &CellConfig) -> spec::GripperSpec {
-    let gripper = &config.gripper;
-    let channel = |channel| match channel {
-        CupChannel::A => Channel::A,
-        CupChannel::B => Channel::B,
-    };
-    let cups = gripper.cups.iter().map(|cup| spec::Cup {
-        channel: channel(cup.channel),
-        x_m: cup.x_m,
-        y_m: cup.y_m,
-        diameter_m: cup.diameter_m,
-    });
-    spec::GripperSpec {
-        flange_from_tool: config.flange_from_tool,
-        cups: cups.collect(),
-        // A body that cannot be drawn is no reason to stop: it only hides part of a picture.
-        body: Footprint::polygon(&gripper.body_polygon).unwrap_or(Footprint::Disc { radius: 0.04 }),
-        body_above_lips_m: 0.08,
-    }
-}
+/// The documented errors of grip, placing, mounting and arm (one standard deviation).
+const ERRORS: SimErrors = SimErrors {
+    placement_m: 2e-4,
+    placement_rad: 0.1 * std::f64::consts::PI / 180.0,
+    table_m: 3e-3,
+    table_rad: 5e-3,
+    mount_m: 3e-3,
+    mount_rad: 9e-3,
+    dh_m: 3e-4,
+    dh_rad: 5e-4,
+    noise_levels: 2.0,
+};

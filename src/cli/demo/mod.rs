@@ -10,7 +10,8 @@ pub mod run;
 pub mod teach;
 pub mod watch;
 
-use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, FOCAL_PX, LOOK_DISTANCE_M};
+use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M};
+use crate::cli::sim::FOCAL_PX;
 use crate::cli::task::TaskArgs;
 use crate::daemon::setup::CUP_MARGIN_M;
 use crate::io::priority;

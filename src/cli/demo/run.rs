@@ -3,8 +3,9 @@
 //! In: an instance that fits the cell. Out: [`DemoOutcome`]; files are written by `output`. Calibration comes
 //! first, as in a real cell: the daemon's nominal numbers are off by millimetres.
 
-use crate::cli::demo::cell::{DemoChoice, cell_config, sim_config};
+use crate::cli::demo::cell::{DemoChoice, cell_config, sim_file};
 use crate::cli::demo::watch::Watch;
+use crate::cli::sim::sim_config;
 use crate::config::cell::{CameraMount, CellConfig};
 use crate::daemon::calibrate::{Eye, Round, bring_up, collect, kinematics};
 use crate::daemon::hardware::{Addresses, Hardware};
@@ -23,6 +24,7 @@ use crate::io::recording::Recording;
 use crate::planning::plan::Objective;
 use crate::planning::solver::SolverKind;
 use crate::sim::cell::{RunningSim, start};
+use crate::sim::robot_server::RobotPorts;
 use crate::sim::world::lock;
 use crate::supervisor::cell::{Cell, Status};
 use crate::supervisor::input::{Input, JournalEntry, OperatorCommand};
@@ -68,7 +70,8 @@ pub async fn demo(
     stop: Arc<AtomicBool>,
 ) -> Result<DemoOutcome, String> {
     let mut config = cell_config(instance, choice, out)?;
-    let sim = start(sim_config(instance, &config, choice)).await.map_err(|error| chain(&error))?;
+    let file = sim_file(instance, &config, choice)?;
+    let sim = start(sim_config(&file, choice.bind, RobotPorts::ANY)).await.map_err(|error| chain(&error))?;
     config.devices.gripper_port = sim.addresses.modbus.port();
     let outcome = with_sim(instance, choice, out, &config, &sim, &stop).await;
     let truth = {

@@ -1,0 +1,205 @@
+//! `celld sim`: simulated UR5e, VGC10 and camera on the controller's own port numbers.
+//!
+//! In: the simulator's configuration. Out: one JSON line on stdout when all servers listen, then nothing until
+//! Ctrl-C. `sim_config` is also what the demo starts its cell from.
+
+use crate::cli::task::{complain, print};
+use crate::config::cell::CupChannel;
+use crate::config::load::load_sim;
+use crate::config::simulated::SimFile;
+use crate::geometry::footprint::Footprint;
+use crate::io::priority;
+use crate::sim::camera_server::CameraSetup;
+use crate::sim::cell::{SimConfig, start};
+use crate::sim::controller::ControllerConfig;
+use crate::sim::controller::builtins::compile_program;
+use crate::sim::render::lens::CameraTruth;
+use crate::sim::robot_server::RobotPorts;
+use crate::sim::world::spec;
+use crate::sim::world::vacuum::Channel;
+use crate::tabletop::instance::ObjectSpec;
+use clap::Args;
+use serde_json::json;
+use std::net::IpAddr;
+use std::path::PathBuf;
+
+/// Nominal focal length of the simulated camera, px, and its picture.
+pub const FOCAL_PX: f64 = 650.0;
+/// Columns and rows.
+pub const PICTURE: (u32, u32) = (1280, 720);
+
+/// Board round the work area, m.
+const MARGIN_M: f64 = 0.12;
+
+/// `celld sim`
+#[derive(Args, Clone, Debug)]
+pub struct SimArgs {
+    /// The simulator's configuration.
+    #[arg(long, default_value = "config/sim.yaml", value_name = "FILE")]
+    config: PathBuf,
+    /// Address to listen at, instead of the configuration's.
+    #[arg(long)]
+    bind: Option<IpAddr>,
+    /// Simulated seconds per second, instead of the configuration's.
+    #[arg(long, value_name = "F")]
+    time_factor: Option<f64>,
+    /// Also open the control socket (loopback only): faults and the world's truth.
+    #[arg(long)]
+    control: bool,
+    /// Parse a URScript program, report, and stop.
+    #[arg(long, value_name = "FILE")]
+    check_script: Option<PathBuf>,
+}
+
+/// Runs the simulator; returns the exit code.
+pub fn run(args: &SimArgs) -> u8 {
+    if let Some(path) = &args.check_script {
+        return check_script(path);
+    }
+    let file = match load_sim(&args.config) {
+        Ok(file) => file,
+        Err(error) => {
+            complain(&error.to_string());
+            return 2;
+        }
+    };
+    let bind = match args.bind.map_or_else(|| file.bind.parse::<IpAddr>(), Ok) {
+        Ok(bind) => bind,
+        Err(error) => {
+            complain(&format!("{}: bind {:?}: {error}", args.config.display(), file.bind));
+            return 2;
+        }
+    };
+    let mut config = sim_config(&file, bind, RobotPorts::REAL);
+    config.time_factor = args.time_factor.unwrap_or(file.time_factor);
+    config.control_port = args.control.then_some(file.ports.control);
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().enable_all().on_thread_start(priority::raise).build();
+    match runtime {
+        Ok(runtime) => runtime.block_on(serve(config)),
+        Err(error) => {
+            complain(&error.to_string());
+            1
+        }
+    }
+}
+
+async fn serve(config: SimConfig) -> u8 {
+    let sim = match start(config).await {
+        Ok(sim) => sim,
+        Err(error) => {
+            complain(&crate::cli::demo::run::chain(&error));
+            return 1;
+        }
+    };
+    let addresses = &sim.addresses;
+    let ready = json!({
+        "ready": true,
+        "bind": addresses.robot.rtde.ip().to_string(),
+        "modbus": addresses.modbus.to_string(),
+        "camera": addresses.camera.to_string(),
+        "control": addresses.control.map(|control| control.to_string()),
+    });
+    print(&format!("{ready}\n"));
+    if let Err(error) = tokio::signal::ctrl_c().await {
+        complain(&error.to_string());
+    }
+    complain(&format!("time factor reached: {:.2}", sim.factor_reached()));
+    sim.shutdown().await;
+    0
+}
+
+fn check_script(path: &std::path::Path) -> u8 {
+    let text = match crate::cli::task::read_text(path) {
+        Ok(text) => text,
+        Err(message) => {
+            complain(&message);
+            return 2;
+        }
+    };
+    match compile_program(&text) {
+        Ok(_) => 0,
+        Err(error) => {
+            complain(&format!("{}: {error}", path.display()));
+            2
+        }
+    }
+}
+
+/// The simulated cell a configuration describes; its truth deviates from the nominal values by the seed.
+pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig {
+    let nominal = spec::NominalCell {
+        base_from_table: file.base_from_table,
+        mount: spec::CameraMount::Flange(file.flange_from_camera),
+        camera: CameraTruth::ideal("sim-d405", PICTURE.0, PICTURE.1, FOCAL_PX),
+    };
+    let truth = spec::TruthSpec::from_seed(&nominal, file.seed);
+    let mut controller = ControllerConfig::ur5e(file.seed);
+    controller.start = file.start_pose;
+    SimConfig {
+        bind,
+        ports,
+        modbus_port: file.ports.modbus,
+        camera_port: file.ports.camera,
+        control_port: None,
+        time_factor: file.time_factor,
+        controller,
+        world: spec::WorldSpec {
+            table: spec::TableSpec { width_m: file.width_m, height_m: file.height_m, margin_m: MARGIN_M },
+            base_from_table: truth.base_from_table,
+            objects: file.objects.iter().filter_map(world_object).collect(),
+            reference_markers: file
+                .reference_markers
+                .iter()
+                .map(|m| spec::ReferenceMarker { id: m.id, size_m: m.size_m, pose: m.pose })
+                .collect(),
+            errors: spec::PlacementErrors {
+                std_xy_m: file.errors.placement_m,
+                std_theta_rad: file.errors.placement_rad,
+                ..spec::PlacementErrors::default()
+            },
+            gripper: gripper_spec(file),
+        },
+        camera: CameraSetup { truth: truth.camera, reported: truth.reported, mount: truth.mount },
+        seed: file.seed,
+    }
+}
+
+fn world_object(object: &ObjectSpec) -> Option<spec::WorldObject> {
+    Some(spec::WorldObject {
+        id: object.id.clone(),
+        footprint: object.footprint.clone(),
+        height_m: object.height?,
+        mass_kg: object.mass?,
+        pose: object.start?,
+        marker: object.marker.as_ref().map(|marker| spec::ObjectMarker {
+            id: marker.id,
+            size_m: marker.size,
+            offset: marker.offset,
+        }),
+        grippable: object.grippable.clone().map(Footprint::Polygon),
+        fixed: object.fixed,
+        colour: None,
+    })
+}
+
+fn gripper_spec(file: &SimFile) -> spec::GripperSpec {
+    let gripper = &file.gripper;
+    let channel = |channel| match channel {
+        CupChannel::A => Channel::A,
+        CupChannel::B => Channel::B,
+    };
+    let cups = gripper.cups.iter().map(|cup| spec::Cup {
+        channel: channel(cup.channel),
+        x_m: cup.x_m,
+        y_m: cup.y_m,
+        diameter_m: cup.diameter_m,
+    });
+    spec::GripperSpec {
+        flange_from_tool: file.flange_from_tool,
+        cups: cups.collect(),
+        // A body that cannot be drawn is no reason to stop: it only hides part of a picture.
+        body: Footprint::polygon(&gripper.body_polygon).unwrap_or(Footprint::Disc { radius: 0.04 }),
+        body_above_lips_m: gripper.body_height_m,
+    }
+}
