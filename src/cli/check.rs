@@ -3,6 +3,7 @@
 //! In: files; their kind is told by their top-level keys. Out: one line for each complaint, with file, line
 //! and column, on stdout; exit code 2 if there is any. Nothing is changed and no daemon is needed.
 
+use crate::cli::task::outln;
 use crate::config::load::{load_cell, load_sim, read_text};
 use crate::document::tree::Node;
 use crate::document::{Complaints, parse};
@@ -53,7 +54,7 @@ pub fn run(args: &CheckArgs) -> u8 {
             Ok(kind) => eprintln!("{}: sound ({kind:?})", path.display()),
             Err(message) => {
                 sound = false;
-                println!("{message}");
+                outln!("{message}");
             }
         }
     }

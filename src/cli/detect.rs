@@ -82,7 +82,7 @@ struct Pose {
 pub fn run(args: &DetectArgs) -> u8 {
     match detect(args) {
         Ok((text, found)) => {
-            print!("{text}");
+            crate::cli::task::print(&text);
             u8::from(found == 0)
         }
         Err(message) => {

@@ -4,6 +4,7 @@
 //! the daemon off; every other command is refused then, and never stored for a later daemon.
 
 use crate::cli::submit::{SubmitArgs, submit};
+use crate::cli::task::outln;
 use crate::io::clock::unix_now_s;
 use crate::io::files::FileError;
 use crate::jobs::command::{Command, RecoverHow, ReleaseChannel, Reply, Sent};
@@ -233,7 +234,7 @@ fn send(state: &StateFolder, command: &Command) -> Result<u8, ClientError> {
     let begun = Instant::now();
     while begun.elapsed() < ANSWER_WITHIN {
         if let Some(Reply { accepted, message }) = sent.poll()? {
-            println!("{message}");
+            outln!("{message}");
             return Ok(if accepted { 0 } else { 1 });
         }
         std::thread::sleep(LOOK_EVERY);
@@ -257,19 +258,19 @@ fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
     let status = Status::read(&state.status())?;
     if format == Format::Json {
         let status = status.filter(|_| running);
-        println!("{}", serde_json::json!({"running": running, "status": status}));
+        outln!("{}", serde_json::json!({"running": running, "status": status}));
         return Ok(0);
     }
     match status {
-        Some(status) if running => println!("{}", status.text()),
-        Some(status) => println!(
+        Some(status) if running => outln!("{}", status.text()),
+        Some(status) => outln!(
             "no daemon runs on {}; the last one, {}, was {} at {}",
             state.root().display(),
             status.daemon,
             status.state,
             utc::text(status.written_unix_s)
         ),
-        None => println!("no daemon runs on {}", state.root().display()),
+        None => outln!("no daemon runs on {}", state.root().display()),
     }
     Ok(0)
 }
@@ -281,11 +282,11 @@ fn jobs(state: &StateFolder, last: u32, format: Format) -> Result<u8, ClientErro
         Vec::new()
     };
     match format {
-        Format::Json => println!("[{}]", records.iter().map(job_json).collect::<Vec<_>>().join(",\n ")),
-        Format::Text if records.is_empty() => println!("no jobs in {}", state.root().display()),
+        Format::Json => outln!("[{}]", records.iter().map(job_json).collect::<Vec<_>>().join(",\n ")),
+        Format::Text if records.is_empty() => outln!("no jobs in {}", state.root().display()),
         Format::Text => {
             let rows: Vec<_> = records.iter().map(job_row).collect();
-            println!("{}", columns(&["job", "state", "claimed", "moves", "code"], &rows));
+            outln!("{}", columns(&["job", "state", "claimed", "moves", "code"], &rows));
         }
     }
     Ok(0)

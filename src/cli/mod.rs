@@ -46,8 +46,17 @@ enum Command {
     Verify(verify::VerifyArgs),
     /// Check files: configuration, calibration, job, goal, instance
     Check(check::CheckArgs),
+    /// Measure and print a table
+    #[command(subcommand)]
+    Bench(Bench),
     #[command(flatten)]
     Client(jobs::ClientCommand),
+}
+
+#[derive(Subcommand, Debug)]
+enum Bench {
+    /// Solvers on the public instances
+    Planning(bench_planning::BenchPlanningArgs),
 }
 
 /// Parses the process's arguments and runs the subcommand.
@@ -64,6 +73,7 @@ pub fn main() -> ExitCode {
         Command::Plan(args) => plan::run(&args, &stop),
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),
+        Command::Bench(Bench::Planning(args)) => bench_planning::run(&args, &stop),
         Command::Client(command) => jobs::run(command),
     })
 }

@@ -6,6 +6,7 @@
 
 use crate::cli::check::beside;
 use crate::cli::jobs::{ClientError, StateArg, complain};
+use crate::cli::task::outln;
 use crate::config::load::read_text;
 use crate::io::clock::unix_now_s;
 use crate::io::files::{create_folder, remove, rename_new, temporary_name, write_atomic};
@@ -52,7 +53,7 @@ pub fn submit(args: &SubmitArgs) -> u8 {
     match hand_in(&state, &args.job, &job, &text, unix_now_s()) {
         Err(error) => complain(&error),
         Ok(handed) => {
-            println!("{}", handed.id);
+            outln!("{}", handed.id);
             if args.wait { follow(&state, &handed) } else { 0 }
         }
     }
@@ -123,7 +124,7 @@ fn follow(state: &StateFolder, handed: &Handed) -> u8 {
             Err(error) => return complain(&error),
             Ok(Found::Nothing) => {}
             Ok(Found::Rejected(reason)) => {
-                println!("rejected: {reason}");
+                outln!("rejected: {reason}");
                 return 2;
             }
             Ok(Found::Job(job)) => {
@@ -166,8 +167,8 @@ fn look(state: &StateFolder, handed: &Handed) -> Result<Found, ClientError> {
 
 fn tell_end(job: &JobRecord, status: JobStatus) -> u8 {
     match &job.result {
-        Some(result) => print!("{}", result.to_yaml()),
-        None => println!("{}: {}", job.id, status.word()),
+        Some(result) => crate::cli::task::print(&result.to_yaml()),
+        None => outln!("{}: {}", job.id, status.word()),
     }
     if status == JobStatus::Done { 0 } else { 1 }
 }

@@ -99,6 +99,14 @@ fn shape_text(folder: &Path, name: &str) -> Option<String> {
     read_text(&folder.join(format!("{name}.json"))).ok()
 }
 
+/// A line of results on standard output, as `println!`, without the panic when the reader has gone away.
+macro_rules! outln {
+    ($($arguments:tt)*) => {
+        $crate::cli::task::print(&format!("{}\n", format_args!($($arguments)*)))
+    };
+}
+pub(crate) use outln;
+
 #[cfg(test)]
 mod tests {
     use super::*;

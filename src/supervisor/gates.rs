@@ -44,6 +44,10 @@ pub enum Closed {
 /// # Errors
 /// The first condition that does not hold.
 pub fn any_motion(armed: bool, outside: &Outside, nonce: Option<Nonce>) -> Result<(), Closed> {
+    // First, because a cell that nobody armed is no cell in trouble.
+    if !armed {
+        return Err(Closed::Disarmed);
+    }
     let robot = match outside.robot {
         Some(robot) if outside.robot_fresh => robot,
         _ => return Err(Closed::Stale),
@@ -60,7 +64,7 @@ pub fn any_motion(armed: bool, outside: &Outside, nonce: Option<Nonce>) -> Resul
     if nonce.is_none_or(|nonce| robot.nonce != nonce.number()) {
         return Err(Closed::Program);
     }
-    if armed { Ok(()) } else { Err(Closed::Disarmed) }
+    Ok(())
 }
 
 /// What moving an object needs besides.

@@ -13,6 +13,7 @@ pub mod watch;
 use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M};
 use crate::cli::sim::FOCAL_PX;
 use crate::cli::task::TaskArgs;
+use crate::cli::task::outln;
 use crate::daemon::setup::CUP_MARGIN_M;
 use crate::io::priority;
 use crate::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
@@ -91,7 +92,7 @@ fn prepare(args: &DemoArgs) -> Result<Option<Instance>, String> {
     };
     if args.fit_only {
         let size = smallest_table_size(&given, &needs, LARGEST_TABLE_M).map_err(|error| error.to_string())?;
-        println!("{size:.2}");
+        outln!("{size:.2}");
         return Ok(None);
     }
     let scaled = match (args.table_size, &args.instance) {

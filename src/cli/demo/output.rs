@@ -7,6 +7,7 @@
 use crate::cli::demo::cell::DemoChoice;
 use crate::cli::demo::run::DemoOutcome;
 use crate::cli::demo::watch::Watch;
+use crate::cli::task::outln;
 use crate::geometry::pose::Pose2;
 use crate::planning::plan::{Action, ActionKind};
 use crate::planning::problem::Problem;
@@ -28,7 +29,7 @@ const GOOD_DEG: f64 = 1.0;
 /// Writes everything; returns the exit code.
 pub fn write(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice, out: &Path) -> u8 {
     let report = report(outcome, instance, choice);
-    println!("{}", summary(&report));
+    outln!("{}", summary(&report));
     if let Some(fault) = &outcome.recording_fault {
         eprintln!("recording: {fault}");
     }
@@ -52,7 +53,7 @@ pub fn write(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice, ou
         }
     }
     save("result.json", result_json(outcome, &report, choice).as_bytes());
-    println!("report: {}", out.join("report.html").display());
+    outln!("report: {}", out.join("report.html").display());
     u8::from(failed || !report.reached)
 }
 

@@ -1,0 +1,184 @@
+//! The whole cell as a user starts it: the binary, real sockets, the simulated devices in scaled time.
+//!
+//! Names begin with `cell_`, so that the test runner gives each the machine for itself. Every simulation has a
+//! loopback address of its own, because the robot's port numbers are fixed.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+const CELLD: &str = env!("CARGO_BIN_EXE_celld");
+
+/// Longest time a part of a test may take; a machine that needs more has another problem.
+const PATIENCE: Duration = Duration::from_secs(240);
+
+/// Two planks that have to change places, and a disc in the way of nothing.
+const SWAP: &str = "\
+workspace: {width: 0.4, height: 0.4}
+clearance: 0.002
+objects:
+  - {id: a, footprint: {rectangle: {length: 0.12, width: 0.06}}, start: [0.1, 0.1, 0.0], goal: [0.3, 0.12, 0.4]}
+  - {id: b, footprint: {rectangle: {length: 0.12, width: 0.06}}, start: [0.3, 0.1, 0.3], goal: [0.1, 0.1, 0.0]}
+  - {id: c, footprint: {disc: {radius: 0.04}}, start: [0.2, 0.3, 0.0], goal: [0.2, 0.3, 0.0]}
+";
+
+fn celld(arguments: &[&str], folder: &Path) -> Output {
+    Command::new(CELLD).args(arguments).current_dir(folder).output().expect("the binary runs")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+#[test]
+fn cell_demo_brings_every_object_to_its_goal_and_the_world_agrees() {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("swap.yaml"), SWAP).expect("written");
+    let run = celld(
+        &[
+            "demo",
+            "--instance",
+            "swap.yaml",
+            "--table-size",
+            "0.4",
+            "--seed",
+            "3",
+            "--time-factor",
+            "4",
+            "--out",
+            "o",
+        ],
+        folder.path(),
+    );
+    let said = format!("{}\n{}", text(&run.stdout), text(&run.stderr));
+    assert_eq!(run.status.code(), Some(0), "{said}");
+    let result = std::fs::read_to_string(folder.path().join("o/result.json")).expect("result");
+    let result: serde_json::Value = serde_json::from_str(&result).expect("json");
+    assert_eq!(result["lower_bound"], 3.0, "a swap needs a buffer: {result}");
+    for object in result["objects"].as_array().expect("objects") {
+        let error = object["true_error"]["mm"].as_f64().expect("a number");
+        assert!(error < 2.0, "{object}");
+        assert!(error > 0.0 || object["id"] == "c", "whatever was moved has an error: {object}");
+    }
+    for file in ["report.html", "plan.svg", "start.png", "end.png", "run.mcap"] {
+        let size = std::fs::metadata(folder.path().join("o").join(file)).map(|meta| meta.len());
+        assert!(size.as_ref().is_ok_and(|size| *size > 1000), "{file}: {size:?}");
+    }
+}
+
+/// A process that is ended with its test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Waits for a condition, not for a time.
+fn wait_until(what: &str, condition: impl Fn() -> bool) {
+    let started = Instant::now();
+    while !condition() {
+        assert!(started.elapsed() < PATIENCE, "{what}");
+        std::thread::yield_now();
+    }
+}
+
+/// The example configuration at an address and a time factor of this test's own.
+fn configuration(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
+    let config = folder.join("config");
+    std::fs::create_dir(&config).expect("created");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
+    for entry in std::fs::read_dir(source).expect("the examples").flatten() {
+        let text = std::fs::read_to_string(entry.path()).expect("text");
+        let text = text
+            .replace("127.0.0.2", address)
+            .replace("time_factor: 1\n", "time_factor: 4\n")
+            .replace("clock_factor: 1}", "clock_factor: 4}")
+            .replace("\napproval: always", "\napproval: never");
+        std::fs::write(config.join(entry.file_name()), text).expect("written");
+    }
+    (config.join("cell.yaml"), config.join("sim.yaml"))
+}
+
+fn start_sim(config: &Path) -> Running {
+    let mut sim = Command::new(CELLD)
+        .args(["sim", "--config"])
+        .arg(config)
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the binary runs");
+    let mut line = String::new();
+    let stdout = sim.stdout.take().expect("piped");
+    BufReader::new(stdout).read_line(&mut line).expect("a line");
+    assert!(line.contains("\"ready\":true"), "{line}");
+    Running(sim)
+}
+
+fn interrupt(process: &Running) {
+    let id = process.0.id().to_string();
+    let sent = Command::new("kill").args(["-INT", &id]).status().expect("kill");
+    assert!(sent.success());
+}
+
+fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
+    let months = std::fs::read_dir(state.join("jobs").join(end)).ok()?;
+    months
+        .flatten()
+        .find_map(|month| std::fs::read_to_string(month.path().join(job).join("result.yaml")).ok())
+}
+
+#[test]
+fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (cell, sim) = configuration(folder.path(), "127.7.1.2");
+    let _sim = start_sim(&sim);
+    let cell_text = cell.display().to_string();
+    let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());
+    assert_eq!(calibrated.status.code(), Some(0), "{}", text(&calibrated.stderr));
+
+    let state = folder.path().join("state");
+    let mut daemon = Running(
+        Command::new(CELLD)
+            .args(["run", "--config", &cell_text])
+            .current_dir(folder.path())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("the binary runs"),
+    );
+    let incoming = state.join("jobs/incoming");
+    wait_until("the daemon opens its folders", || incoming.is_dir());
+    let job = |id: &str, x: f64| {
+        format!("version: 1\nid: {id}\ngoal:\n  objects:\n    - {{id: lid, pose: [{x}, 0.38, 0]}}\n")
+    };
+    std::fs::write(
+        incoming.join("bad.yaml"),
+        "version: 1\ngoal:\n  objects:\n    - {id: lod, pose: [0, 0, 0]}\n",
+    )
+    .expect("written");
+    let reason = state.join("jobs/rejected/bad.yaml.reason.yaml");
+    wait_until("the bad job is rejected", || reason.is_file());
+    assert!(std::fs::read_to_string(&reason).expect("text").contains("did you mean \\\"lid\\\""));
+
+    std::fs::write(incoming.join("one.yaml"), job("one", 0.30)).expect("written");
+    wait_until("the job is taken up", || state.join("jobs/active/one").is_dir());
+    assert!(result_of(&state, "done", "one").is_none(), "nothing moves before a person armed the cell");
+    wait_until("the cell is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));
+    wait_until("the job is done", || result_of(&state, "done", "one").is_some());
+    let result = result_of(&state, "done", "one").expect("result");
+    assert!(result.contains("status: done") && result.contains("moves: 1"), "{result}");
+
+    let second = celld(&["run", "--config", &cell_text], folder.path());
+    assert_eq!(second.status.code(), Some(1), "a second daemon on one state folder");
+
+    std::fs::write(incoming.join("two.yaml"), job("two", 0.40)).expect("written");
+    let works = || text(&celld(&["status"], folder.path()).stdout).contains("working (armed)");
+    wait_until("the second job is under way", works);
+    interrupt(&daemon);
+    let ended = daemon.0.wait().expect("the daemon ends");
+    assert_eq!(ended.code(), Some(0));
+    let result = result_of(&state, "failed", "two").expect("a result");
+    assert!(result.contains("status: interrupted") && result.contains("code: \"shutdown\""), "{result}");
+}
