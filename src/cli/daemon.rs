@@ -7,7 +7,7 @@ use crate::cli::demo::run::chain;
 use crate::cli::task::complain;
 use crate::config::cell::{CameraDevice, CameraMount, CellConfig};
 use crate::config::load::load_cell;
-use crate::daemon::calibrate::{Eye, Round, bring_up, collect, kinematics};
+use crate::daemon::calibrate::{Arm, Eye, Round, bring_up, collect, kinematics};
 use crate::daemon::hardware::{Addresses, Hardware};
 use crate::daemon::office::StateOffice;
 use crate::daemon::run::{Event, Observer, Shell, Workers, run as run_shell};
@@ -26,7 +26,6 @@ use crate::io::files::write_atomic;
 use crate::io::priority;
 use crate::jobs::state::StateFolder;
 use crate::jobs::utc;
-use crate::motion::kinematics::DhParameters;
 use crate::supervisor::cell::Cell;
 use crate::time::Timestamp;
 use crate::vision::calibrate::{HandEye, HandEyeGuess, HandEyeSettings, solve_hand_eye};
@@ -182,12 +181,27 @@ fn read<T, E: std::fmt::Display>(
 }
 
 /// Calibration from its files; the kinematics come from the controller.
-fn measured(config: &CellConfig, dh: DhParameters) -> Result<Measured, String> {
+///
+/// # Errors
+/// A file that is missing or faulty, or a calibration made with another arm.
+fn measured(config: &CellConfig, arm: &Arm) -> Result<Measured, String> {
     let files = &config.calibration;
+    let hand_eye = read(&files.hand_eye, HandEyeCalibration::parse)?;
+    let made_with = &hand_eye.provenance;
+    if made_with.robot_serial != arm.serial || made_with.kinematics_checksum != arm.checksum {
+        return Err(format!(
+            "{}: made with robot {} (kinematics {}), but this is {} ({}); run `celld calibrate`",
+            files.hand_eye.display(),
+            made_with.robot_serial,
+            made_with.kinematics_checksum,
+            arm.serial,
+            arm.checksum
+        ));
+    }
     Ok(Measured {
-        dh,
+        dh: arm.dh,
         base_from_table: read(&files.table, TableCalibration::parse)?.base_from_table,
-        flange_from_camera: read(&files.hand_eye, HandEyeCalibration::parse)?.flange_from_camera,
+        flange_from_camera: hand_eye.flange_from_camera,
         camera: read(&files.camera, CameraCalibration::parse)?.model,
     })
 }
@@ -201,10 +215,10 @@ async fn daemon(config: CellConfig, state: StateFolder, stop: Arc<AtomicBool>) -
         complain(&notice);
     }
     let stopped = || stop.load(Ordering::Relaxed);
-    let (dh, _) = kinematics(&mut hardware, &config.devices.robot_host, &stopped)
+    let arm = kinematics(&mut hardware, &config.devices.robot_host, &stopped)
         .await
         .map_err(|error| chain(&error))?;
-    let measured = measured(&config, dh)?;
+    let measured = measured(&config, &arm)?;
     let model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     let (answers_in, answers) = tokio::sync::mpsc::channel(16);
     let camera = open_camera(&config, Some(measured.camera.clone()))?;
@@ -238,25 +252,25 @@ async fn calibration(config: CellConfig, stop: Arc<AtomicBool>) -> Result<(), St
     let (mut hardware, _) = open_hardware(&config)?;
     let mut camera = open_camera(&config, None)?;
     let lens = tokio::task::block_in_place(|| camera.intrinsics()).map_err(|error| chain(&error))?;
-    let (serial, solved) = solve(&config, &mut hardware, camera, &lens, &stop).await?;
+    let (arm, solved) = solve(&config, &mut hardware, camera, &lens, &stop).await?;
     report(&solved);
-    write_files(&config, &lens, &serial, &solved)
+    write_files(&config, &lens, &arm, &solved)
 }
 
-/// Drives the calibration poses and solves: the robot's serial number and the solution.
+/// Drives the calibration poses and solves: which arm it was, and the solution.
 async fn solve(
     config: &CellConfig,
     hardware: &mut Hardware,
     camera: Box<dyn CameraSource + Send>,
     lens: &CameraModel,
     stop: &Arc<AtomicBool>,
-) -> Result<(String, HandEye), String> {
+) -> Result<(Arm, HandEye), String> {
     let stopped = || stop.load(Ordering::Relaxed);
     let address = &config.devices.robot_host;
-    let (dh, serial) = kinematics(hardware, address, &stopped).await.map_err(|error| chain(&error))?;
+    let arm = kinematics(hardware, address, &stopped).await.map_err(|error| chain(&error))?;
     let nonce = Nonce::new((unix_now_s() * 1e3) as u64);
     bring_up(hardware, nonce, address, &stopped).await.map_err(|error| chain(&error))?;
-    let model = arm_model(config, dh, config.base_from_table);
+    let model = arm_model(config, arm.dh, config.base_from_table);
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let mut round = Round { hardware, model: &model, nonce, stop: &stopped };
     let count = config.calibration_poses.len();
@@ -272,7 +286,7 @@ async fn solve(
     let guess = HandEyeGuess { flange_from_camera, base_from_table: config.base_from_table };
     let settings = HandEyeSettings::default();
     let solved = solve_hand_eye(&samples, &reference_markers(config), lens, &guess, &settings);
-    Ok((serial, solved.map_err(|error| chain(&error))?))
+    Ok((arm, solved.map_err(|error| chain(&error))?))
 }
 
 fn report(solved: &HandEye) {
@@ -291,17 +305,12 @@ fn report(solved: &HandEye) {
     }
 }
 
-fn write_files(
-    config: &CellConfig,
-    lens: &CameraModel,
-    serial: &str,
-    solved: &HandEye,
-) -> Result<(), String> {
+fn write_files(config: &CellConfig, lens: &CameraModel, arm: &Arm, solved: &HandEye) -> Result<(), String> {
     let date = utc::text(unix_now_s());
     let provenance = Provenance {
         camera_serial: lens.serial.clone(),
-        robot_serial: serial.to_string(),
-        kinematics_checksum: "as reported".to_string(),
+        robot_serial: arm.serial.clone(),
+        kinematics_checksum: arm.checksum.clone(),
         date: date.clone(),
     };
     let camera = CameraCalibration {

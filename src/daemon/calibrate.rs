@@ -66,7 +66,18 @@ const FLOOR: f64 = 0.05;
 const STILL_RAD_S: f64 = 5e-4;
 const SETTLE: Duration = Duration::from_millis(500);
 
-/// Kinematics of the arm, as the controller reports them when it is connected.
+/// Which arm it is, as the controller says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arm {
+    /// Calibrated kinematics.
+    pub dh: DhParameters,
+    /// Checksum of the kinematics, hex.
+    pub checksum: String,
+    /// Serial number.
+    pub serial: String,
+}
+
+/// Kinematics and identity of the arm, as the controller reports them when it is connected.
 ///
 /// # Errors
 /// [`DriveError::Deadline`] when the controller does not say, [`DriveError::Stopped`].
@@ -74,20 +85,23 @@ pub async fn kinematics(
     hardware: &mut Hardware,
     address: &str,
     stop: &dyn Fn() -> bool,
-) -> Result<(DhParameters, String), DriveError> {
+) -> Result<Arm, DriveError> {
     let started = hardware.now();
-    let mut dh = None;
+    let mut kinematics: Option<(DhParameters, String)> = None;
     let mut serial = String::new();
     loop {
         for happening in hardware.next().await {
             match happening {
-                Happening::Robot(RobotEvent::Kinematics { dh: reported, .. }) => dh = Some(reported),
+                Happening::Robot(RobotEvent::Kinematics { dh, checksum }) => {
+                    kinematics = Some((dh, checksum.map(|word| format!("{word:08x}")).concat()));
+                }
                 Happening::Robot(RobotEvent::Identity { serial: reported, .. }) => serial = reported,
                 _ => {}
             }
         }
-        if let Some(dh) = dh.filter(|_| !serial.is_empty() && hardware.robot().state().is_some()) {
-            return Ok((dh, serial));
+        let known = !serial.is_empty() && hardware.robot().state().is_some();
+        if let Some((dh, checksum)) = kinematics.clone().filter(|_| known) {
+            return Ok(Arm { dh, checksum, serial });
         }
         guard(hardware, started, 30, "the robot did not answer on all its ports", address, stop)?;
     }

@@ -151,7 +151,7 @@ async fn calibrate(
 ) -> Result<(crate::motion::kinematics::DhParameters, HandEye), String> {
     let stopped = || stop.load(Ordering::Relaxed);
     let address = choice.bind.to_string();
-    let (dh, _serial) = kinematics(hardware, &address, &stopped).await.map_err(|error| chain(&error))?;
+    let dh = kinematics(hardware, &address, &stopped).await.map_err(|error| chain(&error))?.dh;
     let nonce = Nonce::new(choice.seed.wrapping_add(1));
     bring_up(hardware, nonce, &address, &stopped).await.map_err(|error| chain(&error))?;
     let model = arm_model(config, dh, config.base_from_table);
