@@ -14,3 +14,6 @@ pub mod model;
 pub mod order;
 mod trouble;
 mod work;
+
+#[cfg(test)]
+mod tests;

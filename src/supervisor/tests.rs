@@ -1,0 +1,278 @@
+//! What the machine must never do, played through with made-up devices.
+
+use crate::device::gripper::Channels;
+use crate::device::registers::ProgramStatus;
+use crate::device::robot_types::{RobotCommand, RobotEvent, RobotState};
+use crate::geometry::footprint::Footprint;
+use crate::geometry::pose::Pose2;
+use crate::motion::kinematics::DhParameters;
+use crate::motion::path::{ArmLimits, ArmModel};
+use crate::motion::pick_n_place::CycleParameters;
+use crate::planning::plan::{Action as PlanAction, ActionKind, Objective};
+use crate::planning::solver::SolverKind;
+use crate::supervisor::cell::Cell;
+use crate::supervisor::input::{Action, Input, OperatorCommand, Outside, PlanAnswer};
+use crate::supervisor::model::{CellModel, CellObject, GripSettings, Tolerances};
+use crate::supervisor::order::{JobEnd, JobOrder};
+use crate::tabletop::instance::{MarkerSpec, Workspace};
+use crate::time::{Duration, Timestamp};
+use crate::units::Joints;
+use crate::vision::observe::{ObjectEstimate, Observation};
+use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use nalgebra::{Isometry3, Vector3};
+use std::f64::consts::TAU;
+
+const HOME: Joints = Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]);
+
+fn model() -> CellModel {
+    let marker = MarkerSpec { family: "tag36h11".into(), id: 0, size: 0.03, offset: Pose2::default() };
+    let object = CellObject {
+        id: "a".into(),
+        footprint: Footprint::rectangle(0.06, 0.06).expect("valid"),
+        impedance: None,
+        height: 0.02,
+        mass: 0.1,
+        marker,
+        grip_point: [0.0, 0.0],
+        grip_yaw: None,
+    };
+    CellModel {
+        arm: ArmModel {
+            dh: DhParameters::UR5E,
+            base_from_table: Isometry3::translation(-0.25, 0.18, 0.0),
+            flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
+            home: HOME,
+            limits: ArmLimits {
+                joint_range: [(-TAU, TAU); 6],
+                joint_speed: 2.0,
+                joint_acceleration: 4.0,
+                tool_speed: 0.5,
+                tool_acceleration: 2.0,
+                link_floor: 0.03,
+            },
+        },
+        cycle: CycleParameters {
+            tallest: 0.02,
+            air: 0.03,
+            approach: 0.04,
+            press: 5e-4,
+            blend: 0.02,
+            joint_speed: 1.5,
+            joint_acceleration: 3.0,
+            tool_speed: 0.25,
+            tool_acceleration: 1.2,
+        },
+        flange_from_camera: Isometry3::translation(0.0, -0.07, 0.03),
+        look_poses: vec![HOME],
+        frames_per_view: 1,
+        park: HOME,
+        workspace: Workspace { width: 0.5, height: 0.5 },
+        clearance: 0.002,
+        objects: vec![object],
+        tolerances: Tolerances {
+            goal_position: 1e-3,
+            goal_angle: 0.01,
+            expected_position: 2e-3,
+            expected_angle: 0.02,
+            measurement_std: 1e-3,
+            retries: 1,
+            settle: Duration::from_millis(100),
+            look_deadline: Duration::from_secs(20),
+            phase_deadline: Duration::from_secs(20),
+            plan_grace: Duration::from_secs(5),
+        },
+        grip: GripSettings {
+            channels: Channels::A,
+            vacuum_target: 0.6,
+            tool_mass: 0.9,
+            tool_centre: Vector3::new(0.0, 0.0, 0.07),
+        },
+    }
+}
+
+/// A cell, its robot, and the time.
+struct Bench {
+    cell: Cell,
+    robot: RobotState,
+    silent: bool,
+    now: Timestamp,
+}
+
+impl Bench {
+    fn new() -> Bench {
+        let robot = RobotState {
+            received: Timestamp::ZERO,
+            controller_time_s: 100.0,
+            q: HOME,
+            qd: [0.0; 6],
+            tcp_pose: [0.0; 6],
+            robot_mode: RobotMode::Running,
+            safety_mode: SafetyMode::Normal,
+            runtime_state: RuntimeState::Playing,
+            speed_scaling: 1.0,
+            target_speed_fraction: 1.0,
+            payload: 0.9,
+            payload_cog: [0.0; 3],
+            tcp_offset: [0.0; 6],
+            nonce: 0,
+            accepted: 0,
+            finished: 0,
+            program_status: ProgramStatus::Idle,
+            heartbeat_echo: 0,
+            remote_control: Some(true),
+        };
+        Bench { cell: Cell::new(model(), 7), robot, silent: false, now: Timestamp::from_secs_f64(1.0) }
+    }
+
+    fn feed(&mut self, input: Input) -> Vec<Action> {
+        self.now += Duration::from_millis(20);
+        let outside = Outside {
+            robot: Some(&self.robot),
+            robot_fresh: !self.silent,
+            robot_silent: self.silent,
+            gripper_answers: true,
+        };
+        let actions = self.cell.step(self.now, &outside, input);
+        for action in &actions {
+            if let Action::Robot(RobotCommand::StartProgram { nonce }) = action {
+                self.robot.nonce = nonce.number();
+            }
+        }
+        actions
+    }
+
+    fn ticks(&mut self, count: usize) -> Vec<Action> {
+        (0..count).flat_map(|_| self.feed(Input::Tick)).collect()
+    }
+
+    fn job(&mut self, needs_approval: bool) -> Vec<Action> {
+        self.feed(Input::Job(Box::new(JobOrder {
+            id: "j".into(),
+            goals: vec![("a".into(), Pose2::new(0.35, 0.3, 0.0))],
+            objective: Objective::Pp,
+            solver: SolverKind::Erbm,
+            time_limit: Duration::from_secs(1),
+            seed: 0,
+            needs_approval,
+        })))
+    }
+
+    /// Arms and goes as far as the plan request.
+    fn until_planning(&mut self) -> Vec<Action> {
+        self.feed(Input::Operator(OperatorCommand::Arm));
+        let started = self.ticks(20);
+        assert!(streams(&started) == 1, "the look begins: {started:?}");
+        self.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+        let settled = self.ticks(10);
+        assert!(settled.iter().any(|action| matches!(action, Action::Capture { .. })), "{settled:?}");
+        self.feed(Input::Captured(Ok(Vec::new())));
+        let estimate = ObjectEstimate {
+            id: "a".into(),
+            pose: Pose2::new(0.15, 0.3, 0.0),
+            std_xy_m: 2e-4,
+            std_theta_rad: 1e-3,
+            views: 1,
+            rejected_views: 0,
+            tilt_rad: 0.0,
+            tilt_std_rad: 0.01,
+            height_error_m: 0.0,
+            height_std_m: 1e-3,
+            time: self.now,
+        };
+        let seen = Observation { objects: vec![estimate], ..Observation::default() };
+        self.feed(Input::Observed(Ok(Box::new(seen))))
+    }
+
+    fn plan(&mut self) -> Vec<Action> {
+        let (from, to) = (Pose2::new(0.15, 0.3, 0.0), Pose2::new(0.35, 0.3, 0.0));
+        let actions = vec![PlanAction { object: 0, from, to, kind: ActionKind::Goal }];
+        let answer = PlanAnswer::Found { actions, cost: 1.0, lower_bound: 1.0, seconds: 0.01 };
+        self.feed(Input::Planned(Box::new(answer)))
+    }
+}
+
+fn streams(actions: &[Action]) -> usize {
+    actions.iter().filter(|action| matches!(action, Action::Robot(RobotCommand::Stream(_)))).count()
+}
+
+fn ended(actions: &[Action]) -> Option<(JobEnd, String)> {
+    actions.iter().find_map(|action| match action {
+        Action::Finish(report) => Some((report.end, report.code.clone())),
+        _ => None,
+    })
+}
+
+#[test]
+fn a_disarmed_cell_takes_jobs_and_moves_nothing() {
+    let mut bench = Bench::new();
+    let mut all = bench.job(false);
+    all.extend(bench.ticks(10_000));
+    assert!(!all.iter().any(|action| matches!(action, Action::Robot(_) | Action::Gripper(_))), "{all:?}");
+    assert_eq!(ended(&all), None, "waiting for a person is no failure");
+}
+
+#[test]
+fn the_journal_is_written_before_the_arm_moves_for_an_object() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    let asked = bench.until_planning();
+    assert!(asked.iter().any(|action| matches!(action, Action::Plan(_))), "{asked:?}");
+    let actions = bench.plan();
+    let at = |wanted: fn(&Action) -> bool| actions.iter().position(wanted).expect("present");
+    let intent = at(|a| matches!(a, Action::Journal(crate::supervisor::input::JournalEntry::Intent { .. })));
+    let moves = at(|a| matches!(a, Action::Robot(RobotCommand::Stream(_))));
+    assert!(intent < moves, "{actions:?}");
+}
+
+#[test]
+fn a_plan_that_needs_approval_waits_for_it() {
+    let mut bench = Bench::new();
+    bench.job(true);
+    bench.until_planning();
+    let mut waiting = bench.plan();
+    waiting.extend(bench.ticks(500));
+    assert_eq!(streams(&waiting), 0);
+    assert_eq!(streams(&bench.feed(Input::Operator(OperatorCommand::Approve))), 1);
+}
+
+#[test]
+fn silence_while_moving_stops_first_then_ends_the_job_and_disarms() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.until_planning();
+    bench.plan();
+    bench.silent = true;
+    let actions = bench.feed(Input::Tick);
+    assert!(matches!(actions.first(), Some(Action::Robot(RobotCommand::Stop))), "{actions:?}");
+    assert_eq!(ended(&actions), Some((JobEnd::Interrupted, "robot_stopped".into())));
+    assert!(!bench.cell.status().armed);
+    bench.silent = false;
+    bench.job(false);
+    assert_eq!(streams(&bench.ticks(500)), 0, "nothing moves until a person armed it again");
+}
+
+#[test]
+fn a_safety_stop_while_moving_never_releases_the_vacuum() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.until_planning();
+    bench.plan();
+    bench.robot.safety_mode = SafetyMode::ProtectiveStop;
+    let mut actions = bench.feed(Input::Tick);
+    actions.extend(bench.ticks(100));
+    assert!(matches!(actions.first(), Some(Action::Robot(RobotCommand::Stop))), "{actions:?}");
+    assert!(!actions.iter().any(|action| matches!(action, Action::Gripper(_))), "{actions:?}");
+    assert!(!actions.iter().any(|a| matches!(a, Action::Robot(RobotCommand::UnlockProtectiveStop))));
+}
+
+#[test]
+fn shutdown_stops_the_arm_first_and_names_the_job() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.until_planning();
+    bench.plan();
+    let actions = bench.feed(Input::Shutdown);
+    assert!(matches!(actions.first(), Some(Action::Robot(RobotCommand::Stop))), "{actions:?}");
+    assert_eq!(ended(&actions), Some((JobEnd::Interrupted, "shutdown".into())));
+    assert_eq!(streams(&bench.ticks(100)), 0);
+}
