@@ -49,7 +49,7 @@ pub struct DemoOutcome {
     pub truth: Vec<(String, Pose2)>,
     /// Simulated seconds per second that were reached.
     pub factor: f64,
-    /// Seconds of the cell's time from the job's start to its end.
+    /// Why the recording is incomplete, if it is.
     pub recording_fault: Option<String>,
 }
 
