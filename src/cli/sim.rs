@@ -11,8 +11,8 @@ use crate::geometry::footprint::Footprint;
 use crate::io::priority;
 use crate::sim::camera_server::CameraSetup;
 use crate::sim::cell::{SimConfig, start};
-use crate::sim::controller::ControllerConfig;
 use crate::sim::controller::builtins::compile_program;
+use crate::sim::controller::{ControllerConfig, calibrated_ur5e};
 use crate::sim::render::lens::CameraTruth;
 use crate::sim::robot_server::RobotPorts;
 use crate::sim::world::spec;
@@ -128,14 +128,24 @@ fn check_script(path: &std::path::Path) -> u8 {
 
 /// The simulated cell a configuration describes; its truth deviates from the nominal values by the seed.
 pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig {
+    let errors = &file.errors;
+    let mut camera = CameraTruth::ideal("sim-d405", PICTURE.0, PICTURE.1, FOCAL_PX);
+    camera.noise_sigma = errors.noise_levels;
     let nominal = spec::NominalCell {
         base_from_table: file.base_from_table,
         mount: spec::CameraMount::Flange(file.flange_from_camera),
-        camera: CameraTruth::ideal("sim-d405", PICTURE.0, PICTURE.1, FOCAL_PX),
+        camera,
     };
-    let truth = spec::TruthSpec::from_seed(&nominal, file.seed);
+    let limits = spec::TruthLimits {
+        table_m: errors.table_m,
+        table_rad: errors.table_rad,
+        mount_m: errors.mount_m,
+        mount_rad: errors.mount_rad,
+    };
+    let truth = spec::TruthSpec::from_seed(&nominal, &limits, file.seed);
     let mut controller = ControllerConfig::ur5e(file.seed);
     controller.start = file.start_pose;
+    controller.dh = calibrated_ur5e(file.seed, errors.dh_m, errors.dh_rad);
     SimConfig {
         bind,
         ports,
@@ -154,8 +164,8 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
                 .map(|m| spec::ReferenceMarker { id: m.id, size_m: m.size_m, pose: m.pose })
                 .collect(),
             errors: spec::PlacementErrors {
-                std_xy_m: file.errors.placement_m,
-                std_theta_rad: file.errors.placement_rad,
+                std_xy_m: errors.placement_m,
+                std_theta_rad: errors.placement_rad,
                 ..spec::PlacementErrors::default()
             },
             gripper: gripper_spec(file),

@@ -8,7 +8,7 @@
 use crate::geometry::pose::Pose2;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
-use crate::units::Joints;
+use crate::units::{ATMOSPHERE_PA, Joints};
 use nalgebra::Isometry3;
 use std::path::PathBuf;
 
@@ -58,6 +58,17 @@ pub struct CellConfig {
     pub recording: Option<RecordingConfig>,
     /// Folder against which relative `goal.file` paths of jobs resolve.
     pub goal_folder: PathBuf,
+}
+
+impl CellConfig {
+    /// Where nothing may be put: the keep-out regions, and fixed objects where they stand.
+    pub fn obstacles(&self) -> Vec<KeepOut> {
+        let fixed =
+            self.objects.iter().filter(|object| object.fixed).filter_map(|object| {
+                Some(KeepOut { footprint: object.footprint.clone(), pose: object.start? })
+            });
+        self.workspace.keep_out.iter().cloned().chain(fixed).collect()
+    }
 }
 
 /// Device addresses. The robot's ports are the controller's own and not configurable.
@@ -156,6 +167,14 @@ pub struct GripperConfig {
     pub mass_kg: f64,
     /// Centre of that mass in the flange frame, m.
     pub centre_of_gravity_m: [f64; 3],
+}
+
+impl GripperConfig {
+    /// Force with which `cups` hold at `vacuum_min`, N.
+    pub fn holding_force_n(&self, cups: &[CupConfig]) -> f64 {
+        let area_m2 = |cup: &CupConfig| std::f64::consts::PI * cup.diameter_m * cup.diameter_m / 4.0;
+        self.vacuum_min * ATMOSPHERE_PA * cups.iter().map(area_m2).sum::<f64>()
+    }
 }
 
 /// Where the camera sits, nominally; the calibration files hold the measured transforms.

@@ -13,14 +13,15 @@ use crate::document::tree::{Node, Value};
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::tabletop::instance::ObjectSpec;
-use crate::units::{ATMOSPHERE_PA, GRAVITY, Joints, deg_from_rad, mm_from_m};
+use crate::units::{GRAVITY, Joints, deg_from_rad, mm_from_m};
 use std::net::IpAddr;
 
 /// Space that every cup keeps to the rim of the face it sits on, m.
 pub const CUP_MARGIN_M: f64 = 0.001;
 
-/// Holding force over weight while the arm accelerates.
-pub const FORCE_FACTOR: f64 = 4.0;
+/// Holding force over load at rest, and while the arm accelerates (design, section 4.4).
+const FACTOR_AT_REST: f64 = 2.0;
+const FACTOR_ACCELERATING: f64 = 4.0;
 
 /// Least number of places tried along each side of an object when looking for a grip.
 const GRIP_STEPS: usize = 24;
@@ -177,6 +178,10 @@ fn check_object(decoder: &mut Decoder, cell: &CellConfig, object: &ObjectSpec, a
     }
     check_marker(decoder, object, at, path);
     if object.fixed {
+        if object.start.is_none() {
+            let message = format!("{:?} is fixed, but the cell is not told where it stands", object.id);
+            decoder.complain(at, path, message, "add start: [x, y, theta], its surveyed pose in m, m, rad");
+        }
         return;
     }
     let face = match &object.grippable {
@@ -206,9 +211,8 @@ fn check_weight(
     path: &str,
 ) {
     let Some(mass_kg) = object.mass else { return };
-    let force = |cups: &Vec<CupConfig>| cell.gripper.vacuum_min * ATMOSPHERE_PA * area_m2(cups);
-    let most = usable.iter().map(force).fold(0.0, f64::max);
-    let needed = FORCE_FACTOR * mass_kg * GRAVITY;
+    let most = usable.iter().map(|cups| cell.gripper.holding_force_n(cups)).fold(0.0, f64::max);
+    let needed = needed_force_n(mass_kg, &cell.limits);
     if most < needed {
         let message = format!(
             "{:?} weighs {mass_kg} kg: carrying it safely takes {needed:.1} N, its cups hold {most:.1} N at vacuum_min",
@@ -218,8 +222,10 @@ fn check_weight(
     }
 }
 
-fn area_m2(cups: &[CupConfig]) -> f64 {
-    cups.iter().map(|cup| std::f64::consts::PI * cup.diameter_m * cup.diameter_m / 4.0).sum()
+/// Force of the cups (N) that carrying `mass_kg` safely takes: the larger of what rest and acceleration ask for.
+pub fn needed_force_n(mass_kg: f64, limits: &MotionLimits) -> f64 {
+    let at_rest = FACTOR_AT_REST * mass_kg * GRAVITY;
+    at_rest.max(FACTOR_ACCELERATING * mass_kg * (GRAVITY + limits.tool_acceleration))
 }
 
 /// The marker's print (black square and white ring, 10/8 of the edge) has to lie on the object.

@@ -39,7 +39,7 @@ pub const DEFAULT_ERRORS: SimErrors = SimErrors {
     table_m: 3e-3,
     table_rad: 0.3 * std::f64::consts::PI / 180.0,
     mount_m: 3e-3,
-    mount_rad: 1.0 * std::f64::consts::PI / 180.0,
+    mount_rad: 0.5 * std::f64::consts::PI / 180.0,
     dh_m: 5e-4,
     dh_rad: 0.05 * std::f64::consts::PI / 180.0,
     noise_levels: 2.0,

@@ -61,13 +61,13 @@ pub struct SimErrors {
     pub placement_m: f64,
     /// Grip and release, standard deviation of the angle, rad.
     pub placement_rad: f64,
-    /// Table pose, largest deviation, m.
+    /// Table pose, largest shift along x and y, m; half of it along z.
     pub table_m: f64,
-    /// Table pose, largest deviation, rad.
+    /// Table pose, largest turn about z, rad; a sixth of it about x and y.
     pub table_rad: f64,
-    /// Camera mount, largest deviation, m.
+    /// Camera mount, largest shift along each axis, m.
     pub mount_m: f64,
-    /// Camera mount, largest deviation, rad.
+    /// Camera mount, largest turn about each axis, rad.
     pub mount_rad: f64,
     /// Calibrated DH lengths, standard deviation, m.
     pub dh_m: f64,

@@ -136,6 +136,9 @@ fn parts_that_do_not_fit_are_told() {
         "larger than the table",
     );
     check("mass: 0.12", "mass: 3", "its cups hold");
+    let at_rest = 0.3 * 101_325.0 * std::f64::consts::PI * 0.01 * 0.01 / (4.0 * 9.81);
+    check("mass: 0.12", &format!("mass: {at_rest:.3}"), "its cups hold");
+    check("    mass: 0.12\n", "    mass: 0.12\n    fixed: true\n", "is not told where it stands");
     let told = cell(&CELL.replace("diameter: 0.02", "diameter: 0.06")).unwrap_err().to_string();
     assert!(told.contains("no place on \"plank-1\"") && !told.contains("no place on \"block\""), "{told}");
     check("blend_m: 0.02 ", "blend_m: 0.05 ", "rounds the corner");

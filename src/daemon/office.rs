@@ -109,6 +109,7 @@ impl StateOffice {
     fn scan(&mut self, now: Timestamp, inputs: &mut Vec<Input>) {
         let config = &self.config;
         let folder = config.goal_folder.clone();
+        let obstacles = config.obstacles();
         let read_goal = move |name: &str| {
             let path = folder.join(name);
             std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))
@@ -118,7 +119,7 @@ impl StateOffice {
                 objects: &config.objects,
                 width_m: config.workspace.width_m,
                 height_m: config.workspace.height_m,
-                keep_out: &config.workspace.keep_out,
+                keep_out: &obstacles,
                 overlap_tolerance_m: config.tolerances.goal_position_m,
             }),
             approval: config.approval,

@@ -4,6 +4,7 @@
 //! structs; no other part of the daemon reads the configuration. Pure.
 
 use crate::config::cell::{CellConfig, CupChannel};
+use crate::config::check::needed_force_n;
 use crate::daemon::workers::EyeParameters;
 use crate::device::gripper::{Channels, GripperParameters};
 use crate::motion::kinematics::DhParameters;
@@ -47,6 +48,20 @@ pub enum SetupError {
         /// Object.
         id: String,
     },
+    /// The cups could lose it on the way.
+    #[error(
+        "object {id} weighs {mass_kg} kg: carrying it safely takes {needed_n:.1} N, the cups hold {held_n:.1} N at vacuum_min"
+    )]
+    TooHeavy {
+        /// Object.
+        id: String,
+        /// Its mass, kg.
+        mass_kg: f64,
+        /// Force that the factors ask for, N.
+        needed_n: f64,
+        /// Force of the cups at `vacuum_min`, N.
+        held_n: f64,
+    },
 }
 
 /// Distance every cup keeps to the edge of a top, m (design, section 4.4).
@@ -54,6 +69,9 @@ pub const CUP_MARGIN_M: f64 = 1e-3;
 
 /// Relative vacuum asked for; regulated down from the pump's 80 % to spare the filters.
 const VACUUM_TARGET: f64 = 0.6;
+
+/// Reference markers that a look must show: with fewer, a bump of the camera could hide in the noise.
+const REFERENCES_SEEN: usize = 3;
 
 /// The supervisor's model of the cell.
 ///
@@ -88,12 +106,16 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
         park: config.park_pose,
         workspace: Workspace { width: config.workspace.width_m, height: config.workspace.height_m },
         clearance: config.workspace.clearance_m,
+        keep_out: config.obstacles(),
         objects,
         tolerances: Tolerances {
             goal_position: tolerances.goal_position_m,
             goal_angle: tolerances.goal_angle_rad,
             expected_position: 2.0 * tolerances.goal_position_m,
             expected_angle: 2.0 * tolerances.goal_angle_rad,
+            observation_age: Duration::from_secs_f64(tolerances.observation_age_s),
+            reference_residual: tolerances.reference_residual_m,
+            reference_seen: REFERENCES_SEEN,
             measurement_std: tolerances.goal_position_m,
             retries: 2,
             settle: Duration::from_millis(150),
@@ -136,12 +158,18 @@ fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, S
     let grip: Grip =
         place_for_cups(&object.footprint, object.grippable.as_ref(), &cups(config), CUP_MARGIN_M)
             .ok_or_else(|| SetupError::NoGrip { id: object.id.clone() })?;
+    let mass_kg = object.mass.ok_or_else(|| lacks("mass"))?;
+    let (needed_n, held_n) =
+        (needed_force_n(mass_kg, &config.limits), config.gripper.holding_force_n(&config.gripper.cups));
+    if held_n < needed_n {
+        return Err(SetupError::TooHeavy { id: object.id.clone(), mass_kg, needed_n, held_n });
+    }
     Ok(CellObject {
         id: object.id.clone(),
         footprint: object.footprint.clone(),
         impedance: object.impedance,
         height: object.height.ok_or_else(|| lacks("height"))?,
-        mass: object.mass.ok_or_else(|| lacks("mass"))?,
+        mass: mass_kg,
         marker: object.marker.clone().ok_or_else(|| lacks("marker"))?,
         grip_point: grip.point,
         grip_yaw: grip.yaw,

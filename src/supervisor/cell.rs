@@ -132,6 +132,8 @@ pub struct Cell {
     pub(crate) shutting_down: bool,
     pub(crate) job: Option<JobRun>,
     pub(crate) seen: Option<Seen>,
+    /// When the look behind `seen` was over.
+    pub(crate) seen_at: Timestamp,
     /// Nonce of the program uploaded last.
     pub(crate) nonce: Option<Nonce>,
     /// The next nonce is made from this.
@@ -180,6 +182,7 @@ impl Cell {
             shutting_down: false,
             job: None,
             seen: None,
+            seen_at: Timestamp::ZERO,
             nonce: None,
             next_nonce: nonce_seed,
             remaining: Duration::ZERO,
@@ -367,6 +370,10 @@ impl Cell {
         match gates::any_motion(self.armed, outside, self.nonce) {
             Ok(()) => self.waiting_for = None,
             Err(closed) => return self.wait_or_bring_up(now, outside, closed, out),
+        }
+        if self.seen.is_some() && now.since(self.seen_at) > self.model.tolerances.observation_age {
+            say(out, "the table was seen too long ago; looking again");
+            self.seen = None;
         }
         if self.park_wanted {
             self.begin_park(outside, out);

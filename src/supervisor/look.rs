@@ -26,6 +26,16 @@ const SAME_PLACE_RAD: f64 = 2e-4;
 /// Part of the planner's clearance that a running plan must still keep after placing errors.
 const CLEARANCE_SHARE: f64 = 0.3;
 
+/// Why an observation is of no use.
+struct Doubt {
+    /// Stable code of the job's result.
+    code: String,
+    /// One sentence.
+    message: String,
+    /// What a person can do.
+    remedy: &'static str,
+}
+
 impl Cell {
     /// Sends the arm to look pose `view`.
     pub(crate) fn begin_look(
@@ -177,20 +187,58 @@ impl Cell {
             None => {
                 job.look_failures = 0;
                 self.seen = Some(observation);
+                self.seen_at = now;
             }
-            Some((code, message)) if job.look_failures >= self.model.tolerances.retries => {
-                let remedy = "look at the end picture of the job, put the table right, submit again";
+            Some(Doubt { code, message, remedy }) if job.look_failures >= self.model.tolerances.retries => {
                 self.finish(now, JobEnd::Failed, &code, &message, remedy, out);
             }
-            Some((_, message)) => {
+            Some(Doubt { message, .. }) => {
                 job.look_failures += 1;
                 say(out, format!("{message}; looking again"));
             }
         }
     }
 
-    /// What makes an observation useless for the active job: code and sentence.
-    fn judge(&self, observation: &Observation) -> Option<(String, String)> {
+    /// What makes an observation useless for the active job.
+    fn judge(&self, observation: &Observation) -> Option<Doubt> {
+        self.doubt_calibration(observation).or_else(|| {
+            self.doubt_objects(observation).map(|(code, message)| {
+                let remedy = "look at the end picture of the job, put the table right, submit again";
+                Doubt { code, message, remedy }
+            })
+        })
+    }
+
+    /// The reference markers are not where they were surveyed, or too few of them are seen to tell.
+    fn doubt_calibration(&self, observation: &Observation) -> Option<Doubt> {
+        let tolerances = &self.model.tolerances;
+        let seen = observation.reference.as_ref().map_or(0, |check| check.markers.len());
+        if seen < tolerances.reference_seen {
+            let message =
+                format!("{seen} reference markers were seen, {} are needed", tolerances.reference_seen);
+            let remedy = "uncover and clean the reference markers, see that the table is lit, submit again";
+            return Some(Doubt { code: "reference_hidden".into(), message, remedy });
+        }
+        let check = observation.reference.as_ref()?;
+        // A number that is none is no proof that the calibration holds.
+        if check.residual_rms_m <= tolerances.reference_residual {
+            return None;
+        }
+        let mm = |metres: f64| metres * 1e3;
+        let message = format!(
+            "the reference markers are {:.1} mm off, {:.1} mm are allowed: the table seems shifted by {:.1} mm in x, \
+             {:.1} mm in y and {:.2} degrees",
+            mm(check.residual_rms_m),
+            mm(tolerances.reference_residual),
+            mm(check.shift_m[0]),
+            mm(check.shift_m[1]),
+            check.turn_rad.to_degrees()
+        );
+        let remedy = "camera or table were moved: see which, then `celld calibrate`";
+        Some(Doubt { code: "calibration_invalid".into(), message, remedy })
+    }
+
+    fn doubt_objects(&self, observation: &Observation) -> Option<(String, String)> {
         let job = self.job.as_ref()?;
         if let Some(duplicate) = observation.duplicates.first() {
             let message =
@@ -304,7 +352,7 @@ impl Cell {
             // Measured arrangements overlap a little: what touches may be measured as overlapping by the
             // errors of two objects, and a goal by the tolerance it was reached with.
             overlap_tolerance: (3.0 * worst_std).max(2.0 * self.model.tolerances.goal_position),
-            keep_out: Vec::new(),
+            keep_out: self.model.keep_out.clone(),
             objects,
         }
     }

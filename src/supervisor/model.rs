@@ -8,7 +8,7 @@ use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::motion::path::ArmModel;
 use crate::motion::pick_n_place::CycleParameters;
-use crate::tabletop::instance::{MarkerSpec, Workspace};
+use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::Duration;
 use crate::units::Joints;
 use nalgebra::{Isometry3, Vector3};
@@ -45,6 +45,12 @@ pub struct Tolerances {
     pub expected_position: f64,
     /// And this angle, rad.
     pub expected_angle: f64,
+    /// What was seen longer ago than this is not acted upon.
+    pub observation_age: Duration,
+    /// Larger rms errors of the reference markers than this mean that camera or table were moved, m.
+    pub reference_residual: f64,
+    /// Fewer reference markers in a look than this say nothing about that.
+    pub reference_seen: usize,
     /// An object whose position is less certain than this is looked at again, m (one standard deviation).
     pub measurement_std: f64,
     /// How often a failed grip, an incomplete look or a disturbed table is tried again before the job fails.
@@ -91,6 +97,8 @@ pub struct CellModel {
     pub workspace: Workspace,
     /// Gap kept round every new place, m.
     pub clearance: f64,
+    /// Where nothing may be put: keep-out regions and objects that never move.
+    pub keep_out: Vec<KeepOut>,
     /// What may be moved.
     pub objects: Vec<CellObject>,
     /// Limits of decisions.

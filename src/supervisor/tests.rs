@@ -14,9 +14,10 @@ use crate::supervisor::cell::Cell;
 use crate::supervisor::input::{Action, Input, OperatorCommand, Outside, PlanAnswer};
 use crate::supervisor::model::{CellModel, CellObject, GripSettings, Tolerances};
 use crate::supervisor::order::{JobEnd, JobOrder};
-use crate::tabletop::instance::{MarkerSpec, Workspace};
+use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
+use crate::vision::observe::reference::{ReferenceCheck, ReferenceError};
 use crate::vision::observe::{ObjectEstimate, Observation};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 use nalgebra::{Isometry3, Vector3};
@@ -68,12 +69,16 @@ fn model() -> CellModel {
         park: HOME,
         workspace: Workspace { width: 0.5, height: 0.5 },
         clearance: 0.002,
+        keep_out: Vec::new(),
         objects: vec![object],
         tolerances: Tolerances {
             goal_position: 1e-3,
             goal_angle: 0.01,
             expected_position: 2e-3,
             expected_angle: 0.02,
+            observation_age: Duration::from_secs(30),
+            reference_residual: 1e-3,
+            reference_seen: 3,
             measurement_std: 1e-3,
             retries: 1,
             settle: Duration::from_millis(100),
@@ -95,7 +100,20 @@ struct Bench {
     cell: Cell,
     robot: RobotState,
     silent: bool,
+    reference: ReferenceCheck,
     now: Timestamp,
+}
+
+/// `count` reference markers, all `shift_m` off along x.
+fn reference(count: u32, shift_m: f64) -> ReferenceCheck {
+    let marker = |id| ReferenceError { id, error_m: [shift_m, 0.0], error_rad: 0.0, views: 1 };
+    ReferenceCheck {
+        markers: (500..500 + count).map(marker).collect(),
+        residual_rms_m: shift_m.abs(),
+        residual_max_m: shift_m.abs(),
+        shift_m: [shift_m, 0.0],
+        turn_rad: 0.0,
+    }
 }
 
 impl Bench {
@@ -121,7 +139,13 @@ impl Bench {
             heartbeat_echo: 0,
             remote_control: Some(true),
         };
-        Bench { cell: Cell::new(model(), 7), robot, silent: false, now: Timestamp::from_secs_f64(1.0) }
+        Bench {
+            cell: Cell::new(model(), 7),
+            robot,
+            silent: false,
+            reference: reference(4, 1e-4),
+            now: Timestamp::from_secs_f64(1.0),
+        }
     }
 
     fn feed(&mut self, input: Input) -> Vec<Action> {
@@ -162,6 +186,11 @@ impl Bench {
         self.feed(Input::Operator(OperatorCommand::Arm));
         let started = self.ticks(20);
         assert!(streams(&started) == 1, "the look begins: {started:?}");
+        self.look()
+    }
+
+    /// The arm is on its way to the look pose; the look ends with `a` at its start.
+    fn look(&mut self) -> Vec<Action> {
         self.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
         let settled = self.ticks(10);
         assert!(settled.iter().any(|action| matches!(action, Action::Capture { .. })), "{settled:?}");
@@ -179,7 +208,8 @@ impl Bench {
             height_std_m: 1e-3,
             time: self.now,
         };
-        let seen = Observation { objects: vec![estimate], ..Observation::default() };
+        let reference = Some(self.reference.clone());
+        let seen = Observation { objects: vec![estimate], reference, ..Observation::default() };
         self.feed(Input::Observed(Ok(Box::new(seen))))
     }
 
@@ -275,4 +305,64 @@ fn shutdown_stops_the_arm_first_and_names_the_job() {
     assert!(matches!(actions.first(), Some(Action::Robot(RobotCommand::Stop))), "{actions:?}");
     assert_eq!(ended(&actions), Some((JobEnd::Interrupted, "shutdown".into())));
     assert_eq!(streams(&bench.ticks(100)), 0);
+}
+
+/// Looks until the job ends; nothing may be asked of the planner or the gripper meanwhile.
+fn ends_without_planning(reference: ReferenceCheck) -> (JobEnd, String) {
+    let mut bench = Bench::new();
+    bench.reference = reference;
+    bench.job(false);
+    let mut all = bench.until_planning();
+    for _ in 0..3 {
+        if let Some(end) = ended(&all) {
+            assert!(!all.iter().any(|a| matches!(a, Action::Plan(_) | Action::Gripper(_))), "{all:?}");
+            return end;
+        }
+        all.extend(bench.look());
+    }
+    panic!("the job did not end: {all:?}");
+}
+
+#[test]
+fn a_bumped_camera_stops_the_job_before_anything_is_picked() {
+    let (end, code) = ends_without_planning(reference(4, 1.2e-3));
+    assert_eq!((end, code.as_str()), (JobEnd::Failed, "calibration_invalid"));
+    let (end, code) = ends_without_planning(reference(4, f64::NAN));
+    assert_eq!((end, code.as_str()), (JobEnd::Failed, "calibration_invalid"));
+}
+
+#[test]
+fn hidden_reference_markers_are_not_taken_for_a_bump() {
+    let (end, code) = ends_without_planning(reference(2, 0.0));
+    assert_eq!((end, code.as_str()), (JobEnd::Failed, "reference_hidden"));
+}
+
+#[test]
+fn keep_out_regions_of_the_cell_reach_the_planner() {
+    let region =
+        KeepOut { footprint: Footprint::disc(0.02).expect("valid"), pose: Pose2::new(0.4, 0.1, 0.0) };
+    let mut bench = Bench::new();
+    bench.cell = Cell::new(CellModel { keep_out: vec![region.clone()], ..model() }, 7);
+    bench.job(false);
+    let asked = bench.until_planning();
+    let request = asked.iter().find_map(|action| match action {
+        Action::Plan(request) => Some(request),
+        _ => None,
+    });
+    assert_eq!(request.expect("a plan is asked for").instance.keep_out, [region]);
+}
+
+#[test]
+fn a_plan_approved_late_waits_for_a_new_look() {
+    let mut bench = Bench::new();
+    bench.job(true);
+    bench.until_planning();
+    bench.plan();
+    bench.now += Duration::from_secs(31);
+    let actions = bench.feed(Input::Operator(OperatorCommand::Approve));
+    let journalled = |actions: &[Action]| actions.iter().any(|action| matches!(action, Action::Journal(_)));
+    assert!(!journalled(&actions), "nothing is picked on an old observation: {actions:?}");
+    assert_eq!(streams(&actions), 1, "the arm goes to look");
+    let actions = bench.look();
+    assert!(journalled(&actions), "the approved plan goes on: {actions:?}");
 }

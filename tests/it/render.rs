@@ -10,7 +10,7 @@ use celld::sim::render::lens::CameraTruth;
 use celld::sim::render::scene::look_at;
 use celld::sim::world::World;
 use celld::sim::world::spec::{CameraMount, Cup, GripperSpec, NominalCell, ObjectMarker, PlacementErrors};
-use celld::sim::world::spec::{ReferenceMarker, TableSpec, TruthSpec, WorldObject, WorldSpec};
+use celld::sim::world::spec::{ReferenceMarker, TableSpec, TruthLimits, TruthSpec, WorldObject, WorldSpec};
 use celld::sim::world::vacuum::{Channel, VacuumMode};
 use celld::vision::camera::CameraModel;
 use celld::vision::cv;
@@ -26,7 +26,8 @@ fn truth(seed: u64) -> TruthSpec {
         mount: CameraMount::Flange(Isometry3::translation(0.0, -0.07, 0.03)),
         camera: CameraTruth::ideal("sim-1", 1280, 720, 650.0),
     };
-    TruthSpec::from_seed(&nominal, seed)
+    let limits = TruthLimits { table_m: 3e-3, table_rad: 5e-3, mount_m: 3e-3, mount_rad: 9e-3 };
+    TruthSpec::from_seed(&nominal, &limits, seed)
 }
 
 /// The camera as OpenCV takes it, through the JSON that the camera server sends.

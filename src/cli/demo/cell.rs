@@ -12,7 +12,8 @@ use crate::config::cell::{
     CalibrationFiles, CameraDevice, CameraMount, CellConfig, CupChannel, CupConfig, Devices, GripperConfig,
     MotionLimits, PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
 };
-use crate::config::simulated::{SimErrors, SimFile, SimPorts};
+use crate::config::read_sim::DEFAULT_ERRORS;
+use crate::config::simulated::{SimFile, SimPorts};
 use crate::daemon::setup::arm_model;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::kinematics::DhParameters;
@@ -57,7 +58,9 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
     let flange_from_camera = Isometry3::translation(0.0, -0.07, 0.03);
     let mut objects = instance.objects.clone();
     for object in &mut objects {
-        object.start = None;
+        if !object.fixed {
+            object.start = None;
+        }
         object.goal = None;
     }
     let mut config = CellConfig {
@@ -157,19 +160,6 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         objects: instance.objects.clone(),
         reference_markers: config.reference_markers.clone(),
         start_pose: config.park_pose,
-        errors: ERRORS,
+        errors: DEFAULT_ERRORS,
     })
 }
-
-/// The documented errors of grip, placing, mounting and arm (one standard deviation).
-const ERRORS: SimErrors = SimErrors {
-    placement_m: 2e-4,
-    placement_rad: 0.1 * std::f64::consts::PI / 180.0,
-    table_m: 3e-3,
-    table_rad: 5e-3,
-    mount_m: 3e-3,
-    mount_rad: 9e-3,
-    dh_m: 3e-4,
-    dh_rad: 5e-4,
-    noise_levels: 2.0,
-};

@@ -52,9 +52,9 @@ const FIRST_TIMESTAMP: f64 = 41.0;
 /// Messages kept for the primary interface until the servers fetch them.
 const MAX_MESSAGES: usize = 1000;
 
-/// Standard deviation of the arm's calibrated parameters about the nominal ones: m, rad.
-const CALIBRATION_STD_M: f64 = 3e-4;
-const CALIBRATION_STD_RAD: f64 = 0.03 / 360.0 * TAU;
+/// Standard deviation of the arm's calibrated parameters about the nominal ones unless asked otherwise: m, rad.
+const CALIBRATION_STD_M: f64 = 5e-4;
+const CALIBRATION_STD_RAD: f64 = 0.05 / 360.0 * TAU;
 
 /// Braking of moves whose program went away, rad/s2.
 const DEFAULT_STOP: f64 = 4.0;
@@ -88,7 +88,7 @@ impl ControllerConfig {
     /// A UR5e with software 5.21, calibrated by `seed`, powered off, in remote control, arm in a work pose.
     pub fn ur5e(seed: u64) -> ControllerConfig {
         ControllerConfig {
-            dh: calibrated_ur5e(seed),
+            dh: calibrated_ur5e(seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD),
             start: Joints([0.0, -1.57, 1.57, -1.57, -1.57, 0.0]),
             serial_number: "20235500001".to_owned(),
             model: "UR5".to_owned(),
@@ -102,17 +102,18 @@ impl ControllerConfig {
     }
 }
 
-/// UR5e parameters with the deltas of one arm: normal with 0.3 mm and 0.03 degrees per parameter.
-pub fn calibrated_ur5e(seed: u64) -> DhParameters {
+/// UR5e parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each length and
+/// `std_rad` (rad) of each angle.
+pub fn calibrated_ur5e(seed: u64, std_m: f64, std_rad: f64) -> DhParameters {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5572_3565);
     // The sum of twelve uniform numbers is normal enough and needs no further crate.
     let mut normal = |std: f64| (0..12).map(|_| rng.random::<f64>() - 0.5).sum::<f64>() * std;
     let mut dh = DhParameters::UR5E;
     for i in 0..6 {
-        dh.a[i] += normal(CALIBRATION_STD_M);
-        dh.d[i] += normal(CALIBRATION_STD_M);
-        dh.alpha[i] += normal(CALIBRATION_STD_RAD);
-        dh.theta[i] += normal(CALIBRATION_STD_RAD);
+        dh.a[i] += normal(std_m);
+        dh.d[i] += normal(std_m);
+        dh.alpha[i] += normal(std_rad);
+        dh.theta[i] += normal(std_rad);
     }
     dh
 }

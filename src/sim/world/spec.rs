@@ -162,6 +162,19 @@ pub struct NominalCell {
     pub camera: CameraTruth,
 }
 
+/// How far the true cell may be from the nominal one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthLimits {
+    /// Table: largest shift along x and y, m; half of it along z.
+    pub table_m: f64,
+    /// Table: largest turn about z, rad; a sixth of it about x and y.
+    pub table_rad: f64,
+    /// Camera mount: largest shift along each axis, m.
+    pub mount_m: f64,
+    /// Camera mount: largest turn about each axis, rad.
+    pub mount_rad: f64,
+}
+
 /// The cell as it is.
 #[derive(Clone, Debug)]
 pub struct TruthSpec {
@@ -176,18 +189,16 @@ pub struct TruthSpec {
 }
 
 impl TruthSpec {
-    /// Deviations by seed, uniform within their limits: table +-3 mm (z 1.5 mm), 0.3 deg about z, 0.05 deg of tilt;
-    /// camera mount +-3 mm and 0.5 deg per axis; focal length +-1 %, principal point +-12 px, Brown-Conrady
-    /// distortion of a short lens; reported intrinsics +-0.02 %.
-    pub fn from_seed(nominal: &NominalCell, seed: u64) -> TruthSpec {
+    /// Deviations by seed, uniform within their limits: table and camera mount as `limits` say; focal length
+    /// +-1 %, principal point +-12 px, Brown-Conrady distortion of a short lens; reported intrinsics +-0.02 %.
+    pub fn from_seed(nominal: &NominalCell, limits: &TruthLimits, seed: u64) -> TruthSpec {
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x7275_7468);
         let mut spread = |limit: f64| rng.random_range(-1.0..=1.0) * limit;
         let table = deviation(
-            [spread(3e-3), spread(3e-3), spread(1.5e-3)],
-            [spread(0.05), spread(0.05), spread(0.3)],
+            [spread(limits.table_m), spread(limits.table_m), spread(0.5 * limits.table_m)],
+            [spread(limits.table_rad / 6.0), spread(limits.table_rad / 6.0), spread(limits.table_rad)],
         );
-        let mount =
-            deviation([spread(3e-3), spread(3e-3), spread(3e-3)], [spread(0.5), spread(0.5), spread(0.5)]);
+        let mount = deviation([limits.mount_m; 3].map(&mut spread), [limits.mount_rad; 3].map(&mut spread));
         let mut camera = nominal.camera.clone();
         camera.fx *= 1.0 + spread(0.01);
         camera.fy = camera.fx * (1.0 + spread(0.002));
@@ -212,9 +223,9 @@ impl TruthSpec {
     }
 }
 
-/// A small transform from a translation in m and rotations about x, y, z in degrees.
-fn deviation(translation_m: [f64; 3], rotation_deg: [f64; 3]) -> Isometry3<f64> {
-    let rotation = Vector3::from(rotation_deg.map(f64::to_radians));
+/// A small transform from a translation in m and rotations about x, y, z in rad.
+fn deviation(translation_m: [f64; 3], rotation_rad: [f64; 3]) -> Isometry3<f64> {
+    let rotation = Vector3::from(rotation_rad);
     Isometry3::from_parts(
         Translation3::from(Vector3::from(translation_m)),
         UnitQuaternion::from_scaled_axis(rotation),
@@ -258,6 +269,22 @@ pub enum WorldError {
 mod tests {
     use super::*;
 
+    const LIMITS: TruthLimits =
+        TruthLimits { table_m: 3e-3, table_rad: 5e-3, mount_m: 3e-3, mount_rad: 9e-3 };
+
+    #[test]
+    fn limits_of_zero_leave_the_nominal_cell_and_larger_ones_scale_it() {
+        let nominal = nominal();
+        let none = TruthLimits { table_m: 0.0, table_rad: 0.0, mount_m: 0.0, mount_rad: 0.0 };
+        let double = TruthLimits { table_m: 6e-3, ..LIMITS };
+        let shift = |limits: &TruthLimits| {
+            let truth = TruthSpec::from_seed(&nominal, limits, 7);
+            (nominal.base_from_table.inverse() * truth.base_from_table).translation.vector
+        };
+        assert_eq!(shift(&none).norm(), 0.0);
+        assert!((shift(&double) - 2.0 * shift(&LIMITS)).norm() < 1e-12);
+    }
+
     fn nominal() -> NominalCell {
         NominalCell {
             base_from_table: Isometry3::translation(-0.25, 0.18, 0.0),
@@ -270,7 +297,7 @@ mod tests {
     fn truth_differs_from_nominal_a_little_and_repeats_by_seed() {
         for seed in 0..50 {
             let nominal = nominal();
-            let truth = TruthSpec::from_seed(&nominal, seed);
+            let truth = TruthSpec::from_seed(&nominal, &LIMITS, seed);
             let table = nominal.base_from_table.inverse() * truth.base_from_table;
             assert!(table.translation.vector.norm() < 5e-3 && table.rotation.angle() < 0.32f64.to_radians());
             assert!(table.translation.vector.norm() > 1e-5);
@@ -278,10 +305,13 @@ mod tests {
                 panic!()
             };
             let mount = a.inverse() * b;
-            assert!(mount.translation.vector.norm() < 6e-3 && mount.rotation.angle() < 0.9f64.to_radians());
+            assert!(mount.translation.vector.norm() < 6e-3 && mount.rotation.angle() < 1.6e-2);
             assert!((truth.reported.fx / truth.camera.fx - 1.0).abs() <= 2e-4);
-            assert_eq!(truth.base_from_table, TruthSpec::from_seed(&nominal, seed).base_from_table);
-            assert_ne!(truth.base_from_table, TruthSpec::from_seed(&nominal, seed + 1).base_from_table);
+            assert_eq!(truth.base_from_table, TruthSpec::from_seed(&nominal, &LIMITS, seed).base_from_table);
+            assert_ne!(
+                truth.base_from_table,
+                TruthSpec::from_seed(&nominal, &LIMITS, seed + 1).base_from_table
+            );
         }
     }
 }
