@@ -185,6 +185,8 @@ fn grip_settings(config: &CellConfig) -> GripSettings {
             (true, false) | (false, false) => Channels::A,
         },
         vacuum_target: VACUUM_TARGET.max(config.gripper.vacuum_min),
+        body_radius: config.gripper.body_polygon.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max),
+        body_above_lips: config.gripper.body_height_m,
         tool_mass: config.gripper.mass_kg,
         tool_centre: Vector3::from(config.gripper.centre_of_gravity_m),
     }

@@ -14,6 +14,7 @@ use crate::supervisor::gates::{self, Closed};
 use crate::supervisor::input::{Action, Input, Notice, OperatorCommand, Outside};
 use crate::supervisor::model::CellModel;
 use crate::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult};
+use crate::supervisor::trouble::motion_speed;
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
 use crate::vision::observe::{Observation, View};
@@ -134,6 +135,10 @@ pub struct Cell {
     pub(crate) seen: Option<Seen>,
     /// When the look behind `seen` was over.
     pub(crate) seen_at: Timestamp,
+    /// Since when the arm has been held in the middle of a motion.
+    pub(crate) held_since: Option<Timestamp>,
+    /// Why the cell cannot be armed until the daemon is started anew.
+    pub(crate) locked: Option<String>,
     /// Nonce of the program uploaded last.
     pub(crate) nonce: Option<Nonce>,
     /// The next nonce is made from this.
@@ -183,6 +188,8 @@ impl Cell {
             job: None,
             seen: None,
             seen_at: Timestamp::ZERO,
+            held_since: None,
+            locked: None,
             nonce: None,
             next_nonce: nonce_seed,
             remaining: Duration::ZERO,
@@ -280,19 +287,33 @@ impl Cell {
     }
 
     fn run_deadline(&mut self, now: Timestamp, outside: &Outside) {
-        let speed = outside.robot.map_or(1.0, |robot| robot.target_speed_fraction.clamp(0.0, 1.0));
+        let speed = if self.follows_a_path() { motion_speed(outside) } else { 1.0 };
         self.remaining = self.remaining.saturating_sub(now.since(self.last_now).mul_f64(speed));
         self.last_now = now;
+    }
+
+    /// True while the phase lasts as long as the arm takes for a path.
+    fn follows_a_path(&self) -> bool {
+        match &self.phase {
+            Phase::Park | Phase::Look(Look { stage: LookStage::Moving, .. }) => true,
+            Phase::Work(work) => {
+                !matches!(work.stage, WorkStage::Gripping | WorkStage::Releasing | WorkStage::GivingUp)
+            }
+            Phase::Ready | Phase::BringUp(_) | Phase::Look(_) | Phase::Plan | Phase::Approve => false,
+        }
     }
 
     pub(crate) fn enter(&mut self, phase: Phase, limit: Duration) {
         self.phase = phase;
         self.remaining = limit;
+        self.waiting_for = None;
     }
 
     fn on_job(&mut self, now: Timestamp, order: JobOrder, out: &mut Vec<Action>) {
         say(out, format!("job {} taken up: {} goals", order.id, order.goals.len()));
         self.waiting_since = now;
+        // What was seen for another job was not judged for this one.
+        self.seen = None;
         self.job = Some(JobRun {
             order,
             started: now,
@@ -312,14 +333,8 @@ impl Cell {
 
     fn on_operator(&mut self, now: Timestamp, command: OperatorCommand, out: &mut Vec<Action>) {
         match command {
-            OperatorCommand::Arm => {
-                self.armed = true;
-                say(out, "armed");
-            }
-            OperatorCommand::Disarm => {
-                self.armed = false;
-                say(out, "disarmed");
-            }
+            OperatorCommand::Arm => self.on_arm(out),
+            OperatorCommand::Disarm => self.on_disarm(out),
             OperatorCommand::Approve => {
                 if let (Phase::Approve, Some(job)) = (&self.phase, &mut self.job) {
                     job.approved = true;
@@ -336,6 +351,9 @@ impl Cell {
                 if let Some(job) = &mut self.job {
                     job.cancel = true;
                 }
+                if matches!(self.phase, Phase::Plan | Phase::Approve) {
+                    self.phase = Phase::Ready;
+                }
             }
             OperatorCommand::Pause => self.paused = true,
             OperatorCommand::Resume => {
@@ -346,10 +364,34 @@ impl Cell {
                 self.paused = false;
                 self.single_step = true;
             }
-            OperatorCommand::Park => self.park_wanted = true,
+            OperatorCommand::Park if self.armed => {
+                self.park_wanted = true;
+                self.waiting_since = now;
+            }
+            OperatorCommand::Park => alarm(out, "the cell is disarmed: it does not park; `celld arm` first"),
             OperatorCommand::Abort => self.on_abort(now, out),
-            OperatorCommand::Release => self.on_release_order(out),
+            OperatorCommand::Release(channels) => self.on_release_order(now, channels, out),
         }
+    }
+
+    fn on_arm(&mut self, out: &mut Vec<Action>) {
+        if let Some(reason) = &self.locked {
+            return alarm(out, format!("not armed: {reason}; end celld, `celld calibrate`, start it again"));
+        }
+        self.armed = true;
+        say(out, "armed");
+    }
+
+    /// What is under way is finished, then nothing moves; whoever disarms may put hands on the table.
+    fn on_disarm(&mut self, out: &mut Vec<Action>) {
+        self.armed = false;
+        self.park_wanted = false;
+        self.seen = None;
+        if matches!(self.phase, Phase::BringUp(_)) {
+            self.phase = Phase::Ready;
+        }
+        let moving = self.follows_a_path() || matches!(self.phase, Phase::Work(_));
+        say(out, if moving { "disarmed once the present motion is over" } else { "disarmed" });
     }
 
     /// Decides what comes next when nothing is under way.
@@ -367,9 +409,10 @@ impl Cell {
         if self.job.is_some() && self.paused {
             return;
         }
-        match gates::any_motion(self.armed, outside, self.nonce) {
-            Ok(()) => self.waiting_for = None,
-            Err(closed) => return self.wait_or_bring_up(now, outside, closed, out),
+        let open =
+            gates::any_motion(self.armed, outside, self.nonce).and_then(|()| gates::empty_handed(outside));
+        if let Err(closed) = open {
+            return self.wait_or_bring_up(now, outside, closed, out);
         }
         if self.seen.is_some() && now.since(self.seen_at) > self.model.tolerances.observation_age {
             say(out, "the table was seen too long ago; looking again");
@@ -394,27 +437,35 @@ impl Cell {
             self.bring_up(outside, out);
             return;
         }
-        if self.waiting_for.as_ref() != Some(&closed) {
-            say(out, format!("waiting: {closed}"));
+        self.wait(now, closed, out);
+    }
+
+    /// Waits for a gate to open; not for ever, unless a person has to arm the cell.
+    pub(crate) fn wait(&mut self, now: Timestamp, closed: Closed, out: &mut Vec<Action>) {
+        let kind = std::mem::discriminant(&closed);
+        if self.waiting_for.as_ref().map(std::mem::discriminant) != Some(kind) {
+            say(out, format!("waiting: {closed}; {}", closed.remedy()));
             self.waiting_since = now;
-            self.waiting_for = Some(closed.clone());
         }
-        if closed != Closed::Disarmed && now.since(self.waiting_since) > NOT_READY_LIMIT {
-            let message = closed.to_string();
-            self.finish(
-                now,
-                JobEnd::Failed,
-                "not_ready",
-                &message,
-                "run `celld doctor`, then submit again",
-                out,
-            );
+        let (message, remedy) = (closed.to_string(), closed.remedy());
+        let patient = closed == Closed::Disarmed;
+        self.waiting_for = Some(closed);
+        if !patient && now.since(self.waiting_since) > NOT_READY_LIMIT {
+            // Nobody shall be surprised by a cell that comes to life when its device does.
+            self.armed = false;
+            self.park_wanted = false;
+            alarm(out, format!("disarmed: {message} for {} s", NOT_READY_LIMIT.as_secs()));
+            self.finish(now, JobEnd::Failed, "not_ready", &message, remedy, out);
         }
     }
 
     /// One round of the bring-up: asks for what is missing, once.
     pub(crate) fn bring_up(&mut self, outside: &Outside, out: &mut Vec<Action>) {
         let (Phase::BringUp(bring_up), Some(robot)) = (&mut self.phase, outside.robot) else { return };
+        if !self.armed {
+            self.phase = Phase::Ready;
+            return;
+        }
         match robot.robot_mode {
             RobotMode::PowerOff if bring_up.asked != Some(RobotMode::PowerOff) => {
                 bring_up.asked = Some(RobotMode::PowerOff);
@@ -433,7 +484,7 @@ impl Cell {
                 out.push(Action::Robot(RobotCommand::SetTcp(tcp)));
                 self.set_payload(0.0, out);
             }
-            RobotMode::Running if !bring_up.program_asked => {
+            RobotMode::Running if !bring_up.program_asked && outside.program_settled => {
                 bring_up.program_asked = true;
                 let nonce = Nonce::new(self.next_nonce);
                 self.next_nonce = self.next_nonce.wrapping_add(1);

@@ -10,8 +10,9 @@ use crate::planning::check::CheckedPlan;
 use crate::planning::plan::{Action as PlanAction, ActionKind};
 use crate::planning::problem::Problem;
 use crate::supervisor::cell::{Cell, JobRun, Look, LookStage, Phase, RouteAction, alarm, say};
+use crate::supervisor::gates;
 use crate::supervisor::input::{Action, JournalEntry, Outside, PlanAnswer, PlanRequest};
-use crate::supervisor::order::JobEnd;
+use crate::supervisor::order::{ApprovalRule, JobEnd};
 use crate::tabletop::instance::{Instance, ObjectSpec};
 use crate::time::Timestamp;
 use crate::units::Joints;
@@ -81,10 +82,31 @@ impl Cell {
             acceleration: cycle.joint_acceleration,
             blend: 0.0,
         };
-        let here = self.model.arm.tool_at(from).translation.vector.z;
-        // After a stop the arm may stand lower than the transfer height: it may leave from there, not dip.
-        let floor = (cycle.tallest + 0.5 * cycle.air).min(here - 1e-3);
-        CheckedPath::new(&self.model.arm, from, &[Leg { segment, floor }])
+        let floor = cycle.tallest + 0.5 * cycle.air;
+        let mut legs = Vec::new();
+        // After a stop the arm may stand between the objects: straight up first, for there is no room aside.
+        if self.model.arm.tool_at(from).translation.vector.z < floor {
+            legs.push(self.straight_up(from)?);
+        }
+        legs.push(Leg { segment, floor });
+        CheckedPath::new(&self.model.arm, from, &legs)
+    }
+
+    /// Vertically to where nothing stands any more.
+    fn straight_up(&self, from: &Joints) -> Result<Leg, crate::motion::path::PathFault> {
+        let cycle = &self.model.cycle;
+        let here = self.model.arm.tool_at(from);
+        let mut above = here;
+        above.translation.vector.z = cycle.tallest + cycle.air;
+        let target = self.model.arm.joints_at(&above, from);
+        let target = target.ok_or_else(|| crate::motion::path::out_of_reach("straight up", &above))?;
+        let segment = Segment::Linear {
+            target,
+            speed: cycle.tool_speed,
+            acceleration: cycle.tool_acceleration,
+            blend: 0.0,
+        };
+        Ok(Leg { segment, floor: here.translation.vector.z - 1e-3 })
     }
 
     pub(crate) fn begin_park(&mut self, outside: &Outside, out: &mut Vec<Action>) {
@@ -152,6 +174,11 @@ impl Cell {
         }
         let next = look.view + 1;
         if next < self.model.look_poses.len() {
+            // Much may have happened since the first pose: a person may have disarmed the cell.
+            if gates::any_motion(self.armed, outside, self.nonce).is_err() {
+                self.phase = Phase::Ready;
+                return;
+            }
             self.begin_look(self.clock(), outside, next, out);
         } else {
             look.stage = LookStage::Observing;
@@ -240,6 +267,10 @@ impl Cell {
 
     fn doubt_objects(&self, observation: &Observation) -> Option<(String, String)> {
         let job = self.job.as_ref()?;
+        if let Some(id) = observation.unknown.first() {
+            let message = format!("marker {id} is on the table and belongs to nothing the cell knows");
+            return Some(("unknown_marker".into(), message));
+        }
         if let Some(duplicate) = observation.duplicates.first() {
             let message =
                 format!("marker {} of {} was seen in two places", duplicate.marker_id, duplicate.id);
@@ -416,7 +447,11 @@ impl Cell {
         }
         job.replans += 1;
         job.route = Some(route);
-        job.approved = !job.order.needs_approval;
+        job.approved = match job.order.approval {
+            ApprovalRule::NoPlan => true,
+            ApprovalRule::FirstPlan => job.approved,
+            ApprovalRule::EveryPlan => false,
+        };
         if !job.approved {
             alarm(out, format!("job {}: the plan waits for approval", job.order.id));
             self.phase = Phase::Approve;
@@ -432,6 +467,10 @@ impl Cell {
             PlanAnswer::Refused(reason) => {
                 let message = format!("the measured table is no valid start: {reason}");
                 self.finish(now, JobEnd::Failed, "bad_start", &message, "separate the objects by hand", out);
+            }
+            PlanAnswer::Unsolvable(reason) => {
+                let remedy = "choose another solver or objective in the job";
+                self.finish(now, JobEnd::Failed, "solver_unfit", reason, remedy, out);
             }
             PlanAnswer::Timeout | PlanAnswer::Found { .. } => {
                 let remedy = "give the job a longer time_limit_s, or clear the table a little";
