@@ -13,7 +13,7 @@ use crate::daemon::calibration_files::CalibrationSet;
 use crate::daemon::hardware::{Addresses, Hardware};
 use crate::daemon::office::StateOffice;
 use crate::daemon::run::{Event, Observer, Shell, Workers, run as run_shell};
-use crate::daemon::setup::{cell_model, eye_parameters, gripper_parameters};
+use crate::daemon::setup::{cell_model, cell_objects, eye_parameters, gripper_parameters};
 use crate::daemon::workers::spawn_eye;
 use crate::device::robot_types::RobotParameters;
 use crate::io::camera::CameraSource;
@@ -58,6 +58,7 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
     let read = load_cell(&args.config).map_err(|error| error.to_string()).and_then(|config| {
         let calibration = CalibrationSet::read(&config)?;
         refuse_recorded_camera(&config)?;
+        cell_objects(&config).map_err(|error| error.to_string())?;
         Ok((config, calibration))
     });
     let (config, calibration) = match read {

@@ -159,6 +159,9 @@ impl Hardware {
         while let Ok(event) = self.events.try_recv() {
             self.take(now, event);
         }
+        if let Some(state) = self.robot.state() {
+            self.clock.heard(state.controller_time_s);
+        }
         self.robot.tick(now);
         self.gripper.tick(now);
         self.flush();

@@ -78,12 +78,7 @@ const REFERENCES_SEEN: usize = 3;
 /// # Errors
 /// What an object of the catalogue lacks.
 pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel, SetupError> {
-    let objects = config
-        .objects
-        .iter()
-        .filter(|object| !object.fixed)
-        .map(|object| cell_object(config, object))
-        .collect::<Result<Vec<_>, _>>()?;
+    let objects = cell_objects(config)?;
     let tallest = config.objects.iter().filter_map(|object| object.height).fold(0.0, f64::max);
     let limits = &config.limits;
     let tolerances = &config.tolerances;
@@ -151,6 +146,15 @@ pub fn cups(config: &CellConfig) -> Vec<Cup> {
     let cup =
         |cup: &crate::config::cell::CupConfig| Cup { x: cup.x_m, y: cup.y_m, radius: cup.diameter_m / 2.0 };
     config.gripper.cups.iter().map(cup).collect()
+}
+
+/// What the cell may move.
+///
+/// # Errors
+/// What an object of the catalogue lacks, or why the gripper cannot carry it.
+pub fn cell_objects(config: &CellConfig) -> Result<Vec<CellObject>, SetupError> {
+    let movable = config.objects.iter().filter(|object| !object.fixed);
+    movable.map(|object| cell_object(config, object)).collect()
 }
 
 fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, SetupError> {

@@ -15,21 +15,49 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 /// deadline still comes.
 const PACE_LOST: Duration = Duration::from_secs(2);
 
-/// How far a simulation has come, written by its frame thread.
+/// Simulated time that the simulation may be ahead of whoever follows its clock: five states at 125 Hz, and well
+/// below the age at which a state counts as stale.
+const LEAD: Duration = Duration::from_millis(40);
+
+/// Stands for "nobody follows".
+const NOBODY: u64 = u64::MAX;
+
+/// How far a simulation has come, written by its frame thread, and how far a daemon in the same process has heard
+/// of it.
 #[derive(Debug)]
 pub struct Pace {
     start: Instant,
+    /// The controller's own time at simulated time zero, s.
+    epoch_s: f64,
     simulated_us: AtomicU64,
     wall_us: AtomicU64,
-}
-
-impl Default for Pace {
-    fn default() -> Pace {
-        Pace { start: Instant::now(), simulated_us: AtomicU64::new(0), wall_us: AtomicU64::new(0) }
-    }
+    heard_us: AtomicU64,
 }
 
 impl Pace {
+    /// A simulation that starts now, its controller's clock at `epoch_s`.
+    pub fn new(epoch_s: f64) -> Pace {
+        Pace {
+            start: Instant::now(),
+            epoch_s,
+            simulated_us: AtomicU64::new(0),
+            wall_us: AtomicU64::new(0),
+            heard_us: AtomicU64::new(NOBODY),
+        }
+    }
+
+    /// True while whoever follows has not yet heard of what happened [`LEAD`] ago: the simulation has to wait.
+    pub fn ahead(&self) -> bool {
+        let heard = self.heard_us.load(Ordering::Relaxed);
+        heard != NOBODY
+            && self.simulated_us.load(Ordering::Relaxed).saturating_sub(heard) > LEAD.as_micros() as u64
+    }
+
+    /// Waits no longer, until the follower is heard of again.
+    pub fn give_up(&self) {
+        self.heard_us.store(NOBODY, Ordering::Relaxed);
+    }
+
     /// Notes that so much simulated time is over.
     pub fn reached(&self, simulated: Duration) {
         self.simulated_us.store(simulated.as_micros() as u64, Ordering::Relaxed);
@@ -89,6 +117,14 @@ impl Clock {
         }
     }
 
+    /// Tells a simulation in this process that its state of controller time `at_s` has been taken in.
+    pub fn heard(&self, at_s: f64) {
+        if let Source::Paced(pace, _) = &self.source {
+            let heard = ((at_s - pace.epoch_s).max(0.0) * 1e6) as u64;
+            pace.heard_us.store(heard.min(NOBODY - 1), Ordering::Relaxed);
+        }
+    }
+
     /// How much faster than the machine's clock this one runs.
     pub fn factor(&self) -> f64 {
         self.factor
@@ -131,7 +167,7 @@ mod tests {
 
     #[test]
     fn a_paced_clock_stands_with_its_simulation_and_never_goes_back() {
-        let pace = Arc::new(Pace::default());
+        let pace = Arc::new(Pace::new(41.0));
         let clock = Clock::paced(pace.clone(), 5.0);
         pace.reached(Duration::from_secs(3));
         let at = |seconds: f64| Timestamp::from_secs_f64(seconds);
@@ -141,6 +177,22 @@ mod tests {
         // As after a stall during which the clock went on by itself.
         pace.reached(Duration::from_secs(1));
         assert_eq!(clock.now(), at(4.0));
+    }
+
+    #[test]
+    fn the_simulation_waits_for_its_follower_and_only_for_one() {
+        let pace = Arc::new(Pace::new(41.0));
+        let clock = Clock::paced(pace.clone(), 5.0);
+        pace.reached(Duration::from_secs(3));
+        assert!(!pace.ahead(), "nobody follows yet");
+        clock.heard(43.9);
+        assert!(pace.ahead(), "100 ms are too many");
+        clock.heard(43.98);
+        assert!(!pace.ahead());
+        clock.heard(43.9);
+        pace.give_up();
+        assert!(!pace.ahead());
+        Clock::new(5.0).heard(1.0);
     }
 
     #[test]

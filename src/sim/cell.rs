@@ -28,6 +28,9 @@ use tokio::task::JoinSet;
 /// Longest that simulated time is held for a client, wall time.
 const LONGEST_HOLD: Duration = Duration::from_millis(250);
 
+/// Longest that simulated time waits for a daemon that follows it, wall time; below `io::clock`'s own patience.
+const LONGEST_WAIT: Duration = Duration::from_millis(1500);
+
 /// How often a held frame looks whether it may go on.
 const HOLD_POLL: Duration = Duration::from_micros(200);
 
@@ -151,7 +154,8 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         let control = control_server::serve(listener, world.clone(), until(&stopped));
         tasks.spawn(async move { report("control server", control.await) });
     }
-    let (pace, held_us) = (Arc::new(Pace::default()), Arc::new(AtomicU64::new(0)));
+    let (pace, held_us) =
+        (Arc::new(Pace::new(robot.controller().core.timestamp())), Arc::new(AtomicU64::new(0)));
     let frames = {
         let (robot, world) = (robot.clone(), world.clone());
         let (pace, held_us) = (pace.clone(), held_us.clone());
@@ -286,6 +290,7 @@ fn run_frames(
             let held = hold(robot, stopped);
             held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
         }
+        wait_for_follower(pace, held_us, stopped);
         robot.frame();
         step_world(robot, world);
         frames += 1;
@@ -294,6 +299,20 @@ fn run_frames(
         if !wait.is_zero() {
             std::thread::sleep(wait);
         }
+    }
+}
+
+/// Waits for a daemon in the same process that reads this simulation's clock; what it has not heard of must not look
+/// stale to it.
+fn wait_for_follower(pace: &Pace, held_us: &AtomicU64, stopped: &watch::Receiver<bool>) {
+    let start = Instant::now();
+    while pace.ahead() {
+        if start.elapsed() >= LONGEST_WAIT || *stopped.borrow() {
+            pace.give_up();
+            break;
+        }
+        std::thread::sleep(HOLD_POLL);
+        held_us.fetch_add(HOLD_POLL.as_micros() as u64, Ordering::Relaxed);
     }
 }
 

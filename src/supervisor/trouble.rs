@@ -19,7 +19,7 @@ impl Cell {
     pub(crate) fn watch(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
         self.watch_settling(now, outside, out);
         self.bring_up(outside, out);
-        if let Some(message) = motion_trouble(outside).filter(|_| self.moving()) {
+        if let Some(message) = motion_trouble(now, outside).filter(|_| self.moving()) {
             return self.stop_all(now, JobEnd::Interrupted, "robot_stopped", &message, out);
         }
         if self.held_for(now, outside) > LONGEST_PAUSE {
@@ -166,10 +166,10 @@ pub(crate) fn motion_speed(outside: &Outside) -> f64 {
 }
 
 /// What in the robot's state forbids going on with a motion.
-fn motion_trouble(outside: &Outside) -> Option<String> {
+fn motion_trouble(now: Timestamp, outside: &Outside) -> Option<String> {
     let Some(robot) = outside.robot else { return Some("the robot was never heard of".to_string()) };
     if outside.robot_silent {
-        Some("the robot's state stopped coming".to_string())
+        Some(format!("the robot's state stopped coming {:.2} s ago", now.since(robot.received).as_secs_f64()))
     } else if !matches!(robot.safety_mode, SafetyMode::Normal | SafetyMode::Reduced) {
         Some(format!("safety mode {:?}", robot.safety_mode))
     } else if robot.robot_mode != RobotMode::Running {

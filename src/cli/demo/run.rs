@@ -11,7 +11,7 @@ use crate::config::cell::CellConfig;
 use crate::daemon::calibrate::{Eye, Setting, measure, solve};
 use crate::daemon::hardware::{Addresses, Hardware};
 use crate::daemon::run::{Office, Shell, Workers, run};
-use crate::daemon::setup::{Measured, cell_model, eye_parameters, gripper_parameters};
+use crate::daemon::setup::{Measured, cell_model, cell_objects, eye_parameters, gripper_parameters};
 use crate::daemon::workers::spawn_eye;
 use crate::device::program::Nonce;
 use crate::device::robot_types::RobotParameters;
@@ -68,6 +68,7 @@ pub async fn demo(
     stop: Arc<AtomicBool>,
 ) -> Result<DemoOutcome, String> {
     let mut config = cell_config(instance, choice, out)?;
+    cell_objects(&config).map_err(|error| error.to_string())?;
     let file = sim_file(instance, &config, choice)?;
     let sim = start(sim_config(&file, choice.bind, RobotPorts::ANY)).await.map_err(|error| chain(&error))?;
     config.devices.gripper_port = sim.addresses.modbus.port();
