@@ -198,8 +198,9 @@ mod tests {
     #[test]
     fn a_simulation_that_has_died_does_not_stop_the_clock() {
         let start = Instant::now().checked_sub(Duration::from_secs(10)).expect("the machine runs that long");
-        let pace =
-            Pace { start, simulated_us: AtomicU64::new(1_000_000), wall_us: AtomicU64::new(1_000_000) };
+        let pace = Pace { start, ..Pace::new(0.0) };
+        pace.simulated_us.store(1_000_000, Ordering::Relaxed);
+        pace.wall_us.store(1_000_000, Ordering::Relaxed);
         // 9 s of silence, 7 beyond the patience, at factor 2.
         let now = pace.now(2.0).as_secs_f64();
         assert!((15.0..16.0).contains(&now), "{now}");

@@ -7,11 +7,11 @@
 
 use crate::device::gripper::GripperEvent;
 use crate::device::program::Nonce;
-use crate::device::robot_types::{RobotCommand, RobotEvent};
-use crate::geometry::pose::{Pose2, ur_pose_from_isometry};
+use crate::device::robot_types::RobotEvent;
+use crate::geometry::pose::Pose2;
 use crate::motion::pick_n_place::PickNPlacePaths;
 use crate::supervisor::gates::{self, Closed};
-use crate::supervisor::input::{Action, Input, Notice, OperatorCommand, Outside};
+use crate::supervisor::input::{Action, Input, Notice, Outside};
 use crate::supervisor::model::CellModel;
 use crate::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult};
 use crate::supervisor::trouble::motion_speed;
@@ -142,13 +142,13 @@ pub struct Cell {
     /// Nonce of the program uploaded last.
     pub(crate) nonce: Option<Nonce>,
     /// The next nonce is made from this.
-    next_nonce: u64,
+    pub(crate) next_nonce: u64,
     /// Time the phase may still take at full speed.
     pub(crate) remaining: Duration,
     last_now: Timestamp,
     /// Reason for waiting that was said last, so that it is said once.
-    waiting_for: Option<Closed>,
-    waiting_since: Timestamp,
+    pub(crate) waiting_for: Option<Closed>,
+    pub(crate) waiting_since: Timestamp,
 }
 
 /// How the cell looks from outside.
@@ -167,12 +167,6 @@ pub struct Status {
     /// Pick-n-places its present plan still has.
     pub remaining_moves: usize,
 }
-
-/// How long a closed gate, other than a disarmed cell, may hold up a job before it fails.
-const NOT_READY_LIMIT: Duration = Duration::from_secs(60);
-
-/// How long powering up or starting the program may take.
-pub(crate) const BRING_UP_LIMIT: Duration = Duration::from_secs(30);
 
 impl Cell {
     /// A disarmed cell without a job. `nonce_seed` must differ from run to run.
@@ -293,7 +287,7 @@ impl Cell {
     }
 
     /// True while the phase lasts as long as the arm takes for a path.
-    fn follows_a_path(&self) -> bool {
+    pub(crate) fn follows_a_path(&self) -> bool {
         match &self.phase {
             Phase::Park | Phase::Look(Look { stage: LookStage::Moving, .. }) => true,
             Phase::Work(work) => {
@@ -331,69 +325,6 @@ impl Cell {
         });
     }
 
-    fn on_operator(&mut self, now: Timestamp, command: OperatorCommand, out: &mut Vec<Action>) {
-        match command {
-            OperatorCommand::Arm => self.on_arm(out),
-            OperatorCommand::Disarm => self.on_disarm(out),
-            OperatorCommand::Approve => {
-                if let (Phase::Approve, Some(job)) = (&self.phase, &mut self.job) {
-                    job.approved = true;
-                    self.phase = Phase::Ready;
-                }
-            }
-            OperatorCommand::Reject => {
-                if matches!(self.phase, Phase::Approve) {
-                    self.phase = Phase::Ready;
-                    self.finish(now, JobEnd::Cancelled, "plan_rejected", "the plan was rejected", "", out);
-                }
-            }
-            OperatorCommand::Cancel => {
-                if let Some(job) = &mut self.job {
-                    job.cancel = true;
-                }
-                if matches!(self.phase, Phase::Plan | Phase::Approve) {
-                    self.phase = Phase::Ready;
-                }
-            }
-            OperatorCommand::Pause => self.paused = true,
-            OperatorCommand::Resume => {
-                self.paused = false;
-                self.single_step = false;
-            }
-            OperatorCommand::Step => {
-                self.paused = false;
-                self.single_step = true;
-            }
-            OperatorCommand::Park if self.armed => {
-                self.park_wanted = true;
-                self.waiting_since = now;
-            }
-            OperatorCommand::Park => alarm(out, "the cell is disarmed: it does not park; `celld arm` first"),
-            OperatorCommand::Abort => self.on_abort(now, out),
-            OperatorCommand::Release(channels) => self.on_release_order(now, channels, out),
-        }
-    }
-
-    fn on_arm(&mut self, out: &mut Vec<Action>) {
-        if let Some(reason) = &self.locked {
-            return alarm(out, format!("not armed: {reason}; end celld, `celld calibrate`, start it again"));
-        }
-        self.armed = true;
-        say(out, "armed");
-    }
-
-    /// What is under way is finished, then nothing moves; whoever disarms may put hands on the table.
-    fn on_disarm(&mut self, out: &mut Vec<Action>) {
-        self.armed = false;
-        self.park_wanted = false;
-        self.seen = None;
-        if matches!(self.phase, Phase::BringUp(_)) {
-            self.phase = Phase::Ready;
-        }
-        let moving = self.follows_a_path() || matches!(self.phase, Phase::Work(_));
-        say(out, if moving { "disarmed once the present motion is over" } else { "disarmed" });
-    }
-
     /// Decides what comes next when nothing is under way.
     fn pursue(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
         if !matches!(self.phase, Phase::Ready) || self.shutting_down {
@@ -425,84 +356,6 @@ impl Cell {
         } else {
             self.compare_and_continue(now, outside, out);
         }
-    }
-
-    /// The robot is not ready to move: bring it up if that is what is missing, else wait, but not for ever.
-    fn wait_or_bring_up(&mut self, now: Timestamp, outside: &Outside, closed: Closed, out: &mut Vec<Action>) {
-        let can_start = self.armed
-            && outside.robot_fresh
-            && outside.robot.is_some_and(|robot| robot.remote_control == Some(true));
-        if can_start && matches!(closed, Closed::Mode(_) | Closed::Program) {
-            self.enter(Phase::BringUp(BringUp::default()), BRING_UP_LIMIT);
-            self.bring_up(outside, out);
-            return;
-        }
-        self.wait(now, closed, out);
-    }
-
-    /// Waits for a gate to open; not for ever, unless a person has to arm the cell.
-    pub(crate) fn wait(&mut self, now: Timestamp, closed: Closed, out: &mut Vec<Action>) {
-        let kind = std::mem::discriminant(&closed);
-        if self.waiting_for.as_ref().map(std::mem::discriminant) != Some(kind) {
-            say(out, format!("waiting: {closed}; {}", closed.remedy()));
-            self.waiting_since = now;
-        }
-        let (message, remedy) = (closed.to_string(), closed.remedy());
-        let patient = closed == Closed::Disarmed;
-        self.waiting_for = Some(closed);
-        if !patient && now.since(self.waiting_since) > NOT_READY_LIMIT {
-            // Nobody shall be surprised by a cell that comes to life when its device does.
-            self.armed = false;
-            self.park_wanted = false;
-            alarm(out, format!("disarmed: {message} for {} s", NOT_READY_LIMIT.as_secs()));
-            self.finish(now, JobEnd::Failed, "not_ready", &message, remedy, out);
-        }
-    }
-
-    /// One round of the bring-up: asks for what is missing, once.
-    pub(crate) fn bring_up(&mut self, outside: &Outside, out: &mut Vec<Action>) {
-        let (Phase::BringUp(bring_up), Some(robot)) = (&mut self.phase, outside.robot) else { return };
-        if !self.armed {
-            self.phase = Phase::Ready;
-            return;
-        }
-        match robot.robot_mode {
-            RobotMode::PowerOff if bring_up.asked != Some(RobotMode::PowerOff) => {
-                bring_up.asked = Some(RobotMode::PowerOff);
-                out.push(Action::Robot(RobotCommand::PowerOn));
-            }
-            RobotMode::Idle if bring_up.asked != Some(RobotMode::Idle) => {
-                bring_up.asked = Some(RobotMode::Idle);
-                out.push(Action::Robot(RobotCommand::ReleaseBrakes));
-            }
-            RobotMode::Running
-                if bring_up.program_asked
-                    && self.nonce.is_some_and(|nonce| robot.nonce == nonce.number()) =>
-            {
-                self.phase = Phase::Ready;
-                let tcp = ur_pose_from_isometry(&self.model.arm.flange_from_tool);
-                out.push(Action::Robot(RobotCommand::SetTcp(tcp)));
-                self.set_payload(0.0, out);
-            }
-            RobotMode::Running if !bring_up.program_asked && outside.program_settled => {
-                bring_up.program_asked = true;
-                let nonce = Nonce::new(self.next_nonce);
-                self.next_nonce = self.next_nonce.wrapping_add(1);
-                self.nonce = Some(nonce);
-                out.push(Action::Robot(RobotCommand::StartProgram { nonce }));
-            }
-            _ => {}
-        }
-    }
-
-    /// Tells the controller what hangs on the flange: the gripper and `mass` kg below the cups.
-    pub(crate) fn set_payload(&self, mass: f64, out: &mut Vec<Action>) {
-        let grip = &self.model.grip;
-        let tool = self.model.arm.flange_from_tool.translation.vector;
-        let total = grip.tool_mass + mass;
-        let centre = (grip.tool_centre * grip.tool_mass + tool * mass) / total;
-        let centre_of_gravity_m = [centre.x, centre.y, centre.z];
-        out.push(Action::Robot(RobotCommand::SetPayload { mass_kg: total, centre_of_gravity_m }));
     }
 
     fn on_robot(&mut self, now: Timestamp, outside: &Outside, event: RobotEvent, out: &mut Vec<Action>) {
