@@ -10,7 +10,7 @@ use crate::device::gripper::{Channels, GripperParameters};
 use crate::motion::kinematics::DhParameters;
 use crate::motion::path::{ArmLimits, ArmModel};
 use crate::motion::pick_n_place::CycleParameters;
-use crate::supervisor::model::{CellModel, CellObject, GripSettings, Tolerances};
+use crate::supervisor::model::{CellModel, CellObject, DeviceAddresses, GripSettings, Tolerances};
 use crate::tabletop::instance::{ObjectSpec, Workspace};
 use crate::tabletop::room::{Cup, Grip, place_for_cups};
 use crate::time::Duration;
@@ -82,7 +82,12 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
     let tallest = config.objects.iter().filter_map(|object| object.height).fold(0.0, f64::max);
     let limits = &config.limits;
     let tolerances = &config.tolerances;
+    let devices = &config.devices;
     Ok(CellModel {
+        addresses: DeviceAddresses {
+            robot: devices.robot_host.clone(),
+            gripper: format!("{}:{}", devices.gripper_host, devices.gripper_port),
+        },
         arm: arm_model(config, measured.dh, measured.base_from_table),
         cycle: CycleParameters {
             tallest,

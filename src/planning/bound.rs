@@ -29,13 +29,19 @@ pub struct LowerBound {
 }
 
 /// Arc i -> j exactly when i at its own goal and j at its start may not stand at once. Vertices are the
-/// problem's objects; those that are fixed have no arcs, those without a goal no outgoing ones.
+/// problem's objects; those that are fixed have no arcs, those without a goal no outgoing ones, and neither have
+/// those that start at their goal: they may stay, and a pair of starts is never refused.
 pub fn start_goal_graph(scene: &Scene) -> DependencyGraph {
     let objects = &scene.problem.objects;
     DependencyGraph::from_fn(objects.len(), |i, j| {
         let movable = !objects[i].fixed && !objects[j].fixed;
-        movable && scene.goal(i).is_some_and(|goal| !scene.clear(goal, scene.start(j)))
+        movable && !stays(scene, i) && scene.goal(i).is_some_and(|goal| !scene.clear(goal, scene.start(j)))
     })
+}
+
+/// True when the object starts at its goal, angles modulo a full turn.
+fn stays(scene: &Scene, i: usize) -> bool {
+    scene.goal(i).is_some_and(|goal| goal.pose.same(&scene.start(i).pose))
 }
 
 /// The bound for the given cost of one move of each object of the problem.
@@ -94,7 +100,7 @@ fn blocking(
 
 fn must_move(scene: &Scene, i: usize, blocking: ObjectSet) -> bool {
     match scene.goal(i) {
-        Some(goal) => !goal.pose.same(&scene.start(i).pose),
+        Some(_) => !stays(scene, i),
         None => blocking.contains(i),
     }
 }

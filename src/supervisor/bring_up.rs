@@ -36,14 +36,23 @@ impl Cell {
         self.wait(now, closed, out);
     }
 
+    /// What keeps a gate closed, with the address of the device that is to blame.
+    fn place(&self, closed: &Closed) -> String {
+        match closed {
+            Closed::Stale => format!("{closed} ({})", self.model.addresses.robot),
+            Closed::Gripper => format!("{closed} ({})", self.model.addresses.gripper),
+            _ => closed.to_string(),
+        }
+    }
+
     /// Waits for a gate to open; not for ever, unless a person has to arm the cell.
     pub(crate) fn wait(&mut self, now: Timestamp, closed: Closed, out: &mut Vec<Action>) {
         let kind = std::mem::discriminant(&closed);
         if self.waiting_for.as_ref().map(std::mem::discriminant) != Some(kind) {
-            say(out, format!("waiting: {closed}; {}", closed.remedy()));
+            say(out, format!("waiting: {}; {}", self.place(&closed), closed.remedy()));
             self.waiting_since = now;
         }
-        let (message, remedy) = (closed.to_string(), closed.remedy());
+        let (message, remedy) = (self.place(&closed), closed.remedy());
         let patient = closed == Closed::Disarmed;
         self.waiting_for = Some(closed);
         if !patient && now.since(self.waiting_since) > NOT_READY_LIMIT {

@@ -15,7 +15,7 @@ impl Closed {
     pub fn remedy(&self) -> &'static str {
         match self {
             Closed::Stale => {
-                "see that the controller is on and in the network: `devices.robot` in the configuration"
+                "see that the controller is on and in the network: `devices.robot` in the configuration, `ping` it"
             }
             Closed::Safety(_) => "clear the stop at the pendant once the cell is safe, then `celld arm`",
             Closed::Mode(_) => {
@@ -25,7 +25,7 @@ impl Closed {
             Closed::Program => "look at the pendant for the program's error, then `celld arm`",
             Closed::Disarmed => "`celld arm` once the cell is clear",
             Closed::Gripper => {
-                "see that the gripper's Compute Box is on and in the network: `devices.gripper` in the configuration"
+                "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, `ping` it"
             }
             Closed::Holding(_) => "hold the object by hand, then `celld release --yes`",
             Closed::NotObserved | Closed::NotApproved => "nothing: the cell goes on by itself",

@@ -82,9 +82,20 @@ pub struct GripSettings {
     pub tool_centre: Vector3<f64>,
 }
 
+/// Where the devices are, for the sentences of whoever waits for them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceAddresses {
+    /// Host of the controller.
+    pub robot: String,
+    /// Host and port of the gripper's Compute Box.
+    pub gripper: String,
+}
+
 /// The cell.
 #[derive(Clone, Debug)]
 pub struct CellModel {
+    /// Where the devices are.
+    pub addresses: DeviceAddresses,
     /// Arm, table pose and limits.
     pub arm: ArmModel,
     /// Heights and speeds of a cycle; `tallest` covers every object of the catalogue.

@@ -12,7 +12,7 @@ use crate::planning::plan::{Action as PlanAction, ActionKind, Objective};
 use crate::planning::solver::SolverKind;
 use crate::supervisor::cell::Cell;
 use crate::supervisor::input::{Action, Input, OperatorCommand, Outside, PlanAnswer};
-use crate::supervisor::model::{CellModel, CellObject, GripSettings, Tolerances};
+use crate::supervisor::model::{CellModel, CellObject, DeviceAddresses, GripSettings, Tolerances};
 use crate::supervisor::order::{ApprovalRule, JobEnd, JobOrder};
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::{Duration, Timestamp};
@@ -38,6 +38,7 @@ fn model() -> CellModel {
         grip_yaw: None,
     };
     CellModel {
+        addresses: DeviceAddresses { robot: "10.0.0.2".into(), gripper: "10.0.0.3:502".into() },
         arm: ArmModel {
             dh: DhParameters::UR5E,
             base_from_table: Isometry3::translation(-0.25, 0.18, 0.0),

@@ -144,7 +144,9 @@ fn a_gripper_that_does_not_answer_is_told_and_the_job_ends_in_time() {
     bench.job(false);
     bench.feed(Input::Operator(OperatorCommand::Arm));
     let soon = bench.ticks(50);
-    assert!(said(&soon, "the gripper does not answer") && said(&soon, "devices.gripper"), "{soon:?}");
+    for part in ["the gripper does not answer", "10.0.0.3:502", "devices.gripper", "ping"] {
+        assert!(said(&soon, part), "{part}: {soon:?}");
+    }
     assert_eq!(soon.iter().filter(|action| matches!(action, Action::Say(_))).count(), 1, "once: {soon:?}");
     let later = bench.ticks(3100);
     assert_eq!(ended(&later), Some((JobEnd::Failed, "not_ready".into())));
