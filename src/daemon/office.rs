@@ -7,6 +7,7 @@
 use crate::config::cell::CellConfig;
 use crate::daemon::run::Office;
 use crate::io::clock::unix_now_s;
+use crate::io::files::read_regular;
 use crate::jobs::command::{Command, Inbox, Reply};
 use crate::jobs::goal::GoalContext;
 use crate::jobs::job_file::{JobContext, read_for_spool};
@@ -36,6 +37,9 @@ pub enum OfficeError {
     #[error("the command folder cannot be used")]
     Files(#[from] crate::io::files::FileError),
 }
+
+/// Largest goal file read, bytes: a thousand objects with outlines of some dozen corners.
+const GOAL_MAX_BYTES: u64 = 1 << 20;
 
 /// The open office.
 pub struct StateOffice {
@@ -111,8 +115,10 @@ impl StateOffice {
         let folder = config.goal_folder.clone();
         let obstacles = config.obstacles();
         let read_goal = move |name: &str| {
-            let path = folder.join(name);
-            std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))
+            // The name stays below the folder; what is there must not hold up the control loop all the same.
+            read_regular(&folder.join(name), GOAL_MAX_BYTES)
+                .map(|(text, _)| text)
+                .map_err(|error| error.reason())
         };
         let context = JobContext {
             goal: Some(GoalContext {
@@ -120,7 +126,7 @@ impl StateOffice {
                 width_m: config.workspace.width_m,
                 height_m: config.workspace.height_m,
                 keep_out: &obstacles,
-                overlap_tolerance_m: config.tolerances.goal_position_m,
+                overlap_tolerance_m: CellConfig::goal_overlap_tolerance_m(),
             }),
             approval: config.approval,
             read_goal: &read_goal,
@@ -219,7 +225,6 @@ impl StateOffice {
         let objective = match spec.objective.unwrap_or(planner.objective) {
             JobObjective::Pp => Objective::Pp,
             JobObjective::Ti => Objective::Ti,
-            JobObjective::Time => Objective::Time,
         };
         let solver = spec.solver.as_deref().unwrap_or(&planner.solver);
         let seconds = spec.time_limit_s.unwrap_or(planner.time_limit_s);

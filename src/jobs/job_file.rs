@@ -9,11 +9,12 @@ use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaint, Complaints, Location, parse};
 use crate::geometry::pose::Pose2;
 use crate::jobs::goal::{GoalContext, GoalEntry, check_goal, decode_goal, parse_goal_file};
-use crate::jobs::policy::{Approval, JobObjective, SOLVER_WORDS};
+use crate::jobs::policy::{Approval, decode_objective, decode_solver};
 use crate::jobs::record::{GoalPose, JobSpec, quoted};
 use crate::jobs::spool::{Refusal, RefusalDetail, is_plain_name};
 use crate::jobs::utc;
 use std::fmt::Write as _;
+use std::path::{Component, Path};
 
 /// Keys of a job file.
 const KEYS: [&str; 11] = [
@@ -84,11 +85,9 @@ fn decode_job(
     let goal = fields
         .required("goal", decoder)
         .and_then(|at| decode_goal_source(decoder, &at, context, goal_complaints));
-    let words: Vec<_> = SOLVER_WORDS.iter().map(|word| (*word, *word)).collect();
-    let objectives = [JobObjective::Pp, JobObjective::Ti, JobObjective::Time].map(|o| (o.word(), o));
     let id = fields.optional("id").and_then(|at| decode_id(decoder, &at));
-    let objective = fields.optional("objective").and_then(|at| decoder.choice(&at, &objectives));
-    let solver = fields.optional("solver").and_then(|at| decoder.choice(&at, &words));
+    let objective = fields.optional("objective").and_then(|at| decode_objective(decoder, &at));
+    let solver = fields.optional("solver").and_then(|at| decode_solver(decoder, &at));
     let time_limit_s =
         fields.optional("time_limit_s").and_then(|at| decoder.number_in(&at, 0.001..=MAX_TIME_LIMIT_S, "s"));
     let seed = fields.optional("seed").and_then(|at| decoder.integer(&at, 0..=i64::MAX));
@@ -158,10 +157,17 @@ fn decode_goal_source(
         }
         (Some(file), None) => {
             let path = decoder.text(&file)?;
+            if !stays_below(&path) {
+                let help = "name a file in the goal folder or below it: no leading /, no ..";
+                decoder.complain_at(&file, format!("{path:?} leads out of the goal folder"), help);
+                return None;
+            }
             match goal_of_file(&path, context) {
                 Ok(goal) => Some(goal),
                 Err(GoalFault::Unreadable(reason)) => {
-                    let help = "write an absolute path, or one relative to the cell's goal folder";
+                    let help = "name a file relative to the goal folder (here: the job file's own)";
+                    let help =
+                        if context.goal.is_some() { "name a file of the cell's goal_folder" } else { help };
                     decoder.complain_at(&file, format!("{path}: {reason}"), help);
                     None
                 }
@@ -183,6 +189,19 @@ fn decode_goal_source(
     }
 }
 
+/// True for a path that leads to a file in the folder it is joined to, or below it.
+fn stays_below(path: &str) -> bool {
+    let mut named = false;
+    for component in Path::new(path).components() {
+        match component {
+            Component::Normal(_) => named = true,
+            Component::CurDir => {}
+            Component::Prefix(_) | Component::RootDir | Component::ParentDir => return false,
+        }
+    }
+    named
+}
+
 enum GoalFault {
     Unreadable(String),
     Complaints(Complaints),
@@ -195,7 +214,7 @@ fn goal_of_file(path: &str, context: &JobContext) -> Result<Vec<GoalPose>, GoalF
 }
 
 fn poses(entries: Vec<GoalEntry>) -> Vec<GoalPose> {
-    entries.into_iter().map(|entry| entry.goal).collect()
+    entries.into_iter().filter_map(GoalEntry::into_goal).collect()
 }
 
 /// [`read_job`] in the words of the spool.
@@ -278,6 +297,9 @@ pub fn goal_yaml<'a>(goal: impl Iterator<Item = (&'a str, Pose2)>, indent: &str)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::footprint::Footprint;
+    use crate::jobs::policy::JobObjective;
+    use crate::tabletop::instance::ObjectSpec;
     use proptest::prelude::*;
 
     fn no_file(path: &str) -> Result<String, String> {
@@ -354,7 +376,15 @@ rerun: true
         check_complaint("version: 1\ngoal: {objects: []}\n", "goal.objects: 0 objects");
         let with = |line: &str| format!("version: 1\ngoal: {{file: goal.yaml}}\n{line}\n");
         check_complaint(&with("objctive: pp"), "3:1: objctive: unknown key; did you mean \"objective\"?");
-        check_complaint(&with("objective: fast"), "3:12: objective: \"fast\"");
+        check_complaint(
+            &with("objective: fast"),
+            "3:12: objective: \"fast\" is not known here; one of: pp, ti",
+        );
+        check_complaint(
+            &with("objective: time"),
+            "3:12: objective: \"time\" is not built yet; one of: pp, ti",
+        );
+        check_complaint(&with("solver: auto"), "3:9: solver: \"auto\" is not built yet; one of: tbm, rbm");
         check_complaint(&with("time_limit_s: 0"), "time_limit_s: 0 s is out of range");
         check_complaint(&with("time_limit_s: .nan"), ".nan is not a finite number");
         check_complaint(&with("seed: -1"), "seed: -1 is out of range");
@@ -363,6 +393,52 @@ rerun: true
         check_complaint(&with("approval: never"), "a job may only be stricter");
         let several = read(&with("seed: x\npriority: y")).unwrap_err();
         assert_eq!(several.0.len(), 2, "{several}");
+    }
+
+    #[test]
+    fn a_goal_file_outside_the_goal_folder_is_not_even_asked_for() {
+        let asked = |path: &str| -> Result<String, String> { panic!("{path} was read") };
+        let context = JobContext { goal: None, approval: Approval::Job, read_goal: &asked };
+        for path in ["/dev/zero", "../goal.yaml", "below/../../goal.yaml", ".", "''"] {
+            let text = format!("version: 1\ngoal: {{file: {path}}}\nseed: x\n");
+            let told = read_job(&text, "job.yaml", &context).unwrap_err().to_string();
+            assert!(told.contains("job.yaml:2:14: goal.file: ") && told.contains("leads out of"), "{told}");
+            assert!(told.contains("seed: \"x\" is not a whole number"), "{told}");
+        }
+        assert!(stays_below("goals/monday.yaml") && stays_below("./goal.yaml"));
+    }
+
+    #[test]
+    fn a_job_is_judged_whole_although_one_pose_is_wrong() {
+        let spec = |id: &str| ObjectSpec::new(id, Footprint::disc(0.05).unwrap());
+        let objects = [spec("a"), spec("b"), spec("c")];
+        let goal = GoalContext {
+            objects: &objects,
+            width_m: 0.5,
+            height_m: 0.5,
+            keep_out: &[],
+            overlap_tolerance_m: 0.001,
+        };
+        let context = JobContext { goal: Some(goal), approval: Approval::Job, read_goal: &no_file };
+        let text = "version: 1
+goal:
+  objects:
+    - {id: a, pose: [100 mm, 0, 0]}
+    - {id: b, pose: [0.2, 0.2, 0]}
+    - {id: c, pose: [0.25, 0.2, 0]}
+    - {id: d, pose: [0.4]}
+";
+        let told = read_job(text, "job.yaml", &context).unwrap_err().to_string();
+        let expected = [
+            "job.yaml:4:22: goal.objects[0].pose[0]: \"100 mm\" is not a number",
+            "job.yaml:6:7: goal.objects[2]: the goals of \"c\" and \"b\" (line 5) overlap by 50.00 mm",
+            "job.yaml:7:7: goal.objects[3]: object \"d\" is unknown",
+            "job.yaml:7:21: goal.objects[3].pose: 1 values, 3 are wanted",
+        ];
+        assert_eq!(told.lines().count(), expected.len(), "{told}");
+        for (line, wanted) in told.lines().zip(expected) {
+            assert!(line.starts_with(wanted), "{line}\nwanted {wanted}");
+        }
     }
 
     #[test]
