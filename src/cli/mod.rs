@@ -13,6 +13,7 @@ pub mod plan;
 pub mod sim;
 pub mod submit;
 pub mod task;
+mod values;
 pub mod verify;
 
 use clap::{Parser, Subcommand};

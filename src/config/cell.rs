@@ -6,6 +6,7 @@
 //! must not start.
 
 use crate::geometry::pose::Pose2;
+use crate::jobs::goal::GoalContext;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
 use crate::units::{ATMOSPHERE_PA, Joints};
@@ -67,6 +68,17 @@ impl CellConfig {
     /// `tolerances.goal_position_m`, which says how near is near enough.
     pub fn goal_overlap_tolerance_m() -> f64 {
         3.0 * ObserveLimits::default().systematic_xy_m
+    }
+
+    /// What the goals of jobs are checked against; `obstacles` are [`CellConfig::obstacles`].
+    pub fn goal_context<'a>(&'a self, obstacles: &'a [KeepOut]) -> GoalContext<'a> {
+        GoalContext {
+            objects: &self.objects,
+            width_m: self.workspace.width_m,
+            height_m: self.workspace.height_m,
+            keep_out: obstacles,
+            overlap_tolerance_m: CellConfig::goal_overlap_tolerance_m(),
+        }
     }
 
     /// Where nothing may be put: the keep-out regions, and fixed objects where they stand.

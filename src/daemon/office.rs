@@ -9,7 +9,6 @@ use crate::daemon::run::Office;
 use crate::io::clock::unix_now_s;
 use crate::io::files::read_regular;
 use crate::jobs::command::{Command, Inbox, Reply};
-use crate::jobs::goal::GoalContext;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
 use crate::jobs::policy::{Approval, JobObjective};
@@ -121,13 +120,7 @@ impl StateOffice {
                 .map_err(|error| error.reason())
         };
         let context = JobContext {
-            goal: Some(GoalContext {
-                objects: &config.objects,
-                width_m: config.workspace.width_m,
-                height_m: config.workspace.height_m,
-                keep_out: &obstacles,
-                overlap_tolerance_m: CellConfig::goal_overlap_tolerance_m(),
-            }),
+            goal: Some(config.goal_context(&obstacles)),
             approval: config.approval,
             read_goal: &read_goal,
         };
