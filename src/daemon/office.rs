@@ -7,8 +7,8 @@
 use crate::config::cell::CellConfig;
 use crate::daemon::run::Office;
 use crate::io::clock::unix_now_s;
-use crate::io::files::read_regular;
 use crate::jobs::command::{Command, Inbox, Reply};
+use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
 use crate::jobs::policy::{Approval, JobObjective};
@@ -36,9 +36,6 @@ pub enum OfficeError {
     #[error("the command folder cannot be used")]
     Files(#[from] crate::io::files::FileError),
 }
-
-/// Largest goal file read, bytes: a thousand objects with outlines of some dozen corners.
-const GOAL_MAX_BYTES: u64 = 1 << 20;
 
 /// The open office.
 pub struct StateOffice {
@@ -113,12 +110,7 @@ impl StateOffice {
         let config = &self.config;
         let folder = config.goal_folder.clone();
         let obstacles = config.obstacles();
-        let read_goal = move |name: &str| {
-            // The name stays below the folder; what is there must not hold up the control loop all the same.
-            read_regular(&folder.join(name), GOAL_MAX_BYTES)
-                .map(|(text, _)| text)
-                .map_err(|error| error.reason())
-        };
+        let read_goal = move |name: &str| read_goal_file(&folder, name);
         let context = JobContext {
             goal: Some(config.goal_context(&obstacles)),
             approval: config.approval,

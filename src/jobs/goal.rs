@@ -8,14 +8,19 @@ use crate::document::decode::{At, Decoder, Fields, suggestion};
 use crate::document::{Complaints, Location, Node, parse};
 use crate::geometry::collision::{TOUCH_M, overhang, penetration};
 use crate::geometry::pose::Pose2;
+use crate::io::files::read_regular;
 use crate::jobs::record::GoalPose;
 use crate::tabletop::decode;
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
 use crate::tabletop::parse::{INSTANCE_KEYS, header, unique_names_and_markers};
 use std::collections::BTreeMap;
+use std::path::{Component, Path};
 
 /// Most objects in one goal.
 const MAX_OBJECTS: usize = 1000;
+
+/// Largest goal file read, bytes: a thousand objects with outlines of some dozen corners.
+const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Catalogue and table a goal is checked against.
 #[derive(Clone, Copy, Debug)]
@@ -95,6 +100,31 @@ fn check_unique(decoder: &mut Decoder, entries: &[GoalEntry]) {
             }
         }
     }
+}
+
+/// Text of the goal file `name` of the goal folder, as the daemon reads it on its control loop: a plain file of
+/// bounded size in the folder or below it. What is wrong otherwise, in words.
+///
+/// # Errors
+/// Why it cannot be had.
+pub fn read_goal_file(folder: &Path, name: &str) -> Result<String, String> {
+    if !stays_below(name) {
+        return Err("it leads out of the goal folder".to_owned());
+    }
+    read_regular(&folder.join(name), MAX_FILE_BYTES).map(|(text, _)| text).map_err(|error| error.reason())
+}
+
+/// True for a path that leads to a file in the folder it is joined to, or below it.
+pub(crate) fn stays_below(path: &str) -> bool {
+    let mut named = false;
+    for component in Path::new(path).components() {
+        match component {
+            Component::Normal(_) => named = true,
+            Component::CurDir => {}
+            Component::Prefix(_) | Component::RootDir | Component::ParentDir => return false,
+        }
+    }
+    named
 }
 
 /// Reads a goal file; with a context, also checks it.
@@ -284,7 +314,7 @@ mod tests {
         }
         let top =
             complaints(&file(&["id: plank-1, goal: [0.1, 0.1, 0]"]).replace("height: 1", "height: 1 m"));
-        assert!(top.contains("goal.yaml:1:30: workspace.height: \"1 m\" is not a number"), "{top}");
+        assert!(top.contains("goal.yaml:1:31: workspace.height: \"1 m\" is not a number"), "{top}");
     }
 
     #[test]
@@ -312,6 +342,33 @@ mod tests {
             twice.contains("3:5: objects[1]: object \"plank-1\" has a goal already, at line 2"),
             "{twice}"
         );
+    }
+
+    #[test]
+    fn the_daemon_reads_plain_files_of_the_goal_folder_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let goals = folder.path().join("goals");
+        std::fs::create_dir_all(goals.join("below")).unwrap();
+        std::fs::write(goals.join("below/goal.yaml"), "text").unwrap();
+        std::fs::write(folder.path().join("secret.yaml"), "secret").unwrap();
+        std::fs::write(goals.join("large.yaml"), vec![b' '; (MAX_FILE_BYTES + 1) as usize]).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", goals.join("zero.yaml")).unwrap();
+        let mode = rustix::fs::Mode::from_raw_mode(0o600);
+        let fifo = goals.join("fifo.yaml");
+        rustix::fs::mknodat(rustix::fs::CWD, &fifo, rustix::fs::FileType::Fifo, mode, 0).unwrap();
+        assert_eq!(read_goal_file(&goals, "below/goal.yaml").as_deref(), Ok("text"));
+        for (name, reason) in [
+            ("../secret.yaml", "leads out"),
+            ("/dev/zero", "leads out"),
+            ("zero.yaml", "not a regular file"),
+            ("fifo.yaml", "not a regular file"),
+            ("below", "not a regular file"),
+            ("large.yaml", "larger than 1048576 bytes"),
+            ("none.yaml", "No such file"),
+        ] {
+            let told = read_goal_file(&goals, name).unwrap_err();
+            assert!(told.contains(reason), "{name}: {told}");
+        }
     }
 
     #[test]

@@ -8,13 +8,12 @@
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaint, Complaints, Location, parse};
 use crate::geometry::pose::Pose2;
-use crate::jobs::goal::{GoalContext, GoalEntry, check_goal, decode_goal, parse_goal_file};
+use crate::jobs::goal::{GoalContext, GoalEntry, check_goal, decode_goal, parse_goal_file, stays_below};
 use crate::jobs::policy::{Approval, decode_objective, decode_solver};
 use crate::jobs::record::{GoalPose, JobSpec, quoted};
 use crate::jobs::spool::{Refusal, RefusalDetail, is_plain_name};
 use crate::jobs::utc;
 use std::fmt::Write as _;
-use std::path::{Component, Path};
 
 /// Keys of a job file.
 const KEYS: [&str; 11] = [
@@ -187,19 +186,6 @@ fn decode_goal_source(
             None
         }
     }
-}
-
-/// True for a path that leads to a file in the folder it is joined to, or below it.
-fn stays_below(path: &str) -> bool {
-    let mut named = false;
-    for component in Path::new(path).components() {
-        match component {
-            Component::Normal(_) => named = true,
-            Component::CurDir => {}
-            Component::Prefix(_) | Component::RootDir | Component::ParentDir => return false,
-        }
-    }
-    named
 }
 
 enum GoalFault {
