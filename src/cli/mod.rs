@@ -4,12 +4,14 @@
 //! Ctrl-C without a result.
 
 pub mod bench_planning;
+pub mod calibrate;
 pub mod check;
 pub mod daemon;
 pub mod demo;
 pub mod detect;
 pub mod jobs;
 pub mod plan;
+pub mod recorder;
 pub mod sim;
 pub mod submit;
 pub mod task;
@@ -38,7 +40,7 @@ enum Command {
     /// Simulated UR5e, VGC10 and camera behind the real protocols
     Sim(sim::SimArgs),
     /// Calibrate camera and table against live devices
-    Calibrate(daemon::CalibrateArgs),
+    Calibrate(calibrate::CalibrateArgs),
     /// Markers found in a picture
     Detect(detect::DetectArgs),
     /// Plan a rearrangement
@@ -69,7 +71,7 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => demo::run(&args, stop),
         Command::Run(args) => daemon::run(&args, stop),
         Command::Sim(args) => sim::run(&args),
-        Command::Calibrate(args) => daemon::calibrate(&args, stop),
+        Command::Calibrate(args) => calibrate::run(&args, stop),
         Command::Detect(args) => detect::run(&args),
         Command::Plan(args) => plan::run(&args, &stop),
         Command::Verify(args) => verify::run(&args),

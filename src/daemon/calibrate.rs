@@ -5,33 +5,48 @@
 //! the operator's order only, through checked joint paths, at a speed that keeps the tool under 0.1 m/s
 //! (design, section 7, rule 1, class *calibrate*).
 
+use crate::config::cell::{CameraMount, CellConfig};
 use crate::daemon::hardware::{Happening, Hardware};
+use crate::daemon::setup::{arm_model, reference_markers};
 use crate::device::program::Nonce;
-use crate::device::robot_types::{RobotCommand, RobotEvent};
+use crate::device::robot_types::{RobotCommand, RobotEvent, RobotState};
+use crate::geometry::pose::ur_pose_from_isometry;
 use crate::io::camera::CameraSource;
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
 use crate::supervisor::gates::{Closed, any_motion};
 use crate::time::Timestamp;
 use crate::units::Joints;
-use crate::vision::calibrate::Sample;
+use crate::vision::calibrate::{
+    CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample, solve_hand_eye,
+};
+use crate::vision::camera::CameraModel;
 use crate::vision::detect::{Detection, Detector};
-use crate::wire::enumerations::RobotMode;
+use crate::wire::enumerations::{RobotMode, RuntimeState};
 use std::time::Duration;
 
 /// Why a calibration run ended without samples.
 #[derive(Debug, thiserror::Error)]
 pub enum DriveError {
     /// A device did not come up or stopped answering.
-    #[error("{what} within {seconds} s; see that {address} is the robot, powered and in remote control")]
+    #[error(
+        "{what} within {seconds} s ({links}); see that `devices.robot` is its address, that it is powered and in \
+         remote control, and try `ping`; for a simulated one start `celld sim`"
+    )]
     Deadline {
         /// What was waited for.
         what: String,
         /// How long.
         seconds: u64,
-        /// Address of the device.
-        address: String,
+        /// Which links are down, and why.
+        links: String,
     },
+    /// Hand-eye calibration needs a camera that moves with the hand.
+    #[error("a fixed camera cannot be calibrated yet: `camera: {{mount: flange}}` only")]
+    FixedCamera,
+    /// The samples do not give a solution.
+    #[error("calibration")]
+    Solve(#[from] CalibrateError),
     /// The robot reported trouble.
     #[error("the robot stopped: {0}")]
     Robot(String),
@@ -55,9 +70,11 @@ pub enum DriveError {
     Stopped,
 }
 
-/// Highest tool speed while calibrating, m/s, and the reach it is reckoned at, m.
+/// Highest tool speed while calibrating, m/s (design, section 7, rule 1).
 const TOOL_SPEED: f64 = 0.1;
-const REACH: f64 = 0.9;
+
+/// Pieces a move is cut into to find where its tool is fastest.
+const TRAVEL_SAMPLES: usize = 200;
 
 /// Lowest height of the cups over the nominal table while calibrating, m.
 const FLOOR: f64 = 0.05;
@@ -65,6 +82,9 @@ const FLOOR: f64 = 0.05;
 /// The arm counts as still below this joint speed, rad/s, for this long.
 const STILL_RAD_S: f64 = 5e-4;
 const SETTLE: Duration = Duration::from_millis(500);
+
+/// Between the order to end the program and its end.
+const END_WITHIN: u64 = 10;
 
 /// Which arm it is, as the controller says.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,11 +101,7 @@ pub struct Arm {
 ///
 /// # Errors
 /// [`DriveError::Deadline`] when the controller does not say, [`DriveError::Stopped`].
-pub async fn kinematics(
-    hardware: &mut Hardware,
-    address: &str,
-    stop: &dyn Fn() -> bool,
-) -> Result<Arm, DriveError> {
+pub async fn kinematics(hardware: &mut Hardware, stop: &dyn Fn() -> bool) -> Result<Arm, DriveError> {
     let started = hardware.now();
     let mut kinematics: Option<(DhParameters, String)> = None;
     let mut serial = String::new();
@@ -103,44 +119,106 @@ pub async fn kinematics(
         if let Some((dh, checksum)) = kinematics.clone().filter(|_| known) {
             return Ok(Arm { dh, checksum, serial });
         }
-        guard(hardware, started, 30, "the robot did not answer on all its ports", address, stop)?;
+        guard(hardware, started, 30, "the robot did not answer on all its ports", stop)?;
     }
 }
 
-/// Powers the arm, releases the brakes, starts the on-robot program.
+/// What a calibration round works with.
+pub struct Setting<'a> {
+    /// The cell: nominal mount and table, survey, calibration poses, limits.
+    pub config: &'a CellConfig,
+    /// Number of the program that will be started; no other run may have used it.
+    pub nonce: Nonce,
+    /// The operator's stop.
+    pub stop: &'a dyn Fn() -> bool,
+    /// Hears each pose's number and how many markers were found from it.
+    pub progress: &'a dyn Fn(usize, usize),
+}
+
+/// The whole round: wakes the arm, visits the poses, looks, ends the program. The arm stands afterwards, whatever
+/// happened.
 ///
 /// # Errors
-/// What kept the robot from coming up.
-pub async fn bring_up(
+/// What kept the robot from coming up or interrupted the round.
+pub async fn measure(
     hardware: &mut Hardware,
-    nonce: Nonce,
-    address: &str,
-    stop: &dyn Fn() -> bool,
-) -> Result<(), DriveError> {
+    eye: Eye,
+    setting: &Setting<'_>,
+) -> Result<(Arm, Vec<Sample>), DriveError> {
+    let arm = kinematics(hardware, setting.stop).await?;
+    bring_up(hardware, setting).await?;
+    let model = arm_model(setting.config, arm.dh, setting.config.base_from_table);
+    let mut round = Round { hardware, model: &model, nonce: setting.nonce, stop: setting.stop };
+    let samples = collect(&mut round, &setting.config.calibration_poses, eye, setting.progress).await;
+    let ended = end_program(hardware).await;
+    let samples = samples?;
+    ended.map(|()| (arm, samples))
+}
+
+/// Camera mount and table from the samples, starting at the configuration's nominal values.
+///
+/// # Errors
+/// The solver's, or that the camera does not sit on the flange.
+pub fn solve(config: &CellConfig, lens: &CameraModel, samples: &[Sample]) -> Result<HandEye, DriveError> {
+    let CameraMount::Flange { flange_from_camera } = config.camera else {
+        return Err(DriveError::FixedCamera);
+    };
+    let guess = HandEyeGuess { flange_from_camera, base_from_table: config.base_from_table };
+    let reference = reference_markers(config);
+    Ok(solve_hand_eye(samples, &reference, lens, &guess, &HandEyeSettings::default())?)
+}
+
+/// Powers the arm, releases the brakes, starts the on-robot program, tells it what hangs on the flange.
+async fn bring_up(hardware: &mut Hardware, setting: &Setting<'_>) -> Result<(), DriveError> {
     let started = hardware.now();
     let mut asked: Option<RobotMode> = None;
     let mut program_asked = false;
     loop {
+        guard(hardware, started, 60, "the robot did not come up", setting.stop)?;
         trouble(&hardware.next().await)?;
         let Some(robot) = hardware.robot().state() else { continue };
-        let (mode, running_ours) = (robot.robot_mode, robot.nonce == nonce.number() && program_asked);
+        let (mode, running_ours) = (robot.robot_mode, robot.nonce == setting.nonce.number() && program_asked);
         let command = match mode {
-            RobotMode::PowerOff if asked != Some(mode) => Some(RobotCommand::PowerOn),
-            RobotMode::Idle if asked != Some(mode) => Some(RobotCommand::ReleaseBrakes),
-            RobotMode::Running if running_ours => return Ok(()),
+            RobotMode::PowerOff if asked != Some(mode) => RobotCommand::PowerOn,
+            RobotMode::Idle if asked != Some(mode) => RobotCommand::ReleaseBrakes,
+            RobotMode::Running if running_ours => break,
             RobotMode::Running if !program_asked => {
                 program_asked = true;
-                Some(RobotCommand::StartProgram { nonce })
+                RobotCommand::StartProgram { nonce: setting.nonce }
             }
-            _ => None,
+            _ => continue,
         };
-        if let Some(command) = command {
-            asked = Some(mode);
-            if let Some(RobotEvent::Refused { what, reply }) = hardware.command_robot(command) {
-                return Err(DriveError::Robot(format!("{what} refused: {reply}")));
-            }
+        asked = Some(mode);
+        order(hardware, command)?;
+    }
+    let gripper = &setting.config.gripper;
+    order(hardware, RobotCommand::SetTcp(ur_pose_from_isometry(&setting.config.flange_from_tool)))?;
+    let centre_of_gravity_m = gripper.centre_of_gravity_m;
+    order(hardware, RobotCommand::SetPayload { mass_kg: gripper.mass_kg, centre_of_gravity_m })
+}
+
+/// Gives a command; a refusal is an error.
+fn order(hardware: &mut Hardware, command: RobotCommand) -> Result<(), DriveError> {
+    match hardware.command_robot(command) {
+        Some(RobotEvent::Refused { what, reply }) => {
+            Err(DriveError::Robot(format!("{what} refused: {reply}")))
         }
-        guard(hardware, started, 60, "the robot did not come up", address, stop)?;
+        _ => Ok(()),
+    }
+}
+
+/// Ends the program and waits until it is over, so that another can be started.
+async fn end_program(hardware: &mut Hardware) -> Result<(), DriveError> {
+    let started = hardware.now();
+    // A round that failed has stopped the arm; then there may be no program left to end.
+    let _ = hardware.command_robot(RobotCommand::EndProgram);
+    loop {
+        hardware.next().await;
+        let over = |state: &RobotState| state.runtime_state == RuntimeState::Stopped;
+        if hardware.robot().program_settled() && hardware.robot().state().is_none_or(over) {
+            return Ok(());
+        }
+        guard(hardware, started, END_WITHIN, "the on-robot program did not end", &|| false)?;
     }
 }
 
@@ -148,22 +226,18 @@ pub async fn bring_up(
 ///
 /// # Errors
 /// The path's fault, or what interrupted the motion.
-pub async fn move_to(round: &mut Round<'_>, pose: usize, target: Joints) -> Result<Joints, DriveError> {
+async fn move_to(round: &mut Round<'_>, pose: usize, target: Joints) -> Result<Joints, DriveError> {
     let started = round.hardware.now();
     any_motion(true, &round.hardware.outside(started), Some(round.nonce))?;
     let Some(q) = round.hardware.robot().state().map(|robot| robot.q) else {
         return Err(Closed::Stale.into());
     };
     let limits = &round.model.limits;
-    let speed = limits.joint_speed.min(TOOL_SPEED / REACH);
+    let speed = slow_enough(round.model, &q, &target);
     let segment = Segment::Joint { target, speed, acceleration: limits.joint_acceleration, blend: 0.0 };
     let path = CheckedPath::new(round.model, &q, &[Leg { segment, floor: FLOOR }])
         .map_err(|fault| DriveError::Path { pose, fault })?;
-    if let Some(RobotEvent::Refused { what, reply }) =
-        round.hardware.command_robot(RobotCommand::Stream(path))
-    {
-        return Err(DriveError::Robot(format!("{what} refused: {reply}")));
-    }
+    order(round.hardware, RobotCommand::Stream(path))?;
     let mut finished = false;
     let mut still_since: Option<Timestamp> = None;
     loop {
@@ -179,8 +253,23 @@ pub async fn move_to(round: &mut Round<'_>, pose: usize, target: Joints) -> Resu
                 return Ok(robot.q);
             }
         }
-        guard(round.hardware, started, 120, "the pose was not reached", "", round.stop)?;
+        guard(round.hardware, started, 120, "the pose was not reached", round.stop)?;
     }
+}
+
+/// Speed of the leading joint (rad/s) at which the tool stays below [`TOOL_SPEED`] all along the move.
+fn slow_enough(model: &ArmModel, from: &Joints, to: &Joints) -> f64 {
+    let travel = from.max_difference(to);
+    let at = |k: usize| {
+        let share = k as f64 / TRAVEL_SAMPLES as f64;
+        let mut q = *from;
+        q.0.iter_mut().zip(&to.0).for_each(|(q, end)| *q += share * (end - *q));
+        model.tool_at(&q).translation.vector
+    };
+    let steps = (0..TRAVEL_SAMPLES).map(|k| (at(k + 1) - at(k)).norm());
+    let metres_per_rad = steps.fold(0.0, f64::max) * TRAVEL_SAMPLES as f64 / travel.max(1e-9);
+    // A move that hardly moves the tool needs no limit of ours.
+    model.limits.joint_speed.min(TOOL_SPEED / metres_per_rad.max(1e-3))
 }
 
 /// Camera and detector, lent to a blocking thread for every frame.
@@ -192,22 +281,21 @@ pub struct Eye {
 }
 
 /// The arm and the program that moves it, for the length of a calibration round.
-pub struct Round<'a> {
-    /// Robot and gripper.
-    pub hardware: &'a mut Hardware,
-    /// The arm, with the nominal table.
-    pub model: &'a ArmModel,
-    /// Nonce of the running program.
-    pub nonce: Nonce,
-    /// The operator's stop.
-    pub stop: &'a dyn Fn() -> bool,
+struct Round<'a> {
+    hardware: &'a mut Hardware,
+    /// With the nominal table.
+    model: &'a ArmModel,
+    /// Of the running program.
+    nonce: Nonce,
+    /// The operator's.
+    stop: &'a dyn Fn() -> bool,
 }
 
 /// Visits the poses and takes a picture at each; `progress` hears the pose's number and the markers found.
 ///
 /// # Errors
 /// What interrupted the round; the arm is told to stop.
-pub async fn collect(
+async fn collect(
     round: &mut Round<'_>,
     poses: &[Joints],
     mut eye: Eye,
@@ -266,15 +354,58 @@ fn guard(
     since: Timestamp,
     seconds: u64,
     what: &str,
-    address: &str,
     stop: &dyn Fn() -> bool,
 ) -> Result<(), DriveError> {
     if stop() {
         return Err(DriveError::Stopped);
     }
     if hardware.now().since(since) > Duration::from_secs(seconds) {
-        let (what, address) = (what.to_string(), address.to_string());
-        return Err(DriveError::Deadline { what, seconds, address });
+        let links = hardware.why_down();
+        let links = if links.is_empty() { "all links stand".to_string() } else { links.join("; ") };
+        return Err(DriveError::Deadline { what: what.to_string(), seconds, links });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::path::ArmLimits;
+    use nalgebra::Isometry3;
+    use std::f64::consts::TAU;
+
+    #[test]
+    fn the_tool_stays_slow_with_all_joints_moving_and_the_arm_stretched() {
+        let limits = ArmLimits {
+            joint_range: [(-TAU, TAU); 6],
+            joint_speed: 2.0,
+            joint_acceleration: 4.0,
+            tool_speed: 0.5,
+            tool_acceleration: 2.0,
+            link_floor: 0.03,
+        };
+        let model = ArmModel {
+            dh: DhParameters::UR5E,
+            base_from_table: Isometry3::identity(),
+            flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
+            home: Joints([0.0, -1.5, 1.5, -1.5, -1.5, 0.0]),
+            limits,
+        };
+        let (from, to) =
+            (Joints([0.0, -0.9, 0.2, -0.7, -1.5, 0.0]), Joints([0.6, -0.4, 0.1, -0.9, -1.2, 0.3]));
+        let speed = slow_enough(&model, &from, &to);
+        // At that speed the leading joint needs so long for a thousandth of the way:
+        let seconds = from.max_difference(&to) / speed / 1000.0;
+        let mut fastest: f64 = 0.0;
+        let at = |k: usize| {
+            let mut q = from;
+            (0..6).for_each(|j| q.0[j] += (to.0[j] - from.0[j]) * k as f64 / 1000.0);
+            model.tool_at(&q).translation.vector
+        };
+        for k in 0..1000 {
+            fastest = fastest.max((at(k + 1) - at(k)).norm() / seconds);
+        }
+        assert!((0.09..=0.1005).contains(&fastest), "{fastest} m/s");
+        assert_eq!(slow_enough(&model, &from, &from), 2.0, "no way, no limit");
+    }
 }

@@ -11,6 +11,7 @@ use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters
 use crate::io::clock::Clock;
 use crate::supervisor::input::Outside;
 use crate::time::Timestamp;
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::time::Duration;
 use tokio::sync::mpsc;
@@ -48,6 +49,8 @@ pub struct Hardware {
     primary: mpsc::Sender<LinkOrder>,
     modbus: mpsc::Sender<ModbusRequest>,
     gripper_answers: bool,
+    /// Why a link is down, by link: for the sentence of whoever waits for it.
+    down: BTreeMap<String, String>,
     last_turn: Timestamp,
     /// Until then silence may be this daemon's own doing.
     listening_from: Timestamp,
@@ -58,6 +61,9 @@ const EVENTS: usize = 1024;
 
 /// A turn of the loop that took longer than this says nothing about the robot: the computer was busy.
 const LATE_TURN: Duration = Duration::from_millis(50);
+
+/// A vacuum read longer ago than this says nothing: idle channels are read ten times a second.
+const VACUUM_AGE: Duration = Duration::from_millis(500);
 
 /// How often the sessions are given time when nothing comes in, in the cell's time.
 const TICK: Duration = Duration::from_millis(10);
@@ -71,17 +77,18 @@ impl Hardware {
         gripper: GripperParameters,
     ) -> Result<Hardware, TemplateError> {
         let (sender, events) = mpsc::channel(EVENTS);
-        let tcp = |link, address| spawn_tcp(link, address, clock, sender.clone());
+        let tcp = |link, address| spawn_tcp(link, address, clock.clone(), sender.clone());
         Ok(Hardware {
             rtde: tcp(Link::Rtde, addresses.rtde),
             dashboard: tcp(Link::Dashboard, addresses.dashboard),
             primary: tcp(Link::Primary, addresses.primary),
-            modbus: spawn_modbus(addresses.gripper, clock, Duration::from_secs(1), sender.clone()),
+            modbus: spawn_modbus(addresses.gripper, clock.clone(), Duration::from_secs(1), sender.clone()),
             clock,
             robot: Robot::new(robot)?,
             gripper: Gripper::new(gripper),
             events,
             gripper_answers: false,
+            down: BTreeMap::new(),
             last_turn: Timestamp::ZERO,
             listening_from: Timestamp::ZERO,
         })
@@ -103,8 +110,15 @@ impl Hardware {
             robot: self.robot.state(),
             robot_fresh: self.robot.fresh(now),
             robot_silent: !self.robot.fresh(now) && now >= self.listening_from,
+            program_settled: self.robot.program_settled(),
             gripper_answers: self.gripper_answers,
+            vacuum: self.gripper.reading().filter(|(at, _)| now.since(*at) <= VACUUM_AGE).map(|(_, v)| v),
         }
+    }
+
+    /// Why links to the controller are down, one line each; empty when all stand.
+    pub fn why_down(&self) -> Vec<String> {
+        self.down.iter().map(|(link, reason)| format!("{link}: {reason}")).collect()
     }
 
     /// Gives the robot session a command; a refusal comes back as an event would.
@@ -145,6 +159,9 @@ impl Hardware {
         while let Ok(event) = self.events.try_recv() {
             self.take(now, event);
         }
+        if let Some(state) = self.robot.state() {
+            self.clock.heard(state.controller_time_s);
+        }
         self.robot.tick(now);
         self.gripper.tick(now);
         self.flush();
@@ -165,10 +182,14 @@ impl Hardware {
 
     fn take(&mut self, now: Timestamp, event: LinkEvent) {
         match event {
-            LinkEvent::Connected(link) => self.robot.connected(now, link),
+            LinkEvent::Connected(link) => {
+                self.down.remove(&link.to_string());
+                self.robot.connected(now, link);
+            }
             LinkEvent::Disconnected(link, reason) => {
                 tracing::debug!(?link, reason, "link down");
                 self.robot.disconnected(now, link, &reason);
+                self.down.insert(link.to_string(), reason);
             }
             LinkEvent::Received(link, bytes) => self.robot.received(now, link, &bytes),
             LinkEvent::Modbus(answer) => self.gripper.response(now, answer),

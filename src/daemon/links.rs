@@ -60,6 +60,8 @@ pub fn spawn_tcp(
             let reason = match tokio::time::timeout(clock.wall(PATIENCE), TcpStream::connect(address)).await {
                 Ok(Ok(stream)) => {
                     pause = BACKOFF.0;
+                    // What was meant for the last connection must not be the first thing this one hears.
+                    while orders.try_recv().is_ok() {}
                     if events.send(LinkEvent::Connected(link)).await.is_err() {
                         return;
                     }

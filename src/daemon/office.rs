@@ -6,13 +6,14 @@
 
 use crate::config::cell::CellConfig;
 use crate::daemon::run::Office;
+use crate::device::gripper::Channels;
 use crate::io::clock::unix_now_s;
-use crate::jobs::command::{Command, Inbox, Reply};
+use crate::jobs::command::{Command, Inbox, ReleaseChannel, Reply};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
 use crate::jobs::policy::{Approval, JobObjective};
-use crate::jobs::record::{JobRecord, JobResult, JobStatus, ObjectResult, StepIntent};
+use crate::jobs::record::{JobRecord, JobResult, JobState, JobStatus, ObjectResult, StepIntent};
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status;
@@ -20,7 +21,7 @@ use crate::planning::plan::Objective;
 use crate::planning::solver::SolverKind;
 use crate::supervisor::cell::Status;
 use crate::supervisor::input::{Input, JournalEntry, OperatorCommand};
-use crate::supervisor::order::{JobEnd, JobOrder, JobReport};
+use crate::supervisor::order::{ApprovalRule, JobEnd, JobOrder, JobReport};
 use crate::time::{Duration, Timestamp};
 
 /// Why the office cannot open.
@@ -74,7 +75,7 @@ impl StateOffice {
                 }
             });
         }
-        let mut spool = Spool::open(state.root(), SpoolSettings::STANDARD)?;
+        let mut spool = Spool::open(state.root(), SpoolSettings { at_once: 1, ..SpoolSettings::STANDARD })?;
         spool.reconcile_at_start(&mut journal)?;
         let inbox = Inbox::open(&state.commands(), daemon.clone())?;
         let last = Status {
@@ -127,16 +128,23 @@ impl StateOffice {
                 SpoolEvent::Rejected { name, code, message, reason } => {
                     tracing::warn!(name, code, message, reason = %reason.display(), "job rejected");
                 }
-                SpoolEvent::Cancel { id } => {
-                    if self.active.as_ref().is_some_and(|(active, _)| *active == id) {
-                        inputs.push(Input::Operator(OperatorCommand::Cancel));
-                    }
-                }
+                SpoolEvent::Cancel { id } => self.cancel_file(&id, inputs),
                 SpoolEvent::Full { name } => tracing::warn!(name, "the queue is full"),
                 SpoolEvent::Trouble { name, message } => tracing::warn!(name, message, "job file"),
             }
         }
         self.reconcile();
+    }
+
+    fn cancel_file(&mut self, id: &str, inputs: &mut Vec<Input>) {
+        if self.active.as_ref().is_some_and(|(active, _)| active == id) {
+            return inputs.push(Input::Operator(OperatorCommand::Cancel));
+        }
+        match self.cancel_waiting(id) {
+            Ok(true) => tracing::info!(id, "waiting job cancelled"),
+            Ok(false) => tracing::warn!(id, "there is no such job to cancel"),
+            Err(error) => tracing::error!(id, %error, "job could not be cancelled"),
+        }
     }
 
     fn reconcile(&mut self) {
@@ -159,27 +167,68 @@ impl StateOffice {
         }
     }
 
-    fn translate(&self, command: &Command) -> (Option<OperatorCommand>, Reply) {
+    /// Ends a job that has not begun; false when it is not waiting.
+    fn cancel_waiting(&mut self, id: &str) -> Result<bool, JournalError> {
+        if !self.journal.job(id)?.is_some_and(|job| job.state == JobState::Waiting) {
+            return Ok(false);
+        }
+        let result = JobResult {
+            id: id.to_string(),
+            status: JobStatus::Cancelled,
+            code: "cancelled".to_string(),
+            message: "the operator cancelled the job before it began".to_string(),
+            remedy: String::new(),
+            moves: 0,
+            lower_bound: None,
+            seconds: 0.0,
+            objects: Vec::new(),
+        };
+        self.journal.finish(id, &result, unix_now_s())?;
+        self.reconcile();
+        Ok(true)
+    }
+
+    fn translate(&mut self, command: &Command) -> (Option<OperatorCommand>, Reply) {
         let accept = |operator: OperatorCommand, message: &str| {
             (Some(operator), Reply { accepted: true, message: message.to_string() })
         };
         let refuse = |message: String| (None, Reply { accepted: false, message });
-        let of_active = |id: &str, operator| match &self.active {
-            Some((active, _)) if active == id => accept(operator, "done"),
+        let active = self.active.as_ref().map(|(id, _)| id.clone());
+        let of_active = |id: &str, operator| match &active {
+            Some(active) if active == id => accept(operator, "done"),
             _ => refuse(format!("job {id} is not the active one; `celld status` names it")),
         };
         match command {
             Command::Arm => accept(OperatorCommand::Arm, "armed"),
-            Command::Disarm => accept(OperatorCommand::Disarm, "disarmed"),
+            Command::Disarm => accept(
+                OperatorCommand::Disarm,
+                "disarmed; a motion under way is finished first, `celld abort` stops it now",
+            ),
             Command::Approve { id } => of_active(id, OperatorCommand::Approve),
             Command::Reject { id } => of_active(id, OperatorCommand::Reject),
-            Command::Cancel { id } => of_active(id, OperatorCommand::Cancel),
+            Command::Cancel { id } => match self.cancel_waiting(id) {
+                Ok(true) => {
+                    (None, Reply { accepted: true, message: "cancelled before it began".to_string() })
+                }
+                Ok(false) => of_active(id, OperatorCommand::Cancel),
+                Err(error) => refuse(error.to_string()),
+            },
             Command::Pause => accept(OperatorCommand::Pause, "pauses after the present pick-n-place"),
             Command::Resume => accept(OperatorCommand::Resume, "goes on"),
             Command::Step => accept(OperatorCommand::Step, "one pick-n-place"),
             Command::Abort => accept(OperatorCommand::Abort, "stopped and disarmed"),
+            Command::Park if !self.last.armed => {
+                refuse("the cell is disarmed; `celld arm` first".to_string())
+            }
             Command::Park => accept(OperatorCommand::Park, "parks as soon as it may move"),
-            Command::Release { .. } => accept(OperatorCommand::Release, "vacuum off"),
+            Command::Release { channel } => {
+                let channels = match channel {
+                    Some(ReleaseChannel::A) => Channels::A,
+                    Some(ReleaseChannel::B) => Channels::B,
+                    None => Channels::Both,
+                };
+                accept(OperatorCommand::Release(channels), &format!("vacuum off, {}", channels.word()))
+            }
             Command::Recover { .. } => refuse(
                 "recover is not built yet: clear the stop at the pendant, look at the arm, then `celld arm`"
                     .into(),
@@ -221,16 +270,16 @@ impl StateOffice {
             solver: SolverKind::from_word(solver).unwrap_or(SolverKind::Auto),
             time_limit: Duration::from_secs_f64(seconds.clamp(0.001, 86_400.0)),
             seed: spec.seed.unwrap_or(planner.seed),
-            needs_approval: self.needs_approval(spec.approval),
+            approval: self.approval(spec.approval),
         }
     }
 
-    /// The cell's policy is a floor: `always` asks for every job, `job` for those that ask for it.
-    fn needs_approval(&self, job: Option<Approval>) -> bool {
-        match self.config.approval {
-            Approval::Always => true,
-            Approval::Job => job != Some(Approval::Never),
-            Approval::Never => matches!(job, Some(Approval::Always | Approval::Job)),
+    /// The cell's policy is a floor, also for a job that was taken in under a laxer one.
+    fn approval(&self, job: Option<Approval>) -> ApprovalRule {
+        match self.config.approval.max(job.unwrap_or(Approval::Never)) {
+            Approval::Always => ApprovalRule::EveryPlan,
+            Approval::Job => ApprovalRule::FirstPlan,
+            Approval::Never => ApprovalRule::NoPlan,
         }
     }
 

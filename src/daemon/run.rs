@@ -5,8 +5,8 @@
 //! stands. One loop, in this order: devices first, then workers, then the office, then time.
 
 use crate::daemon::hardware::{Happening, Hardware};
-use crate::daemon::workers::{Answer, EyeRequest, spawn_plan};
-use crate::device::robot_types::RobotState;
+use crate::daemon::workers::{Answer, EyeRequest, Numbered, spawn_plan};
+use crate::device::robot_types::{RobotCommand, RobotEvent, RobotState};
 use crate::geometry::pose::Pose2;
 use crate::supervisor::cell::{Cell, Status};
 use crate::supervisor::input::{Action, Input, JournalEntry, Notice, PlanAnswer};
@@ -71,12 +71,12 @@ pub trait Observer {
 
 /// The eye and the planner.
 pub struct Workers {
-    /// Requests to the eye.
-    pub eye: mpsc::Sender<EyeRequest>,
-    /// Answers of both.
-    pub answers: mpsc::Receiver<Answer>,
+    /// Requests to the eye, numbered.
+    pub eye: mpsc::Sender<(u64, EyeRequest)>,
+    /// Answers of both, with the numbers of their requests.
+    pub answers: mpsc::Receiver<Numbered>,
     /// For planning runs to answer with.
-    pub answers_in: mpsc::Sender<Answer>,
+    pub answers_in: mpsc::Sender<Numbered>,
 }
 
 /// How often the office is asked, in the cell's time.
@@ -95,16 +95,12 @@ pub enum RunError {
 
 /// Everything the loop works with.
 pub struct Shell<'a> {
-    /// The state machine.
-    pub cell: Cell,
-    /// Robot and gripper.
-    pub hardware: Hardware,
-    /// Eye and planner.
-    pub workers: Workers,
-    /// Jobs, commands, journal.
-    pub office: &'a mut dyn Office,
-    /// Whoever watches.
-    pub observer: &'a mut dyn Observer,
+    cell: Cell,
+    hardware: Hardware,
+    workers: Workers,
+    office: &'a mut dyn Office,
+    observer: &'a mut dyn Observer,
+    requests: Requests,
 }
 
 /// Runs until `shutdown` is raised and the arm stands.
@@ -112,23 +108,30 @@ pub struct Shell<'a> {
 /// # Errors
 /// [`RunError::Journal`]; the arm has been told to stop.
 pub async fn run(mut shell: Shell<'_>, shutdown: &AtomicBool) -> Result<(), RunError> {
+    let ended = turns(&mut shell, shutdown).await;
+    shell.requests.stop_planning();
+    if ended.is_err() {
+        shell.hardware.command_robot(RobotCommand::Stop);
+    }
+    shell.await_stop().await;
+    ended
+}
+
+/// Turn after turn, until the order to end or the journal's fault.
+async fn turns(shell: &mut Shell<'_>, shutdown: &AtomicBool) -> Result<(), RunError> {
     let mut last_office = Timestamp::ZERO;
     let mut last_status = None;
     let mut last_route = Vec::new();
-    let plan_stop = Arc::new(AtomicBool::new(false));
-    let mut ending: Option<Timestamp> = None;
     loop {
-        let happenings = shell.hardware.next().await;
-        for happening in happenings {
-            let input = match happening {
+        for happening in shell.hardware.next().await {
+            shell.feed(match happening {
                 Happening::Robot(event) => Input::Robot(event),
                 Happening::Gripper(event) => Input::Gripper(event),
-            };
-            shell.feed(input, &plan_stop)?;
+            })?;
         }
-        while let Ok(answer) = shell.workers.answers.try_recv() {
-            if let Some(input) = shell.worker_answer(answer) {
-                shell.feed(input, &plan_stop)?;
+        while let Ok((number, answer)) = shell.workers.answers.try_recv() {
+            if let Some(input) = shell.worker_answer(number, answer) {
+                shell.feed(input)?;
             }
         }
         let now = shell.hardware.now();
@@ -138,31 +141,70 @@ pub async fn run(mut shell: Shell<'_>, shutdown: &AtomicBool) -> Result<(), RunE
         if now.since(last_office) >= OFFICE_EVERY {
             last_office = now;
             for input in shell.office.poll(now, shell.cell.wants_job()) {
-                shell.feed(input, &plan_stop)?;
+                shell.feed(input)?;
             }
         }
-        shell.feed(Input::Tick, &plan_stop)?;
+        shell.feed(Input::Tick)?;
         shell.publish(now, &mut last_status, &mut last_route);
-        if shutdown.load(Ordering::Relaxed) && ending.is_none() {
-            ending = Some(now);
-            plan_stop.store(true, Ordering::Relaxed);
-            shell.feed(Input::Shutdown, &plan_stop)?;
-        }
-        if ending.is_some_and(|since| shell.stands() || now.since(since) > STOP_LIMIT) {
-            return Ok(());
+        if shutdown.load(Ordering::Relaxed) {
+            return shell.feed(Input::Shutdown);
         }
     }
 }
 
-impl Shell<'_> {
+/// Numbers of the requests to the workers: an answer to anything but the last one is too late to count.
+#[derive(Debug, Default)]
+struct Requests {
+    last: u64,
+    /// Ends the planning run under way.
+    planning: Option<Arc<AtomicBool>>,
+}
+
+impl Requests {
+    fn next(&mut self) -> u64 {
+        self.stop_planning();
+        self.last += 1;
+        self.last
+    }
+
+    fn stop_planning(&mut self) {
+        if let Some(stop) = self.planning.take() {
+            stop.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+impl<'a> Shell<'a> {
+    /// The loop's parts put together.
+    pub fn new(
+        cell: Cell,
+        hardware: Hardware,
+        workers: Workers,
+        office: &'a mut dyn Office,
+        observer: &'a mut dyn Observer,
+    ) -> Shell<'a> {
+        Shell { cell, hardware, workers, office, observer, requests: Requests::default() }
+    }
+
+    /// Waits until the robot says that it has stopped, so that the order has left this computer; not for ever.
+    async fn await_stop(&mut self) {
+        let since = self.hardware.now();
+        while self.hardware.robot().state().is_some() && self.hardware.now().since(since) < STOP_LIMIT {
+            let stopped = |h: &Happening| matches!(h, Happening::Robot(RobotEvent::Stopped));
+            if self.hardware.next().await.iter().any(stopped) {
+                return;
+            }
+        }
+    }
+
     /// One input through the supervisor; its actions are carried out in order.
-    fn feed(&mut self, input: Input, plan_stop: &Arc<AtomicBool>) -> Result<(), RunError> {
+    fn feed(&mut self, input: Input) -> Result<(), RunError> {
         let mut inputs = vec![input];
         while let Some(input) = inputs.pop() {
             let now = self.hardware.now();
             let outside = self.hardware.outside(now);
             for action in self.cell.step(now, &outside, input) {
-                if let Some(next) = self.carry_out(now, action, plan_stop)? {
+                if let Some(next) = self.carry_out(now, action)? {
                     inputs.push(next);
                 }
             }
@@ -171,40 +213,29 @@ impl Shell<'_> {
     }
 
     /// Carries out one action; what comes of it at once is the next input.
-    fn carry_out(
-        &mut self,
-        now: Timestamp,
-        action: Action,
-        plan_stop: &Arc<AtomicBool>,
-    ) -> Result<Option<Input>, RunError> {
+    fn carry_out(&mut self, now: Timestamp, action: Action) -> Result<Option<Input>, RunError> {
         match action {
             Action::Robot(command) => return Ok(self.hardware.command_robot(command).map(Input::Robot)),
             Action::Gripper(command) => self.hardware.command_gripper(command),
             Action::Capture { frames, table_from_camera } => {
-                if self.workers.eye.try_send(EyeRequest::Capture { frames, table_from_camera }).is_err() {
+                if !self.ask_eye(EyeRequest::Capture { frames, table_from_camera }) {
                     return Ok(Some(Input::Captured(Err("the camera thread does not answer".to_string()))));
                 }
             }
             Action::Observe(views) => {
-                if self.workers.eye.try_send(EyeRequest::Observe(views)).is_err() {
-                    tracing::error!("the camera thread does not answer");
+                if !self.ask_eye(EyeRequest::Observe(views)) {
+                    return Ok(Some(Input::Observed(Err("the camera thread does not answer".to_string()))));
                 }
             }
             Action::Plan(request) => {
-                spawn_plan(*request, plan_stop.clone(), self.workers.answers_in.clone());
+                let stop = Arc::new(AtomicBool::new(false));
+                let number = self.requests.next();
+                self.requests.planning = Some(stop.clone());
+                spawn_plan(number, *request, stop, self.workers.answers_in.clone());
             }
-            Action::Journal(entry) => {
-                if let Err(cause) = self.office.journal(&entry) {
-                    let outside = self.hardware.outside(now);
-                    for stop in self.cell.step(now, &outside, Input::Shutdown) {
-                        if let Action::Robot(command) = stop {
-                            self.hardware.command_robot(command);
-                        }
-                    }
-                    return Err(RunError::Journal(cause));
-                }
-            }
+            Action::Journal(entry) => self.office.journal(&entry).map_err(RunError::Journal)?,
             Action::Finish(report) => {
+                self.requests.stop_planning();
                 self.observer.on(now, Event::Finished(&report));
                 self.office.finished(&report).map_err(RunError::Journal)?;
             }
@@ -220,8 +251,18 @@ impl Shell<'_> {
         Ok(None)
     }
 
-    fn worker_answer(&mut self, answer: Answer) -> Option<Input> {
+    /// False when the eye has more to do than it can.
+    fn ask_eye(&mut self, request: EyeRequest) -> bool {
+        let number = self.requests.next();
+        self.workers.eye.try_send((number, request)).is_ok()
+    }
+
+    fn worker_answer(&mut self, number: u64, answer: Answer) -> Option<Input> {
         let now = self.hardware.now();
+        if number != self.requests.last {
+            tracing::debug!(number, "an answer nobody waits for any more");
+            return None;
+        }
         match answer {
             Answer::Captured(Ok((views, image))) => {
                 self.observer.on(now, Event::Picture { image: &image, views: &views });
@@ -260,16 +301,5 @@ impl Shell<'_> {
                 *last_route = route;
             }
         }
-    }
-
-    /// True when the arm stands, or nobody can say.
-    fn stands(&self) -> bool {
-        let now = self.hardware.now();
-        !self.hardware.robot().fresh(now)
-            || self
-                .hardware
-                .robot()
-                .state()
-                .is_none_or(|state| state.qd.iter().all(|speed| speed.abs() < 1e-3))
     }
 }

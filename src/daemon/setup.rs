@@ -78,12 +78,7 @@ const REFERENCES_SEEN: usize = 3;
 /// # Errors
 /// What an object of the catalogue lacks.
 pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel, SetupError> {
-    let objects = config
-        .objects
-        .iter()
-        .filter(|object| !object.fixed)
-        .map(|object| cell_object(config, object))
-        .collect::<Result<Vec<_>, _>>()?;
+    let objects = cell_objects(config)?;
     let tallest = config.objects.iter().filter_map(|object| object.height).fold(0.0, f64::max);
     let limits = &config.limits;
     let tolerances = &config.tolerances;
@@ -153,6 +148,15 @@ pub fn cups(config: &CellConfig) -> Vec<Cup> {
     config.gripper.cups.iter().map(cup).collect()
 }
 
+/// What the cell may move.
+///
+/// # Errors
+/// What an object of the catalogue lacks, or why the gripper cannot carry it.
+pub fn cell_objects(config: &CellConfig) -> Result<Vec<CellObject>, SetupError> {
+    let movable = config.objects.iter().filter(|object| !object.fixed);
+    movable.map(|object| cell_object(config, object)).collect()
+}
+
 fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, SetupError> {
     let lacks = |what| SetupError::Lacks { id: object.id.clone(), what };
     let grip: Grip =
@@ -185,6 +189,8 @@ fn grip_settings(config: &CellConfig) -> GripSettings {
             (true, false) | (false, false) => Channels::A,
         },
         vacuum_target: VACUUM_TARGET.max(config.gripper.vacuum_min),
+        body_radius: config.gripper.body_polygon.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max),
+        body_above_lips: config.gripper.body_height_m,
         tool_mass: config.gripper.mass_kg,
         tool_centre: Vector3::from(config.gripper.centre_of_gravity_m),
     }

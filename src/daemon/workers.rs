@@ -20,6 +20,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use tokio::sync::mpsc;
 
+/// An answer with the number of the request that it is for.
+pub type Numbered = (u64, Answer);
+
 /// What the workers answer.
 #[derive(Debug)]
 pub enum Answer {
@@ -62,12 +65,12 @@ pub fn spawn_eye(
     mut detector: Detector,
     parameters: EyeParameters,
     clock: Clock,
-    answers: mpsc::Sender<Answer>,
-) -> mpsc::Sender<EyeRequest> {
+    answers: mpsc::Sender<Numbered>,
+) -> mpsc::Sender<(u64, EyeRequest)> {
     let (requests_in, mut requests) = mpsc::channel(4);
     std::thread::spawn(move || {
         priority::lower();
-        while let Some(request) = requests.blocking_recv() {
+        while let Some((number, request)) = requests.blocking_recv() {
             let answer = match request {
                 EyeRequest::Capture { frames, table_from_camera } => {
                     let taken = capture(&mut *source, &mut detector, frames, table_from_camera, &clock);
@@ -75,7 +78,7 @@ pub fn spawn_eye(
                 }
                 EyeRequest::Observe(views) => Answer::Observed(put_together(&parameters, &views)),
             };
-            if answers.blocking_send(answer).is_err() {
+            if answers.blocking_send((number, answer)).is_err() {
                 return;
             }
         }
@@ -111,11 +114,11 @@ pub fn capture(
 }
 
 /// Starts one planning run; `stop` ends it early with the best plan so far.
-pub fn spawn_plan(request: PlanRequest, stop: Arc<AtomicBool>, answers: mpsc::Sender<Answer>) {
+pub fn spawn_plan(number: u64, request: PlanRequest, stop: Arc<AtomicBool>, answers: mpsc::Sender<Numbered>) {
     std::thread::spawn(move || {
         priority::lower();
         let answer = plan(&request, &stop);
-        let _ = answers.blocking_send(Answer::Planned(Box::new(answer)));
+        let _ = answers.blocking_send((number, Answer::Planned(Box::new(answer))));
     });
 }
 
@@ -130,7 +133,7 @@ fn plan(request: &PlanRequest, stop: &AtomicBool) -> PlanAnswer {
     let control = Control::until(&over);
     let outcome = match solve(&problem, request.solver, request.objective, &control, request.seed) {
         Ok(outcome) => outcome,
-        Err(error) => return PlanAnswer::Refused(error.to_string()),
+        Err(error) => return PlanAnswer::Unsolvable(error.to_string()),
     };
     match (outcome.status, outcome.plan, outcome.cost) {
         (Status::Optimal | Status::Solved, Some(plan), Some(cost)) => PlanAnswer::Found {

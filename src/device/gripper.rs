@@ -53,6 +53,15 @@ pub enum Channels {
 }
 
 impl Channels {
+    /// For sentences.
+    pub fn word(self) -> &'static str {
+        match self {
+            Channels::A => "channel A",
+            Channels::B => "channel B",
+            Channels::Both => "both channels",
+        }
+    }
+
     fn first_register(self) -> u16 {
         match self {
             Channels::A | Channels::Both => CONTROL,

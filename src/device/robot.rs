@@ -232,6 +232,11 @@ impl Robot {
         self.state.as_ref().is_some_and(|state| state.fresh(now))
     }
 
+    /// True unless a program is being started, stopped or ended: a new one would be refused meanwhile.
+    pub fn program_settled(&self) -> bool {
+        matches!(self.program, Program::Absent | Program::Running { .. } | Program::Stopped)
+    }
+
     /// Number of the path that was taken last; its events carry it.
     pub fn last_batch(&self) -> u32 {
         self.stream.last_batch()

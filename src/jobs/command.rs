@@ -124,21 +124,29 @@ impl Inbox {
         Ok(Inbox { folder: folder.to_owned(), daemon: daemon.into() })
     }
 
-    /// Takes what is there, in the order of sending. Files that are no command for this daemon are removed.
+    /// Takes what is there, in the order of sending. Files that are no command for this daemon are removed. Whatever
+    /// happens to one file, the commands taken before it are returned: an abort must not be lost to a full disk.
     pub fn take(&mut self) -> Result<Vec<Taken>, FileError> {
         let mut taken = Vec::new();
         for path in list(&self.folder)?.into_iter().filter(|path| is_command(path)).take(MAX_AT_ONCE) {
             let envelope = read_regular(&path, MAX_BYTES)
                 .ok()
                 .and_then(|(text, _)| serde_json::from_str::<Envelope>(&text).ok());
-            remove(&path)?;
+            if let Err(error) = remove(&path) {
+                tracing::warn!(%error, "a command could not be taken");
+                break;
+            }
             let reply = path.with_extension("reply");
-            match envelope {
+            let refused = match envelope {
                 Some(envelope) if envelope.daemon == self.daemon => {
                     taken.push(Taken { command: envelope.command, reply });
+                    continue;
                 }
-                Some(_) => answer(&reply, false, "this command was meant for a daemon that has ended")?,
-                None => answer(&reply, false, "this file is not a command of this version of celld")?,
+                Some(_) => "this command was meant for a daemon that has ended",
+                None => "this file is not a command of this version of celld",
+            };
+            if let Err(error) = answer(&reply, false, refused) {
+                tracing::warn!(%error, "a command could not be answered");
             }
         }
         Ok(taken)

@@ -76,7 +76,7 @@ fn drawings(page: &mut String, drawings: &[Drawing]) {
     if drawings.is_empty() {
         return;
     }
-    page.push_str("<h2>Arrangement and plan</h2><div class=\"side\">");
+    page.push_str("<h2>Arrangement and plan</h2><div class=\"stack\">");
     for drawing in drawings {
         let caption = escape(&drawing.caption);
         let _ = write!(page, "<figure>{}<figcaption>{caption}</figcaption></figure>", drawing.svg);
@@ -128,23 +128,29 @@ fn moves(page: &mut String, moves: &[MoveRow]) {
     if moves.is_empty() {
         return;
     }
-    page.push_str(
+    let with_vacuum = moves.iter().any(|row| row.vacuum.is_some());
+    let _ = write!(
+        page,
         "<h2>Pick-n-places</h2><div class=\"scroll\"><table><thead><tr><th>no.</th><th class=\"text\">object</th>\
-         <th class=\"text\">to</th><th>from</th><th>to</th><th>vacuum</th><th>time</th></tr></thead><tbody>",
+         <th class=\"text\">to</th><th>from</th><th>to</th>{}<th>time</th></tr></thead><tbody>",
+        if with_vacuum { "<th>vacuum</th>" } else { "" }
     );
     for (index, row) in moves.iter().enumerate() {
         let kind = if row.buffer { "buffer" } else { "goal" };
         let _ = write!(
             page,
             "<tr><td>{}</td><td class=\"text\">{}</td><td class=\"text\"><span class=\"kind {kind}\">{kind}</span></td>\
-             <td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+             <td>{}</td><td>{}</td>",
             index + 1,
             escape(&row.object),
             pose(row.from),
-            pose(row.to),
-            or_dash(row.vacuum, |vacuum| format!("{:.0} %", vacuum * 100.0)),
-            or_dash(row.seconds, seconds)
+            pose(row.to)
         );
+        if with_vacuum {
+            let _ =
+                write!(page, "<td>{}</td>", or_dash(row.vacuum, |vacuum| format!("{:.0} %", vacuum * 100.0)));
+        }
+        let _ = write!(page, "<td>{}</td></tr>", or_dash(row.seconds, seconds));
     }
     page.push_str("</tbody></table></div>\n");
 }

@@ -44,8 +44,6 @@ pub struct Figures {
     pub plans: usize,
     /// Looks taken.
     pub looks: usize,
-    /// Until the first plan, s.
-    pub first_plan_s: Option<f64>,
     /// All planning, s.
     pub planning_s: Option<f64>,
     /// From first motion to last, s of the cell's time.

@@ -28,7 +28,6 @@ pub fn figures(figures: &Figures) -> Vec<(String, String)> {
         ("lower bound", or_dash(figures.lower_bound, plain_number)),
         ("plans made", count(figures.plans)),
         ("looks taken", count(figures.looks)),
-        ("time to first plan", or_dash(figures.first_plan_s, seconds)),
         ("planning time", or_dash(figures.planning_s, seconds)),
         ("cycle time", or_dash(figures.cycle_s, seconds)),
         ("time per move", or_dash(figures.per_move_s(), seconds)),
@@ -81,7 +80,6 @@ mod tests {
                 lower_bound: Some(3.0),
                 plans: 1,
                 looks: 2,
-                first_plan_s: Some(0.0021),
                 planning_s: None,
                 cycle_s: Some(31.0),
                 ..Figures::default()
@@ -103,7 +101,6 @@ mod tests {
         lower bound              3
         plans made               1
         looks taken              2
-        time to first plan  2.1 ms
         planning time            -
         cycle time          31.0 s
         time per move       10.3 s

@@ -7,6 +7,7 @@
 //! would see time jump. With a factor above 1 the clients' processes may be the slow ones; then simulated time is
 //! held, within bounds, while a client that writes regularly is late or one that reads is behind.
 
+use crate::io::clock::Pace;
 use crate::sim::camera_server::{self, CameraSetup};
 use crate::sim::control_server;
 use crate::sim::controller::{Controller, ControllerConfig};
@@ -26,6 +27,9 @@ use tokio::task::JoinSet;
 
 /// Longest that simulated time is held for a client, wall time.
 const LONGEST_HOLD: Duration = Duration::from_millis(250);
+
+/// Longest that simulated time waits for a daemon that follows it, wall time; below `io::clock`'s own patience.
+const LONGEST_WAIT: Duration = Duration::from_millis(1500);
 
 /// How often a held frame looks whether it may go on.
 const HOLD_POLL: Duration = Duration::from_micros(200);
@@ -100,6 +104,7 @@ pub struct RunningSim {
     robot: Arc<RobotShared>,
     world: WorldHandle,
     pace: Arc<Pace>,
+    held_us: Arc<AtomicU64>,
     stop: watch::Sender<bool>,
     frames: Option<JoinHandle<()>>,
     servers: Option<(RobotServers, JoinSet<()>)>,
@@ -149,11 +154,13 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         let control = control_server::serve(listener, world.clone(), until(&stopped));
         tasks.spawn(async move { report("control server", control.await) });
     }
-    let pace = Arc::new(Pace::default());
+    let (pace, held_us) =
+        (Arc::new(Pace::new(robot.controller().core.timestamp())), Arc::new(AtomicU64::new(0)));
     let frames = {
-        let (robot, world, pace) = (robot.clone(), world.clone(), pace.clone());
+        let (robot, world) = (robot.clone(), world.clone());
+        let (pace, held_us) = (pace.clone(), held_us.clone());
         let factor = config.time_factor;
-        let body = move || run_frames(&robot, &world, &pace, factor, &stopped);
+        let body = move || run_frames(&robot, &world, (&pace, &held_us), factor, &stopped);
         std::thread::Builder::new().name("sim-frames".to_owned()).spawn(body).map_err(SimError::Thread)?
     };
     Ok(RunningSim {
@@ -161,6 +168,7 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         robot,
         world: WorldHandle(world),
         pace,
+        held_us,
         stop,
         frames: Some(frames),
         servers: Some((servers, tasks)),
@@ -210,9 +218,14 @@ impl RunningSim {
         self.pace.factor()
     }
 
+    /// Simulated time as it goes on, for a daemon in the same process.
+    pub fn pace(&self) -> Arc<Pace> {
+        self.pace.clone()
+    }
+
     /// Seconds of wall time for which simulated time was held for clients.
     pub fn seconds_held(&self) -> f64 {
-        self.pace.held_us.load(Ordering::Relaxed) as f64 * 1e-6
+        self.held_us.load(Ordering::Relaxed) as f64 * 1e-6
     }
 
     /// Ends all connections and the frame thread.
@@ -232,22 +245,6 @@ impl RunningSim {
 impl Drop for RunningSim {
     fn drop(&mut self) {
         self.stop.send_replace(true);
-    }
-}
-
-/// How simulated and wall time relate.
-#[derive(Debug, Default)]
-struct Pace {
-    simulated_us: AtomicU64,
-    wall_us: AtomicU64,
-    held_us: AtomicU64,
-}
-
-impl Pace {
-    fn factor(&self) -> f64 {
-        let wall = self.wall_us.load(Ordering::Relaxed);
-        let simulated = self.simulated_us.load(Ordering::Relaxed);
-        if wall == 0 { 1.0 } else { simulated as f64 / wall as f64 }
     }
 }
 
@@ -278,7 +275,7 @@ impl Schedule {
 fn run_frames(
     robot: &RobotShared,
     world: &SharedWorld,
-    pace: &Pace,
+    (pace, held_us): (&Pace, &AtomicU64),
     factor: f64,
     stopped: &watch::Receiver<bool>,
 ) {
@@ -286,23 +283,36 @@ fn run_frames(
     crate::io::priority::raise();
     // The default slack of 50 us is half a frame at factor 20. Without it the pace is merely less even.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1000));
-    let start = Instant::now();
-    let mut schedule = Schedule::new(factor, start);
+    let mut schedule = Schedule::new(factor, Instant::now());
     let mut frames: u64 = 0;
     while !*stopped.borrow() && stopped.has_changed().is_ok() {
         if factor > 1.0 {
             let held = hold(robot, stopped);
-            pace.held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
+            held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
         }
+        wait_for_follower(pace, held_us, stopped);
         robot.frame();
         step_world(robot, world);
         frames += 1;
-        pace.simulated_us.store((frames as f64 * FRAME_SECONDS * 1e6) as u64, Ordering::Relaxed);
-        pace.wall_us.store(start.elapsed().as_micros() as u64, Ordering::Relaxed);
+        pace.reached(Duration::from_secs_f64(frames as f64 * FRAME_SECONDS));
         let wait = schedule.wait(Instant::now());
         if !wait.is_zero() {
             std::thread::sleep(wait);
         }
+    }
+}
+
+/// Waits for a daemon in the same process that reads this simulation's clock; what it has not heard of must not look
+/// stale to it.
+fn wait_for_follower(pace: &Pace, held_us: &AtomicU64, stopped: &watch::Receiver<bool>) {
+    let start = Instant::now();
+    while pace.ahead() {
+        if start.elapsed() >= LONGEST_WAIT || *stopped.borrow() {
+            pace.give_up();
+            break;
+        }
+        std::thread::sleep(HOLD_POLL);
+        held_us.fetch_add(HOLD_POLL.as_micros() as u64, Ordering::Relaxed);
     }
 }
 

@@ -7,13 +7,14 @@
 
 use crate::device::gripper::GripperEvent;
 use crate::device::program::Nonce;
-use crate::device::robot_types::{RobotCommand, RobotEvent};
-use crate::geometry::pose::{Pose2, ur_pose_from_isometry};
+use crate::device::robot_types::RobotEvent;
+use crate::geometry::pose::Pose2;
 use crate::motion::pick_n_place::PickNPlacePaths;
 use crate::supervisor::gates::{self, Closed};
-use crate::supervisor::input::{Action, Input, Notice, OperatorCommand, Outside};
+use crate::supervisor::input::{Action, Input, Notice, Outside};
 use crate::supervisor::model::CellModel;
 use crate::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult};
+use crate::supervisor::trouble::motion_speed;
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
 use crate::vision::observe::{Observation, View};
@@ -134,16 +135,20 @@ pub struct Cell {
     pub(crate) seen: Option<Seen>,
     /// When the look behind `seen` was over.
     pub(crate) seen_at: Timestamp,
+    /// Since when the arm has been held in the middle of a motion.
+    pub(crate) held_since: Option<Timestamp>,
+    /// Why the cell cannot be armed until the daemon is started anew.
+    pub(crate) locked: Option<String>,
     /// Nonce of the program uploaded last.
     pub(crate) nonce: Option<Nonce>,
     /// The next nonce is made from this.
-    next_nonce: u64,
+    pub(crate) next_nonce: u64,
     /// Time the phase may still take at full speed.
     pub(crate) remaining: Duration,
     last_now: Timestamp,
     /// Reason for waiting that was said last, so that it is said once.
-    waiting_for: Option<Closed>,
-    waiting_since: Timestamp,
+    pub(crate) waiting_for: Option<Closed>,
+    pub(crate) waiting_since: Timestamp,
 }
 
 /// How the cell looks from outside.
@@ -163,12 +168,6 @@ pub struct Status {
     pub remaining_moves: usize,
 }
 
-/// How long a closed gate, other than a disarmed cell, may hold up a job before it fails.
-const NOT_READY_LIMIT: Duration = Duration::from_secs(60);
-
-/// How long powering up or starting the program may take.
-pub(crate) const BRING_UP_LIMIT: Duration = Duration::from_secs(30);
-
 impl Cell {
     /// A disarmed cell without a job. `nonce_seed` must differ from run to run.
     pub fn new(model: CellModel, nonce_seed: u64) -> Cell {
@@ -183,6 +182,8 @@ impl Cell {
             job: None,
             seen: None,
             seen_at: Timestamp::ZERO,
+            held_since: None,
+            locked: None,
             nonce: None,
             next_nonce: nonce_seed,
             remaining: Duration::ZERO,
@@ -280,19 +281,33 @@ impl Cell {
     }
 
     fn run_deadline(&mut self, now: Timestamp, outside: &Outside) {
-        let speed = outside.robot.map_or(1.0, |robot| robot.target_speed_fraction.clamp(0.0, 1.0));
+        let speed = if self.follows_a_path() { motion_speed(outside) } else { 1.0 };
         self.remaining = self.remaining.saturating_sub(now.since(self.last_now).mul_f64(speed));
         self.last_now = now;
+    }
+
+    /// True while the phase lasts as long as the arm takes for a path.
+    pub(crate) fn follows_a_path(&self) -> bool {
+        match &self.phase {
+            Phase::Park | Phase::Look(Look { stage: LookStage::Moving, .. }) => true,
+            Phase::Work(work) => {
+                !matches!(work.stage, WorkStage::Gripping | WorkStage::Releasing | WorkStage::GivingUp)
+            }
+            Phase::Ready | Phase::BringUp(_) | Phase::Look(_) | Phase::Plan | Phase::Approve => false,
+        }
     }
 
     pub(crate) fn enter(&mut self, phase: Phase, limit: Duration) {
         self.phase = phase;
         self.remaining = limit;
+        self.waiting_for = None;
     }
 
     fn on_job(&mut self, now: Timestamp, order: JobOrder, out: &mut Vec<Action>) {
         say(out, format!("job {} taken up: {} goals", order.id, order.goals.len()));
         self.waiting_since = now;
+        // What was seen for another job was not judged for this one.
+        self.seen = None;
         self.job = Some(JobRun {
             order,
             started: now,
@@ -310,48 +325,6 @@ impl Cell {
         });
     }
 
-    fn on_operator(&mut self, now: Timestamp, command: OperatorCommand, out: &mut Vec<Action>) {
-        match command {
-            OperatorCommand::Arm => {
-                self.armed = true;
-                say(out, "armed");
-            }
-            OperatorCommand::Disarm => {
-                self.armed = false;
-                say(out, "disarmed");
-            }
-            OperatorCommand::Approve => {
-                if let (Phase::Approve, Some(job)) = (&self.phase, &mut self.job) {
-                    job.approved = true;
-                    self.phase = Phase::Ready;
-                }
-            }
-            OperatorCommand::Reject => {
-                if matches!(self.phase, Phase::Approve) {
-                    self.phase = Phase::Ready;
-                    self.finish(now, JobEnd::Cancelled, "plan_rejected", "the plan was rejected", "", out);
-                }
-            }
-            OperatorCommand::Cancel => {
-                if let Some(job) = &mut self.job {
-                    job.cancel = true;
-                }
-            }
-            OperatorCommand::Pause => self.paused = true,
-            OperatorCommand::Resume => {
-                self.paused = false;
-                self.single_step = false;
-            }
-            OperatorCommand::Step => {
-                self.paused = false;
-                self.single_step = true;
-            }
-            OperatorCommand::Park => self.park_wanted = true,
-            OperatorCommand::Abort => self.on_abort(now, out),
-            OperatorCommand::Release => self.on_release_order(out),
-        }
-    }
-
     /// Decides what comes next when nothing is under way.
     fn pursue(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
         if !matches!(self.phase, Phase::Ready) || self.shutting_down {
@@ -367,9 +340,10 @@ impl Cell {
         if self.job.is_some() && self.paused {
             return;
         }
-        match gates::any_motion(self.armed, outside, self.nonce) {
-            Ok(()) => self.waiting_for = None,
-            Err(closed) => return self.wait_or_bring_up(now, outside, closed, out),
+        let open =
+            gates::any_motion(self.armed, outside, self.nonce).and_then(|()| gates::empty_handed(outside));
+        if let Err(closed) = open {
+            return self.wait_or_bring_up(now, outside, closed, out);
         }
         if self.seen.is_some() && now.since(self.seen_at) > self.model.tolerances.observation_age {
             say(out, "the table was seen too long ago; looking again");
@@ -382,76 +356,6 @@ impl Cell {
         } else {
             self.compare_and_continue(now, outside, out);
         }
-    }
-
-    /// The robot is not ready to move: bring it up if that is what is missing, else wait, but not for ever.
-    fn wait_or_bring_up(&mut self, now: Timestamp, outside: &Outside, closed: Closed, out: &mut Vec<Action>) {
-        let can_start = self.armed
-            && outside.robot_fresh
-            && outside.robot.is_some_and(|robot| robot.remote_control == Some(true));
-        if can_start && matches!(closed, Closed::Mode(_) | Closed::Program) {
-            self.enter(Phase::BringUp(BringUp::default()), BRING_UP_LIMIT);
-            self.bring_up(outside, out);
-            return;
-        }
-        if self.waiting_for.as_ref() != Some(&closed) {
-            say(out, format!("waiting: {closed}"));
-            self.waiting_since = now;
-            self.waiting_for = Some(closed.clone());
-        }
-        if closed != Closed::Disarmed && now.since(self.waiting_since) > NOT_READY_LIMIT {
-            let message = closed.to_string();
-            self.finish(
-                now,
-                JobEnd::Failed,
-                "not_ready",
-                &message,
-                "run `celld doctor`, then submit again",
-                out,
-            );
-        }
-    }
-
-    /// One round of the bring-up: asks for what is missing, once.
-    pub(crate) fn bring_up(&mut self, outside: &Outside, out: &mut Vec<Action>) {
-        let (Phase::BringUp(bring_up), Some(robot)) = (&mut self.phase, outside.robot) else { return };
-        match robot.robot_mode {
-            RobotMode::PowerOff if bring_up.asked != Some(RobotMode::PowerOff) => {
-                bring_up.asked = Some(RobotMode::PowerOff);
-                out.push(Action::Robot(RobotCommand::PowerOn));
-            }
-            RobotMode::Idle if bring_up.asked != Some(RobotMode::Idle) => {
-                bring_up.asked = Some(RobotMode::Idle);
-                out.push(Action::Robot(RobotCommand::ReleaseBrakes));
-            }
-            RobotMode::Running
-                if bring_up.program_asked
-                    && self.nonce.is_some_and(|nonce| robot.nonce == nonce.number()) =>
-            {
-                self.phase = Phase::Ready;
-                let tcp = ur_pose_from_isometry(&self.model.arm.flange_from_tool);
-                out.push(Action::Robot(RobotCommand::SetTcp(tcp)));
-                self.set_payload(0.0, out);
-            }
-            RobotMode::Running if !bring_up.program_asked => {
-                bring_up.program_asked = true;
-                let nonce = Nonce::new(self.next_nonce);
-                self.next_nonce = self.next_nonce.wrapping_add(1);
-                self.nonce = Some(nonce);
-                out.push(Action::Robot(RobotCommand::StartProgram { nonce }));
-            }
-            _ => {}
-        }
-    }
-
-    /// Tells the controller what hangs on the flange: the gripper and `mass` kg below the cups.
-    pub(crate) fn set_payload(&self, mass: f64, out: &mut Vec<Action>) {
-        let grip = &self.model.grip;
-        let tool = self.model.arm.flange_from_tool.translation.vector;
-        let total = grip.tool_mass + mass;
-        let centre = (grip.tool_centre * grip.tool_mass + tool * mass) / total;
-        let centre_of_gravity_m = [centre.x, centre.y, centre.z];
-        out.push(Action::Robot(RobotCommand::SetPayload { mass_kg: total, centre_of_gravity_m }));
     }
 
     fn on_robot(&mut self, now: Timestamp, outside: &Outside, event: RobotEvent, out: &mut Vec<Action>) {

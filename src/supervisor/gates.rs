@@ -7,6 +7,32 @@ use crate::device::program::Nonce;
 use crate::supervisor::input::Outside;
 use crate::wire::enumerations::{RobotMode, SafetyMode};
 
+/// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
+const EMPTY_BELOW: f64 = 0.05;
+
+impl Closed {
+    /// What a person can do about it.
+    pub fn remedy(&self) -> &'static str {
+        match self {
+            Closed::Stale => {
+                "see that the controller is on and in the network: `devices.robot` in the configuration"
+            }
+            Closed::Safety(_) => "clear the stop at the pendant once the cell is safe, then `celld arm`",
+            Closed::Mode(_) => {
+                "power the arm at the pendant, or switch it to Remote Control so that celld may"
+            }
+            Closed::Local => "switch the pendant to Remote Control, then `celld arm`",
+            Closed::Program => "look at the pendant for the program's error, then `celld arm`",
+            Closed::Disarmed => "`celld arm` once the cell is clear",
+            Closed::Gripper => {
+                "see that the gripper's Compute Box is on and in the network: `devices.gripper` in the configuration"
+            }
+            Closed::Holding(_) => "hold the object by hand, then `celld release --yes`",
+            Closed::NotObserved | Closed::NotApproved => "nothing: the cell goes on by itself",
+        }
+    }
+}
+
 /// Why a motion may not start.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Closed {
@@ -31,6 +57,9 @@ pub enum Closed {
     /// The gripper does not answer.
     #[error("the gripper does not answer")]
     Gripper,
+    /// There is vacuum although nothing was picked.
+    #[error("something may hang on the gripper: vacuum {0} %")]
+    Holding(u32),
     /// The table changed since it was last seen.
     #[error("the table was not observed since the last motion of an object")]
     NotObserved,
@@ -67,6 +96,19 @@ pub fn any_motion(armed: bool, outside: &Outside, nonce: Option<Nonce>) -> Resul
     Ok(())
 }
 
+/// What every motion with an empty gripper needs besides: that it is known to be empty.
+///
+/// # Errors
+/// [`Closed::Gripper`] or [`Closed::Holding`].
+pub fn empty_handed(outside: &Outside) -> Result<(), Closed> {
+    let Some(vacuum) = outside.vacuum.filter(|_| outside.gripper_answers) else {
+        return Err(Closed::Gripper);
+    };
+    let most = vacuum[0].max(vacuum[1]);
+    // A reading that is no number is no proof either.
+    if most < EMPTY_BELOW { Ok(()) } else { Err(Closed::Holding((most * 100.0).round() as u32)) }
+}
+
 /// What moving an object needs besides.
 ///
 /// # Errors
@@ -79,9 +121,8 @@ pub fn manipulate(
     approved: bool,
 ) -> Result<(), Closed> {
     any_motion(armed, outside, nonce)?;
-    if !outside.gripper_answers {
-        Err(Closed::Gripper)
-    } else if !observed {
+    empty_handed(outside)?;
+    if !observed {
         Err(Closed::NotObserved)
     } else if !approved {
         Err(Closed::NotApproved)

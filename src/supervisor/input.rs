@@ -1,6 +1,6 @@
 //! What the supervisor is told, and what it asks for.
 
-use crate::device::gripper::{GripperCommand, GripperEvent};
+use crate::device::gripper::{Channels, GripperCommand, GripperEvent};
 use crate::device::robot_types::{RobotCommand, RobotEvent, RobotState};
 use crate::geometry::pose::Pose2;
 use crate::planning::plan::{Action as PlanAction, Objective};
@@ -21,8 +21,12 @@ pub struct Outside<'a> {
     /// The robot has been silent for longer than the staleness limit while the daemon was listening: not
     /// merely because the daemon was held up itself.
     pub robot_silent: bool,
+    /// No program is being started, stopped or ended, so that a new one may be started.
+    pub program_settled: bool,
     /// The gripper answered within its deadline.
     pub gripper_answers: bool,
+    /// Vacuum of the channels (fraction), if it was read lately.
+    pub vacuum: Option<[f64; 2]>,
 }
 
 /// An order of the operator.
@@ -49,7 +53,7 @@ pub enum OperatorCommand {
     /// Go to the park pose.
     Park,
     /// Switch the vacuum off, whatever hangs there.
-    Release,
+    Release(Channels),
 }
 
 /// What a plan request came to.
@@ -72,6 +76,8 @@ pub enum PlanAnswer {
     Timeout,
     /// The request itself was at fault (a start that overlaps, for example).
     Refused(String),
+    /// The solver does not do such problems.
+    Unsolvable(String),
 }
 
 /// What happened.

@@ -4,14 +4,17 @@
 //! an object is picked, placed or dropped, or the cell was stopped.
 
 use crate::device::robot_types::RobotCommand;
+use crate::geometry::collision::penetration;
 use crate::geometry::pose::Pose2;
 use crate::motion::path::{CheckedPath, Leg, Segment};
 use crate::planning::check::CheckedPlan;
 use crate::planning::plan::{Action as PlanAction, ActionKind};
 use crate::planning::problem::Problem;
 use crate::supervisor::cell::{Cell, JobRun, Look, LookStage, Phase, RouteAction, alarm, say};
+use crate::supervisor::gates;
 use crate::supervisor::input::{Action, JournalEntry, Outside, PlanAnswer, PlanRequest};
-use crate::supervisor::order::JobEnd;
+use crate::supervisor::model::CellObject;
+use crate::supervisor::order::{ApprovalRule, JobEnd};
 use crate::tabletop::instance::{Instance, ObjectSpec};
 use crate::time::Timestamp;
 use crate::units::Joints;
@@ -25,6 +28,11 @@ const SAME_PLACE_RAD: f64 = 2e-4;
 
 /// Part of the planner's clearance that a running plan must still keep after placing errors.
 const CLEARANCE_SHARE: f64 = 0.3;
+
+/// Overlap that measured arrangements may have (design, section 3): so many standard deviations of the distance of two
+/// objects, and no less than the world's grain.
+const OVERLAP_STDS: f64 = 3.0;
+const LEAST_OVERLAP_M: f64 = 5e-4;
 
 /// Why an observation is of no use.
 struct Doubt {
@@ -81,10 +89,31 @@ impl Cell {
             acceleration: cycle.joint_acceleration,
             blend: 0.0,
         };
-        let here = self.model.arm.tool_at(from).translation.vector.z;
-        // After a stop the arm may stand lower than the transfer height: it may leave from there, not dip.
-        let floor = (cycle.tallest + 0.5 * cycle.air).min(here - 1e-3);
-        CheckedPath::new(&self.model.arm, from, &[Leg { segment, floor }])
+        let floor = cycle.tallest + 0.5 * cycle.air;
+        let mut legs = Vec::new();
+        // After a stop the arm may stand between the objects: straight up first, for there is no room aside.
+        if self.model.arm.tool_at(from).translation.vector.z < floor {
+            legs.push(self.straight_up(from)?);
+        }
+        legs.push(Leg { segment, floor });
+        CheckedPath::new(&self.model.arm, from, &legs)
+    }
+
+    /// Vertically to where nothing stands any more.
+    fn straight_up(&self, from: &Joints) -> Result<Leg, crate::motion::path::PathFault> {
+        let cycle = &self.model.cycle;
+        let here = self.model.arm.tool_at(from);
+        let mut above = here;
+        above.translation.vector.z = cycle.tallest + cycle.air;
+        let target = self.model.arm.joints_at(&above, from);
+        let target = target.ok_or_else(|| crate::motion::path::out_of_reach("straight up", &above))?;
+        let segment = Segment::Linear {
+            target,
+            speed: cycle.tool_speed,
+            acceleration: cycle.tool_acceleration,
+            blend: 0.0,
+        };
+        Ok(Leg { segment, floor: here.translation.vector.z - 1e-3 })
     }
 
     pub(crate) fn begin_park(&mut self, outside: &Outside, out: &mut Vec<Action>) {
@@ -152,6 +181,11 @@ impl Cell {
         }
         let next = look.view + 1;
         if next < self.model.look_poses.len() {
+            // Much may have happened since the first pose: a person may have disarmed the cell.
+            if gates::any_motion(self.armed, outside, self.nonce).is_err() {
+                self.phase = Phase::Ready;
+                return;
+            }
             self.begin_look(self.clock(), outside, next, out);
         } else {
             look.stage = LookStage::Observing;
@@ -240,6 +274,10 @@ impl Cell {
 
     fn doubt_objects(&self, observation: &Observation) -> Option<(String, String)> {
         let job = self.job.as_ref()?;
+        if let Some(id) = observation.unknown.first() {
+            let message = format!("marker {id} is on the table and belongs to nothing the cell knows");
+            return Some(("unknown_marker".into(), message));
+        }
         if let Some(duplicate) = observation.duplicates.first() {
             let message =
                 format!("marker {} of {} was seen in two places", duplicate.marker_id, duplicate.id);
@@ -322,16 +360,21 @@ impl Cell {
     /// The table as seen, with the job's goals, as a planning instance.
     ///
     /// An object that counts as being at its goal is given its present pose as goal: it need not move, and it
-    /// must not be nudged for the sake of a tenth of a millimetre.
+    /// must not be nudged for the sake of a tenth of a millimetre. Unless it then stands in the goal of another one:
+    /// there the millimetre counts, for the other would be put down onto it.
     fn instance(&self, job: &JobRun, seen: &Observation, clearance: f64) -> Instance {
-        let mut worst_std: f64 = 0.0;
+        let worst_std = seen.objects.iter().map(|estimate| estimate.std_xy_m).fold(0.0, f64::max);
+        // What touches is measured as overlapping by the errors of two objects.
+        let overlap_tolerance = (OVERLAP_STDS * std::f64::consts::SQRT_2 * worst_std).max(LEAST_OVERLAP_M);
         let mut objects = Vec::with_capacity(seen.objects.len());
         for estimate in &seen.objects {
             let Some(object) = self.model.object(&estimate.id) else { continue };
-            worst_std = worst_std.max(estimate.std_xy_m);
             let wanted = job.order.goals.iter().find(|(id, _)| *id == estimate.id).map(|(_, goal)| *goal);
-            let goal = wanted
-                .map(|goal| if self.model.at_goal(&estimate.pose, &goal) { estimate.pose } else { goal });
+            let goal = wanted.map(|goal| {
+                let stays = self.model.at_goal(&estimate.pose, &goal)
+                    && !self.stands_in_a_goal(job, object, &estimate.pose, overlap_tolerance);
+                if stays { estimate.pose } else { goal }
+            });
             objects.push(ObjectSpec {
                 id: object.id.clone(),
                 footprint: object.footprint.clone(),
@@ -349,12 +392,17 @@ impl Cell {
         Instance {
             workspace: self.model.workspace,
             clearance,
-            // Measured arrangements overlap a little: what touches may be measured as overlapping by the
-            // errors of two objects, and a goal by the tolerance it was reached with.
-            overlap_tolerance: (3.0 * worst_std).max(2.0 * self.model.tolerances.goal_position),
+            overlap_tolerance,
             keep_out: self.model.keep_out.clone(),
             objects,
         }
+    }
+
+    /// True when the object at `pose` reaches into another object's goal by more than `tolerance`, m.
+    fn stands_in_a_goal(&self, job: &JobRun, object: &CellObject, pose: &Pose2, tolerance: f64) -> bool {
+        let others = job.order.goals.iter().filter(|(id, _)| *id != object.id);
+        let mut others = others.filter_map(|(id, goal)| self.model.object(id).map(|known| (known, goal)));
+        others.any(|(known, goal)| penetration(&object.footprint, pose, &known.footprint, goal) > tolerance)
     }
 
     fn request_plan(&mut self, now: Timestamp, out: &mut Vec<Action>) {
@@ -416,7 +464,11 @@ impl Cell {
         }
         job.replans += 1;
         job.route = Some(route);
-        job.approved = !job.order.needs_approval;
+        job.approved = match job.order.approval {
+            ApprovalRule::NoPlan => true,
+            ApprovalRule::FirstPlan => job.approved,
+            ApprovalRule::EveryPlan => false,
+        };
         if !job.approved {
             alarm(out, format!("job {}: the plan waits for approval", job.order.id));
             self.phase = Phase::Approve;
@@ -432,6 +484,10 @@ impl Cell {
             PlanAnswer::Refused(reason) => {
                 let message = format!("the measured table is no valid start: {reason}");
                 self.finish(now, JobEnd::Failed, "bad_start", &message, "separate the objects by hand", out);
+            }
+            PlanAnswer::Unsolvable(reason) => {
+                let remedy = "choose another solver or objective in the job";
+                self.finish(now, JobEnd::Failed, "solver_unfit", reason, remedy, out);
             }
             PlanAnswer::Timeout | PlanAnswer::Found { .. } => {
                 let remedy = "give the job a longer time_limit_s, or clear the table a little";

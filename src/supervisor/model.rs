@@ -72,6 +72,10 @@ pub struct GripSettings {
     pub channels: Channels,
     /// Relative vacuum asked for, 0..0.8.
     pub vacuum_target: f64,
+    /// Radius about the tool's axis of the gripper's body, m.
+    pub body_radius: f64,
+    /// Underside of the body over the cup lips, m.
+    pub body_above_lips: f64,
     /// Mass of the gripper with camera, kg.
     pub tool_mass: f64,
     /// Its centre of gravity in the flange frame, m.

@@ -23,8 +23,19 @@ pub struct JobOrder {
     pub time_limit: Duration,
     /// Seed of the planner.
     pub seed: u64,
-    /// A person has to approve the plan before anything is picked.
-    pub needs_approval: bool,
+    /// Which plans a person has to approve before anything is picked.
+    pub approval: ApprovalRule,
+}
+
+/// Which plans of a job wait for a person.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ApprovalRule {
+    /// None.
+    NoPlan,
+    /// The first one; a new plan for the same goal does not wait again.
+    FirstPlan,
+    /// Every one.
+    EveryPlan,
 }
 
 /// How a job ended.

@@ -1,6 +1,6 @@
 //! What the machine must never do, played through with made-up devices.
 
-use crate::device::gripper::Channels;
+use crate::device::gripper::{Channels, GripperCommand};
 use crate::device::registers::ProgramStatus;
 use crate::device::robot_types::{RobotCommand, RobotEvent, RobotState};
 use crate::geometry::footprint::Footprint;
@@ -13,7 +13,7 @@ use crate::planning::solver::SolverKind;
 use crate::supervisor::cell::Cell;
 use crate::supervisor::input::{Action, Input, OperatorCommand, Outside, PlanAnswer};
 use crate::supervisor::model::{CellModel, CellObject, GripSettings, Tolerances};
-use crate::supervisor::order::{JobEnd, JobOrder};
+use crate::supervisor::order::{ApprovalRule, JobEnd, JobOrder};
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
@@ -89,6 +89,8 @@ fn model() -> CellModel {
         grip: GripSettings {
             channels: Channels::A,
             vacuum_target: 0.6,
+            body_radius: 0.05,
+            body_above_lips: 0.05,
             tool_mass: 0.9,
             tool_centre: Vector3::new(0.0, 0.0, 0.07),
         },
@@ -100,6 +102,12 @@ struct Bench {
     cell: Cell,
     robot: RobotState,
     silent: bool,
+    gripper_answers: bool,
+    vacuum: [f64; 2],
+    unknown: Vec<u32>,
+    /// Where `a` is, and a second object.
+    at: Pose2,
+    other: Option<(String, Pose2)>,
     reference: ReferenceCheck,
     now: Timestamp,
 }
@@ -143,6 +151,11 @@ impl Bench {
             cell: Cell::new(model(), 7),
             robot,
             silent: false,
+            gripper_answers: true,
+            vacuum: [0.01, 0.0],
+            unknown: Vec::new(),
+            at: Pose2::new(0.15, 0.3, 0.0),
+            other: None,
             reference: reference(4, 1e-4),
             now: Timestamp::from_secs_f64(1.0),
         }
@@ -154,7 +167,9 @@ impl Bench {
             robot: Some(&self.robot),
             robot_fresh: !self.silent,
             robot_silent: self.silent,
-            gripper_answers: true,
+            program_settled: true,
+            gripper_answers: self.gripper_answers,
+            vacuum: Some(self.vacuum),
         };
         let actions = self.cell.step(self.now, &outside, input);
         for action in &actions {
@@ -170,6 +185,10 @@ impl Bench {
     }
 
     fn job(&mut self, needs_approval: bool) -> Vec<Action> {
+        self.job_with(if needs_approval { ApprovalRule::EveryPlan } else { ApprovalRule::NoPlan })
+    }
+
+    fn job_with(&mut self, approval: ApprovalRule) -> Vec<Action> {
         self.feed(Input::Job(Box::new(JobOrder {
             id: "j".into(),
             goals: vec![("a".into(), Pose2::new(0.35, 0.3, 0.0))],
@@ -177,7 +196,7 @@ impl Bench {
             solver: SolverKind::Erbm,
             time_limit: Duration::from_secs(1),
             seed: 0,
-            needs_approval,
+            approval,
         })))
     }
 
@@ -191,13 +210,15 @@ impl Bench {
 
     /// The arm is on its way to the look pose; the look ends with `a` at its start.
     fn look(&mut self) -> Vec<Action> {
-        self.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
-        let settled = self.ticks(10);
-        assert!(settled.iter().any(|action| matches!(action, Action::Capture { .. })), "{settled:?}");
-        self.feed(Input::Captured(Ok(Vec::new())));
+        for _ in 0..self.cell.model().look_poses.len() {
+            self.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+            let settled = self.ticks(10);
+            assert!(settled.iter().any(|action| matches!(action, Action::Capture { .. })), "{settled:?}");
+            self.feed(Input::Captured(Ok(Vec::new())));
+        }
         let estimate = ObjectEstimate {
             id: "a".into(),
-            pose: Pose2::new(0.15, 0.3, 0.0),
+            pose: self.at,
             std_xy_m: 2e-4,
             std_theta_rad: 1e-3,
             views: 1,
@@ -209,12 +230,19 @@ impl Bench {
             time: self.now,
         };
         let reference = Some(self.reference.clone());
-        let seen = Observation { objects: vec![estimate], reference, ..Observation::default() };
+        let other = self.other.iter().map(|(id, pose)| ObjectEstimate {
+            id: id.clone(),
+            pose: *pose,
+            ..estimate.clone()
+        });
+        let objects: Vec<_> = std::iter::once(estimate.clone()).chain(other).collect();
+        let unknown = self.unknown.clone();
+        let seen = Observation { objects, reference, unknown, ..Observation::default() };
         self.feed(Input::Observed(Ok(Box::new(seen))))
     }
 
     fn plan(&mut self) -> Vec<Action> {
-        let (from, to) = (Pose2::new(0.15, 0.3, 0.0), Pose2::new(0.35, 0.3, 0.0));
+        let (from, to) = (self.at, Pose2::new(0.35, 0.3, 0.0));
         let actions = vec![PlanAction { object: 0, from, to, kind: ActionKind::Goal }];
         let answer = PlanAnswer::Found { actions, cost: 1.0, lower_bound: 1.0, seconds: 0.01 };
         self.feed(Input::Planned(Box::new(answer)))
@@ -366,3 +394,5 @@ fn a_plan_approved_late_waits_for_a_new_look() {
     let actions = bench.look();
     assert!(journalled(&actions), "the approved plan goes on: {actions:?}");
 }
+
+mod faults;

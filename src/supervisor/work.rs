@@ -2,10 +2,14 @@
 
 use crate::device::gripper::{GripperCommand, GripperEvent};
 use crate::device::robot_types::RobotCommand;
+use crate::geometry::collision::penetration;
+use crate::geometry::footprint::Footprint;
+use crate::geometry::pose::Pose2;
 use crate::motion::pick_n_place::{PickNPlace, plan};
-use crate::supervisor::cell::{Cell, Phase, Work, WorkStage, alarm, say};
+use crate::supervisor::cell::{Cell, Phase, RouteAction, Work, WorkStage, alarm, say};
 use crate::supervisor::gates;
 use crate::supervisor::input::{Action, JournalEntry, Outside};
+use crate::supervisor::model::CellObject;
 use crate::supervisor::order::JobEnd;
 use crate::time::Timestamp;
 
@@ -14,8 +18,8 @@ impl Cell {
     pub(crate) fn begin_work(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
         let (Some(job), Some(robot)) = (&self.job, outside.robot) else { return };
         let observed = self.seen.is_some();
-        if gates::manipulate(self.armed, outside, self.nonce, observed, job.approved).is_err() {
-            return;
+        if let Err(closed) = gates::manipulate(self.armed, outside, self.nonce, observed, job.approved) {
+            return self.wait(now, closed, out);
         }
         let Some(next) = job.route.as_ref().and_then(|route| route.first()).cloned() else { return };
         let Some(object) = self.model.object(&next.object) else { return };
@@ -26,6 +30,12 @@ impl Cell {
             grip_yaw: object.grip_yaw,
             height: object.height,
         };
+        if let Some(neighbour) = self.body_meets(&next, object) {
+            let message = format!("the gripper's body would meet {neighbour} beside {}", next.object);
+            let remedy = "move the two apart by hand, or give the job a goal with more room";
+            self.finish(now, JobEnd::Failed, &format!("unpickable:{}", next.object), &message, remedy, out);
+            return;
+        }
         let paths = match plan(&self.model.arm, &robot.q, &task, &self.model.cycle) {
             Ok(paths) => paths,
             Err(fault) => {
@@ -45,6 +55,25 @@ impl Cell {
         out.push(Action::Robot(RobotCommand::Stream(paths.approach.clone())));
         let work = Work { object: next.object, paths, stage: WorkStage::Approaching };
         self.enter(Phase::Work(Box::new(work)), self.model.tolerances.phase_deadline);
+    }
+
+    /// An object so tall that the gripper's body, coming down for the pick or the place, would touch it. The body
+    /// counts as a disc about the tool's axis, for the yaw is chosen later.
+    fn body_meets(&self, next: &RouteAction, object: &CellObject) -> Option<&str> {
+        let seen = self.seen.as_ref()?;
+        let body = self.model.grip.body_radius;
+        let underside = object.height - self.model.cycle.press + self.model.grip.body_above_lips;
+        let places = [next.from, next.to].map(|pose| pose.transform(object.grip_point));
+        let others = seen.objects.iter().filter(|other| other.id != object.id);
+        let moving = others.filter_map(|other| self.model.object(&other.id).map(|known| (known, other.pose)));
+        let mut tall = moving.filter(|(known, _)| known.height > underside);
+        let disc = Footprint::Disc { radius: body };
+        tall.find_map(|(known, pose)| {
+            let meets = places
+                .iter()
+                .any(|[x, y]| penetration(&disc, &Pose2::new(*x, *y, 0.0), &known.footprint, &pose) > 0.0);
+            meets.then_some(known.id.as_str())
+        })
     }
 
     /// The arm finished the path of the present stage.

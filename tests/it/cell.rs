@@ -3,7 +3,7 @@
 //! Names begin with `cell_`, so that the test runner gives each the machine for itself. Every simulation has a
 //! loopback address of its own, because the robot's port numbers are fixed.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -82,7 +82,8 @@ fn wait_until(what: &str, condition: impl Fn() -> bool) {
     let started = Instant::now();
     while !condition() {
         assert!(started.elapsed() < PATIENCE, "{what}");
-        std::thread::yield_now();
+        // Asking without a break would take the core from those that are asked.
+        std::thread::sleep(Duration::from_millis(20));
     }
 }
 
@@ -119,8 +120,20 @@ fn start_sim(config: &Path) -> Running {
 
 fn interrupt(process: &Running) {
     let id = process.0.id().to_string();
-    let sent = Command::new("kill").args(["-INT", &id]).status().expect("kill");
+    // The shell's own: a bare Debian has no such program.
+    let sent = Command::new("sh").args(["-c", &format!("kill -INT {id}")]).status().expect("sh");
     assert!(sent.success());
+}
+
+/// What the simulated controller's dashboard says of its program.
+fn program_state(address: &str) -> String {
+    let mut dashboard = std::net::TcpStream::connect((address, 29999)).expect("the simulated dashboard");
+    dashboard.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    dashboard.write_all(b"programState\n").expect("sent");
+    let mut lines = BufReader::new(dashboard).lines();
+    lines.next().expect("a greeting").expect("text");
+    let answer = lines.next().expect("an answer").expect("text");
+    answer.split_whitespace().next().unwrap_or_default().to_string()
 }
 
 fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
@@ -164,7 +177,9 @@ fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
 
     std::fs::write(incoming.join("one.yaml"), job("one", 0.30)).expect("written");
     wait_until("the job is taken up", || state.join("jobs/active/one").is_dir());
-    assert!(result_of(&state, "done", "one").is_none(), "nothing moves before a person armed the cell");
+    let status = || text(&celld(&["status"], folder.path()).stdout);
+    wait_until("the job waits for a person", || status().contains("the cell is disarmed"));
+    assert_eq!(program_state("127.7.1.2"), "STOPPED", "not even the program is started");
     wait_until("the cell is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));
     wait_until("the job is done", || result_of(&state, "done", "one").is_some());
     let result = result_of(&state, "done", "one").expect("result");
@@ -173,12 +188,26 @@ fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     let second = celld(&["run", "--config", &cell_text], folder.path());
     assert_eq!(second.status.code(), Some(1), "a second daemon on one state folder");
 
+    // A stop, and work again once a person has armed the cell.
+    let works = || status().contains("working (armed)");
     std::fs::write(incoming.join("two.yaml"), job("two", 0.40)).expect("written");
-    let works = || text(&celld(&["status"], folder.path()).stdout).contains("working (armed)");
     wait_until("the second job is under way", works);
+    assert_eq!(celld(&["abort"], folder.path()).status.code(), Some(0));
+    wait_until("the second job has ended", || result_of(&state, "failed", "two").is_some());
+    let result = result_of(&state, "failed", "two").expect("a result");
+    assert!(result.contains("status: interrupted") && result.contains("code: \"aborted\""), "{result}");
+    assert_eq!(celld(&["arm"], folder.path()).status.code(), Some(0));
+    std::fs::write(incoming.join("three.yaml"), job("three", 0.40)).expect("written");
+    wait_until("the third job is done", || result_of(&state, "done", "three").is_some());
+
+    std::fs::write(incoming.join("four.yaml"), job("four", 0.30)).expect("written");
+    wait_until("the fourth job is under way", works);
     interrupt(&daemon);
     let ended = daemon.0.wait().expect("the daemon ends");
     assert_eq!(ended.code(), Some(0));
-    let result = result_of(&state, "failed", "two").expect("a result");
+    let result = result_of(&state, "failed", "four").expect("a result");
     assert!(result.contains("status: interrupted") && result.contains("code: \"shutdown\""), "{result}");
+    wait_until("the program ends with its daemon", || program_state("127.7.1.2") == "STOPPED");
+    let recordings = std::fs::read_dir(folder.path().join("recordings")).expect("the configured folder");
+    assert!(recordings.flatten().any(|file| file.metadata().is_ok_and(|meta| meta.len() > 1000)));
 }

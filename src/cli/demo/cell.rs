@@ -85,7 +85,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             cups: vec![CupConfig { channel: CupChannel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP_DIAMETER_M }],
             body_polygon: vec![[-0.035, -0.035], [0.035, -0.035], [0.035, 0.035], [-0.035, 0.035]],
             body_height_m: 0.08,
-            vacuum_min: 0.4,
+            vacuum_min: 0.5,
             mass_kg: 0.95,
             centre_of_gravity_m: [0.0, -0.01, 0.07],
         },

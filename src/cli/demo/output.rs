@@ -91,7 +91,6 @@ fn report(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice) -> Ru
             lower_bound: job.and_then(|job| job.lower_bound),
             plans: watch.plans,
             looks: watch.looks,
-            first_plan_s: None,
             planning_s: job.map(|job| job.planning_seconds),
             cycle_s: job.map(|job| job.seconds),
             tolerance_mm: GOOD_MM,

@@ -5,22 +5,20 @@
 
 use crate::cli::demo::cell::{DemoChoice, cell_config, sim_file};
 use crate::cli::demo::watch::Watch;
+use crate::cli::recorder::Recorder;
 use crate::cli::sim::sim_config;
-use crate::config::cell::{CameraMount, CellConfig};
-use crate::daemon::calibrate::{Eye, Round, bring_up, collect, kinematics};
+use crate::config::cell::CellConfig;
+use crate::daemon::calibrate::{Eye, Setting, measure, solve};
 use crate::daemon::hardware::{Addresses, Hardware};
 use crate::daemon::run::{Office, Shell, Workers, run};
-use crate::daemon::setup::{
-    Measured, arm_model, cell_model, eye_parameters, gripper_parameters, reference_markers,
-};
+use crate::daemon::setup::{Measured, cell_model, cell_objects, eye_parameters, gripper_parameters};
 use crate::daemon::workers::spawn_eye;
 use crate::device::program::Nonce;
-use crate::device::robot_types::{RobotCommand, RobotParameters};
+use crate::device::robot_types::RobotParameters;
 use crate::geometry::pose::Pose2;
 use crate::io::camera::CameraSource;
 use crate::io::camera::http::HttpCamera;
 use crate::io::clock::Clock;
-use crate::io::recording::Recording;
 use crate::planning::plan::Objective;
 use crate::planning::solver::SolverKind;
 use crate::sim::cell::{RunningSim, start};
@@ -28,10 +26,10 @@ use crate::sim::robot_server::RobotPorts;
 use crate::sim::world::lock;
 use crate::supervisor::cell::{Cell, Status};
 use crate::supervisor::input::{Input, JournalEntry, OperatorCommand};
-use crate::supervisor::order::{JobOrder, JobReport};
+use crate::supervisor::order::{ApprovalRule, JobOrder, JobReport};
 use crate::tabletop::instance::Instance;
 use crate::time::{Duration, Timestamp};
-use crate::vision::calibrate::{HandEye, HandEyeGuess, HandEyeSettings, solve_hand_eye};
+use crate::vision::calibrate::HandEye;
 use crate::vision::detect::{DetectSettings, Detector};
 use std::path::Path;
 use std::sync::Arc;
@@ -70,6 +68,7 @@ pub async fn demo(
     stop: Arc<AtomicBool>,
 ) -> Result<DemoOutcome, String> {
     let mut config = cell_config(instance, choice, out)?;
+    cell_objects(&config).map_err(|error| error.to_string())?;
     let file = sim_file(instance, &config, choice)?;
     let sim = start(sim_config(&file, choice.bind, RobotPorts::ANY)).await.map_err(|error| chain(&error))?;
     config.devices.gripper_port = sim.addresses.modbus.port();
@@ -94,7 +93,7 @@ async fn with_sim(
     sim: &RunningSim,
     stop: &Arc<AtomicBool>,
 ) -> Result<(HandEye, Watch), String> {
-    let clock = Clock::new(choice.time_factor);
+    let clock = Clock::paced(sim.pace(), choice.time_factor);
     let addresses = Addresses {
         rtde: sim.addresses.robot.rtde,
         dashboard: sim.addresses.robot.dashboard,
@@ -103,20 +102,29 @@ async fn with_sim(
     };
     let mut parameters = RobotParameters::full_rate();
     parameters.frequency_hz = RTDE_HZ;
-    let mut hardware = Hardware::open(&addresses, clock, parameters, gripper_parameters(config))
+    let mut hardware = Hardware::open(&addresses, clock.clone(), parameters, gripper_parameters(config))
         .map_err(|error| chain(&error))?;
     let camera_address = format!("http://{}", sim.addresses.camera);
     let mut camera = HttpCamera::new(&camera_address, FRAME_LIMIT);
     let lens = tokio::task::block_in_place(|| camera.intrinsics()).map_err(|error| chain(&error))?;
     eprintln!("calibrating the camera on the arm ({} poses)", config.calibration_poses.len());
-    let (dh, calibration) = calibrate(config, &mut hardware, Box::new(camera), &lens, choice, stop).await?;
+    let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
+    let setting = Setting {
+        config,
+        nonce: Nonce::new(choice.seed.wrapping_add(1)),
+        stop: &|| stop.load(Ordering::Relaxed),
+        progress: &|pose, markers| eprintln!("  pose {pose}: {markers} markers"),
+    };
+    let eye = Eye { camera: Box::new(camera), detector };
+    let (arm, samples) = measure(&mut hardware, eye, &setting).await.map_err(|error| chain(&error))?;
+    let calibration = solve(config, &lens, &samples).map_err(|error| chain(&error))?;
     eprintln!(
         "calibrated: {:.2} px, {:.2} mm held out",
         calibration.reprojection_px_rms,
         calibration.held_out_rms_m.unwrap_or(f64::NAN) * 1e3
     );
     let measured = Measured {
-        dh,
+        dh: arm.dh,
         base_from_table: calibration.base_from_table,
         flange_from_camera: calibration.flange_from_camera,
         camera: lens.clone(),
@@ -126,50 +134,12 @@ async fn with_sim(
     let camera = HttpCamera::new(&camera_address, FRAME_LIMIT).with_lens(lens.clone());
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let eye = spawn_eye(Box::new(camera), detector, eye_parameters(config, lens), clock, answers_in.clone());
-    let recording = Recording::create(&out.join("run.mcap"), crate::io::clock::unix_now_s());
-    let mut watch = Watch::new(recording.ok());
+    let mut watch = Watch::new(Recorder::create(&out.join("run.mcap"), true));
     let mut office = OneJob { order: Some(order(instance, choice)?), armed: false, over: stop.clone() };
-    let shell = Shell {
-        cell: Cell::new(model, choice.seed.wrapping_add(1000)),
-        hardware,
-        workers: Workers { eye, answers, answers_in },
-        office: &mut office,
-        observer: &mut watch,
-    };
+    let cell = Cell::new(model, choice.seed.wrapping_add(1000));
+    let shell = Shell::new(cell, hardware, Workers { eye, answers, answers_in }, &mut office, &mut watch);
     run(shell, stop).await.map_err(|error| error.to_string())?;
     Ok((calibration, watch))
-}
-
-/// Drives the calibration poses and solves; the arm's kinematics come with it.
-async fn calibrate(
-    config: &CellConfig,
-    hardware: &mut Hardware,
-    camera: Box<dyn CameraSource + Send>,
-    lens: &crate::vision::camera::CameraModel,
-    choice: &DemoChoice,
-    stop: &Arc<AtomicBool>,
-) -> Result<(crate::motion::kinematics::DhParameters, HandEye), String> {
-    let stopped = || stop.load(Ordering::Relaxed);
-    let address = choice.bind.to_string();
-    let dh = kinematics(hardware, &address, &stopped).await.map_err(|error| chain(&error))?.dh;
-    let nonce = Nonce::new(choice.seed.wrapping_add(1));
-    bring_up(hardware, nonce, &address, &stopped).await.map_err(|error| chain(&error))?;
-    let model = arm_model(config, dh, config.base_from_table);
-    let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let mut round = Round { hardware, model: &model, nonce, stop: &stopped };
-    let progress = |pose: usize, markers: usize| eprintln!("  pose {pose}: {markers} markers");
-    let samples = collect(&mut round, &config.calibration_poses, Eye { camera, detector }, &progress)
-        .await
-        .map_err(|error| chain(&error))?;
-    round.hardware.command_robot(RobotCommand::EndProgram);
-    let CameraMount::Flange { flange_from_camera } = config.camera else {
-        return Err("the demo's camera sits on the flange".to_string());
-    };
-    let guess = HandEyeGuess { flange_from_camera, base_from_table: config.base_from_table };
-    let settings = HandEyeSettings::default();
-    let solved = solve_hand_eye(&samples, &reference_markers(config), lens, &guess, &settings)
-        .map_err(|error| chain(&error))?;
-    Ok((dh, solved))
 }
 
 fn order(instance: &Instance, choice: &DemoChoice) -> Result<JobOrder, String> {
@@ -182,7 +152,7 @@ fn order(instance: &Instance, choice: &DemoChoice) -> Result<JobOrder, String> {
         solver,
         time_limit: Duration::from_secs_f64(choice.time_limit_s),
         seed: choice.seed,
-        needs_approval: false,
+        approval: ApprovalRule::NoPlan,
     })
 }
 

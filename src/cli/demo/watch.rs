@@ -3,37 +3,24 @@
 //!
 //! In: the daemon's events. Out: [`Watch`], from which the report is made, a recording, and lines on stderr.
 
+use crate::cli::recorder::Recorder;
 use crate::daemon::run::{Event, Observer};
 use crate::geometry::pose::Pose2;
-use crate::io::priority;
-use crate::io::recording::{PictureFormat, RecordedObject, Recording, Severity};
 use crate::report::run::LogRow;
 use crate::supervisor::order::JobReport;
-use crate::time::{Duration, Timestamp};
+use crate::time::Timestamp;
 use crate::vision::annotate::draw_detections;
 use crate::vision::image::Image;
 use crate::vision::observe::Observation;
 use indicatif::{ProgressBar, ProgressStyle};
-use serde_json::json;
-use std::sync::mpsc::{Receiver, Sender, channel};
 
 /// One step of a route: object, from, to, whether `to` is its goal.
 pub type RouteStep = (String, Pose2, Pose2, bool);
 
-/// A picture with the time it was taken, before and after encoding.
-type Picture = (Timestamp, Image);
-type EncodedPicture = (Timestamp, Vec<u8>);
-
-/// How often joint states are recorded, in the cell's time.
-const RECORD_EVERY: Duration = Duration::from_millis(40);
-
 /// Everything kept of a run.
 pub struct Watch {
     bar: ProgressBar,
-    recording: Option<Recording>,
-    last_recorded: Timestamp,
-    to_encode: Sender<Picture>,
-    encoded: Receiver<EncodedPicture>,
+    recorder: Recorder,
     /// Sentences with the cell's time.
     pub log: Vec<LogRow>,
     /// Annotated pictures of the look under way, then of the last one.
@@ -59,20 +46,16 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Shows progress on stderr and records to `recording`.
-    pub fn new(recording: Option<Recording>) -> Watch {
+    /// Shows progress on stderr and records.
+    pub fn new(recorder: Recorder) -> Watch {
         let bar = ProgressBar::new(0);
         let template = "{spinner} [{elapsed_precise}] {bar:24} {pos}/{len} moves  {msg}";
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
-        let (to_encode, encoded) = encoder();
         Watch {
             bar,
-            recording,
-            last_recorded: Timestamp::ZERO,
-            to_encode,
-            encoded,
+            recorder,
             log: Vec::new(),
             look: Vec::new(),
             look_over: true,
@@ -96,37 +79,20 @@ impl Watch {
     /// Ends progress and recording; the recording's fault, if it had one.
     pub fn close(&mut self) -> Option<String> {
         self.bar.finish_and_clear();
-        let finished = self.recording.take().map(Recording::finish)?;
-        finished.err().map(|error| error.to_string())
+        self.recorder.close()
     }
 
-    /// Writes to the recording; the first failure ends it with one line in the log.
-    fn record(
-        &mut self,
-        now: Timestamp,
-        write: impl FnOnce(&mut Recording) -> Result<(), crate::io::recording::RecordingError>,
-    ) {
-        let Some(recording) = &mut self.recording else { return };
-        if let Err(error) = write(recording) {
-            self.recording = None;
-            let text = format!("recording ended: {error}");
-            self.log.push(LogRow { seconds: now.as_secs_f64(), level: "warn", text });
-        }
-    }
-
-    fn picture(&mut self, now: Timestamp, image: &Image, detections: &[crate::vision::detect::Detection]) {
+    fn picture(&mut self, image: &Image, detections: &[crate::vision::detect::Detection]) {
         if self.look_over {
             self.look.clear();
             self.look_over = false;
         }
         let mut drawn = image.clone();
         draw_detections(&mut drawn, detections);
-        // Encoding takes tens of milliseconds, in which the robot would not hear from us.
-        let _ = self.to_encode.send((now, drawn.clone()));
         self.look.push(drawn);
     }
 
-    fn observed(&mut self, now: Timestamp, observation: &Observation) {
+    fn observed(&mut self, observation: &Observation) {
         self.looks += 1;
         self.look_over = true;
         if self.first_seen.is_none() {
@@ -134,19 +100,6 @@ impl Watch {
             self.first_look = self.look.clone();
         }
         self.last_seen = Some(observation.clone());
-        let objects: Vec<RecordedObject> = observation
-            .objects
-            .iter()
-            .map(|o| RecordedObject {
-                id: o.id.clone(),
-                x: o.pose.x,
-                y: o.pose.y,
-                theta: o.pose.theta,
-                std_xy_m: o.std_xy_m,
-                std_theta_rad: o.std_theta_rad,
-            })
-            .collect();
-        self.record(now, |recording| recording.arrangement(now, "camera", &objects));
     }
 
     /// A shorter route is a move done; any other change is a new plan.
@@ -161,9 +114,6 @@ impl Watch {
             if self.plan.is_empty() {
                 self.plan = route.to_vec();
             }
-            let steps: Vec<_> =
-                route.iter().map(|s| json!({"object": s.0, "from": s.1, "to": s.2, "goal": s.3})).collect();
-            self.record(now, |recording| recording.plan(now, &json!({ "actions": steps })));
         }
         self.route = route.to_vec();
         self.bar.set_length((self.done.len() + route.len()) as u64);
@@ -171,28 +121,9 @@ impl Watch {
     }
 }
 
-/// A thread that turns pictures into PNG; it ends when the sender is dropped.
-fn encoder() -> (Sender<Picture>, Receiver<EncodedPicture>) {
-    let (pictures_in, pictures) = channel::<Picture>();
-    let (encoded_in, encoded) = channel();
-    std::thread::spawn(move || {
-        priority::lower();
-        for (taken, picture) in pictures {
-            // A picture that cannot be encoded is a fault of this program, and no reason to stop an arm.
-            let Ok(png) = picture.encode_png() else { continue };
-            if encoded_in.send((taken, png)).is_err() {
-                return;
-            }
-        }
-    });
-    (pictures_in, encoded)
-}
-
 impl Observer for Watch {
     fn on(&mut self, now: Timestamp, event: Event) {
-        while let Ok((taken, png)) = self.encoded.try_recv() {
-            self.record(now, |recording| recording.picture(taken, PictureFormat::Png, &png));
-        }
+        self.recorder.on(now, &event);
         match event {
             Event::Status(status) => {
                 self.bar.set_message(status.phase.clone());
@@ -202,21 +133,14 @@ impl Observer for Watch {
                 let level = if notice.alarm { "warn" } else { "info" };
                 self.bar.println(format!("{:8.1} s  {}", now.as_secs_f64(), notice.text));
                 self.log.push(LogRow { seconds: now.as_secs_f64(), level, text: notice.text.clone() });
-                let severity = if notice.alarm { Severity::Warning } else { Severity::Info };
-                self.record(now, |recording| recording.log(now, severity, "cell", &notice.text));
             }
             Event::Picture { image, views } => {
                 let detections = views.last().map_or(&[][..], |view| &view.detections);
-                self.picture(now, image, detections);
+                self.picture(image, detections);
             }
-            Event::Observed(observation) => self.observed(now, observation),
+            Event::Observed(observation) => self.observed(observation),
             Event::Route(route) => self.routed(now, route),
-            Event::Robot(state) => {
-                if now.since(self.last_recorded) >= RECORD_EVERY {
-                    self.last_recorded = now;
-                    self.record(now, |recording| recording.joints(now, &state.q, &state.qd));
-                }
-            }
+            Event::Robot(_) => {}
             Event::Finished(report) => self.report = Some(report.clone()),
         }
     }

@@ -64,6 +64,8 @@ pub struct SpoolSettings {
     pub incomplete: Duration,
     /// Larger files are refused unread.
     pub max_bytes: u64,
+    /// Files taken in or refused in one look: each costs several syncs of the disk.
+    pub at_once: usize,
     /// With so many jobs waiting, further files stay in `incoming`.
     pub queue_limit: u32,
 }
@@ -74,6 +76,7 @@ impl SpoolSettings {
         settle: Duration::from_millis(500),
         incomplete: Duration::from_secs(2),
         max_bytes: 256 * 1024,
+        at_once: usize::MAX,
         queue_limit: 64,
     };
 }

@@ -47,6 +47,9 @@ impl Spool {
         let round = Round { read, now, unix_s };
         let mut events = Vec::new();
         for entry in &entries {
+            if events.len() >= self.settings.at_once {
+                break;
+            }
             match self.consider(journal, entry, &round) {
                 Ok(event) => events.extend(event),
                 Err(SpoolError::Files(error)) if error.is_absent() => {}
@@ -129,6 +132,10 @@ impl Spool {
         if let Some(id) = entry.name.strip_suffix(".cancel") {
             remove(&entry.path)?;
             return Ok(Some(SpoolEvent::Cancel { id: id.to_owned() }));
+        }
+        // Not read before there is room: nothing would come of it, again and again.
+        if self.full && journal.waiting()? >= self.settings.queue_limit {
+            return Ok(None);
         }
         let text = match read_regular(&entry.path, self.settings.max_bytes) {
             Ok((_, read)) if read != identity => return Ok(None),

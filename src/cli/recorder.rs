@@ -1,0 +1,207 @@
+//! The recording of a run: the daemon's events into one MCAP file.
+//!
+//! In: events as they happen. Out: the file, and at the end what went wrong with it, if anything did. A recording that
+//! fails never stops a run, and never silently: the first fault is kept. Pictures are turned into PNG on a thread of
+//! their own, for it takes tens of milliseconds in which the robot would not hear from us.
+
+use crate::daemon::run::Event;
+use crate::io::clock::unix_now_s;
+use crate::io::priority;
+use crate::io::recording::{PictureFormat, RecordedObject, Recording, RecordingError, Severity};
+use crate::time::{Duration, Timestamp};
+use crate::vision::image::Image;
+use crate::vision::observe::Observation;
+use serde_json::json;
+use std::path::Path;
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::thread::JoinHandle;
+
+/// How often joint states are recorded, in the cell's time.
+const JOINTS_EVERY: Duration = Duration::from_millis(40);
+
+/// Pictures that may wait for the encoder: 90 MB at most.
+const WAITING_PICTURES: usize = 32;
+
+/// A picture with the time it was taken, before and after encoding.
+type Picture = (Timestamp, Image);
+type EncodedPicture = (Timestamp, Vec<u8>);
+
+/// The thread that encodes.
+struct Encoder {
+    pictures: SyncSender<Picture>,
+    encoded: Receiver<EncodedPicture>,
+    thread: JoinHandle<()>,
+}
+
+/// Writes a run down.
+pub struct Recorder {
+    recording: Option<Recording>,
+    encoder: Option<Encoder>,
+    last_joints: Timestamp,
+    dropped: usize,
+    fault: Option<String>,
+}
+
+impl Recorder {
+    /// Creates the file; `pictures`: also what the camera saw. A file that cannot be created is the first fault.
+    pub fn create(path: &Path, pictures: bool) -> Recorder {
+        let (recording, fault) = match Recording::create(path, unix_now_s()) {
+            Ok(recording) => (Some(recording), None),
+            Err(error) => (None, Some(crate::cli::demo::run::chain(&error))),
+        };
+        Recorder {
+            recording,
+            encoder: pictures.then(encoder),
+            last_joints: Timestamp::ZERO,
+            dropped: 0,
+            fault,
+        }
+    }
+
+    /// What is wrong with the recording so far.
+    pub fn fault(&self) -> Option<&str> {
+        self.fault.as_deref()
+    }
+
+    /// Takes one event in.
+    pub fn on(&mut self, now: Timestamp, event: &Event) {
+        self.write_encoded();
+        match event {
+            Event::Notice(notice) => {
+                let severity = if notice.alarm { Severity::Warning } else { Severity::Info };
+                self.write(|recording| recording.log(now, severity, "cell", &notice.text));
+            }
+            Event::Picture { image, .. } => self.picture(now, image),
+            Event::Observed(observation) => {
+                let objects = recorded(observation);
+                self.write(|recording| recording.arrangement(now, "camera", &objects));
+            }
+            Event::Route(route) => {
+                let steps: Vec<_> = route
+                    .iter()
+                    .map(|s| json!({"object": s.0, "from": s.1, "to": s.2, "goal": s.3}))
+                    .collect();
+                self.write(|recording| recording.plan(now, &json!({ "actions": steps })));
+            }
+            Event::Robot(state) if now.since(self.last_joints) >= JOINTS_EVERY => {
+                self.last_joints = now;
+                self.write(|recording| recording.joints(now, &state.q, &state.qd));
+            }
+            Event::Finished(report) => {
+                let text = format!("job {} ended: {}: {}", report.id, report.code, report.message);
+                self.write(|recording| recording.log(now, Severity::Info, "cell", &text));
+            }
+            Event::Robot(_) | Event::Status(_) => {}
+        }
+    }
+
+    /// Waits for pictures still being encoded, ends the file, and says what went wrong with it.
+    pub fn close(&mut self) -> Option<String> {
+        if let Some(Encoder { pictures, encoded, thread }) = self.encoder.take() {
+            drop(pictures);
+            for (taken, png) in encoded {
+                self.write(|recording| recording.picture(taken, PictureFormat::Png, &png));
+            }
+            // A panic in it was printed when it happened.
+            let _ = thread.join();
+        }
+        if let Some(Err(error)) = self.recording.take().map(Recording::finish) {
+            self.keep_fault(&error);
+        }
+        if self.dropped > 0 && self.fault.is_none() {
+            self.fault = Some(format!("{} pictures came faster than they could be encoded", self.dropped));
+        }
+        self.fault.take()
+    }
+
+    fn picture(&mut self, now: Timestamp, image: &Image) {
+        let Some(encoder) = &self.encoder else { return };
+        if encoder.pictures.try_send((now, image.clone())).is_err() {
+            self.dropped += 1;
+        }
+    }
+
+    fn write_encoded(&mut self) {
+        while let Some((taken, png)) =
+            self.encoder.as_ref().and_then(|encoder| encoder.encoded.try_recv().ok())
+        {
+            self.write(|recording| recording.picture(taken, PictureFormat::Png, &png));
+        }
+    }
+
+    /// Writes; the first failure ends the recording.
+    fn write(&mut self, write: impl FnOnce(&mut Recording) -> Result<(), RecordingError>) {
+        if let Some(Err(error)) = self.recording.as_mut().map(write) {
+            self.recording = None;
+            self.keep_fault(&error);
+        }
+    }
+
+    fn keep_fault(&mut self, error: &RecordingError) {
+        self.fault.get_or_insert_with(|| crate::cli::demo::run::chain(error));
+    }
+}
+
+fn recorded(observation: &Observation) -> Vec<RecordedObject> {
+    let object = |o: &crate::vision::observe::ObjectEstimate| RecordedObject {
+        id: o.id.clone(),
+        x: o.pose.x,
+        y: o.pose.y,
+        theta: o.pose.theta,
+        std_xy_m: o.std_xy_m,
+        std_theta_rad: o.std_theta_rad,
+    };
+    observation.objects.iter().map(object).collect()
+}
+
+/// Starts the thread that turns pictures into PNG; it ends when no more can come.
+fn encoder() -> Encoder {
+    let (pictures, waiting) = sync_channel::<Picture>(WAITING_PICTURES);
+    let (encoded_in, encoded) = channel();
+    let thread = std::thread::spawn(move || {
+        priority::lower();
+        for (taken, picture) in waiting {
+            // A picture that cannot be encoded is a fault of this program, and no reason to stop an arm.
+            let Ok(png) = picture.encode_png() else { continue };
+            if encoded_in.send((taken, png)).is_err() {
+                return;
+            }
+        }
+    });
+    Encoder { pictures, encoded, thread }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::supervisor::input::Notice;
+
+    fn pictures_in(path: &Path) -> usize {
+        let bytes = std::fs::read(path).unwrap();
+        let messages = mcap::MessageStream::new(&bytes).unwrap();
+        messages.filter(|message| message.as_ref().unwrap().channel.topic == "/camera/image").count()
+    }
+
+    #[test]
+    fn the_last_pictures_are_in_the_file_even_when_it_is_closed_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        let mut recorder = Recorder::create(&path, true);
+        let image = Image::filled(64, 48, [10, 20, 30]);
+        for k in 0..5 {
+            let now = Timestamp::from_secs_f64(f64::from(k));
+            recorder.on(now, &Event::Picture { image: &image, views: &[] });
+        }
+        assert_eq!(recorder.close(), None);
+        assert_eq!(pictures_in(&path), 5);
+    }
+
+    #[test]
+    fn a_recording_that_cannot_be_made_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorder = Recorder::create(&folder.path().join("missing/run.mcap"), false);
+        let notice = Notice { alarm: true, text: "x".to_string() };
+        recorder.on(Timestamp::ZERO, &Event::Notice(&notice));
+        assert!(recorder.close().is_some_and(|fault| fault.contains("run.mcap")));
+    }
+}
