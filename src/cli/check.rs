@@ -1,9 +1,11 @@
 //! `celld check FILE...`: every complaint about configuration, calibration, job, goal and instance files.
 //!
-//! In: files; their kind is told by their top-level keys. Out: one line for each complaint, with file, line
-//! and column, on stdout; exit code 2 if there is any. Nothing is changed and no daemon is needed.
+//! In: files; their kind is told by their top-level keys; with `--config`, the cell that jobs and goals are for.
+//! Out: one line for each complaint, with file, line and column, on stdout; exit code 2 if there is any. Nothing is
+//! changed and no daemon is needed.
 
 use crate::cli::task::outln;
+use crate::config::cell::CellConfig;
 use crate::config::load::{load_cell, load_sim, read_text};
 use crate::document::tree::Node;
 use crate::document::{Complaints, parse};
@@ -27,6 +29,17 @@ pub struct CheckArgs {
     /// Folder of named shapes, for public instances.
     #[arg(long)]
     shapes: Option<PathBuf>,
+    /// The cell whose catalogue, table and approval jobs and goals are checked against.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+/// What the files are checked with.
+#[derive(Clone, Copy, Default)]
+struct With<'a> {
+    kind: Option<Kind>,
+    shapes: Option<&'a Path>,
+    cell: Option<&'a CellConfig>,
 }
 
 /// Kinds of file that celld reads.
@@ -49,8 +62,17 @@ pub enum Kind {
 /// Checks the files and returns the exit code: 0 when all are sound, else 2.
 pub fn run(args: &CheckArgs) -> u8 {
     let mut sound = true;
+    let cell = args.config.as_deref().and_then(|path| match load_cell(path) {
+        Ok(cell) => Some(cell),
+        Err(error) => {
+            sound = false;
+            outln!("{error}");
+            None
+        }
+    });
+    let with = With { kind: args.kind, shapes: args.shapes.as_deref(), cell: cell.as_ref() };
     for path in &args.files {
-        match check(path, args.kind, args.shapes.as_deref()) {
+        match check(path, with) {
             Ok(kind) => eprintln!("{}: sound ({kind:?})", path.display()),
             Err(message) => {
                 sound = false;
@@ -61,10 +83,10 @@ pub fn run(args: &CheckArgs) -> u8 {
     if sound { 0 } else { 2 }
 }
 
-fn check(path: &Path, kind: Option<Kind>, shapes: Option<&Path>) -> Result<Kind, String> {
+fn check(path: &Path, with: With) -> Result<Kind, String> {
     let source = path.display().to_string();
     let text = read_text(path).map_err(|reason| format!("{source}: {reason}"))?;
-    let kind = match kind {
+    let kind = match with.kind {
         Some(kind) => kind,
         None => {
             let node = parse(&text, &source).map_err(|complaints| complaints.to_string())?;
@@ -73,7 +95,7 @@ fn check(path: &Path, kind: Option<Kind>, shapes: Option<&Path>) -> Result<Kind,
             })?
         }
     };
-    check_as(kind, path, &text, &source, shapes)?;
+    check_as(kind, path, &text, &source, with)?;
     Ok(kind)
 }
 
@@ -97,7 +119,9 @@ pub fn kind_of(top: &Node) -> Option<Kind> {
     }
 }
 
-fn check_as(kind: Kind, path: &Path, text: &str, source: &str, shapes: Option<&Path>) -> Result<(), String> {
+fn check_as(kind: Kind, path: &Path, text: &str, source: &str, with: With) -> Result<(), String> {
+    let obstacles = with.cell.map(CellConfig::obstacles).unwrap_or_default();
+    let goal = with.cell.map(|cell| cell.goal_context(&obstacles));
     let told = |complaints: Complaints| complaints.to_string();
     match kind {
         Kind::Config => load_cell(path).map(drop).map_err(|error| error.to_string()),
@@ -105,12 +129,13 @@ fn check_as(kind: Kind, path: &Path, text: &str, source: &str, shapes: Option<&P
         Kind::Calibration => check_calibration(text, source),
         Kind::Job => {
             let read_goal = |name: &str| read_text(&beside(path, name));
-            let context = JobContext { goal: None, approval: Approval::Never, read_goal: &read_goal };
+            let approval = with.cell.map_or(Approval::Never, |cell| cell.approval);
+            let context = JobContext { goal, approval, read_goal: &read_goal };
             read_job(text, source, &context).map(drop).map_err(told)
         }
-        Kind::Goal => parse_goal_file(text, source, None).map(drop).map_err(told),
+        Kind::Goal => parse_goal_file(text, source, goal.as_ref()).map(drop).map_err(told),
         Kind::Instance => {
-            let folder = shapes.map_or_else(|| default_shapes(path), Path::to_path_buf);
+            let folder = with.shapes.map_or_else(|| default_shapes(path), Path::to_path_buf);
             let lookup = |name: &str| read_text(&folder.join(format!("{name}.json"))).ok();
             parse_with_sound_goals(text, source, &lookup).map(drop).map_err(told)
         }
@@ -182,14 +207,14 @@ mod tests {
         let none = path("none.yaml", "colour: blue\n");
         let code = |files: &[&PathBuf], kind| {
             let files = files.iter().map(|path| (*path).clone()).collect();
-            run(&CheckArgs { files, kind, shapes: None })
+            run(&CheckArgs { files, kind, shapes: None, config: None })
         };
         assert_eq!(code(&[&good], None), 0);
         assert_eq!(code(&[&good, &bad], None), 2);
         assert_eq!(code(&[&none], None), 2);
         assert_eq!(code(&[&good], Some(Kind::Instance)), 2);
         assert_eq!(code(&[&folder.path().join("absent.yaml")], None), 2);
-        let told = check(&bad, None, None).unwrap_err();
+        let told = check(&bad, With::default()).unwrap_err();
         assert!(
             told.contains("bad.yaml:2:26: goal.objects[0].psoe: unknown key; did you mean \"pose\"?"),
             "{told}"
@@ -201,8 +226,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let job = folder.path().join("job.yaml");
         std::fs::write(&job, "version: 1\ngoal: {file: goal.yaml}\n").unwrap();
-        assert!(check(&job, None, None).unwrap_err().contains("goal.file: goal.yaml:"));
+        assert!(check(&job, With::default()).unwrap_err().contains("goal.file: goal.yaml:"));
         std::fs::write(folder.path().join("goal.yaml"), "objects:\n  - {id: a, pose: [0, 0, 0]}\n").unwrap();
-        assert_eq!(check(&job, None, None), Ok(Kind::Job));
+        assert_eq!(check(&job, With::default()), Ok(Kind::Job));
     }
 }

@@ -15,6 +15,7 @@ pub mod recorder;
 pub mod sim;
 pub mod submit;
 pub mod task;
+mod values;
 pub mod verify;
 
 use clap::{Parser, Subcommand};

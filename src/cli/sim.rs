@@ -4,6 +4,7 @@
 //! Ctrl-C. `sim_config` is also what the demo starts its cell from.
 
 use crate::cli::task::{complain, print};
+use crate::cli::values;
 use crate::config::cell::CupChannel;
 use crate::config::load::load_sim;
 use crate::config::simulated::SimFile;
@@ -41,7 +42,7 @@ pub struct SimArgs {
     #[arg(long)]
     bind: Option<IpAddr>,
     /// Simulated seconds per second, instead of the configuration's.
-    #[arg(long, value_name = "F")]
+    #[arg(long, value_name = "F", value_parser = values::time_factor)]
     time_factor: Option<f64>,
     /// Also open the control socket (loopback only): faults and the world's truth.
     #[arg(long)]
@@ -70,6 +71,13 @@ pub fn run(args: &SimArgs) -> u8 {
             return 2;
         }
     };
+    if args.control && !bind.is_loopback() {
+        complain(&format!(
+            "--control at {bind}: the control socket breaks things and tells the truth, so it opens on this machine \
+             only; give --bind 127.0.0.2, or leave --control out"
+        ));
+        return 2;
+    }
     let mut config = sim_config(&file, bind, RobotPorts::REAL);
     config.time_factor = args.time_factor.unwrap_or(file.time_factor);
     config.control_port = args.control.then_some(file.ports.control);

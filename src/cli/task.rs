@@ -3,6 +3,7 @@
 //! In: paths from the command line. Out: a [`Problem`], or the text of everything that is wrong with the
 //! files, each complaint with its place. Shape names come out of a file, so only plain names are looked up.
 
+use crate::io::files::read_named;
 use crate::planning::problem::Problem;
 use crate::tabletop::instance::Instance;
 use crate::tabletop::parse::{parse_instance, parse_pair};
@@ -42,30 +43,29 @@ impl TaskArgs {
     pub fn read_instance(&self) -> Result<Instance, String> {
         let folder = self.shapes.clone().or_else(|| shapes_beside(&self.instance));
         let shapes = |name: &str| shape_text(folder.as_deref()?, name);
-        let text = read_text(&self.instance)?;
         let source = self.instance.display().to_string();
-        let parsed = match &self.goal {
-            None => parse_instance(&text, &source, &shapes),
-            Some(goal) => {
-                let goal_text = read_text(goal)?;
+        let parsed = match (read_text(&self.instance), self.goal.as_ref().map(|goal| (goal, read_text(goal))))
+        {
+            (text, None) => parse_instance(&text?, &source, &shapes),
+            (Ok(text), Some((goal, Ok(goal_text)))) => {
                 parse_pair((&text, &source), (&goal_text, &goal.display().to_string()), &shapes)
+            }
+            (first, Some((_, second))) => {
+                let faults: Vec<String> = [first.err(), second.err()].into_iter().flatten().collect();
+                return Err(faults.join("\n"));
             }
         };
         parsed.map_err(|complaints| complaints.to_string())
     }
 }
 
-/// The text of a file of reasonable size.
+/// The text of a plain file of reasonable size.
 ///
 /// # Errors
 /// One line with the path and what to do.
 pub fn read_text(path: &Path) -> Result<String, String> {
-    let fault = |error: &dyn std::fmt::Display| format!("{}: cannot be read: {error}", path.display());
-    let size = std::fs::metadata(path).map_err(|error| fault(&error))?.len();
-    if size > LARGEST_FILE_BYTES {
-        return Err(fault(&format!("{size} bytes, at most {LARGEST_FILE_BYTES} are allowed")));
-    }
-    std::fs::read_to_string(path).map_err(|error| fault(&error))
+    read_named(path, LARGEST_FILE_BYTES)
+        .map_err(|error| format!("{}: cannot be read: {}", path.display(), error.reason()))
 }
 
 /// Writes results to standard output. A reader that has gone away is no error of ours.

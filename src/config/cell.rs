@@ -6,9 +6,11 @@
 //! must not start.
 
 use crate::geometry::pose::Pose2;
+use crate::jobs::goal::GoalContext;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
 use crate::units::{ATMOSPHERE_PA, Joints};
+use crate::vision::observe::ObserveLimits;
 use nalgebra::Isometry3;
 use std::path::PathBuf;
 
@@ -61,6 +63,24 @@ pub struct CellConfig {
 }
 
 impl CellConfig {
+    /// Overlap that the goals of a job may have, m: three standard deviations of where the camera finds an object, for
+    /// goals may have been measured. Goals typed by hand that overlap by more are a mistake. It does not grow with
+    /// `tolerances.goal_position_m`, which says how near is near enough.
+    pub fn goal_overlap_tolerance_m() -> f64 {
+        3.0 * ObserveLimits::default().systematic_xy_m
+    }
+
+    /// What the goals of jobs are checked against; `obstacles` are [`CellConfig::obstacles`].
+    pub fn goal_context<'a>(&'a self, obstacles: &'a [KeepOut]) -> GoalContext<'a> {
+        GoalContext {
+            objects: &self.objects,
+            width_m: self.workspace.width_m,
+            height_m: self.workspace.height_m,
+            keep_out: obstacles,
+            overlap_tolerance_m: CellConfig::goal_overlap_tolerance_m(),
+        }
+    }
+
     /// Where nothing may be put: the keep-out regions, and fixed objects where they stand.
     pub fn obstacles(&self) -> Vec<KeepOut> {
         let fixed =

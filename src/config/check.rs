@@ -1,18 +1,18 @@
 //! What no single key can tell: whether the parts of a cell's configuration fit each other.
 //!
-//! In: a configuration whose keys are all sound, and where the keys stand. Out: complaints in the decoder.
-//! Pure.
+//! In: the parts that could be read, and where the keys stand. Out: complaints in the decoder. Each check takes
+//! the parts it needs and is left out when one of them is missing, so that one wrong key hides no other fault. Pure.
 
-use crate::config::cell::{
-    CameraDevice, CellConfig, CupChannel, CupConfig, Devices, GripperConfig, MotionLimits,
-    ReferenceMarkerConfig,
-};
+use crate::config::cell::{CameraDevice, CupConfig, Devices, GripperConfig, MotionLimits};
+use crate::config::parts::CellParts;
 use crate::document::Location;
 use crate::document::decode::Decoder;
 use crate::document::tree::{Node, Value};
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
-use crate::tabletop::instance::ObjectSpec;
+use crate::tabletop::instance::{ObjectSpec, Workspace};
+use crate::tabletop::parse::MarkerUse;
+use crate::tabletop::room::{Cup, place_for_cups};
 use crate::units::{GRAVITY, Joints, deg_from_rad, mm_from_m};
 use std::net::IpAddr;
 
@@ -22,9 +22,6 @@ pub const CUP_MARGIN_M: f64 = 0.001;
 /// Holding force over load at rest, and while the arm accelerates (design, section 4.4).
 const FACTOR_AT_REST: f64 = 2.0;
 const FACTOR_ACCELERATING: f64 = 4.0;
-
-/// Least number of places tried along each side of an object when looking for a grip.
-const GRIP_STEPS: usize = 24;
 
 /// Angles tried between 0 and a half turn.
 const ANGLES: usize = 36;
@@ -62,27 +59,31 @@ fn item(node: &Node, index: usize) -> Option<&Node> {
 }
 
 /// Complains about everything that does not fit.
-pub(super) fn check_cell(decoder: &mut Decoder, cell: &CellConfig, places: &Places) {
-    check_simulation(decoder, cell, places);
-    check_poses(decoder, cell, places);
-    check_limits(decoder, &cell.limits, places);
-    check_reference_markers(decoder, &cell.reference_markers, &cell.objects, places);
-    for (index, object) in cell.objects.iter().enumerate() {
+pub(super) fn check_cell(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
+    check_simulation(decoder, parts, places);
+    check_poses(decoder, parts, places);
+    if let Some(limits) = &parts.limits {
+        check_limits(decoder, limits, places);
+    }
+    check_reference_markers(decoder, places, &parts.object_markers);
+    for (index, object) in parts.objects.iter().flatten().enumerate() {
+        let Some(object) = object else { continue };
         let at = places.at(&["objects", &index.to_string()]);
-        check_object(decoder, cell, object, at, &format!("objects[{index}]"));
+        check_object(decoder, parts, object, at, &format!("objects[{index}]"));
     }
 }
 
-fn check_simulation(decoder: &mut Decoder, cell: &CellConfig, places: &Places) {
-    if cell.simulation.is_none() {
-        if cell.arm_at_start {
+fn check_simulation(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
+    let Some(simulation) = &parts.simulation else { return };
+    if simulation.is_none() {
+        if parts.arm_at_start == Some(true) {
             let message = "only a simulated cell may be armed at start: a person arms a real one";
             let help = "remove the key, and arm with `celld arm`";
             decoder.complain(places.at(&["arm_at_start"]), "arm_at_start", message, help);
         }
         return;
     }
-    for (name, host) in hosts(&cell.devices) {
+    for (name, host) in parts.devices.iter().flat_map(hosts) {
         if !is_loopback(host) {
             let message = format!("the {name} is at {host:?}, which is not this machine");
             let help = "remove `simulation`: its clock would run past a real device's deadlines";
@@ -105,24 +106,29 @@ pub fn is_loopback(host: &str) -> bool {
     host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
-fn check_poses(decoder: &mut Decoder, cell: &CellConfig, places: &Places) {
-    if cell.look_poses.is_empty() {
+fn check_poses(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
+    if parts.look_poses.as_ref().is_some_and(Vec::is_empty) {
         let help = "teach joint poses that together see the whole workspace";
         decoder.complain(places.at(&["look_poses_deg"]), "look_poses_deg", "no look pose is given", help);
     }
-    let lists = [("look_poses_deg", &cell.look_poses), ("calibration_poses_deg", &cell.calibration_poses)];
+    let Some(range) = &parts.joint_range else { return };
+    let lists = [("look_poses_deg", &parts.look_poses), ("calibration_poses_deg", &parts.calibration_poses)];
     for (key, poses) in lists {
-        for (index, pose) in poses.iter().enumerate() {
+        for (index, pose) in poses.iter().flatten().enumerate() {
+            let Some(pose) = pose else { continue };
             let at = places.at(&[key, &index.to_string()]);
-            check_range(decoder, &cell.limits, pose, at, &format!("{key}[{index}]"));
+            check_range(decoder, range, pose, at, &format!("{key}[{index}]"));
         }
     }
-    check_range(decoder, &cell.limits, &cell.park_pose, places.at(&["park_pose_deg"]), "park_pose_deg");
-    check_range(decoder, &cell.limits, &cell.work_pose, places.at(&["work_pose_deg"]), "work_pose_deg");
+    for (key, pose) in [("park_pose_deg", &parts.park_pose), ("work_pose_deg", &parts.work_pose)] {
+        if let Some(pose) = pose {
+            check_range(decoder, range, pose, places.at(&[key]), key);
+        }
+    }
 }
 
-fn check_range(decoder: &mut Decoder, limits: &MotionLimits, pose: &Joints, at: Location, path: &str) {
-    for (joint, (q, (low, high))) in pose.0.iter().zip(&limits.joint_range).enumerate() {
+fn check_range(decoder: &mut Decoder, range: &[(f64, f64); 6], pose: &Joints, at: Location, path: &str) {
+    for (joint, (q, (low, high))) in pose.0.iter().zip(range).enumerate() {
         if !(*low..=*high).contains(q) {
             let message = format!(
                 "joint {} at {:.1} degrees is outside its range of {:.1} to {:.1}",
@@ -147,30 +153,33 @@ fn check_limits(decoder: &mut Decoder, limits: &MotionLimits, places: &Places) {
     }
 }
 
-fn check_reference_markers(
-    decoder: &mut Decoder,
-    markers: &[ReferenceMarkerConfig],
-    objects: &[ObjectSpec],
-    places: &Places,
-) {
+/// Complains about reference markers that share a number with each other or with an object. Works on the tree, so
+/// that it finds them in markers and objects that are wrong otherwise.
+pub(super) fn check_reference_markers(decoder: &mut Decoder, places: &Places, objects: &[MarkerUse]) {
+    let Some(Value::Sequence(markers)) = places.top.get("reference_markers").map(|node| &node.value) else {
+        return;
+    };
+    let number = |node: &Node| Some((node.get("id")?.scalar()?.parse::<i64>().ok()?, node.get("id")?.at));
+    let mut seen: Vec<i64> = Vec::new();
     for (index, marker) in markers.iter().enumerate() {
-        let at = places.at(&["reference_markers", &index.to_string()]);
+        let Some((number, at)) = number(marker) else { continue };
         let path = format!("reference_markers[{index}].id");
-        if markers.iter().take(index).any(|other| other.id == marker.id) {
-            let message = format!("marker {} is used twice", marker.id);
+        if seen.contains(&number) {
+            let message = format!("marker {number} is used twice");
             decoder.complain(at, &path, message, "give each place a marker of its own");
         }
-        let owner = objects.iter().find(|o| o.marker.as_ref().is_some_and(|m| m.id == marker.id));
-        if let Some(owner) = owner {
-            let message = format!("marker {} is also that of object {:?}", marker.id, owner.id);
+        if let Some(object) = objects.iter().find(|object| object.number == number) {
+            let message = format!("marker {number} is also that of object {:?}", object.owner);
             decoder.complain(at, &path, message, "give one of them another marker");
         }
+        seen.push(number);
     }
 }
 
-fn check_object(decoder: &mut Decoder, cell: &CellConfig, object: &ObjectSpec, at: Location, path: &str) {
-    let (width, height) = (cell.workspace.width_m, cell.workspace.height_m);
-    if !fits_table(&object.footprint, width, height) {
+fn check_object(decoder: &mut Decoder, parts: &CellParts, object: &ObjectSpec, at: Location, path: &str) {
+    if let Some(Workspace { width, height }) = parts.table.size
+        && !fits_table(&object.footprint, width, height)
+    {
         let message =
             format!("{:?} is larger than the table of {width} m x {height} m at any angle", object.id);
         decoder.complain(at, path, message, "lengths are in m; check footprint and workspace");
@@ -184,38 +193,42 @@ fn check_object(decoder: &mut Decoder, cell: &CellConfig, object: &ObjectSpec, a
         }
         return;
     }
-    let face = match &object.grippable {
-        Some(polygon) => Footprint::Polygon(polygon.clone()),
-        None => object.footprint.clone(),
-    };
-    let usable: Vec<Vec<CupConfig>> =
-        channel_sets(&cell.gripper).into_iter().filter(|cups| sits_on(cups, &face)).collect();
-    if usable.is_empty() {
+    let Some(gripper) = &parts.gripper else { return };
+    // All cups, as `daemon::setup` places them: the gripper has no way to leave one out.
+    let grip = place_for_cups(&object.footprint, object.grippable.as_ref(), &cups(gripper), CUP_MARGIN_M);
+    if grip.is_none() {
         let message = format!(
-            "no place on {:?} takes all cups of channel A, of B or of both with {:.0} mm to spare",
+            "no place on {:?} takes all {} cups with {:.0} mm to spare",
             object.id,
+            gripper.cups.len(),
             mm_from_m(CUP_MARGIN_M)
         );
         decoder.complain(at, path, message, "use smaller cups or fewer of them, or give another `grippable`");
         return;
     }
-    check_weight(decoder, cell, object, &usable, at, path);
+    if let Some(limits) = &parts.limits {
+        check_weight(decoder, gripper, limits, object, at, path);
+    }
+}
+
+fn cups(gripper: &GripperConfig) -> Vec<Cup> {
+    let cup = |cup: &CupConfig| Cup { x: cup.x_m, y: cup.y_m, radius: cup.diameter_m / 2.0 };
+    gripper.cups.iter().map(cup).collect()
 }
 
 fn check_weight(
     decoder: &mut Decoder,
-    cell: &CellConfig,
+    gripper: &GripperConfig,
+    limits: &MotionLimits,
     object: &ObjectSpec,
-    usable: &[Vec<CupConfig>],
     at: Location,
     path: &str,
 ) {
     let Some(mass_kg) = object.mass else { return };
-    let most = usable.iter().map(|cups| cell.gripper.holding_force_n(cups)).fold(0.0, f64::max);
-    let needed = needed_force_n(mass_kg, &cell.limits);
-    if most < needed {
+    let (held, needed) = (gripper.holding_force_n(&gripper.cups), needed_force_n(mass_kg, limits));
+    if held < needed {
         let message = format!(
-            "{:?} weighs {mass_kg} kg: carrying it safely takes {needed:.1} N, its cups hold {most:.1} N at vacuum_min",
+            "{:?} weighs {mass_kg} kg: carrying it safely takes {needed:.1} N, its cups hold {held:.1} N at vacuum_min",
             object.id
         );
         decoder.complain(at, path, message, "use larger or more cups, or a higher vacuum_min");
@@ -257,38 +270,4 @@ fn fits_table(footprint: &Footprint, width: f64, height: f64) -> bool {
 
 fn half_turn() -> impl Iterator<Item = f64> {
     (0..ANGLES).map(|k| std::f64::consts::PI * k as f64 / ANGLES as f64)
-}
-
-/// Cups that suck together: those of A, of B, of both.
-fn channel_sets(gripper: &GripperConfig) -> Vec<Vec<CupConfig>> {
-    let of = |wanted: &[CupChannel]| -> Vec<CupConfig> {
-        gripper.cups.iter().copied().filter(|cup| wanted.contains(&cup.channel)).collect()
-    };
-    let mut sets = vec![of(&[CupChannel::A]), of(&[CupChannel::B]), of(&[CupChannel::A, CupChannel::B])];
-    sets.retain(|cups| !cups.is_empty());
-    sets.dedup();
-    sets
-}
-
-/// True when some pose of the cups puts them all on the face, each with its margin. Poses are tried on a
-/// grid: a face that only just takes the cups may be refused, never the other way round.
-fn sits_on(cups: &[CupConfig], face: &Footprint) -> bool {
-    let (low, high) = face.bounds(&Pose2::default());
-    let step = |axis: usize, k: usize| low[axis] + (high[axis] - low[axis]) * k as f64 / GRIP_STEPS as f64;
-    let centre = face.centroid();
-    let grid = (0..=GRIP_STEPS).flat_map(|i| (0..=GRIP_STEPS).map(move |j| (i, j)));
-    let origins: Vec<[f64; 2]> =
-        std::iter::once(centre).chain(grid.map(|(i, j)| [step(0, i), step(1, j)])).collect();
-    half_turn().any(|theta| {
-        origins.iter().any(|[x, y]| {
-            // The grid is where the first cup sits: cups far off the tool's axis are found as well.
-            let turn = Pose2::new(0.0, 0.0, theta);
-            let first = cups.first().map_or([0.0; 2], |cup| turn.transform([cup.x_m, cup.y_m]));
-            cups.iter().all(|cup| {
-                let offset = turn.transform([cup.x_m, cup.y_m]);
-                let at = [x + offset[0] - first[0], y + offset[1] - first[1]];
-                face.contains_point(at, cup.diameter_m / 2.0 + CUP_MARGIN_M)
-            })
-        })
-    })
 }

@@ -14,30 +14,38 @@ use std::path::{Path, PathBuf};
 /// Most reference markers, poses and cups in one list.
 const MAX_ITEMS: usize = 200;
 
-/// Every item of the list under a required key.
-pub(super) fn required_list<T>(
+/// Every item of the list under a required key, or its absence.
+pub(super) fn required_each<T>(
     decoder: &mut Decoder,
     fields: &Fields,
     key: &str,
     read: impl FnMut(&mut Decoder, &At) -> Option<T>,
-) -> Option<Vec<T>> {
+) -> Option<Vec<Option<T>>> {
     let at = fields.required(key, decoder)?;
-    list(decoder, &at, read)
+    each(decoder, &at, read)
 }
 
 /// Every item of a list; complaints of all items are collected.
 pub(super) fn list<T>(
     decoder: &mut Decoder,
     at: &At,
-    mut read: impl FnMut(&mut Decoder, &At) -> Option<T>,
+    read: impl FnMut(&mut Decoder, &At) -> Option<T>,
 ) -> Option<Vec<T>> {
+    each(decoder, at, read)?.into_iter().collect()
+}
+
+/// Every item of a list, absent where it is wrong.
+pub(super) fn each<T>(
+    decoder: &mut Decoder,
+    at: &At,
+    mut read: impl FnMut(&mut Decoder, &At) -> Option<T>,
+) -> Option<Vec<Option<T>>> {
     let items = decoder.sequence(at)?;
     if items.len() > MAX_ITEMS {
         decoder.complain_at(at, format!("{} entries, at most {MAX_ITEMS} are read", items.len()), "");
         return None;
     }
-    let values: Vec<Option<T>> = items.iter().map(|item| read(decoder, item)).collect();
-    values.into_iter().collect()
+    Some(items.iter().map(|item| read(decoder, item)).collect())
 }
 
 /// A required number within `range`, in `unit`.
@@ -123,7 +131,7 @@ pub(super) fn joints_deg(decoder: &mut Decoder, at: &At) -> Option<Joints> {
 pub(super) fn gripper(decoder: &mut Decoder, at: &At) -> Option<GripperConfig> {
     let known = ["cups", "body", "vacuum_min", "mass_kg", "centre_of_gravity_m"];
     let fields = decoder.map(at, &known)?;
-    let cups = required_list(decoder, &fields, "cups", cup);
+    let cups = fields.required("cups", decoder).and_then(|at| list(decoder, &at, cup));
     let body = fields.required("body", decoder).and_then(|at| {
         let fields = decoder.map(&at, &["polygon", "height"])?;
         let polygon = fields.required("polygon", decoder).and_then(|at| decode::polygon(decoder, &at));
@@ -161,7 +169,7 @@ fn cup(decoder: &mut Decoder, at: &At) -> Option<CupConfig> {
 
 /// Markers fixed to the table.
 pub(super) fn reference_markers(decoder: &mut Decoder, at: &At) -> Option<Vec<ReferenceMarkerConfig>> {
-    let markers = list(decoder, at, |decoder, at| {
+    let markers = each(decoder, at, |decoder, at| {
         let fields = decoder.map(at, &["id", "size", "pose", "pose_deg"])?;
         let id = fields.required("id", decoder).and_then(|at| decoder.integer(&at, 0..=586));
         let size = required_number(decoder, &fields, "size", 0.005..=0.5, "m");
@@ -173,7 +181,7 @@ pub(super) fn reference_markers(decoder: &mut Decoder, at: &At) -> Option<Vec<Re
         decoder.complain_at(at, message, "add markers round the workspace");
         return None;
     }
-    Some(markers)
+    markers.into_iter().collect()
 }
 
 /// A path relative to the file's own folder, made absolute against it.

@@ -8,6 +8,7 @@ use crate::config::read_cell::read_cell;
 use crate::config::read_sim::read_sim;
 use crate::config::simulated::SimFile;
 use crate::document::Complaints;
+use crate::io::files::read_named;
 use std::path::{Path, PathBuf};
 
 /// Largest file that is read, bytes.
@@ -49,12 +50,7 @@ fn open(path: &Path) -> Result<(String, PathBuf), ConfigError> {
     Ok((text, absolute.parent().unwrap_or(Path::new("/")).to_owned()))
 }
 
-/// Text of a file of reasonable size; why not, in words.
+/// Text of a plain file of reasonable size (links are followed); why not, in words.
 pub fn read_text(path: &Path) -> Result<String, String> {
-    let size = path.metadata().map_err(|error| error.to_string())?.len();
-    if size > MAX_BYTES {
-        return Err(format!("{size} bytes, at most {MAX_BYTES} are read"));
-    }
-    let bytes = std::fs::read(path).map_err(|error| error.to_string())?;
-    String::from_utf8(bytes).map_err(|_| "not UTF-8 text".to_owned())
+    read_named(path, MAX_BYTES).map_err(|error| error.reason())
 }

@@ -4,6 +4,7 @@ pub mod cell;
 pub mod check;
 mod fields;
 pub mod load;
+mod parts;
 pub mod read_cell;
 pub mod read_sim;
 pub mod simulated;

@@ -6,19 +6,20 @@
 
 use crate::config::cell::{
     CalibrationFiles, CameraDevice, CameraMount, CellConfig, Devices, MotionLimits, PlannerConfig,
-    RecordingConfig, SimulationConfig, Tolerances, WorkspaceConfig,
+    RecordingConfig, SimulationConfig, Tolerances,
 };
 use crate::config::check::{Places, check_cell};
 use crate::config::fields::{
-    gripper, host, joints_deg, list, optional, path, port, reference_markers, required_list, required_number,
-    required_positive, transform,
+    each, gripper, host, joints_deg, list, optional, path, port, reference_markers, required_each,
+    required_number, required_positive, transform,
 };
+use crate::config::parts::{CellParts, TableParts};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
-use crate::jobs::policy::{Approval, JobObjective, SOLVER_WORDS};
+use crate::jobs::policy::{Approval, decode_objective, decode_solver};
 use crate::tabletop::decode;
 use crate::tabletop::instance::ObjectSpec;
-use crate::tabletop::parse::{unique_names_and_markers, workspace};
+use crate::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
 use crate::units::{Joints, rad_from_deg};
 use std::path::Path;
 
@@ -67,9 +68,9 @@ pub fn read_cell(
     let mut decoder = Decoder::new(source);
     let mut beside = Complaints::default();
     let cell = decoder.map(&At::top(&node), CELL_KEYS).and_then(|fields| {
-        let cell = cell(&mut decoder, &fields, folder, read_file, &mut beside)?;
-        check_cell(&mut decoder, &cell, &Places::new(&node));
-        Some(cell)
+        let parts = parts(&mut decoder, &fields, folder, read_file, &mut beside);
+        check_cell(&mut decoder, &parts, &Places::new(&node));
+        parts.whole()
     });
     match decoder.finish(cell) {
         Ok(cell) if beside.0.is_empty() => Ok(cell),
@@ -81,33 +82,36 @@ pub fn read_cell(
     }
 }
 
-fn cell(
+fn parts(
     decoder: &mut Decoder,
     fields: &Fields,
     folder: &Path,
     read_file: &ReadFile,
     beside: &mut Complaints,
-) -> Option<CellConfig> {
+) -> CellParts {
     if let Some(at) = fields.required("version", decoder) {
         decoder.integer(&at, 1..=1);
     }
     let devices = fields.required("devices", decoder).and_then(|at| devices(decoder, &at, folder));
-    let workspace = table(decoder, fields);
-    let objects =
-        fields.required("objects", decoder).and_then(|at| objects(decoder, &at, folder, read_file, beside));
-    let markers =
+    let table = table(decoder, fields);
+    let catalogue = fields
+        .required("objects", decoder)
+        .map(|at| catalogue(decoder, &at, folder, read_file, beside))
+        .unwrap_or_default();
+    let reference_markers =
         fields.required("reference_markers", decoder).and_then(|at| reference_markers(decoder, &at));
     let gripper = fields.required("gripper", decoder).and_then(|at| gripper(decoder, &at));
     let flange_from_tool = transform(decoder, fields, "flange_from_tool");
     let base_from_table = transform(decoder, fields, "base_from_table");
     let camera = fields.required("camera", decoder).and_then(|at| camera(decoder, &at));
-    let look_poses = required_list(decoder, fields, "look_poses_deg", joints_deg);
-    let calibration_poses = required_list(decoder, fields, "calibration_poses_deg", joints_deg);
+    let look_poses = required_each(decoder, fields, "look_poses_deg", joints_deg);
+    let calibration_poses = required_each(decoder, fields, "calibration_poses_deg", joints_deg);
     let park_pose = required_joints(decoder, fields, "park_pose_deg");
     let work_pose = required_joints(decoder, fields, "work_pose_deg");
     let calibration =
         fields.required("calibration", decoder).and_then(|at| calibration(decoder, &at, folder));
-    let limits = fields.required("limits", decoder).and_then(|at| limits(decoder, &at));
+    let (joint_range, limits) =
+        fields.required("limits", decoder).map_or((None, None), |at| limits(decoder, &at));
     let tolerances = fields.required("tolerances", decoder).and_then(|at| tolerances(decoder, &at));
     let planner = fields.required("planner", decoder).and_then(|at| planner(decoder, &at));
     let approvals = [Approval::Never, Approval::Job, Approval::Always].map(|value| (value.word(), value));
@@ -118,29 +122,31 @@ fn cell(
     let recording = optional(decoder, fields, "recording", None, |d, at| recording(d, at, folder).map(Some));
     let goal_folder =
         optional(decoder, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder));
-    Some(CellConfig {
-        devices: devices?,
-        workspace: workspace?,
-        objects: objects?,
-        reference_markers: markers?,
-        gripper: gripper?,
-        flange_from_tool: flange_from_tool?,
-        base_from_table: base_from_table?,
-        camera: camera?,
-        look_poses: look_poses?,
-        park_pose: park_pose?,
-        work_pose: work_pose?,
-        calibration_poses: calibration_poses?,
-        calibration: calibration?,
-        limits: limits?,
-        tolerances: tolerances?,
-        planner: planner?,
-        approval: approval?,
-        arm_at_start: arm_at_start?,
-        simulation: simulation?,
-        recording: recording?,
-        goal_folder: goal_folder?,
-    })
+    CellParts {
+        devices,
+        table,
+        objects: catalogue.objects,
+        object_markers: catalogue.markers,
+        reference_markers,
+        gripper,
+        flange_from_tool,
+        base_from_table,
+        camera,
+        look_poses,
+        park_pose,
+        work_pose,
+        calibration_poses,
+        calibration,
+        joint_range,
+        limits,
+        tolerances,
+        planner,
+        approval,
+        arm_at_start,
+        simulation,
+        recording,
+        goal_folder,
+    }
 }
 
 fn required_joints(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<Joints> {
@@ -181,64 +187,66 @@ fn camera_device(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Camera
     }
 }
 
-fn table(decoder: &mut Decoder, fields: &Fields) -> Option<WorkspaceConfig> {
+fn table(decoder: &mut Decoder, fields: &Fields) -> TableParts {
     let size = fields.required("workspace", decoder).and_then(|at| workspace(decoder, &at));
     let clearance_m = required_number(decoder, fields, "clearance", 0.0..=0.2, "m");
     let keep_out =
         optional(decoder, fields, "keep_out", Vec::new(), |decoder, at| list(decoder, at, decode::keep_out));
-    let size = size?;
-    Some(WorkspaceConfig {
-        width_m: size.width,
-        height_m: size.height,
-        clearance_m: clearance_m?,
-        keep_out: keep_out?,
-    })
+    TableParts { size, clearance_m, keep_out }
+}
+
+/// What could be read of the objects, and the marker numbers of all.
+#[derive(Default)]
+struct Catalogue {
+    objects: Option<Vec<Option<ObjectSpec>>>,
+    markers: Vec<MarkerUse>,
 }
 
 /// The catalogue: a list, or `{file: ...}` with a file that holds the list under `objects`.
-fn objects(
+fn catalogue(
     decoder: &mut Decoder,
     at: &At,
     folder: &Path,
     read_file: &ReadFile,
     beside: &mut Complaints,
-) -> Option<Vec<ObjectSpec>> {
+) -> Catalogue {
     if at.node.get("file").is_none() {
         return object_list(decoder, at);
     }
-    let fields = decoder.map(at, &["file"])?;
-    let file_at = fields.required("file", decoder)?;
-    let file = path(decoder, &file_at, folder)?;
-    let text = match read_file(&file) {
-        Ok(text) => text,
-        Err(reason) => {
-            decoder.complain_at(&file_at, format!("{}: {reason}", file.display()), "correct the path");
-            return None;
+    let file = decoder.map(at, &["file"]).and_then(|fields| {
+        let file_at = fields.required("file", decoder)?;
+        let file = path(decoder, &file_at, folder)?;
+        match read_file(&file) {
+            Ok(text) => Some((text, file.display().to_string())),
+            Err(reason) => {
+                decoder.complain_at(&file_at, format!("{}: {reason}", file.display()), "correct the path");
+                None
+            }
         }
-    };
-    match object_file(&text, &file.display().to_string()) {
-        Ok(objects) => Some(objects),
-        Err(complaints) => {
-            beside.0.extend(complaints.0);
-            Some(Vec::new())
-        }
-    }
-}
-
-fn object_file(text: &str, source: &str) -> Result<Vec<ObjectSpec>, Complaints> {
-    let node = parse(text, source)?;
-    let mut decoder = Decoder::new(source);
-    let objects = decoder.map(&At::top(&node), &["version", "objects"]).and_then(|fields| {
-        let at = fields.required("objects", &mut decoder)?;
-        object_list(&mut decoder, &at)
     });
-    decoder.finish(objects)
+    let Some((text, source)) = file else { return Catalogue::default() };
+    let (found, complaints) = object_file(&text, &source);
+    beside.0.extend(complaints.0);
+    found
 }
 
-fn object_list(decoder: &mut Decoder, at: &At) -> Option<Vec<ObjectSpec>> {
-    let items = decoder.sequence(at)?;
+fn object_file(text: &str, source: &str) -> (Catalogue, Complaints) {
+    let node = match parse(text, source) {
+        Ok(node) => node,
+        Err(complaints) => return (Catalogue::default(), complaints),
+    };
+    let mut decoder = Decoder::new(source);
+    let found = decoder.map(&At::top(&node), &["version", "objects"]).and_then(|fields| {
+        let at = fields.required("objects", &mut decoder)?;
+        Some(object_list(&mut decoder, &at))
+    });
+    (found.unwrap_or_default(), decoder.finish(Some(())).err().unwrap_or_default())
+}
+
+fn object_list(decoder: &mut Decoder, at: &At) -> Catalogue {
+    let Some(items) = decoder.sequence(at) else { return Catalogue::default() };
     unique_names_and_markers(decoder, &items);
-    list(decoder, at, |decoder, at| {
+    let objects = each(decoder, at, |decoder, at| {
         let object = decode::object(decoder, at)?;
         let missing: Vec<&str> = [
             ("height (m)", object.height.is_none()),
@@ -257,7 +265,8 @@ fn object_list(decoder: &mut Decoder, at: &At) -> Option<Vec<ObjectSpec>> {
             decoder.complain_at(at, message, "the camera finds the start, the job says the goal");
         }
         Some(object)
-    })
+    });
+    Catalogue { objects, markers: items.iter().filter_map(MarkerUse::of).collect() }
 }
 
 fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
@@ -269,6 +278,9 @@ fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
             Some(CameraMount::Flange { flange_from_camera })
         }
         _ => {
+            // The word stays known, so that the complaint is about what is missing in celld and not in the file.
+            let help = "use `mount: flange` with flange_from_camera";
+            decoder.complain_at(&mount_at, "a fixed camera is not built yet", help);
             let fields = decoder.map(at, &["mount", "base_from_camera"])?;
             let base_from_camera = transform(decoder, &fields, "base_from_camera")?;
             Some(CameraMount::Fixed { base_from_camera })
@@ -283,7 +295,8 @@ fn calibration(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Calibrat
     Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table? })
 }
 
-fn limits(decoder: &mut Decoder, at: &At) -> Option<MotionLimits> {
+/// The joints' ranges, which the taught poses are compared with, and all limits together.
+fn limits(decoder: &mut Decoder, at: &At) -> (Option<[(f64, f64); 6]>, Option<MotionLimits>) {
     let known = [
         "joint_range_deg",
         "joint_speed_deg_s",
@@ -296,19 +309,27 @@ fn limits(decoder: &mut Decoder, at: &At) -> Option<MotionLimits> {
         "press_m",
         "blend_m",
     ];
-    let fields = decoder.map(at, &known)?;
+    let Some(fields) = decoder.map(at, &known) else { return (None, None) };
     let range = fields.required("joint_range_deg", decoder).and_then(|at| joint_range(decoder, &at));
+    (range, range_and_rest(decoder, &fields, range))
+}
+
+fn range_and_rest(
+    decoder: &mut Decoder,
+    fields: &Fields,
+    range: Option<[(f64, f64); 6]>,
+) -> Option<MotionLimits> {
     // The arm's own maxima: UR5e, 180 deg/s, tool 1 m/s as the manual gives them.
-    let joint_speed = required_positive(decoder, &fields, "joint_speed_deg_s", 180.0, "deg/s");
+    let joint_speed = required_positive(decoder, fields, "joint_speed_deg_s", 180.0, "deg/s");
     let joint_acceleration =
-        required_positive(decoder, &fields, "joint_acceleration_deg_s2", 2000.0, "deg/s2");
-    let tool_speed = required_positive(decoder, &fields, "tool_speed_m_s", 1.0, "m/s");
-    let tool_acceleration = required_positive(decoder, &fields, "tool_acceleration_m_s2", 20.0, "m/s2");
-    let link_floor = required_number(decoder, &fields, "link_floor_m", 0.0..=1.0, "m");
-    let lift = required_positive(decoder, &fields, "lift_height_m", 0.5, "m");
-    let approach = required_positive(decoder, &fields, "approach_height_m", 0.5, "m");
-    let press = required_number(decoder, &fields, "press_m", 0.0..=0.01, "m");
-    let blend = required_number(decoder, &fields, "blend_m", 0.0..=0.1, "m");
+        required_positive(decoder, fields, "joint_acceleration_deg_s2", 2000.0, "deg/s2");
+    let tool_speed = required_positive(decoder, fields, "tool_speed_m_s", 1.0, "m/s");
+    let tool_acceleration = required_positive(decoder, fields, "tool_acceleration_m_s2", 20.0, "m/s2");
+    let link_floor = required_number(decoder, fields, "link_floor_m", 0.0..=1.0, "m");
+    let lift = required_positive(decoder, fields, "lift_height_m", 0.5, "m");
+    let approach = required_positive(decoder, fields, "approach_height_m", 0.5, "m");
+    let press = required_number(decoder, fields, "press_m", 0.0..=0.01, "m");
+    let blend = required_number(decoder, fields, "blend_m", 0.0..=0.1, "m");
     Some(MotionLimits {
         joint_range: range?,
         joint_speed: rad_from_deg(joint_speed?),
@@ -359,11 +380,8 @@ fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
 
 fn planner(decoder: &mut Decoder, at: &At) -> Option<PlannerConfig> {
     let fields = decoder.map(at, &["solver", "objective", "time_limit_s", "seed"])?;
-    let solvers = SOLVER_WORDS.map(|word| (word, word));
-    let objectives =
-        [JobObjective::Pp, JobObjective::Ti, JobObjective::Time].map(|value| (value.word(), value));
-    let solver = fields.required("solver", decoder).and_then(|at| decoder.choice(&at, &solvers));
-    let objective = fields.required("objective", decoder).and_then(|at| decoder.choice(&at, &objectives));
+    let solver = fields.required("solver", decoder).and_then(|at| decode_solver(decoder, &at));
+    let objective = fields.required("objective", decoder).and_then(|at| decode_objective(decoder, &at));
     let time_limit_s = required_positive(decoder, &fields, "time_limit_s", 86_400.0, "s");
     let seed = fields.required("seed", decoder).and_then(|at| decoder.integer(&at, 0..=i64::MAX));
     Some(PlannerConfig {

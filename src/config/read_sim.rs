@@ -3,16 +3,19 @@
 //! In: the text and its name. Out: the checked configuration of the simulated cell, or every complaint at
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
+use crate::config::check::{Places, check_reference_markers};
 use crate::config::fields::{
-    gripper, host, joints_deg, list, optional, port, reference_markers, required_number, transform,
+    each, gripper, joints_deg, optional, port, reference_markers, required_number, transform,
 };
 use crate::config::simulated::{SimErrors, SimFile, SimPorts};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
+use crate::tabletop::arrangement::{Layout, Place};
 use crate::tabletop::decode;
-use crate::tabletop::instance::ObjectSpec;
-use crate::tabletop::parse::{unique_names_and_markers, workspace};
+use crate::tabletop::instance::{ObjectSpec, Workspace};
+use crate::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
 use crate::units::rad_from_deg;
+use std::net::IpAddr;
 
 /// Keys of the file.
 pub const SIM_KEYS: &[&str] = &[
@@ -52,22 +55,24 @@ pub const DEFAULT_ERRORS: SimErrors = SimErrors {
 pub fn read_sim(text: &str, source: &str) -> Result<SimFile, Complaints> {
     let node = parse(text, source)?;
     let mut decoder = Decoder::new(source);
-    let file = decoder.map(&At::top(&node), SIM_KEYS).and_then(|fields| sim(&mut decoder, &fields));
+    let file = decoder
+        .map(&At::top(&node), SIM_KEYS)
+        .and_then(|fields| sim(&mut decoder, &fields, &Places::new(&node)));
     decoder.finish(file)
 }
 
-fn sim(decoder: &mut Decoder, fields: &Fields) -> Option<SimFile> {
+fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFile> {
     if let Some(at) = fields.required("version", decoder) {
         decoder.integer(&at, 1..=1);
     }
-    let bind = host(decoder, fields, "bind");
+    let bind = fields.required("bind", decoder).and_then(|at| address(decoder, &at));
     let ports = fields.required("ports", decoder).and_then(|at| ports(decoder, &at));
     let seed = optional(decoder, fields, "seed", 0, |decoder, at| decoder.integer(at, 0..=i64::MAX));
     let time_factor = optional(decoder, fields, "time_factor", 1.0, |decoder, at| {
         decoder.number_in(at, 0.01..=1000.0, "times real time")
     });
     let size = fields.required("workspace", decoder).and_then(|at| workspace(decoder, &at));
-    let objects = fields.required("objects", decoder).and_then(|at| objects(decoder, &at));
+    let objects = fields.required("objects", decoder).and_then(|at| objects(decoder, &at, size, places));
     let markers =
         fields.required("reference_markers", decoder).and_then(|at| reference_markers(decoder, &at));
     let gripper = fields.required("gripper", decoder).and_then(|at| gripper(decoder, &at));
@@ -112,17 +117,45 @@ fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
     Some(ports)
 }
 
-fn objects(decoder: &mut Decoder, at: &At) -> Option<Vec<ObjectSpec>> {
+/// An address to listen at. A name is refused: it may stand for several, and the cell's side compares addresses.
+fn address(decoder: &mut Decoder, at: &At) -> Option<String> {
+    let text = decoder.text(at)?;
+    if text.parse::<IpAddr>().is_err() {
+        let help = "write an address of this machine alone, as 127.0.0.2";
+        decoder.complain_at(at, format!("{text:?} is not an IP address"), help);
+        return None;
+    }
+    Some(text)
+}
+
+/// The objects, their starts compared with each other and with the table, their markers with the table's.
+fn objects(
+    decoder: &mut Decoder,
+    at: &At,
+    workspace: Option<Workspace>,
+    places: &Places,
+) -> Option<Vec<ObjectSpec>> {
     let items = decoder.sequence(at)?;
     unique_names_and_markers(decoder, &items);
-    list(decoder, at, |decoder, at| {
+    let markers: Vec<MarkerUse> = items.iter().filter_map(MarkerUse::of).collect();
+    check_reference_markers(decoder, places, &markers);
+    let objects = each(decoder, at, |decoder, at| {
         let object = decode::object(decoder, at)?;
         if object.start.is_none() || object.height.is_none() || object.mass.is_none() {
             let message = format!("{:?} needs start, height (m) and mass (kg)", object.id);
             decoder.complain_at(at, message, "the simulated world cannot guess them");
         }
         Some(object)
-    })
+    })?;
+    let layout = Layout {
+        workspace,
+        overlap_tolerance: Some(0.0),
+        keep_out: &[],
+        objects: objects.iter().map(Option::as_ref).collect(),
+        places: &items.iter().map(Place::of).collect::<Vec<_>>(),
+    };
+    layout.start_faults(decoder);
+    objects.into_iter().collect()
 }
 
 fn errors(decoder: &mut Decoder, at: &At) -> Option<SimErrors> {
@@ -145,7 +178,8 @@ fn errors(decoder: &mut Decoder, at: &At) -> Option<SimErrors> {
         |key: &str| required_number(decoder, &fields, key, 0.0..=10.0, "degrees").map(rad_from_deg);
     let (placement_rad, table_rad, mount_rad, dh_rad) =
         (angle("placement_deg"), angle("table_deg"), angle("mount_deg"), angle("dh_deg"));
-    let noise_levels = required_number(decoder, &fields, "noise_levels", 0.0..=50.0, "grey levels");
+    // Pictures without noise repeat bit by bit, and the daemon takes a camera that repeats itself for frozen.
+    let noise_levels = required_number(decoder, &fields, "noise_levels", 0.1..=50.0, "grey levels");
     Some(SimErrors {
         placement_m: placement_m?,
         placement_rad: placement_rad?,

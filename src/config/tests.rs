@@ -97,6 +97,13 @@ fn a_unit_or_type_is_told() {
     check("port: 5020", "port: 70000", "out of range");
     check("host: 127.0.0.2}", "host: 'http://127.0.0.2:80'}", "not a host name");
     check("solver: erbm", "solver: best", "one of: tbm");
+    check("solver: erbm", "solver: auto", "\"auto\" is not built yet; one of: tbm, rbm");
+    check("objective: pp", "objective: time", "\"time\" is not built yet; one of: pp, ti");
+    check(
+        "mount: flange\n  flange_from",
+        "mount: fixed\n  base_from",
+        "a fixed camera is not built yet; use `mount: flange`",
+    );
     check("\napproval: always", "\napproval: maybe", "one of: never");
     check(
         "[0, 0, 0.2], quaternion: [0, 0, 0, 1]",
@@ -157,4 +164,72 @@ fn a_catalogue_in_a_file_is_judged_with_its_own_places() {
     assert!(told.contains("/etc/celld/objects.yaml:2:") && told.contains("radius"), "{told}");
     let told = cell(&with("objects: {file: none.yaml}")).unwrap_err().to_string();
     assert!(told.contains("no such file"), "{told}");
+}
+
+#[test]
+fn a_wrong_key_hides_no_fault_elsewhere() {
+    let text = CELL
+        .replacen("height: 0.02\n", "height: 20 mm\n", 1)
+        .replacen("{id: 501, size", "{id: 500, size", 1)
+        .replacen("{id: 502, size: 0.03", "{id: 0, size: wide", 1)
+        .replacen("joint_speed_deg_s: 60 ", "joint_speed_deg_s: fast ", 1)
+        .replacen("work_pose_deg: [-91.7", "work_pose_deg: [361", 1)
+        .replacen("id: 2, size: 0.05,", "id: 2, size: 0.07,", 1);
+    let told = cell(&text).unwrap_err();
+    for wanted in [
+        "objects[0].height: \"20 mm\" is not a number",
+        "reference_markers[1].id: marker 500 is used twice",
+        "reference_markers[2].id: marker 0 is also that of object \"plank-1\"",
+        "reference_markers[2].size: \"wide\" is not a number",
+        "limits.joint_speed_deg_s: \"fast\" is not a number",
+        "work_pose_deg: joint 1 at 361.0 degrees is outside its range",
+        "objects[2]: the marker of \"block\" with its white ring is 87.5 mm wide and sticks out",
+    ] {
+        assert!(told.to_string().contains(wanted), "{wanted}:\n{told}");
+    }
+    assert_eq!(told.0.len(), 7, "{told}");
+}
+
+/// The daemon grips with all cups at once, so a second channel that reaches over the objects is no help.
+#[test]
+fn all_cups_have_to_sit_on_an_object() {
+    let far = "cups: [{channel: A, x: 0, y: 0, diameter: 0.02}, {channel: B, x: 0.2, y: 0, diameter: 0.02}]";
+    let text = CELL.replace("cups: [{channel: A, x: 0, y: 0, diameter: 0.02}]", far);
+    let told = cell(&text).unwrap_err();
+    assert_eq!(told.0.len(), 4, "{told}");
+    assert!(told.to_string().contains("no place on \"lid\" takes all 2 cups with 1 mm to spare"), "{told}");
+    let near = text.replace("x: 0.2, y: 0,", "x: 0.025, y: 0,");
+    assert!(cell(&near).is_ok());
+}
+
+#[test]
+fn goals_may_overlap_by_what_the_camera_cannot_tell() {
+    let text = CELL.replace("goal_position_m: 0.002 ", "goal_position_m: 0.1 ");
+    let cell = cell(&text).unwrap();
+    let allowed_m = cell.goal_context(&[]).overlap_tolerance_m;
+    assert!((0.0005..=0.0015).contains(&allowed_m), "{allowed_m} m");
+}
+
+/// Changes one thing in the example simulation and expects one complaint that begins with `expected`.
+#[track_caller]
+fn check_sim(from: &str, to: &str, expected: &str) {
+    assert!(SIM.contains(from), "the example has no {from:?}");
+    let complaints = read_sim(&SIM.replacen(from, to, 1), "sim.yaml").unwrap_err();
+    let told = complaints.to_string();
+    assert_eq!(complaints.0.len(), 1, "{told}");
+    assert!(told.contains(expected), "{told}");
+}
+
+#[test]
+fn parts_of_a_simulation_that_do_not_fit_are_told() {
+    check_sim("{id: 501, size", "{id: 0500, size", "reference_markers[1].id: marker 500 is used twice");
+    check_sim("{id: 501, size", "{id: 2, size", "marker 2 is also that of object \"block\"");
+    check_sim(
+        "[0.34, 0.14, -60]",
+        "[0.12, 0.14, -60]",
+        "objects[1].start: \"plank-2\" overlaps \"plank-1\" by",
+    );
+    check_sim("[0.36, 0.38, 0]", "[0.36, 0.48, 0]", "\"lid\" reaches over the table's edge by 25.000 mm");
+    check_sim("bind: 127.0.0.2", "bind: localhost", "bind: \"localhost\" is not an IP address");
+    check_sim("noise_levels: 2.0", "noise_levels: 0", "noise_levels: 0 grey levels is out of range");
 }

@@ -9,7 +9,7 @@ use crate::daemon::run::Office;
 use crate::device::gripper::Channels;
 use crate::io::clock::unix_now_s;
 use crate::jobs::command::{Command, Inbox, ReleaseChannel, Reply};
-use crate::jobs::goal::GoalContext;
+use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
 use crate::jobs::policy::{Approval, JobObjective};
@@ -111,18 +111,9 @@ impl StateOffice {
         let config = &self.config;
         let folder = config.goal_folder.clone();
         let obstacles = config.obstacles();
-        let read_goal = move |name: &str| {
-            let path = folder.join(name);
-            std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))
-        };
+        let read_goal = move |name: &str| read_goal_file(&folder, name);
         let context = JobContext {
-            goal: Some(GoalContext {
-                objects: &config.objects,
-                width_m: config.workspace.width_m,
-                height_m: config.workspace.height_m,
-                keep_out: &obstacles,
-                overlap_tolerance_m: config.tolerances.goal_position_m,
-            }),
+            goal: Some(config.goal_context(&obstacles)),
             approval: config.approval,
             read_goal: &read_goal,
         };
@@ -268,7 +259,6 @@ impl StateOffice {
         let objective = match spec.objective.unwrap_or(planner.objective) {
             JobObjective::Pp => Objective::Pp,
             JobObjective::Ti => Objective::Ti,
-            JobObjective::Time => Objective::Time,
         };
         let solver = spec.solver.as_deref().unwrap_or(&planner.solver);
         let seconds = spec.time_limit_s.unwrap_or(planner.time_limit_s);

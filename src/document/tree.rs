@@ -63,6 +63,14 @@ impl Node {
         }
     }
 
+    /// The characters of a scalar, in quotes or not.
+    pub fn scalar(&self) -> Option<&str> {
+        match &self.value {
+            Value::Scalar { text, .. } => Some(text),
+            Value::Sequence(_) | Value::Map(_) => None,
+        }
+    }
+
     /// True for an absent value: nothing written, `null` or `~`.
     pub fn is_null(&self) -> bool {
         matches!(&self.value, Value::Scalar { text, quoted: false } if matches!(text.as_str(), "" | "~" | "null" | "Null" | "NULL"))

@@ -56,6 +56,14 @@ impl FileError {
         FileError::Io { action, path: path.to_owned(), source }
     }
 
+    /// Why, in words, without the path: for callers that name the file themselves.
+    pub fn reason(&self) -> String {
+        match self {
+            FileError::Io { source, .. } => source.to_string(),
+            FileError::Unfit { problem, .. } => problem.to_string(),
+        }
+    }
+
     /// True when the file or folder was not there.
     pub fn is_absent(&self) -> bool {
         matches!(self, FileError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
@@ -100,31 +108,56 @@ fn identity_of(metadata: &std::fs::Metadata) -> FileIdentity {
 /// # Errors
 /// [`FileError::Unfit`] for anything that is not such a file, [`FileError::Io`] when the system refuses.
 pub fn read_regular(path: &Path, max_bytes: u64) -> Result<(String, FileIdentity), FileError> {
-    let unfit = |problem| FileError::Unfit { path: path.to_owned(), problem };
     let (_, regular) = identify(path)?;
     if !regular {
-        return Err(unfit(Unfit::NotRegular));
+        return Err(unfit(path, Unfit::NotRegular));
     }
-    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let (file, metadata) = open_regular(path, OFlags::NOFOLLOW)?;
+    if metadata.nlink() != 1 {
+        return Err(unfit(path, Unfit::HardLinked(metadata.nlink())));
+    }
+    Ok((bounded_text(path, file, max_bytes)?, identity_of(&metadata)))
+}
+
+/// Text of a regular file of at most `max_bytes` that a person named: links are followed, and nothing else than
+/// a plain file at their end is opened (a device or a FIFO has no end, and states a size of 0).
+///
+/// # Errors
+/// As [`read_regular`].
+pub fn read_named(path: &Path, max_bytes: u64) -> Result<String, FileError> {
+    let metadata = path.metadata().map_err(|e| FileError::io("look at", path, e))?;
+    if !metadata.is_file() {
+        return Err(unfit(path, Unfit::NotRegular));
+    }
+    let (file, _) = open_regular(path, OFlags::empty())?;
+    bounded_text(path, file, max_bytes)
+}
+
+fn unfit(path: &Path, problem: Unfit) -> FileError {
+    FileError::Unfit { path: path.to_owned(), problem }
+}
+
+/// Opens without ever waiting, and looks again at what was opened: the name may have changed hands.
+fn open_regular(path: &Path, further: OFlags) -> Result<(File, std::fs::Metadata), FileError> {
+    let flags = OFlags::NONBLOCK | OFlags::CLOEXEC | further;
     let file = OpenOptions::new()
         .read(true)
         .custom_flags(flags.bits().cast_signed())
         .open(path)
         .map_err(|e| FileError::io("open", path, e))?;
     let metadata = file.metadata().map_err(|e| FileError::io("look at", path, e))?;
-    if !metadata.is_file() {
-        return Err(unfit(Unfit::NotRegular));
-    }
-    if metadata.nlink() != 1 {
-        return Err(unfit(Unfit::HardLinked(metadata.nlink())));
-    }
+    if metadata.is_file() { Ok((file, metadata)) } else { Err(unfit(path, Unfit::NotRegular)) }
+}
+
+fn bounded_text(path: &Path, file: File, max_bytes: u64) -> Result<String, FileError> {
     let mut bytes = Vec::new();
-    file.take(max_bytes + 1).read_to_end(&mut bytes).map_err(|e| FileError::io("read", path, e))?;
+    file.take(max_bytes.saturating_add(1))
+        .read_to_end(&mut bytes)
+        .map_err(|e| FileError::io("read", path, e))?;
     if bytes.len() as u64 > max_bytes {
-        return Err(unfit(Unfit::TooLarge(max_bytes)));
+        return Err(unfit(path, Unfit::TooLarge(max_bytes)));
     }
-    let text = String::from_utf8(bytes).map_err(|_| unfit(Unfit::NotText))?;
-    Ok((text, identity_of(&metadata)))
+    String::from_utf8(bytes).map_err(|_| unfit(path, Unfit::NotText))
 }
 
 /// Writes `bytes` to `path` whole or not at all, and on return durably. Replaces what was there.
@@ -294,6 +327,27 @@ mod tests {
         );
         check_unfit(|_, path| std::fs::write(path, "12345678901").unwrap(), Unfit::TooLarge(10));
         check_unfit(|_, path| std::fs::write(path, [0xff, 0xfe]).unwrap(), Unfit::NotText);
+    }
+
+    #[test]
+    fn a_named_file_may_be_a_link_but_never_a_device_or_a_fifo() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        std::fs::write(path("text"), "text").unwrap();
+        std::os::unix::fs::symlink(path("text"), path("link")).unwrap();
+        std::fs::hard_link(path("text"), path("hard")).unwrap();
+        for name in ["text", "link", "hard"] {
+            assert_eq!(read_named(&path(name), 10).unwrap(), "text");
+        }
+        let mode = rustix::fs::Mode::from_raw_mode(0o600);
+        rustix::fs::mknodat(CWD, path("fifo"), rustix::fs::FileType::Fifo, mode, 0).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", path("zero")).unwrap();
+        for unfit in [path("fifo"), path("zero"), folder.path().to_owned()] {
+            let problem = read_named(&unfit, 10).unwrap_err();
+            assert_eq!(problem.reason(), "not a regular file", "{}", unfit.display());
+        }
+        assert_eq!(read_named(&path("text"), 3).unwrap_err().reason(), "larger than 3 bytes");
+        assert!(read_named(&path("absent"), 3).unwrap_err().is_absent());
     }
 
     #[test]

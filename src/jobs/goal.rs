@@ -1,18 +1,26 @@
 //! Wanted arrangements: the list of poses in a job or goal file, and whether the table can hold it.
 //!
 //! In: located values, the catalogue and the table. Out: poses with the places where they were written, and
-//! complaints at those places. A goal file holds `objects: [{id, pose}]`, or is an instance whose goals count.
+//! complaints at those places; what decoded is judged although other parts did not. A goal file holds
+//! `objects: [{id, pose}]`, or is an instance whose goals count.
 
 use crate::document::decode::{At, Decoder, Fields, suggestion};
-use crate::document::{Complaints, Location, parse};
+use crate::document::{Complaints, Location, Node, parse};
 use crate::geometry::collision::{TOUCH_M, overhang, penetration};
 use crate::geometry::pose::Pose2;
+use crate::io::files::read_regular;
 use crate::jobs::record::GoalPose;
+use crate::tabletop::decode;
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
+use crate::tabletop::parse::{INSTANCE_KEYS, header, unique_names_and_markers};
 use std::collections::BTreeMap;
+use std::path::{Component, Path};
 
 /// Most objects in one goal.
 const MAX_OBJECTS: usize = 1000;
+
+/// Largest goal file read, bytes: a thousand objects with outlines of some dozen corners.
+const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Catalogue and table a goal is checked against.
 #[derive(Clone, Copy, Debug)]
@@ -29,18 +37,27 @@ pub struct GoalContext<'a> {
     pub overlap_tolerance_m: f64,
 }
 
-/// A wanted pose and where it was written.
+/// A wanted pose and where it was written. What is absent was complained about.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GoalEntry {
-    /// The pose.
-    pub goal: GoalPose,
+    /// Which object.
+    pub id: Option<String>,
+    /// Where it is wanted.
+    pub pose: Option<Pose2>,
     /// Place of the entry.
     pub at: Location,
     /// Path of the entry.
     pub path: String,
 }
 
-/// Reads the list under `objects`.
+impl GoalEntry {
+    /// The wanted pose, if all of it could be read.
+    pub fn into_goal(self) -> Option<GoalPose> {
+        Some(GoalPose { id: self.id?, pose: self.pose? })
+    }
+}
+
+/// Reads the list under `objects`; entries that are wrong are complained about and kept as far as they go.
 pub fn decode_goal(decoder: &mut Decoder, at: &At) -> Option<Vec<GoalEntry>> {
     let items = decoder.sequence(at)?;
     if items.is_empty() || items.len() > MAX_OBJECTS {
@@ -48,9 +65,7 @@ pub fn decode_goal(decoder: &mut Decoder, at: &At) -> Option<Vec<GoalEntry>> {
         decoder.complain_at(at, message, "a job has to ask for something");
         return None;
     }
-    let entries: Vec<_> = items.iter().map(|item| decode_entry(decoder, item)).collect();
-    let entries: Option<Vec<_>> = entries.into_iter().collect();
-    let entries = entries?;
+    let entries: Vec<_> = items.iter().filter_map(|item| decode_entry(decoder, item)).collect();
     check_unique(decoder, &entries);
     Some(entries)
 }
@@ -59,22 +74,22 @@ fn decode_entry(decoder: &mut Decoder, at: &At) -> Option<GoalEntry> {
     let fields = decoder.map(at, &["id", "pose", "pose_deg"])?;
     let id = fields.required("id", decoder).and_then(|at| decoder.text(&at));
     let pose = required_pose(decoder, &fields, "pose");
-    Some(GoalEntry { goal: GoalPose { id: id?, pose: pose? }, at: at.node.at, path: at.path.clone() })
+    Some(GoalEntry { id, pose, at: at.node.at, path: at.path.clone() })
 }
 
 fn required_pose(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<Pose2> {
-    let Some([x, y, theta]) = decoder.pose(fields, key)? else {
+    let found = decode::pose(decoder, fields, key)?;
+    if found.is_none() {
         let help = "add it: [x, y, theta] in m, m, rad, or the same with _deg and the angle in degrees";
         decoder.complain(fields.at(), fields.path(), format!("key {key:?} is missing"), help);
-        return None;
-    };
-    Some(Pose2::new(x, y, theta))
+    }
+    found
 }
 
 fn check_unique(decoder: &mut Decoder, entries: &[GoalEntry]) {
     let mut first: BTreeMap<&str, Location> = BTreeMap::new();
     for entry in entries {
-        let id = entry.goal.id.as_str();
+        let Some(id) = entry.id.as_deref() else { continue };
         match first.get(id) {
             Some(at) => {
                 let message = format!("object {id:?} has a goal already, at line {}", at.line);
@@ -85,6 +100,31 @@ fn check_unique(decoder: &mut Decoder, entries: &[GoalEntry]) {
             }
         }
     }
+}
+
+/// Text of the goal file `name` of the goal folder, as the daemon reads it on its control loop: a plain file of
+/// bounded size in the folder or below it. What is wrong otherwise, in words.
+///
+/// # Errors
+/// Why it cannot be had.
+pub fn read_goal_file(folder: &Path, name: &str) -> Result<String, String> {
+    if !stays_below(name) {
+        return Err("it leads out of the goal folder".to_owned());
+    }
+    read_regular(&folder.join(name), MAX_FILE_BYTES).map(|(text, _)| text).map_err(|error| error.reason())
+}
+
+/// True for a path that leads to a file in the folder it is joined to, or below it.
+pub(crate) fn stays_below(path: &str) -> bool {
+    let mut named = false;
+    for component in Path::new(path).components() {
+        match component {
+            Component::Normal(_) => named = true,
+            Component::CurDir => {}
+            Component::Prefix(_) | Component::RootDir | Component::ParentDir => return false,
+        }
+    }
+    named
 }
 
 /// Reads a goal file; with a context, also checks it.
@@ -113,48 +153,61 @@ pub fn parse_goal_file(
     decoder.finish(entries)
 }
 
-/// The goals of an instance file. Its other keys belong to the instance parser and are not judged here.
+/// The goals of an instance file. Every key of it is read as the instance parser reads it; its starts are not
+/// compared, for the camera says where things are.
 fn decode_instance_goals(decoder: &mut Decoder, top: &At) -> Option<Vec<GoalEntry>> {
-    let fields = decoder.open_map(top)?;
+    let fields = decoder.map(top, INSTANCE_KEYS)?;
+    header(decoder, &fields);
     let objects = fields.required("objects", decoder)?;
+    let items = decoder.sequence(&objects)?;
+    if items.len() > MAX_OBJECTS {
+        decoder.complain_at(&objects, format!("{} objects, at most {MAX_OBJECTS} are read", items.len()), "");
+        return None;
+    }
     let mut entries = Vec::new();
-    for item in decoder.sequence(&objects)? {
-        let object = decoder.open_map(&item)?;
-        let id = object.required("id", decoder).and_then(|at| decoder.text(&at))?;
-        if let Some([x, y, theta]) = decoder.pose(&object, "goal")? {
-            let goal = GoalPose { id, pose: Pose2::new(x, y, theta) };
-            entries.push(GoalEntry { goal, at: item.node.at, path: item.path.clone() });
+    for item in &items {
+        let wanted = item.node.get("goal").or_else(|| item.node.get("goal_deg")).is_some();
+        let object = decode::object(decoder, item);
+        if wanted {
+            let id = item.node.get("id").and_then(Node::scalar).map(str::to_owned);
+            let pose = object.and_then(|object| object.goal);
+            entries.push(GoalEntry { id, pose, at: item.node.at, path: item.path.clone() });
         }
     }
-    check_unique(decoder, &entries);
+    if entries.is_empty() {
+        let help = "add `goal: [x, y, theta]` to at least one; a job has to ask for something";
+        decoder.complain_at(&objects, "no object has a goal", help);
+    }
+    unique_names_and_markers(decoder, &items);
     Some(entries)
 }
 
 /// Complains about what the catalogue does not know and the table cannot hold.
 pub fn check_goal(decoder: &mut Decoder, entries: &[GoalEntry], context: &GoalContext) {
     let ids: Vec<_> = context.objects.iter().map(|object| object.id.as_str()).collect();
-    let mut known: Vec<(&GoalEntry, &ObjectSpec)> = Vec::new();
+    let mut known: Vec<(&GoalEntry, &ObjectSpec, Pose2)> = Vec::new();
     for entry in entries {
-        match context.objects.iter().find(|object| object.id == entry.goal.id) {
-            None => complain_unknown(decoder, entry, &ids),
+        let Some(id) = entry.id.as_deref() else { continue };
+        match context.objects.iter().find(|object| object.id == id) {
+            None => complain_unknown(decoder, entry, id, &ids),
             Some(object) if object.fixed => {
                 let message = format!("object {:?} is fixed, it never moves", object.id);
                 decoder.complain(entry.at, &entry.path, message, "remove it from the goal");
             }
-            Some(object) => known.push((entry, object)),
+            Some(object) => known.extend(entry.pose.map(|pose| (entry, object, pose))),
         }
     }
     let tolerance_m = context.overlap_tolerance_m.max(TOUCH_M);
-    for (index, (entry, object)) in known.iter().enumerate() {
-        check_place(decoder, entry, object, context, tolerance_m);
-        for (other, other_object) in known.iter().take(index) {
-            let depth =
-                penetration(&object.footprint, &entry.goal.pose, &other_object.footprint, &other.goal.pose);
-            if depth > tolerance_m {
+    for (index, (entry, object, pose)) in known.iter().enumerate() {
+        check_place(decoder, (entry, object, pose), context, tolerance_m);
+        for (other, other_object, other_pose) in known.iter().take(index) {
+            let depth = penetration(&object.footprint, pose, &other_object.footprint, other_pose);
+            // The same object twice is another complaint, and has been made.
+            if depth > tolerance_m && object.id != other_object.id {
                 let message = format!(
                     "the goals of {:?} and {:?} (line {}) overlap by {}",
-                    entry.goal.id,
-                    other.goal.id,
+                    object.id,
+                    other_object.id,
                     other.at.line,
                     millimetres(depth)
                 );
@@ -164,8 +217,7 @@ pub fn check_goal(decoder: &mut Decoder, entries: &[GoalEntry], context: &GoalCo
     }
 }
 
-fn complain_unknown(decoder: &mut Decoder, entry: &GoalEntry, ids: &[&str]) {
-    let id = entry.goal.id.as_str();
+fn complain_unknown(decoder: &mut Decoder, entry: &GoalEntry, id: &str, ids: &[&str]) {
     let help = match suggestion(id, ids) {
         Some(near) => format!("did you mean {near:?}?"),
         None => format!("the catalogue has: {}", ids.join(", ")),
@@ -175,12 +227,10 @@ fn complain_unknown(decoder: &mut Decoder, entry: &GoalEntry, ids: &[&str]) {
 
 fn check_place(
     decoder: &mut Decoder,
-    entry: &GoalEntry,
-    object: &ObjectSpec,
+    (entry, object, pose): (&GoalEntry, &ObjectSpec, &Pose2),
     context: &GoalContext,
     tolerance_m: f64,
 ) {
-    let pose = &entry.goal.pose;
     let beyond = overhang(&object.footprint, pose, context.width_m, context.height_m);
     if beyond > tolerance_m {
         let message =
@@ -234,8 +284,37 @@ mod tests {
         assert_eq!(complaints(touching), "2 fine");
         assert_eq!(complaints(&touching.replace("0.2,", "0.1996,")), "2 fine", "0.4 mm are measurement");
         assert_eq!(complaints("objects:\n  - {id: plank-1, pose_deg: [0.02, 0.05, 90]}\n"), "1 fine");
-        let instance = "workspace: {width: 1, height: 1}\nobjects:\n  - {id: plank-1, goal: [0.1, 0.1, 0]}\n  - {id: other}\n";
+        let instance = "workspace: {width: 1, height: 1}\nobjects:\n  - {id: plank-1, footprint: {disc: {radius: 0.1}}, goal: [0.1, 0.1, 0]}\n  - {id: other, footprint: {disc: {radius: 0.1}}}\n";
         assert_eq!(complaints(instance), "1 fine");
+    }
+
+    #[test]
+    fn an_instance_as_goal_is_read_key_by_key() {
+        let object = |rest: &str| format!("  - {{footprint: {{disc: {{radius: 0.1}}}}, {rest}}}\n");
+        let file = |rest: &[&str]| {
+            let objects: String = rest.iter().map(|rest| object(rest)).collect();
+            format!("workspace: {{width: 1, height: 1}}\nobjects:\n{objects}")
+        };
+        let none = complaints(&file(&["id: plank-1"]));
+        assert!(none.contains("goal.yaml:3:3: objects: no object has a goal; add `goal:"), "{none}");
+        let several = complaints(&file(&[
+            "id: plank-1, gaol: [0.1, 0.1, 0]",
+            "id: plank-2, goal: [0.1, 0.1]",
+            "id: plnk, goal: [0.3, 0.3, 0]",
+            "id: plnk-2, goal: [0.3, .nan, 0]",
+        ]));
+        for wanted in [
+            "3:53: objects[0].gaol: unknown key; did you mean \"goal\"?",
+            "4:59: objects[1].goal: 2 values, 3 are wanted",
+            "5:5: objects[2]: object \"plnk\" is unknown",
+            "6:5: objects[3]: object \"plnk-2\" is unknown",
+            "6:64: objects[3].goal[1]: .nan is not a finite number",
+        ] {
+            assert!(several.contains(wanted), "{wanted}:\n{several}");
+        }
+        let top =
+            complaints(&file(&["id: plank-1, goal: [0.1, 0.1, 0]"]).replace("height: 1", "height: 1 m"));
+        assert!(top.contains("goal.yaml:1:31: workspace.height: \"1 m\" is not a number"), "{top}");
     }
 
     #[test]
@@ -263,6 +342,33 @@ mod tests {
             twice.contains("3:5: objects[1]: object \"plank-1\" has a goal already, at line 2"),
             "{twice}"
         );
+    }
+
+    #[test]
+    fn the_daemon_reads_plain_files_of_the_goal_folder_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let goals = folder.path().join("goals");
+        std::fs::create_dir_all(goals.join("below")).unwrap();
+        std::fs::write(goals.join("below/goal.yaml"), "text").unwrap();
+        std::fs::write(folder.path().join("secret.yaml"), "secret").unwrap();
+        std::fs::write(goals.join("large.yaml"), vec![b' '; (MAX_FILE_BYTES + 1) as usize]).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", goals.join("zero.yaml")).unwrap();
+        let mode = rustix::fs::Mode::from_raw_mode(0o600);
+        let fifo = goals.join("fifo.yaml");
+        rustix::fs::mknodat(rustix::fs::CWD, &fifo, rustix::fs::FileType::Fifo, mode, 0).unwrap();
+        assert_eq!(read_goal_file(&goals, "below/goal.yaml").as_deref(), Ok("text"));
+        for (name, reason) in [
+            ("../secret.yaml", "leads out"),
+            ("/dev/zero", "leads out"),
+            ("zero.yaml", "not a regular file"),
+            ("fifo.yaml", "not a regular file"),
+            ("below", "not a regular file"),
+            ("large.yaml", "larger than 1048576 bytes"),
+            ("none.yaml", "No such file"),
+        ] {
+            let told = read_goal_file(&goals, name).unwrap_err();
+            assert!(told.contains(reason), "{name}: {told}");
+        }
     }
 
     #[test]

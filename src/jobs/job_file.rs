@@ -8,8 +8,8 @@
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaint, Complaints, Location, parse};
 use crate::geometry::pose::Pose2;
-use crate::jobs::goal::{GoalContext, GoalEntry, check_goal, decode_goal, parse_goal_file};
-use crate::jobs::policy::{Approval, JobObjective, SOLVER_WORDS};
+use crate::jobs::goal::{GoalContext, GoalEntry, check_goal, decode_goal, parse_goal_file, stays_below};
+use crate::jobs::policy::{Approval, decode_objective, decode_solver};
 use crate::jobs::record::{GoalPose, JobSpec, quoted};
 use crate::jobs::spool::{Refusal, RefusalDetail, is_plain_name};
 use crate::jobs::utc;
@@ -84,11 +84,9 @@ fn decode_job(
     let goal = fields
         .required("goal", decoder)
         .and_then(|at| decode_goal_source(decoder, &at, context, goal_complaints));
-    let words: Vec<_> = SOLVER_WORDS.iter().map(|word| (*word, *word)).collect();
-    let objectives = [JobObjective::Pp, JobObjective::Ti, JobObjective::Time].map(|o| (o.word(), o));
     let id = fields.optional("id").and_then(|at| decode_id(decoder, &at));
-    let objective = fields.optional("objective").and_then(|at| decoder.choice(&at, &objectives));
-    let solver = fields.optional("solver").and_then(|at| decoder.choice(&at, &words));
+    let objective = fields.optional("objective").and_then(|at| decode_objective(decoder, &at));
+    let solver = fields.optional("solver").and_then(|at| decode_solver(decoder, &at));
     let time_limit_s =
         fields.optional("time_limit_s").and_then(|at| decoder.number_in(&at, 0.001..=MAX_TIME_LIMIT_S, "s"));
     let seed = fields.optional("seed").and_then(|at| decoder.integer(&at, 0..=i64::MAX));
@@ -158,10 +156,17 @@ fn decode_goal_source(
         }
         (Some(file), None) => {
             let path = decoder.text(&file)?;
+            if !stays_below(&path) {
+                let help = "name a file in the goal folder or below it: no leading /, no ..";
+                decoder.complain_at(&file, format!("{path:?} leads out of the goal folder"), help);
+                return None;
+            }
             match goal_of_file(&path, context) {
                 Ok(goal) => Some(goal),
                 Err(GoalFault::Unreadable(reason)) => {
-                    let help = "write an absolute path, or one relative to the cell's goal folder";
+                    let help = "name a file relative to the goal folder (here: the job file's own)";
+                    let help =
+                        if context.goal.is_some() { "name a file of the cell's goal_folder" } else { help };
                     decoder.complain_at(&file, format!("{path}: {reason}"), help);
                     None
                 }
@@ -195,7 +200,7 @@ fn goal_of_file(path: &str, context: &JobContext) -> Result<Vec<GoalPose>, GoalF
 }
 
 fn poses(entries: Vec<GoalEntry>) -> Vec<GoalPose> {
-    entries.into_iter().map(|entry| entry.goal).collect()
+    entries.into_iter().filter_map(GoalEntry::into_goal).collect()
 }
 
 /// [`read_job`] in the words of the spool.
@@ -276,124 +281,4 @@ pub fn goal_yaml<'a>(goal: impl Iterator<Item = (&'a str, Pose2)>, indent: &str)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn no_file(path: &str) -> Result<String, String> {
-        match path {
-            "goal.yaml" => Ok("objects:\n  - {id: mug, pose: [0.1, 0.2, 0.3]}\n".to_owned()),
-            "bad.yaml" => Ok("objects:\n  - {id: mug}\n  - {}\n".to_owned()),
-            _ => Err("no such file".to_owned()),
-        }
-    }
-
-    fn read(text: &str) -> Result<JobSpec, Complaints> {
-        read_job(text, "job.yaml", &JobContext { goal: None, approval: Approval::Job, read_goal: &no_file })
-    }
-
-    #[track_caller]
-    fn check_complaint(text: &str, expected: &str) {
-        let told = read(text).unwrap_err().to_string();
-        assert!(told.contains(expected), "{told}");
-    }
-
-    const FULL: &str = "version: 1
-id: tidy-42
-goal: {objects: [{id: mug, pose_deg: [0.1, 0.2, 180]}]}
-objective: ti
-solver: erbm
-time_limit_s: 2.5
-seed: 7
-priority: 5
-not_before: 2026-11-21T08:00:00Z
-approval: always
-rerun: true
-";
-
-    #[test]
-    fn every_key_is_read() {
-        let job = read(FULL).unwrap();
-        let pose = Pose2::new(0.1, 0.2, std::f64::consts::PI);
-        assert_eq!(
-            job,
-            JobSpec {
-                id: Some("tidy-42".into()),
-                goal: vec![GoalPose { id: "mug".into(), pose }],
-                objective: Some(JobObjective::Ti),
-                solver: Some("erbm".into()),
-                time_limit_s: Some(2.5),
-                seed: Some(7),
-                priority: 5,
-                not_before_unix_s: Some(1_795_248_000.0),
-                approval: Some(Approval::Always),
-                rerun: true,
-            }
-        );
-        assert_eq!(read(&job_yaml(&job)).unwrap(), job, "what submit writes reads back alike");
-    }
-
-    #[test]
-    fn a_goal_file_is_taken_into_the_job() {
-        let job = read("version: 1\ngoal: {file: goal.yaml}\n").unwrap();
-        assert_eq!(job.goal[0].pose, Pose2::new(0.1, 0.2, 0.3));
-        check_complaint(
-            "version: 1\ngoal: {file: none.yaml}\n",
-            "job.yaml:2:14: goal.file: none.yaml: no such file",
-        );
-        let told = read("version: 1\ngoal: {file: bad.yaml}\n").unwrap_err().to_string();
-        assert!(told.starts_with("bad.yaml:2:5: ") && !told.contains("job.yaml"), "{told}");
-    }
-
-    #[test]
-    fn each_fault_is_named_where_it_is() {
-        check_complaint("goal: {file: goal.yaml}\n", "key \"version\" is missing");
-        check_complaint("version: 2\ngoal: {file: goal.yaml}\n", "1:10: version: 2 is out of range");
-        check_complaint("version: 1\n", "key \"goal\" is missing");
-        check_complaint("version: 1\ngoal: {}\n", "neither \"file\" nor \"objects\"");
-        check_complaint("version: 1\ngoal: {objects: []}\n", "goal.objects: 0 objects");
-        let with = |line: &str| format!("version: 1\ngoal: {{file: goal.yaml}}\n{line}\n");
-        check_complaint(&with("objctive: pp"), "3:1: objctive: unknown key; did you mean \"objective\"?");
-        check_complaint(&with("objective: fast"), "3:12: objective: \"fast\"");
-        check_complaint(&with("time_limit_s: 0"), "time_limit_s: 0 s is out of range");
-        check_complaint(&with("time_limit_s: .nan"), ".nan is not a finite number");
-        check_complaint(&with("seed: -1"), "seed: -1 is out of range");
-        check_complaint(&with("id: ../etc"), "cannot be the id of a job");
-        check_complaint(&with("not_before: tomorrow"), "write it in UTC");
-        check_complaint(&with("approval: never"), "a job may only be stricter");
-        let several = read(&with("seed: x\npriority: y")).unwrap_err();
-        assert_eq!(several.0.len(), 2, "{several}");
-    }
-
-    #[test]
-    fn a_torn_file_is_told_from_a_wrong_one() {
-        let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file };
-        let refuse = |text: &str| read_for_spool(text, "job.yaml", &context).unwrap_err();
-        for torn in
-            ["", "  \n", "version: 1\ngoal: {objects: [{id: mug, pose: [0.1,", "version: 1\ngoal: {obj"]
-        {
-            assert!(refuse(torn).incomplete, "{torn:?}");
-        }
-        for wrong in ["version: 1\n", "version: 1\ngoal: }\nseed: 1\npriority: 2\n"] {
-            assert!(!refuse(wrong).incomplete, "{wrong:?}: {:?}", refuse(wrong));
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn no_text_panics(text in "[ -~\\n]{0,200}") {
-            let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file };
-            let _ = read_for_spool(&text, "job.yaml", &context);
-        }
-
-        #[test]
-        fn no_torn_or_altered_job_panics(cut in 0_usize..400, change in 0_usize..400, byte in 32_u8..127) {
-            let mut text: String = FULL.chars().take(cut).collect();
-            if change < text.len() && text.is_char_boundary(change) {
-                text.insert(change, char::from(byte));
-            }
-            let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file };
-            let _ = read_for_spool(&text, "job.yaml", &context);
-        }
-    }
-}
+mod tests;

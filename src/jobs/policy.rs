@@ -1,7 +1,8 @@
-//! The small words of a job: approval and objective, with the names that files use.
+//! The small words of a job: approval, objective and solver, with the names that files use.
 //!
-//! In: a word from a job or configuration file. Out: the value, or `None`. Pure.
+//! In: a word from a job or configuration file. Out: the value, or a complaint that names the words there are. Pure.
 
+use crate::document::decode::{At, Decoder};
 use serde::{Deserialize, Serialize};
 
 /// Who has to agree before the arm moves. Ordered by strictness: a job may only be stricter than the cell.
@@ -44,20 +45,17 @@ pub enum JobObjective {
     Pp,
     /// Total impedance of the moves.
     Ti,
-    /// Time on this cell.
-    Time,
 }
 
 impl JobObjective {
     /// The words a file may use.
-    pub const WORDS: [&'static str; 3] = ["pp", "ti", "time"];
+    pub const WORDS: [&'static str; 2] = ["pp", "ti"];
 
     /// The value that `word` stands for.
     pub fn from_word(word: &str) -> Option<JobObjective> {
         match word {
             "pp" => Some(JobObjective::Pp),
             "ti" => Some(JobObjective::Ti),
-            "time" => Some(JobObjective::Time),
             _ => None,
         }
     }
@@ -68,8 +66,43 @@ impl JobObjective {
     }
 }
 
-/// The solver names that job and configuration files may use (those of `celld plan --solver`).
-pub const SOLVER_WORDS: [&str; 7] = ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"];
+/// The solver names that job and configuration files may use.
+pub const SOLVER_WORDS: [&str; 6] = ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts"];
+
+/// Words of the design that this build cannot carry out yet. A file that asks for them is refused where it is read,
+/// not when its job is due.
+const NOT_BUILT_YET: [&str; 2] = ["auto", "time"];
+
+/// What is wrong with a word that stands for nothing here, and what to write instead.
+pub fn unknown_word(word: &str, known: &[&str]) -> (String, String) {
+    let message = match NOT_BUILT_YET.contains(&word) {
+        true => format!("{word:?} is not built yet"),
+        false => format!("{word:?} is not known here"),
+    };
+    (message, format!("one of: {}", known.join(", ")))
+}
+
+/// A solver's name.
+pub fn decode_solver(decoder: &mut Decoder, at: &At) -> Option<&'static str> {
+    let text = decoder.text(at)?;
+    let found = SOLVER_WORDS.into_iter().find(|word| *word == text);
+    if found.is_none() {
+        let (message, help) = unknown_word(&text, &SOLVER_WORDS);
+        decoder.complain_at(at, message, help);
+    }
+    found
+}
+
+/// An objective's name.
+pub fn decode_objective(decoder: &mut Decoder, at: &At) -> Option<JobObjective> {
+    let text = decoder.text(at)?;
+    let found = JobObjective::from_word(&text);
+    if found.is_none() {
+        let (message, help) = unknown_word(&text, &JobObjective::WORDS);
+        decoder.complain_at(at, message, help);
+    }
+    found
+}
 
 #[cfg(test)]
 mod tests {

@@ -7,6 +7,7 @@
 //! pairs that overlap as given are exempt while both are exactly in those poses. The last action of an object
 //! repeats its goal's numbers exactly; members of a group end on the group's goals in any order.
 
+use std::collections::BTreeSet;
 use std::fmt;
 
 use crate::geometry::pose::Pose2;
@@ -58,131 +59,6 @@ impl fmt::Display for Exempt {
             self.depth_m * 1e6
         )
     }
-}
-
-/// Why a plan is refused. Actions count from 0; lengths are micrometres.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum PlanFault {
-    /// The start arrangement itself overlaps beyond the tolerance.
-    #[error("start: {object} overlaps {meets} by {depth_um:.3} um; {tolerated_um:.3} um are tolerated")]
-    Start {
-        /// The object.
-        object: String,
-        /// Whom or what it meets.
-        meets: String,
-        /// Depth.
-        depth_um: f64,
-        /// Tolerated depth.
-        tolerated_um: f64,
-    },
-    /// An action names no object of the problem.
-    #[error("action {action}: there is no object number {object}")]
-    NoSuchObject {
-        /// Action.
-        action: usize,
-        /// The number.
-        object: usize,
-    },
-    /// A pose has NaN or infinity in it.
-    #[error("action {action}: a pose of {object} is not finite")]
-    NotFinite {
-        /// Action.
-        action: usize,
-        /// The object.
-        object: String,
-    },
-    /// A fixed object is moved.
-    #[error("action {action}: {object} is fixed")]
-    Fixed {
-        /// Action.
-        action: usize,
-        /// The object.
-        object: String,
-    },
-    /// The object is not where the action takes it from.
-    #[error(
-        "action {action}: {object} is {off_um:.3} um and {off_deg:.6} deg from where the action picks it"
-    )]
-    From {
-        /// Action.
-        action: usize,
-        /// The object.
-        object: String,
-        /// Distance.
-        off_um: f64,
-        /// Angle, degrees.
-        off_deg: f64,
-    },
-    /// An action that claims to go to a goal goes elsewhere.
-    #[error("action {action}: {object} does not go to its goal, {off_um:.3} um and {off_deg:.6} deg off")]
-    NotItsGoal {
-        /// Action.
-        action: usize,
-        /// The object.
-        object: String,
-        /// Distance from the nearest goal it may take.
-        off_um: f64,
-        /// Angle from that goal, degrees.
-        off_deg: f64,
-    },
-    /// The object would reach over the table's edge.
-    #[error("action {action}: {object} reaches over the table's edge by {depth_um:.3} um")]
-    Edge {
-        /// Action.
-        action: usize,
-        /// The object.
-        object: String,
-        /// Overhang.
-        depth_um: f64,
-    },
-    /// The object would overlap another object or a keep-out region.
-    #[error("action {action}: {object} overlaps {meets} by {depth_um:.3} um")]
-    Overlap {
-        /// Action.
-        action: usize,
-        /// The object.
-        object: String,
-        /// Whom or what it meets.
-        meets: String,
-        /// Depth.
-        depth_um: f64,
-    },
-    /// The object would be nearer than the clearance.
-    #[error(
-        "action {action}: {object} comes within {gap_um:.3} um of {meets}; the clearance is {clearance_um:.3} um"
-    )]
-    Clearance {
-        /// Action.
-        action: usize,
-        /// The object.
-        object: String,
-        /// Whom or what it comes near.
-        meets: String,
-        /// Distance.
-        gap_um: f64,
-        /// Wanted distance.
-        clearance_um: f64,
-    },
-    /// An object with a goal does not end exactly there.
-    #[error(
-        "{object} ends {off_um:.6} um and {off_deg:.9} deg from its goal; its last action must repeat the goal's numbers"
-    )]
-    Goal {
-        /// The object.
-        object: String,
-        /// Distance.
-        off_um: f64,
-        /// Angle, degrees.
-        off_deg: f64,
-    },
-    /// A goal of a group is taken by no member.
-    #[error("group {group}: no member ends at the goal given with {object}")]
-    GroupGoal {
-        /// The group.
-        group: String,
-        /// The object with which the goal was given.
-        object: String,
-    },
 }
 
 impl CheckedPlan {
@@ -466,19 +342,33 @@ impl<'p> Table<'p> {
             if moved(k) { self.poses[k] == *goal } else { self.poses[k].same(goal) }
         };
         for (k, object) in self.problem.objects.iter().enumerate() {
-            let Some(goal) = object.goal.filter(|_| !object.fixed) else { continue };
-            let Some(group) = &object.group else {
-                if !arrived(k, &goal) {
-                    let (off_um, off_deg) = off(&self.poses[k], &goal);
-                    return Err(PlanFault::Goal { object: object.id.clone(), off_um, off_deg });
-                }
+            let Some(goal) = object.goal.filter(|_| !object.fixed && object.group.is_none()) else {
                 continue;
             };
-            // Goals do not coincide (they would overlap), so that each is taken by at most one member.
-            let members =
-                (0..self.poses.len()).filter(|&m| self.problem.objects[m].group.as_ref() == Some(group));
-            if !members.into_iter().any(|m| arrived(m, &goal)) {
-                return Err(PlanFault::GroupGoal { group: group.clone(), object: object.id.clone() });
+            if !arrived(k, &goal) {
+                let (off_um, off_deg) = off(&self.poses[k], &goal);
+                return Err(PlanFault::Goal { object: object.id.clone(), off_um, off_deg });
+            }
+        }
+        self.check_groups(&arrived)
+    }
+
+    /// Every goal of a group needs a member of its own, also where two goals are the same pose.
+    fn check_groups(&self, arrived: &dyn Fn(usize, &Pose2) -> bool) -> Result<(), PlanFault> {
+        let objects = &self.problem.objects;
+        let groups: BTreeSet<&String> = objects.iter().filter_map(|object| object.group.as_ref()).collect();
+        for group in groups {
+            let members: Vec<usize> =
+                (0..objects.len()).filter(|&m| objects[m].group.as_ref() == Some(group)).collect();
+            let goals: Vec<(usize, Pose2)> = members
+                .iter()
+                .filter_map(|&m| Some((m, objects[m].goal.filter(|_| !objects[m].fixed)?)))
+                .collect();
+            let there = |goal: &Pose2| members.iter().copied().filter(|&m| arrived(m, goal)).collect();
+            let standing: Vec<Vec<usize>> = goals.iter().map(|(_, goal)| there(goal)).collect();
+            if let Some(unserved) = group_goals::unserved(&standing) {
+                let object = objects[goals[unserved].0].id.clone();
+                return Err(PlanFault::GroupGoal { group: group.clone(), object });
             }
         }
         Ok(())
@@ -489,6 +379,11 @@ impl<'p> Table<'p> {
 fn off(a: &Pose2, b: &Pose2) -> (f64, f64) {
     (a.distance(b) * 1e6, a.angle_difference(b).to_degrees())
 }
+
+mod fault;
+mod group_goals;
+
+pub use fault::PlanFault;
 
 #[cfg(test)]
 mod agreement;

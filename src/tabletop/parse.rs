@@ -8,10 +8,10 @@
 
 use std::collections::HashMap;
 
-use crate::document::decode::{At, Decoder};
-use crate::document::{Complaints, Location, Node, parse};
-use crate::geometry::collision::{Placed, TOUCH_M, overhang};
-use crate::geometry::pose::Pose2;
+use crate::document::decode::{At, Decoder, Fields};
+use crate::document::tree::Value;
+use crate::document::{Complaint, Complaints, Location, Node, parse};
+use crate::tabletop::arrangement::{Layout, Place};
 use crate::tabletop::decode;
 use crate::tabletop::instance::{Instance, KeepOut, ObjectSpec, Workspace};
 use crate::tabletop::public_data;
@@ -19,15 +19,29 @@ use crate::tabletop::public_data;
 /// Most objects in one instance: every pair of starts is compared.
 pub const MAX_OBJECTS: usize = 1000;
 
+/// Keys of an instance file.
+pub const INSTANCE_KEYS: &[&str] = &["workspace", "clearance", "overlap_tolerance", "keep_out", "objects"];
+
 /// How a named shape's file is found: the name without `.json`; its text, if there is one.
 pub type ShapeLookup<'a> = &'a dyn Fn(&str) -> Option<String>;
+
+/// What a file is read for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Role {
+    /// A task: every object has a start.
+    Task,
+    /// A task whose goals must be possible.
+    SoundTask,
+    /// The second file of a pair: starts may be absent, goals count.
+    Goals,
+}
 
 /// Parses an instance file of any known format.
 ///
 /// # Errors
 /// Every complaint about it.
 pub fn parse_instance(text: &str, source: &str, shapes: ShapeLookup) -> Result<Instance, Complaints> {
-    read(text, source, shapes, false)
+    read(text, source, shapes, Role::Task)
 }
 
 /// As [`parse_instance`], for tasks whose goals must be possible: goals that overlap each other, a fixed object,
@@ -36,12 +50,12 @@ pub fn parse_instance(text: &str, source: &str, shapes: ShapeLookup) -> Result<I
 /// # Errors
 /// Every complaint about it.
 pub fn parse_with_sound_goals(text: &str, source: &str, shapes: ShapeLookup) -> Result<Instance, Complaints> {
-    read(text, source, shapes, true)
+    read(text, source, shapes, Role::SoundTask)
 }
 
 /// Two files that make one task: `start` and `goal` arrangements of the public disc and stick data (object k is
 /// the k-th entry of both), or two instance files of ours, where the second one gives goals by name: an object's
-/// `goal`, or its `start` if that is all it has.
+/// `goal`, or its `start` if that is all it has. Both files are judged, whatever is wrong with the other.
 ///
 /// # Errors
 /// Every complaint about both.
@@ -50,17 +64,17 @@ pub fn parse_pair(
     (goal_text, goal_source): (&str, &str),
     shapes: ShapeLookup,
 ) -> Result<Instance, Complaints> {
-    let (start, goal) = (parse(start_text, start_source), parse(goal_text, goal_source));
-    let (start, goal) = match (start, goal) {
+    let (start, goal) = match (parse(start_text, start_source), parse(goal_text, goal_source)) {
         (Ok(start), Ok(goal)) => (start, goal),
-        (first, second) => {
-            let faults = [first.err(), second.err()].into_iter().flatten().flat_map(|faults| faults.0);
-            return Err(Complaints(faults.collect()));
+        (start, goal) => {
+            let mut faults = faults_alone(start, start_source, shapes, Role::Task);
+            faults.extend(faults_alone(goal, goal_source, shapes, Role::Goals));
+            return Err(Complaints(faults));
         }
     };
     match (public_data::is_arrangement(&start), public_data::is_arrangement(&goal)) {
         (true, true) => public_data::arrangement_pair((&start, start_source), (&goal, goal_source)),
-        (false, false) => own_pair((start_text, start_source), (goal_text, goal_source), &goal, shapes),
+        (false, false) => own_pair((&start, start_source), (&goal, goal_source), shapes),
         _ => {
             let mut decoder = Decoder::new(goal_source);
             let message = "start and goal files are of different kinds";
@@ -70,76 +84,132 @@ pub fn parse_pair(
     }
 }
 
+/// What is wrong with one file of a pair whose other file is no document at all.
+fn faults_alone(
+    node: Result<Node, Complaints>,
+    source: &str,
+    shapes: ShapeLookup,
+    role: Role,
+) -> Vec<Complaint> {
+    let node = match node {
+        Ok(node) => node,
+        Err(faults) => return faults.0,
+    };
+    if public_data::is_arrangement(&node) {
+        return public_data::arrangement_faults(&node, source);
+    }
+    let mut decoder = Decoder::new(source);
+    let parts = parts(&mut decoder, &node, shapes, role);
+    decoder.finish(parts).err().map(|faults| faults.0).unwrap_or_default()
+}
+
 fn own_pair(
-    start: (&str, &str),
-    goal: (&str, &str),
-    goal_node: &Node,
+    (start, start_source): (&Node, &str),
+    (goal, goal_source): (&Node, &str),
     shapes: ShapeLookup,
 ) -> Result<Instance, Complaints> {
-    let mut instance = parse_instance(start.0, start.1, shapes)?;
-    let goals = parse_instance(goal.0, goal.1, shapes)?;
-    let mut decoder = Decoder::new(goal.1);
-    for object in &mut instance.objects {
-        object.goal = None;
-    }
-    for wanted in &goals.objects {
-        match instance.objects.iter_mut().find(|object| object.id == wanted.id) {
-            Some(object) if object.fixed => {}
-            Some(object) => object.goal = wanted.goal.or(wanted.start),
-            None => {
-                let message = format!("object {:?} is not in {}", wanted.id, start.1);
-                decoder.complain(goal_node.at, "objects", message, "remove it or correct its name");
+    let (mut of_start, mut of_goal) = (Decoder::new(start_source), Decoder::new(goal_source));
+    let start = parts(&mut of_start, start, shapes, Role::Task);
+    let goal = parts(&mut of_goal, goal, shapes, Role::Goals);
+    if let (Some(start), Some(goal)) = (&start, &goal) {
+        let known = |name: &str| start.places.iter().any(|place| place.name.as_deref() == Some(name));
+        for place in &goal.places {
+            if let Some(name) = place.name.as_deref().filter(|name| !known(name)) {
+                let message = format!("object {name:?} is not in {start_source}");
+                of_goal.complain(place.at, &place.path, message, "remove it or correct its name");
             }
         }
     }
-    decoder.finish(Some(instance))
-}
-
-fn read(text: &str, source: &str, shapes: ShapeLookup, sound_goals: bool) -> Result<Instance, Complaints> {
-    let node = parse(text, source)?;
-    if public_data::is_arrangement(&node) {
-        let mut decoder = Decoder::new(source);
-        let help = "a disc or stick task is two files: celld plan START.json --goal GOAL.json";
-        decoder.complain(node.at, "", "this is one arrangement, not a task", help);
-        return decoder.finish(None);
-    }
-    let mut decoder = Decoder::new(source);
-    let read = if public_data::is_heterogeneous(&node) {
-        public_data::heterogeneous(&mut decoder, &node, shapes)
-    } else {
-        own(&mut decoder, &node)
-    };
-    if let Some((instance, places)) = &read {
-        start_faults(&mut decoder, instance, places);
-        if sound_goals {
-            goal_faults(&mut decoder, instance, places);
+    let start = of_start.finish(start.and_then(Parts::instance));
+    let goal = of_goal.finish(goal.and_then(Parts::instance));
+    match (start, goal) {
+        (Ok(mut task), Ok(goals)) => {
+            for object in &mut task.objects {
+                let wanted = goals.objects.iter().find(|wanted| wanted.id == object.id && !object.fixed);
+                object.goal = wanted.and_then(|wanted| wanted.goal.or(wanted.start));
+            }
+            Ok(task)
+        }
+        (start, goal) => {
+            let faults = [start.err(), goal.err()].into_iter().flatten().flat_map(|faults| faults.0);
+            Err(Complaints(faults.collect()))
         }
     }
-    decoder.finish(read.map(|(instance, _)| instance))
 }
 
-/// Where an object's parts stand in the text.
+fn read(text: &str, source: &str, shapes: ShapeLookup, role: Role) -> Result<Instance, Complaints> {
+    let node = parse(text, source)?;
+    let mut decoder = Decoder::new(source);
+    let parts = parts(&mut decoder, &node, shapes, role);
+    decoder.finish(parts.and_then(Parts::instance))
+}
+
+/// What could be read of a file: every part by itself, so that one fault does not hide others.
+pub(crate) struct Parts {
+    pub header: Header,
+    pub objects: Vec<Option<ObjectSpec>>,
+    pub places: Vec<Place>,
+}
+
+/// An instance without its objects; what could not be read is absent.
 #[derive(Clone, Debug)]
-pub(crate) struct Place {
-    pub path: String,
-    pub start: Location,
-    pub goal: Location,
+pub struct Header {
+    /// Where objects may lie.
+    pub workspace: Option<Workspace>,
+    /// Gap between objects, m.
+    pub clearance: Option<f64>,
+    /// Overlap taken as given, m.
+    pub overlap_tolerance: Option<f64>,
+    /// Regions to leave free.
+    pub keep_out: Vec<Option<KeepOut>>,
 }
 
-fn own(decoder: &mut Decoder, node: &Node) -> Option<(Instance, Vec<Place>)> {
-    let before = decoder.count();
-    let known = ["workspace", "clearance", "overlap_tolerance", "keep_out", "objects"];
-    let fields = decoder.map(&At::top(node), &known)?;
-    let workspace = fields.required("workspace", decoder).and_then(|at| workspace(decoder, &at));
-    let mut length = |key: &str| match fields.optional(key) {
-        Some(at) => decoder.number_in(&at, 0.0..=10.0, "m"),
-        None => Some(0.0),
-    };
-    let clearance = length("clearance");
-    let overlap_tolerance = length("overlap_tolerance");
-    let keep_out = fields.optional("keep_out").map_or(Some(Vec::new()), |at| regions(decoder, &at));
-    let list = fields.required("objects", decoder).and_then(|at| decoder.sequence(&at));
-    let items = list.unwrap_or_default();
+impl Parts {
+    /// The whole, if every part is there.
+    fn instance(self) -> Option<Instance> {
+        Some(Instance {
+            workspace: self.header.workspace?,
+            clearance: self.header.clearance?,
+            overlap_tolerance: self.header.overlap_tolerance?,
+            keep_out: self.header.keep_out.into_iter().collect::<Option<_>>()?,
+            objects: self.objects.into_iter().collect::<Option<_>>()?,
+        })
+    }
+
+    /// For the check of the arrangements.
+    pub(crate) fn layout(&self) -> Layout<'_> {
+        Layout {
+            workspace: self.header.workspace,
+            overlap_tolerance: self.header.overlap_tolerance,
+            keep_out: &self.header.keep_out,
+            objects: self.objects.iter().map(Option::as_ref).collect(),
+            places: &self.places,
+        }
+    }
+}
+
+fn parts(decoder: &mut Decoder, node: &Node, shapes: ShapeLookup, role: Role) -> Option<Parts> {
+    if public_data::is_arrangement(node) {
+        let help = "a disc or stick task is two files: celld plan START.json --goal GOAL.json";
+        decoder.complain(node.at, "", "this is one arrangement, not a task", help);
+        return None;
+    }
+    let parts = if public_data::is_heterogeneous(node) {
+        public_data::heterogeneous(decoder, node, shapes)
+    } else {
+        own(decoder, node, role)
+    }?;
+    parts.layout().start_faults(decoder);
+    if role == Role::SoundTask {
+        parts.layout().goal_faults(decoder);
+    }
+    Some(parts)
+}
+
+fn own(decoder: &mut Decoder, node: &Node, role: Role) -> Option<Parts> {
+    let fields = decoder.map(&At::top(node), INSTANCE_KEYS)?;
+    let header = header(decoder, &fields);
+    let items = fields.required("objects", decoder).and_then(|at| decoder.sequence(&at))?;
     if items.len() > MAX_OBJECTS {
         let message = format!("{} objects, at most {MAX_OBJECTS} are read", items.len());
         decoder.complain(node.at, "objects", message, "");
@@ -149,26 +219,24 @@ fn own(decoder: &mut Decoder, node: &Node) -> Option<(Instance, Vec<Place>)> {
     unique_names_and_markers(decoder, &items);
     groups(decoder, &items, &objects);
     fixed_objects(decoder, &items, &objects);
-    if decoder.count() > before {
-        // The arrangement is checked only when all of it could be read: what is missing would mislead.
-        return None;
-    }
-    let instance = Instance {
-        workspace: workspace?,
-        clearance: clearance?,
-        overlap_tolerance: overlap_tolerance?,
-        keep_out: keep_out?,
-        objects: objects.into_iter().collect::<Option<_>>()?,
-    };
-    Some((instance, items.iter().map(place).collect()))
+    missing_starts(decoder, &items, role);
+    Some(Parts { header, objects, places: items.iter().map(Place::of).collect() })
 }
 
-fn place(item: &At) -> Place {
-    let at = |key: &str| {
-        let node = item.node.get(key).or_else(|| item.node.get(&format!("{key}_deg")));
-        node.map_or(item.node.at, |node| node.at)
+/// The keys of an instance besides its objects.
+pub fn header(decoder: &mut Decoder, fields: &Fields) -> Header {
+    let workspace = fields.required("workspace", decoder).and_then(|at| workspace(decoder, &at));
+    let mut length = |key: &str| match fields.optional(key) {
+        Some(at) => decoder.number_in(&at, 0.0..=10.0, "m"),
+        None => Some(0.0),
     };
-    Place { path: item.path.clone(), start: at("start"), goal: at("goal") }
+    let (clearance, overlap_tolerance) = (length("clearance"), length("overlap_tolerance"));
+    let keep_out = match fields.optional("keep_out").map(|at| decoder.sequence(&at)) {
+        Some(Some(items)) => items.iter().map(|item| decode::keep_out(decoder, item)).collect(),
+        Some(None) => vec![None],
+        None => Vec::new(),
+    };
+    Header { workspace, clearance, overlap_tolerance, keep_out }
 }
 
 /// A workspace: `{width, height}` in m.
@@ -180,40 +248,65 @@ pub fn workspace(decoder: &mut Decoder, at: &At) -> Option<Workspace> {
     Some(Workspace { width: width?, height: height? })
 }
 
-fn regions(decoder: &mut Decoder, at: &At) -> Option<Vec<KeepOut>> {
-    let items = decoder.sequence(at)?;
-    let regions: Vec<Option<KeepOut>> = items.iter().map(|item| decode::keep_out(decoder, item)).collect();
-    regions.into_iter().collect()
-}
-
-/// Complains about every name or marker number that a second object carries. Works on the tree, so that it
-/// finds them in objects that are wrong otherwise.
-pub fn unique_names_and_markers(decoder: &mut Decoder, items: &[At]) {
-    let mut names: HashMap<String, Location> = HashMap::new();
-    let mut markers: HashMap<String, (String, Location)> = HashMap::new();
+/// Complains about every object of a task without a start, and about fixed ones without in any file. Works on the
+/// tree, as [`unique_names_and_markers`].
+fn missing_starts(decoder: &mut Decoder, items: &[At], role: Role) {
     for item in items {
-        let name = item.node.get("id").and_then(scalar).unwrap_or_default();
-        if let Some(node) = item.node.get("id")
-            && let Some(first) = names.insert(name.clone(), node.at)
-        {
-            let message = format!("the name {name:?} is used twice, first in line {}", first.line);
-            decoder.complain(node.at, &format!("{}.id", item.path), message, "give each object its own name");
-        }
-        let Some(node) = item.node.get("marker").and_then(|marker| marker.get("id")) else { continue };
-        let Some(number) = scalar(node) else { continue };
-        if let Some((owner, first)) = markers.insert(number.clone(), (name, node.at)) {
-            let message =
-                format!("marker {number} is used twice, first by object {owner:?} in line {}", first.line);
-            let path = format!("{}.marker.id", item.path);
-            decoder.complain(node.at, &path, message, "give each object a marker of its own");
+        let given = |key: &str| item.node.get(key).is_some_and(|node| !node.is_null());
+        let fixed = item.node.get("fixed").and_then(Node::scalar) == Some("true");
+        let map = matches!(item.node.value, Value::Map(_));
+        if map && (fixed || role != Role::Goals) && !given("start") && !given("start_deg") {
+            let help = "add `start: [x, y, theta]` (m, rad) or `start_deg`";
+            let message = if fixed { "a fixed object has no start" } else { "the object has no start" };
+            decoder.complain(item.node.at, &item.path, message, help);
         }
     }
 }
 
-fn scalar(node: &Node) -> Option<String> {
-    match &node.value {
-        crate::document::tree::Value::Scalar { text, .. } => Some(text.clone()),
-        _ => None,
+/// Complains about every name or marker number that a second object carries. Works on the tree, so that it
+/// finds them in objects that are wrong otherwise. Numbers are compared, not their digits: `07` is 7.
+pub fn unique_names_and_markers(decoder: &mut Decoder, items: &[At]) {
+    let mut names: HashMap<&str, Location> = HashMap::new();
+    let mut markers: HashMap<i64, MarkerUse> = HashMap::new();
+    for item in items {
+        if let Some(node) = item.node.get("id")
+            && let Some(name) = node.scalar()
+            && let Some(first) = names.insert(name, node.at)
+        {
+            let message = format!("the name {name:?} is used twice, first in line {}", first.line);
+            decoder.complain(node.at, &format!("{}.id", item.path), message, "give each object its own name");
+        }
+        let Some(used) = MarkerUse::of(item) else { continue };
+        let (number, at) = (used.number, used.at);
+        if let Some(first) = markers.insert(number, used) {
+            let message = format!(
+                "marker {number} is used twice, first by object {:?} in line {}",
+                first.owner, first.at.line
+            );
+            let path = format!("{}.marker.id", item.path);
+            decoder.complain(at, &path, message, "give each object a marker of its own");
+        }
+    }
+}
+
+/// A marker number that an object carries, read from the tree alone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MarkerUse {
+    /// The number.
+    pub number: i64,
+    /// The object's name.
+    pub owner: String,
+    /// Where the number stands.
+    pub at: Location,
+}
+
+impl MarkerUse {
+    /// The marker of an object, if it states a number.
+    pub fn of(item: &At) -> Option<MarkerUse> {
+        let node = item.node.get("marker")?.get("id")?;
+        let number = node.scalar()?.parse().ok()?;
+        let owner = item.node.get("id").and_then(Node::scalar).unwrap_or_default().to_owned();
+        Some(MarkerUse { number, owner, at: node.at })
     }
 }
 
@@ -244,77 +337,11 @@ fn groups(decoder: &mut Decoder, items: &[At], objects: &[Option<ObjectSpec>]) {
 fn fixed_objects(decoder: &mut Decoder, items: &[At], objects: &[Option<ObjectSpec>]) {
     for (item, object) in items.iter().zip(objects) {
         let Some(object) = object.as_ref().filter(|object| object.fixed) else { continue };
-        let Some(start) = object.start else {
-            decoder.complain(
-                item.node.at,
-                &item.path,
-                "a fixed object has no start",
-                "add `start: [x, y, theta]`",
-            );
-            continue;
-        };
+        let Some(start) = object.start else { continue };
         if object.goal.is_some_and(|goal| goal != start) {
             let message = format!("{:?} is fixed, but its goal is not its start", object.id);
-            decoder.complain(place(item).goal, &format!("{}.goal", item.path), message, "remove the goal");
-        }
-    }
-}
-
-fn start_faults(decoder: &mut Decoder, instance: &Instance, places: &[Place]) {
-    let starts: Vec<Option<Pose2>> = instance.objects.iter().map(|object| object.start).collect();
-    let at = |k: usize| (places[k].start, format!("{}.start", places[k].path));
-    arrangement_faults(decoder, instance, &starts, &at);
-}
-
-fn goal_faults(decoder: &mut Decoder, instance: &Instance, places: &[Place]) {
-    let fixed = |object: &ObjectSpec| if object.fixed { object.start } else { object.goal };
-    let goals: Vec<Option<Pose2>> = instance.objects.iter().map(fixed).collect();
-    let at = |k: usize| (places[k].goal, format!("{}.goal", places[k].path));
-    arrangement_faults(decoder, instance, &goals, &at);
-}
-
-/// Overlaps beyond the tolerance, each at the later of the two objects.
-fn arrangement_faults(
-    decoder: &mut Decoder,
-    instance: &Instance,
-    poses: &[Option<Pose2>],
-    place: &dyn Fn(usize) -> (Location, String),
-) {
-    let limit = instance.overlap_tolerance + TOUCH_M;
-    let help = || {
-        let tolerated = instance.overlap_tolerance * 1e3;
-        format!("move them apart; overlap_tolerance allows {tolerated:.3} mm")
-    };
-    let placed: Vec<Option<Placed>> = instance
-        .objects
-        .iter()
-        .zip(poses)
-        .map(|(object, pose)| pose.map(|pose| Placed::new(&object.footprint, pose)))
-        .collect();
-    let regions: Vec<Placed> =
-        instance.keep_out.iter().map(|region| Placed::new(&region.footprint, region.pose)).collect();
-    for (k, object) in instance.objects.iter().enumerate() {
-        let (Some(pose), Some(shape)) = (&poses[k], &placed[k]) else { continue };
-        let (at, path) = place(k);
-        let mut told = |what: String, depth: f64, help: String| {
-            if depth > limit {
-                decoder.complain(at, &path, format!("{:?} {what} by {:.3} mm", object.id, depth * 1e3), help);
-            }
-        };
-        let Workspace { width, height } = instance.workspace;
-        let over = overhang(&object.footprint, pose, width, height);
-        told(
-            "reaches over the table's edge".to_string(),
-            over,
-            format!("the table is {width} m x {height} m"),
-        );
-        for (r, region) in regions.iter().enumerate() {
-            told(format!("overlaps keep_out[{r}]"), shape.penetration(region), help());
-        }
-        for (other, earlier) in instance.objects[..k].iter().zip(&placed) {
-            if let Some(earlier) = earlier {
-                told(format!("overlaps {:?}", other.id), shape.penetration(earlier), help());
-            }
+            let (at, path) = Place::of(item).goal;
+            decoder.complain(at, &path, message, "remove the goal");
         }
     }
 }

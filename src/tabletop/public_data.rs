@@ -10,12 +10,13 @@
 use std::collections::HashMap;
 
 use crate::document::decode::{At, Decoder, Fields};
-use crate::document::{Complaints, Node, parse};
+use crate::document::{Complaint, Complaints, Node, parse};
 use crate::geometry::footprint::{Footprint, FootprintFault};
 use crate::geometry::polygon::{Point, Polygon, PolygonFault, cross, signed_area, sub};
 use crate::geometry::pose::Pose2;
+use crate::tabletop::arrangement::Place;
 use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
-use crate::tabletop::parse::{MAX_OBJECTS, Place, ShapeLookup};
+use crate::tabletop::parse::{Header, MAX_OBJECTS, Parts, ShapeLookup};
 
 /// Their length units in a metre; divided by, not multiplied with the inverse, so that 700 becomes 0.7.
 const UNITS_PER_M: f64 = 1000.0;
@@ -34,37 +35,64 @@ pub fn is_arrangement(node: &Node) -> bool {
 }
 
 /// Reads a heterogeneous task.
-pub(crate) fn heterogeneous(
-    decoder: &mut Decoder,
-    node: &Node,
-    shapes: ShapeLookup,
-) -> Option<(Instance, Vec<Place>)> {
+pub(crate) fn heterogeneous(decoder: &mut Decoder, node: &Node, shapes: ShapeLookup) -> Option<Parts> {
     let known =
         ["Workspace_Density", "Workspace_Height", "Workspace_Width", "number_of_objects", "object_list"];
     let fields = decoder.map(&At::top(node), &known)?;
     let workspace = workspace(decoder, &fields);
-    let items = fields.required("object_list", decoder).and_then(|at| limited(decoder, &at))?;
+    let items = fields.required("object_list", decoder).and_then(|at| limited(decoder, &at));
+    check_summary(decoder, &fields, items.as_ref().map(Vec::len));
+    let items = items?;
     let mut models = Models { lookup: shapes, known: HashMap::new() };
-    let objects: Vec<Option<ObjectSpec>> = items
+    let mut objects: Vec<Option<ObjectSpec>> = items
         .iter()
         .enumerate()
         .map(|(k, item)| heterogeneous_object(decoder, item, k, &mut models))
         .collect();
-    let mut objects: Vec<ObjectSpec> = objects.into_iter().collect::<Option<_>>()?;
-    let smallest = objects.iter().map(|object| object.footprint.area()).fold(f64::INFINITY, f64::min);
-    for object in &mut objects {
+    let areas = objects.iter().flatten().map(|object| object.footprint.area());
+    let smallest = areas.fold(f64::INFINITY, f64::min);
+    for object in objects.iter_mut().flatten() {
         object.impedance = Some(object.footprint.area() / smallest);
     }
-    let at = |item: &At, key: &str| item.node.get(key).map_or(item.node.at, |node| node.at);
-    let places = items
-        .iter()
-        .map(|item| Place {
+    let places = items.iter().zip(&objects).map(|(item, object)| {
+        let at = |key: &str| {
+            (item.node.get(key).map_or(item.node.at, |node| node.at), format!("{}.{key}", item.path))
+        };
+        Place {
+            name: object.as_ref().map(|object| object.id.clone()),
+            at: item.node.at,
             path: item.path.clone(),
-            start: at(item, "initial_pose"),
-            goal: at(item, "goal_pose"),
-        })
-        .collect();
-    Some((instance(workspace?, objects), places))
+            start: at("initial_pose"),
+            goal: at("goal_pose"),
+        }
+    });
+    let places = places.collect();
+    Some(Parts { header: header(workspace), objects, places })
+}
+
+/// What a file says of itself beside its list. One published file (the desk) states 0 objects and means nothing by it.
+fn check_summary(decoder: &mut Decoder, fields: &Fields, listed: Option<usize>) {
+    if let Some(at) = fields.optional("Workspace_Density") {
+        decoder.number_in(&at, 0.0..=1.0, "of the table");
+    }
+    let Some(at) = fields.optional("number_of_objects") else { return };
+    let stated = decoder.integer(&at, 0..=i64::MAX).and_then(|count| usize::try_from(count).ok());
+    if let (Some(stated), Some(listed)) = (stated, listed)
+        && stated != 0
+        && stated != listed
+    {
+        let message = format!("{stated} objects are stated, {listed} are listed");
+        decoder.complain_at(&at, message, "complete the list, or correct the number");
+    }
+}
+
+fn header(workspace: Option<Workspace>) -> Header {
+    Header {
+        workspace,
+        clearance: Some(0.0),
+        overlap_tolerance: workspace.map(|workspace| TOLERANCE_SHARE * workspace.width),
+        keep_out: Vec::new(),
+    }
 }
 
 fn instance(workspace: Workspace, objects: Vec<ObjectSpec>) -> Instance {
@@ -225,23 +253,27 @@ struct Arrangement {
     poses: Vec<Pose2>,
 }
 
+impl Arrangement {
+    fn object(&self, k: usize) -> ObjectSpec {
+        let mut object = ObjectSpec::new(format!("{}-{k}", self.word), self.footprint.clone());
+        object.impedance = Some(1.0);
+        object
+    }
+}
+
 /// Two arrangements of discs or sticks make a task: object k is the k-th entry of both.
 pub(crate) fn arrangement_pair(
     (start, start_source): (&Node, &str),
     (goal, goal_source): (&Node, &str),
 ) -> Result<Instance, Complaints> {
-    let (start, mut faults) = match arrangement(start, start_source) {
-        Ok(start) => (Some(start), Vec::new()),
-        Err(faults) => (None, faults.0),
-    };
-    let wanted = match arrangement(goal, goal_source) {
-        Ok(wanted) => Some(wanted),
-        Err(more) => {
-            faults.extend(more.0);
-            None
-        }
-    };
-    let (Some(start), Some(wanted)) = (start, wanted) else { return Err(Complaints(faults)) };
+    let (start, wanted) =
+        match (arrangement(start, start_source, true), arrangement(goal, goal_source, false)) {
+            (Ok(start), Ok(wanted)) => (start, wanted),
+            (start, wanted) => {
+                let faults = [start.err(), wanted.err()].into_iter().flatten().flat_map(|faults| faults.0);
+                return Err(Complaints(faults.collect()));
+            }
+        };
     let mut decoder = Decoder::new(goal_source);
     if start.footprint != wanted.footprint || start.workspace != wanted.workspace {
         let message = format!("its workspace or object size differs from that of {start_source}");
@@ -251,28 +283,26 @@ pub(crate) fn arrangement_pair(
         let message = format!("{} objects, {start_source} has {}", wanted.poses.len(), start.poses.len());
         decoder.complain(goal.at, "point_list", message, "take two files of one folder");
     }
-    let objects = start
-        .poses
-        .iter()
-        .zip(&wanted.poses)
-        .enumerate()
-        .map(|(k, (from, to))| {
-            let mut object = ObjectSpec::new(format!("{}-{k}", start.word), start.footprint.clone());
-            object.impedance = Some(1.0);
-            (object.start, object.goal) = (Some(*from), Some(*to));
-            object
-        })
+    let poses = start.poses.iter().zip(&wanted.poses).enumerate();
+    let objects = poses
+        .map(|(k, (from, to))| ObjectSpec { start: Some(*from), goal: Some(*to), ..start.object(k) })
         .collect();
     decoder.finish(Some(instance(start.workspace, objects)))
 }
 
-fn arrangement(node: &Node, source: &str) -> Result<Arrangement, Complaints> {
+/// What is wrong with one arrangement by itself.
+pub(crate) fn arrangement_faults(node: &Node, source: &str) -> Vec<Complaint> {
+    arrangement(node, source, false).err().map(|faults| faults.0).unwrap_or_default()
+}
+
+/// One arrangement; a start must be possible, an impossible goal is a valid task without a solution.
+fn arrangement(node: &Node, source: &str, is_start: bool) -> Result<Arrangement, Complaints> {
     let mut decoder = Decoder::new(source);
-    let read = read_arrangement(&mut decoder, node);
+    let read = read_arrangement(&mut decoder, node, is_start);
     decoder.finish(read)
 }
 
-fn read_arrangement(decoder: &mut Decoder, node: &Node) -> Option<Arrangement> {
+fn read_arrangement(decoder: &mut Decoder, node: &Node, is_start: bool) -> Option<Arrangement> {
     let known = [
         "Object_Radius",
         "Object_Length",
@@ -286,34 +316,66 @@ fn read_arrangement(decoder: &mut Decoder, node: &Node) -> Option<Arrangement> {
     ];
     let fields = decoder.map(&At::top(node), &known)?;
     let workspace = workspace(decoder, &fields);
+    let items = fields.required("point_list", decoder).and_then(|at| limited(decoder, &at));
+    check_summary(decoder, &fields, items.as_ref().map(Vec::len));
     let shape_at = fields.required("Object_Shape", decoder)?;
     let sticks = decoder.choice(&shape_at, &[("disc", false), ("cuboid", true)])?;
-    let mut number = |key: &str| {
-        fields
-            .required(key, decoder)
-            .and_then(|at| decoder.positive(&at, "mm"))
-            .map(|length| length / UNITS_PER_M)
-    };
-    let (word, shape) = if sticks {
-        let (length, width) = (number("Object_Length"), number("Object_Width"));
-        ("stick", Footprint::rectangle(length?, width?))
-    } else {
-        ("disc", Footprint::disc(number("Object_Radius")?))
-    };
-    let footprint = accepted(decoder, &shape_at, shape);
-    let items = fields.required("point_list", decoder).and_then(|at| limited(decoder, &at))?;
-    let poses: Vec<Option<Pose2>> = items
-        .iter()
-        .map(|item| {
-            let [x, y, theta] = if sticks {
-                decoder.numbers::<3>(item)?
-            } else {
-                let [x, y] = decoder.numbers::<2>(item)?;
-                [x, y, 0.0]
-            };
-            Some(Pose2::new(x / UNITS_PER_M, y / UNITS_PER_M, theta))
-        })
-        .collect();
+    let footprint = listed_shape(decoder, &fields, &shape_at, sticks);
+    let items = items?;
+    let poses: Vec<Option<Pose2>> = items.iter().map(|item| listed_pose(decoder, item, sticks)).collect();
+    let word = if sticks { "stick" } else { "disc" };
+    if let (true, Some(footprint)) = (is_start, &footprint) {
+        check_starts(decoder, workspace, (word, footprint), &items, &poses);
+    }
     let poses = poses.into_iter().collect::<Option<_>>()?;
     Some(Arrangement { workspace: workspace?, word, footprint: footprint?, poses })
+}
+
+/// The one shape of all objects of an arrangement.
+fn listed_shape(decoder: &mut Decoder, fields: &Fields, at: &At, sticks: bool) -> Option<Footprint> {
+    let mut number = |key: &str| {
+        let length = fields.required(key, decoder).and_then(|at| decoder.positive(&at, "mm"));
+        length.map(|length| length / UNITS_PER_M)
+    };
+    let shape = if sticks {
+        let (length, width) = (number("Object_Length"), number("Object_Width"));
+        Footprint::rectangle(length?, width?)
+    } else {
+        Footprint::disc(number("Object_Radius")?)
+    };
+    accepted(decoder, at, shape)
+}
+
+/// An entry of `point_list`: x and y, of sticks also the angle.
+fn listed_pose(decoder: &mut Decoder, item: &At, sticks: bool) -> Option<Pose2> {
+    let [x, y, theta] = if sticks {
+        decoder.numbers::<3>(item)?
+    } else {
+        let [x, y] = decoder.numbers::<2>(item)?;
+        [x, y, 0.0]
+    };
+    Some(Pose2::new(x / UNITS_PER_M, y / UNITS_PER_M, theta))
+}
+
+fn check_starts(
+    decoder: &mut Decoder,
+    workspace: Option<Workspace>,
+    (word, footprint): (&str, &Footprint),
+    items: &[At],
+    poses: &[Option<Pose2>],
+) {
+    let object = |(k, pose): (usize, &Option<Pose2>)| {
+        let object = ObjectSpec::new(format!("{word}-{k}"), footprint.clone());
+        pose.map(|pose| ObjectSpec { start: Some(pose), ..object })
+    };
+    let place = |item: &At| Place {
+        name: None,
+        at: item.node.at,
+        path: item.path.clone(),
+        start: (item.node.at, item.path.clone()),
+        goal: (item.node.at, item.path.clone()),
+    };
+    let objects = poses.iter().enumerate().map(object).collect();
+    let places = items.iter().map(place).collect();
+    Parts { header: header(workspace), objects, places }.layout().start_faults(decoder);
 }

@@ -9,6 +9,8 @@ use crate::tabletop::instance::Instance;
 use crate::tabletop::parse::{parse_instance, parse_pair, parse_with_sound_goals};
 use crate::tabletop::write::{to_json, to_yaml};
 
+mod complete;
+
 fn read(text: &str) -> Result<Instance, Complaints> {
     parse_instance(text, "t.yaml", &|_| None)
 }
@@ -58,11 +60,11 @@ fn a_full_file_is_read_and_written_back_the_same() {
 
 #[test]
 fn defaults_are_those_of_the_design() {
-    let text = with("footprint: {disc: {radius: 0.1}}");
+    let text = with("footprint: {disc: {radius: 0.1}}\n    start: [0.5, 0.5, 0]");
     let instance = read(&text).expect("valid");
     assert_eq!((instance.clearance, instance.overlap_tolerance), (0.0, 0.0));
     let object = &instance.objects[0];
-    assert!(object.start.is_none() && object.goal.is_none() && object.impedance.is_none() && !object.fixed);
+    assert!(object.goal.is_none() && object.marker.is_none() && object.impedance.is_none() && !object.fixed);
 }
 
 #[test]
@@ -156,9 +158,9 @@ fn complaints_of_the_whole_file_come_together() {
 workspace: {width: 1.0, heigth: 1.0}
 clearance: -1
 objects:
-  - {id: a, footprint: {disc: {radius: 0.1}}, marker: {id: 3, size: 0.03}}
-  - {id: a, footprint: {disc: {radius: x}}, marker: {id: 3, size: 0.03}}
-  - {id: 'b/c', footprint: {disc: {radius: 0.1}}, fixed: true}
+  - {id: a, footprint: {disc: {radius: 0.1}}, marker: {id: 3, size: 0.03}, start: [0.5, 0.5, 0]}
+  - {id: a, footprint: {disc: {radius: x}}, marker: {id: 3, size: 0.03}, start: [0.5, 0.5, 0]}
+  - {id: 'b/c', footprint: {disc: {radius: 0.1}}, fixed: true, start: [0.5, 0.5, 0]}
 ";
     let complaints = told(text);
     let expected = [
@@ -215,8 +217,8 @@ fn groups_and_fixed_objects_have_to_make_sense() {
     let text = "\
 workspace: {width: 1.0, height: 1.0}
 objects:
-  - {id: a, footprint: {disc: {radius: 0.1}}, group: g}
-  - {id: b, footprint: {disc: {radius: 0.11}}, group: g, impedance: 2}
+  - {id: a, footprint: {disc: {radius: 0.1}}, group: g, start: [0.2, 0.2, 0]}
+  - {id: b, footprint: {disc: {radius: 0.11}}, group: g, impedance: 2, start: [0.8, 0.2, 0]}
   - {id: c, footprint: {disc: {radius: 0.1}}, fixed: true}
   - {id: d, footprint: {disc: {radius: 0.1}}, fixed: true, start: [0.5, 0.5, 0], goal: [0.6, 0.5, 0]}
 ";

@@ -52,18 +52,49 @@ fn short_text(fields: &Fields, key: &str, decoder: &mut Decoder) -> Option<Strin
     None
 }
 
-/// A number of at least 0 that may be absent.
-fn optional_size(fields: &Fields, key: &str, unit: &str, decoder: &mut Decoder) -> Option<Option<f64>> {
+/// How large an error may be, and its unit. A calibration that is worse is of no use to a cell that places within a
+/// millimetre or two, and a file that says so was not meant to be worked with: it is refused where it is read.
+#[derive(Clone, Copy, Debug)]
+struct Most(f64, &'static str);
+
+/// Standard deviations and fit errors of lengths: 5 mm.
+const FIT_M: Most = Most(0.005, "m");
+/// Of angles: a degree, 5 mm at the lever of 0.3 m with which the solver weighs them.
+const FIT_RAD: Most = Most(0.0175, "rad");
+/// Root mean square corner error of a whole fit.
+const FIT_PX: Most = Most(5.0, "px");
+/// Error of a single sample that was used, on the table.
+const SAMPLE_M: Most = Most(0.02, "m");
+/// The same in the picture.
+const SAMPLE_PX: Most = Most(20.0, "px");
+
+/// Of a sample that was left out: any error will do, for it has no part in the result.
+fn unlimited(Most(_, unit): Most) -> Most {
+    Most(f64::INFINITY, unit)
+}
+
+/// An error that may be absent.
+fn optional_size(fields: &Fields, key: &str, most: Most, decoder: &mut Decoder) -> Option<Option<f64>> {
     match fields.optional(key) {
-        Some(at) => decoder.non_negative(&at, unit).map(Some),
+        Some(at) => at_most(&at, most, decoder).map(Some),
         None => Some(None),
     }
 }
 
-/// A number of at least 0 that has to be there.
-fn size(fields: &Fields, key: &str, unit: &str, decoder: &mut Decoder) -> Option<f64> {
+/// An error that has to be there.
+fn size(fields: &Fields, key: &str, most: Most, decoder: &mut Decoder) -> Option<f64> {
     let at = fields.required(key, decoder)?;
-    decoder.non_negative(&at, unit)
+    at_most(&at, most, decoder)
+}
+
+fn at_most(at: &At, Most(most, unit): Most, decoder: &mut Decoder) -> Option<f64> {
+    let value = decoder.non_negative(at, unit)?;
+    if value <= most {
+        return Some(value);
+    }
+    let message = format!("{value:.3e} {unit} is too large an error to work with, at most {most} {unit}");
+    decoder.complain_at(at, message, "calibrate again: celld calibrate --config FILE");
+    None
 }
 
 /// A transform: `{translation_m: [x, y, z], rotation_xyzw: [x, y, z, w]}`, no further than `reach_m`.
@@ -112,7 +143,7 @@ fn push_number(pairs: &mut Vec<(&str, Out)>, key: &'static str, value: Option<f6
     }
 }
 
-/// A number to be written; what is not finite becomes a very large number that no reader takes for good.
+/// A number to be written; what is not finite becomes a number so large that [`at_most`] refuses the file.
 fn finite(value: f64) -> Out {
     Out::Number(if value.is_finite() { value } else { f64::MAX })
 }

@@ -14,10 +14,11 @@ use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M};
 use crate::cli::sim::FOCAL_PX;
 use crate::cli::task::TaskArgs;
 use crate::cli::task::outln;
+use crate::cli::values;
 use crate::daemon::setup::CUP_MARGIN_M;
 use crate::io::priority;
 use crate::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
-use crate::tabletop::instance::Instance;
+use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
 use crate::tabletop::room::Cup;
 use crate::tabletop::scenes::{SCENES, scene};
 use clap::Args;
@@ -39,22 +40,22 @@ pub struct DemoArgs {
     #[arg(long, value_name = "FILE")]
     instance: Option<PathBuf>,
     /// Edge of the table, m; instance files are scaled to it.
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", value_parser = values::table_size)]
     table_size: Option<f64>,
-    /// Solver: rbm or erbm.
-    #[arg(long, default_value = "erbm")]
+    /// Solver: tbm, rbm, etbm, erbm, mcts or emcts.
+    #[arg(long, default_value = "erbm", value_parser = values::solver)]
     solver: String,
     /// Seed of the simulated world's truth, its errors and the planner.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Planning budget, s.
-    #[arg(long, default_value_t = 2.0, value_name = "S")]
+    #[arg(long, default_value_t = 2.0, value_name = "S", value_parser = values::planning_seconds)]
     time_limit: f64,
     /// Simulated seconds per second.
-    #[arg(long, default_value_t = 5.0, value_name = "F")]
+    #[arg(long, default_value_t = 5.0, value_name = "F", value_parser = values::time_factor)]
     time_factor: f64,
     /// Loopback address of the simulated devices.
-    #[arg(long, default_value = "127.0.0.1")]
+    #[arg(long, default_value = "127.0.0.1", value_parser = values::loopback)]
     bind: IpAddr,
     /// Where the report, pictures and recording go.
     #[arg(long, default_value = "out", value_name = "DIR")]
@@ -96,15 +97,35 @@ fn prepare(args: &DemoArgs) -> Result<Option<Instance>, String> {
         return Ok(None);
     }
     let scaled = match (args.table_size, &args.instance) {
-        (Some(size), _) if !(0.1..=2.0).contains(&size) => {
-            return Err(format!("--table-size {size}: give an edge between 0.1 and 2 m"));
-        }
         (Some(size), _) => scaled_to_table(&given, size),
         (None, Some(_)) => scaled_to_table(&given, 0.5),
         (None, None) => Ok(given),
     };
     let scaled = scaled.map_err(|error| error.to_string())?;
-    fit(&scaled, &needs).map(|fitted| Some(fitted.instance)).map_err(|error| error.to_string())
+    let fitted = fit(&scaled, &needs).map_err(|error| error.to_string())?.instance;
+    refuse_table_markers(&fitted)?;
+    Ok(Some(fitted))
+}
+
+/// The demo glues reference markers round the table; an object with one of those numbers would be taken for the table.
+fn refuse_table_markers(instance: &Instance) -> Result<(), String> {
+    let Workspace { width, height } = instance.workspace;
+    let table: Vec<u32> = teach::reference_markers(width, height).into_iter().map(|(id, _)| id).collect();
+    let clash = |object: &ObjectSpec| {
+        let id = object.marker.as_ref().map(|marker| marker.id).filter(|id| table.contains(id))?;
+        Some(format!("object `{}` carries marker {id}", object.id))
+    };
+    let clashes: Vec<String> = instance.objects.iter().filter_map(clash).collect();
+    if clashes.is_empty() {
+        return Ok(());
+    }
+    let (first, last) = (table.iter().min().unwrap_or(&0), table.iter().max().unwrap_or(&0));
+    Err(format!(
+        "{}: markers {first} to {last} are the demo table's own; give other numbers, {} to {} are for objects",
+        clashes.join(", "),
+        fit::OBJECT_IDS.start,
+        fit::OBJECT_IDS.end - 1
+    ))
 }
 
 fn read_instance(path: &Path) -> Result<Instance, String> {
@@ -168,4 +189,53 @@ fn watch_for_interrupt(
             stop.store(true, Ordering::Relaxed);
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::{Command, FromArgMatches as _};
+
+    fn args(words: &[&str]) -> Result<DemoArgs, clap::Error> {
+        let command = DemoArgs::augment_args(Command::new("celld").no_binary_name(true));
+        DemoArgs::from_arg_matches(&command.try_get_matches_from(words)?)
+    }
+
+    #[test]
+    fn wrong_options_are_refused_before_anything_starts() {
+        let wrong = [
+            ("--solver=foo", "one of: tbm"),
+            ("--time-limit=-1", "between 0.001 and 86400 s"),
+            ("--time-limit=nan", "between 0.001 and 86400 s"),
+            ("--time-limit=1e30", "between 0.001 and 86400 s"),
+            ("--time-factor=0", "between 0.01 and 1000"),
+            ("--table-size=5", "between 0.1 and 2 m"),
+            ("--bind=0.0.0.0", "loopback"),
+        ];
+        for (word, expected) in wrong {
+            let error = args(&[word]).unwrap_err();
+            assert_eq!(error.exit_code(), 2, "{word}");
+            assert!(error.to_string().contains(expected), "{word}: {error}");
+        }
+        assert!(args(&["--solver=mcts", "--time-limit=0.5", "--time-factor=20"]).is_ok());
+    }
+
+    #[test]
+    fn an_object_with_a_marker_of_the_table_is_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("task.yaml");
+        let task = |id: u32| {
+            format!(
+                "workspace: {{width: 0.5, height: 0.5}}\nobjects:\n  - {{id: mug, footprint: {{disc: {{radius: 0.05}}}}, \
+                 start: [0.2, 0.2, 0], marker: {{id: {id}, size: 0.05}}}}\n"
+            )
+        };
+        let prepared = |id: u32| {
+            std::fs::write(&path, task(id)).unwrap();
+            prepare(&args(&[&format!("--instance={}", path.display())]).unwrap())
+        };
+        let told = prepared(505).unwrap_err();
+        assert!(told.contains("object `mug` carries marker 505") && told.contains("500 to 511"), "{told}");
+        assert!(prepared(7).unwrap().is_some());
+    }
 }

@@ -258,3 +258,20 @@ fn a_start_that_got_past_the_problem_is_refused_here() {
         other => panic!("{other:?}"),
     }
 }
+
+#[test]
+fn two_equal_goals_of_a_group_need_two_members() {
+    let text = "\
+workspace: {width: 1.0, height: 1.0}
+overlap_tolerance: 0.5
+objects:
+  - {id: a, group: g, footprint: {disc: {radius: 0.05}}, start: [0.2, 0.2, 0], goal: [0.6, 0.6, 0]}
+  - {id: b, group: g, footprint: {disc: {radius: 0.05}}, start: [0.8, 0.2, 0], goal: [0.6, 0.6, 0]}
+";
+    let problem = problem(text);
+    let mut actions = vec![action(0, [0.2, 0.2, 0.0], [0.6, 0.6, 0.0], ActionKind::Goal)];
+    let fault = CheckedPlan::new(&problem, &actions).expect_err("one disc does not fill two places");
+    assert_eq!(fault, PlanFault::GroupGoal { group: "g".into(), object: "b".into() });
+    actions.push(action(1, [0.8, 0.2, 0.0], [0.6, 0.6, 0.0], ActionKind::Goal));
+    CheckedPlan::new(&problem, &actions).expect("both are there, as given");
+}

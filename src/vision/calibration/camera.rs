@@ -68,7 +68,8 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<CameraCalibration> {
     let model = camera.and_then(|at| model(&at, decoder));
     let source = calibration::short_text(&fields, "source", decoder);
     let date = calibration::short_text(&fields, "date", decoder);
-    let reprojection_px = calibration::optional_size(&fields, "reprojection_px", "px", decoder);
+    let reprojection_px =
+        calibration::optional_size(&fields, "reprojection_px", calibration::FIT_PX, decoder);
     version?;
     Some(CameraCalibration { model: model?, source: source?, date: date?, reprojection_px: reprojection_px? })
 }

@@ -8,6 +8,7 @@ use crate::document::write::Out;
 use crate::document::{Complaints, parse};
 use crate::vision::calibrate::{HandEye, SampleResidual, TransformStd};
 use crate::vision::calibration;
+use crate::vision::calibration::{FIT_M, FIT_PX, FIT_RAD, SAMPLE_M, SAMPLE_PX};
 use nalgebra::Isometry3;
 
 /// The devices a calibration belongs to, and when it was made.
@@ -139,10 +140,10 @@ impl Residuals {
     pub fn decode(at: &At, decoder: &mut Decoder) -> Option<Residuals> {
         let keys = ["reprojection_px_rms", "held_out_rms_m", "held_out_max_m", "halves_m", "halves_rad"];
         let fields = decoder.map(at, &keys)?;
-        let reprojection = calibration::size(&fields, keys[0], "px", decoder);
-        let [rms, max, halves] =
-            [keys[1], keys[2], keys[3]].map(|key| calibration::optional_size(&fields, key, "m", decoder));
-        let turn = calibration::optional_size(&fields, keys[4], "rad", decoder);
+        let reprojection = calibration::size(&fields, keys[0], FIT_PX, decoder);
+        let mut optional = |key, most| calibration::optional_size(&fields, key, most, decoder);
+        let (rms, max) = (optional(keys[1], FIT_M), optional(keys[2], SAMPLE_M));
+        let (halves, turn) = (optional(keys[3], FIT_M), optional(keys[4], FIT_RAD));
         Some(Residuals {
             reprojection_px_rms: reprojection?,
             held_out_rms_m: rms?,
@@ -190,8 +191,8 @@ fn placed(at: &At, decoder: &mut Decoder) -> Option<(Isometry3<f64>, TransformSt
     let fields = decoder.map(at, &["flange_from_camera", "std_m", "std_rad"])?;
     let camera = fields.required("flange_from_camera", decoder);
     let camera = camera.and_then(|at| calibration::transform(&at, REACH_M, decoder));
-    let std_m = calibration::size(&fields, "std_m", "m", decoder);
-    let std_rad = calibration::size(&fields, "std_rad", "rad", decoder);
+    let std_m = calibration::size(&fields, "std_m", calibration::FIT_M, decoder);
+    let std_rad = calibration::size(&fields, "std_rad", calibration::FIT_RAD, decoder);
     Some((camera?, TransformStd { translation_m: std_m?, rotation_rad: std_rad? }))
 }
 
@@ -202,10 +203,11 @@ fn sample(at: &At, decoder: &mut Decoder) -> Option<SampleResidual> {
         let at = fields.required(key, decoder)?;
         decoder.integer(&at, 0..=1_000_000).and_then(|value| usize::try_from(value).ok())
     });
-    let residual_px = calibration::size(&fields, "residual_px", "px", decoder);
-    let residual_m = calibration::size(&fields, "residual_m", "m", decoder);
-    let held_out_m = calibration::optional_size(&fields, "held_out_m", "m", decoder);
     let rejected = fields.required("rejected", decoder).and_then(|at| decoder.boolean(&at));
+    let most = |most| if rejected == Some(false) { most } else { calibration::unlimited(most) };
+    let residual_px = calibration::size(&fields, "residual_px", most(SAMPLE_PX), decoder);
+    let residual_m = calibration::size(&fields, "residual_m", most(SAMPLE_M), decoder);
+    let held_out_m = calibration::optional_size(&fields, "held_out_m", most(SAMPLE_M), decoder);
     Some(SampleResidual {
         sample: sample?,
         markers: markers?,
@@ -272,6 +274,41 @@ mod tests {
         assert!(back.flange_from_camera.rotation.angle_to(&measured().flange_from_camera.rotation) < 1e-12);
         let same_rotation = HandEyeCalibration { flange_from_camera: measured().flange_from_camera, ..back };
         assert_eq!(same_rotation, measured(), "{text}");
+    }
+
+    #[test]
+    fn errors_too_large_to_work_with_are_refused_where_they_stand() {
+        let wrong = |change: fn(&mut HandEyeCalibration)| {
+            let mut file = measured();
+            change(&mut file);
+            HandEyeCalibration::parse(&file.to_yaml(), "h.yaml").map_err(|faults| faults.to_string())
+        };
+        let told = wrong(|file| file.std.translation_m = f64::INFINITY).unwrap_err();
+        assert!(
+            told.contains("hand_eye.std_m: 1.798e308 m is too large") && told.contains("calibrate again"),
+            "{told}"
+        );
+        assert!(wrong(|file| file.std.translation_m = 0.0051).is_err());
+        assert!(wrong(|file| file.std.rotation_rad = 0.02).unwrap_err().contains("hand_eye.std_rad"));
+        assert!(wrong(|file| file.residuals.reprojection_px_rms = 6.0).is_err());
+        assert!(wrong(|file| file.residuals.held_out_max_m = Some(0.03)).is_err());
+        assert!(wrong(|file| file.residuals.halves_rad = Some(0.1)).is_err());
+        assert!(
+            wrong(|file| file.samples[0].residual_m = 0.03).unwrap_err().contains("samples[0].residual_m")
+        );
+        assert!(
+            wrong(|file| file.samples[1].residual_m = f64::INFINITY).is_ok(),
+            "it was left out of the fit"
+        );
+    }
+
+    #[test]
+    fn the_files_of_the_simulated_cell_are_good() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim");
+        let text = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
+        HandEyeCalibration::parse(&text("hand_eye.yaml"), "hand_eye.yaml").unwrap();
+        calibration::table::TableCalibration::parse(&text("table.yaml"), "table.yaml").unwrap();
+        calibration::camera::CameraCalibration::parse(&text("camera.yaml"), "camera.yaml").unwrap();
     }
 
     #[test]

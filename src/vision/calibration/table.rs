@@ -104,8 +104,8 @@ fn placed(at: &At, decoder: &mut Decoder) -> Option<(Isometry3<f64>, TransformSt
     let fields = decoder.map(at, &["base_from_table", "std_m", "std_rad"])?;
     let table = fields.required("base_from_table", decoder);
     let table = table.and_then(|at| calibration::transform(&at, REACH_M, decoder));
-    let std_m = calibration::size(&fields, "std_m", "m", decoder);
-    let std_rad = calibration::size(&fields, "std_rad", "rad", decoder);
+    let std_m = calibration::size(&fields, "std_m", calibration::FIT_M, decoder);
+    let std_rad = calibration::size(&fields, "std_rad", calibration::FIT_RAD, decoder);
     Some((table?, TransformStd { translation_m: std_m?, rotation_rad: std_rad? }))
 }
 

@@ -1,0 +1,75 @@
+//! Values on the command line that have to be sound before anything starts: numbers in a range, solvers, addresses.
+//!
+//! In: the text after an option. Out: the value, or one sentence that says what to give; clap adds the option's name
+//! and ends with exit code 2. The ranges are those of the same keys in the configuration.
+
+use crate::jobs::policy::{SOLVER_WORDS, unknown_word};
+use std::net::IpAddr;
+use std::ops::RangeInclusive;
+
+/// A number in a range; `unit` is for the message.
+fn within(text: &str, range: RangeInclusive<f64>, unit: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if range.contains(&value) => Ok(value),
+        _ => Err(format!("give a number between {} and {} {unit}", range.start(), range.end())),
+    }
+}
+
+/// A planning budget, s.
+pub fn planning_seconds(text: &str) -> Result<f64, String> {
+    within(text, 0.001..=86_400.0, "s")
+}
+
+/// Simulated seconds per second.
+pub fn time_factor(text: &str) -> Result<f64, String> {
+    within(text, 0.01..=1000.0, "simulated seconds per second")
+}
+
+/// Edge of a demo table, m.
+pub fn table_size(text: &str) -> Result<f64, String> {
+    within(text, 0.1..=2.0, "m")
+}
+
+/// A solver's name.
+pub fn solver(text: &str) -> Result<String, String> {
+    if SOLVER_WORDS.contains(&text) {
+        return Ok(text.to_owned());
+    }
+    let (message, help) = unknown_word(text, &SOLVER_WORDS);
+    Err(format!("{message}; {help}"))
+}
+
+/// An address of this machine that no other machine can reach.
+pub fn loopback(text: &str) -> Result<IpAddr, String> {
+    match text.parse::<IpAddr>() {
+        Ok(address) if address.is_loopback() => Ok(address),
+        _ => Err("give a loopback address, 127.x.x.x or ::1: the demo's devices have no safety of their own"
+            .into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_out_of_range_are_told_the_range() {
+        for text in ["-1", "nan", "inf", "1e30", "0", "", "2 s"] {
+            let told = planning_seconds(text).unwrap_err();
+            assert_eq!(told, "give a number between 0.001 and 86400 s", "{text}");
+            assert!(time_factor(text).is_err(), "{text}");
+        }
+        assert_eq!((planning_seconds("2.5"), time_factor("5")), (Ok(2.5), Ok(5.0)));
+        assert!(table_size("3").is_err() && table_size("0.5") == Ok(0.5));
+    }
+
+    #[test]
+    fn unknown_solvers_and_open_addresses_are_refused() {
+        assert!(solver("foo").unwrap_err().contains("\"foo\" is not known here; one of: tbm, rbm"));
+        assert!(solver("auto").unwrap_err().contains("not built yet"));
+        assert_eq!(solver("rbm").as_deref(), Ok("rbm"));
+        assert!(
+            loopback("127.0.0.9").is_ok() && loopback("0.0.0.0").is_err() && loopback("localhost").is_err()
+        );
+    }
+}

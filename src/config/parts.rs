@@ -1,0 +1,91 @@
+//! A cell's configuration while it is read: every part by itself, absent where it could not be read.
+//!
+//! In: what the decoders of `read_cell` found. Out: [`CellConfig`] when nothing is missing. The checks across parts
+//! run on this, so that a wrong unit in one place does not hide a marker used twice in another. Pure.
+
+use crate::config::cell::{
+    CalibrationFiles, CameraMount, CellConfig, Devices, GripperConfig, MotionLimits, PlannerConfig,
+    RecordingConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
+};
+use crate::jobs::policy::Approval;
+use crate::tabletop::instance::{KeepOut, ObjectSpec, Workspace};
+use crate::tabletop::parse::MarkerUse;
+use crate::units::Joints;
+use nalgebra::Isometry3;
+use std::path::PathBuf;
+
+/// What could be read. A list is there when the key holds one; its entries are there when they are sound.
+pub(super) struct CellParts {
+    pub devices: Option<Devices>,
+    pub table: TableParts,
+    pub objects: Option<Vec<Option<ObjectSpec>>>,
+    /// Marker numbers of all objects, sound or not.
+    pub object_markers: Vec<MarkerUse>,
+    pub reference_markers: Option<Vec<ReferenceMarkerConfig>>,
+    pub gripper: Option<GripperConfig>,
+    pub flange_from_tool: Option<Isometry3<f64>>,
+    pub base_from_table: Option<Isometry3<f64>>,
+    pub camera: Option<CameraMount>,
+    pub look_poses: Option<Vec<Option<Joints>>>,
+    pub park_pose: Option<Joints>,
+    pub work_pose: Option<Joints>,
+    pub calibration_poses: Option<Vec<Option<Joints>>>,
+    pub calibration: Option<CalibrationFiles>,
+    /// Also there when another limit is wrong.
+    pub joint_range: Option<[(f64, f64); 6]>,
+    pub limits: Option<MotionLimits>,
+    pub tolerances: Option<Tolerances>,
+    pub planner: Option<PlannerConfig>,
+    pub approval: Option<Approval>,
+    pub arm_at_start: Option<bool>,
+    /// `Some(None)` when the key is absent.
+    pub simulation: Option<Option<SimulationConfig>>,
+    pub recording: Option<Option<RecordingConfig>>,
+    pub goal_folder: Option<PathBuf>,
+}
+
+/// The table's keys.
+pub(super) struct TableParts {
+    pub size: Option<Workspace>,
+    pub clearance_m: Option<f64>,
+    pub keep_out: Option<Vec<KeepOut>>,
+}
+
+impl CellParts {
+    /// The configuration, if every part is there.
+    pub fn whole(self) -> Option<CellConfig> {
+        let size = self.table.size?;
+        Some(CellConfig {
+            devices: self.devices?,
+            workspace: WorkspaceConfig {
+                width_m: size.width,
+                height_m: size.height,
+                clearance_m: self.table.clearance_m?,
+                keep_out: self.table.keep_out?,
+            },
+            objects: all(self.objects)?,
+            reference_markers: self.reference_markers?,
+            gripper: self.gripper?,
+            flange_from_tool: self.flange_from_tool?,
+            base_from_table: self.base_from_table?,
+            camera: self.camera?,
+            look_poses: all(self.look_poses)?,
+            park_pose: self.park_pose?,
+            work_pose: self.work_pose?,
+            calibration_poses: all(self.calibration_poses)?,
+            calibration: self.calibration?,
+            limits: self.limits?,
+            tolerances: self.tolerances?,
+            planner: self.planner?,
+            approval: self.approval?,
+            arm_at_start: self.arm_at_start?,
+            simulation: self.simulation?,
+            recording: self.recording?,
+            goal_folder: self.goal_folder?,
+        })
+    }
+}
+
+fn all<T>(list: Option<Vec<Option<T>>>) -> Option<Vec<T>> {
+    list?.into_iter().collect()
+}
