@@ -29,6 +29,8 @@ pub struct FeedbackSet {
     pub weight: f64,
     /// No feedback vertex set weighs less; equal to `weight` when the search was completed.
     pub lower_bound: f64,
+    /// Nodes the search spent.
+    pub nodes: u64,
 }
 
 /// The minimum weight feedback vertex set of `graph`; `weights` are positive and finite, one a vertex.
@@ -50,7 +52,8 @@ pub fn minimum_within(graph: &DependencyGraph, weights: &[f64], node_limit: u64)
     let vertices = found.unwrap_or(greedy);
     let weight = vertices.weight(weights);
     let proved = search.nodes_left > 0;
-    FeedbackSet { vertices, weight, lower_bound: if proved { weight } else { floor.min(weight) } }
+    let lower_bound = if proved { weight } else { floor.min(weight) };
+    FeedbackSet { vertices, weight, lower_bound, nodes: node_limit - search.nodes_left }
 }
 
 struct Search<'a> {
