@@ -4,13 +4,14 @@
 //! `overlap`): the independent checker, the only way to a plan the robot may carry out. `graph`, `feedback`,
 //! `bound`: dependency graph, minimum feedback vertex sets, lower bound. `weights`: HeCP and HeTI. `primitive`,
 //! `total_buffers`: primitive plans of minimum running buffer and of least buffer weight in all. `scene`,
-//! `buffers`, `trlb`: lazy buffer allocation and the bidirectional search. `mcts`: tree search over arrangements.
+//! `buffers`, `detour`, `trlb`: lazy buffer allocation and the bidirectional search. `mcts`: tree search over arrangements.
 //! `completion`, `solver`: one shape for all solvers.
 
 pub mod bound;
 pub mod buffers;
 pub mod check;
 pub mod completion;
+pub mod detour;
 pub mod effort;
 pub mod feedback;
 pub mod graph;

@@ -165,7 +165,7 @@ fn repeat(
 
 /// TRLB with the given primitive planner, until its first plan that passes the check.
 fn trlb(scene: &Scene, planner: &Planner, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
-    let trlb = Trlb { scene, planner };
+    let trlb = Trlb { scene, planner, detours: !incumbent.control.strict_paper };
     repeat(scene, seed, effort, |start, goal, rng, effort| {
         let moves = trlb.search(start.clone(), goal, rng, effort);
         moves.is_some_and(|moves| incumbent.offer(&moves) != Verdict::Refused)
