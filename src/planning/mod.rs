@@ -21,6 +21,8 @@ mod overlap;
 pub mod plan;
 pub mod primitive;
 pub mod problem;
+#[cfg(test)]
+mod random_tables;
 pub mod scene;
 pub mod solver;
 pub mod total_buffers;

@@ -202,4 +202,7 @@ fn reaches(cost: f64, bound: f64) -> bool {
 }
 
 #[cfg(test)]
+mod properties;
+
+#[cfg(test)]
 mod tests;

@@ -11,7 +11,7 @@ use crate::planning::check::CheckedPlan;
 use crate::planning::completion;
 use crate::planning::effort::Effort;
 use crate::planning::graph::DependencyGraph;
-use crate::planning::mcts::{Rule, TreeSearch, Verdict};
+use crate::planning::mcts::{FIRST_TREE, LARGEST_TREE, Rule, TreeSearch, Verdict};
 use crate::planning::plan::{Action, ActionKind, Objective};
 use crate::planning::primitive::{Preference, RunningBuffer};
 use crate::planning::problem::{Problem, ProblemObject};
@@ -175,9 +175,12 @@ fn trlb(scene: &Scene, planner: &Planner, seed: u64, incumbent: &mut Incumbent, 
 /// MCTS and EMCTS: trees that keep the best plan.
 fn tree_search(scene: &Scene, rule: &Rule, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
     let mut ceiling = f64::INFINITY;
+    let mut most = FIRST_TREE;
     repeat(scene, seed, effort, |start, goal, rng, effort| {
         let search = TreeSearch { scene, rule, start, goal: &goal };
-        search.grow(&mut ceiling, rng, effort, &mut |moves| incumbent.offer(&moves))
+        let enough = search.grow(most, &mut ceiling, rng, effort, &mut |moves| incumbent.offer(&moves));
+        most = LARGEST_TREE.min(2 * most);
+        enough
     });
 }
 
