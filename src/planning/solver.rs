@@ -68,7 +68,8 @@ pub struct Control<'a> {
     pub on_plan: &'a (dyn Fn(&[Action], f64) + Sync),
     /// Stop at the first plan. Those built on TRLB (TBM, RBM, ETBM, ERBM) always do.
     pub first: bool,
-    /// RBM and ERBM: the first primitive plan of minimum peak, however many objects it buffers, as the paper has it.
+    /// RBM and ERBM take the first primitive plan of minimum peak, however many objects it buffers; TRLB clears no
+    /// places for objects that find none.
     pub strict_paper: bool,
     /// For the objective `time`: seconds of a plan.
     pub seconds: Option<PlanSeconds<'a>>,

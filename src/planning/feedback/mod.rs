@@ -3,8 +3,9 @@
 //! In: a dependency graph and a positive weight for each vertex. Out: a vertex set whose removal leaves no
 //! cycle, proved cheapest, or, when the node limit ends the search, the best one found with a valid lower bound.
 //! Branch and bound on bitsets: `kernel` shrinks a graph without changing its optimum, `packing` bounds from
-//! below by cliques and cycles, this file branches and splits into components. Source: the reductions are those
-//! of Levy and Low (1988) and Lin and Jou (2000), with the side conditions that weights need.
+//! below by cliques and cycles, this file branches, splits into components, and keeps what the bound shows to be
+//! too dear (reduced cost fixing). Source: the reductions are those of Levy and Low (1988) and Lin and Jou
+//! (2000), with the side conditions that weights need.
 
 pub mod kernel;
 
@@ -107,8 +108,14 @@ impl Search<'_> {
             return self.solve_components(&kernel, &components, ceiling);
         }
         let Some(v) = kernel.busiest(self.weights) else { return Some(Bits::EMPTY) };
-        if packing::lower_bound(&kernel, self.weights) >= ceiling - self.tolerance {
+        let dual = packing::dual(&kernel, self.weights);
+        let slack = ceiling - self.tolerance - dual.bound;
+        if slack <= 0.0 {
             return None;
+        }
+        let too_dear: Vec<usize> = kernel.alive().iter().filter(|&u| dual.left[u] >= slack).collect();
+        if !too_dear.is_empty() {
+            return self.solve_without(kernel, &too_dear, ceiling);
         }
         let mut best = None;
         let mut ceiling = ceiling;
@@ -122,6 +129,23 @@ impl Search<'_> {
         let mut kept = kernel;
         kept.keep(v);
         self.solve(kept, ceiling).or(best)
+    }
+
+    /// No set with one of `too_dear` weighs less than the ceiling, so all of these are kept.
+    fn solve_without<const WORDS: usize>(
+        &mut self,
+        mut kernel: Kernel<WORDS>,
+        too_dear: &[usize],
+        ceiling: f64,
+    ) -> Option<Bits<WORDS>> {
+        for &v in too_dear {
+            if kernel.out(v).contains(v) {
+                // A cycle of kept vertices closes here.
+                return None;
+            }
+            kernel.keep(v);
+        }
+        self.solve(kernel, ceiling)
     }
 
     /// Components are independent: each gets what the bounds of the others leave of the ceiling.

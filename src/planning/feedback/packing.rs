@@ -13,12 +13,26 @@ const CYCLE_LENGTHS: [usize; 3] = [3, 4, usize::MAX];
 
 /// The bound; 0 for an acyclic graph.
 pub fn lower_bound<const WORDS: usize>(kernel: &Kernel<WORDS>, weights: &[f64]) -> f64 {
+    dual(kernel, weights).bound
+}
+
+/// A solution of the linear programme's dual.
+pub struct Dual {
+    /// Its value: no feedback vertex set weighs less.
+    pub bound: f64,
+    /// What is left of each vertex's weight: no feedback vertex set with vertex v weighs less than the bound and
+    /// `left[v]`.
+    pub left: Vec<f64>,
+}
+
+/// The bound and how far each vertex is from being part of it.
+pub fn dual<const WORDS: usize>(kernel: &Kernel<WORDS>, weights: &[f64]) -> Dual {
     let mut packing = Packing { kernel, left: weights.to_vec(), active: kernel.alive(), bound: 0.0 };
     packing.pack_cliques();
     for longest in CYCLE_LENGTHS {
         packing.pack_cycles(longest);
     }
-    packing.bound
+    Dual { bound: packing.bound, left: packing.left }
 }
 
 struct Packing<'a, const WORDS: usize> {

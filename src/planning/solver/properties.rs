@@ -180,3 +180,23 @@ fn tree_searches_go_on_until_the_limit_unless_asked_for_the_first_plan() {
     }
     assert!(improved >= 4, "only {improved} searches found a second plan");
 }
+
+#[test]
+fn a_place_is_cleared_for_an_object_that_finds_none() {
+    // Two large squares change places; the only room for one of them has a small square, already home, in it.
+    let mut crowded = table(vec![
+        square("left", 0.3, 1.0, (0.15, 0.35), (0.5, 0.35)),
+        square("right", 0.3, 1.0, (0.5, 0.35), (0.15, 0.35)),
+        square("small", 0.12, 1.0, (0.875, 0.25), (0.875, 0.25)),
+    ]);
+    (crowded.workspace.width, crowded.workspace.height) = (1.1, 0.5);
+    let problem = Problem::new(&crowded).expect("valid");
+    for solver in [SolverKind::Tbm, SolverKind::Rbm, SolverKind::Etbm, SolverKind::Erbm] {
+        let status = |strict_paper, work| {
+            let control = Control { work_limit: Some(work), strict_paper, ..Control::until(&|| false) };
+            solve(&problem, solver, Objective::Pp, &control, 1).expect("built").status
+        };
+        assert_eq!(status(false, 300_000), Status::Solved, "{}", solver.word());
+        assert_eq!(status(true, 30_000), Status::Timeout, "{}: as in the paper", solver.word());
+    }
+}
