@@ -200,3 +200,27 @@ fn a_place_is_cleared_for_an_object_that_finds_none() {
         assert_eq!(status(true, 30_000), Status::Timeout, "{}: as in the paper", solver.word());
     }
 }
+
+#[test]
+fn emcts_looks_for_cheaper_plans_under_ti_where_mcts_counts_moves() {
+    let problem = Problem::new(&swap()).expect("valid");
+    let costs = |solver| -> BTreeSet<u32> {
+        (0..12)
+            .filter_map(|seed| run(&problem, solver, Objective::Ti, seed).cost)
+            .map(|cost| cost as u32)
+            .collect()
+    };
+    assert_eq!(costs(SolverKind::Emcts), BTreeSet::from([7]), "1 + 5, and the light one twice");
+    assert_eq!(costs(SolverKind::Mcts), BTreeSet::from([7, 11]), "three moves either way");
+}
+
+#[test]
+fn emcts_explores_otherwise_than_mcts_under_pp() {
+    let control = Control { work_limit: Some(4000), first: true, ..Control::until(&|| false) };
+    let differs = |problem: &Problem| {
+        let work = |solver| solve(problem, solver, Objective::Pp, &control, 5).expect("built").work;
+        work(SolverKind::Mcts) != work(SolverKind::Emcts)
+    };
+    let differing = random_problems(25, 12).iter().filter(|problem| differs(problem)).count();
+    assert!(differing >= 3, "{differing} of 12");
+}
