@@ -21,15 +21,35 @@ use std::time::{Duration, Instant};
 /// A search shorter than this shows no progress.
 const QUIET: Duration = Duration::from_millis(500);
 
+/// What `--help` says about the choice of a solver.
+const SOLVERS: &str = "\
+How the plan is found.
+
+Objects that block each other in a circle cannot all go straight home: some have to wait elsewhere on the table. \
+The solvers differ in whom they put aside, and when.
+
+  erbm   As little as possible waits at the same time, and objects that are hard to place (large, long) count \
+more. Fast and dependable, also on crowded tables: take this one if in doubt.
+  rbm    The same, all objects count alike. Good for objects of one size.
+  etbm   As little as possible is put aside in all, hard-to-place objects counting more. The shortest plans \
+where there is room.
+  tbm    The same, all objects count alike.
+  mcts   Tries moves on the real table and follows those that bring objects home. Longer plans at first, \
+but it goes on improving until the time limit unless --first is given.
+  emcts  The same, hard-to-place objects are tried more often.
+  auto   celld's own; not in this version.
+
+Under --objective ti the three that begin with e count impedance instead of difficulty; the others search as under \
+pp. All are randomised: another --seed gives another plan.";
+
 /// Arguments of `celld plan`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PlanArgs {
     /// The task
     #[command(flatten)]
     pub task: TaskArgs,
-    /// erbm: fewest hard-to-place objects out of the way at once, fast and dependable; rbm: the same, all objects
-    /// alike; tbm, etbm: fewest buffer moves in all; mcts, emcts: tree search over arrangements; auto: ours
-    #[arg(long, default_value = "erbm", value_parser = solver_parser())]
+    /// How the plan is found; `--help` says which to take
+    #[arg(long, default_value = "erbm", long_help = SOLVERS, value_parser = solver_parser())]
     pub solver: SolverKind,
     /// What is minimised: pp number of moves, ti total impedance, time seconds
     #[arg(long, default_value = "pp", value_parser = objective_parser())]
@@ -40,7 +60,8 @@ pub struct PlanArgs {
     /// Deterministic steps of planning; with it the same seed gives the same plan on any machine
     #[arg(long, value_name = "N")]
     pub work: Option<u64>,
-    /// Stop at the first plan, as the paper's solvers always do
+    /// Stop at the first plan, as in the paper. tbm, rbm, etbm and erbm always do; mcts and emcts go on for better
+    /// ones until the time is up or the plan is proved best
     #[arg(long)]
     pub first: bool,
     /// Seed of every random choice
@@ -49,7 +70,9 @@ pub struct PlanArgs {
     /// Threads; the paper's solvers use one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
-    /// Take the first primitive plan of minimum running buffer, as the paper's code does
+    /// Keep to the paper where celld knows better: rbm and erbm take the first order of moves with the fewest
+    /// objects waiting at once, not the one with the fewest put aside in all; tbm, rbm, etbm and erbm never
+    /// clear a place for an object that finds none
     #[arg(long)]
     pub strict_paper: bool,
     /// Write the plan (JSON) to this file

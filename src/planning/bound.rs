@@ -120,3 +120,6 @@ fn group_moves(scene: &Scene, members: &[usize], blocking: ObjectSet, costs: &[f
     cheapest.sort_by(f64::total_cmp);
     (moves, cheapest.iter().take(moves).sum())
 }
+
+#[cfg(test)]
+mod tests;

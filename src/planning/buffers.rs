@@ -48,6 +48,8 @@ pub struct Allocated {
     pub moves: Vec<(usize, Arc<Spot>)>,
     /// Every step of the plan is among them.
     pub complete: bool,
+    /// The object whose stay found no pose.
+    pub stuck: Option<usize>,
 }
 
 /// Chooses poses for `steps`, which lead from `from` to `to`; `steps` name objects of the problem.
@@ -60,8 +62,10 @@ pub fn allocate(
     effort: &mut Effort,
 ) -> Allocated {
     let mut allocator = Allocator::new(scene, from, to, steps);
-    let done = (0..steps.len()).find(|&step| !allocator.settle(step, rng, effort)).unwrap_or(steps.len());
-    Allocated { moves: allocator.moves(&steps[..done]), complete: done == steps.len() }
+    let failed = (0..steps.len()).find(|&step| !allocator.settle(step, rng, effort));
+    let stuck = failed.and_then(|step| allocator.stuck(step));
+    let done = failed.unwrap_or(steps.len());
+    Allocated { moves: allocator.moves(&steps[..done]), complete: failed.is_none(), stuck }
 }
 
 struct Allocator<'a> {
@@ -121,6 +125,12 @@ impl<'a> Allocator<'a> {
     /// Has this stay a pose that nothing disturbs up to the end of `step`?
     fn holds(&self, stay: usize, step: usize) -> bool {
         self.stays[stay].spot.as_ref().is_some_and(|spot| self.fits(stay, spot, step))
+    }
+
+    /// The first object whose pose the step makes impossible.
+    fn stuck(&self, step: usize) -> Option<usize> {
+        let mut open = (0..self.stays.len()).filter(|&s| self.stays[s].is_open_after(step));
+        open.find(|&s| !self.holds(s, step)).map(|s| self.stays[s].object)
     }
 
     /// Keeps the old pose if it still fits, else samples another.

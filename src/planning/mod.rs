@@ -2,23 +2,29 @@
 //!
 //! `problem`: a task with its rules of contact. `plan`: actions, status, and their file. `check` (with
 //! `overlap`): the independent checker, the only way to a plan the robot may carry out. `graph`, `feedback`,
-//! `bound`: dependency graph, minimum feedback vertex sets, lower bound. `weights`, `primitive`: HeCP and HeTI,
-//! primitive plans of minimum running buffer. `scene`, `buffers`, `trlb`: lazy buffer allocation and the
-//! bidirectional search. `completion`, `solver`: one shape for all solvers.
+//! `bound`: dependency graph, minimum feedback vertex sets, lower bound. `weights`: HeCP and HeTI. `primitive`,
+//! `total_buffers`: primitive plans of minimum running buffer and of least buffer weight in all. `scene`,
+//! `buffers`, `detour`, `trlb`: lazy buffer allocation and the bidirectional search. `mcts`: tree search over arrangements.
+//! `completion`, `solver`: one shape for all solvers.
 
 pub mod bound;
 pub mod buffers;
 pub mod check;
 pub mod completion;
+pub mod detour;
 pub mod effort;
 pub mod feedback;
 pub mod graph;
+pub mod mcts;
 pub mod object_set;
 mod overlap;
 pub mod plan;
 pub mod primitive;
 pub mod problem;
+#[cfg(test)]
+mod random_tables;
 pub mod scene;
 pub mod solver;
+pub mod total_buffers;
 pub mod trlb;
 pub mod weights;

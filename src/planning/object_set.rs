@@ -1,25 +1,38 @@
 //! A set of objects as a fixed bitset: the unit all graph algorithms of `planning` calculate with.
 //!
 //! In and out: object (or vertex) indices below [`ObjectSet::CAPACITY`]. Copied by value: four machine words
-//! are cheaper than an allocation, and the largest public instances have 200 objects.
+//! are cheaper than an allocation, and the largest public instances have 200 objects. Where speed counts and the
+//! indices are known to be below 64, [`Bits`] of one word do.
 
 use std::ops::{BitAnd, BitOr, Not, Sub};
 
-const WORDS: usize = 4;
+/// A set of indices in `0..64 * WORDS`.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Bits<const WORDS: usize>([u64; WORDS]);
 
-/// A set of indices in `0..CAPACITY`.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, Default, PartialOrd, Ord)]
-pub struct ObjectSet([u64; WORDS]);
+/// A set of objects. Its capacity is the largest number of objects a problem may have for solvers and bound.
+pub type ObjectSet = Bits<4>;
 
-impl ObjectSet {
-    /// The largest number of objects a problem may have for the solvers and the bound.
+impl<const WORDS: usize> Default for Bits<WORDS> {
+    fn default() -> Bits<WORDS> {
+        Bits::EMPTY
+    }
+}
+
+impl<const WORDS: usize> Bits<WORDS> {
+    /// How many indices there are.
     pub const CAPACITY: usize = 64 * WORDS;
 
     /// No object.
-    pub const EMPTY: ObjectSet = ObjectSet([0; WORDS]);
+    pub const EMPTY: Bits<WORDS> = Bits([0; WORDS]);
+
+    /// The same members in another width; those beyond its capacity are lost.
+    pub fn resized<const OTHER: usize>(self) -> Bits<OTHER> {
+        Bits(std::array::from_fn(|k| if k < WORDS { self.0[k] } else { 0 }))
+    }
 
     /// The objects `0..count`.
-    pub fn first(count: usize) -> ObjectSet {
+    pub fn first(count: usize) -> Bits<WORDS> {
         (0..count).collect()
     }
 
@@ -39,13 +52,13 @@ impl ObjectSet {
     }
 
     /// This set and `index`.
-    pub fn with(mut self, index: usize) -> ObjectSet {
+    pub fn with(mut self, index: usize) -> Bits<WORDS> {
         self.insert(index);
         self
     }
 
     /// This set without `index`.
-    pub fn without(mut self, index: usize) -> ObjectSet {
+    pub fn without(mut self, index: usize) -> Bits<WORDS> {
         self.remove(index);
         self
     }
@@ -61,12 +74,12 @@ impl ObjectSet {
     }
 
     /// Every member is also in `other`.
-    pub fn is_subset(&self, other: &ObjectSet) -> bool {
+    pub fn is_subset(&self, other: &Bits<WORDS>) -> bool {
         self.0.iter().zip(&other.0).all(|(a, b)| a & !b == 0)
     }
 
     /// No member in common with `other`.
-    pub fn is_disjoint(&self, other: &ObjectSet) -> bool {
+    pub fn is_disjoint(&self, other: &Bits<WORDS>) -> bool {
         self.0.iter().zip(&other.0).all(|(a, b)| a & b == 0)
     }
 
@@ -80,7 +93,7 @@ impl ObjectSet {
     }
 
     /// The members in increasing order.
-    pub fn iter(&self) -> Members {
+    pub fn iter(&self) -> Members<WORDS> {
         Members { words: self.0, at: 0 }
     }
 
@@ -90,13 +103,13 @@ impl ObjectSet {
     }
 }
 
-/// Iterator over the members of an [`ObjectSet`].
-pub struct Members {
+/// Iterator over the members of a set.
+pub struct Members<const WORDS: usize> {
     words: [u64; WORDS],
     at: usize,
 }
 
-impl Iterator for Members {
+impl<const WORDS: usize> Iterator for Members<WORDS> {
     type Item = usize;
 
     fn next(&mut self) -> Option<usize> {
@@ -112,54 +125,54 @@ impl Iterator for Members {
     }
 }
 
-impl FromIterator<usize> for ObjectSet {
-    fn from_iter<I: IntoIterator<Item = usize>>(indices: I) -> ObjectSet {
-        indices.into_iter().fold(ObjectSet::EMPTY, ObjectSet::with)
+impl<const WORDS: usize> FromIterator<usize> for Bits<WORDS> {
+    fn from_iter<I: IntoIterator<Item = usize>>(indices: I) -> Bits<WORDS> {
+        indices.into_iter().fold(Bits::EMPTY, Bits::with)
     }
 }
 
-impl IntoIterator for ObjectSet {
+impl<const WORDS: usize> IntoIterator for Bits<WORDS> {
     type Item = usize;
-    type IntoIter = Members;
+    type IntoIter = Members<WORDS>;
 
-    fn into_iter(self) -> Members {
+    fn into_iter(self) -> Members<WORDS> {
         self.iter()
     }
 }
 
-impl BitAnd for ObjectSet {
-    type Output = ObjectSet;
+impl<const WORDS: usize> BitAnd for Bits<WORDS> {
+    type Output = Bits<WORDS>;
 
-    fn bitand(self, other: ObjectSet) -> ObjectSet {
-        ObjectSet(std::array::from_fn(|k| self.0[k] & other.0[k]))
+    fn bitand(self, other: Bits<WORDS>) -> Bits<WORDS> {
+        Bits(std::array::from_fn(|k| self.0[k] & other.0[k]))
     }
 }
 
-impl BitOr for ObjectSet {
-    type Output = ObjectSet;
+impl<const WORDS: usize> BitOr for Bits<WORDS> {
+    type Output = Bits<WORDS>;
 
-    fn bitor(self, other: ObjectSet) -> ObjectSet {
-        ObjectSet(std::array::from_fn(|k| self.0[k] | other.0[k]))
+    fn bitor(self, other: Bits<WORDS>) -> Bits<WORDS> {
+        Bits(std::array::from_fn(|k| self.0[k] | other.0[k]))
     }
 }
 
-impl Sub for ObjectSet {
-    type Output = ObjectSet;
+impl<const WORDS: usize> Sub for Bits<WORDS> {
+    type Output = Bits<WORDS>;
 
-    fn sub(self, other: ObjectSet) -> ObjectSet {
-        ObjectSet(std::array::from_fn(|k| self.0[k] & !other.0[k]))
+    fn sub(self, other: Bits<WORDS>) -> Bits<WORDS> {
+        Bits(std::array::from_fn(|k| self.0[k] & !other.0[k]))
     }
 }
 
-impl Not for ObjectSet {
-    type Output = ObjectSet;
+impl<const WORDS: usize> Not for Bits<WORDS> {
+    type Output = Bits<WORDS>;
 
-    fn not(self) -> ObjectSet {
-        ObjectSet(self.0.map(|word| !word))
+    fn not(self) -> Bits<WORDS> {
+        Bits(self.0.map(|word| !word))
     }
 }
 
-impl std::fmt::Debug for ObjectSet {
+impl<const WORDS: usize> std::fmt::Debug for Bits<WORDS> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_set().entries(self.iter()).finish()
     }

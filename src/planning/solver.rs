@@ -4,20 +4,16 @@
 //! with a witness, or no plan found. Every plan has passed the independent checker before anybody sees it.
 //! Deterministic: the same seed and work limit give the same outcome; no clock is read here.
 
-use crate::geometry::pose::Pose2;
 use crate::planning::bound::{self, LowerBound};
 use crate::planning::check::CheckedPlan;
-use crate::planning::completion;
 use crate::planning::effort::Effort;
 use crate::planning::object_set::ObjectSet;
-use crate::planning::plan::{Action, ActionKind, Objective, Status};
-use crate::planning::primitive::{Preference, RunningBuffer};
-use crate::planning::problem::{Problem, ProblemObject, Witness};
+use crate::planning::plan::{Action, Objective, Status};
+use crate::planning::problem::{Problem, Witness};
 use crate::planning::scene::Scene;
-use crate::planning::trlb::{Move, Trlb};
-use crate::planning::weights;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use crate::planning::solver::search::Incumbent;
+
+mod search;
 
 /// The solvers of the paper, and ours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -70,9 +66,10 @@ pub struct Control<'a> {
     pub stop: &'a (dyn Fn() -> bool + Sync),
     /// Called with each better plan and its cost, after the plan was checked.
     pub on_plan: &'a (dyn Fn(&[Action], f64) + Sync),
-    /// Stop at the first plan. The paper's solvers always do.
+    /// Stop at the first plan. Those built on TRLB (TBM, RBM, ETBM, ERBM) always do.
     pub first: bool,
-    /// Primitive plans as the paper's code makes them: the first of minimum peak, however many buffers it uses.
+    /// RBM and ERBM take the first primitive plan of minimum peak, however many objects it buffers; TRLB clears no
+    /// places for objects that find none.
     pub strict_paper: bool,
     /// For the objective `time`: seconds of a plan.
     pub seconds: Option<PlanSeconds<'a>>,
@@ -116,7 +113,7 @@ pub struct Outcome {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SolveError {
     /// A solver that this version does not have.
-    #[error("the solver {0} is not built into this version; use erbm or rbm")]
+    #[error("the solver {0} is not built into this version; use erbm")]
     NotBuilt(&'static str),
     /// More objects than the bitsets hold.
     #[error("{found} objects; the planner takes at most {most}")]
@@ -179,11 +176,9 @@ pub fn solve(
     if objective == Objective::Time && control.seconds.is_none() {
         return Err(SolveError::NoTimes);
     }
-    let weighted = match solver {
-        SolverKind::Rbm => false,
-        SolverKind::Erbm => true,
-        other => return Err(SolveError::NotBuilt(other.word())),
-    };
+    if solver == SolverKind::Auto {
+        return Err(SolveError::NotBuilt(solver.word()));
+    }
     let scene = Scene::new(problem);
     let lower_bound = lower_bound(&scene, objective, control.least_move_seconds).value;
     if let Some(witness) = problem.goal_conflict() {
@@ -191,11 +186,9 @@ pub fn solve(
         return Ok(Outcome { status, plan: None, cost: None, lower_bound, witness: Some(witness), work: 0 });
     }
     let mut effort = Effort::new(control.work_limit, control.stop);
-    let plan = running_buffer(&scene, weighted, objective, control, seed, &mut effort);
-    let cost = plan.as_ref().map(|plan| cost(problem, objective, control, plan.actions()));
-    if let (Some(plan), Some(cost)) = (&plan, cost) {
-        (control.on_plan)(plan.actions(), cost);
-    }
+    let mut incumbent = Incumbent::new(problem, objective, control, lower_bound);
+    search::run(&scene, solver, seed, &mut incumbent, &mut effort);
+    let (plan, cost) = incumbent.best.unzip();
     let status = match cost {
         Some(cost) if reaches(cost, lower_bound) => Status::Optimal,
         Some(_) => Status::Solved,
@@ -209,79 +202,8 @@ fn reaches(cost: f64, bound: f64) -> bool {
     cost <= bound + 1e-9 * bound.abs().max(1.0)
 }
 
-/// RBM (`weighted` false) and ERBM: TRLB with primitive plans of minimum running buffer, first plan.
-fn running_buffer(
-    scene: &Scene,
-    weighted: bool,
-    objective: Objective,
-    control: &Control,
-    seed: u64,
-    effort: &mut Effort,
-) -> Option<CheckedPlan> {
-    let problem = scene.problem;
-    let (weights, costs) = object_weights(scene, weighted, objective);
-    let preference = if control.strict_paper { Preference::FirstFound } else { Preference::FewerBuffers };
-    let planner = |graph: &_, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
-        let weights: Vec<u32> = objects.iter().map(|&o| weights[o]).collect();
-        let costs: Vec<f64> = objects.iter().map(|&o| costs[o]).collect();
-        RunningBuffer { graph, weights: &weights, costs: &costs, preference }.plan(rng, effort)
-    };
-    let trlb = Trlb { scene, planner: &planner };
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let goals = completion::assigned_goals(scene);
-    while !effort.is_over() {
-        // Found anew each time: where an object without a goal ends may decide whether there is a plan.
-        let start = (0..problem.objects.len()).map(|i| scene.start(i).clone()).collect();
-        let moves = completion::complete(scene, &goals, &mut rng, effort)
-            .and_then(|goal| trlb.search(start, goal, &mut rng, effort));
-        let checked = moves.and_then(|moves| CheckedPlan::new(problem, &actions(problem, &moves)).ok());
-        if checked.is_some() {
-            return checked;
-        }
-        effort.step();
-    }
-    None
-}
-
-/// Buffer weight and move cost of every object of the problem.
-fn object_weights(scene: &Scene, weighted: bool, objective: Objective) -> (Vec<u32>, Vec<f64>) {
-    let count = scene.problem.objects.len();
-    let (mut weights, mut costs) = (vec![1; count], vec![1.0; count]);
-    if !weighted {
-        return (weights, costs);
-    }
-    let movable = &scene.movable;
-    let values = match objective {
-        Objective::Ti => weights::task_impedance(scene.problem, movable),
-        Objective::Pp | Objective::Time => weights::collision_probability(scene.problem, movable),
-    };
-    for (&object, rounded) in movable.iter().zip(weights::rounded(&values)) {
-        weights[object] = rounded;
-        if objective == Objective::Ti {
-            costs[object] = scene.problem.objects[object].impedance;
-        }
-    }
-    (weights, costs)
-}
-
-fn actions(problem: &Problem, moves: &[Move]) -> Vec<Action> {
-    moves
-        .iter()
-        .map(|m| {
-            let kind =
-                if is_goal_of(problem, m.object, &m.to.pose) { ActionKind::Goal } else { ActionKind::Buffer };
-            Action { object: m.object, from: m.from.pose, to: m.to.pose, kind }
-        })
-        .collect()
-}
-
-/// Is the pose the object's goal, or one of its group's?
-fn is_goal_of(problem: &Problem, object: usize, pose: &Pose2) -> bool {
-    let group = &problem.objects[object].group;
-    let shared = |o: &ProblemObject| group.is_some() && o.group == *group;
-    let may_take = problem.objects.iter().enumerate().filter(|(k, o)| *k == object || shared(o));
-    may_take.into_iter().any(|(_, o)| o.goal == Some(*pose))
-}
+#[cfg(test)]
+mod properties;
 
 #[cfg(test)]
 mod tests;

@@ -4,10 +4,12 @@
 //! Out: moves from the one to the other. A primitive plan whose buffers cannot be placed leaves a partial plan;
 //! the arrangements these reach grow two trees, rooted at start and goal, until a plan joins them. Moves of the
 //! goal-rooted tree are turned round: a move that is possible one way is possible the other way.
-//! Source: the paper, section TRLB. The first plan ends the search. Deviation: after [`TREE_LIMIT`] nodes
-//! the trees start afresh, so that a long search does not fill the memory.
+//! Source: the paper, section TRLB. The first plan ends the search. Deviations: after [`TREE_LIMIT`] nodes
+//! the trees start afresh, so that a long search does not fill the memory; from [`DETOURS_AFTER`] nodes on an
+//! object that finds no buffer has one cleared for it (`detour`), unless `detours` is off.
 
 use crate::planning::buffers::{Arrangement, allocate};
+use crate::planning::detour;
 use crate::planning::effort::Effort;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::primitive::Step;
@@ -18,6 +20,10 @@ use std::sync::Arc;
 
 /// Nodes of one tree after which both are dropped.
 const TREE_LIMIT: usize = 3000;
+
+/// Nodes of a tree from which on objects that are stuck get a place cleared: most problems need none, and
+/// detours cost moves.
+const DETOURS_AFTER: usize = 16;
 
 /// One pick-n-place between two spots.
 #[derive(Clone, Debug)]
@@ -41,6 +47,8 @@ pub struct Trlb<'a> {
     pub scene: &'a Scene<'a>,
     /// The primitive planner.
     pub planner: &'a Planner<'a>,
+    /// Places may be cleared for objects that find none; the paper has no such thing.
+    pub detours: bool,
 }
 
 /// Moves from one arrangement towards another, and where they end.
@@ -48,6 +56,8 @@ struct Attempt {
     moves: Vec<Move>,
     reached: Arrangement,
     complete: bool,
+    /// The object that found no buffer.
+    stuck: Option<usize>,
 }
 
 struct Node {
@@ -94,7 +104,8 @@ impl Trlb<'_> {
         let towards_root =
             self.attempt(&trees[near][chosen].arrangement, &trees[far][0].arrangement, rng, effort);
         let complete = towards_root.complete;
-        if towards_root.moves.is_empty() && !complete {
+        let stuck = towards_root.stuck.filter(|_| self.detours && trees[near].len() >= DETOURS_AFTER);
+        if towards_root.moves.is_empty() && !complete && stuck.is_none() {
             return None;
         }
         let Attempt { moves, reached, .. } = towards_root;
@@ -103,9 +114,42 @@ impl Trlb<'_> {
         if complete {
             return Some(join(trees, near, new, Vec::new(), 0));
         }
-        let nearest = nearest_node(&trees[far], &trees[near][new].arrangement);
-        let link = self.attempt(&trees[near][new].arrangement, &trees[far][nearest].arrangement, rng, effort);
+        self.link(trees, near, new, rng, effort)
+            .or_else(|| self.grow_detour(trees, near, new, stuck?, rng, effort))
+    }
+
+    /// Tries to get from the node `new` of the tree `near` to the nearest one of the other tree.
+    fn link(
+        &self,
+        trees: &[Vec<Node>; 2],
+        near: usize,
+        new: usize,
+        rng: &mut ChaCha8Rng,
+        effort: &mut Effort,
+    ) -> Option<Vec<Move>> {
+        let far = &trees[1 - near];
+        let nearest = nearest_node(far, &trees[near][new].arrangement);
+        let link = self.attempt(&trees[near][new].arrangement, &far[nearest].arrangement, rng, effort);
         link.complete.then(|| join(trees, near, new, link.moves, nearest))
+    }
+
+    /// Adds a node below `from` in which the object `stuck` has a place cleared for it, and links that.
+    fn grow_detour(
+        &self,
+        trees: &mut [Vec<Node>; 2],
+        near: usize,
+        from: usize,
+        stuck: usize,
+        rng: &mut ChaCha8Rng,
+        effort: &mut Effort,
+    ) -> Option<Vec<Move>> {
+        let goal = &trees[1 - near][0].arrangement;
+        let start = &trees[near][from].arrangement;
+        let steps = detour::clear_a_place(self.scene, start, goal, stuck, rng, effort)?;
+        let mut arrangement = start.clone();
+        let moves = carry_out(&mut arrangement, steps);
+        trees[near].push(Node { arrangement, parent: Some(from), moves });
+        self.link(trees, near, trees[near].len() - 1, rng, effort)
     }
 
     /// A primitive plan from `from` to `to`, carried out as far as buffers are found.
@@ -122,21 +166,24 @@ impl Trlb<'_> {
             !self.scene.clear(&to[objects[i]], &from[objects[j]])
         });
         let Some(steps) = (self.planner)(&graph, &objects, rng, effort) else {
-            return Attempt { moves: Vec::new(), reached: from.clone(), complete: false };
+            return Attempt { moves: Vec::new(), reached: from.clone(), complete: false, stuck: None };
         };
         let steps: Vec<Step> = steps.iter().map(|s| Step { object: objects[s.object], ..*s }).collect();
         let allocated = allocate(self.scene, from, to, &steps, rng, effort);
         let mut reached = from.clone();
-        let moves = allocated
-            .moves
-            .into_iter()
-            .map(|(object, to)| {
-                let from = std::mem::replace(&mut reached[object], to.clone());
-                Move { object, from, to }
-            })
-            .collect();
-        Attempt { moves, reached, complete: allocated.complete }
+        let moves = carry_out(&mut reached, allocated.moves);
+        Attempt { moves, reached, complete: allocated.complete, stuck: allocated.stuck }
     }
+}
+
+/// Makes the steps' moves, and changes the arrangement accordingly.
+fn carry_out(arrangement: &mut Arrangement, steps: Vec<(usize, Arc<Spot>)>) -> Vec<Move> {
+    let steps = steps.into_iter();
+    let step = |(object, to): (usize, Arc<Spot>)| {
+        let from = std::mem::replace(&mut arrangement[object], to.clone());
+        Move { object, from, to }
+    };
+    steps.map(step).collect()
 }
 
 /// The node whose arrangement differs from `arrangement` in the fewest objects; the oldest of these.

@@ -37,6 +37,57 @@ pub fn rounded(weights: &[f64]) -> Vec<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::footprint::Footprint;
+    use crate::geometry::pose::Pose2;
+    use crate::planning::random_tables::table;
+    use crate::tabletop::instance::{Instance, ObjectSpec};
+
+    fn weights(instance: &Instance) -> Vec<f64> {
+        let problem = Problem::new(instance).unwrap();
+        collision_probability(&problem, &(0..problem.objects.len()).collect::<Vec<_>>())
+    }
+
+    fn shapes(shapes: &[Footprint]) -> Instance {
+        let objects = shapes.iter().enumerate().map(|(k, shape)| {
+            let mut object = ObjectSpec::new(format!("o{k}"), shape.clone());
+            object.start = Some(Pose2::new(0.25 + 0.5 * k as f64, 0.3, 0.0));
+            object
+        });
+        table(objects.collect())
+    }
+
+    #[test]
+    fn collision_probability_is_algorithm_1() {
+        let found = weights(&shapes(&[
+            Footprint::rectangle(0.3, 0.1).unwrap(),
+            Footprint::disc((0.01 / PI).sqrt()).unwrap(),
+        ]));
+        // Areas 0.03 and 0.01: the average disc has 0.02, radius 0.0797885 m; (1 - 2 r)^2 = 0.7063101.
+        let free = (1.0 - 2.0 * (0.02 / PI).sqrt()).powi(2);
+        assert!((free - 0.706_310).abs() < 1e-6);
+        let first = (0.03 + 0.02 + (0.02 / PI).sqrt() * 0.8) / free;
+        let second = (0.01 + 0.02 + (0.02 / PI).sqrt() * 2.0 * PI * (0.01 / PI).sqrt()) / free;
+        assert!((found[0] - first).abs() < 1e-12 && (found[1] - second).abs() < 1e-12, "{found:?}");
+    }
+
+    #[test]
+    fn a_non_convex_footprint_counts_with_its_area_and_its_hulls_circumference() {
+        let l = [[0.0, 0.0], [0.2, 0.0], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0.0, 0.2]];
+        let found = weights(&shapes(&[Footprint::polygon(&l).unwrap()]));
+        let (area, hull) = (0.03, 0.2 + 0.1 + 0.1 * 2.0_f64.sqrt() + 0.1 + 0.2);
+        let radius = (area / PI).sqrt();
+        let wanted = (2.0 * area + radius * hull) / (1.0 - 2.0 * radius).powi(2);
+        assert!((found[0] - wanted).abs() < 1e-12, "{found:?} not {wanted}");
+    }
+
+    #[test]
+    fn where_the_average_disc_does_not_fit_the_constant_is_left_out() {
+        let mut narrow = shapes(&[Footprint::rectangle(0.4, 0.1).unwrap()]);
+        narrow.workspace.height = 0.2;
+        narrow.objects[0].start = Some(Pose2::new(0.5, 0.1, 0.0));
+        let radius = (0.04 / PI).sqrt();
+        assert!((weights(&narrow)[0] - (0.08 + radius)).abs() < 1e-12);
+    }
 
     #[test]
     fn rounding_divides_by_the_smallest() {

@@ -111,8 +111,25 @@ fn exit_codes_tell_how_it_ended() {
     assert_eq!(files.plan(&unknown_key, &[], false), 2);
     assert_eq!(files.plan("/nowhere/at/all.yaml", &[], false), 2);
     let good = files.write("swap.yaml", SWAP);
-    assert_eq!(files.plan(&good, &["--solver", "mcts"], false), 2);
+    assert_eq!(files.plan(&good, &["--solver", "auto"], false), 2);
     assert_eq!(files.plan(&good, &["--objective", "time"], false), 2);
     assert_eq!(files.plan(&good, &[], true), 130);
     assert_eq!(files.plan(&good, &["--work", "1"], false), 1);
+}
+
+#[test]
+fn every_solver_of_the_paper_plans_and_help_tells_them_apart() {
+    let files = Files::new();
+    let instance = files.write("swap.yaml", SWAP);
+    let mut command = PlanArgs::augment_args(Command::new("celld").no_binary_name(true));
+    let help = command.render_long_help().to_string();
+    for solver in ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts"] {
+        for more in [&[][..], &["--first"], &["--strict-paper", "--objective", "ti"]] {
+            let words = [&["--solver", solver, "--work", "20000"], more].concat();
+            assert_eq!(files.plan(&instance, &words, false), 0, "{words:?}");
+            assert_eq!(read(&files.path("plan.json")).solver, solver);
+            assert_eq!(files.verify(&instance), 0, "{words:?}");
+        }
+        assert!(help.contains(&format!("\n            {solver} ")), "{solver} is explained in\n{help}");
+    }
 }

@@ -5,23 +5,23 @@
 //! (a vertex that thereby gets an arc to itself has to be taken).
 
 use crate::planning::graph::DependencyGraph;
-use crate::planning::object_set::ObjectSet;
+use crate::planning::object_set::Bits;
 
 /// A graph under reduction; vertices that are decided are no longer alive.
 #[derive(Clone, Debug)]
-pub struct Kernel {
-    out: Vec<ObjectSet>,
-    into: Vec<ObjectSet>,
-    alive: ObjectSet,
+pub struct Kernel<const WORDS: usize> {
+    out: Vec<Bits<WORDS>>,
+    into: Vec<Bits<WORDS>>,
+    alive: Bits<WORDS>,
 }
 
-impl Kernel {
-    /// The whole graph, nothing decided.
-    pub fn new(graph: &DependencyGraph) -> Kernel {
+impl<const WORDS: usize> Kernel<WORDS> {
+    /// The whole graph, nothing decided. It has at most as many vertices as the sets hold.
+    pub fn new(graph: &DependencyGraph) -> Kernel<WORDS> {
         let mut kernel = Kernel {
-            out: (0..graph.len()).map(|v| graph.blockers(v)).collect(),
-            into: vec![ObjectSet::EMPTY; graph.len()],
-            alive: ObjectSet::first(graph.len()),
+            out: (0..graph.len()).map(|v| graph.blockers(v).resized()).collect(),
+            into: vec![Bits::EMPTY; graph.len()],
+            alive: Bits::first(graph.len()),
         };
         for (i, j) in graph.arcs() {
             kernel.into[j].insert(i);
@@ -30,22 +30,22 @@ impl Kernel {
     }
 
     /// Vertices not decided yet.
-    pub fn alive(&self) -> ObjectSet {
+    pub fn alive(&self) -> Bits<WORDS> {
         self.alive
     }
 
     /// Vertices that `v` has an arc to.
-    pub fn out(&self, v: usize) -> ObjectSet {
+    pub fn out(&self, v: usize) -> Bits<WORDS> {
         self.out[v]
     }
 
     /// Vertices that have an arc to `v`.
-    pub fn into(&self, v: usize) -> ObjectSet {
+    pub fn into(&self, v: usize) -> Bits<WORDS> {
         self.into[v]
     }
 
     /// Vertices joined to `v` by arcs both ways: one of the two has to be taken.
-    pub fn partners(&self, v: usize) -> ObjectSet {
+    pub fn partners(&self, v: usize) -> Bits<WORDS> {
         self.out[v] & self.into[v]
     }
 
@@ -57,8 +57,8 @@ impl Kernel {
         for u in self.out[v] {
             self.into[u].remove(v);
         }
-        self.out[v] = ObjectSet::EMPTY;
-        self.into[v] = ObjectSet::EMPTY;
+        self.out[v] = Bits::EMPTY;
+        self.into[v] = Bits::EMPTY;
         self.alive.remove(v);
     }
 
@@ -75,10 +75,10 @@ impl Kernel {
     }
 
     /// The part of the graph on `vertices`.
-    pub fn restricted(&self, vertices: ObjectSet) -> Kernel {
-        let cut = |sets: &[ObjectSet]| {
-            let cut = |(v, set): (usize, &ObjectSet)| {
-                if vertices.contains(v) { *set & vertices } else { ObjectSet::EMPTY }
+    pub fn restricted(&self, vertices: Bits<WORDS>) -> Kernel<WORDS> {
+        let cut = |sets: &[Bits<WORDS>]| {
+            let cut = |(v, set): (usize, &Bits<WORDS>)| {
+                if vertices.contains(v) { *set & vertices } else { Bits::EMPTY }
             };
             sets.iter().enumerate().map(cut).collect()
         };
@@ -86,7 +86,7 @@ impl Kernel {
     }
 
     /// Strongly connected components of what is alive.
-    pub fn components(&self) -> Vec<ObjectSet> {
+    pub fn components(&self) -> Vec<Bits<WORDS>> {
         components_of(self.alive, &self.out, &self.into)
     }
 
@@ -101,8 +101,8 @@ impl Kernel {
     }
 
     /// Reduces as far as the rules go; returns the vertices that were taken.
-    pub fn reduce(&mut self, weights: &[f64]) -> ObjectSet {
-        let mut taken = ObjectSet::EMPTY;
+    pub fn reduce(&mut self, weights: &[f64]) -> Bits<WORDS> {
+        let mut taken = Bits::EMPTY;
         loop {
             while self.reduce_vertices(weights, &mut taken) {}
             if !(self.drop_idle_arcs() || self.drop_dominated_arcs()) {
@@ -112,7 +112,7 @@ impl Kernel {
     }
 
     /// One pass of the vertex rules; true if anything changed.
-    fn reduce_vertices(&mut self, weights: &[f64], taken: &mut ObjectSet) -> bool {
+    fn reduce_vertices(&mut self, weights: &[f64], taken: &mut Bits<WORDS>) -> bool {
         let mut changed = false;
         for v in self.alive {
             if self.out[v].contains(v) {
@@ -133,7 +133,7 @@ impl Kernel {
     /// Some cheapest set does without `v`: all its cycles pass a vertex that is no heavier, or its neighbours
     /// are partners of each other, so that all but one are taken anyway, and v is the dearest of them.
     fn may_be_kept(&self, v: usize, weights: &[f64]) -> bool {
-        let lone = |set: ObjectSet| if set.len() == 1 { set.smallest() } else { None };
+        let lone = |set: Bits<WORDS>| if set.len() == 1 { set.smallest() } else { None };
         if [self.into[v], self.out[v]].into_iter().filter_map(lone).any(|u| weights[u] <= weights[v]) {
             return true;
         }
@@ -147,8 +147,9 @@ impl Kernel {
     /// Drops one-way arcs that lie on no cycle of one-way arcs: every longer cycle over a two-way arc contains
     /// two partners, whose own cycle of two has to be broken anyway.
     fn drop_idle_arcs(&mut self) -> bool {
-        let one_way_out: Vec<ObjectSet> = (0..self.out.len()).map(|v| self.out[v] - self.into[v]).collect();
-        let one_way_into: Vec<ObjectSet> = (0..self.out.len()).map(|v| self.into[v] - self.out[v]).collect();
+        let one_way_out: Vec<Bits<WORDS>> = (0..self.out.len()).map(|v| self.out[v] - self.into[v]).collect();
+        let one_way_into: Vec<Bits<WORDS>> =
+            (0..self.out.len()).map(|v| self.into[v] - self.out[v]).collect();
         let mut changed = false;
         for component in components_of(self.alive, &one_way_out, &one_way_into) {
             for v in component {
@@ -163,17 +164,18 @@ impl Kernel {
 
     /// Drops a one-way arc u -> w when every one-way cycle over it has a shortcut past u or past w.
     fn drop_dominated_arcs(&mut self) -> bool {
+        let mut changed = false;
         for u in self.alive {
             for w in self.out[u] - self.into[u] {
                 let before = self.into[u] - self.out[u];
                 let after = self.out[w] - self.into[w];
                 if before.is_subset(&self.into[w]) || after.is_subset(&self.out[u]) {
                     self.remove_arc(u, w);
-                    return true;
+                    changed = true;
                 }
             }
         }
-        false
+        changed
     }
 
     fn remove_arc(&mut self, from: usize, to: usize) {
@@ -182,7 +184,11 @@ impl Kernel {
     }
 }
 
-fn components_of(alive: ObjectSet, out: &[ObjectSet], into: &[ObjectSet]) -> Vec<ObjectSet> {
+fn components_of<const WORDS: usize>(
+    alive: Bits<WORDS>,
+    out: &[Bits<WORDS>],
+    into: &[Bits<WORDS>],
+) -> Vec<Bits<WORDS>> {
     let mut rest = alive;
     let mut components = Vec::new();
     while let Some(v) = rest.smallest() {
@@ -193,8 +199,8 @@ fn components_of(alive: ObjectSet, out: &[ObjectSet], into: &[ObjectSet]) -> Vec
     components
 }
 
-fn reach(from: usize, arcs: &[ObjectSet], within: ObjectSet) -> ObjectSet {
-    let mut seen = ObjectSet::EMPTY.with(from);
+fn reach<const WORDS: usize>(from: usize, arcs: &[Bits<WORDS>], within: Bits<WORDS>) -> Bits<WORDS> {
+    let mut seen = Bits::EMPTY.with(from);
     let mut fringe = seen;
     while let Some(v) = fringe.smallest() {
         fringe.remove(v);

@@ -3,8 +3,9 @@
 //! In: a dependency graph and a positive weight for each vertex. Out: a vertex set whose removal leaves no
 //! cycle, proved cheapest, or, when the node limit ends the search, the best one found with a valid lower bound.
 //! Branch and bound on bitsets: `kernel` shrinks a graph without changing its optimum, `packing` bounds from
-//! below by cliques and cycles, this file branches and splits into components. Source: the reductions are those
-//! of Levy and Low (1988) and Lin and Jou (2000), with the side conditions that weights need.
+//! below by cliques and cycles, this file branches, splits into components, and keeps what the bound shows to be
+//! too dear (reduced cost fixing). Source: the reductions are those of Levy and Low (1988) and Lin and Jou
+//! (2000), with the side conditions that weights need.
 
 pub mod kernel;
 
@@ -12,7 +13,7 @@ pub mod packing;
 
 use crate::planning::feedback::kernel::Kernel;
 use crate::planning::graph::DependencyGraph;
-use crate::planning::object_set::ObjectSet;
+use crate::planning::object_set::{Bits, ObjectSet};
 
 /// Nodes after which the search gives up its claim of optimality; the public graphs need far fewer.
 const NODE_LIMIT: u64 = 2_000_000;
@@ -29,6 +30,8 @@ pub struct FeedbackSet {
     pub weight: f64,
     /// No feedback vertex set weighs less; equal to `weight` when the search was completed.
     pub lower_bound: f64,
+    /// Nodes the search spent.
+    pub nodes: u64,
 }
 
 /// The minimum weight feedback vertex set of `graph`; `weights` are positive and finite, one a vertex.
@@ -38,7 +41,16 @@ pub fn minimum(graph: &DependencyGraph, weights: &[f64]) -> FeedbackSet {
 
 /// As [`minimum`], giving up the proof after `node_limit` nodes of the search.
 pub fn minimum_within(graph: &DependencyGraph, weights: &[f64], node_limit: u64) -> FeedbackSet {
-    let root = Kernel::new(graph);
+    // One word a set where that is enough: it is what the search spends its time on.
+    if graph.len() <= Bits::<1>::CAPACITY {
+        search::<1>(graph, weights, node_limit)
+    } else {
+        search::<4>(graph, weights, node_limit)
+    }
+}
+
+fn search<const WORDS: usize>(graph: &DependencyGraph, weights: &[f64], node_limit: u64) -> FeedbackSet {
+    let root = Kernel::<WORDS>::new(graph);
     let tolerance = RELATIVE_TOLERANCE * weights.iter().sum::<f64>();
     let mut search = Search { weights, nodes_left: node_limit, tolerance };
     let mut reduced = root.clone();
@@ -47,10 +59,11 @@ pub fn minimum_within(graph: &DependencyGraph, weights: &[f64], node_limit: u64)
     let greedy = search.greedy(root.clone());
     let ceiling = greedy.weight(weights);
     let found = search.solve(root, ceiling);
-    let vertices = found.unwrap_or(greedy);
+    let vertices: ObjectSet = found.unwrap_or(greedy).resized();
     let weight = vertices.weight(weights);
     let proved = search.nodes_left > 0;
-    FeedbackSet { vertices, weight, lower_bound: if proved { weight } else { floor.min(weight) } }
+    let lower_bound = if proved { weight } else { floor.min(weight) };
+    FeedbackSet { vertices, weight, lower_bound, nodes: node_limit - search.nodes_left }
 }
 
 struct Search<'a> {
@@ -61,7 +74,7 @@ struct Search<'a> {
 
 impl Search<'_> {
     /// A feedback vertex set by taking, again and again, the vertex on most paths for its weight.
-    fn greedy(&self, mut kernel: Kernel) -> ObjectSet {
+    fn greedy<const WORDS: usize>(&self, mut kernel: Kernel<WORDS>) -> Bits<WORDS> {
         let mut taken = kernel.reduce(self.weights);
         while let Some(v) = kernel.busiest(self.weights) {
             kernel.take(v);
@@ -71,7 +84,7 @@ impl Search<'_> {
     }
 
     /// The cheapest feedback vertex set that weighs less than `ceiling`, if there is one.
-    fn solve(&mut self, mut kernel: Kernel, ceiling: f64) -> Option<ObjectSet> {
+    fn solve<const WORDS: usize>(&mut self, mut kernel: Kernel<WORDS>, ceiling: f64) -> Option<Bits<WORDS>> {
         if self.nodes_left == 0 {
             return None;
         }
@@ -85,14 +98,24 @@ impl Search<'_> {
         Some(forced | rest)
     }
 
-    fn solve_reduced(&mut self, kernel: Kernel, ceiling: f64) -> Option<ObjectSet> {
+    fn solve_reduced<const WORDS: usize>(
+        &mut self,
+        kernel: Kernel<WORDS>,
+        ceiling: f64,
+    ) -> Option<Bits<WORDS>> {
         let components = kernel.components();
         if components.len() > 1 {
             return self.solve_components(&kernel, &components, ceiling);
         }
-        let Some(v) = kernel.busiest(self.weights) else { return Some(ObjectSet::EMPTY) };
-        if packing::lower_bound(&kernel, self.weights) >= ceiling - self.tolerance {
+        let Some(v) = kernel.busiest(self.weights) else { return Some(Bits::EMPTY) };
+        let dual = packing::dual(&kernel, self.weights);
+        let slack = ceiling - self.tolerance - dual.bound;
+        if slack <= 0.0 {
             return None;
+        }
+        let too_dear: Vec<usize> = kernel.alive().iter().filter(|&u| dual.left[u] >= slack).collect();
+        if !too_dear.is_empty() {
+            return self.solve_without(kernel, &too_dear, ceiling);
         }
         let mut best = None;
         let mut ceiling = ceiling;
@@ -108,16 +131,38 @@ impl Search<'_> {
         self.solve(kept, ceiling).or(best)
     }
 
+    /// No set with one of `too_dear` weighs less than the ceiling, so all of these are kept.
+    fn solve_without<const WORDS: usize>(
+        &mut self,
+        mut kernel: Kernel<WORDS>,
+        too_dear: &[usize],
+        ceiling: f64,
+    ) -> Option<Bits<WORDS>> {
+        for &v in too_dear {
+            if kernel.out(v).contains(v) {
+                // A cycle of kept vertices closes here.
+                return None;
+            }
+            kernel.keep(v);
+        }
+        self.solve(kernel, ceiling)
+    }
+
     /// Components are independent: each gets what the bounds of the others leave of the ceiling.
-    fn solve_components(&mut self, kernel: &Kernel, parts: &[ObjectSet], ceiling: f64) -> Option<ObjectSet> {
-        let mut parts: Vec<(Kernel, f64)> = parts
+    fn solve_components<const WORDS: usize>(
+        &mut self,
+        kernel: &Kernel<WORDS>,
+        parts: &[Bits<WORDS>],
+        ceiling: f64,
+    ) -> Option<Bits<WORDS>> {
+        let mut parts: Vec<(Kernel<WORDS>, f64)> = parts
             .iter()
             .map(|part| kernel.restricted(*part))
             .map(|part| (part.clone(), packing::lower_bound(&part, self.weights)))
             .collect();
         parts.sort_by_key(|(part, _)| part.alive().len());
         let mut expected: f64 = parts.iter().map(|(_, bound)| bound).sum();
-        let mut all = ObjectSet::EMPTY;
+        let mut all = Bits::EMPTY;
         for (part, bound) in parts {
             expected -= bound;
             let left = ceiling - all.weight(self.weights) - expected;

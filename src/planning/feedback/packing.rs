@@ -6,31 +6,45 @@
 //! is a feasible solution of the linear programme's dual.
 
 use crate::planning::feedback::kernel::Kernel;
-use crate::planning::object_set::ObjectSet;
+use crate::planning::object_set::Bits;
 
 /// Passes over the vertices by growing cycle length; the last takes cycles of any length.
 const CYCLE_LENGTHS: [usize; 3] = [3, 4, usize::MAX];
 
 /// The bound; 0 for an acyclic graph.
-pub fn lower_bound(kernel: &Kernel, weights: &[f64]) -> f64 {
+pub fn lower_bound<const WORDS: usize>(kernel: &Kernel<WORDS>, weights: &[f64]) -> f64 {
+    dual(kernel, weights).bound
+}
+
+/// A solution of the linear programme's dual.
+pub struct Dual {
+    /// Its value: no feedback vertex set weighs less.
+    pub bound: f64,
+    /// What is left of each vertex's weight: no feedback vertex set with vertex v weighs less than the bound and
+    /// `left[v]`.
+    pub left: Vec<f64>,
+}
+
+/// The bound and how far each vertex is from being part of it.
+pub fn dual<const WORDS: usize>(kernel: &Kernel<WORDS>, weights: &[f64]) -> Dual {
     let mut packing = Packing { kernel, left: weights.to_vec(), active: kernel.alive(), bound: 0.0 };
     packing.pack_cliques();
     for longest in CYCLE_LENGTHS {
         packing.pack_cycles(longest);
     }
-    packing.bound
+    Dual { bound: packing.bound, left: packing.left }
 }
 
-struct Packing<'a> {
-    kernel: &'a Kernel,
+struct Packing<'a, const WORDS: usize> {
+    kernel: &'a Kernel<WORDS>,
     left: Vec<f64>,
-    active: ObjectSet,
+    active: Bits<WORDS>,
     bound: f64,
 }
 
-impl Packing<'_> {
+impl<const WORDS: usize> Packing<'_, WORDS> {
     /// Charges the smallest weight left among `members` to each of them; it counts `times` in the bound.
-    fn charge(&mut self, members: ObjectSet, times: usize) {
+    fn charge(&mut self, members: Bits<WORDS>, times: usize) {
         let least = members.iter().map(|v| self.left[v]).fold(f64::INFINITY, f64::min);
         self.bound += times as f64 * least;
         for v in members {
@@ -46,7 +60,7 @@ impl Packing<'_> {
             let partners = |v: usize| self.kernel.partners(v) & self.active;
             let seed = self.active.iter().max_by_key(|&v| partners(v).len());
             let Some(seed) = seed.filter(|&v| !partners(v).is_empty()) else { return };
-            let mut clique = ObjectSet::EMPTY.with(seed);
+            let mut clique = Bits::EMPTY.with(seed);
             let mut candidates = partners(seed);
             while let Some(v) = candidates.iter().max_by_key(|&v| (partners(v) & candidates).len()) {
                 clique.insert(v);
@@ -66,13 +80,13 @@ impl Packing<'_> {
     }
 
     /// A shortest cycle through `v` among active vertices, of at most `longest` vertices.
-    fn shortest_cycle(&self, v: usize, longest: usize) -> Option<ObjectSet> {
+    fn shortest_cycle(&self, v: usize, longest: usize) -> Option<Bits<WORDS>> {
         let back = self.kernel.into(v) & self.active;
-        let mut layers = vec![ObjectSet::EMPTY.with(v)];
+        let mut layers = vec![Bits::EMPTY.with(v)];
         let mut seen = layers[0];
         while layers.len() < longest {
             let last = layers[layers.len() - 1];
-            let next = last.iter().fold(ObjectSet::EMPTY, |set, u| set | self.kernel.out(u));
+            let next = last.iter().fold(Bits::EMPTY, |set, u| set | self.kernel.out(u));
             let next = (next & self.active) - seen;
             if next.is_empty() {
                 return None;
@@ -86,8 +100,8 @@ impl Packing<'_> {
         None
     }
 
-    fn trace_back(&self, layers: &[ObjectSet], end: usize) -> ObjectSet {
-        let mut cycle = ObjectSet::EMPTY.with(end);
+    fn trace_back(&self, layers: &[Bits<WORDS>], end: usize) -> Bits<WORDS> {
+        let mut cycle = Bits::EMPTY.with(end);
         let mut at = end;
         for layer in layers[..layers.len() - 1].iter().rev() {
             if let Some(u) = (self.kernel.into(at) & *layer).smallest() {

@@ -126,3 +126,20 @@ fn a_cut_search_keeps_a_valid_bound() {
         assert!(cut.lower_bound <= exact.weight + 1e-9 && exact.weight <= cut.weight + 1e-9);
     }
 }
+
+#[test]
+fn more_than_64_vertices_make_no_difference() {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    for _ in 0..40 {
+        let narrow = random_graph(&mut rng, 14, 0.25);
+        let weights = random_weights(&mut rng, 14, 1);
+        let has = |i: usize, j: usize| narrow.blockers(i).contains(j);
+        // The same graph on the vertices 60 to 73, across the border of a machine word.
+        let wide = DependencyGraph::from_fn(80, |i, j| {
+            (60..74).contains(&i) && (60..74).contains(&j) && has(i - 60, j - 60)
+        });
+        let shifted: Vec<f64> =
+            (0..80usize).map(|v| if v < 60 { 1.0 } else { weights[(v - 60) % 14] }).collect();
+        assert_eq!(minimum(&wide, &shifted).weight, minimum(&narrow, &weights).weight);
+    }
+}

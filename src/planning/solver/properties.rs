@@ -1,0 +1,226 @@
+//! What holds for every solver of the paper, on small random tables.
+
+use super::*;
+use crate::geometry::footprint::Footprint;
+use crate::geometry::pose::Pose2;
+use crate::planning::plan::ActionKind;
+use crate::planning::random_tables::{random_instance, table};
+use crate::tabletop::instance::{Instance, ObjectSpec};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeSet;
+use std::sync::Mutex;
+
+const PLAIN: [SolverKind; 3] = [SolverKind::Tbm, SolverKind::Rbm, SolverKind::Mcts];
+const EXTENDED: [SolverKind; 3] = [SolverKind::Etbm, SolverKind::Erbm, SolverKind::Emcts];
+
+fn all() -> impl Iterator<Item = SolverKind> {
+    PLAIN.into_iter().chain(EXTENDED)
+}
+
+fn run(problem: &Problem, solver: SolverKind, objective: Objective, seed: u64) -> Outcome {
+    let control = Control { work_limit: Some(4000), ..Control::until(&|| false) };
+    solve(problem, solver, objective, &control, seed).expect("a built solver")
+}
+
+fn actions(outcome: &Outcome) -> Vec<Action> {
+    outcome.plan.as_ref().map(|plan| plan.actions().to_vec()).unwrap_or_default()
+}
+
+fn random_problems(seed: u64, count: usize) -> Vec<Problem> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    (0..count).map(|_| Problem::new(&random_instance(&mut rng, 5)).expect("starts stand")).collect()
+}
+
+#[test]
+fn every_plan_passes_the_check_and_costs_no_less_than_the_bound() {
+    let problems = random_problems(21, 10);
+    for solver in all() {
+        let mut solved = 0;
+        for (case, problem) in problems.iter().enumerate() {
+            for objective in [Objective::Pp, Objective::Ti] {
+                let outcome = run(problem, solver, objective, case as u64);
+                let Some(cost) = outcome.cost else { continue };
+                solved += 1;
+                let plan = actions(&outcome);
+                let name = solver.word();
+                assert!(CheckedPlan::new(problem, &plan).is_ok(), "{name} case {case}: {plan:?}");
+                let impedance = |action: &Action| problem.objects[action.object].impedance;
+                let sum = if objective == Objective::Ti {
+                    plan.iter().map(impedance).sum()
+                } else {
+                    plan.len() as f64
+                };
+                assert!(
+                    (cost - sum).abs() < 1e-9 && cost >= outcome.lower_bound - 1e-9,
+                    "{name} case {case}"
+                );
+            }
+        }
+        assert!(solved >= 18, "{} solved {solved} of 20", solver.word());
+    }
+}
+
+#[test]
+fn same_seed_and_work_limit_same_plan_for_every_solver() {
+    for problem in &random_problems(22, 3) {
+        for solver in all() {
+            let plans = [3, 3, 4].map(|seed| actions(&run(problem, solver, Objective::Pp, seed)));
+            assert_eq!(plans[0], plans[1], "{}", solver.word());
+        }
+    }
+}
+
+#[test]
+fn the_plain_solvers_search_alike_under_both_objectives() {
+    let control = Control { work_limit: Some(4000), first: true, ..Control::until(&|| false) };
+    for problem in &random_problems(23, 5) {
+        for solver in PLAIN {
+            let plan = |objective| actions(&solve(problem, solver, objective, &control, 7).expect("built"));
+            assert_eq!(plan(Objective::Pp), plan(Objective::Ti), "{}", solver.word());
+        }
+    }
+}
+
+fn square(name: &str, size: f64, impedance: f64, start: (f64, f64), goal: (f64, f64)) -> ObjectSpec {
+    let mut object = ObjectSpec::new(name, Footprint::rectangle(size, size).expect("valid"));
+    object.impedance = Some(impedance);
+    object.start = Some(Pose2::new(start.0, start.1, 0.0));
+    object.goal = Some(Pose2::new(goal.0, goal.1, 0.0));
+    object
+}
+
+/// Over some seeds, the sets of objects that went through a buffer.
+fn buffered(
+    instance: &Instance,
+    solver: SolverKind,
+    objective: Objective,
+    strict: bool,
+) -> BTreeSet<Vec<usize>> {
+    let problem = Problem::new(instance).expect("valid");
+    let plan = |seed| {
+        let control = Control {
+            work_limit: Some(50_000),
+            first: true,
+            strict_paper: strict,
+            ..Control::until(&|| false)
+        };
+        actions(&solve(&problem, solver, objective, &control, seed).expect("built"))
+    };
+    let in_buffer = |seed| {
+        let mut objects: Vec<usize> =
+            plan(seed).iter().filter(|a| a.kind == ActionKind::Buffer).map(|a| a.object).collect();
+        objects.sort_unstable();
+        objects
+    };
+    (0..12).map(in_buffer).collect()
+}
+
+/// A large light square and a small heavy one that change places.
+fn swap() -> Instance {
+    table(vec![
+        square("large", 0.3, 1.0, (0.3, 0.3), (0.7, 0.3)),
+        square("small", 0.1, 5.0, (0.7, 0.3), (0.3, 0.3)),
+    ])
+}
+
+#[test]
+fn weights_decide_who_makes_way_in_the_extended_solvers_only() {
+    let sets = |solver, objective| buffered(&swap(), solver, objective, false);
+    let either = BTreeSet::from([vec![0], vec![1]]);
+    for solver in [SolverKind::Tbm, SolverKind::Rbm] {
+        assert_eq!(sets(solver, Objective::Ti), either, "{}", solver.word());
+    }
+    for solver in [SolverKind::Etbm, SolverKind::Erbm] {
+        assert_eq!(sets(solver, Objective::Pp), BTreeSet::from([vec![1]]), "{}: HeCP", solver.word());
+        assert_eq!(sets(solver, Objective::Ti), BTreeSet::from([vec![0]]), "{}: HeTI", solver.word());
+    }
+}
+
+#[test]
+fn strict_paper_takes_the_first_plan_of_minimum_peak() {
+    // Under HeCP the large square counts 2 and the others 1: parking it, or both others, has the same peak.
+    let shared = table(vec![
+        square("large", 0.2, 1.0, (0.2, 0.15), (0.6, 0.15)),
+        square("left", 0.1, 1.0, (0.55, 0.15), (0.15, 0.15)),
+        square("right", 0.1, 1.0, (0.65, 0.15), (0.25, 0.15)),
+    ]);
+    let sets = |strict| buffered(&shared, SolverKind::Erbm, Objective::Pp, strict);
+    assert_eq!(sets(false), BTreeSet::from([vec![0]]));
+    assert_eq!(sets(true), BTreeSet::from([vec![0], vec![1, 2]]));
+}
+
+#[test]
+fn tree_searches_go_on_until_the_limit_unless_asked_for_the_first_plan() {
+    let mut improved = 0;
+    for (case, problem) in random_problems(24, 8).iter().enumerate() {
+        for solver in [SolverKind::Mcts, SolverKind::Emcts] {
+            for objective in [Objective::Pp, Objective::Ti] {
+                let costs = |first| {
+                    let heard = Mutex::new(Vec::new());
+                    let on_plan = |_: &[Action], cost: f64| heard.lock().expect("one thread").push(cost);
+                    let control = Control {
+                        work_limit: Some(4000),
+                        on_plan: &on_plan,
+                        first,
+                        ..Control::until(&|| false)
+                    };
+                    let outcome = solve(problem, solver, objective, &control, 1).expect("built");
+                    let heard = heard.into_inner().expect("one thread");
+                    assert_eq!(heard.last().copied(), outcome.cost, "the best one is returned");
+                    assert!(first || outcome.status != Status::Solved || outcome.work > 4000);
+                    heard
+                };
+                let (one, many) = (costs(true), costs(false));
+                assert!(one.len() <= 1 && one.first() == many.first(), "case {case}");
+                assert!(many.windows(2).all(|pair| pair[1] < pair[0]), "case {case}: {many:?}");
+                improved += usize::from(many.len() > 1);
+            }
+        }
+    }
+    assert!(improved >= 4, "only {improved} searches found a second plan");
+}
+
+#[test]
+fn a_place_is_cleared_for_an_object_that_finds_none() {
+    // Two large squares change places; the only room for one of them has a small square, already home, in it.
+    let mut crowded = table(vec![
+        square("left", 0.3, 1.0, (0.15, 0.35), (0.5, 0.35)),
+        square("right", 0.3, 1.0, (0.5, 0.35), (0.15, 0.35)),
+        square("small", 0.12, 1.0, (0.875, 0.25), (0.875, 0.25)),
+    ]);
+    (crowded.workspace.width, crowded.workspace.height) = (1.1, 0.5);
+    let problem = Problem::new(&crowded).expect("valid");
+    for solver in [SolverKind::Tbm, SolverKind::Rbm, SolverKind::Etbm, SolverKind::Erbm] {
+        let status = |strict_paper, work| {
+            let control = Control { work_limit: Some(work), strict_paper, ..Control::until(&|| false) };
+            solve(&problem, solver, Objective::Pp, &control, 1).expect("built").status
+        };
+        assert_eq!(status(false, 300_000), Status::Solved, "{}", solver.word());
+        assert_eq!(status(true, 30_000), Status::Timeout, "{}: as in the paper", solver.word());
+    }
+}
+
+#[test]
+fn emcts_looks_for_cheaper_plans_under_ti_where_mcts_counts_moves() {
+    let problem = Problem::new(&swap()).expect("valid");
+    let costs = |solver| -> BTreeSet<u32> {
+        (0..12)
+            .filter_map(|seed| run(&problem, solver, Objective::Ti, seed).cost)
+            .map(|cost| cost as u32)
+            .collect()
+    };
+    assert_eq!(costs(SolverKind::Emcts), BTreeSet::from([7]), "1 + 5, and the light one twice");
+    assert_eq!(costs(SolverKind::Mcts), BTreeSet::from([7, 11]), "three moves either way");
+}
+
+#[test]
+fn emcts_explores_otherwise_than_mcts_under_pp() {
+    let control = Control { work_limit: Some(4000), first: true, ..Control::until(&|| false) };
+    let differs = |problem: &Problem| {
+        let work = |solver| solve(problem, solver, Objective::Pp, &control, 5).expect("built").work;
+        work(SolverKind::Mcts) != work(SolverKind::Emcts)
+    };
+    let differing = random_problems(25, 12).iter().filter(|problem| differs(problem)).count();
+    assert!(differing >= 3, "{differing} of 12");
+}
