@@ -4,7 +4,7 @@
 //! `overlap`): the independent checker, the only way to a plan the robot may carry out. `graph`, `feedback`,
 //! `bound`: dependency graph, minimum feedback vertex sets, lower bound. `weights`, `primitive`: HeCP and HeTI,
 //! primitive plans of minimum running buffer. `scene`, `buffers`, `trlb`: lazy buffer allocation and the
-//! bidirectional search. `completion`, `solver`: one shape for all solvers.
+//! bidirectional search. `completion`, `solver`: one shape for all solvers. `generate`: random instances.
 
 pub mod bound;
 pub mod buffers;
@@ -12,6 +12,7 @@ pub mod check;
 pub mod completion;
 pub mod effort;
 pub mod feedback;
+pub mod generate;
 pub mod graph;
 pub mod object_set;
 mod overlap;
