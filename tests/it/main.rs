@@ -1,5 +1,6 @@
 //! Tests across module borders, in one binary: closed loops over real sockets, files, the command line.
 
+mod bench_command;
 mod cell;
 mod on_robot_program;
 mod plan_command;
