@@ -11,11 +11,19 @@ PACKAGES := clang pkg-config libopencv-core-dev libopencv-imgproc-dev libopencv-
 
 ARGS ?=
 
-.PHONY: help setup demo test
+# `make figures`: a smoke run of a minute or two. The paper's own sizes: docs/evaluation.md.
+FIGURES ?= all
+SOLVERS ?= rbm,erbm
+COUNT ?= 3
+LIMIT ?= 2
+
+.PHONY: help setup demo test bench figures
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
 	@echo "make test                           formatting, lints, all tests"
+	@echo "make figures                        small versions of the paper's six figures in ./out/figures"
+	@echo "make bench                          nanoseconds of the collision kernel by pair of shapes"
 	@echo "make setup                          install what the build needs (Debian 12), nothing else"
 
 setup:
@@ -54,3 +62,12 @@ test: setup
 	else \
 	  echo "cargo test"; cargo test -- --skip cell_; cargo test --test it cell_ -- --test-threads=1; \
 	fi
+
+bench: setup
+	cargo bench
+
+# Stopped half way, it goes on where it was; delete the table for a fresh start.
+figures: setup
+	cargo run --release --quiet -- bench planning --figure $(FIGURES) --solver $(SOLVERS) --first \
+	  --count $(COUNT) --time-limit $(LIMIT) --out out/figures/limit-$(LIMIT)s.csv
+	cargo run --release --quiet -- bench figures out/figures/limit-$(LIMIT)s.csv --out out/figures

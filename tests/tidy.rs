@@ -155,7 +155,7 @@ fn ci_calls_the_makefile_and_the_makefile_sets_up_first() {
         ci.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
     assert!(commands.contains(&"set -euo pipefail") && commands.contains(&"make test"), "{commands:?}");
     let makefile = tree::read("Makefile");
-    for target in ["demo", "test"] {
+    for target in ["demo", "test", "bench", "figures"] {
         assert!(makefile.contains(&format!("\n{target}: setup")), "{target} must call setup first");
     }
 }

@@ -1,24 +1,41 @@
-//! `celld bench planning`: a solver over the public instances, as CSV rows on standard output.
+//! `celld bench planning`: solvers on generated or public instances.
 //!
-//! In: the folder with the public data, which cells and how many cases of each, solver and limits. Out: CSV on
-//! standard output (with `--format table` the summary alone), the summary and progress on standard error.
-//! Exit code 0 when all cases ran, 2 for usage and unreadable files, 130 after Ctrl-C.
+//! In: which cells, cases and solvers, limits, threads, the share of this machine, a results file. Out: a table for
+//! people on standard output, or CSV rows with `--format json`; the rows in the results file as they come, where
+//! the same command goes on after an interruption; progress on standard error. Exit code 0 when all cases ran,
+//! 2 for usage and unreadable files, 130 after Ctrl-C.
 
-use crate::bench::planning::{CSV_HEADER, Label, Row, Run, run_case, summary};
-use crate::cli::plan::{objective_parser, seconds, solver_parser};
-use crate::cli::task::{TaskArgs, complain, print};
-use crate::planning::plan::Objective;
+use crate::bench::cells::{Cell, Shard, Unit, units};
+use crate::bench::figures::{FIGURES, Spec};
+use crate::bench::planning::{Limits, probe};
+use crate::bench::results::{Found, ResultsFile};
+use crate::bench::runner::Runner;
+use crate::bench::summary::summary;
+use crate::bench::table::{CSV_HEADER, Row, Table};
+use crate::cli::bench_cases::Source;
+use crate::cli::generate::ratios_parser;
+use crate::cli::plan::{objective_parser, seconds};
+use crate::cli::task::{complain, print};
+use crate::planning::generate::RatioLaw;
+use crate::planning::plan::{Objective, Status};
 use crate::planning::solver::SolverKind;
-use std::path::{Path, PathBuf};
+use crate::report::text::seconds as duration;
+use clap::builder::PossibleValuesParser;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Arguments of `celld bench planning`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct BenchPlanningArgs {
-    /// Folder of the public data, with `hetori` and `trlb` in it
+    /// Take the public instances from this folder (with `hetori` and `trlb` in it) instead of generating
     #[arg(long, value_name = "DIR")]
-    pub data: PathBuf,
-    /// Families: rand, sq, disk, stick, or the name of a folder in `hetori/instances`
+    pub data: Option<PathBuf>,
+    /// The cells of these figures of the paper, instead of --scenario, --density, --n and --objective
+    #[arg(long, value_delimiter = ',', value_parser = figure_parser(),
+          conflicts_with_all = ["scenario", "density", "n", "objective"])]
+    pub figure: Vec<String>,
+    /// Families: rand, sq; with --data also disk, stick, or the name of a folder in `hetori/instances`
     #[arg(long, value_delimiter = ',', default_value = "rand,sq")]
     pub scenario: Vec<String>,
     /// Densities
@@ -27,124 +44,249 @@ pub struct BenchPlanningArgs {
     /// Numbers of objects
     #[arg(long, value_delimiter = ',', default_value = "20")]
     pub n: Vec<usize>,
-    /// Ids of the cases; pairs like 1-3 for discs and sticks
-    #[arg(long, value_delimiter = ',', default_value = "0,1,2,3,4")]
-    pub ids: Vec<String>,
-    /// Solvers
-    #[arg(long, value_delimiter = ',', default_value = "erbm", value_parser = solver_parser())]
-    pub solver: Vec<SolverKind>,
     /// Objectives
     #[arg(long, value_delimiter = ',', default_value = "pp", value_parser = objective_parser())]
     pub objective: Vec<Objective>,
-    /// Seeds
+    /// Cases of each cell; the paper has 50
+    #[arg(long, value_name = "K", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub count: u64,
+    /// Ids of public cases instead of the first ones; pairs like 1-3 for discs and sticks
+    #[arg(long, value_delimiter = ',', requires = "data")]
+    pub ids: Option<Vec<String>>,
+    /// Seed that the cases are generated from
+    #[arg(long, value_name = "S", default_value_t = 0, conflicts_with = "data")]
+    pub instance_seed: u64,
+    /// Side ratios of generated rand cases, see `celld generate --help`
+    #[arg(long, default_value = "paper", value_parser = ratios_parser(), conflicts_with = "data")]
+    pub ratios: RatioLaw,
+    /// Solvers; paper: its six
+    #[arg(long, value_delimiter = ',', default_value = "erbm", value_parser = solvers_parser())]
+    pub solver: Vec<String>,
+    /// Seeds of the solvers
     #[arg(long, value_delimiter = ',', default_value = "0")]
     pub seed: Vec<u64>,
-    /// Seconds for one case
+    /// Seconds for one case; the paper has 600
     #[arg(long, value_name = "S", default_value = "60", value_parser = seconds)]
     pub time_limit: f64,
     /// Deterministic steps for one case
     #[arg(long, value_name = "N")]
     pub work: Option<u64>,
-    /// What standard output gets
-    #[arg(long, default_value = "json", value_parser = ["json", "table"])]
+    /// End each case at its first plan, as the paper's figures do
+    #[arg(long)]
+    pub first: bool,
+    /// Cases at the same time; default: one for each core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Run part i of N only; the parts' files merge by concatenation
+    #[arg(long, value_name = "i/N", value_parser = Shard::parse)]
+    pub shard: Option<Shard>,
+    /// Write rows to this CSV file as they come; rows that are there are not run again
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// What standard output gets: a table, or (json, csv) the rows as CSV
+    #[arg(long, default_value = "table", value_parser = ["table", "json", "csv"])]
     pub format: String,
+}
+
+/// The paper's figures by name.
+pub fn figure_parser() -> PossibleValuesParser {
+    PossibleValuesParser::new(FIGURES.iter().map(|spec| spec.name).chain(["all"]))
+}
+
+/// The figures of these names.
+pub fn figures(names: &[String]) -> Vec<Spec> {
+    let wanted = |spec: &&Spec| names.iter().any(|name| name == spec.name || name == "all");
+    FIGURES.iter().filter(wanted).copied().collect()
+}
+
+fn solvers_parser() -> PossibleValuesParser {
+    PossibleValuesParser::new(["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto", "paper"])
+}
+
+fn solvers(words: &[String]) -> Vec<SolverKind> {
+    let paper = ["tbm", "etbm", "rbm", "erbm", "mcts", "emcts"];
+    let words = words.iter().flat_map(|word| match word.as_str() {
+        "paper" => paper.to_vec(),
+        word => vec![word],
+    });
+    let mut kinds: Vec<SolverKind> = Vec::new();
+    for kind in words.filter_map(SolverKind::from_word) {
+        if !kinds.contains(&kind) {
+            kinds.push(kind);
+        }
+    }
+    kinds
 }
 
 /// Runs the benchmark; `stop` is set by Ctrl-C. Returns the exit code.
 pub fn run(args: &BenchPlanningArgs, stop: &AtomicBool) -> u8 {
-    let csv = args.format == "json";
-    if csv {
-        print(&format!("{CSV_HEADER}\n"));
-    }
-    let mut rows = Vec::new();
-    for (label, task) in cases(args) {
-        match run_one(args, &label, &task, stop, csv) {
-            Ok(more) => rows.extend(more),
-            Err(error) => {
-                complain(&error);
-                return 2;
-            }
-        }
-        if stop.load(Ordering::Relaxed) {
-            return 130;
+    match run_all(args, stop) {
+        Ok(code) => code,
+        Err(message) => {
+            complain(&message);
+            2
         }
     }
-    if rows.is_empty() {
-        complain(&format!("{}: no case of the cells asked for", args.data.display()));
-        return 2;
-    }
-    if csv {
-        complain(&summary(&rows))
-    } else {
-        print(&summary(&rows))
-    }
-    0
 }
 
-fn run_one(
-    args: &BenchPlanningArgs,
-    label: &Label,
-    task: &TaskArgs,
-    stop: &AtomicBool,
-    csv: bool,
-) -> Result<Vec<Row>, String> {
-    let problem = task.read()?;
-    let mut rows = Vec::new();
-    for &solver in &args.solver {
-        for &objective in &args.objective {
-            for &seed in &args.seed {
-                let run =
-                    Run { solver, objective, seed, limit_seconds: args.time_limit, work_limit: args.work };
-                let row = run_case(&problem, label.clone(), run, &|| stop.load(Ordering::Relaxed))
-                    .map_err(|error| format!("{}: {error}", task.instance.display()))?;
-                if csv {
-                    print(&format!("{}\n", row.csv()));
-                }
-                rows.push(row);
-            }
-        }
+fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
+    let source = Source::new(args);
+    let units = wanted(args, &source)?;
+    let (file, found) = match &args.out {
+        Some(path) => ResultsFile::open(path).map(|(file, found)| (Some(file), found))?,
+        None => (None, Found::default()),
+    };
+    let mut desk = Desk::new(args, file, &units, found);
+    let left: Vec<Unit> = units.into_iter().filter(|unit| !desk.table.has(&unit.key)).collect();
+    desk.announce(left.len());
+    let limits = Limits { seconds: args.time_limit, work: args.work, first: args.first };
+    let runner = Runner {
+        load: &|unit| source.problem(unit),
+        limits,
+        threads: threads(args),
+        stop: &|| stop.load(Ordering::Relaxed),
+    };
+    let ended = runner.run(&left, &mut |row| desk.take(row));
+    desk.bar.finish_and_clear();
+    ended?;
+    desk.finish();
+    if stop.load(Ordering::Relaxed) && desk.fresh < left.len() {
+        let go_on = if args.out.is_some() { "; the same command goes on from there" } else { "" };
+        complain(&format!("stopped with {} of {} runs to go{go_on}", left.len() - desk.fresh, left.len()));
+        return Ok(130);
     }
-    Ok(rows)
+    Ok(0)
 }
 
-/// The cases that exist, in the order asked for.
-fn cases(args: &BenchPlanningArgs) -> Vec<(Label, TaskArgs)> {
-    let mut cases = Vec::new();
+fn threads(args: &BenchPlanningArgs) -> usize {
+    let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    args.threads.map_or_else(cores, usize::from)
+}
+
+/// The runs asked for on this machine; what cannot be run at all is told before anything is.
+fn wanted(args: &BenchPlanningArgs, source: &Source) -> Result<Vec<Unit>, String> {
+    let (cells, solvers) = (cells(args), solvers(&args.solver));
+    if let Some(data) = args.data.as_ref().filter(|data| !data.is_dir()) {
+        return Err(format!("--data {}: there is no such folder", data.display()));
+    }
+    for &solver in &solvers {
+        for cell in &cells {
+            probe(solver, cell.objective).map_err(|error| format!("--solver {}: {error}", solver.word()))?;
+        }
+    }
+    for cell in &cells {
+        source.check(cell)?;
+        if source.ids(cell).is_empty() {
+            complain(&format!(
+                "no case of {} density {} n {} among the data",
+                cell.scenario, cell.density, cell.objects
+            ));
+        }
+    }
+    let all = units(&cells, &|cell| source.ids(cell), &solvers, &args.seed);
+    if all.is_empty() {
+        return Err("no case of the cells asked for; see --data, --scenario, --density, --n and --ids".into());
+    }
+    Ok(args.shard.unwrap_or(Shard::WHOLE).take(all, solvers.len() * args.seed.len()))
+}
+
+fn cells(args: &BenchPlanningArgs) -> Vec<Cell> {
+    if !args.figure.is_empty() {
+        return figures(&args.figure).iter().flat_map(Spec::cells).collect();
+    }
+    let mut cells = Vec::new();
     for scenario in &args.scenario {
         for &density in &args.density {
-            for &n in &args.n {
-                for id in &args.ids {
-                    let task = public_task(&args.data, scenario, density, n, id);
-                    if task.instance.is_file() {
-                        let label = Label {
-                            scenario: scenario.clone(),
-                            density: format!("{density:.2}"),
-                            id: id.clone(),
-                        };
-                        cases.push((label, task));
-                    }
-                }
+            for &objects in &args.n {
+                cells.extend(args.objective.iter().map(|&objective| Cell {
+                    scenario: scenario.clone(),
+                    density,
+                    objects,
+                    objective,
+                }));
             }
         }
     }
-    cases
+    cells
 }
 
-/// Where a case of the public data lies.
-pub fn public_task(data: &Path, scenario: &str, density: f64, n: usize, id: &str) -> TaskArgs {
-    let pair = |folder: &str| {
-        let cell = data.join("trlb").join(folder).join(format!("D={density:.1}/n={n}"));
-        let (start, goal) = id.split_once('-').unwrap_or((id, id));
-        let file = |id: &str| cell.join(format!("{id}_{n}_{density:.1}.json"));
-        TaskArgs { instance: file(start), goal: Some(file(goal)), shapes: None }
-    };
-    let folder = match scenario {
-        "disk" => return pair("disks"),
-        "stick" => return pair("sticks"),
-        "rand" => "random_general",
-        "sq" => "Klotski_blocks_2large",
-        other => other,
-    };
-    let cell = data.join("hetori/instances").join(folder).join(format!("Density={density:.2}/numObjs={n}"));
-    TaskArgs { instance: cell.join(format!("{id}_{n}_{density:.2}.json")), goal: None, shapes: None }
+/// Where rows arrive: file, standard output, progress.
+struct Desk<'a> {
+    args: &'a BenchPlanningArgs,
+    file: Option<ResultsFile>,
+    /// Rows of the runs asked for, those of earlier runs first.
+    table: Table,
+    fresh: usize,
+    failures: usize,
+    bar: ProgressBar,
+    csv: bool,
+}
+
+impl<'a> Desk<'a> {
+    fn new(args: &'a BenchPlanningArgs, file: Option<ResultsFile>, units: &[Unit], found: Found) -> Desk<'a> {
+        if found.cut {
+            complain("the results file ended in the middle of a line; that case is run again");
+        }
+        let mut table = Table::default();
+        let keys: std::collections::HashSet<_> = units.iter().map(|unit| &unit.key).collect();
+        for row in found.table.rows.into_iter().filter(|row| keys.contains(&row.key)) {
+            table.add(row);
+        }
+        let bar = ProgressBar::hidden();
+        Desk { args, file, table, fresh: 0, failures: 0, bar, csv: args.format != "table" }
+    }
+
+    /// Says what there is to do, and prints the rows that are there.
+    fn announce(&mut self, left: usize) {
+        let threads = threads(self.args);
+        let rows = &self.table.rows;
+        let worst = (left as f64 * self.args.time_limit / threads.min(left.max(1)) as f64).max(0.0);
+        complain(&format!(
+            "{left} runs on {threads} threads, {} done earlier; at most about {}",
+            rows.len(),
+            duration(worst)
+        ));
+        let shorter = |row: &&Row| {
+            row.status == Status::Timeout
+                && self.args.work.is_none()
+                && row.seconds < 0.9 * self.args.time_limit
+        };
+        let kept = rows.iter().filter(shorter).count();
+        if kept > 0 {
+            complain(&format!(
+                "{kept} of them ended without a plan at a shorter limit and stay so; use another --out for \
+                 another limit"
+            ));
+        }
+        if self.csv {
+            print(&format!("{CSV_HEADER}\n"));
+            rows.iter().for_each(|row| print(&format!("{}\n", row.csv())));
+        }
+        let template = "{bar:30} {pos}/{len} runs, {elapsed} gone, about {eta} to go {msg}";
+        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        self.bar = ProgressBar::new(left as u64).with_style(style);
+        self.bar.enable_steady_tick(std::time::Duration::from_millis(500));
+    }
+
+    fn take(&mut self, row: Row) -> Result<(), String> {
+        if let Some(file) = &mut self.file {
+            file.add(&row)?;
+        }
+        if self.csv {
+            self.bar.suspend(|| print(&format!("{}\n", row.csv())));
+        }
+        self.failures += usize::from(row.cost.is_none());
+        self.fresh += 1;
+        self.table.add(row);
+        self.bar.inc(1);
+        if self.failures > 0 {
+            self.bar.set_message(format!("({} without a plan)", self.failures));
+        }
+        Ok(())
+    }
+
+    fn finish(&self) {
+        let text = summary(&self.table.rows);
+        if self.csv { complain(&text) } else { print(&text) }
+    }
 }

@@ -3,12 +3,16 @@
 //! In: arguments. Out: an exit code: 0 done, 1 understood and not succeeded, 2 bad input or usage, 130 after
 //! Ctrl-C without a result.
 
+pub mod bench_cases;
+pub mod bench_figures;
 pub mod bench_planning;
 pub mod calibrate;
 pub mod check;
 pub mod daemon;
 pub mod demo;
 pub mod detect;
+pub mod generate;
+pub mod interrupt;
 pub mod jobs;
 pub mod plan;
 pub mod recorder;
@@ -49,7 +53,9 @@ enum Command {
     Verify(verify::VerifyArgs),
     /// Check files: configuration, calibration, job, goal, instance
     Check(check::CheckArgs),
-    /// Measure and print a table
+    /// Make random instances of the paper's scenarios
+    Generate(generate::GenerateArgs),
+    /// Measure, print a table, draw figures
     #[command(subcommand)]
     Bench(Bench),
     #[command(flatten)]
@@ -58,8 +64,10 @@ enum Command {
 
 #[derive(Subcommand, Debug)]
 enum Bench {
-    /// Solvers on the public instances
-    Planning(bench_planning::BenchPlanningArgs),
+    /// Solvers on generated or public instances
+    Planning(Box<bench_planning::BenchPlanningArgs>),
+    /// The paper's figures from result tables
+    Figures(bench_figures::BenchFiguresArgs),
 }
 
 /// Parses the process's arguments and runs the subcommand.
@@ -76,7 +84,12 @@ pub fn main() -> ExitCode {
         Command::Plan(args) => plan::run(&args, &stop),
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),
-        Command::Bench(Bench::Planning(args)) => bench_planning::run(&args, &stop),
+        Command::Generate(args) => generate::run(&args),
+        Command::Bench(Bench::Planning(args)) => {
+            interrupt::watch(&stop);
+            bench_planning::run(&args, &stop)
+        }
+        Command::Bench(Bench::Figures(args)) => bench_figures::run(&args),
         Command::Client(command) => jobs::run(command),
     })
 }

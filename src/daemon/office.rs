@@ -194,8 +194,8 @@ impl StateOffice {
         };
         let refuse = |message: String| (None, Reply { accepted: false, message });
         let active = self.active.as_ref().map(|(id, _)| id.clone());
-        let of_active = |id: &str, operator| match &active {
-            Some(active) if active == id => accept(operator, "done"),
+        let of_active = |id: &str, operator, message| match &active {
+            Some(active) if active == id => accept(operator, message),
             _ => refuse(format!("job {id} is not the active one; `celld status` names it")),
         };
         match command {
@@ -204,13 +204,15 @@ impl StateOffice {
                 OperatorCommand::Disarm,
                 "disarmed; a motion under way is finished first, `celld abort` stops it now",
             ),
-            Command::Approve { id } => of_active(id, OperatorCommand::Approve),
-            Command::Reject { id } => of_active(id, OperatorCommand::Reject),
+            Command::Approve { id } => of_active(id, OperatorCommand::Approve, "approved"),
+            Command::Reject { id } => of_active(id, OperatorCommand::Reject, "rejected"),
             Command::Cancel { id } => match self.cancel_waiting(id) {
                 Ok(true) => {
                     (None, Reply { accepted: true, message: "cancelled before it began".to_string() })
                 }
-                Ok(false) => of_active(id, OperatorCommand::Cancel),
+                Ok(false) => {
+                    of_active(id, OperatorCommand::Cancel, "cancelled after the present pick-n-place")
+                }
                 Err(error) => refuse(error.to_string()),
             },
             Command::Pause => accept(OperatorCommand::Pause, "pauses after the present pick-n-place"),

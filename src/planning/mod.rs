@@ -5,7 +5,7 @@
 //! `bound`: dependency graph, minimum feedback vertex sets, lower bound. `weights`: HeCP and HeTI. `primitive`,
 //! `total_buffers`: primitive plans of minimum running buffer and of least buffer weight in all. `scene`,
 //! `buffers`, `detour`, `trlb`: lazy buffer allocation and the bidirectional search. `mcts`: tree search over arrangements.
-//! `completion`, `solver`: one shape for all solvers.
+//! `completion`, `solver`: one shape for all solvers. `generate`: random instances.
 
 pub mod bound;
 pub mod buffers;
@@ -14,6 +14,7 @@ pub mod completion;
 pub mod detour;
 pub mod effort;
 pub mod feedback;
+pub mod generate;
 pub mod graph;
 pub mod mcts;
 pub mod object_set;

@@ -1,7 +1,9 @@
 //! Pictures and pages people look at: SVG, HTML, tables. Pure.
 
+pub mod chart;
 pub mod html;
 pub mod plan_svg;
+pub mod raster;
 pub mod run;
 pub mod summary;
 pub mod table_svg;

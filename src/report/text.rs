@@ -19,7 +19,7 @@ pub fn escape(text: &str) -> String {
     escaped
 }
 
-/// Seconds as people say them: `4.2 ms`, `0.31 s`, `83.1 s`, `3 min 05 s`.
+/// Seconds as people say them: `4.2 ms`, `0.31 s`, `83.1 s`, `3 min 05 s`, `4.2 h`.
 pub fn seconds(seconds: f64) -> String {
     if seconds < 0.1 {
         format!("{:.1} ms", seconds * 1e3)
@@ -27,6 +27,8 @@ pub fn seconds(seconds: f64) -> String {
         format!("{seconds:.2} s")
     } else if seconds < 120.0 {
         format!("{seconds:.1} s")
+    } else if seconds >= 7200.0 {
+        format!("{:.1} h", seconds / 3600.0)
     } else {
         let whole = seconds.round();
         format!("{:.0} min {:02.0} s", (whole / 60.0).floor(), whole % 60.0)
@@ -70,8 +72,8 @@ mod tests {
 
     #[test]
     fn times_read_well() {
-        let said: Vec<_> = [0.0042, 0.312, 83.14, 185.2, 119.99].map(seconds).into();
-        assert_eq!(said, ["4.2 ms", "0.31 s", "83.1 s", "3 min 05 s", "120.0 s"]);
+        let said: Vec<_> = [0.0042, 0.312, 83.14, 185.2, 119.99, 15_120.0].map(seconds).into();
+        assert_eq!(said, ["4.2 ms", "0.31 s", "83.1 s", "3 min 05 s", "120.0 s", "4.2 h"]);
     }
 
     #[test]

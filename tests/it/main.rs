@@ -1,6 +1,7 @@
 //! Tests across module borders, in one binary: closed loops over real sockets, files, the command line.
 
 mod bad_input;
+mod bench_command;
 mod cell;
 mod on_robot_program;
 mod plan_command;

@@ -3,8 +3,9 @@
 //! `trlb-baseline.csv` holds exact bounds (a MILP with lazy cycle cuts) for the peers' shapes: ellipses there are
 //! inscribed polygons, and what touches collides. That moves no bound of these instances; a failure names the arcs.
 
-use celld::bench::planning::{Label, Run, run_case};
-use celld::cli::bench_planning::public_task;
+use celld::bench::planning::{Limits, run_case};
+use celld::bench::table::Key;
+use celld::cli::bench_cases::public_task;
 use celld::planning::bound::start_goal_graph;
 use celld::planning::plan::{Objective, Status};
 use celld::planning::problem::Problem;
@@ -79,15 +80,18 @@ fn running_buffers_solve_the_easy_public_instances() {
         let problem = public_task(&data, family, density, n, id).read().expect("a public instance");
         for solver in [SolverKind::Rbm, SolverKind::Erbm] {
             for objective in [Objective::Pp, Objective::Ti] {
-                let run = Run {
+                let limits = Limits { seconds: f64::INFINITY, work: Some(3_000_000), first: true };
+                let key = Key {
+                    scenario: family.into(),
+                    density: density.to_string(),
+                    objects: problem.objects.len(),
+                    id: id.into(),
                     solver,
                     objective,
                     seed: 3,
-                    limit_seconds: f64::INFINITY,
-                    work_limit: Some(3_000_000),
                 };
-                let label = Label { scenario: family.into(), density: density.to_string(), id: id.into() };
-                let row = run_case(&problem, label, run, &|| false).expect("solvers that are built");
+                let row = run_case(&problem, key, limits, &|| false).expect("solvers that are built");
+                let row = row.expect("nothing stops it");
                 assert!(matches!(row.status, Status::Optimal | Status::Solved), "{}", row.csv());
                 assert!(row.cost.expect("a plan costs something") >= row.lower_bound - 1e-9, "{}", row.csv());
             }

@@ -1,0 +1,23 @@
+//! Ctrl-C for commands that compute for a long time.
+//!
+//! In: the flag that the computation asks. Out: the flag is raised at the first Ctrl-C, so that what is done can be
+//! kept; the second one ends the process at once with exit code 130.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Raises `stop` at Ctrl-C from now on. Without signals on this system Ctrl-C ends the process as ever.
+pub fn watch(stop: &Arc<AtomicBool>) {
+    let stop = stop.clone();
+    std::thread::spawn(move || {
+        let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
+        runtime.block_on(async {
+            if tokio::signal::ctrl_c().await.is_ok() {
+                stop.store(true, Ordering::Relaxed);
+                if tokio::signal::ctrl_c().await.is_ok() {
+                    std::process::exit(130);
+                }
+            }
+        });
+    });
+}
