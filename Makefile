@@ -13,7 +13,7 @@ ARGS ?=
 
 # `make figures`: a smoke run of a minute or two. The paper's own sizes: docs/evaluation.md.
 FIGURES ?= all
-SOLVERS ?= rbm,erbm
+SOLVERS ?= paper
 COUNT ?= 3
 LIMIT ?= 2
 
