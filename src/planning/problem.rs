@@ -1,6 +1,6 @@
 //! The rearrangement problem: objects with starts, goals and costs, and the one rule of contact.
 //!
-//! In: an [`Instance`]. Out: a [`Problem`], or all [`ProblemFault`]s. The rule for a pair (`clear`) is used by
+//! In: an [`Instance`]. Out: a [`Problem`], or all [`ProblemFault`]s. The rule for a pair, which `scene` holds for
 //! the dependency graph, the buffers and every solver alike: two objects must not overlap, and must keep the
 //! clearance, except while both are exactly at their given starts, or both exactly at their given goals
 //! (design, section 3, given overlap).
@@ -217,59 +217,6 @@ impl Problem {
         }
         out
     }
-
-    /// The rule for a pair: may object `i` be at `pose_i` while `j` is at `pose_j`?
-    pub fn clear(&self, i: usize, pose_i: &Pose2, j: usize, pose_j: &Pose2) -> bool {
-        let (a, b) = (&self.objects[i], &self.objects[j]);
-        if a.is_given_with(b, pose_i, pose_j) {
-            return true;
-        }
-        let placed = Placed::new(&a.footprint, *pose_i);
-        !placed.closer_than(&Placed::new(&b.footprint, *pose_j), self.clearance)
-    }
-
-    /// As [`Problem::clear`] for footprints that are placed already.
-    pub fn clear_placed(&self, (i, a): (usize, &PlacedAt), (j, b): (usize, &PlacedAt)) -> bool {
-        self.objects[i].is_given_with(&self.objects[j], &a.pose, &b.pose)
-            || !a.placed.closer_than(&b.placed, self.clearance)
-    }
-
-    /// Object `i` placed at `pose`.
-    pub fn place(&self, i: usize, pose: Pose2) -> PlacedAt {
-        PlacedAt { pose, placed: Placed::new(&self.objects[i].footprint, pose) }
-    }
-
-    /// May object `i` be at `pose` as far as the table's edge and the keep-out regions go? Its own given
-    /// start and goal are taken as they are.
-    pub fn fits(&self, i: usize, pose: &Pose2) -> bool {
-        let object = &self.objects[i];
-        if exactly(&object.start, pose) || object.goal.is_some_and(|goal| exactly(&goal, pose)) {
-            return true;
-        }
-        let (width, height) = (self.workspace.width, self.workspace.height);
-        if overhang(&object.footprint, pose, width, height) > TOUCH_M {
-            return false;
-        }
-        if self.keep_out.is_empty() {
-            return true;
-        }
-        let placed = Placed::new(&object.footprint, *pose);
-        self.keep_out.iter().all(|region| !placed.closer_than(&region.placed, self.clearance))
-    }
-
-    /// Indices of objects that may be moved.
-    pub fn movable(&self) -> impl Iterator<Item = usize> + '_ {
-        (0..self.objects.len()).filter(|&i| !self.objects[i].fixed)
-    }
-}
-
-/// An object at a pose, ready for repeated tests.
-#[derive(Clone, Debug)]
-pub struct PlacedAt {
-    /// The pose.
-    pub pose: Pose2,
-    /// The footprint there.
-    pub placed: Placed,
 }
 
 impl ProblemObject {
@@ -279,21 +226,6 @@ impl ProblemObject {
             Given::Goal => self.goal,
         }
     }
-
-    /// Both exactly at their starts, or both exactly at their goals.
-    fn is_given_with(&self, other: &ProblemObject, here: &Pose2, there: &Pose2) -> bool {
-        let at_start = exactly(&self.start, here) && exactly(&other.start, there);
-        let at_goal = || match (&self.goal, &other.goal) {
-            (Some(mine), Some(yours)) => exactly(mine, here) && exactly(yours, there),
-            _ => false,
-        };
-        at_start || at_goal()
-    }
-}
-
-/// The very same numbers: "exactly in those poses, and nowhere else".
-pub fn exactly(a: &Pose2, b: &Pose2) -> bool {
-    a == b
 }
 
 fn check_groups(objects: &[ProblemObject], faults: &mut Vec<ProblemFault>) {
@@ -309,6 +241,7 @@ fn check_groups(objects: &[ProblemObject], faults: &mut Vec<ProblemFault>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::planning::scene::Scene;
     use crate::tabletop::instance::ObjectSpec;
 
     /// Where a square starts, and where it should end.
@@ -349,10 +282,11 @@ mod tests {
         let mut given = instance(&[(0.1, 0.1, Some((0.5, 0.5))), (0.199, 0.1, Some((0.7, 0.7)))]);
         given.overlap_tolerance = 0.002;
         let problem = Problem::new(&given).expect("tolerated");
-        let (a, b) = (problem.objects[0].start, problem.objects[1].start);
-        assert!(problem.clear(0, &a, 1, &b));
-        let moved = Pose2::new(a.x + 1e-6, a.y, 0.0);
-        assert!(!problem.clear(0, &moved, 1, &b));
+        let scene = Scene::new(&problem);
+        let a = scene.start(0);
+        assert!(scene.clear(a, scene.start(1)));
+        let moved = scene.spot(0, Pose2::new(a.pose.x + 1e-6, a.pose.y, 0.0));
+        assert!(!scene.clear(&moved, scene.start(1)));
     }
 
     #[test]
@@ -368,9 +302,9 @@ mod tests {
         let mut given = instance(&[(0.1, 0.1, Some((0.5, 0.5))), (0.201, 0.1, Some((0.601, 0.5)))]);
         given.clearance = 0.01;
         let problem = Problem::new(&given).expect("valid");
-        let goals = [problem.objects[0].goal.expect("goal"), problem.objects[1].goal.expect("goal")];
-        assert!(problem.clear(0, &goals[0], 1, &goals[1]));
-        assert!(!problem.clear(0, &Pose2::new(0.4995, 0.5, 0.0), 1, &goals[1]));
-        assert!(problem.fits(0, &Pose2::new(0.05, 0.05, 0.0)), "clearance is not kept to the edge");
+        let scene = Scene::new(&problem);
+        let goals = [scene.goal(0).expect("goal"), scene.goal(1).expect("goal")];
+        assert!(scene.clear(goals[0], goals[1]));
+        assert!(!scene.clear(&scene.spot(0, Pose2::new(0.4995, 0.5, 0.0)), goals[1]));
     }
 }

@@ -123,8 +123,30 @@ pub fn board_pose(
     board_m: &[[f64; 2]],
     pixels: &[[f64; 2]],
 ) -> Result<TargetPose, CvError> {
+    let what = "find the pose of a board";
+    // OpenCV gives some pose for these too.
+    if on_one_line(board_m) {
+        return Err(CvError::NoAnswer { what });
+    }
     let candidates = flat_poses(camera, board_m, pixels, calib3d::SolvePnPMethod::SOLVEPNP_IPPE)?;
-    candidates.into_iter().next().ok_or(CvError::NoAnswer { what: "find the pose of a board" })
+    candidates.into_iter().next().ok_or(CvError::NoAnswer { what })
+}
+
+/// True when the points fix no plane: their spread across is less than a thousandth of that along.
+fn on_one_line(points: &[[f64; 2]]) -> bool {
+    let count = points.len().max(1) as f64;
+    let mean = |axis: usize| points.iter().map(|p| p[axis]).sum::<f64>() / count;
+    let (x, y) = (mean(0), mean(1));
+    let moment = |f: fn(f64, f64) -> f64| points.iter().map(|p| f(p[0] - x, p[1] - y)).sum::<f64>();
+    let spread = nalgebra::Matrix2::new(
+        moment(|x, _| x * x),
+        moment(|x, y| x * y),
+        moment(|x, y| x * y),
+        moment(|_, y| y * y),
+    );
+    let (least, most) = (spread.symmetric_eigenvalues().min(), spread.symmetric_eigenvalues().max());
+    // A spread that is no number is none.
+    !(least > 1e-6 * most)
 }
 
 /// Closed-form start for hand-eye: where the camera sits on the flange (Park and Martin, 1994).
@@ -317,9 +339,6 @@ mod tests {
         assert!(board_pose(&camera, &few, &few).is_err());
         let line = [[0.0, 0.0], [0.01, 0.0], [0.02, 0.0], [0.03, 0.0]];
         let pixels = [[100.0, 100.0], [120.0, 100.0], [140.0, 100.0], [160.0, 100.0]];
-        match board_pose(&camera, &line, &pixels) {
-            Err(_) => {}
-            Ok(pose) => assert!(pose.camera_from_target.translation.vector.norm() < 1e6),
-        }
+        assert!(board_pose(&camera, &line, &pixels).is_err(), "a line fixes no plane");
     }
 }

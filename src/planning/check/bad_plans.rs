@@ -242,8 +242,6 @@ objects:
     assert!(
         matches!(CheckedPlan::new(&group, &[none]), Err(PlanFault::GroupGoal { object, .. }) if object == "b")
     );
-    // The solvers' rule knows the group as well.
-    assert!(group.clear(0, &Pose2::new(0.8, 0.2, 0.0), 1, &Pose2::new(0.5, 0.2, 0.0)));
 }
 
 #[test]
