@@ -145,8 +145,8 @@ fn on_one_line(points: &[[f64; 2]]) -> bool {
         moment(|_, y| y * y),
     );
     let (least, most) = (spread.symmetric_eigenvalues().min(), spread.symmetric_eigenvalues().max());
-    // A spread that is no number is none.
-    !(least > 1e-6 * most)
+    // A spread that is no number is none either.
+    least.is_nan() || least <= 1e-6 * most
 }
 
 /// Closed-form start for hand-eye: where the camera sits on the flange (Park and Martin, 1994).
