@@ -107,6 +107,7 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
         workspace: Workspace { width: config.workspace.width_m, height: config.workspace.height_m },
         clearance: config.workspace.clearance_m,
         keep_out: config.obstacles(),
+        ignore_markers: config.ignore_markers.clone(),
         objects,
         tolerances: Tolerances {
             goal_position: tolerances.goal_position_m,

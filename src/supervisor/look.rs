@@ -274,8 +274,11 @@ impl Cell {
 
     fn doubt_objects(&self, observation: &Observation) -> Option<(String, String)> {
         let job = self.job.as_ref()?;
-        if let Some(id) = observation.unknown.first() {
-            let message = format!("marker {id} is on the table and belongs to nothing the cell knows");
+        let known = |id: &&u32| self.model.ignore_markers.contains(id);
+        if let Some(id) = observation.unknown.iter().find(|id| !known(id)) {
+            let message = format!(
+                "marker {id} is on the table and belongs to nothing the cell knows; take it away, or name it in `ignore_markers`"
+            );
             return Some(("unknown_marker".into(), message));
         }
         if let Some(duplicate) = observation.duplicates.first() {

@@ -71,6 +71,7 @@ fn model() -> CellModel {
         workspace: Workspace { width: 0.5, height: 0.5 },
         clearance: 0.002,
         keep_out: Vec::new(),
+        ignore_markers: vec![78],
         objects: vec![object],
         tolerances: Tolerances {
             goal_position: 1e-3,

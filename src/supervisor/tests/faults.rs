@@ -231,6 +231,11 @@ fn an_unknown_marker_on_the_table_is_not_free_room() {
     let mut all = bench.until_planning();
     all.extend(bench.look());
     assert_eq!(ended(&all), Some((JobEnd::Failed, "unknown_marker".into())), "{all:?}");
+
+    let mut ignoring = Bench::new();
+    ignoring.unknown = vec![78];
+    ignoring.job(false);
+    assert!(ignoring.until_planning().iter().any(|action| matches!(action, Action::Plan(_))));
 }
 
 #[test]
