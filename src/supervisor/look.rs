@@ -220,6 +220,10 @@ impl Cell {
         match trouble {
             None => {
                 job.look_failures = 0;
+                if !std::mem::replace(&mut job.absent_told, true) && !observation.missing.is_empty() {
+                    let absent = observation.missing.join(", ");
+                    alarm(out, format!("not to be seen, taken as not on the table: {absent}"));
+                }
                 self.seen = Some(observation);
                 self.seen_at = now;
             }
