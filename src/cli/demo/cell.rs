@@ -5,7 +5,7 @@
 //! and a [`SimFile`] whose truth deviates from them by the seed. Nothing measured passes between the two.
 
 use crate::cli::demo::teach::{
-    BASE_BEHIND_M, REFERENCE_SIZE_M, Things, ViewAngle, calibration_poses, look_poses, reference_markers,
+    BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
 };
 use crate::cli::sim::{FOCAL_PX, PICTURE};
 use crate::config::cell::{
@@ -17,7 +17,7 @@ use crate::config::simulated::{SimFile, SimPorts};
 use crate::daemon::setup::arm_model;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::kinematics::DhParameters;
-use crate::tabletop::instance::{Instance, ObjectSpec};
+use crate::tabletop::instance::Instance;
 use crate::units::Joints;
 use nalgebra::Isometry3;
 use std::f64::consts::TAU;
@@ -137,14 +137,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         half_x: f64::from(PICTURE.0) / 2.0 / FOCAL_PX,
         half_y: f64::from(PICTURE.1) / 2.0 / FOCAL_PX,
     };
-    let largest =
-        |of: fn(&ObjectSpec) -> Option<f64>| config.objects.iter().filter_map(of).fold(0.0, f64::max);
-    let things = Things {
-        tallest: largest(|object| object.height),
-        widest_marker: largest(|object| object.marker.as_ref().map(|marker| marker.size)),
-    };
-    config.look_poses =
-        look_poses(&model, &flange_from_camera, (width, height), angle, LOOK_DISTANCE_M, things)?;
+    config.look_poses = look_poses(&model, &flange_from_camera, (width, height), angle, LOOK_DISTANCE_M)?;
     config.calibration_poses = calibration_poses(&model, &flange_from_camera, (width, height));
     Ok(config)
 }

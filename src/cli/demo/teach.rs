@@ -16,11 +16,8 @@ const REFERENCE_FIRST_ID: u32 = 500;
 /// Distance of the base behind the near edge, m.
 pub const BASE_BEHIND_M: f64 = 0.18;
 
-/// Lowest share of the picture, where the gripper's housing is in the way.
-const HIDDEN: f64 = 0.17;
-
-/// Space kept to the borders of a picture, m on the table: the arm does not stand exactly where it was taught.
-const BORDER_M: f64 = 0.006;
+/// Share of the picture that neighbouring looks rely on; the rest overlaps.
+const USED_SHARE: f64 = 0.88;
 
 /// A camera for teaching: half picture size over focal length, horizontally and vertically.
 #[derive(Clone, Copy, Debug)]
@@ -46,17 +43,8 @@ pub fn reference_markers(width: f64, height: f64) -> Vec<(u32, Pose2)> {
     (REFERENCE_FIRST_ID..).zip(places).map(|(id, [x, y])| (id, Pose2::new(x, y, 0.0))).collect()
 }
 
-/// What has to be seen: the tallest object and the widest marker, m.
-#[derive(Clone, Copy, Debug)]
-pub struct Things {
-    /// Height of the tallest object: the nearer to the camera, the less of the table fits into a picture.
-    pub tallest: f64,
-    /// Edge of the largest marker: it has to be in one picture whole, at any angle.
-    pub widest_marker: f64,
-}
-
-/// Joint poses from which the camera, looking straight down from `distance` over the table, sees every marker on
-/// the table and the reference markers round it whole.
+/// Joint poses from which the camera, looking straight down from `distance` over the markers, sees the whole
+/// table and the reference markers round it.
 ///
 /// # Errors
 /// The place that cannot be looked at, with the table size in mind.
@@ -66,14 +54,12 @@ pub fn look_poses(
     (width, height): (f64, f64),
     angle: ViewAngle,
     distance: f64,
-    things: Things,
 ) -> Result<Vec<Joints>, String> {
     let rim = REFERENCE_OUTSIDE_M + REFERENCE_SIZE_M;
-    let above_things = distance - things.tallest;
-    let whole = things.widest_marker * std::f64::consts::SQRT_2;
-    let columns = centres(width, Reach::new(angle.half_x, [1.0, 1.0], distance, above_things), whole);
-    let rows =
-        centres(height, Reach::new(angle.half_y, [1.0 - 2.0 * HIDDEN, 1.0], distance, above_things), whole);
+    let (span_x, span_y) =
+        (2.0 * angle.half_x * distance * USED_SHARE, 2.0 * angle.half_y * distance * USED_SHARE);
+    let columns = centres(width + 2.0 * rim, span_x);
+    let rows = centres(height + 2.0 * rim, span_y);
     let mut poses = Vec::new();
     for (row, y) in rows.iter().enumerate() {
         // Back and forth, so that the arm does not fly back at the end of each row.
@@ -93,37 +79,15 @@ pub fn look_poses(
     Ok(poses)
 }
 
-/// How far a picture reaches before and behind its centre, m: on the table, and at the height of things.
-struct Reach {
-    table: [f64; 2],
-    things: [f64; 2],
-}
-
-impl Reach {
-    fn new(half: f64, shares: [f64; 2], distance: f64, above_things: f64) -> Reach {
-        let at = |height: f64| shares.map(|share| share * half * height - BORDER_M);
-        Reach { table: at(distance), things: at(above_things) }
+/// Centres of as few spans as cover `length`, evenly spread.
+fn centres(length: f64, span: f64) -> Vec<f64> {
+    let count = (length / span).ceil().max(1.0) as usize;
+    if count == 1 {
+        return vec![length / 2.0];
     }
+    let step = (length - span) / (count - 1) as f64;
+    (0..count).map(|k| span / 2.0 + step * k as f64).collect()
 }
-
-/// Centres of as few pictures as show a table of this length with the reference markers round it, in the frame of the
-/// rim. Things of the size `whole` are in one picture whole.
-fn centres(length: f64, reach: Reach, whole: f64) -> Vec<f64> {
-    let rim = REFERENCE_OUTSIDE_M + REFERENCE_SIZE_M;
-    // The outer border of the reference markers, white ring included.
-    let outer = rim - REFERENCE_OUTSIDE_M - 0.5 * REFERENCE_SIZE_M * 10.0 / 8.0;
-    let first = (outer + reach.table[0]).min(rim + reach.things[0]);
-    let last = (2.0 * rim + length - outer - reach.table[1]).max(rim + length - reach.things[1]);
-    if last <= first {
-        return vec![0.5 * (first + last)];
-    }
-    let step = (reach.things[0] + reach.things[1] - whole).max(LEAST_STEP_M);
-    let count = ((last - first) / step).ceil() as usize;
-    (0..=count).map(|k| first + (last - first) * k as f64 / count as f64).collect()
-}
-
-/// Markers too wide for the picture are seen whole from nowhere; then more looks do not help.
-const LEAST_STEP_M: f64 = 0.08;
 
 /// Joint poses for hand-eye calibration: the camera at different places and heights, tilted about both image
 /// axes and turned about its own, always looking at the table.
@@ -227,45 +191,21 @@ mod tests {
     const ANGLE: ViewAngle = ViewAngle { half_x: 640.0 / 650.0, half_y: 360.0 / 650.0 };
 
     #[test]
-    fn every_marker_on_table_and_rim_is_wholly_in_some_picture() {
-        let cases = [(0.02, 0.03), (0.08, 0.04), (0.04, 0.12)];
-        let sizes = [0.2, 0.3, 0.4, 0.5, 0.6, 0.63, 0.7];
-        for (size, (tallest, widest_marker)) in
-            sizes.into_iter().flat_map(|size| cases.map(|case| (size, case)))
-        {
+    fn every_point_of_table_and_rim_is_in_some_picture() {
+        for size in [0.4, 0.5, 0.6, 0.7] {
             let model = model(size);
             let flange_from_camera = Isometry3::translation(0.0, -0.07, 0.03);
-            let poses = look_poses(
-                &model,
-                &flange_from_camera,
-                (size, size),
-                ANGLE,
-                0.42,
-                Things { tallest, widest_marker },
-            )
-            .expect("reachable");
-            let cameras: Vec<_> = poses
-                .iter()
-                .map(|q| model.base_from_table.inverse() * forward(&model.dh, q) * flange_from_camera)
-                .collect();
-            let seen = |camera: &Isometry3<f64>, x: f64, y: f64| {
-                let p = camera.inverse() * Point3::new(x, y, tallest);
-                let down = p.y / p.z / ANGLE.half_y;
-                (p.x / p.z).abs() < ANGLE.half_x && -1.0 < down && down < 1.0 - 2.0 * HIDDEN && p.z > 0.0
-            };
-            let half = widest_marker / 2.0;
-            let whole = |x: f64, y: f64| {
-                let corners = [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)];
-                let in_one = |camera: &Isometry3<f64>| {
-                    corners.iter().all(|(i, j)| seen(camera, x + i * half, y + j * half))
-                };
-                cameras.iter().any(in_one)
-            };
-            let steps = 40;
-            let along = |k: i32| half + (size - 2.0 * half) * f64::from(k) / f64::from(steps);
-            for (i, j) in (0..=steps).flat_map(|i| (0..=steps).map(move |j| (i, j))) {
-                let (x, y) = (along(i), along(j));
-                assert!(whole(x, y), "({x:.3}, {y:.3}) of a {size} m table, {tallest} m up");
+            let poses =
+                look_poses(&model, &flange_from_camera, (size, size), ANGLE, 0.45).expect("reachable");
+            for (x, y) in
+                [(-0.06, -0.06), (size + 0.06, -0.06), (size / 2.0, size + 0.06), (size / 3.0, size / 2.0)]
+            {
+                let seen = poses.iter().any(|q| {
+                    let camera = model.base_from_table.inverse() * forward(&model.dh, q) * flange_from_camera;
+                    let p = camera.inverse() * Point3::new(x, y, 0.0);
+                    (p.x / p.z).abs() < ANGLE.half_x && (p.y / p.z).abs() < ANGLE.half_y && p.z > 0.0
+                });
+                assert!(seen, "({x}, {y}) of a {size} m table");
             }
         }
     }
