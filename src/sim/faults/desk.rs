@@ -247,9 +247,7 @@ fn check(plan: &Planned, world: &World) -> Result<(), FaultError> {
         _ => None,
     };
     let waited_for = match &plan.at {
-        Some(Trigger::Event { object, .. }) => {
-            object.as_ref().filter(|name| !["table"].contains(&name.as_str()))
-        }
+        Some(Trigger::Event { object, .. }) => object.as_ref().filter(|name| name.as_str() != "table"),
         _ => None,
     };
     for name in object.into_iter().chain(waited_for) {

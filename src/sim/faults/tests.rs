@@ -217,11 +217,8 @@ impl Rtde {
         let mut last = Vec::new();
         while last != wanted {
             assert!(began.elapsed() < PATIENCE, "{last:?} instead of {wanted:?}");
-            match self.reply().await.expect("closed") {
-                Reply::Data { payload, .. } => {
-                    last = self.recipe.decode(&payload, Leftover::Refuse).unwrap();
-                }
-                _ => {}
+            if let Reply::Data { payload, .. } = self.reply().await.expect("closed") {
+                last = self.recipe.decode(&payload, Leftover::Refuse).unwrap();
             }
         }
     }
