@@ -318,7 +318,7 @@ mod tests {
         let fault =
             table(&["disk,disk,0.2,x,1-3,RBM,100,ok,11", "disk,disk,0.2,5,1-3,SOLVE,100,ok,11"]).unwrap_err();
         assert!(fault.contains("x.csv:2: n is not") && fault.contains("x.csv:3: method"), "{fault}");
-        assert!(parse("a,b\n1,2\n", "x.csv").unwrap_err().contains("no field label"));
+        assert!(parse("a,b\n1,2\n", "x.csv").unwrap_err().contains("no field status"));
     }
 
     #[test]
