@@ -159,7 +159,7 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
     let mut tasks = JoinSet::new();
     let link = |name| robot.links.get(name).clone();
     let gripper = gripper_server::serve(modbus.0, world.clone(), link(LinkName::Gripper), until(&stopped));
-    tasks.spawn(async move { report("gripper server", gripper.await) });
+    tasks.spawn(gripper);
     let seen = link(LinkName::Camera);
     let pictures = camera_server::serve(camera.0, config.camera, world.clone(), seen, until(&stopped));
     tasks.spawn(async move { report("camera server", pictures.await) });
@@ -271,18 +271,21 @@ impl Drop for RunningSim {
 struct Schedule {
     period: Duration,
     due: Instant,
+    /// When the frame that is being made was due before it was pushed back.
+    intended: Instant,
 }
 
 impl Schedule {
     fn new(factor: f64, now: Instant) -> Schedule {
         let period = Duration::from_secs_f64(FRAME_SECONDS / factor);
-        Schedule { period, due: now + period }
+        Schedule { period, due: now + period, intended: now }
     }
 
     /// Time to sleep until the frame that is due at `now`; a frame that is late by more than is tolerated
     /// moves all later ones.
     fn wait(&mut self, now: Instant) -> Duration {
         let wait = self.due.saturating_duration_since(now);
+        self.intended = self.due;
         if now > self.due + TOLERATED_LATENESS.max(self.period) {
             self.due = now;
         }
@@ -309,7 +312,7 @@ fn run_frames(
             held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
         }
         wait_for_follower(pace, held_us, stopped);
-        robot.frame();
+        robot.frame(Some(schedule.intended));
         step_world(robot, world);
         desk.frame();
         frames += 1;

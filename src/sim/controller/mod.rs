@@ -18,6 +18,8 @@ pub mod motion_functions;
 
 pub mod outputs;
 
+pub mod pendant;
+
 pub mod programs;
 
 pub mod realtime;
@@ -29,6 +31,7 @@ pub mod robot_state;
 use crate::geometry::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::sim::controller::modes::Modes;
+use crate::sim::controller::pendant::Pendant;
 use crate::sim::controller::programs::Programs;
 use crate::sim::controller::registers::Registers;
 use crate::sim::motion::mover::{HARD_RAMP_SECONDS, MoveId, Mover, SOFT_RAMP_SECONDS};
@@ -39,7 +42,7 @@ use crate::wire::primary_message::MessageBody;
 use nalgebra::Isometry3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::f64::consts::TAU;
 
 /// Frames per second of simulated time.
@@ -82,6 +85,8 @@ pub struct ControllerConfig {
     pub payload: f64,
     /// Seed of `random()`.
     pub seed: u64,
+    /// Programs that `load` finds: name of the `.urp` file without its ending, and its script.
+    pub programs: BTreeMap<String, String>,
 }
 
 impl ControllerConfig {
@@ -98,6 +103,7 @@ impl ControllerConfig {
             tcp: [0.0; 6],
             payload: 0.0,
             seed,
+            programs: BTreeMap::new(),
         }
     }
 }
@@ -150,6 +156,8 @@ pub struct Core {
     pub step: u64,
     /// Text of a popup on the pendant.
     pub popup: Option<String>,
+    /// What was chosen at the pendant.
+    pub pendant: Pendant,
     messages: VecDeque<MessageBody>,
     tcp_pose: [f64; 6],
     /// Thread and move that have the arm.
@@ -186,6 +194,7 @@ impl Controller {
             tcp_offset: [0.0; 6],
             step: 0,
             popup: None,
+            pendant: Pendant::default(),
             messages: VecDeque::new(),
             tcp_pose: [0.0; 6],
             owner: None,
@@ -229,6 +238,7 @@ impl Controller {
     pub fn protective_stop(&mut self, reason: &str) {
         if self.core.modes.protective_stop(self.core.step) {
             self.programs.pause();
+            self.core.pendant.safety_popup = true;
             self.core.error_message(modes::PATH_SANITY_CODE, 0, reason);
             self.core.safety_message();
         }
@@ -240,6 +250,7 @@ impl Controller {
     /// The sentence of the dashboard, within 5 s of the stop or without one.
     pub fn unlock_protective_stop(&mut self) -> Result<(), String> {
         self.core.modes.unlock(self.core.step)?;
+        self.core.pendant.safety_popup = false;
         self.core.safety_message();
         Ok(())
     }
@@ -266,10 +277,11 @@ impl Controller {
         }
     }
 
-    /// Shows a safety mode by its number and pauses the program; absent: back to normal, and the program goes on.
+    /// Shows a safety mode by its number and pauses the program unless the mode allows motion; absent: back to normal,
+    /// and the program goes on.
     pub fn show_safety(&mut self, number: Option<i32>) {
         self.core.modes.show_safety(number);
-        if number.is_some() {
+        if !self.core.modes.motion_allowed() {
             self.programs.pause_for_safeguard();
         } else {
             self.programs.resume_after_safeguard();
