@@ -237,7 +237,7 @@ impl World {
             gripper: spec.gripper,
             bodies,
             channels: [channel(), channel()],
-            current_limit_ma: 500,
+            current_limit_ma: vacuum::FULL_SPEED_MA,
             rng: ChaCha8Rng::seed_from_u64(seed),
             seed,
             now_s: 0.0,
@@ -303,6 +303,7 @@ impl World {
     /// Sets the current limit register, mA.
     pub fn set_current_limit_ma(&mut self, limit: u16) {
         self.current_limit_ma = limit;
+        self.channels.iter_mut().for_each(|channel| channel.pump.set_current_limit_ma(limit));
     }
 
     /// All objects, in the order of the spec. Truth: for tests, the report and the drawing only.
