@@ -106,14 +106,14 @@ pub struct ControllerConfig {
 }
 
 impl ControllerConfig {
-    /// A UR5e with software 5.21, calibrated by `seed`, powered off, in remote control, arm in a work pose.
+    /// A UR5e with software 5.26, calibrated by `seed`, powered off, in remote control, arm in a work pose.
     pub fn ur5e(seed: u64) -> ControllerConfig {
         ControllerConfig {
             dh: calibrated_ur5e(seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD),
             start: Joints([0.0, -1.57, 1.57, -1.57, -1.57, 0.0]),
             serial_number: "20235500001".to_owned(),
             model: "UR5".to_owned(),
-            version: [5, 21, 0, 1_234_567],
+            version: [5, 26, 0, 1_234_567],
             running: false,
             remote: true,
             tcp: [0.0; 6],

@@ -83,7 +83,8 @@ pub fn answer(controller: &mut Controller, command: &Command, line: &str, switch
         Command::PowerOff | Command::Shutdown => controller.power_off(),
         Command::BrakeRelease => controller.core.modes.release_brakes(),
         Command::Play if !controller.programs.play(&mut controller.core) => return refused("play"),
-        Command::Stop if !controller.programs.stop(&mut controller.core) => return refused("stop"),
+        // Without a program too: clients stop what may have ended a moment ago, and expect no other answer.
+        Command::Stop => drop(controller.programs.stop(&mut controller.core)),
         Command::Pause if !controller.programs.pause() => return refused("pause"),
         Command::Load(name) => return load(controller, name),
         Command::UnlockProtectiveStop => {
