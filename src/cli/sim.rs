@@ -175,6 +175,7 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
     let truth = spec::TruthSpec::from_seed(&nominal, &limits, file.seed);
     let mut controller = ControllerConfig::ur5e(file.seed);
     controller.start = file.start_pose;
+    controller.programs.clone_from(&file.programs);
     controller.dh = calibrated_ur5e(file.seed, errors.dh_m, errors.dh_rad);
     SimConfig {
         bind,

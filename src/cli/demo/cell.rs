@@ -20,6 +20,7 @@ use crate::motion::kinematics::DhParameters;
 use crate::tabletop::instance::Instance;
 use crate::units::Joints;
 use nalgebra::Isometry3;
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::net::IpAddr;
 use std::path::Path;
@@ -161,6 +162,8 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         objects: instance.objects.clone(),
         reference_markers: config.reference_markers.clone(),
         start_pose: config.park_pose,
+        program_folder: None,
+        programs: BTreeMap::new(),
         errors: DEFAULT_ERRORS,
     })
 }

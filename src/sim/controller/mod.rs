@@ -20,6 +20,8 @@ pub mod motion_functions;
 
 pub mod outputs;
 
+pub mod pendant;
+
 pub mod programs;
 
 pub mod realtime;
@@ -42,6 +44,7 @@ use crate::geometry::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::sim::controller::force_functions::{Compliance, ForceSettings};
 use crate::sim::controller::modes::Modes;
+use crate::sim::controller::pendant::Pendant;
 use crate::sim::controller::programs::Programs;
 use crate::sim::controller::registers::Registers;
 use crate::sim::controller::sensing::Sensing;
@@ -55,7 +58,7 @@ use crate::wire::primary_message::MessageBody;
 use nalgebra::Isometry3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::f64::consts::TAU;
 
 /// Frames per second of simulated time.
@@ -98,6 +101,8 @@ pub struct ControllerConfig {
     pub payload: f64,
     /// Seed of `random()`.
     pub seed: u64,
+    /// Programs that `load` finds: name of the `.urp` file without its ending, and its script.
+    pub programs: BTreeMap<String, String>,
 }
 
 impl ControllerConfig {
@@ -114,6 +119,7 @@ impl ControllerConfig {
             tcp: [0.0; 6],
             payload: 0.0,
             seed,
+            programs: BTreeMap::new(),
         }
     }
 }
@@ -176,6 +182,8 @@ pub struct Core {
     pub settings: Settings,
     /// The network, for scripts' sockets.
     pub sockets: Box<dyn ScriptSockets>,
+    /// What was chosen at the pendant.
+    pub pendant: Pendant,
     messages: VecDeque<MessageBody>,
     tcp_pose: [f64; 6],
     /// Thread and move that have the arm.
@@ -217,6 +225,7 @@ impl Controller {
             force_settings: ForceSettings::default(),
             settings: Settings::default(),
             sockets: Box::new(NoNetwork),
+            pendant: Pendant::default(),
             messages: VecDeque::new(),
             tcp_pose: [0.0; 6],
             owner: None,
@@ -264,6 +273,7 @@ impl Controller {
     pub fn protective_stop(&mut self, reason: &str) {
         if self.core.modes.protective_stop(self.core.step) {
             self.programs.pause();
+            self.core.pendant.safety_popup = true;
             self.core.error_message(modes::PATH_SANITY_CODE, 0, reason);
             self.core.safety_message();
         }
@@ -275,6 +285,7 @@ impl Controller {
     /// The sentence of the dashboard, within 5 s of the stop or without one.
     pub fn unlock_protective_stop(&mut self) -> Result<(), String> {
         self.core.modes.unlock(self.core.step)?;
+        self.core.pendant.safety_popup = false;
         self.core.safety_message();
         Ok(())
     }
@@ -301,10 +312,11 @@ impl Controller {
         }
     }
 
-    /// Shows a safety mode by its number and pauses the program; absent: back to normal, and the program goes on.
+    /// Shows a safety mode by its number and pauses the program unless the mode allows motion; absent: back to normal,
+    /// and the program goes on.
     pub fn show_safety(&mut self, number: Option<i32>) {
         self.core.modes.show_safety(number);
-        if number.is_some() {
+        if !self.core.modes.motion_allowed() {
             self.programs.pause_for_safeguard();
         } else {
             self.programs.resume_after_safeguard();
