@@ -83,7 +83,12 @@ pub fn answer(controller: &mut Controller, command: &Command, line: &str, switch
         Command::PowerOff | Command::Shutdown => controller.power_off(),
         Command::BrakeRelease => controller.core.modes.release_brakes(),
         Command::Play if !controller.programs.play(&mut controller.core) => return refused("play"),
-        Command::Stop if !controller.programs.stop(&mut controller.core) => return refused("stop"),
+        // A loaded program that has come to its end counts as stopped: clients end theirs and then make sure.
+        Command::Stop
+            if !controller.programs.stop(&mut controller.core) && controller.programs.name().is_none() =>
+        {
+            return refused("stop");
+        }
         Command::Pause if !controller.programs.pause() => return refused("pause"),
         Command::Load(name) => return load(controller, name),
         Command::UnlockProtectiveStop => {
