@@ -79,7 +79,7 @@ mod tests {
         let [good, bad] = ["good.script", "bad.script"].map(|name| folder.path().join(name));
         std::fs::write(&good, "def a():\nend\n").unwrap();
         std::fs::write(&bad, "def a(:\n").unwrap();
-        assert_eq!(check_scripts(&[good.clone()]), 0);
+        assert_eq!(check_scripts(std::slice::from_ref(&good)), 0);
         assert_eq!(check_scripts(&[bad, good]), 2);
         assert_eq!(check_scripts(&[folder.path().join("none.script")]), 2);
     }

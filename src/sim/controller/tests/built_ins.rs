@@ -43,7 +43,7 @@ fn process_moves_round_their_corners_at_constant_speed() {
                   movep(pose_add(a, p[0,0.1,0.05,0,0,0]), a=2, v=0.2)\nend\n";
     upload(&mut controller, script);
     controller.frame();
-    let start = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.vector;
+    let start = controller.core.mover.arm.tcp(&controller.core.config.start).translation.vector;
     let position = |c: &Controller| c.core.mover.arm.tcp(&c.core.mover.q()).translation.vector - start;
     step_until(&mut controller, |c| position(c).x > 0.03);
     let mut nearest = f64::INFINITY;
