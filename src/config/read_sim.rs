@@ -10,6 +10,7 @@ use crate::config::fields::{
 use crate::config::simulated::{SimErrors, SimFile, SimPorts};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
+use crate::motion::kinematics::ARM_MODELS;
 use crate::tabletop::arrangement::{Layout, Place};
 use crate::tabletop::decode;
 use crate::tabletop::instance::{ObjectSpec, Workspace};
@@ -32,6 +33,7 @@ pub const SIM_KEYS: &[&str] = &[
     "flange_from_tool",
     "base_from_table",
     "flange_from_camera",
+    "model",
     "start_pose_deg",
     "programs",
     "errors",
@@ -82,6 +84,10 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let base_from_table = transform(decoder, fields, "base_from_table");
     let flange_from_camera = transform(decoder, fields, "flange_from_camera");
     let start_pose = fields.required("start_pose_deg", decoder).and_then(|at| joints_deg(decoder, &at));
+    let model = optional(decoder, fields, "model", ARM_MODELS[0], |decoder, at| {
+        let choices: Vec<_> = ARM_MODELS.iter().map(|model| (model.name, *model)).collect();
+        decoder.choice(at, &choices)
+    });
     let programs = optional(decoder, fields, "programs", None, |decoder, at| {
         let folder = decoder.map(at, &["folder"])?;
         folder.optional("folder").map_or(Some(None), |at| decoder.text(&at).map(Some))
@@ -101,6 +107,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         gripper: gripper?,
         objects: objects?,
         reference_markers: markers?,
+        model: model?,
         start_pose: start_pose?,
         program_folder: programs?,
         programs: BTreeMap::new(),

@@ -6,6 +6,7 @@
 
 use crate::config::cell::{GripperConfig, ReferenceMarkerConfig};
 use crate::geometry::pose::Pose2;
+use crate::motion::kinematics::ArmModel;
 use crate::tabletop::instance::ObjectSpec;
 use crate::units::Joints;
 use nalgebra::Isometry3;
@@ -38,6 +39,8 @@ pub struct SimFile {
     pub objects: Vec<ObjectSpec>,
     /// Markers fixed to the table.
     pub reference_markers: Vec<ReferenceMarkerConfig>,
+    /// Which arm.
+    pub model: ArmModel,
     /// Joint pose at power-on.
     pub start_pose: Joints,
     /// Folder with the programs that the dashboard loads, relative to the file's own; absent: none.

@@ -58,7 +58,7 @@ pub const TABLE: &[Entry] = entries![
     Real speedl(xd; a, t, aRot) "";
     Real stopj(a) "";
     Real stopl(a; aRot) "";
-    Modelled direct_torque(torque; friction_comp, viscous_scale, coulomb_scale) "rigid bodies without friction";
+    Modelled direct_torque(torque; friction_comp, viscous_scale, coulomb_scale) "rigid bodies with a little friction; the compensation's arguments have no effect";
     Modelled set_pos(q) "places the standing arm";
     Absent reset_revolution_counter(; qNear) "";
     Absent path_offset_enable() "";

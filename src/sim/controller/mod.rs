@@ -41,7 +41,7 @@ pub mod socket_functions;
 pub mod sockets;
 
 use crate::geometry::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
-use crate::motion::kinematics::{DhParameters, forward};
+use crate::motion::kinematics::{ARM_MODELS, ArmModel, DhParameters, forward};
 use crate::sim::controller::force_functions::{Compliance, ForceSettings};
 use crate::sim::controller::modes::Modes;
 use crate::sim::controller::pendant::Pendant;
@@ -81,6 +81,8 @@ const DEFAULT_STOP: f64 = 4.0;
 /// What kind of controller is simulated.
 #[derive(Clone, Debug)]
 pub struct ControllerConfig {
+    /// Which arm.
+    pub arm: ArmModel,
     /// Calibrated kinematics of this arm.
     pub dh: DhParameters,
     /// Where the arm stands at first.
@@ -108,11 +110,17 @@ pub struct ControllerConfig {
 impl ControllerConfig {
     /// A UR5e with software 5.26, calibrated by `seed`, powered off, in remote control, arm in a work pose.
     pub fn ur5e(seed: u64) -> ControllerConfig {
+        ControllerConfig::of(&ARM_MODELS[0], seed)
+    }
+
+    /// The same with another arm.
+    pub fn of(arm: &ArmModel, seed: u64) -> ControllerConfig {
         ControllerConfig {
-            dh: calibrated_ur5e(seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD),
+            arm: *arm,
+            dh: calibrated(&arm.dh, seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD),
             start: Joints([0.0, -1.57, 1.57, -1.57, -1.57, 0.0]),
             serial_number: "20235500001".to_owned(),
-            model: "UR5".to_owned(),
+            model: arm.name.trim_end_matches('e').to_owned(),
             version: [5, 26, 0, 1_234_567],
             running: false,
             remote: true,
@@ -124,13 +132,13 @@ impl ControllerConfig {
     }
 }
 
-/// UR5e parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each length and
-/// `std_rad` (rad) of each angle.
-pub fn calibrated_ur5e(seed: u64, std_m: f64, std_rad: f64) -> DhParameters {
+/// Nominal parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each length
+/// and `std_rad` (rad) of each angle.
+pub fn calibrated(nominal: &DhParameters, seed: u64, std_m: f64, std_rad: f64) -> DhParameters {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5572_3565);
     // The sum of twelve uniform numbers is normal enough and needs no further crate.
     let mut normal = |std: f64| (0..12).map(|_| rng.random::<f64>() - 0.5).sum::<f64>() * std;
-    let mut dh = DhParameters::UR5E;
+    let mut dh = *nominal;
     for i in 0..6 {
         dh.a[i] += normal(std_m);
         dh.d[i] += normal(std_m);
@@ -206,7 +214,7 @@ pub struct Controller {
 impl Controller {
     /// A controller just booted.
     pub fn new(config: ControllerConfig) -> Controller {
-        let arm = Arm::ur5e(config.dh);
+        let arm = Arm::of(config.arm.joint_speed, config.dh);
         let core = Core {
             modes: Modes::new(config.running, config.remote),
             registers: Registers::default(),
@@ -338,7 +346,7 @@ impl Controller {
         config.running = false;
         config.serial_number = serial.unwrap_or(config.serial_number);
         if let Some(seed) = kinematics {
-            config.dh = calibrated_ur5e(seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD);
+            config.dh = calibrated(&config.arm.dh, seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD);
         }
         self.core.sockets.close_all();
         let sockets = std::mem::replace(&mut self.core.sockets, Box::new(NoNetwork));

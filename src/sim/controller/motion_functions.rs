@@ -16,7 +16,7 @@ use crate::sim::motion::{FRAME_SECONDS, MotionFault};
 use crate::units::Joints;
 use crate::urscript::host::{Call, Reply};
 use crate::urscript::value::Value;
-use nalgebra::{Isometry3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Vector6};
 
 /// Built-ins whose motion ends with the thread that commanded it.
 pub const MOVES: &[&str] = &[
@@ -36,6 +36,9 @@ pub const MOVES: &[&str] = &[
 /// What `optimovej` and `optimovel` take as the fastest acceleration: rad/s2 and m/s2.
 const OPTIMAL_JOINT_ACCELERATION: f64 = 15.0;
 const OPTIMAL_TOOL_ACCELERATION: f64 = 5.0;
+
+/// Friction that `direct_torque` does not compensate, Nm for each rad/s; modelled, not published.
+const FRICTION: [f64; 6] = [2.0, 2.0, 2.0, 0.5, 0.5, 0.5];
 
 /// Carries out a built-in of this file; `None` if it is none of them.
 pub fn call(core: &mut Core, call: &mut Call<'_>) -> Option<Result<Reply, String>> {
@@ -147,7 +150,7 @@ fn limits_of(core: &Core, call: &Call<'_>) -> Result<MoveLimits, String> {
             share => Err(format!("{}: {share} is not a share between 0 and 1", call.name)),
         };
         let (acceleration, speed) = match joint {
-            true => (OPTIMAL_JOINT_ACCELERATION, arm.joint_speed),
+            true => (OPTIMAL_JOINT_ACCELERATION, arm.joint_speed.into_iter().fold(0.0, f64::max)),
             false => (OPTIMAL_TOOL_ACCELERATION, arm.tool_speed),
         };
         let (acceleration, speed) = (acceleration * share(1)?, speed * share(2)?);
@@ -155,7 +158,6 @@ fn limits_of(core: &Core, call: &Call<'_>) -> Result<MoveLimits, String> {
     }
     let (a, v) = if joint { (1.4, 1.05) } else { (1.2, 0.25) };
     let (acceleration, speed) = (positive(call, first, a)?, positive(call, first + 1, v)?);
-    let speed = if joint { speed.min(arm.joint_speed) } else { speed };
     // Only movej and movel have a duration before the blend radius.
     let (seconds, blend) = match call.name {
         "movej" | "movel" => (not_negative(call, 3)?, not_negative(call, 4)?),
@@ -223,7 +225,8 @@ fn speed(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
         if call.name == "speedj" {
             let limit = core.mover.arm.joint_speed;
             let acceleration = positive(call, 1, 1.4)?;
-            core.mover.joint_speed(target.map(|speed| speed.clamp(-limit, limit)), acceleration);
+            let speeds = std::array::from_fn(|i| target[i].clamp(-limit[i], limit[i]));
+            core.mover.joint_speed(speeds, acceleration);
         } else {
             let acceleration = positive(call, 1, 1.2)?;
             let turning = positive(call, 3, acceleration)?;
@@ -238,8 +241,8 @@ fn speed(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
     Ok(done_if(core.mover.at_speed()))
 }
 
-/// Rigid bodies driven by the given torques, gravity already held; one frame. What `friction_comp` and the
-/// scales compensate does not exist here.
+/// Rigid bodies driven by the given torques, gravity already held; one frame. The real controller compensates
+/// most of the friction; [`FRICTION`] is left of it, and the arguments that set how much have no effect.
 fn torque(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     if call.frames > 0 {
         return Ok(Reply::Value(Value::Nothing));
@@ -248,10 +251,15 @@ fn torque(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     let torque = Vector6::from(finite(call, 0)?);
     let (mover, masses) = (&core.mover, core.masses());
     let (dh, q, qd) = (&mover.arm.dh, mover.q(), mover.qd());
-    let taken = Vector6::from(dynamics::velocity_torques(dh, &masses, &q, &qd));
+    let friction = Vector6::from(FRICTION);
+    let taken = Vector6::from(dynamics::velocity_torques(dh, &masses, &q, &qd))
+        + friction.component_mul(&Vector6::from(qd));
     let felt = Vector6::from(core.tcp_force());
     let felt = dynamics::tool_jacobian(dh, &mover.arm.flange_from_tcp, &q).transpose() * felt;
-    let solved = dynamics::mass_matrix(dh, &masses, &q).cholesky().map(|m| m.solve(&(torque + felt - taken)));
+    // Friction of the speed to come, not of the present one: light wrists would else swing up.
+    let inertia =
+        dynamics::mass_matrix(dh, &masses, &q) + Matrix6::from_diagonal(&(friction * FRAME_SECONDS));
+    let solved = inertia.cholesky().map(|matrix| matrix.solve(&(torque + felt - taken)));
     let acceleration =
         solved.ok_or_else(|| "direct_torque: the payload's inertia is impossible".to_owned())?;
     core.mover.drive(acceleration.into());

@@ -64,7 +64,7 @@ pub fn once(controller: &Controller) -> Vec<SubPackage> {
         }),
         SubPackage::Configuration(ConfigurationData {
             joint_limits: [[-arm.joint_range, arm.joint_range]; 6],
-            joint_maxima: [[arm.joint_speed, arm.joint_acceleration]; 6],
+            joint_maxima: arm.joint_speed.map(|speed| [speed, arm.joint_acceleration]),
             defaults: [1.05, 1.4, 0.25, 1.2],
             equivalent_radius: 0.2,
             a: dh.a,

@@ -32,8 +32,8 @@ pub struct Arm {
     pub flange_from_tcp: Isometry3<f64>,
     /// Joint range to either side, rad.
     pub joint_range: f64,
-    /// Fastest joint speed, rad/s.
-    pub joint_speed: f64,
+    /// Fastest speed of each joint, rad/s.
+    pub joint_speed: [f64; 6],
     /// Fastest joint acceleration in servo and stop modes, rad/s2.
     pub joint_acceleration: f64,
     /// Fastest TCP that the safety configuration allows, m/s; motion is slowed down to it.
@@ -41,14 +41,20 @@ pub struct Arm {
 }
 
 impl Arm {
-    /// UR5e limits (data sheet: +-360 degrees, 180 degrees/s; the acceleration is not published, 40 rad/s2
-    /// is what client libraries let pass; 1.5 m/s is the usual safety configuration).
+    /// A UR5e.
     pub fn ur5e(dh: DhParameters) -> Arm {
+        Arm::of([std::f64::consts::PI; 6], dh)
+    }
+
+    /// An arm with these joint speeds (rad/s). The other limits are the same for all models: +-360 degrees (data
+    /// sheets); the acceleration is not published, 40 rad/s2 is what client libraries let pass; 1.5 m/s is the
+    /// usual safety configuration.
+    pub fn of(joint_speed: [f64; 6], dh: DhParameters) -> Arm {
         Arm {
             dh,
             flange_from_tcp: Isometry3::identity(),
             joint_range: std::f64::consts::TAU,
-            joint_speed: std::f64::consts::PI,
+            joint_speed,
             joint_acceleration: 40.0,
             tool_speed: 1.5,
         }

@@ -406,7 +406,7 @@ impl Mover {
     fn check(&self, next: &Joints) -> Result<(), MotionFault> {
         for joint in 0..6 {
             let speed = (next.0[joint] - self.q.0[joint]) / FRAME_SECONDS;
-            if speed.is_nan() || speed.abs() > self.arm.joint_speed * 1.05 {
+            if speed.is_nan() || speed.abs() > self.arm.joint_speed[joint] * 1.05 {
                 return Err(MotionFault::JointSpeed { joint, speed });
             }
         }
@@ -505,7 +505,7 @@ impl Mover {
         *seconds_left -= FRAME_SECONDS;
         let (limit, gain) = (self.arm.joint_speed, self.scaling * self.drive / *lookahead);
         let wanted: [f64; 6] =
-            std::array::from_fn(|i| ((target.0[i] - self.q.0[i]) * gain).clamp(-limit, limit));
+            std::array::from_fn(|i| ((target.0[i] - self.q.0[i]) * gain).clamp(-limit[i], limit[i]));
         let over = *seconds_left < -FRAME_SECONDS / 2.0;
         let wanted = self.within_tool_speed(wanted);
         let acceleration = self.arm.joint_acceleration;

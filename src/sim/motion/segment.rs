@@ -70,7 +70,10 @@ impl Segment {
         let length = delta.iter().fold(0.0f64, |longest, value| longest.max(value.abs()));
         let blend =
             if limits.blend > 0.0 { length * joint_blend(arm, from, &delta, to, limits.blend) } else { 0.0 };
-        let profile = profile(length, limits, blend, lead);
+        // No joint may be faster than it can, also where another one leads.
+        let slowest = delta.iter().zip(arm.joint_speed).filter(|(way, _)| way.abs() > 0.0);
+        let speed = slowest.map(|(way, most)| most * length / way.abs()).fold(limits.speed, f64::min);
+        let profile = profile(length, &MoveLimits { speed, ..*limits }, blend, lead);
         Segment { course: Course::Joint { from: *from, delta }, profile, target: *to, constant_speed: false }
     }
 
