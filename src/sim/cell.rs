@@ -17,6 +17,7 @@ use crate::sim::faults::{FaultError, Planned};
 use crate::sim::gripper_server;
 use crate::sim::motion::FRAME_SECONDS;
 use crate::sim::robot_server::{self, ListenError, RobotAddresses, RobotPorts, RobotServers, RobotShared};
+use crate::sim::world::event::Contact;
 use crate::sim::world::spec::{WorldError, WorldSpec};
 use crate::sim::world::{SharedWorld, World, lock};
 use std::net::{IpAddr, SocketAddr};
@@ -363,19 +364,23 @@ fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
     start.elapsed()
 }
 
-/// The world follows the arm; where the arm presses on it, the arm's safety system stops it.
+/// The world follows the arm, which feels what it touches; where it presses too hard, its safety system stops it.
 fn step_world(robot: &RobotShared, world: &SharedWorld) {
     let (now, base_from_flange, moving) = {
         let controller = robot.controller();
         (controller.core.timestamp(), controller.core.base_from_flange(), !controller.core.mover.stands())
     };
-    let pressed = {
+    let (force, pressed) = {
         let mut world = lock(world);
         let before = world.contact().map_or(0.0, |contact| contact.depth_m);
         world.step(now, FRAME_SECONDS, &base_from_flange);
         // Only what gets deeper: after the stop the arm must be able to retreat.
-        world.contact().filter(|contact| moving && contact.depth_m > STOP_DEPTH_M.max(before)).cloned()
+        let too_deep = |contact: &&Contact| moving && contact.depth_m > STOP_DEPTH_M.max(before);
+        let force = world.base_from_table().rotation * world.contact_force();
+        (force, world.contact().filter(too_deep).cloned())
     };
+    let wrench = [force.x, force.y, force.z, 0.0, 0.0, 0.0];
+    robot.controller().core.sensing.set_contact_wrench(wrench);
     if let Some(contact) = pressed {
         let reason = format!("{} presses on {}", contact.moving, contact.against);
         robot.controller().protective_stop(&reason);

@@ -6,8 +6,9 @@
 //! started; a thread that becomes ready in a frame (joined, handed the critical section, just started) still
 //! runs in it. A slice longer than [`SLICE`] instructions is an endless loop and an exception, as the
 //! controller aborts a program that does not let time pass.
-//! The critical section is a lock that is handed on in the order of asking, with sleeping and motion allowed
-//! inside: deployed scripts read sockets and stop the arm within it, and need their turn after each other.
+//! The critical section is a lock that is handed on in the order of asking, with sleeping allowed inside. While
+//! its holder waits in a built-in (a motion, a socket) the section is lent to who asks for it: deployed scripts
+//! run whole trajectories within it and still read their orders, a cancellation among them, in another one.
 
 use crate::urscript::code::Code;
 use crate::urscript::fault::{Position, RuntimeException};
@@ -56,6 +57,8 @@ struct Scheduled {
     /// Had its turn in this frame and let time pass.
     done: bool,
     budget: u32,
+    /// How often it had entered the critical section that it lent when it began to wait for the host.
+    lent: u32,
 }
 
 /// A program and its threads.
@@ -75,7 +78,7 @@ impl Program {
         let main = Thread::new(MAIN, None, &code, 0, Vec::new());
         let globals = vec![None; code.globals];
         let shared = Shared { code, globals, random: Random::new(seed) };
-        let main = Scheduled { thread: main, wait: Wait::Nothing, done: false, budget: SLICE };
+        let main = Scheduled { thread: main, wait: Wait::Nothing, done: false, budget: SLICE, lent: 0 };
         Program { shared, threads: vec![main], last_id: 1, holder: None, queue: VecDeque::new() }
     }
 
@@ -150,7 +153,8 @@ impl Program {
             return false;
         };
         match &scheduled.wait {
-            Wait::Nothing | Wait::Host | Wait::Frames(0) => true,
+            Wait::Nothing | Wait::Frames(0) => true,
+            Wait::Host => scheduled.lent == 0 || self.holder.is_none(),
             Wait::Frames(_) => false,
             Wait::Thread(other) => !self.alive(*other),
             Wait::Critical => self.holder.is_some_and(|(holder, _)| holder == scheduled.thread.id),
@@ -179,6 +183,9 @@ impl Program {
         let Some(scheduled) = self.threads.get_mut(index) else { return Ok(Turn::Over) };
         scheduled.wait = Wait::Nothing;
         let id = scheduled.thread.id;
+        if scheduled.lent > 0 {
+            self.holder = Some((id, std::mem::take(&mut scheduled.lent)));
+        }
         match scheduled.thread.run(&mut self.shared, host, &mut scheduled.budget)? {
             Event::Sleep(frames) => {
                 scheduled.wait = Wait::Frames(frames);
@@ -188,6 +195,10 @@ impl Program {
             Event::Waiting => {
                 scheduled.wait = Wait::Host;
                 scheduled.done = true;
+                if let Some((_, depth)) = self.holder.filter(|(holder, _)| *holder == id) {
+                    scheduled.lent = depth;
+                    self.hand_on();
+                }
                 return Ok(Turn::Over);
             }
             Event::Join(other) => {
@@ -242,7 +253,7 @@ impl Program {
         let id = ThreadId(self.last_id);
         by.thread.push(Value::Thread(id));
         let thread = Thread::new(id, Some(by.thread.id), &self.shared.code, function, parameters);
-        self.threads.push(Scheduled { thread, wait: Wait::Nothing, done: false, budget: SLICE });
+        self.threads.push(Scheduled { thread, wait: Wait::Nothing, done: false, budget: SLICE, lent: 0 });
         Ok(())
     }
 
@@ -517,6 +528,12 @@ pub(crate) mod tests {
             "free",
         );
         check("enter_critical enter_critical exit_critical exit_critical say(1)", "1");
+        // A trajectory within the section, and orders that are read within it, do not wait for each other.
+        check(
+            "thread a(): enter_critical wait(5) say('arrived') wait(5) exit_critical end\n\
+             h = run a() n = 0 while n < 2: enter_critical wait(2) say('order') exit_critical n = n + 1 end join h",
+            "order|order|arrived",
+        );
         check_fails("exit_critical", 1, 1, "without enter_critical");
     }
 

@@ -8,6 +8,8 @@
 
 pub mod builtins;
 
+pub mod force_functions;
+
 pub mod functions;
 
 pub mod io_functions;
@@ -28,12 +30,26 @@ pub mod registers;
 
 pub mod robot_state;
 
+pub mod sensing;
+
+pub mod setting_functions;
+
+pub mod settings;
+
+pub mod socket_functions;
+
+pub mod sockets;
+
 use crate::geometry::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use crate::motion::kinematics::{DhParameters, forward};
+use crate::sim::controller::force_functions::{Compliance, ForceSettings};
 use crate::sim::controller::modes::Modes;
 use crate::sim::controller::pendant::Pendant;
 use crate::sim::controller::programs::Programs;
 use crate::sim::controller::registers::Registers;
+use crate::sim::controller::sensing::Sensing;
+use crate::sim::controller::settings::Settings;
+use crate::sim::controller::sockets::{NoNetwork, ScriptSockets};
 use crate::sim::motion::mover::{HARD_RAMP_SECONDS, MoveId, Mover, SOFT_RAMP_SECONDS};
 use crate::sim::motion::{Arm, FRAME_SECONDS, MotionFault};
 use crate::units::Joints;
@@ -156,6 +172,16 @@ pub struct Core {
     pub step: u64,
     /// Text of a popup on the pendant.
     pub popup: Option<String>,
+    /// Forces at the tool and the arm's recent past.
+    pub sensing: Sensing,
+    /// Force mode or freedrive, if one is on.
+    pub compliance: Option<Compliance>,
+    /// Damping and gain of force mode.
+    pub force_settings: ForceSettings,
+    /// What scripts set and ask back.
+    pub settings: Settings,
+    /// The network, for scripts' sockets.
+    pub sockets: Box<dyn ScriptSockets>,
     /// What was chosen at the pendant.
     pub pendant: Pendant,
     messages: VecDeque<MessageBody>,
@@ -194,6 +220,11 @@ impl Controller {
             tcp_offset: [0.0; 6],
             step: 0,
             popup: None,
+            sensing: Sensing::default(),
+            compliance: None,
+            force_settings: ForceSettings::default(),
+            settings: Settings::default(),
+            sockets: Box::new(NoNetwork),
             pendant: Pendant::default(),
             messages: VecDeque::new(),
             tcp_pose: [0.0; 6],
@@ -218,12 +249,15 @@ impl Controller {
         if let Some(reason) = self.core.stop_asked.take() {
             self.protective_stop(&reason);
         }
+        self.core.sockets.flush();
         if !self.core.modes.brakes_open() {
             self.core.mover.freeze();
         } else if let Err(fault) = self.move_arm() {
             self.protective_stop(&fault.to_string());
         }
         self.core.refresh();
+        let (q, force) = (self.core.mover.q(), self.core.tcp_force());
+        self.core.sensing.remember(q, force);
     }
 
     fn move_arm(&mut self) -> Result<(), MotionFault> {
@@ -231,6 +265,7 @@ impl Controller {
         self.core.mover.set_ramp(if safe { SOFT_RAMP_SECONDS } else { HARD_RAMP_SECONDS });
         let held = self.programs.paused() || !safe;
         let scaling = if held { 0.0 } else { self.core.registers.speed_fraction() };
+        self.core.yield_to_forces();
         self.core.mover.step(scaling)
     }
 
@@ -305,7 +340,10 @@ impl Controller {
         if let Some(seed) = kinematics {
             config.dh = calibrated_ur5e(seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD);
         }
+        self.core.sockets.close_all();
+        let sockets = std::mem::replace(&mut self.core.sockets, Box::new(NoNetwork));
         *self = Controller::new(config);
+        self.core.sockets = sockets;
     }
 
     /// Arm power off; a running program ends.
@@ -337,6 +375,11 @@ impl Core {
     /// `base_from_flange` as it really is.
     pub fn base_from_flange(&self) -> Isometry3<f64> {
         forward(&self.mover.arm.dh, &self.mover.q())
+    }
+
+    /// Pose the active move leads to; the present one when the arm is in none.
+    pub fn target_waypoint(&self) -> [f64; 6] {
+        self.mover.waypoint().map_or(self.tcp_pose, |pose| ur_pose_from_isometry(&pose))
     }
 
     /// Sets the tool centre point.

@@ -42,13 +42,13 @@ const COMPUTED: &[(&str, Compute)] = &[
     ("target_TCP_pose", |c| Value::Vector6D(c.core.tcp_pose())),
     ("actual_TCP_speed", |c| Value::Vector6D(c.core.mover.tcp_speed().into())),
     ("target_TCP_speed", |c| Value::Vector6D(c.core.mover.tcp_speed().into())),
-    ("actual_TCP_force", |c| Value::Vector6D(c.core.registers.external_force)),
-    ("ft_raw_wrench", |c| Value::Vector6D(c.core.registers.external_force)),
+    ("actual_TCP_force", |c| Value::Vector6D(c.core.tcp_force())),
+    ("ft_raw_wrench", |c| Value::Vector6D(c.core.raw_wrench())),
     ("tcp_offset", |c| Value::Vector6D(c.core.tcp_offset)),
     ("elbow_position", |c| Value::Vector3D(elbow(c))),
     ("elbow_velocity", |c| Value::Vector3D(elbow_velocity(c))),
     ("tcp_force_scalar", |c| {
-        let [x, y, z, ..] = c.core.registers.external_force;
+        let [x, y, z, ..] = c.core.tcp_force();
         Value::Double(x.hypot(y).hypot(z))
     }),
     ("actual_digital_input_bits", |c| Value::Uint64(c.core.registers.digital_inputs)),

@@ -270,6 +270,8 @@ fn ended(program: &Program, core: &mut Core) {
     core.owner = None;
     core.orphaned = false;
     core.watchdogs.clear();
+    core.compliance = None;
+    core.sockets.close_all();
     if core.mover.stands() {
         // A move that was paused must not go on under the next program.
         core.mover.freeze();

@@ -24,7 +24,7 @@ pub fn block(controller: &Controller) -> Vec<u8> {
     out.f64s(&q).f64s(&qd).f64s(&qdd).f64s(&[0.0; 12]);
     out.f64s(&q).f64s(&qd).f64s(&[0.0; 12]);
     // Actual TCP pose, speed and force; target TCP pose and speed.
-    out.f64s(&core.tcp_pose()).f64s(&tcp_speed).f64s(&core.registers.external_force);
+    out.f64s(&core.tcp_pose()).f64s(&tcp_speed).f64s(&core.tcp_force());
     out.f64s(&core.tcp_pose()).f64s(&tcp_speed);
     out.f64(core.registers.digital_inputs as f64).f64s(&[35.0; 6]);
     // Controller timer, test value, modes.

@@ -42,10 +42,7 @@ pub fn periodic(controller: &Controller) -> Vec<SubPackage> {
             tcp_pose: controller.core.tcp_pose(),
             tcp_offset: controller.core.tcp_offset,
         }),
-        SubPackage::ForceMode(ForceModeData {
-            wrench: controller.core.registers.external_force,
-            dexterity: 0.0,
-        }),
+        SubPackage::ForceMode(ForceModeData { wrench: controller.core.tcp_force(), dexterity: 0.0 }),
         SubPackage::Additional(AdditionalData { freedrive_enabled: true, ..AdditionalData::default() }),
         SubPackage::ToolCommunication(TOOL_LINE),
         SubPackage::ToolMode(ToolModeData::default()),

@@ -66,8 +66,8 @@ fn programs_report_their_start_and_end() {
         &["exception 2:7 syntax_error_on_line:2:expected an expression, found `=`"],
     );
     check(
-        "def f():\n  movec(p[0,0,0,0,0,0], p[0,0,0,0,0,0])\nend\n",
-        &["STARTED:f", "exception 2:3 movec is not available in the simulation", "STOPPED:f"],
+        "def f():\n  clear_interpreter()\nend\n",
+        &["STARTED:f", "exception 2:3 clear_interpreter is not available in the simulation", "STOPPED:f"],
     );
 }
 

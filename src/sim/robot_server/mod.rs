@@ -24,6 +24,7 @@ use crate::sim::faults::link::{Link, LinkName, LinkStream, Links};
 use crate::sim::robot_server::outlets::{Feed, Outlets};
 use crate::sim::robot_server::punctuality::Punctuality;
 use crate::sim::robot_server::script_ports::Port;
+use crate::sim::script_sockets::TcpScriptSockets;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
@@ -111,8 +112,9 @@ pub struct RobotShared {
 }
 
 impl RobotShared {
-    /// Around a controller.
-    pub fn new(controller: Controller) -> Arc<RobotShared> {
+    /// Around a controller, which gets the network for its scripts' sockets.
+    pub fn new(mut controller: Controller) -> Arc<RobotShared> {
+        controller.core.sockets = Box::new(TcpScriptSockets::default());
         Arc::new(RobotShared {
             controller: Mutex::new(controller),
             outlets: Mutex::new(Outlets::default()),
