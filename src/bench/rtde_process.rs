@@ -13,8 +13,6 @@ use std::time::{Duration, Instant};
 /// A running simulator.
 pub struct Simulator {
     child: Child,
-    /// Where it listens.
-    pub host: IpAddr,
     /// From the start of the process to the first connection that was accepted, ms.
     pub start_ms: f64,
     control: String,
@@ -32,7 +30,7 @@ impl Simulator {
         command.stdout(Stdio::piped()).stderr(Stdio::null());
         let began = Instant::now();
         let child = command.spawn().map_err(|error| format!("{}: {error}", program.display()))?;
-        let mut simulator = Simulator { child, host, start_ms: 0.0, control: String::new() };
+        let mut simulator = Simulator { child, start_ms: 0.0, control: String::new() };
         while TcpStream::connect(SocketAddr::new(host, RTDE)).is_err() {
             let ended = simulator.child.try_wait().ok().flatten();
             if let Some(status) = ended {
