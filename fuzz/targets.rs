@@ -28,8 +28,11 @@ use celld::wire::rtde_variables::OUTPUTS;
 use nalgebra::Isometry3;
 use std::sync::Arc;
 
+/// What a target does with the bytes it is given.
+pub type Target = fn(&[u8]);
+
 /// Names of the targets and what they do.
-pub const TARGETS: [(&str, fn(&[u8])); 5] = [
+pub const TARGETS: [(&str, Target); 5] = [
     ("rtde", rtde),
     ("dashboard", dashboard),
     ("primary", primary),
@@ -101,7 +104,7 @@ pub fn rtde(data: &[u8]) {
     client.connected(now);
     for piece in pieces(data) {
         client.received(now, piece);
-        now = now + Duration::from_secs(1);
+        now += Duration::from_secs(1);
         client.tick(now);
         while client.poll_transmit().is_some() || client.poll_event().is_some() {}
     }
@@ -143,7 +146,7 @@ pub fn dashboard(data: &[u8]) {
     for piece in pieces(data) {
         let _ = client.ask(now, Command::SafetyMode);
         client.received(now, piece);
-        now = now + Duration::from_secs(1);
+        now += Duration::from_secs(1);
         client.tick(now);
         while client.poll_transmit().is_some() || client.poll_event().is_some() {}
     }
@@ -181,7 +184,7 @@ pub fn primary(data: &[u8]) {
     client.connected(now);
     for piece in pieces(data) {
         client.received(now, piece);
-        now = now + Duration::from_secs(1);
+        now += Duration::from_secs(1);
         client.tick(now);
         while client.poll_transmit().is_some() || client.poll_event().is_some() {}
     }
