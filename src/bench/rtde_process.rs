@@ -25,7 +25,10 @@ impl Simulator {
     /// It cannot be started, or does not come up.
     pub fn start(program: &Path, config: &Path, host: IpAddr, factor: f64) -> Result<Simulator, String> {
         let mut command = Command::new(program);
-        command.arg("sim").arg("--config").arg(config).arg("--control");
+        if program.file_stem().is_none_or(|name| name != "celld-sim") {
+            command.arg("sim");
+        }
+        command.arg("--config").arg(config).arg("--control");
         command.args(["--bind", &host.to_string(), "--time-factor", &factor.to_string()]);
         command.stdout(Stdio::piped()).stderr(Stdio::null());
         let began = Instant::now();

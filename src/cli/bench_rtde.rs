@@ -7,7 +7,7 @@ use crate::bench::rtde::{Setup, run as measure, table};
 use crate::cli::task::{complain, print};
 use crate::cli::values;
 use std::net::IpAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `celld bench rtde`.
 #[derive(Clone, Debug, clap::Args)]
@@ -32,10 +32,16 @@ pub struct BenchRtdeArgs {
     format: String,
 }
 
+/// The simulator as it is given to others, if it was built with this program; else this program.
+fn simulator_beside(program: &Path) -> PathBuf {
+    let alone = program.with_file_name("celld-sim");
+    if alone.exists() { alone } else { program.to_owned() }
+}
+
 /// Runs `celld bench rtde`. Returns the exit code.
 pub fn run(args: &BenchRtdeArgs) -> u8 {
     let program = match std::env::current_exe() {
-        Ok(program) => program,
+        Ok(program) => simulator_beside(&program),
         Err(error) => {
             complain(&format!("this program's own file: {error}"));
             return 1;

@@ -392,6 +392,10 @@ fn tokens(offers: &[Offer]) -> String {
 fn offers(reader: &mut Reader) -> Result<Vec<Offer>, WireError> {
     let offset = reader.offset();
     let text = reader.rest_text();
+    if text.is_empty() {
+        // The answer to a request that names nothing.
+        return Ok(Vec::new());
+    }
     let unknown = |token: &str| WireError::Unexpected {
         field: "variable type",
         offset,
