@@ -5,8 +5,10 @@
 //! `bound`: dependency graph, minimum feedback vertex sets, lower bound. `weights`: HeCP and HeTI. `primitive`,
 //! `total_buffers`: primitive plans of minimum running buffer and of least buffer weight in all. `scene`,
 //! `buffers`, `detour`, `trlb`: lazy buffer allocation and the bidirectional search. `mcts`: tree search over arrangements.
+//! `auto`: our own anytime solver.
 //! `completion`, `solver`: one shape for all solvers. `generate`: random instances.
 
+pub mod auto;
 pub mod bound;
 pub mod buffers;
 pub mod check;

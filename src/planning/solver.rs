@@ -176,9 +176,6 @@ pub fn solve(
     if objective == Objective::Time && control.seconds.is_none() {
         return Err(SolveError::NoTimes);
     }
-    if solver == SolverKind::Auto {
-        return Err(SolveError::NotBuilt(solver.word()));
-    }
     let scene = Scene::new(problem);
     let lower_bound = lower_bound(&scene, objective, control.least_move_seconds).value;
     if let Some(witness) = problem.goal_conflict() {

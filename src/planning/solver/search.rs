@@ -6,6 +6,7 @@
 //! the limit, unless the control asks for the first.
 
 use crate::geometry::pose::Pose2;
+use crate::planning::auto;
 use crate::planning::buffers::Arrangement;
 use crate::planning::check::CheckedPlan;
 use crate::planning::completion;
@@ -86,8 +87,15 @@ pub(super) fn run(
             };
             tree_search(scene, &rule, seed, incumbent, effort);
         }
-        SolverKind::Auto => {}
+        SolverKind::Auto => auto(scene, seed, incumbent, effort),
     }
+}
+
+/// Our own solver. It counts moves, weighted by impedance under TI.
+fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
+    let weigh = |o: &ProblemObject| if incumbent.objective == Objective::Ti { o.impedance } else { 1.0 };
+    let costs: Vec<f64> = scene.problem.objects.iter().map(weigh).collect();
+    auto::search(scene, &costs, seed, &mut |moves| incumbent.offer(moves), effort);
 }
 
 /// HeTI under TI, else HeCP, for every object of the problem; 0 for those that never move.

@@ -1,0 +1,190 @@
+//! `auto`, our own anytime solver: many randomised roll-outs, then pieces of the best plan solved anew.
+//!
+//! In: a scene, a seed, the cost of a move of each object. Out: plans, each offered as it is found. A first plan comes
+//! from roll-outs (`roll_out`) from the start or, turned round, from the goal. From then on a piece of the plan, its
+//! tail, its head (backwards) or a window, is replaced by a roll-out between the same two arrangements whenever that
+//! costs no more; equal cost counts as progress, so that the plan drifts until a better one is near. Ideas:
+//! feedback vertex set as bound and guide (Gao et al., TRLB), plan shortening by large-neighbourhood search.
+//! Deterministic: one thread, all choices from the seed, nothing but steps decides when it ends.
+
+pub mod parking;
+pub mod regions;
+pub mod roll_out;
+pub mod table;
+
+use crate::planning::auto::parking::{Care, Shapes};
+use crate::planning::auto::roll_out::{Style, Task, roll_out};
+use crate::planning::buffers::Arrangement;
+use crate::planning::completion;
+use crate::planning::effort::Effort;
+use crate::planning::mcts::Verdict;
+use crate::planning::object_set::ObjectSet;
+use crate::planning::scene::{Scene, Spot};
+use crate::planning::trlb::{Move, reversed, tidy};
+use rand::RngExt;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
+
+/// Searches until the plan is good enough or the effort is spent. `offer` hears of every plan that is better than
+/// those before, and checks it.
+pub fn search(
+    scene: &Scene,
+    costs: &[f64],
+    seed: u64,
+    offer: &mut dyn FnMut(&[Move]) -> Verdict,
+    effort: &mut Effort,
+) {
+    let mut auto = Auto::new(scene, costs, seed);
+    let mut best = f64::INFINITY;
+    while !effort.is_over() {
+        let Some(plan) = auto.next_plan(effort) else {
+            effort.step();
+            continue;
+        };
+        let cost = auto.cost(&plan);
+        if cost < best - auto.slack {
+            match offer(&plan) {
+                Verdict::Enough => return,
+                Verdict::Refused => continue,
+                Verdict::Accepted => best = cost,
+            }
+        }
+        auto.plan = Some(plan);
+    }
+}
+
+struct Auto<'a> {
+    scene: &'a Scene<'a>,
+    costs: &'a [f64],
+    shapes: Shapes,
+    flexible: ObjectSet,
+    start: Arrangement,
+    goals: Vec<Option<crate::geometry::pose::Pose2>>,
+    plan: Option<Vec<Move>>,
+    slack: f64,
+    rng: ChaCha8Rng,
+    rounds: u64,
+}
+
+/// A piece of a plan.
+struct Piece {
+    first: usize,
+    last: usize,
+    backwards: bool,
+}
+
+impl<'a> Auto<'a> {
+    fn new(scene: &'a Scene<'a>, costs: &'a [f64], seed: u64) -> Auto<'a> {
+        let goals = completion::assigned_goals(scene);
+        let flexible = scene.movable.iter().copied().filter(|&o| goals[o].is_none()).collect();
+        let start = (0..costs.len()).map(|i| scene.start(i).clone()).collect();
+        let slack = 1e-6 * costs.iter().sum::<f64>();
+        let (shapes, rng) = (Shapes::new(scene), ChaCha8Rng::seed_from_u64(seed));
+        Auto { scene, costs, shapes, flexible, start, goals, plan: None, slack, rng, rounds: 0 }
+    }
+
+    fn cost(&self, moves: &[Move]) -> f64 {
+        moves.iter().map(|m| self.costs[m.object]).sum()
+    }
+
+    /// A plan no dearer than the one before, or none this time.
+    fn next_plan(&mut self, effort: &mut Effort) -> Option<Vec<Move>> {
+        self.rounds += 1;
+        match self.plan.take() {
+            None => self.whole_plan(f64::INFINITY, effort),
+            Some(plan) => {
+                let new = self.improved(&plan, effort);
+                self.plan = Some(plan);
+                new
+            }
+        }
+    }
+
+    fn whole_plan(&mut self, ceiling: f64, effort: &mut Effort) -> Option<Vec<Move>> {
+        let goal = completion::complete(self.scene, &self.goals, &mut self.rng, effort)?;
+        let backwards = self.rounds % 3 == 2;
+        let style = self.style(None, true);
+        let start = self.start.clone();
+        self.between(&start, &goal, backwards, self.flexible, ceiling, &style, effort).map(tidy)
+    }
+
+    fn improved(&mut self, plan: &[Move], effort: &mut Effort) -> Option<Vec<Move>> {
+        if self.rng.random_bool(0.05) {
+            let ceiling = self.cost(plan);
+            return self.whole_plan(ceiling, effort);
+        }
+        let piece = self.choose(plan.len());
+        let from = self.arrangement_after(&plan[..piece.first]);
+        let to = self.arrangement_after(&plan[..piece.last]);
+        let flexible = if piece.last == plan.len() { self.flexible } else { ObjectSet::EMPTY };
+        let detours = self.rng.random_bool(0.3);
+        let style = self.style(Some(plan), detours);
+        let ceiling = self.cost(&plan[piece.first..piece.last]);
+        let new = self.between(&from, &to, piece.backwards, flexible, ceiling, &style, effort)?;
+        let (head, tail) = (plan[..piece.first].iter(), plan[piece.last..].iter());
+        Some(tidy(head.cloned().chain(new).chain(tail.cloned()).collect()))
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn between(
+        &mut self,
+        from: &Arrangement,
+        to: &Arrangement,
+        backwards: bool,
+        flexible: ObjectSet,
+        ceiling: f64,
+        style: &Style,
+        effort: &mut Effort,
+    ) -> Option<Vec<Move>> {
+        let (from, to) = if backwards { (to, from) } else { (from, to) };
+        let flexible = if backwards { ObjectSet::EMPTY } else { flexible };
+        let (scene, shapes, costs) = (self.scene, &self.shapes, self.costs);
+        let task = Task { scene, shapes, costs, from, to, flexible, ceiling };
+        let moves = roll_out(&task, style, &mut self.rng, effort)?;
+        Some(if backwards { reversed(moves) } else { moves })
+    }
+
+    fn arrangement_after(&self, moves: &[Move]) -> Arrangement {
+        let mut arrangement = self.start.clone();
+        moves.iter().for_each(|m| arrangement[m.object] = m.to.clone());
+        arrangement
+    }
+
+    /// Tail, head or window, whose cost is to be undercut.
+    fn choose(&mut self, length: usize) -> Piece {
+        let rng = &mut self.rng;
+        match rng.random_range(0..10u8) {
+            0..=3 => Piece { first: rng.random_range(0..length), last: length, backwards: false },
+            4..=7 => Piece { first: 0, last: rng.random_range(1..=length), backwards: true },
+            _ => {
+                let span = length.min(rng.random_range(4..=30));
+                let first = rng.random_range(0..=length - span);
+                Piece { first, last: first + span, backwards: rng.random_bool(0.5) }
+            }
+        }
+    }
+
+    /// How the next roll-out goes about it; plans on the way give it places and favourites.
+    fn style(&mut self, plan: Option<&[Move]>, detours: bool) -> Style {
+        let count = self.costs.len();
+        let rng = &mut self.rng;
+        let care = match rng.random_range(0..6u8) {
+            0..=2 => Care { samples: 20, angles: 0, pivots: 0 },
+            3 | 4 => Care { samples: 60, angles: 1, pivots: 8 },
+            _ => Care { samples: 120, angles: 3, pivots: 16 },
+        };
+        let mut bias: Vec<f64> = (0..count).map(|_| rng.random_range(1.0..2.0)).collect();
+        let mut hints: Vec<Vec<Arc<Spot>>> = vec![Vec::new(); count];
+        let hinted = rng.random_bool(0.5);
+        for m in plan.unwrap_or_default() {
+            let is_end = self.scene.goal(m.object).is_some_and(|goal| goal.pose == m.to.pose);
+            if hinted && !is_end && rng.random_bool(0.8) {
+                hints[m.object].push(m.to.clone());
+                bias[m.object] = rng.random_range(0.0..1.3);
+            }
+        }
+        let hold = if rng.random_bool(0.2) { 0.1 } else { 0.0 };
+        Style { care, bias, hints, hold, detours }
+    }
+}

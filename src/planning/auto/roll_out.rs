@@ -1,0 +1,277 @@
+//! One randomised way from an arrangement to another, given up as soon as it cannot be cheap enough.
+//!
+//! In: two arrangements, the cost of a move of each object, a ceiling. Out: moves that cost no more than the ceiling.
+//! Whatever can go home goes; when nothing can, a member of a minimum feedback vertex set of the objects in each
+//! other's way is parked (`parking`). What the remaining objects and that set must still cost is a lower bound for
+//! all that can follow from here, and cuts. Where no member finds an ideal place, sets without it are tried, then
+//! places that cost another move, then places that others have to leave first.
+
+use crate::planning::auto::parking::{self, Care, Shapes, Wish};
+use crate::planning::auto::table::Table;
+use crate::planning::buffers::Arrangement;
+use crate::planning::effort::Effort;
+use crate::planning::feedback;
+use crate::planning::object_set::ObjectSet;
+use crate::planning::scene::{Scene, Spot};
+use crate::planning::trlb::Move;
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
+
+/// Feedback vertex sets tried before an object is parked at a price.
+const SETS: usize = 3;
+
+/// Nodes of the search for a feedback vertex set: enough for a proof on the tables there are.
+const NODE_LIMIT: u64 = 20_000;
+
+/// Places compared when others have to make way.
+const CONTESTED: usize = 80;
+
+/// Weights are changed by this share to choose among sets of equal cost.
+pub const NUDGE: f64 = 1e-7;
+
+/// Where to, and at what price.
+pub struct Task<'a> {
+    /// The scene.
+    pub scene: &'a Scene<'a>,
+    /// Its outlines.
+    pub shapes: &'a Shapes,
+    /// Cost of a move of each object.
+    pub costs: &'a [f64],
+    /// Where everything stands.
+    pub from: &'a Arrangement,
+    /// Where it is to go.
+    pub to: &'a Arrangement,
+    /// Objects that may also end elsewhere.
+    pub flexible: ObjectSet,
+    /// The most that the moves may cost.
+    pub ceiling: f64,
+}
+
+/// How this roll-out goes about it.
+pub struct Style {
+    /// For the search for places.
+    pub care: Care,
+    /// From 0 to 3: objects with little are put aside rather than others, among sets of equal cost.
+    pub bias: Vec<f64>,
+    /// Places known for each object.
+    pub hints: Vec<Vec<Arc<Spot>>>,
+    /// Chance that an object that could go home is kept waiting.
+    pub hold: f64,
+    /// May pay for places that cost another move.
+    pub detours: bool,
+}
+
+/// The moves, if the roll-out got there.
+pub fn roll_out(task: &Task, style: &Style, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Option<Vec<Move>> {
+    let table = Table::new(task.scene, task.from, task.to, task.flexible);
+    let nudged = task.costs.iter().zip(&style.bias).map(|(cost, bias)| cost * (1.0 + NUDGE * bias)).collect();
+    let slack = 1e-6 * task.costs.iter().sum::<f64>();
+    RollOut { task, style, table, nudged, slack, spent: 0.0 }.run(rng, effort)
+}
+
+struct RollOut<'a> {
+    task: &'a Task<'a>,
+    style: &'a Style,
+    table: Table<'a>,
+    nudged: Vec<f64>,
+    slack: f64,
+    spent: f64,
+}
+
+impl RollOut<'_> {
+    fn run(mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Option<Vec<Move>> {
+        let most = 6 * self.table.now.len() + 20;
+        loop {
+            self.go_home(rng);
+            if self.table.remaining.is_empty() {
+                return Some(self.table.moves);
+            }
+            if self.table.moves.len() > most || !effort.step() || !self.park(rng, effort) {
+                return None;
+            }
+        }
+    }
+
+    fn pay(&mut self, object: usize, spot: Arc<Spot>) {
+        self.spent += self.task.costs[object];
+        self.table.put(object, spot);
+    }
+
+    fn go_home(&mut self, rng: &mut ChaCha8Rng) {
+        let mut held = ObjectSet::EMPTY;
+        loop {
+            let mut free: Vec<usize> = (self.table.free_to_go() - held).iter().collect();
+            if free.is_empty() {
+                break;
+            }
+            free.shuffle(rng);
+            for object in free {
+                if self.style.hold > 0.0 && rng.random_bool(self.style.hold) {
+                    held.insert(object);
+                } else {
+                    self.pay(object, self.table.ends[object].clone());
+                }
+            }
+        }
+        // Held objects wait for a parked one only; where nobody has to be parked, nothing would ever free them.
+        if !held.is_empty() && self.feedback(ObjectSet::EMPTY).is_empty() {
+            while let Some(object) = self.table.free_to_go().smallest() {
+                self.pay(object, self.table.ends[object].clone());
+            }
+        }
+    }
+
+    /// A cheapest set whose parking lets all others go home, avoiding `dear` where that costs nothing much.
+    fn feedback(&self, dear: ObjectSet) -> ObjectSet {
+        let mut weights = self.nudged.clone();
+        dear.iter().for_each(|o| weights[o] *= 4.0);
+        feedback::minimum_within(&self.table.graph(), &weights, NODE_LIMIT).vertices
+    }
+
+    fn too_dear(&self, aside: ObjectSet) -> bool {
+        let rest = (self.table.remaining.weight(self.task.costs)) + aside.weight(self.task.costs);
+        self.spent + rest > self.task.ceiling + self.slack
+    }
+
+    /// Parks one object; false when nothing affordable is left.
+    fn park(&mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
+        let mut tried = ObjectSet::EMPTY;
+        let mut compromises: Vec<(usize, usize, Arc<Spot>)> = Vec::new();
+        for _ in 0..SETS {
+            let aside = self.feedback(tried);
+            if self.too_dear(aside) {
+                // The first set is the cheapest there is.
+                if tried.is_empty() {
+                    return false;
+                }
+                break;
+            }
+            for object in self.order(aside - tried, rng) {
+                let wish =
+                    Wish { object, aside: aside.without(object), reserved: None, hints: &self.style.hints[object] };
+                let found = parking::find(&self.table, self.task.shapes, &wish, self.style.care, rng, effort);
+                if let Some(spot) = found.ideal {
+                    self.pay(object, spot);
+                    return true;
+                }
+                compromises.extend(found.compromise.map(|(closing, spot)| (closing, object, spot)));
+                if effort.is_over() {
+                    return false;
+                }
+            }
+            let new = !(aside - tried).is_empty();
+            tried = tried | aside;
+            if !new {
+                break;
+            }
+        }
+        self.style.detours && self.park_at_a_price(compromises, rng, effort)
+    }
+
+    /// Those first whose absence lets somebody go, mostly.
+    fn order(&self, aside: ObjectSet, rng: &mut ChaCha8Rng) -> Vec<usize> {
+        let mut order: Vec<usize> = aside.iter().collect();
+        order.shuffle(rng);
+        if rng.random_bool(0.6) {
+            let lone: ObjectSet = self.table.remaining.iter().map(|i| self.table.blockers(i)).filter(|b| b.len() == 1)
+                .fold(ObjectSet::EMPTY, |all, b| all | b);
+            order.sort_by_key(|&o| !lone.contains(o));
+        }
+        order
+    }
+
+    fn park_at_a_price(
+        &mut self,
+        compromises: Vec<(usize, usize, Arc<Spot>)>,
+        rng: &mut ChaCha8Rng,
+        effort: &mut Effort,
+    ) -> bool {
+        let cheapest = compromises.into_iter().min_by_key(|(closing, ..)| *closing);
+        if rng.random_bool(0.5) && self.clear_a_place(rng, effort) {
+            return true;
+        }
+        if let Some((_, object, spot)) = cheapest {
+            self.pay(object, spot);
+            return true;
+        }
+        self.clear_a_place(rng, effort)
+    }
+
+    /// Parks somebody where others have to make way first.
+    fn clear_a_place(&mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
+        let aside = self.feedback(ObjectSet::EMPTY);
+        let mut order: Vec<usize> = aside.iter().collect();
+        order.shuffle(rng);
+        order.into_iter().take(2).any(|object| self.clear_a_place_for(object, aside, rng, effort))
+    }
+
+    fn clear_a_place_for(
+        &mut self,
+        object: usize,
+        aside: ObjectSet,
+        rng: &mut ChaCha8Rng,
+        effort: &mut Effort,
+    ) -> bool {
+        let Some((spot, displaced)) = self.contested_place(object, aside, rng, effort) else { return false };
+        let extra = (displaced - aside).weight(self.task.costs);
+        if self.spent + extra + (self.table.remaining.weight(self.task.costs)) + aside.weight(self.task.costs)
+            > self.task.ceiling + self.slack
+        {
+            return false;
+        }
+        let reserved = (object, spot);
+        let mut moved = false;
+        for other in displaced {
+            let wish = Wish {
+                object: other,
+                aside: aside.without(other),
+                reserved: Some(&reserved),
+                hints: &self.style.hints[other],
+            };
+            let found = parking::find(&self.table, self.task.shapes, &wish, self.style.care, rng, effort);
+            let Some(place) = found.ideal.or(found.compromise.map(|(_, spot)| spot)) else { return moved };
+            self.pay(other, place);
+            moved = true;
+        }
+        if self.table.is_free(object, &reserved.1) {
+            self.pay(object, reserved.1);
+            moved = true;
+        }
+        moved
+    }
+
+    /// The place at which the object displaces least, counting those little that are put aside anyway.
+    fn contested_place(
+        &self,
+        object: usize,
+        aside: ObjectSet,
+        rng: &mut ChaCha8Rng,
+        effort: &mut Effort,
+    ) -> Option<(Arc<Spot>, ObjectSet)> {
+        let (table, costs) = (&self.table, self.task.costs);
+        let before = table.before(object, aside.without(object));
+        let mut best: Option<(f64, Arc<Spot>, ObjectSet)> = None;
+        for _ in 0..CONTESTED {
+            if !effort.step() {
+                return None;
+            }
+            let Some(spot) = parking::propose(self.task.scene, object, rng) else { continue };
+            if !self.task.scene.admissible(&spot) {
+                continue;
+            }
+            let displaced = table.standing_at(object, &spot);
+            let price = |o: usize| {
+                let moves = if aside.contains(o) { 0.3 } else if table.remaining.contains(o) { 1.0 } else { 2.0 };
+                moves * costs[o] + 0.5 * self.task.scene.problem.objects[o].footprint.area()
+            };
+            let closing = (table.blocked_by(object, &spot) & before).weight(costs);
+            let price = displaced.iter().map(price).sum::<f64>() + closing;
+            if best.as_ref().is_none_or(|(least, ..)| price < *least) {
+                best = Some((price, spot, displaced));
+            }
+        }
+        best.map(|(_, spot, displaced)| (spot, displaced))
+    }
+}
