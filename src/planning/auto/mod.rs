@@ -7,6 +7,7 @@
 //! feedback vertex set as bound and guide (Gao et al., TRLB), plan shortening by large-neighbourhood search.
 //! Deterministic: one thread, all choices from the seed, nothing but steps decides when it ends.
 
+pub mod contest;
 pub mod parking;
 pub mod regions;
 pub mod roll_out;

@@ -6,6 +6,7 @@
 //! all that can follow from here, and cuts. Where no member finds an ideal place, sets without it are tried, then
 //! places that cost another move, then places that others have to leave first.
 
+use crate::planning::auto::contest::{Contest, Contested};
 use crate::planning::auto::parking::{self, Care, Shapes, Wish};
 use crate::planning::auto::table::Table;
 use crate::planning::buffers::Arrangement;
@@ -23,10 +24,7 @@ use std::sync::Arc;
 const SETS: usize = 3;
 
 /// Nodes of the search for a feedback vertex set: enough for a proof on the tables there are.
-const NODE_LIMIT: u64 = 20_000;
-
-/// Places compared when others have to make way.
-const CONTESTED: usize = 80;
+pub const NODE_LIMIT: u64 = 20_000;
 
 /// Weights are changed by this share to choose among sets of equal cost.
 pub const NUDGE: f64 = 1e-7;
@@ -214,22 +212,17 @@ impl RollOut<'_> {
         rng: &mut ChaCha8Rng,
         effort: &mut Effort,
     ) -> bool {
-        let Some((spot, displaced)) = self.contested_place(object, aside, rng, effort) else { return false };
-        let extra = (displaced - aside).weight(self.task.costs);
-        if self.spent + extra + (self.table.remaining.weight(self.task.costs)) + aside.weight(self.task.costs)
-            > self.task.ceiling + self.slack
-        {
-            return false;
-        }
+        let others = aside.without(object);
+        let contest = Contest { table: &self.table, costs: self.task.costs, nudged: &self.nudged, object, others };
+        let most = self.task.ceiling + self.slack - self.spent;
+        let Some(Contested { spot, displaced, aside }) = contest.cheapest(most, rng, effort) else { return false };
         let reserved = (object, spot);
+        let mut displaced: Vec<usize> = displaced.iter().collect();
+        displaced.shuffle(rng);
         let mut moved = false;
         for other in displaced {
-            let wish = Wish {
-                object: other,
-                aside: aside.without(other),
-                reserved: Some(&reserved),
-                hints: &self.style.hints[other],
-            };
+            let hints = &self.style.hints[other];
+            let wish = Wish { object: other, aside: aside.without(other), reserved: Some(&reserved), hints };
             let found = parking::find(&self.table, self.task.shapes, &wish, self.style.care, rng, effort);
             let Some(place) = found.ideal.or(found.compromise.map(|(_, spot)| spot)) else { return moved };
             self.pay(other, place);
@@ -240,38 +233,5 @@ impl RollOut<'_> {
             moved = true;
         }
         moved
-    }
-
-    /// The place at which the object displaces least, counting those little that are put aside anyway.
-    fn contested_place(
-        &self,
-        object: usize,
-        aside: ObjectSet,
-        rng: &mut ChaCha8Rng,
-        effort: &mut Effort,
-    ) -> Option<(Arc<Spot>, ObjectSet)> {
-        let (table, costs) = (&self.table, self.task.costs);
-        let before = table.before(object, aside.without(object));
-        let mut best: Option<(f64, Arc<Spot>, ObjectSet)> = None;
-        for _ in 0..CONTESTED {
-            if !effort.step() {
-                return None;
-            }
-            let Some(spot) = parking::propose(self.task.scene, object, rng) else { continue };
-            if !self.task.scene.admissible(&spot) {
-                continue;
-            }
-            let displaced = table.standing_at(object, &spot);
-            let price = |o: usize| {
-                let moves = if aside.contains(o) { 0.3 } else if table.remaining.contains(o) { 1.0 } else { 2.0 };
-                moves * costs[o] + 0.5 * self.task.scene.problem.objects[o].footprint.area()
-            };
-            let closing = (table.blocked_by(object, &spot) & before).weight(costs);
-            let price = displaced.iter().map(price).sum::<f64>() + closing;
-            if best.as_ref().is_none_or(|(least, ..)| price < *least) {
-                best = Some((price, spot, displaced));
-            }
-        }
-        best.map(|(_, spot, displaced)| (spot, displaced))
     }
 }

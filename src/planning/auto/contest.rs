@@ -1,0 +1,105 @@
+//! A place for an object where others stand: which one costs the least, all things considered.
+//!
+//! In: a table on which the object finds no free place. Out: a place, who has to leave it first, and what has to be
+//! put aside after that. A place is priced by what must still follow: a move for each object displaced, two if it was
+//! at its end already, and the feedback vertex set of what remains, so that displacing objects that have to be put
+//! aside anyway costs nothing. Many places are priced roughly, the best of them by that bound.
+
+use crate::planning::auto::parking;
+use crate::planning::auto::roll_out::NODE_LIMIT;
+use crate::planning::auto::table::Table;
+use crate::planning::effort::Effort;
+use crate::planning::feedback;
+use crate::planning::graph::DependencyGraph;
+use crate::planning::object_set::ObjectSet;
+use crate::planning::scene::Spot;
+use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
+
+/// Places priced roughly.
+const PLACES: usize = 150;
+
+/// Places priced by the bound.
+const CONTENDERS: usize = 10;
+
+/// The question.
+pub struct Contest<'a> {
+    /// The table.
+    pub table: &'a Table<'a>,
+    /// Cost of a move of each object.
+    pub costs: &'a [f64],
+    /// The same, changed a little to choose among sets of equal cost.
+    pub nudged: &'a [f64],
+    /// Who is to be parked.
+    pub object: usize,
+    /// Others that have to be put aside anyway.
+    pub others: ObjectSet,
+}
+
+/// The answer.
+pub struct Contested {
+    /// The place.
+    pub spot: Arc<Spot>,
+    /// Who stands there.
+    pub displaced: ObjectSet,
+    /// The displaced, and who else has to be put aside then.
+    pub aside: ObjectSet,
+}
+
+impl Contest<'_> {
+    /// The place after which the least must follow, if that is no more than `most`.
+    pub fn cheapest(&self, most: f64, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Option<Contested> {
+        let mut places = self.places(rng, effort);
+        places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let priced = places.into_iter().take(CONTENDERS).map(|(_, spot, displaced)| {
+            let (price, aside) = self.price(&spot, displaced);
+            (price, Contested { spot, displaced, aside })
+        });
+        let best = priced.min_by(|a, b| a.0.total_cmp(&b.0));
+        best.filter(|(price, _)| *price <= most).map(|(_, contested)| contested)
+    }
+
+    /// Places with a rough price.
+    fn places(&self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Vec<(f64, Arc<Spot>, ObjectSet)> {
+        let (table, scene) = (self.table, self.table.scene);
+        let before = table.before(self.object, self.others);
+        let mut places = Vec::new();
+        for _ in 0..PLACES {
+            if !effort.step() {
+                break;
+            }
+            let Some(spot) = parking::propose(scene, self.object, rng) else { continue };
+            if !scene.admissible(&spot) {
+                continue;
+            }
+            let displaced = table.standing_at(self.object, &spot);
+            let closing = (table.blocked_by(self.object, &spot) & before).weight(self.costs);
+            let area: f64 = displaced.iter().map(|o| scene.problem.objects[o].footprint.area()).sum();
+            let price = self.rough(displaced) + closing + 0.5 * area;
+            places.push((price, spot, displaced));
+        }
+        places
+    }
+
+    fn rough(&self, displaced: ObjectSet) -> f64 {
+        let home = displaced - self.table.remaining;
+        let willing = 0.7 * (displaced & self.others).weight(self.costs);
+        displaced.weight(self.costs) + home.weight(self.costs) - willing
+    }
+
+    /// What must follow once the displaced are parked and the object is at the place, in all, and who is aside then.
+    fn price(&self, spot: &Spot, displaced: ObjectSet) -> (f64, ObjectSet) {
+        let table = self.table;
+        let blocked = table.blocked_by(self.object, spot);
+        let blockers = |i: usize| {
+            let waits = table.remaining.contains(i) && !displaced.contains(i);
+            let rest = if waits { table.blockers(i) - displaced } else { ObjectSet::EMPTY };
+            if waits && blocked.contains(i) { rest.with(self.object) } else { rest.without(self.object) }
+        };
+        let graph = DependencyGraph::from_blockers((0..self.costs.len()).map(blockers).collect());
+        let set = feedback::minimum_within(&graph, self.nudged, NODE_LIMIT).vertices;
+        let home = displaced - table.remaining;
+        let moves = displaced.weight(self.costs) + home.weight(self.costs) + self.costs[self.object];
+        (table.remaining.weight(self.costs) + moves + set.weight(self.costs), set | displaced)
+    }
+}
