@@ -28,8 +28,8 @@ pub struct Contest<'a> {
     pub table: &'a Table<'a>,
     /// Cost of a move of each object.
     pub costs: &'a [f64],
-    /// The same, changed a little to choose among sets of equal cost.
-    pub nudged: &'a [f64],
+    /// What putting a vertex aside counts when a set is chosen.
+    pub weights: Vec<f64>,
     /// Who is to be parked.
     pub object: usize,
     /// Others that have to be put aside anyway.
@@ -96,8 +96,8 @@ impl Contest<'_> {
             let rest = if waits { table.blockers(i) - displaced } else { ObjectSet::EMPTY };
             if waits && blocked.contains(i) { rest.with(self.object) } else { rest.without(self.object) }
         };
-        let graph = DependencyGraph::from_blockers((0..self.costs.len()).map(blockers).collect());
-        let set = feedback::minimum_within(&graph, self.nudged, NODE_LIMIT).vertices;
+        let graph = DependencyGraph::from_blockers((0..table.ends.len()).map(blockers).collect());
+        let set = feedback::minimum_within(&graph, &self.weights, NODE_LIMIT).vertices;
         let home = displaced - table.remaining;
         let moves = displaced.weight(self.costs) + home.weight(self.costs) + self.costs[self.object];
         (table.remaining.weight(self.costs) + moves + set.weight(self.costs), set | displaced)

@@ -11,6 +11,7 @@ pub mod contest;
 pub mod parking;
 pub mod regions;
 pub mod roll_out;
+pub mod stops;
 pub mod table;
 
 use crate::planning::auto::parking::{Care, Shapes};
@@ -186,6 +187,7 @@ impl<'a> Auto<'a> {
             }
         }
         let hold = if rng.random_bool(0.2) { 0.1 } else { 0.0 };
-        Style { care, bias, hints, hold, detours }
+        let stops = if rng.random_bool(0.5) { rng.random_range(1..=2) } else { 0 };
+        Style { care, bias, hints, hold, stops, detours }
     }
 }

@@ -173,7 +173,8 @@ impl Search<'_> {
         let outline = |o: usize, pose: &Pose2| placed(&self.shapes.obstacles[o], pose);
         let here = table.scene.movable.iter().filter(|&&o| o != object);
         let here = here.map(|&o| outline(o, &table.now[o].pose));
-        let ends = self.before.without(object).iter().map(|o| outline(o, &table.ends[o].pose));
+        let ends = self.before.iter().map(|v| (table.owner(v), &table.ends[v].pose));
+        let ends = ends.filter(|(o, _)| *o != object).map(|(o, pose)| outline(o, pose));
         let reserved = self.wish.reserved.iter().map(|(o, spot)| outline(*o, &spot.pose));
         let standing = self.shapes.standing.iter().cloned();
         let mover = placed(&self.shapes.movers[object], &Pose2::new(0.0, 0.0, theta));

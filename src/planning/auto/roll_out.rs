@@ -8,6 +8,7 @@
 
 use crate::planning::auto::contest::{Contest, Contested};
 use crate::planning::auto::parking::{self, Care, Shapes, Wish};
+use crate::planning::auto::stops::Stop;
 use crate::planning::auto::table::Table;
 use crate::planning::buffers::Arrangement;
 use crate::planning::effort::Effort;
@@ -16,7 +17,7 @@ use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
 use crate::planning::trlb::Move;
 use rand::RngExt;
-use rand::seq::SliceRandom;
+use rand::seq::{IndexedRandom, SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
@@ -25,6 +26,12 @@ const SETS: usize = 3;
 
 /// Nodes of the search for a feedback vertex set: enough for a proof on the tables there are.
 pub const NODE_LIMIT: u64 = 20_000;
+
+/// Stops planned in one roll-out.
+const MOST_STOPS: usize = 4;
+
+/// Weight of a move that is not to be put aside, in moves.
+pub const STEADFAST: f64 = 30.0;
 
 /// Weights are changed by this share to choose among sets of equal cost.
 pub const NUDGE: f64 = 1e-7;
@@ -57,6 +64,8 @@ pub struct Style {
     pub hints: Vec<Vec<Arc<Spot>>>,
     /// Chance that an object that could go home is kept waiting.
     pub hold: f64,
+    /// Stops planned from the beginning.
+    pub stops: usize,
     /// May pay for places that cost another move.
     pub detours: bool,
 }
@@ -66,14 +75,20 @@ pub fn roll_out(task: &Task, style: &Style, rng: &mut ChaCha8Rng, effort: &mut E
     let table = Table::new(task.scene, task.from, task.to, task.flexible);
     let nudged = task.costs.iter().zip(&style.bias).map(|(cost, bias)| cost * (1.0 + NUDGE * bias)).collect();
     let slack = 1e-6 * task.costs.iter().sum::<f64>();
-    RollOut { task, style, table, nudged, slack, spent: 0.0 }.run(rng, effort)
+    let (costs, stops) = (task.costs.to_vec(), MOST_STOPS);
+    RollOut { task, style, table, costs, nudged, stops, slack, spent: 0.0 }.run(rng, effort)
 }
 
 struct RollOut<'a> {
     task: &'a Task<'a>,
     style: &'a Style,
     table: Table<'a>,
+    /// Cost of each vertex.
+    costs: Vec<f64>,
+    /// The same, changed a little.
     nudged: Vec<f64>,
+    /// Stops that may still be planned.
+    stops: usize,
     slack: f64,
     spent: f64,
 }
@@ -81,6 +96,9 @@ struct RollOut<'a> {
 impl RollOut<'_> {
     fn run(mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Option<Vec<Move>> {
         let most = 6 * self.table.now.len() + 20;
+        for _ in 0..self.style.stops {
+            self.plan_a_stop(rng, effort);
+        }
         loop {
             self.go_home(rng);
             if self.table.remaining.is_empty() {
@@ -93,8 +111,14 @@ impl RollOut<'_> {
     }
 
     fn pay(&mut self, object: usize, spot: Arc<Spot>) {
-        self.spent += self.task.costs[object];
+        self.spent += self.costs[object];
         self.table.put(object, spot);
+    }
+
+    fn follow(&mut self, vertex: usize) {
+        if self.table.follow(vertex) {
+            self.spent += self.costs[vertex];
+        }
     }
 
     fn go_home(&mut self, rng: &mut ChaCha8Rng) {
@@ -109,27 +133,33 @@ impl RollOut<'_> {
                 if self.style.hold > 0.0 && rng.random_bool(self.style.hold) {
                     held.insert(object);
                 } else {
-                    self.pay(object, self.table.ends[object].clone());
+                    self.follow(object);
                 }
             }
         }
         // Held objects wait for a parked one only; where nobody has to be parked, nothing would ever free them.
         if !held.is_empty() && self.feedback(ObjectSet::EMPTY).is_empty() {
             while let Some(object) = self.table.free_to_go().smallest() {
-                self.pay(object, self.table.ends[object].clone());
+                self.follow(object);
             }
         }
     }
 
+    /// What putting a vertex aside counts: whoever has a stop planned is not to be parked elsewhere.
+    fn weights(&self) -> Vec<f64> {
+        let weight = |v: usize| if self.table.is_planned(v) { STEADFAST * self.costs[v] } else { self.nudged[v] };
+        (0..self.costs.len()).map(weight).collect()
+    }
+
     /// A cheapest set whose parking lets all others go home, avoiding `dear` where that costs nothing much.
     fn feedback(&self, dear: ObjectSet) -> ObjectSet {
-        let mut weights = self.nudged.clone();
+        let mut weights = self.weights();
         dear.iter().for_each(|o| weights[o] *= 4.0);
         feedback::minimum_within(&self.table.graph(), &weights, NODE_LIMIT).vertices
     }
 
     fn too_dear(&self, aside: ObjectSet) -> bool {
-        let rest = (self.table.remaining.weight(self.task.costs)) + aside.weight(self.task.costs);
+        let rest = self.table.remaining.weight(&self.costs) + aside.weight(&self.costs);
         self.spent + rest > self.task.ceiling + self.slack
     }
 
@@ -145,6 +175,10 @@ impl RollOut<'_> {
                     return false;
                 }
                 break;
+            }
+            if let Some(vertex) = aside.iter().find(|&v| self.table.is_planned(v)) {
+                self.table.give_up_stop(self.table.owner(vertex));
+                return true;
             }
             for object in self.order(aside - tried, rng) {
                 let wish =
@@ -186,6 +220,9 @@ impl RollOut<'_> {
         rng: &mut ChaCha8Rng,
         effort: &mut Effort,
     ) -> bool {
+        if rng.random_bool(0.5) && self.plan_a_stop(rng, effort) {
+            return true;
+        }
         let cheapest = compromises.into_iter().min_by_key(|(closing, ..)| *closing);
         if rng.random_bool(0.5) && self.clear_a_place(rng, effort) {
             return true;
@@ -195,6 +232,29 @@ impl RollOut<'_> {
             return true;
         }
         self.clear_a_place(rng, effort)
+    }
+
+    /// Plans a stop for somebody who has to be put aside anyway, the large ones rather than the small; false where
+    /// that is not affordable.
+    fn plan_a_stop(&mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
+        if self.stops == 0 {
+            return false;
+        }
+        self.stops -= 1;
+        let aside: Vec<usize> =
+            self.feedback(ObjectSet::EMPTY).iter().filter(|&v| !self.table.is_planned(v)).collect();
+        let area = |o: &usize| self.task.scene.problem.objects[*o].footprint.area();
+        let Ok(&object) = aside.choose_weighted(rng, area) else { return false };
+        let (table, costs, hints) = (&self.table, &self.costs[..], &self.style.hints[object][..]);
+        let choice = Stop { table, costs, weights: self.weights(), object, hints };
+        let most = self.task.ceiling + self.slack - self.spent;
+        let Some(spot) = choice.cheapest(most, rng, effort) else { return false };
+        if !self.table.plan_stop(object, spot) {
+            return false;
+        }
+        self.costs.push(self.costs[object]);
+        self.nudged.push(self.nudged[object]);
+        true
     }
 
     /// Parks somebody where others have to make way first.
@@ -213,7 +273,8 @@ impl RollOut<'_> {
         effort: &mut Effort,
     ) -> bool {
         let others = aside.without(object);
-        let contest = Contest { table: &self.table, costs: self.task.costs, nudged: &self.nudged, object, others };
+        let (table, costs) = (&self.table, &self.costs[..]);
+        let contest = Contest { table, costs, weights: self.weights(), object, others };
         let most = self.task.ceiling + self.slack - self.spent;
         let Some(Contested { spot, displaced, aside }) = contest.cheapest(most, rng, effort) else { return false };
         let reserved = (object, spot);
