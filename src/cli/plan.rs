@@ -29,7 +29,7 @@ Objects that block each other in a circle cannot all go straight home: some have
 The solvers differ in whom they put aside, and when.
 
   erbm   As little as possible waits at the same time, and objects that are hard to place (large, long) count \
-more. Fast and dependable, also on crowded tables: take this one if in doubt.
+more. Fast and dependable, also on crowded tables.
   rbm    The same, all objects count alike. Good for objects of one size.
   etbm   As little as possible is put aside in all, hard-to-place objects counting more. The shortest plans \
 where there is room.
@@ -37,7 +37,8 @@ where there is room.
   mcts   Tries moves on the real table and follows those that bring objects home. Longer plans at first, \
 but it goes on improving until the time limit unless --first is given.
   emcts  The same, hard-to-place objects are tried more often.
-  auto   celld's own; not in this version.
+  auto   A plan within milliseconds, then better ones until the time limit or until one is proved best. The default: \
+take another only to compare.
 
 Under --objective ti the three that begin with e count impedance instead of difficulty; the others search as under \
 pp. All are randomised: another --seed gives another plan.";
@@ -49,7 +50,7 @@ pub struct PlanArgs {
     #[command(flatten)]
     pub task: TaskArgs,
     /// How the plan is found; `--help` says which to take
-    #[arg(long, default_value = "erbm", long_help = SOLVERS, value_parser = solver_parser())]
+    #[arg(long, default_value = "auto", long_help = SOLVERS, value_parser = solver_parser())]
     pub solver: SolverKind,
     /// What is minimised: pp number of moves, ti total impedance, time seconds
     #[arg(long, default_value = "pp", value_parser = objective_parser())]
@@ -60,8 +61,8 @@ pub struct PlanArgs {
     /// Deterministic steps of planning; with it the same seed gives the same plan on any machine
     #[arg(long, value_name = "N")]
     pub work: Option<u64>,
-    /// Stop at the first plan, as in the paper. tbm, rbm, etbm and erbm always do; mcts and emcts go on for better
-    /// ones until the time is up or the plan is proved best
+    /// Stop at the first plan, as in the paper. tbm, rbm, etbm and erbm always do; mcts, emcts and auto go on for
+    /// better ones until the time is up or the plan is proved best
     #[arg(long)]
     pub first: bool,
     /// Seed of every random choice
@@ -89,7 +90,7 @@ pub struct PlanArgs {
 /// A solver by its word.
 pub fn solver_parser() -> impl TypedValueParser<Value = SolverKind> {
     PossibleValuesParser::new(["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"])
-        .map(|word| SolverKind::from_word(&word).unwrap_or(SolverKind::Erbm))
+        .map(|word| SolverKind::from_word(&word).unwrap_or(SolverKind::Auto))
 }
 
 /// An objective by its word.

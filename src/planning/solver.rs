@@ -112,9 +112,6 @@ pub struct Outcome {
 /// Why a solver cannot even start.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SolveError {
-    /// A solver that this version does not have.
-    #[error("the solver {0} is not built into this version; use erbm")]
-    NotBuilt(&'static str),
     /// More objects than the bitsets hold.
     #[error("{found} objects; the planner takes at most {most}")]
     TooManyObjects {

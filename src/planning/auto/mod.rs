@@ -14,6 +14,7 @@ pub mod roll_out;
 pub mod stops;
 pub mod table;
 
+use crate::geometry::pose::Pose2;
 use crate::planning::auto::parking::{Care, Shapes};
 use crate::planning::auto::roll_out::{Style, Task, roll_out};
 use crate::planning::buffers::Arrangement;
@@ -62,7 +63,7 @@ struct Auto<'a> {
     shapes: Shapes,
     flexible: ObjectSet,
     start: Arrangement,
-    goals: Vec<Option<crate::geometry::pose::Pose2>>,
+    goals: Vec<Option<Pose2>>,
     plan: Option<Vec<Move>>,
     slack: f64,
     rng: ChaCha8Rng,
@@ -74,6 +75,15 @@ struct Piece {
     first: usize,
     last: usize,
     backwards: bool,
+}
+
+/// From one arrangement to another, at a price.
+struct Leg {
+    from: Arrangement,
+    to: Arrangement,
+    backwards: bool,
+    flexible: ObjectSet,
+    ceiling: f64,
 }
 
 impl<'a> Auto<'a> {
@@ -105,10 +115,10 @@ impl<'a> Auto<'a> {
 
     fn whole_plan(&mut self, ceiling: f64, effort: &mut Effort) -> Option<Vec<Move>> {
         let goal = completion::complete(self.scene, &self.goals, &mut self.rng, effort)?;
-        let backwards = self.rounds % 3 == 2;
+        let (backwards, flexible) = (self.rounds % 3 == 2, self.flexible);
+        let leg = Leg { from: self.start.clone(), to: goal, backwards, flexible, ceiling };
         let style = self.style(None, true);
-        let start = self.start.clone();
-        self.between(&start, &goal, backwards, self.flexible, ceiling, &style, effort).map(tidy)
+        self.travel(&leg, &style, effort).map(tidy)
     }
 
     fn improved(&mut self, plan: &[Move], effort: &mut Effort) -> Option<Vec<Move>> {
@@ -116,35 +126,30 @@ impl<'a> Auto<'a> {
             let ceiling = self.cost(plan);
             return self.whole_plan(ceiling, effort);
         }
-        let piece = self.choose(plan.len());
-        let from = self.arrangement_after(&plan[..piece.first]);
-        let to = self.arrangement_after(&plan[..piece.last]);
-        let flexible = if piece.last == plan.len() { self.flexible } else { ObjectSet::EMPTY };
-        let detours = self.rng.random_bool(0.3);
+        let Piece { first, last, backwards } = self.choose(plan.len());
+        let leg = Leg {
+            from: self.arrangement_after(&plan[..first]),
+            to: self.arrangement_after(&plan[..last]),
+            backwards,
+            flexible: if last == plan.len() { self.flexible } else { ObjectSet::EMPTY },
+            ceiling: self.cost(&plan[first..last]),
+        };
+        let detours = self.rng.random_bool(0.5);
         let style = self.style(Some(plan), detours);
-        let ceiling = self.cost(&plan[piece.first..piece.last]);
-        let new = self.between(&from, &to, piece.backwards, flexible, ceiling, &style, effort)?;
-        let (head, tail) = (plan[..piece.first].iter(), plan[piece.last..].iter());
+        let new = self.travel(&leg, &style, effort)?;
+        let (head, tail) = (plan[..first].iter(), plan[last..].iter());
         Some(tidy(head.cloned().chain(new).chain(tail.cloned()).collect()))
     }
 
-    #[allow(clippy::too_many_arguments)]
-    fn between(
-        &mut self,
-        from: &Arrangement,
-        to: &Arrangement,
-        backwards: bool,
-        flexible: ObjectSet,
-        ceiling: f64,
-        style: &Style,
-        effort: &mut Effort,
-    ) -> Option<Vec<Move>> {
-        let (from, to) = if backwards { (to, from) } else { (from, to) };
-        let flexible = if backwards { ObjectSet::EMPTY } else { flexible };
-        let (scene, shapes, costs) = (self.scene, &self.shapes, self.costs);
+    fn travel(&mut self, leg: &Leg, style: &Style, effort: &mut Effort) -> Option<Vec<Move>> {
+        let (from, to, flexible) = match leg.backwards {
+            true => (&leg.to, &leg.from, ObjectSet::EMPTY),
+            false => (&leg.from, &leg.to, leg.flexible),
+        };
+        let (scene, shapes, costs, ceiling) = (self.scene, &self.shapes, self.costs, leg.ceiling);
         let task = Task { scene, shapes, costs, from, to, flexible, ceiling };
         let moves = roll_out(&task, style, &mut self.rng, effort)?;
-        Some(if backwards { reversed(moves) } else { moves })
+        Some(if leg.backwards { reversed(moves) } else { moves })
     }
 
     fn arrangement_after(&self, moves: &[Move]) -> Arrangement {

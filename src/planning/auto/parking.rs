@@ -5,6 +5,7 @@
 //! Tried in turn: places where the object was parked in an earlier plan; random poses, many of them pushed against
 //! the table's edge; the corners of the exact free region at some angles (`regions`).
 
+use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::Point;
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::regions::{Region, convex_outline, placed};
@@ -188,7 +189,8 @@ impl Search<'_> {
         match rng.random_range(0..4u8) {
             0 | 1 => edge_angle(&self.shapes.movers[self.wish.object], rng) + turn,
             2 => {
-                let other = self.table.scene.movable.choose(rng).map_or(0.0, |&o| self.table.now[o].pose.theta);
+                let other =
+                    self.table.scene.movable.choose(rng).map_or(0.0, |&o| self.table.now[o].pose.theta);
                 other + turn
             }
             _ => rng.random_range(-PI..PI),
@@ -218,7 +220,7 @@ pub fn propose(scene: &Scene, object: usize, rng: &mut ChaCha8Rng) -> Option<Arc
     }
     let footprint = &scene.problem.objects[object].footprint;
     let theta = match footprint {
-        crate::geometry::footprint::Footprint::Polygon(polygon) => edge_angle(polygon.points(), rng),
+        Footprint::Polygon(polygon) => edge_angle(polygon.points(), rng),
         _ => 0.0,
     } + FRAC_PI_2 * f64::from(rng.random_range(-2..2i8));
     let (low, high) = bounds(scene, object, theta);

@@ -86,6 +86,25 @@ impl NoFit {
             })
     }
 
+    /// Where the segment from `a` to `b` crosses the outline.
+    fn crossings(&self, a: Point, b: Point, found: &mut Vec<Point>) {
+        let apart = (0..2).any(|k| a[k].max(b[k]) < self.low[k] || a[k].min(b[k]) > self.high[k]);
+        if apart {
+            return;
+        }
+        let along = sub(b, a);
+        let side = |p: Point| cross(along, sub(p, a));
+        let Some(&last) = self.corners.last() else { return };
+        let (mut c, mut side_c) = (last, side(last));
+        for &d in &self.corners {
+            let side_d = side(d);
+            if (side_c <= 0.0) != (side_d <= 0.0) {
+                found.extend(crossing(a, b, c, d));
+            }
+            (c, side_c) = (d, side_d);
+        }
+    }
+
     fn meets(&self, other: &NoFit) -> bool {
         (0..2).all(|k| self.low[k] <= other.high[k] && other.low[k] <= self.high[k])
     }
@@ -160,7 +179,7 @@ impl Region {
                 continue;
             }
             for (a, b) in edges(&mine.corners) {
-                found.extend(edges(&other.corners).filter_map(|(c, d)| crossing(a, b, c, d)));
+                other.crossings(a, b, &mut found);
             }
         }
         found.retain(|p| self.is_free(*p));
@@ -180,7 +199,8 @@ impl Region {
     }
 
     fn is_free(&self, p: Point) -> bool {
-        (0..2).all(|k| p[k] >= self.low[k] && p[k] <= self.high[k]) && !self.forbidden.iter().any(|f| f.forbids(p))
+        (0..2).all(|k| p[k] >= self.low[k] && p[k] <= self.high[k])
+            && !self.forbidden.iter().any(|f| f.forbids(p))
     }
 }
 

@@ -147,7 +147,8 @@ impl RollOut<'_> {
 
     /// What putting a vertex aside counts: whoever has a stop planned is not to be parked elsewhere.
     fn weights(&self) -> Vec<f64> {
-        let weight = |v: usize| if self.table.is_planned(v) { STEADFAST * self.costs[v] } else { self.nudged[v] };
+        let weight =
+            |v: usize| if self.table.is_planned(v) { STEADFAST * self.costs[v] } else { self.nudged[v] };
         (0..self.costs.len()).map(weight).collect()
     }
 
@@ -181,8 +182,12 @@ impl RollOut<'_> {
                 return true;
             }
             for object in self.order(aside - tried, rng) {
-                let wish =
-                    Wish { object, aside: aside.without(object), reserved: None, hints: &self.style.hints[object] };
+                let wish = Wish {
+                    object,
+                    aside: aside.without(object),
+                    reserved: None,
+                    hints: &self.style.hints[object],
+                };
                 let found = parking::find(&self.table, self.task.shapes, &wish, self.style.care, rng, effort);
                 if let Some(spot) = found.ideal {
                     self.pay(object, spot);
@@ -207,7 +212,12 @@ impl RollOut<'_> {
         let mut order: Vec<usize> = aside.iter().collect();
         order.shuffle(rng);
         if rng.random_bool(0.6) {
-            let lone: ObjectSet = self.table.remaining.iter().map(|i| self.table.blockers(i)).filter(|b| b.len() == 1)
+            let lone: ObjectSet = self
+                .table
+                .remaining
+                .iter()
+                .map(|i| self.table.blockers(i))
+                .filter(|b| b.len() == 1)
                 .fold(ObjectSet::EMPTY, |all, b| all | b);
             order.sort_by_key(|&o| !lone.contains(o));
         }
@@ -276,7 +286,9 @@ impl RollOut<'_> {
         let (table, costs) = (&self.table, &self.costs[..]);
         let contest = Contest { table, costs, weights: self.weights(), object, others };
         let most = self.task.ceiling + self.slack - self.spent;
-        let Some(Contested { spot, displaced, aside }) = contest.cheapest(most, rng, effort) else { return false };
+        let Some(Contested { spot, displaced, aside }) = contest.cheapest(most, rng, effort) else {
+            return false;
+        };
         let reserved = (object, spot);
         let mut displaced: Vec<usize> = displaced.iter().collect();
         displaced.shuffle(rng);

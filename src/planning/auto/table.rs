@@ -35,7 +35,12 @@ pub struct Table<'a> {
 
 impl<'a> Table<'a> {
     /// Nothing moved yet. Objects of `flexible` may also end elsewhere than `ends` says.
-    pub fn new(scene: &'a Scene<'a>, from: &Arrangement, ends: &Arrangement, flexible: ObjectSet) -> Table<'a> {
+    pub fn new(
+        scene: &'a Scene<'a>,
+        from: &Arrangement,
+        ends: &Arrangement,
+        flexible: ObjectSet,
+    ) -> Table<'a> {
         let remaining: ObjectSet =
             scene.movable.iter().copied().filter(|&o| from[o].pose != ends[o].pose).collect();
         let blockers = (0..from.len())
@@ -47,7 +52,17 @@ impl<'a> Table<'a> {
             .collect();
         let all: Vec<usize> = (0..from.len()).collect();
         let (now, ends) = (from.clone(), ends.clone());
-        Table { scene, now, ends, remaining, moves: Vec::new(), flexible, blockers, owner: all.clone(), next: all }
+        Table {
+            scene,
+            now,
+            ends,
+            remaining,
+            moves: Vec::new(),
+            flexible,
+            blockers,
+            owner: all.clone(),
+            next: all,
+        }
     }
 
     /// The vertices that have to come before this one.
@@ -128,7 +143,8 @@ impl<'a> Table<'a> {
     pub fn plan_stop(&mut self, object: usize, spot: Arc<Spot>) -> bool {
         let vertex = self.ends.len();
         let standing = self.standing_at(object, &spot);
-        let fits = vertex < ObjectSet::CAPACITY && self.remaining.contains(object) && !self.is_planned(object);
+        let fits =
+            vertex < ObjectSet::CAPACITY && self.remaining.contains(object) && !self.is_planned(object);
         if !fits || !standing.is_subset(&self.remaining) {
             return false;
         }

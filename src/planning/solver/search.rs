@@ -1,9 +1,9 @@
-//! Runs the paper's solvers: which weights and which search each of them is made of.
+//! Runs the solvers: which weights and which search each of them is made of.
 //!
 //! In: a scene whose goal arrangement stands, solver, objective, control, seed. Out: the best checked plan and its
 //! cost. TBM, RBM and MCTS search alike under every objective; ETBM, ERBM and EMCTS weigh objects by HeCP, and by
 //! HeTI under TI. TRLB ends with its first plan, as the paper does; the tree searches go on for better ones until
-//! the limit, unless the control asks for the first.
+//! the limit, unless the control asks for the first, and so does `auto`.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto;
