@@ -13,6 +13,7 @@ use crate::planning::feedback;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::Spot;
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
@@ -47,7 +48,7 @@ pub struct Contested {
 }
 
 impl Contest<'_> {
-    /// The place after which the least must follow, if that is no more than `most`.
+    /// A place after which little must follow, no more than `most`; mostly the cheapest found.
     pub fn cheapest(&self, most: f64, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Option<Contested> {
         let mut places = self.places(rng, effort);
         places.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -55,8 +56,11 @@ impl Contest<'_> {
             let (price, aside) = self.price(&spot, displaced);
             (price, Contested { spot, displaced, aside })
         });
-        let best = priced.min_by(|a, b| a.0.total_cmp(&b.0));
-        best.filter(|(price, _)| *price <= most).map(|(_, contested)| contested)
+        let mut affordable: Vec<(f64, Contested)> = priced.filter(|(price, _)| *price <= most).collect();
+        affordable.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // The displaced may find no room: the cheapest place is not always one that can be had.
+        let chosen = if rng.random_bool(0.6) { 0 } else { rng.random_range(0..affordable.len().max(1)) };
+        affordable.into_iter().nth(chosen).map(|(_, contested)| contested)
     }
 
     /// Places with a rough price.
@@ -75,7 +79,7 @@ impl Contest<'_> {
             let displaced = table.standing_at(self.object, &spot);
             let closing = (table.blocked_by(self.object, &spot) & before).weight(self.costs);
             let area: f64 = displaced.iter().map(|o| scene.problem.objects[o].footprint.area()).sum();
-            let price = self.rough(displaced) + closing + 0.5 * area;
+            let price = (self.rough(displaced) + closing + 0.5 * area) * rng.random_range(1.0..2.5);
             places.push((price, spot, displaced));
         }
         places

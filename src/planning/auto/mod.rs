@@ -40,11 +40,9 @@ pub fn search(
 ) {
     let mut auto = Auto::new(scene, costs, seed);
     let mut best = f64::INFINITY;
-    while !effort.is_over() {
-        let Some(plan) = auto.next_plan(effort) else {
-            effort.step();
-            continue;
-        };
+    // A step each round: a search that samples nothing has to come to its limit too.
+    while effort.step() {
+        let Some(plan) = auto.next_plan(effort) else { continue };
         let cost = auto.cost(&plan);
         if cost < best - auto.slack {
             match offer(&plan) {
@@ -122,7 +120,7 @@ impl<'a> Auto<'a> {
     }
 
     fn improved(&mut self, plan: &[Move], effort: &mut Effort) -> Option<Vec<Move>> {
-        if self.rng.random_bool(0.05) {
+        if plan.is_empty() || self.rng.random_bool(0.05) {
             let ceiling = self.cost(plan);
             return self.whole_plan(ceiling, effort);
         }
@@ -158,7 +156,7 @@ impl<'a> Auto<'a> {
         arrangement
     }
 
-    /// Tail, head or window, whose cost is to be undercut.
+    /// Tail, head or window of a plan that is not empty, whose cost is to be undercut.
     fn choose(&mut self, length: usize) -> Piece {
         let rng = &mut self.rng;
         match rng.random_range(0..10u8) {

@@ -149,7 +149,7 @@ impl Search<'_> {
     fn search_region(&mut self, pivots: usize, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
         let theta = self.angle(rng);
         let Some(region) = self.region(theta) else { return false };
-        let mut order: Vec<usize> = (0..region.len()).collect();
+        let mut order: Vec<usize> = (0..region.obstacle_count()).collect();
         order.shuffle(rng);
         let mut corners = region.table_corners();
         for pivot in order.into_iter().take(pivots) {

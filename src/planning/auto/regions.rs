@@ -157,7 +157,7 @@ impl Region {
     }
 
     /// How many obstacles there are.
-    pub fn len(&self) -> usize {
+    pub fn obstacle_count(&self) -> usize {
         self.forbidden.len()
     }
 
@@ -236,7 +236,7 @@ mod tests {
         let boxed = |(x0, x1): (f64, f64)| vec![[x0, 0.0], [x1, 0.0], [x1, 0.2], [x0, 0.2]];
         let mover = convex_outline(&Footprint::rectangle(0.1, 0.1).unwrap(), 0.0);
         let region = Region::new(&mover, [0.05, 0.05], [0.95, 0.15], walls.into_iter().map(boxed)).unwrap();
-        let found: Vec<Point> = (0..region.len()).flat_map(|k| region.corners_at(k)).collect();
+        let found: Vec<Point> = (0..region.obstacle_count()).flat_map(|k| region.corners_at(k)).collect();
         assert!(!found.is_empty());
         assert!(found.iter().all(|p| (p[0] - 0.5).abs() < 1e-9), "{found:?}");
     }

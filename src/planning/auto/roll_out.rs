@@ -100,7 +100,9 @@ impl RollOut<'_> {
             self.plan_a_stop(rng, effort);
         }
         loop {
-            self.go_home(rng);
+            if !self.go_home(rng) {
+                return None;
+            }
             if self.table.remaining.is_empty() {
                 return Some(self.table.moves);
             }
@@ -115,13 +117,18 @@ impl RollOut<'_> {
         self.table.put(object, spot);
     }
 
-    fn follow(&mut self, vertex: usize) {
-        if self.table.follow(vertex) {
+    /// Makes the vertex's move; false if an end is taken by somebody who is at his own, so that it never comes free.
+    fn follow(&mut self, vertex: usize) -> bool {
+        let stop = vertex >= self.table.now.len();
+        let done = self.table.follow(vertex);
+        if done {
             self.spent += self.costs[vertex];
         }
+        done || stop
     }
 
-    fn go_home(&mut self, rng: &mut ChaCha8Rng) {
+    /// Makes all moves that are open; false if one turns out to be impossible.
+    fn go_home(&mut self, rng: &mut ChaCha8Rng) -> bool {
         let mut held = ObjectSet::EMPTY;
         loop {
             let mut free: Vec<usize> = (self.table.free_to_go() - held).iter().collect();
@@ -132,17 +139,20 @@ impl RollOut<'_> {
             for object in free {
                 if self.style.hold > 0.0 && rng.random_bool(self.style.hold) {
                     held.insert(object);
-                } else {
-                    self.follow(object);
+                } else if !self.follow(object) {
+                    return false;
                 }
             }
         }
         // Held objects wait for a parked one only; where nobody has to be parked, nothing would ever free them.
         if !held.is_empty() && self.feedback(ObjectSet::EMPTY).is_empty() {
             while let Some(object) = self.table.free_to_go().smallest() {
-                self.follow(object);
+                if !self.follow(object) {
+                    return false;
+                }
             }
         }
+        true
     }
 
     /// What putting a vertex aside counts: whoever has a stop planned is not to be parked elsewhere.

@@ -55,7 +55,8 @@ impl Stop<'_> {
         }
         let concerned = |place: &Place| place.standing.len() + place.blocked.len();
         places.sort_by_key(concerned);
-        let priced = places.into_iter().take(CONTENDERS).map(|place| (self.price(&place), place.spot));
+        let priced = places.into_iter().take(CONTENDERS);
+        let priced = priced.filter_map(|place| Some((self.price(&place)?, place.spot)));
         let best = priced.min_by(|a, b| a.0.total_cmp(&b.0));
         best.filter(|(price, _)| *price <= most).map(|(_, spot)| spot)
     }
@@ -67,8 +68,8 @@ impl Stop<'_> {
         possible.then(|| Place { standing, blocked: self.table.blocked_by(self.object, &spot), spot })
     }
 
-    /// What must follow from here with the stop planned.
-    fn price(&self, place: &Place) -> f64 {
+    /// What must follow from here with the stop planned; None if that would have to be given up.
+    fn price(&self, place: &Place) -> Option<f64> {
         let (table, object, stop) = (self.table, self.object, self.table.ends.len());
         let mut blockers: Vec<ObjectSet> = (0..stop)
             .map(|i| {
@@ -84,6 +85,7 @@ impl Stop<'_> {
         weights.push(weights[object]);
         let graph = DependencyGraph::from_blockers(blockers);
         let set = feedback::minimum_within(&graph, &weights, NODE_LIMIT).vertices;
-        table.remaining.weight(self.costs) + self.costs[object] + set.weight(&weights)
+        let kept = set.iter().all(|v| v != object && v != stop && !table.is_planned(v));
+        kept.then(|| table.remaining.weight(self.costs) + self.costs[object] + set.weight(&weights))
     }
 }
