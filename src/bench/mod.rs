@@ -1,9 +1,11 @@
 //! Benchmark runners, their tables and figures.
 //!
 //! `table`: rows and their CSV. `planning`: one case. `cells`: which cases a run consists of, and its share of
-//! them. `runner`: many cases on many threads. `results`: the file that survives interruptions. `summary`: a table
+//! them. `baseline`: beside the public code's
+//! own figures. `runner`: many cases on many threads. `results`: the file that survives interruptions. `summary`: a table
 //! for people. `figures`: the paper's six figures from rows.
 
+pub mod baseline;
 pub mod cells;
 pub mod figures;
 pub mod planning;

@@ -24,6 +24,8 @@ pub struct Limits {
     pub work: Option<u64>,
     /// At the first plan, as the paper's figures do.
     pub first: bool,
+    /// As [`Control::strict_paper`].
+    pub strict_paper: bool,
 }
 
 /// Runs one case.
@@ -46,8 +48,13 @@ pub fn run_case(
             first.get_or_insert(begun.elapsed().as_secs_f64());
         }
     };
-    let control =
-        Control { work_limit: limits.work, on_plan: &on_plan, first: limits.first, ..Control::until(&over) };
+    let control = Control {
+        work_limit: limits.work,
+        on_plan: &on_plan,
+        first: limits.first,
+        strict_paper: limits.strict_paper,
+        ..Control::until(&over)
+    };
     let outcome = solve(problem, key.solver, key.objective, &control, key.seed)?;
     let seconds = begun.elapsed().as_secs_f64();
     let ended_by_itself = match outcome.status {
@@ -117,7 +124,7 @@ mod tests {
 
     #[test]
     fn a_case_is_measured_and_one_cut_short_is_not() {
-        let limits = Limits { seconds: 60.0, work: None, first: true };
+        let limits = Limits { seconds: 60.0, work: None, first: true, strict_paper: false };
         let problem = two_discs().unwrap();
         let row = run_case(&problem, key(SolverKind::Erbm), limits, &|| false).unwrap().unwrap();
         assert_eq!((row.status, row.moves, row.cost), (Status::Optimal, Some(3), Some(3.0)));
@@ -127,7 +134,7 @@ mod tests {
 
     #[test]
     fn a_case_that_its_own_limit_ends_is_a_timeout() {
-        let limits = Limits { seconds: 0.0, work: None, first: true };
+        let limits = Limits { seconds: 0.0, work: None, first: true, strict_paper: false };
         let row = run_case(&two_discs().unwrap(), key(SolverKind::Erbm), limits, &|| false).unwrap().unwrap();
         assert_eq!((row.status, row.moves, row.first_plan_seconds), (Status::Timeout, None, None));
     }

@@ -73,6 +73,11 @@ impl Source {
         }
     }
 
+    /// Is there a public case of that id?
+    pub fn has(&self, cell: &Cell, id: &str) -> bool {
+        matches!(self, Source::Public { data, .. } if is_there(&task(data, cell, id)))
+    }
+
     /// The problem of a case.
     ///
     /// # Errors

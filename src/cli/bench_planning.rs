@@ -5,6 +5,7 @@
 //! the same command goes on after an interruption; progress on standard error. Exit code 0 when all cases ran,
 //! 2 for usage and unreadable files, 130 after Ctrl-C.
 
+use crate::bench::baseline::{self, Measured};
 use crate::bench::cells::{Cell, Shard, Unit, units};
 use crate::bench::figures::{FIGURES, Spec};
 use crate::bench::planning::{Limits, probe};
@@ -15,14 +16,14 @@ use crate::bench::table::{CSV_HEADER, Row, Table};
 use crate::cli::bench_cases::Source;
 use crate::cli::generate::ratios_parser;
 use crate::cli::plan::{objective_parser, seconds};
-use crate::cli::task::{complain, print};
+use crate::cli::task::{complain, print, read_text};
 use crate::planning::generate::RatioLaw;
 use crate::planning::plan::{Objective, Status};
 use crate::planning::solver::SolverKind;
 use crate::report::text::seconds as duration;
 use clap::builder::PossibleValuesParser;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Arguments of `celld bench planning`.
@@ -47,6 +48,10 @@ pub struct BenchPlanningArgs {
     /// Objectives
     #[arg(long, value_delimiter = ',', default_value = "pp", value_parser = objective_parser())]
     pub objective: Vec<Objective>,
+    /// The rows of this table of the public code's runs instead of cells; the table printed has both side by side
+    #[arg(long, value_name = "CSV", requires = "data",
+          conflicts_with_all = ["figure", "scenario", "density", "n", "objective", "count", "ids"])]
+    pub baseline: Option<PathBuf>,
     /// Cases of each cell; the paper has 50
     #[arg(long, value_name = "K", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub count: u64,
@@ -74,6 +79,9 @@ pub struct BenchPlanningArgs {
     /// End each case at its first plan, as the paper's figures do
     #[arg(long)]
     pub first: bool,
+    /// As `celld plan --strict-paper`; rows do not tell, so use another --out
+    #[arg(long)]
+    pub strict_paper: bool,
     /// Cases at the same time; default: one for each core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
@@ -131,7 +139,8 @@ pub fn run(args: &BenchPlanningArgs, stop: &AtomicBool) -> u8 {
 
 fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
     let source = Source::new(args);
-    let units = wanted(args, &source)?;
+    let measured = args.baseline.as_ref().map(|path| read_baseline(path)).transpose()?;
+    let units = wanted(args, &source, measured.as_deref())?;
     let (file, found) = match &args.out {
         Some(path) => ResultsFile::open(path).map(|(file, found)| (Some(file), found))?,
         None => (None, Found::default()),
@@ -139,17 +148,16 @@ fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
     let mut desk = Desk::new(args, file, &units, found);
     let left: Vec<Unit> = units.into_iter().filter(|unit| !desk.table.has(&unit.key)).collect();
     desk.announce(left.len());
-    let limits = Limits { seconds: args.time_limit, work: args.work, first: args.first };
     let runner = Runner {
         load: &|unit| source.problem(unit),
-        limits,
+        limits: limits(args),
         threads: threads(args),
         stop: &|| stop.load(Ordering::Relaxed),
     };
     let ended = runner.run(&left, &mut |row| desk.take(row));
     desk.bar.finish_and_clear();
     ended?;
-    desk.finish();
+    desk.finish(measured.as_deref());
     if stop.load(Ordering::Relaxed) && desk.fresh < left.len() {
         let go_on = if args.out.is_some() { "; the same command goes on from there" } else { "" };
         complain(&format!("stopped with {} of {} runs to go{go_on}", left.len() - desk.fresh, left.len()));
@@ -158,14 +166,26 @@ fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
     Ok(0)
 }
 
+fn limits(args: &BenchPlanningArgs) -> Limits {
+    Limits { seconds: args.time_limit, work: args.work, first: args.first, strict_paper: args.strict_paper }
+}
+
+fn read_baseline(path: &Path) -> Result<Vec<Measured>, String> {
+    baseline::parse(&read_text(path)?, &path.display().to_string())
+}
+
 fn threads(args: &BenchPlanningArgs) -> usize {
     let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     args.threads.map_or_else(cores, usize::from)
 }
 
 /// The runs asked for on this machine; what cannot be run at all is told before anything is.
-fn wanted(args: &BenchPlanningArgs, source: &Source) -> Result<Vec<Unit>, String> {
-    let (cells, solvers) = (cells(args), solvers(&args.solver));
+fn wanted(
+    args: &BenchPlanningArgs,
+    source: &Source,
+    measured: Option<&[Measured]>,
+) -> Result<Vec<Unit>, String> {
+    let (cells, solvers) = (measured.map_or_else(|| cells(args), baseline::cells), solvers(&args.solver));
     if let Some(data) = args.data.as_ref().filter(|data| !data.is_dir()) {
         return Err(format!("--data {}: there is no such folder", data.display()));
     }
@@ -176,18 +196,36 @@ fn wanted(args: &BenchPlanningArgs, source: &Source) -> Result<Vec<Unit>, String
     }
     for cell in &cells {
         source.check(cell)?;
-        if source.ids(cell).is_empty() {
+        if measured.is_none() && source.ids(cell).is_empty() {
             complain(&format!(
                 "no case of {} density {} n {} among the data",
                 cell.scenario, cell.density, cell.objects
             ));
         }
     }
-    let all = units(&cells, &|cell| source.ids(cell), &solvers, &args.seed);
+    let all = match measured {
+        None => units(&cells, &|cell| source.ids(cell), &solvers, &args.seed),
+        Some(rows) => their_units(source, rows, &solvers, &args.seed),
+    };
     if all.is_empty() {
         return Err("no case of the cells asked for; see --data, --scenario, --density, --n and --ids".into());
     }
     Ok(args.shard.unwrap_or(Shard::WHOLE).take(all, solvers.len() * args.seed.len()))
+}
+
+/// The runs of the public code's table that these solvers can repeat.
+fn their_units(source: &Source, rows: &[Measured], solvers: &[SolverKind], seeds: &[u64]) -> Vec<Unit> {
+    let mut all = baseline::units(rows, seeds);
+    all.retain(|unit| solvers.contains(&unit.key.solver));
+    let wanted = all.len();
+    all.retain(|unit| source.has(&unit.cell, &unit.key.id));
+    if all.len() < wanted {
+        complain(&format!(
+            "{} of {wanted} runs left out: no such instance among the data",
+            wanted - all.len()
+        ));
+    }
+    all
 }
 
 fn cells(args: &BenchPlanningArgs) -> Vec<Cell> {
@@ -285,8 +323,9 @@ impl<'a> Desk<'a> {
         Ok(())
     }
 
-    fn finish(&self) {
-        let text = summary(&self.table.rows);
+    fn finish(&self, measured: Option<&[Measured]>) {
+        let rows = &self.table.rows;
+        let text = measured.map_or_else(|| summary(rows), |measured| baseline::report(measured, rows));
         if self.csv { complain(&text) } else { print(&text) }
     }
 }

@@ -1,4 +1,4 @@
-//! `celld check FILE...`: every complaint about configuration, calibration, job, goal and instance files.
+//! `celld check FILE...`: every complaint about configuration, calibration, job, goal, instance and fault files.
 //!
 //! In: files; their kind is told by their top-level keys; with `--config`, the cell that jobs and goals are for.
 //! Out: one line for each complaint, with file, line and column, on stdout; exit code 2 if there is any. Nothing is
@@ -12,6 +12,7 @@ use crate::document::{Complaints, parse};
 use crate::jobs::goal::parse_goal_file;
 use crate::jobs::job_file::{JobContext, read_job};
 use crate::jobs::policy::Approval;
+use crate::sim::faults::read::read_faults;
 use crate::tabletop::parse::parse_with_sound_goals;
 use crate::vision::calibration;
 use clap::{Args, ValueEnum};
@@ -57,6 +58,8 @@ pub enum Kind {
     Goal,
     /// A task for the planner.
     Instance,
+    /// Faults for the simulator.
+    Faults,
 }
 
 /// Checks the files and returns the exit code: 0 when all are sound, else 2.
@@ -91,7 +94,7 @@ fn check(path: &Path, with: With) -> Result<Kind, String> {
         None => {
             let node = parse(&text, &source).map_err(|complaints| complaints.to_string())?;
             kind_of(&node).ok_or_else(|| {
-                format!("{source}:1:1: its top-level keys are those of no file of celld; say what it is with --kind config, sim, calibration, job, goal or instance")
+                format!("{source}:1:1: its top-level keys are those of no file of celld; say what it is with --kind config, sim, calibration, job, goal, instance or faults")
             })?
         }
     };
@@ -112,6 +115,8 @@ pub fn kind_of(top: &Node) -> Option<Kind> {
         Some(Kind::Instance)
     } else if has("goal") {
         Some(Kind::Job)
+    } else if has("faults") {
+        Some(Kind::Faults)
     } else if has("objects") {
         Some(Kind::Goal)
     } else {
@@ -134,6 +139,7 @@ fn check_as(kind: Kind, path: &Path, text: &str, source: &str, with: With) -> Re
             read_job(text, source, &context).map(drop).map_err(told)
         }
         Kind::Goal => parse_goal_file(text, source, goal.as_ref()).map(drop).map_err(told),
+        Kind::Faults => read_faults(text, source).map(drop).map_err(told),
         Kind::Instance => {
             let folder = with.shapes.map_or_else(|| default_shapes(path), Path::to_path_buf);
             let lookup = |name: &str| read_text(&folder.join(format!("{name}.json"))).ok();
@@ -190,6 +196,7 @@ mod tests {
         check_kind("version: 1\ncamera: {}\ndate: today\n", Some(Kind::Calibration));
         check_kind(include_str!("../../config/cell.yaml"), Some(Kind::Config));
         check_kind(include_str!("../../config/sim.yaml"), Some(Kind::Sim));
+        check_kind(include_str!("../../config/faults-example.yaml"), Some(Kind::Faults));
         check_kind("colour: blue\n", None);
         check_kind("- 1\n", None);
     }

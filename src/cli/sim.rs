@@ -11,9 +11,11 @@ use crate::config::simulated::SimFile;
 use crate::geometry::footprint::Footprint;
 use crate::io::priority;
 use crate::sim::camera_server::CameraSetup;
-use crate::sim::cell::{SimConfig, start};
+use crate::sim::cell::{SimConfig, SimError, start};
 use crate::sim::controller::builtins::compile_program;
 use crate::sim::controller::{ControllerConfig, calibrated_ur5e};
+use crate::sim::faults::Planned;
+use crate::sim::faults::read::read_faults;
 use crate::sim::render::lens::CameraTruth;
 use crate::sim::robot_server::RobotPorts;
 use crate::sim::world::spec;
@@ -44,6 +46,9 @@ pub struct SimArgs {
     /// Simulated seconds per second, instead of the configuration's.
     #[arg(long, value_name = "F", value_parser = values::time_factor)]
     time_factor: Option<f64>,
+    /// What goes wrong and when (docs/faults.md); nothing without it.
+    #[arg(long, value_name = "FILE")]
+    faults: Option<PathBuf>,
     /// Also open the control socket (loopback only): faults and the world's truth.
     #[arg(long)]
     control: bool,
@@ -80,6 +85,13 @@ pub fn run(args: &SimArgs) -> u8 {
     }
     let mut config = sim_config(&file, bind, RobotPorts::REAL);
     config.time_factor = args.time_factor.unwrap_or(file.time_factor);
+    match args.faults.as_deref().map_or(Ok(Vec::new()), faults_of) {
+        Ok(faults) => config.faults = faults,
+        Err(message) => {
+            complain(&message);
+            return 2;
+        }
+    }
     config.control_port = args.control.then_some(file.ports.control);
     let runtime =
         tokio::runtime::Builder::new_multi_thread().enable_all().on_thread_start(priority::raise).build();
@@ -92,9 +104,19 @@ pub fn run(args: &SimArgs) -> u8 {
     }
 }
 
+/// The plans in a fault file.
+fn faults_of(path: &std::path::Path) -> Result<Vec<Planned>, String> {
+    let text = crate::cli::task::read_text(path)?;
+    read_faults(&text, &path.display().to_string()).map_err(|complaints| complaints.to_string())
+}
+
 async fn serve(config: SimConfig) -> u8 {
     let sim = match start(config).await {
         Ok(sim) => sim,
+        Err(error @ SimError::Fault(_)) => {
+            complain(&crate::cli::demo::run::chain(&error));
+            return 2;
+        }
         Err(error) => {
             complain(&crate::cli::demo::run::chain(&error));
             return 1;
@@ -180,6 +202,7 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
         },
         camera: CameraSetup { truth: truth.camera, reported: truth.reported, mount: truth.mount },
         seed: file.seed,
+        faults: Vec::new(),
     }
 }
 

@@ -60,6 +60,8 @@ pub struct CellConfig {
     pub recording: Option<RecordingConfig>,
     /// Folder against which relative `goal.file` paths of jobs resolve.
     pub goal_folder: PathBuf,
+    /// Markers in view that belong to nothing on the table.
+    pub ignore_markers: Vec<u32>,
 }
 
 impl CellConfig {

@@ -42,6 +42,7 @@ pub(super) struct CellParts {
     pub simulation: Option<Option<SimulationConfig>>,
     pub recording: Option<Option<RecordingConfig>>,
     pub goal_folder: Option<PathBuf>,
+    pub ignore_markers: Option<Vec<u32>>,
 }
 
 /// The table's keys.
@@ -82,6 +83,7 @@ impl CellParts {
             simulation: self.simulation?,
             recording: self.recording?,
             goal_folder: self.goal_folder?,
+            ignore_markers: self.ignore_markers?,
         })
     }
 }

@@ -49,6 +49,7 @@ pub const CELL_KEYS: &[&str] = &[
     "simulation",
     "recording",
     "goal_folder",
+    "ignore_markers",
 ];
 
 /// Text of a file that the configuration names; `Err` says why it cannot be had.
@@ -120,6 +121,9 @@ fn parts(
     let arm_at_start = optional(decoder, fields, "arm_at_start", false, |decoder, at| decoder.boolean(at));
     let simulation = optional(decoder, fields, "simulation", None, |d, at| simulation(d, at).map(Some));
     let recording = optional(decoder, fields, "recording", None, |d, at| recording(d, at, folder).map(Some));
+    let ignore_markers = optional(decoder, fields, "ignore_markers", Vec::new(), |decoder, at| {
+        list(decoder, at, |decoder, at| decoder.integer(at, 0..=586).map(|id| id as u32))
+    });
     let goal_folder =
         optional(decoder, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder));
     CellParts {
@@ -146,6 +150,7 @@ fn parts(
         simulation,
         recording,
         goal_folder,
+        ignore_markers,
     }
 }
 

@@ -7,9 +7,10 @@ use crate::config::cell::{CellConfig, CupChannel};
 use crate::config::check::needed_force_n;
 use crate::daemon::workers::EyeParameters;
 use crate::device::gripper::{Channels, GripperParameters};
+use crate::geometry::pose::Pose2;
 use crate::motion::kinematics::DhParameters;
 use crate::motion::path::{ArmLimits, ArmModel};
-use crate::motion::pick_n_place::CycleParameters;
+use crate::motion::pick_n_place::{CycleParameters, PickNPlace, plan};
 use crate::supervisor::model::{CellModel, CellObject, DeviceAddresses, GripSettings, Tolerances};
 use crate::tabletop::instance::{ObjectSpec, Workspace};
 use crate::tabletop::room::{Cup, Grip, place_for_cups};
@@ -79,8 +80,6 @@ const REFERENCES_SEEN: usize = 3;
 /// What an object of the catalogue lacks.
 pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel, SetupError> {
     let objects = cell_objects(config)?;
-    let tallest = config.objects.iter().filter_map(|object| object.height).fold(0.0, f64::max);
-    let limits = &config.limits;
     let tolerances = &config.tolerances;
     let devices = &config.devices;
     Ok(CellModel {
@@ -89,17 +88,7 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
             gripper: format!("{}:{}", devices.gripper_host, devices.gripper_port),
         },
         arm: arm_model(config, measured.dh, measured.base_from_table),
-        cycle: CycleParameters {
-            tallest,
-            air: limits.lift_height_m,
-            approach: limits.approach_height_m,
-            press: limits.press_m,
-            blend: limits.blend_m,
-            joint_speed: limits.joint_speed,
-            joint_acceleration: limits.joint_acceleration,
-            tool_speed: limits.tool_speed,
-            tool_acceleration: limits.tool_acceleration,
-        },
+        cycle: cycle_parameters(config),
         flange_from_camera: measured.flange_from_camera,
         look_poses: config.look_poses.clone(),
         frames_per_view: 2,
@@ -107,6 +96,7 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
         workspace: Workspace { width: config.workspace.width_m, height: config.workspace.height_m },
         clearance: config.workspace.clearance_m,
         keep_out: config.obstacles(),
+        ignore_markers: config.ignore_markers.clone(),
         objects,
         tolerances: Tolerances {
             goal_position: tolerances.goal_position_m,
@@ -125,6 +115,44 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
         },
         grip: grip_settings(config),
     })
+}
+
+/// Heights and speeds of a pick-n-place.
+fn cycle_parameters(config: &CellConfig) -> CycleParameters {
+    let limits = &config.limits;
+    CycleParameters {
+        tallest: config.objects.iter().filter_map(|object| object.height).fold(0.0, f64::max),
+        air: limits.lift_height_m,
+        approach: limits.approach_height_m,
+        press: limits.press_m,
+        blend: limits.blend_m,
+        joint_speed: limits.joint_speed,
+        joint_acceleration: limits.joint_acceleration,
+        tool_speed: limits.tool_speed,
+        tool_acceleration: limits.tool_acceleration,
+    }
+}
+
+/// Whether the arm, as drawn, can carry each object from its start to its goal.
+///
+/// # Errors
+/// The first object that it cannot, and why.
+pub fn check_reach(config: &CellConfig, task: &[(String, Pose2, Pose2)]) -> Result<(), String> {
+    let objects = cell_objects(config).map_err(|error| error.to_string())?;
+    let arm = arm_model(config, DhParameters::UR5E, config.base_from_table);
+    for (id, from, to) in task {
+        let Some(object) = objects.iter().find(|object| object.id == *id) else { continue };
+        let task = PickNPlace {
+            from: *from,
+            to: *to,
+            grip_point: object.grip_point,
+            grip_yaw: object.grip_yaw,
+            height: object.height,
+        };
+        plan(&arm, &config.park_pose, &task, &cycle_parameters(config))
+            .map_err(|fault| format!("object {id} cannot be carried to its goal: {fault}"))?;
+    }
+    Ok(())
 }
 
 /// The arm with the table at `base_from_table`: nominal for calibration, calibrated for work.

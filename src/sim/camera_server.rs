@@ -3,12 +3,16 @@
 //! In: `GET /frame.png` and `GET /intrinsics.json`. Out: a PNG with the headers `X-Sequence` (counts frames), `X-Time`
 //! (controller seconds at exposure) and `X-Serial`; the factory intrinsics as JSON. Exposure is the moment the world is
 //! copied; drawing happens afterwards on a blocking thread, without the world, one picture at a time. A camera that is
-//! switched off (a fault) answers 503. Depth pictures do not exist yet.
+//! switched off (a fault) answers 503; other faults of the camera
+//! are asked of the world at every frame. Depth pictures do not exist yet.
 
+use crate::sim::faults::camera::CameraFaults;
+use crate::sim::faults::link::{Link, LinkListener};
 use crate::sim::render::Renderer;
 use crate::sim::render::lens::CameraTruth;
 use crate::sim::world::spec::CameraMount;
 use crate::sim::world::{SharedWorld, lock};
+use axum::body::Bytes;
 use axum::extract::State;
 use axum::http::{HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -38,7 +42,22 @@ struct Camera {
     /// Made with the first picture: inverting the lens must not delay the start.
     renderer: OnceLock<Renderer>,
     /// Frames taken; held while one is drawn, so that several clients do not share out the processor.
-    sequence: Mutex<u64>,
+    roll: Mutex<Roll>,
+}
+
+/// What has been taken.
+#[derive(Default)]
+struct Roll {
+    number: u64,
+    last: Option<Frame>,
+}
+
+/// A frame as it is sent.
+#[derive(Clone)]
+struct Frame {
+    png: Bytes,
+    number: u64,
+    time_s: f64,
 }
 
 /// Serves clients until `stop` resolves; a request under way is finished first.
@@ -49,60 +68,84 @@ pub async fn serve(
     listener: TcpListener,
     setup: CameraSetup,
     world: SharedWorld,
+    link: Arc<Link>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
-    let camera = Camera { setup, world, renderer: OnceLock::new(), sequence: Mutex::new(0) };
+    let camera = Camera { setup, world, renderer: OnceLock::new(), roll: Mutex::default() };
     let router = Router::new()
         .route("/frame.png", get(frame))
         .route("/intrinsics.json", get(intrinsics))
         .with_state(Arc::new(camera));
-    axum::serve(listener, router).with_graceful_shutdown(stop).await
+    axum::serve(LinkListener { listener, link }, router).with_graceful_shutdown(stop).await
 }
 
 async fn intrinsics(State(camera): State<Arc<Camera>>) -> Response {
+    if lock(&camera.world).camera_faults().off {
+        return off();
+    }
     Json(camera.setup.reported.intrinsics()).into_response()
 }
 
+fn off() -> Response {
+    (StatusCode::SERVICE_UNAVAILABLE, "the camera is off").into_response()
+}
+
 async fn frame(State(camera): State<Arc<Camera>>) -> Response {
-    let mut sequence = camera.sequence.lock().await;
-    if !lock(&camera.world).camera_on() {
-        return (StatusCode::SERVICE_UNAVAILABLE, "the camera is off").into_response();
-    }
-    *sequence += 1;
-    let number = *sequence;
-    let drawing = camera.clone();
-    let draw = move || {
-        crate::io::priority::lower();
-        drawing.take(number)
+    let mut roll = camera.roll.lock().await;
+    let (faults, now_s) = {
+        let world = lock(&camera.world);
+        (world.camera_faults().clone(), world.now_s())
     };
-    let drawn = tokio::task::spawn_blocking(draw).await;
-    drop(sequence);
-    match drawn {
-        Ok(Ok((png, time_s))) => {
-            let headers = [
-                (header::CONTENT_TYPE, "image/png".to_string()),
-                (header::CACHE_CONTROL, "no-store".to_string()),
-                (HeaderName::from_static("x-sequence"), number.to_string()),
-                (HeaderName::from_static("x-time"), format!("{time_s:.6}")),
-                (HeaderName::from_static("x-serial"), camera.setup.truth.serial.clone()),
-            ];
-            (headers, png).into_response()
+    if faults.off {
+        return off();
+    }
+    if let Some(last) = roll.last.clone().filter(|_| faults.frozen) {
+        return camera.answer(last);
+    }
+    roll.number += 1;
+    let number = roll.number;
+    let repeated = roll.last.clone().filter(|_| faults.repeats);
+    let taken = match repeated {
+        Some(last) => Ok(Frame { png: last.png, number, time_s: now_s }),
+        None => {
+            let drawing = camera.clone();
+            let draw = move || {
+                crate::io::priority::lower();
+                drawing.take(number, &faults).map_err(|error| error.to_string())
+            };
+            tokio::task::spawn_blocking(draw).await.unwrap_or_else(|error| Err(error.to_string()))
         }
-        Ok(Err(error)) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
-        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
+    };
+    match taken {
+        Ok(frame) => {
+            roll.last = Some(frame.clone());
+            camera.answer(frame)
+        }
+        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error).into_response(),
     }
 }
 
 impl Camera {
-    /// Exposes, draws and encodes one frame; the PNG and the time of exposure.
-    fn take(&self, number: u64) -> Result<(Vec<u8>, f64), image::ImageError> {
+    fn answer(&self, frame: Frame) -> Response {
+        let headers = [
+            (header::CONTENT_TYPE, "image/png".to_string()),
+            (header::CACHE_CONTROL, "no-store".to_string()),
+            (HeaderName::from_static("x-sequence"), frame.number.to_string()),
+            (HeaderName::from_static("x-time"), format!("{:.6}", frame.time_s)),
+            (HeaderName::from_static("x-serial"), self.setup.truth.serial.clone()),
+        ];
+        (headers, frame.png).into_response()
+    }
+
+    /// Exposes, draws and encodes one frame.
+    fn take(&self, number: u64, faults: &CameraFaults) -> Result<Frame, image::ImageError> {
         let renderer = self.renderer.get_or_init(|| Renderer::new(self.setup.truth.clone()));
         let (scene, time_s, seed) = {
             let world = lock(&self.world);
             (world.scene(), world.now_s(), world.seed())
         };
-        let table_from_camera = scene.table_from_camera(&self.setup.mount);
-        let picture = renderer.render(&scene, &table_from_camera, seed, number);
+        let table_from_camera = scene.table_from_camera(&self.setup.mount) * faults.shift;
+        let picture = renderer.expose(&scene, &table_from_camera, &faults.exposure, [seed, number]);
         let mut png = Vec::with_capacity(picture.rgb.len());
         // Sensor noise leaves little to compress: the quick setting costs a tenth of the time and 10 % of the size.
         PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Sub).write_image(
@@ -111,7 +154,7 @@ impl Camera {
             picture.height,
             ExtendedColorType::Rgb8,
         )?;
-        Ok((png, time_s))
+        Ok(Frame { png: png.into(), number, time_s })
     }
 }
 
@@ -119,7 +162,6 @@ impl Camera {
 mod tests {
     use super::*;
     use crate::sim::world::empty_world;
-    use crate::sim::world::event::Fault;
     use nalgebra::Isometry3;
     use std::net::SocketAddr;
 
@@ -135,7 +177,7 @@ mod tests {
         let address = listener.local_addr().unwrap();
         let world = Arc::new(std::sync::Mutex::new(empty_world(5)));
         lock(&world).step(41.5, 0.002, &Isometry3::translation(0.0, 0.0, 0.5));
-        tokio::spawn(serve(listener, setup(), world.clone(), std::future::pending()));
+        tokio::spawn(serve(listener, setup(), world.clone(), Arc::default(), std::future::pending()));
         (address, world)
     }
 
@@ -188,9 +230,9 @@ mod tests {
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn a_camera_that_is_off_says_so_and_comes_back() {
         let (address, world) = started().await;
-        lock(&world).apply_fault(&Fault::Camera { on: false }).unwrap();
+        lock(&world).set_camera_faults(CameraFaults { off: true, ..CameraFaults::default() });
         assert_eq!(fetch(address, "/frame.png").await.0, 503);
-        lock(&world).apply_fault(&Fault::Camera { on: true }).unwrap();
+        lock(&world).set_camera_faults(CameraFaults::default());
         assert_eq!(fetch(address, "/frame.png").await.0, 200);
         assert_eq!(fetch(address, "/depth.png").await.0, 404);
     }

@@ -11,6 +11,9 @@ use crate::io::clock::Pace;
 use crate::sim::camera_server::{self, CameraSetup};
 use crate::sim::control_server;
 use crate::sim::controller::{Controller, ControllerConfig};
+use crate::sim::faults::desk::FaultDesk;
+use crate::sim::faults::link::LinkName;
+use crate::sim::faults::{FaultError, Planned};
 use crate::sim::gripper_server;
 use crate::sim::motion::FRAME_SECONDS;
 use crate::sim::robot_server::{self, ListenError, RobotAddresses, RobotPorts, RobotServers, RobotShared};
@@ -64,6 +67,8 @@ pub struct SimConfig {
     pub camera: CameraSetup,
     /// Seed of the world's random errors.
     pub seed: u64,
+    /// What goes wrong, and when.
+    pub faults: Vec<Planned>,
 }
 
 /// Why the simulation cannot start.
@@ -75,6 +80,9 @@ pub enum SimError {
     /// The world's description is wrong.
     #[error("the simulated world cannot be built")]
     World(#[from] WorldError),
+    /// A fault names something that is not there.
+    #[error("a planned fault is impossible")]
+    Fault(#[from] FaultError),
     /// An address is taken or not ours.
     #[error("the simulation cannot listen")]
     Listen(#[from] ListenError),
@@ -103,6 +111,7 @@ pub struct RunningSim {
     pub addresses: SimAddresses,
     robot: Arc<RobotShared>,
     world: WorldHandle,
+    desk: Arc<FaultDesk>,
     pace: Arc<Pace>,
     held_us: Arc<AtomicU64>,
     stop: watch::Sender<bool>,
@@ -131,6 +140,8 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
     let robot = RobotShared::new(Controller::new(config.controller));
     // The world has its arm before the first client can ask for a picture.
     step_world(&robot, &world);
+    let desk = Arc::new(FaultDesk::new(robot.clone(), world.clone(), config.time_factor));
+    desk.submit(config.faults)?;
     let (stop, stopped) = watch::channel(false);
     let modbus = listen("gripper", config.bind, config.modbus_port).await?;
     let camera = listen("camera", config.bind, config.camera_port).await?;
@@ -146,27 +157,30 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         control: control.as_ref().map(|(_, address)| *address),
     };
     let mut tasks = JoinSet::new();
-    let gripper = gripper_server::serve(modbus.0, world.clone(), until(&stopped));
+    let link = |name| robot.links.get(name).clone();
+    let gripper = gripper_server::serve(modbus.0, world.clone(), link(LinkName::Gripper), until(&stopped));
     tasks.spawn(async move { report("gripper server", gripper.await) });
-    let pictures = camera_server::serve(camera.0, config.camera, world.clone(), until(&stopped));
+    let seen = link(LinkName::Camera);
+    let pictures = camera_server::serve(camera.0, config.camera, world.clone(), seen, until(&stopped));
     tasks.spawn(async move { report("camera server", pictures.await) });
     if let Some((listener, _)) = control {
-        let control = control_server::serve(listener, world.clone(), until(&stopped));
+        let control = control_server::serve(listener, world.clone(), desk.clone(), until(&stopped));
         tasks.spawn(async move { report("control server", control.await) });
     }
     let (pace, held_us) =
         (Arc::new(Pace::new(robot.controller().core.timestamp())), Arc::new(AtomicU64::new(0)));
     let frames = {
-        let (robot, world) = (robot.clone(), world.clone());
+        let (robot, world, desk) = (robot.clone(), world.clone(), desk.clone());
         let (pace, held_us) = (pace.clone(), held_us.clone());
         let factor = config.time_factor;
-        let body = move || run_frames(&robot, &world, (&pace, &held_us), factor, &stopped);
+        let body = move || run_frames((&robot, &world, &desk), (&pace, &held_us), factor, &stopped);
         std::thread::Builder::new().name("sim-frames".to_owned()).spawn(body).map_err(SimError::Thread)?
     };
     Ok(RunningSim {
         addresses,
         robot,
         world: WorldHandle(world),
+        desk,
         pace,
         held_us,
         stop,
@@ -211,6 +225,11 @@ impl RunningSim {
     /// The controller and its connections: faults and tests.
     pub fn robot(&self) -> &Arc<RobotShared> {
         &self.robot
+    }
+
+    /// Faults: tests.
+    pub fn desk(&self) -> &Arc<FaultDesk> {
+        &self.desk
     }
 
     /// Simulated seconds per second since the start.
@@ -273,8 +292,7 @@ impl Schedule {
 }
 
 fn run_frames(
-    robot: &RobotShared,
-    world: &SharedWorld,
+    (robot, world, desk): (&RobotShared, &SharedWorld, &FaultDesk),
     (pace, held_us): (&Pace, &AtomicU64),
     factor: f64,
     stopped: &watch::Receiver<bool>,
@@ -293,6 +311,7 @@ fn run_frames(
         wait_for_follower(pace, held_us, stopped);
         robot.frame();
         step_world(robot, world);
+        desk.frame();
         frames += 1;
         pace.reached(Duration::from_secs_f64(frames as f64 * FRAME_SECONDS));
         let wait = schedule.wait(Instant::now());
@@ -400,6 +419,7 @@ mod tests {
                 mount: CameraMount::Flange(Isometry3::identity()),
             },
             seed: 1,
+            faults: Vec::new(),
         }
     }
 

@@ -1,9 +1,10 @@
 //! The simulator's own control interface: true state and faults, for tests and training.
 //!
-//! In: `GET /world.json`, `POST /fault` with `{"do": NAME, "args": {...}}`. Out: the true state as JSON; `{"ok": true}`, or
-//! 400 with `{"error": TEXT}`. Loopback only, and only when asked for: the daemon has no client for it.
+//! In: `GET /world.json`, `POST /fault` with `{"do": NAME, "args": {...}}`, with a trigger `at`, or a whole `{"faults":
+//! [...]}` as in a fault file. Out: the true state as JSON; `{"ok": true}`, or 400 with `{"error": TEXT}`. Loopback only, and only when asked for: the daemon has no client for it.
 
-use crate::sim::world::event::{Fault, FaultError};
+use crate::sim::faults::desk::FaultDesk;
+use crate::sim::faults::read::read_posted;
 use crate::sim::world::{SharedWorld, lock};
 use axum::body::Bytes;
 use axum::extract::{DefaultBodyLimit, State};
@@ -12,9 +13,9 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
 use serde_json::json;
-use std::error::Error;
 use std::future::Future;
 use std::net::IpAddr;
+use std::sync::Arc;
 use tokio::net::TcpListener;
 
 /// Largest fault request, bytes.
@@ -31,6 +32,12 @@ pub enum ControlError {
     Io(#[from] std::io::Error),
 }
 
+#[derive(Clone)]
+struct Control {
+    world: SharedWorld,
+    desk: Arc<FaultDesk>,
+}
+
 /// Serves clients until `stop` resolves.
 ///
 /// # Errors
@@ -38,6 +45,7 @@ pub enum ControlError {
 pub async fn serve(
     listener: TcpListener,
     world: SharedWorld,
+    desk: Arc<FaultDesk>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ControlError> {
     let address = listener.local_addr()?.ip();
@@ -48,42 +56,46 @@ pub async fn serve(
         .route("/world.json", get(state))
         .route("/fault", post(fault))
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
-        .with_state(world);
+        .with_state(Control { world, desk });
     Ok(axum::serve(listener, router).with_graceful_shutdown(stop).await?)
 }
 
-async fn state(State(world): State<SharedWorld>) -> Response {
-    let snapshot = lock(&world).snapshot_json();
+async fn state(State(control): State<Control>) -> Response {
+    let mut snapshot = lock(&control.world).snapshot_json();
+    snapshot["faults"] = control.desk.snapshot_json();
     Json(snapshot).into_response()
 }
 
-async fn fault(State(world): State<SharedWorld>, body: Bytes) -> Response {
-    let applied = Fault::from_json(&body).and_then(|fault| lock(&world).apply_fault(&fault));
-    match applied {
+async fn fault(State(control): State<Control>, body: Bytes) -> Response {
+    let text = String::from_utf8_lossy(&body);
+    let done = read_posted(&text)
+        .map_err(|complaints| complaints.to_string())
+        .and_then(|plans| control.desk.submit(plans).map_err(|error| error.to_string()));
+    match done {
         Ok(()) => Json(json!({"ok": true})).into_response(),
-        Err(error) => (StatusCode::BAD_REQUEST, Json(json!({"error": whole_text(&error)}))).into_response(),
-    }
-}
-
-fn whole_text(error: &FaultError) -> String {
-    match error.source() {
-        Some(cause) => format!("{error}: {cause}"),
-        None => error.to_string(),
+        Err(error) => (StatusCode::BAD_REQUEST, Json(json!({"error": error}))).into_response(),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::controller::{Controller, ControllerConfig};
+    use crate::sim::robot_server::RobotShared;
     use crate::sim::world::empty_world;
     use std::net::SocketAddr;
-    use std::sync::{Arc, Mutex};
+    use std::sync::Mutex;
+
+    fn desk(world: &SharedWorld) -> Arc<FaultDesk> {
+        let robot = RobotShared::new(Controller::new(ControllerConfig::ur5e(1)));
+        Arc::new(FaultDesk::new(robot, world.clone(), 1.0))
+    }
 
     async fn started() -> (SocketAddr, SharedWorld) {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let world = Arc::new(Mutex::new(empty_world(5)));
-        tokio::spawn(serve(listener, world.clone(), std::future::pending()));
+        tokio::spawn(serve(listener, world.clone(), desk(&world), std::future::pending()));
         (address, world)
     }
 
@@ -116,6 +128,7 @@ mod tests {
         assert!(!lock(&world).camera_on());
         let (_, state) = exchange(address, "/world.json", None).await;
         assert_eq!(state["camera_on"].as_bool(), Some(false));
+        assert_eq!(state["faults"]["active"][0].as_str(), Some("camera.off"));
         assert_eq!(state["events"][0]["name"].as_str(), Some("camera.off"));
         let (status, reply) =
             exchange(address, "/fault", Some(r#"{"do": "world.nudge", "args": {"object": "x"}}"#)).await;
@@ -129,7 +142,7 @@ mod tests {
     async fn only_loopback_is_served() {
         let listener = TcpListener::bind("0.0.0.0:0").await.unwrap();
         let world = Arc::new(Mutex::new(empty_world(5)));
-        let refused = serve(listener, world, std::future::pending()).await;
+        let refused = serve(listener, world.clone(), desk(&world), std::future::pending()).await;
         assert!(matches!(refused, Err(ControlError::NotLoopback(_))));
     }
 }

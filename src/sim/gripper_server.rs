@@ -7,10 +7,12 @@
 //! active, as on the device. Source: reference drivers of the device; the answer to other units (exception
 //! 0x0B) is our choice.
 
+use crate::sim::faults::link::{Link, LinkStream};
 use crate::sim::world::vacuum::{Channel, HIGHEST_TARGET, VacuumMode};
 use crate::sim::world::{SharedWorld, World, lock};
 use std::future::{Future, Ready, ready};
 use std::net::SocketAddr;
+use std::sync::Arc;
 use tokio::net::{TcpListener, TcpStream};
 use tokio_modbus::prelude::{ExceptionCode, Request, Response, SlaveRequest};
 use tokio_modbus::server::Service;
@@ -31,6 +33,7 @@ const MOST_REGISTERS: u16 = 125;
 
 struct Registers {
     world: SharedWorld,
+    link: Arc<Link>,
 }
 
 /// Serves clients until `stop` resolves.
@@ -40,13 +43,15 @@ struct Registers {
 pub async fn serve(
     listener: TcpListener,
     world: SharedWorld,
+    link: Arc<Link>,
     stop: impl Future<Output = ()> + Send + Sync + 'static,
 ) -> std::io::Result<()> {
     let on_connected = |stream: TcpStream, _: SocketAddr| {
-        let world = world.clone();
+        let (world, link) = (world.clone(), link.clone());
         async move {
             stream.set_nodelay(true)?;
-            Ok(Some((Registers { world }, stream)))
+            let stream = LinkStream::new(stream, &link);
+            Ok(Some((Registers { world, link }, stream)))
         }
     };
     let on_error = |error: std::io::Error| tracing::debug!(%error, "gripper client dropped");
@@ -61,11 +66,26 @@ impl Service for Registers {
     type Future = Ready<Result<Response, ExceptionCode>>;
 
     fn call(&self, request: SlaveRequest<'static>) -> Self::Future {
+        if let Some(exception) = self.link.state().exception.and_then(exception) {
+            return ready(Err(exception));
+        }
         if request.slave != UNIT {
             return ready(Err(ExceptionCode::GatewayTargetDevice));
         }
         ready(answer(&mut lock(&self.world), &request.request))
     }
+}
+
+/// The exception a fault asks for.
+fn exception(code: u8) -> Option<ExceptionCode> {
+    Some(match code {
+        1 => ExceptionCode::IllegalFunction,
+        2 => ExceptionCode::IllegalDataAddress,
+        3 => ExceptionCode::IllegalDataValue,
+        4 => ExceptionCode::ServerDeviceFailure,
+        6 => ExceptionCode::ServerDeviceBusy,
+        _ => return None,
+    })
 }
 
 fn answer(world: &mut World, request: &Request) -> Result<Response, ExceptionCode> {
@@ -161,7 +181,7 @@ mod tests {
     use super::*;
     use crate::sim::world::empty_world;
     use nalgebra::Isometry3;
-    use std::sync::{Arc, Mutex};
+    use std::sync::Mutex;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
     use tokio_modbus::client::{Context, Reader, Writer, tcp};
     use tokio_modbus::prelude::Slave;
@@ -170,7 +190,7 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let world = Arc::new(Mutex::new(empty_world(5)));
-        tokio::spawn(serve(listener, world.clone(), std::future::pending()));
+        tokio::spawn(serve(listener, world.clone(), Arc::default(), std::future::pending()));
         (address, world)
     }
 

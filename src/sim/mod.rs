@@ -8,6 +8,8 @@ pub mod control_server;
 
 pub mod controller;
 
+pub mod faults;
+
 pub mod gripper_server;
 
 pub mod motion;

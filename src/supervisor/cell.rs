@@ -113,6 +113,8 @@ pub(crate) struct JobRun {
     pub replans: u32,
     pub grip_failures: u32,
     pub look_failures: u32,
+    /// The operator was told which objects of the catalogue are not to be seen.
+    pub absent_told: bool,
     pub last_seen: Vec<(String, Pose2)>,
     pub cancel: bool,
 }
@@ -320,6 +322,7 @@ impl Cell {
             replans: 0,
             grip_failures: 0,
             look_failures: 0,
+            absent_told: false,
             last_seen: Vec::new(),
             cancel: false,
         });

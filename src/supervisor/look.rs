@@ -220,6 +220,10 @@ impl Cell {
         match trouble {
             None => {
                 job.look_failures = 0;
+                if !std::mem::replace(&mut job.absent_told, true) && !observation.missing.is_empty() {
+                    let absent = observation.missing.join(", ");
+                    alarm(out, format!("not to be seen, taken as not on the table: {absent}"));
+                }
                 self.seen = Some(observation);
                 self.seen_at = now;
             }
@@ -274,8 +278,11 @@ impl Cell {
 
     fn doubt_objects(&self, observation: &Observation) -> Option<(String, String)> {
         let job = self.job.as_ref()?;
-        if let Some(id) = observation.unknown.first() {
-            let message = format!("marker {id} is on the table and belongs to nothing the cell knows");
+        let known = |id: &&u32| self.model.ignore_markers.contains(id);
+        if let Some(id) = observation.unknown.iter().find(|id| !known(id)) {
+            let message = format!(
+                "marker {id} is on the table and belongs to nothing the cell knows; take it away, or name it in `ignore_markers`"
+            );
             return Some(("unknown_marker".into(), message));
         }
         if let Some(duplicate) = observation.duplicates.first() {

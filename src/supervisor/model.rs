@@ -114,6 +114,8 @@ pub struct CellModel {
     pub clearance: f64,
     /// Where nothing may be put: keep-out regions and objects that never move.
     pub keep_out: Vec<KeepOut>,
+    /// Markers in view that belong to nothing on the table.
+    pub ignore_markers: Vec<u32>,
     /// What may be moved.
     pub objects: Vec<CellObject>,
     /// Limits of decisions.

@@ -71,6 +71,7 @@ fn model() -> CellModel {
         workspace: Workspace { width: 0.5, height: 0.5 },
         clearance: 0.002,
         keep_out: Vec::new(),
+        ignore_markers: vec![78],
         objects: vec![object],
         tolerances: Tolerances {
             goal_position: 1e-3,
@@ -106,6 +107,7 @@ struct Bench {
     gripper_answers: bool,
     vacuum: [f64; 2],
     unknown: Vec<u32>,
+    missing: Vec<String>,
     /// Where `a` is, and a second object.
     at: Pose2,
     other: Option<(String, Pose2)>,
@@ -155,6 +157,7 @@ impl Bench {
             gripper_answers: true,
             vacuum: [0.01, 0.0],
             unknown: Vec::new(),
+            missing: Vec::new(),
             at: Pose2::new(0.15, 0.3, 0.0),
             other: None,
             reference: reference(4, 1e-4),
@@ -237,8 +240,9 @@ impl Bench {
             ..estimate.clone()
         });
         let objects: Vec<_> = std::iter::once(estimate.clone()).chain(other).collect();
+        let missing = self.missing.clone();
         let unknown = self.unknown.clone();
-        let seen = Observation { objects, reference, unknown, ..Observation::default() };
+        let seen = Observation { objects, reference, unknown, missing, ..Observation::default() };
         self.feed(Input::Observed(Ok(Box::new(seen))))
     }
 

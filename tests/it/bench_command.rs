@@ -168,3 +168,34 @@ fn figures_are_drawn_from_the_rows_there_are() {
     assert_eq!(folder.figures("other.csv", &[]), 2);
     assert_eq!(folder.figures("missing.csv", &[]), 2);
 }
+
+/// Two squares that change places, in the public files' own form.
+const PUBLIC_SWAP: &str = r#"{"Workspace_Density": 0.2, "Workspace_Height": 1000, "Workspace_Width": 1000,
+ "number_of_objects": 2, "object_list": [
+ {"Object_Shape": "cuboid", "Object_Length": 200, "Object_Width": 200,
+  "initial_pose": [200, 200, 0], "goal_pose": [800, 200, 0]},
+ {"Object_Shape": "cuboid", "Object_Length": 200, "Object_Width": 200,
+  "initial_pose": [800, 200, 0], "goal_pose": [200, 200, 0]}]}"#;
+
+#[test]
+fn the_public_codes_rows_are_run_and_compared() {
+    let folder = Folder::new();
+    let cell = folder.path("hetori/instances/random_general/Density=0.20/numObjs=2");
+    std::fs::create_dir_all(&cell).expect("a folder");
+    std::fs::write(cell.join("0_2_0.20.json"), PUBLIC_SWAP).expect("writable");
+    let head = "set,label,density,n,instance,method,status,actions,ti_cost,wall_s";
+    let rows = "hete,random_general,0.2,2,0,RBM,ok,3,3,1.5\nhete,random_general,0.2,2,9,RBM,ok,3,3,1.5\n";
+    std::fs::write(folder.path("theirs.csv"), format!("{head}\n{rows}")).expect("writable");
+    let word = |name: &str| folder.path(name).display().to_string();
+    let (data, theirs, out) = (word(""), word("theirs.csv"), word("rows.csv"));
+    let words = ["--data", &data, "--baseline", &theirs, "--solver", "rbm,erbm", "--seed", "1,2", "--first"];
+    let run = |more: &[&str]| {
+        bench(&args::<BenchPlanningArgs>(&[&words[..], more].concat()), &AtomicBool::new(false))
+    };
+    assert_eq!(run(&["--out", &out, "--strict-paper"]), 0);
+    assert_eq!(folder.keys("rows.csv").len(), 2, "theirs has no ERBM, and instance 9 is not there");
+    std::fs::write(folder.path("theirs.csv"), format!("{head}\nhete,x,0.2,2,0,RBM,ok,,3,1\n"))
+        .expect("writable");
+    assert_eq!(run(&[]), 2);
+    assert!(refused::<BenchPlanningArgs>(&["--baseline", "x.csv"]), "without --data");
+}

@@ -3,6 +3,7 @@
 mod bad_input;
 mod bench_command;
 mod cell;
+mod faults;
 mod on_robot_program;
 mod plan_command;
 mod program_protocol;

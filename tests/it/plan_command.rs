@@ -133,3 +133,22 @@ fn every_solver_of_the_paper_plans_and_help_tells_them_apart() {
         assert!(help.contains(&format!("\n            {solver} ")), "{solver} is explained in\n{help}");
     }
 }
+
+#[test]
+fn same_seed_and_work_same_plan_on_any_number_of_threads() {
+    let files = Files::new();
+    let instance = files.write("swap.yaml", SWAP);
+    for solver in ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts"] {
+        let plan = |threads: &str| {
+            let words = ["--solver", solver, "--seed", "5", "--work", "20000", "--threads", threads];
+            assert_eq!(files.plan(&instance, &words, false), 0, "{words:?}");
+            let mut file = read(&files.path("plan.json"));
+            (file.first_plan_seconds, file.seconds) = (None, 0.0);
+            file.to_json()
+        };
+        let one = plan("1");
+        for threads in ["2", "4"] {
+            assert_eq!(plan(threads), one, "{solver} on {threads} threads");
+        }
+    }
+}

@@ -80,7 +80,12 @@ fn running_buffers_solve_the_easy_public_instances() {
         let problem = public_task(&data, family, density, n, id).read().expect("a public instance");
         for solver in [SolverKind::Rbm, SolverKind::Erbm] {
             for objective in [Objective::Pp, Objective::Ti] {
-                let limits = Limits { seconds: f64::INFINITY, work: Some(3_000_000), first: true };
+                let limits = Limits {
+                    seconds: f64::INFINITY,
+                    work: Some(3_000_000),
+                    first: true,
+                    strict_paper: false,
+                };
                 let key = Key {
                     scenario: family.into(),
                     density: density.to_string(),

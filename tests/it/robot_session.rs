@@ -61,6 +61,7 @@ fn config(running: bool) -> SimConfig {
             mount: CameraMount::Flange(Isometry3::identity()),
         },
         seed: 1,
+        faults: Vec::new(),
     }
 }
 

@@ -130,6 +130,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         simulation: Some(SimulationConfig { clock_factor: choice.time_factor }),
         recording: None,
         goal_folder: out.to_path_buf(),
+        ignore_markers: Vec::new(),
     };
     let model = arm_model(&config, DhParameters::UR5E, base_from_table);
     let angle = ViewAngle {

@@ -10,12 +10,13 @@ pub mod run;
 pub mod teach;
 pub mod watch;
 
-use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M};
+use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config};
 use crate::cli::sim::FOCAL_PX;
 use crate::cli::task::TaskArgs;
 use crate::cli::task::outln;
 use crate::cli::values;
-use crate::daemon::setup::CUP_MARGIN_M;
+use crate::config::cell::CellConfig;
+use crate::daemon::setup::{CUP_MARGIN_M, check_reach};
 use crate::io::priority;
 use crate::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
 use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
@@ -150,6 +151,13 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
         instance.objects.len(),
         instance.density()
     );
+    let config = match possible_cell(instance, &choice, &args.out) {
+        Ok(config) => config,
+        Err(message) => {
+            eprintln!("celld demo: {message}");
+            return 2;
+        }
+    };
     let runtime = match tokio::runtime::Builder::new_multi_thread()
         .worker_threads(3)
         .enable_all()
@@ -165,7 +173,7 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
     let interrupted = Arc::new(AtomicBool::new(false));
     priority::raise();
     let watcher = watch_for_interrupt(&runtime, stop.clone(), interrupted.clone());
-    let outcome = runtime.block_on(run::demo(instance, &choice, &args.out, stop));
+    let outcome = runtime.block_on(run::demo(instance, &choice, &config, &args.out, stop));
     watcher.abort();
     let code = match outcome {
         Ok(outcome) => output::write(&outcome, instance, &choice, &args.out),
@@ -175,6 +183,22 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
         }
     };
     if interrupted.load(Ordering::Relaxed) { 130 } else { code }
+}
+
+/// The cell for the instance, if its arm can do the work: what is too heavy or too far is refused by name, now.
+fn possible_cell(instance: &Instance, choice: &DemoChoice, out: &Path) -> Result<CellConfig, String> {
+    let config = cell_config(instance, choice, out)?;
+    let task: Vec<_> = instance
+        .objects
+        .iter()
+        .filter(|object| !object.fixed)
+        .filter_map(|object| Some((object.id.clone(), object.start?, object.goal?)))
+        .collect();
+    let table = fit::table_size(instance);
+    check_reach(&config, &task).map_err(|message| {
+        format!("{message}; on a smaller table than {table:.2} m it may do (--table-size)")
+    })?;
+    Ok(config)
 }
 
 /// Ctrl-C raises `stop`: the daemon stops the arm and ends.

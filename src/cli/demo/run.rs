@@ -3,7 +3,7 @@
 //! In: an instance that fits the cell. Out: [`DemoOutcome`]; files are written by `output`. Calibration comes
 //! first, as in a real cell: the daemon's nominal numbers are off by millimetres.
 
-use crate::cli::demo::cell::{DemoChoice, cell_config, sim_file};
+use crate::cli::demo::cell::{DemoChoice, sim_file};
 use crate::cli::demo::watch::Watch;
 use crate::cli::recorder::Recorder;
 use crate::cli::sim::sim_config;
@@ -11,7 +11,7 @@ use crate::config::cell::CellConfig;
 use crate::daemon::calibrate::{Eye, Setting, measure, solve};
 use crate::daemon::hardware::{Addresses, Hardware};
 use crate::daemon::run::{Office, Shell, Workers, run};
-use crate::daemon::setup::{Measured, cell_model, cell_objects, eye_parameters, gripper_parameters};
+use crate::daemon::setup::{Measured, cell_model, eye_parameters, gripper_parameters};
 use crate::daemon::workers::spawn_eye;
 use crate::device::program::Nonce;
 use crate::device::robot_types::RobotParameters;
@@ -64,11 +64,11 @@ const FRAME_LIMIT: std::time::Duration = std::time::Duration::from_secs(20);
 pub async fn demo(
     instance: &Instance,
     choice: &DemoChoice,
+    config: &CellConfig,
     out: &Path,
     stop: Arc<AtomicBool>,
 ) -> Result<DemoOutcome, String> {
-    let mut config = cell_config(instance, choice, out)?;
-    cell_objects(&config).map_err(|error| error.to_string())?;
+    let mut config = config.clone();
     let file = sim_file(instance, &config, choice)?;
     let sim = start(sim_config(&file, choice.bind, RobotPorts::ANY)).await.map_err(|error| chain(&error))?;
     config.devices.gripper_port = sim.addresses.modbus.port();

@@ -71,6 +71,30 @@ fn same_seed_and_work_limit_same_plan_for_every_solver() {
     }
 }
 
+/// Solves that run beside each other share nothing, so neither their number nor their order shows in a plan.
+#[test]
+fn as_many_solves_at_once_as_one_likes_same_plans() {
+    let problems = random_problems(26, 3);
+    for objective in [Objective::Pp, Objective::Ti] {
+        let results = || -> Vec<(Vec<Action>, Option<f64>, u64)> {
+            let tasks = problems.iter().flat_map(|problem| all().map(move |solver| (problem, solver)));
+            let one = |(problem, solver)| {
+                let outcome = run(problem, solver, objective, 3);
+                (actions(&outcome), outcome.cost, outcome.work)
+            };
+            tasks.map(one).collect()
+        };
+        let alone = results();
+        assert!(alone.iter().filter(|(plan, ..)| !plan.is_empty()).count() >= 15, "plans to compare");
+        std::thread::scope(|scope| {
+            let beside: Vec<_> = (0..3).map(|_| scope.spawn(results)).collect();
+            for result in beside {
+                assert_eq!(result.join().expect("no panic"), alone);
+            }
+        });
+    }
+}
+
 #[test]
 fn the_plain_solvers_search_alike_under_both_objectives() {
     let control = Control { work_limit: Some(4000), first: true, ..Control::until(&|| false) };

@@ -266,6 +266,36 @@ impl Controller {
         }
     }
 
+    /// Shows a safety mode by its number and pauses the program; absent: back to normal, and the program goes on.
+    pub fn show_safety(&mut self, number: Option<i32>) {
+        self.core.modes.show_safety(number);
+        if number.is_some() {
+            self.programs.pause_for_safeguard();
+        } else {
+            self.programs.resume_after_safeguard();
+        }
+        self.core.safety_message();
+    }
+
+    /// A fault of the safety system: the arm loses power, programs end.
+    pub fn safety_fault(&mut self) {
+        self.power_off();
+        self.core.modes.fault();
+        self.core.safety_message();
+    }
+
+    /// Boots anew, powered off, the arm where it is; with another serial number or another arm's calibration if given.
+    pub fn reboot(&mut self, serial: Option<String>, kinematics: Option<u64>) {
+        let mut config = self.core.config.clone();
+        config.start = self.core.mover.q();
+        config.running = false;
+        config.serial_number = serial.unwrap_or(config.serial_number);
+        if let Some(seed) = kinematics {
+            config.dh = calibrated_ur5e(seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD);
+        }
+        *self = Controller::new(config);
+    }
+
     /// Arm power off; a running program ends.
     pub fn power_off(&mut self) {
         self.programs.stop(&mut self.core);

@@ -33,10 +33,14 @@ enum Power {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Safety {
     Normal,
-    Protective { since: u64 },
+    Protective {
+        since: u64,
+    },
     Safeguard,
     Emergency,
     Fault,
+    /// Another mode in which the arm may not move, by its number.
+    Other(i32),
 }
 
 /// Modes of the controller.
@@ -110,7 +114,9 @@ impl Modes {
                 self.safety = Safety::Normal;
                 Ok(())
             }
-            Safety::Normal | Safety::Safeguard | Safety::Emergency | Safety::Fault => Ok(()),
+            Safety::Normal | Safety::Safeguard | Safety::Emergency | Safety::Fault | Safety::Other(_) => {
+                Ok(())
+            }
         }
     }
 
@@ -133,6 +139,15 @@ impl Modes {
             self.safety = to;
         }
         changes
+    }
+
+    /// Shows a safety mode by its number, in which the arm may not move; absent: back to normal.
+    pub fn show_safety(&mut self, number: Option<i32>) {
+        match (number, self.safety) {
+            (Some(number), _) => self.safety = Safety::Other(number),
+            (None, Safety::Other(_)) => self.safety = Safety::Normal,
+            (None, _) => {}
+        }
     }
 
     /// A fault of the safety system: arm power off until it is restarted.
@@ -210,6 +225,7 @@ impl Modes {
             Safety::Safeguard => SafetyMode::SafeguardStop,
             Safety::Emergency => SafetyMode::RobotEmergencyStop,
             Safety::Fault => SafetyMode::Fault,
+            Safety::Other(number) => SafetyMode::from_code(number),
         }
     }
 
@@ -221,6 +237,7 @@ impl Modes {
             Safety::Safeguard => 1 << 4 | 1 << 10,
             Safety::Emergency => 1 << 6 | 1 << 7 | 1 << 10,
             Safety::Fault => 1 << 9 | 1 << 10,
+            Safety::Other(_) => 1 << 10,
         }
     }
 }

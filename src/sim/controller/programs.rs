@@ -36,21 +36,37 @@ pub struct Programs {
     loaded: Option<Arc<Code>>,
     seed: u64,
     starts: u64,
+    /// A fault: uploads do not start.
+    deaf: bool,
 }
 
 impl Programs {
     /// Nothing loaded.
     pub fn new(seed: u64) -> Programs {
-        Programs { run: Run::Stopped, uploads: VecDeque::new(), loaded: None, seed, starts: 0 }
+        Programs { run: Run::Stopped, uploads: VecDeque::new(), loaded: None, seed, starts: 0, deaf: false }
     }
 
     /// Hands over an upload; it starts in the next frame. False if too many wait.
     pub fn upload(&mut self, code: Result<Code, CompileError>) -> bool {
         let room = self.uploads.len() < MAX_UPLOADS;
-        if room {
+        if room && !self.deaf {
             self.uploads.push_back(code);
         }
         room
+    }
+
+    /// Lets uploads vanish without a word (a fault), or takes them again.
+    pub fn set_deaf(&mut self, deaf: bool) {
+        self.deaf = deaf;
+    }
+
+    /// Ends the main program with a runtime exception where it is (a fault); false if there is none.
+    pub fn fail(&mut self, core: &mut Core) -> bool {
+        if let Run::Playing(program) | Run::Paused { program, .. } = &self.run {
+            let (at, message) = (program.position(), "runtime exception by the fault desk".to_owned());
+            core.message(exception_message(&RuntimeException { at, message }));
+        }
+        self.stop(core)
     }
 
     /// A main program is being stepped.

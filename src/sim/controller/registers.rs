@@ -160,6 +160,18 @@ impl Registers {
         self.claims.retain(|_, owner| *owner != client);
     }
 
+    /// Gives an input to `client` whoever has it (a fault).
+    pub fn seize(&mut self, client: ClientId, name: &str) {
+        self.claims.insert(name.to_owned(), client);
+    }
+
+    /// Frees an input that `client` has seized.
+    pub fn give_back(&mut self, client: ClientId, name: &str) {
+        if self.claims.get(name) == Some(&client) {
+            self.claims.remove(name);
+        }
+    }
+
     /// Some client has claimed the input.
     pub fn claimed(&self, name: &str) -> bool {
         self.claims.contains_key(name)

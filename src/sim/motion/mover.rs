@@ -53,6 +53,10 @@ pub struct Mover {
     qdd: [f64; 6],
     task: Task,
     scaling: f64,
+    /// A fault: the arm does not follow, and nobody is told.
+    stalled: bool,
+    /// Share of the motion that reaches the arm, 0 while it is stalled.
+    drive: f64,
     ramp_seconds: f64,
     last_id: u64,
     still_frames: u64,
@@ -70,6 +74,8 @@ impl Mover {
             qdd: [0.0; 6],
             task: Task::Stand,
             scaling: 1.0,
+            stalled: false,
+            drive: 1.0,
             ramp_seconds: SOFT_RAMP_SECONDS,
             last_id: 0,
             still_frames: 0,
@@ -203,6 +209,18 @@ impl Mover {
         }
     }
 
+    /// Share of the time of the move that was started last, 0 to 1; `None` when the arm is in none.
+    pub fn progress(&self) -> Option<f64> {
+        let Task::Segments(segments) = &self.task else { return None };
+        let last = segments.back()?;
+        Some((last.time / last.segment.duration().max(FRAME_SECONDS)).clamp(0.0, 1.0))
+    }
+
+    /// Keeps the arm from following what it is told (a fault), or lets it go on.
+    pub fn set_stalled(&mut self, stalled: bool) {
+        self.stalled = stalled;
+    }
+
     /// Places a standing arm elsewhere (start of the simulation, tests).
     pub fn place(&mut self, q: Joints) {
         *self = Mover::new(self.arm.clone(), q);
@@ -230,6 +248,9 @@ impl Mover {
         }
         let ramp = if matches!(self.task, Task::Stand) { 1.0 } else { FRAME_SECONDS / self.ramp_seconds };
         self.scaling += (scaling - self.scaling).clamp(-ramp, ramp);
+        let drive = if self.stalled { 0.0 } else { 1.0 };
+        self.drive +=
+            (drive - self.drive).clamp(-FRAME_SECONDS / SOFT_RAMP_SECONDS, FRAME_SECONDS / SOFT_RAMP_SECONDS);
         match self.next_position().and_then(|next| self.check(&next).map(|()| next)) {
             Ok(next) => {
                 let qd: [f64; 6] = std::array::from_fn(|i| (next.0[i] - self.q.0[i]) / FRAME_SECONDS);
@@ -288,7 +309,8 @@ impl Mover {
     }
 
     fn next_position(&mut self) -> Result<Joints, MotionFault> {
-        let scaled = FRAME_SECONDS * self.scaling;
+        let pace = self.scaling * self.drive;
+        let scaled = FRAME_SECONDS * pace;
         match &mut self.task {
             Task::Stand => Ok(self.q),
             Task::Segments(segments) => {
@@ -300,11 +322,11 @@ impl Mover {
             }
             Task::Servo { .. } => Ok(self.servo_step()),
             Task::JointSpeed { target, acceleration } => {
-                let (target, acceleration) = (target.map(|speed| speed * self.scaling), *acceleration);
+                let (target, acceleration) = (target.map(|speed| speed * pace), *acceleration);
                 Ok(self.towards(&target, acceleration))
             }
             Task::ToolSpeed { target, acceleration, turn_acceleration } => {
-                let (target, a, turn) = (*target * self.scaling, *acceleration, *turn_acceleration);
+                let (target, a, turn) = (*target * pace, *acceleration, *turn_acceleration);
                 self.tool_speed_step(target, a, turn)
             }
             Task::StopJoints { acceleration } => {
@@ -331,7 +353,7 @@ impl Mover {
     fn servo_step(&mut self) -> Joints {
         let Task::Servo { target, lookahead, seconds_left } = &mut self.task else { return self.q };
         *seconds_left -= FRAME_SECONDS;
-        let (limit, gain) = (self.arm.joint_speed, self.scaling / *lookahead);
+        let (limit, gain) = (self.arm.joint_speed, self.scaling * self.drive / *lookahead);
         let wanted: [f64; 6] =
             std::array::from_fn(|i| ((target.0[i] - self.q.0[i]) * gain).clamp(-limit, limit));
         let acceleration = self.arm.joint_acceleration;

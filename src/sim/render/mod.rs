@@ -16,7 +16,7 @@ pub mod texture;
 use crate::sim::render::cast::Caster;
 use crate::sim::render::lens::{CameraTruth, RayGrid};
 use crate::sim::render::scene::Scene;
-use crate::sim::render::sensor::{Noise, blur};
+use crate::sim::render::sensor::{Exposure, Noise, blur};
 use crate::sim::render::texture::Texture;
 use crate::vision::image::Image;
 use nalgebra::Isometry3;
@@ -50,6 +50,17 @@ impl Renderer {
 
     /// The picture of `scene` from `table_from_camera`; `seed` and `frame` choose the noise.
     pub fn render(&self, scene: &Scene, table_from_camera: &Isometry3<f64>, seed: u64, frame: u64) -> Image {
+        self.expose(scene, table_from_camera, &Exposure::default(), [seed, frame])
+    }
+
+    /// The same with something wrong with light or lens; `noise` is seed and frame.
+    pub fn expose(
+        &self,
+        scene: &Scene,
+        table_from_camera: &Isometry3<f64>,
+        exposure: &Exposure,
+        noise: [u64; 2],
+    ) -> Image {
         let (width, height) = (self.camera.width as usize, self.camera.height as usize);
         let caster = Caster::new(scene, table_from_camera, &self.camera, &self.texture);
         let mut keys = vec![0u32; width * height];
@@ -69,8 +80,9 @@ impl Renderer {
                 }
             }
         }
-        blur(&mut light, width, self.camera.blur_sigma_px);
-        let rgb = self.noise.develop(&light, seed, frame);
+        blur(&mut light, width, self.camera.blur_sigma_px.hypot(exposure.blur_px));
+        exposure.apply(&mut light);
+        let rgb = self.noise.develop(&light, noise[0], noise[1]);
         Image { width: self.camera.width, height: self.camera.height, rgb }
     }
 

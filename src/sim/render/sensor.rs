@@ -5,31 +5,65 @@
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::collections::VecDeque;
 
-/// Largest kernel radius, px.
+/// Kernel radius of a sharp lens, px; a blurred one needs more.
 const REACH: usize = 3;
 /// Normal deviates kept for the noise.
 const DEVIATES: usize = 4096;
 
+/// What happens to the light on top of what lens and sensor do by themselves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exposure {
+    /// Light times this.
+    pub gain: f32,
+    /// Share of the contrast that is lost to fog, 0 to 1.
+    pub fog: f32,
+    /// Further blur, standard deviation in px.
+    pub blur_px: f64,
+}
+
+impl Default for Exposure {
+    fn default() -> Exposure {
+        Exposure { gain: 1.0, fog: 0.0, blur_px: 0.0 }
+    }
+}
+
+impl Exposure {
+    /// Brightness of fog, grey levels.
+    const FOG: f32 = 190.0;
+
+    /// Fog, then gain, in place.
+    pub fn apply(&self, light: &mut [[f32; 3]]) {
+        if (self.gain, self.fog) == (1.0, 0.0) {
+            return;
+        }
+        for level in light.iter_mut().flatten() {
+            *level = (*level + (Exposure::FOG - *level) * self.fog) * self.gain;
+        }
+    }
+}
+
 /// Blurs in place, rows then columns, with the border repeated.
 pub fn blur(light: &mut [[f32; 3]], width: usize, sigma_px: f64) {
-    let kernel = kernel(sigma_px);
+    let reach = REACH.max((3.0 * sigma_px.min(20.0)).ceil() as usize);
+    let kernel = kernel(sigma_px, reach);
     let height = light.len() / width;
-    let mut line = vec![[0.0f32; 3]; width + 2 * REACH];
+    let mut line = vec![[0.0f32; 3]; width + 2 * reach];
     for row in light.chunks_exact_mut(width) {
-        line[REACH..REACH + width].copy_from_slice(row);
-        line[..REACH].fill(row[0]);
-        line[REACH + width..].fill(row[width - 1]);
-        for (pixel, taps) in row.iter_mut().zip(line.windows(2 * REACH + 1)) {
+        line[reach..reach + width].copy_from_slice(row);
+        line[..reach].fill(row[0]);
+        line[reach + width..].fill(row[width - 1]);
+        for (pixel, taps) in row.iter_mut().zip(line.windows(2 * reach + 1)) {
             *pixel = weigh(taps.iter(), &kernel);
         }
     }
     // Columns: a ring of the original rows, so that a row is overwritten only after all that need it were made.
     let row_of = |y: isize| y.clamp(0, height as isize - 1) as usize;
-    let mut ring: Vec<Vec<[f32; 3]>> =
-        (-(REACH as isize)..REACH as isize).map(|y| light[row_of(y) * width..][..width].to_vec()).collect();
+    let mut ring: VecDeque<Vec<[f32; 3]>> =
+        (-(reach as isize)..reach as isize).map(|y| light[row_of(y) * width..][..width].to_vec()).collect();
     for y in 0..height {
-        ring.push(light[row_of((y + REACH) as isize) * width..][..width].to_vec());
+        ring.push_back(light[row_of((y + reach) as isize) * width..][..width].to_vec());
         let out = &mut light[y * width..][..width];
         out.fill([0.0; 3]);
         for (source, weight) in ring.iter().zip(&kernel) {
@@ -39,7 +73,7 @@ pub fn blur(light: &mut [[f32; 3]], width: usize, sigma_px: f64) {
                 }
             }
         }
-        ring.remove(0);
+        ring.pop_front();
     }
 }
 
@@ -53,10 +87,10 @@ fn weigh<'a>(taps: impl Iterator<Item = &'a [f32; 3]>, kernel: &[f32]) -> [f32; 
     sum
 }
 
-fn kernel(sigma_px: f64) -> Vec<f32> {
+fn kernel(sigma_px: f64, reach: usize) -> Vec<f32> {
     let sigma = sigma_px.max(1e-3);
-    let weight = |i: usize| (-(i as f64 - REACH as f64).powi(2) / (2.0 * sigma * sigma)).exp();
-    let weights: Vec<f64> = (0..=2 * REACH).map(weight).collect();
+    let weight = |i: usize| (-(i as f64 - reach as f64).powi(2) / (2.0 * sigma * sigma)).exp();
+    let weights: Vec<f64> = (0..=2 * reach).map(weight).collect();
     let sum: f64 = weights.iter().sum();
     weights.iter().map(|weight| (weight / sum) as f32).collect()
 }

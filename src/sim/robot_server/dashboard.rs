@@ -4,18 +4,18 @@
 //! are refused in local mode and, until it is reopened, on a connection made before the last switch.
 
 use crate::sim::controller::Controller;
+use crate::sim::faults::link::LinkStream;
 use crate::sim::robot_server::RobotShared;
 use crate::wire::dashboard::{Command, GREETING, LineSplitter, ProgramState, Reply};
 use crate::wire::enumerations::RuntimeState;
 use std::sync::Arc;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
 
 /// Name that stands where no program has one.
 const NO_PROGRAM: &str = "<unnamed>";
 
 /// Serves one connection to its end.
-pub async fn connection(shared: Arc<RobotShared>, mut stream: TcpStream) {
+pub async fn connection(shared: Arc<RobotShared>, mut stream: LinkStream) {
     let switches = shared.controller().core.modes.switches();
     if stream.write_all(format!("{GREETING}\n").as_bytes()).await.is_err() {
         return;

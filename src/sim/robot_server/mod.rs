@@ -18,12 +18,16 @@ pub mod script_channel;
 pub mod script_ports;
 
 use crate::sim::controller::Controller;
+use crate::sim::faults::link::{Link, LinkName, LinkStream, Links};
 use crate::sim::robot_server::outlets::Outlets;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::{JoinHandle, JoinSet};
+
+/// Wait before a port is listened on again after a failure.
+const LISTEN_AGAIN: std::time::Duration = std::time::Duration::from_millis(10);
 
 /// Connections each port takes at once; further ones are closed.
 const MAX_CONNECTIONS: usize = 32;
@@ -84,12 +88,18 @@ pub struct ListenError {
 pub struct RobotShared {
     controller: Mutex<Controller>,
     outlets: Mutex<Outlets>,
+    /// What is wrong with the connections, those of gripper and camera included.
+    pub links: Links,
 }
 
 impl RobotShared {
     /// Around a controller.
     pub fn new(controller: Controller) -> Arc<RobotShared> {
-        Arc::new(RobotShared { controller: Mutex::new(controller), outlets: Mutex::new(Outlets::default()) })
+        Arc::new(RobotShared {
+            controller: Mutex::new(controller),
+            outlets: Mutex::new(Outlets::default()),
+            links: Links::default(),
+        })
     }
 
     /// The controller. A panic while it was locked leaves it in a state between two requests, which is fit
@@ -151,20 +161,23 @@ pub async fn serve(
         realtime: realtime.1,
         rtde: rtde.1,
     };
+    let feed = |listener, name, serve: fn(Arc<RobotShared>, LinkStream) -> Connection| {
+        accept(listener, shared, shared.links.get(name), shutdown, serve)
+    };
     let tasks = vec![
-        accept(dashboard.0, shared, shutdown, |shared, stream| {
+        feed(dashboard, LinkName::Dashboard, |shared, stream| {
             Box::pin(dashboard::connection(shared, stream))
         }),
-        accept(primary.0, shared, shutdown, |shared, stream| {
+        feed(primary, LinkName::Primary, |shared, stream| {
             Box::pin(script_ports::connection(shared, stream, outlets::Feed::Primary))
         }),
-        accept(secondary.0, shared, shutdown, |shared, stream| {
+        feed(secondary, LinkName::Secondary, |shared, stream| {
             Box::pin(script_ports::connection(shared, stream, outlets::Feed::Secondary))
         }),
-        accept(realtime.0, shared, shutdown, |shared, stream| {
+        feed(realtime, LinkName::Realtime, |shared, stream| {
             Box::pin(script_ports::connection(shared, stream, outlets::Feed::Realtime))
         }),
-        accept(rtde.0, shared, shutdown, |shared, stream| Box::pin(rtde::connection(shared, stream))),
+        feed(rtde, LinkName::Rtde, |shared, stream| Box::pin(rtde::connection(shared, stream))),
     ];
     Ok(RobotServers { addresses, tasks })
 }
@@ -183,31 +196,53 @@ async fn listen(
 
 type Connection = std::pin::Pin<Box<dyn Future<Output = ()> + Send>>;
 
-/// Takes connections until shutdown, and ends them with it.
+/// Takes connections until shutdown, and ends them with it. While the link is down nobody listens.
 fn accept(
-    listener: TcpListener,
+    (listener, address): (TcpListener, SocketAddr),
     shared: &Arc<RobotShared>,
+    link: &Arc<Link>,
     shutdown: &watch::Receiver<bool>,
-    serve: fn(Arc<RobotShared>, TcpStream) -> Connection,
+    serve: fn(Arc<RobotShared>, LinkStream) -> Connection,
 ) -> JoinHandle<()> {
-    let (shared, mut shutdown) = (shared.clone(), shutdown.clone());
+    let (shared, link, mut shutdown) = (shared.clone(), link.clone(), shutdown.clone());
     tokio::spawn(async move {
         let mut connections = JoinSet::new();
+        let (mut listener, mut changes) = (Some(listener), link.watch());
         loop {
+            let down = changes.borrow_and_update().down;
+            listener = at_work(listener, address, down).await;
             tokio::select! {
                 _ = shutdown.wait_for(|stop| *stop) => break,
-                accepted = listener.accept() => {
+                // The link lives as long as this task, so this is a change.
+                _ = changes.changed() => {}
+                () = tokio::time::sleep(LISTEN_AGAIN), if listener.is_none() && !down => {}
+                Some(stream) = accepted(listener.as_ref()) => {
                     while connections.try_join_next().is_some() {}
-                    // Accepting can fail for want of file handles; the next attempt may succeed.
-                    let Ok((stream, _)) = accepted else { continue };
                     if connections.len() < MAX_CONNECTIONS && stream.set_nodelay(true).is_ok() {
-                        connections.spawn(serve(shared.clone(), stream));
+                        connections.spawn(serve(shared.clone(), LinkStream::new(stream, &link)));
                     }
                 }
             }
         }
         connections.shutdown().await;
     })
+}
+
+/// The listener as it should be: gone while the server is down, and there again afterwards.
+async fn at_work(listener: Option<TcpListener>, address: SocketAddr, down: bool) -> Option<TcpListener> {
+    match listener {
+        _ if down => None,
+        None => TcpListener::bind(address).await.ok(),
+        there => there,
+    }
+}
+
+/// The next connection. Accepting can fail for want of file handles; the next attempt may succeed.
+async fn accepted(listener: Option<&TcpListener>) -> Option<TcpStream> {
+    match listener {
+        Some(listener) => Some(listener.accept().await.ok()?.0),
+        None => std::future::pending().await,
+    }
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@
 use crate::sim::controller::outputs;
 use crate::sim::controller::registers::{ClientId, Input};
 use crate::sim::controller::{Controller, FRAMES_PER_SECOND};
+use crate::sim::faults::link::LinkStream;
 use crate::sim::robot_server::RobotShared;
 use crate::sim::robot_server::outlets::{Feed, Subscription};
 use crate::sim::robot_server::script_ports::write_all;
@@ -17,7 +18,6 @@ use crate::wire::rtde_values::{Leftover, Offer, Recipe};
 use crate::wire::rtde_variables;
 use std::sync::Arc;
 use tokio::io::AsyncReadExt;
-use tokio::net::TcpStream;
 
 /// Frames between packages of a version 1 client, which cannot choose (125 Hz).
 const VERSION_1_INTERVAL: u64 = 4;
@@ -26,8 +26,8 @@ const VERSION_1_INTERVAL: u64 = 4;
 const MAX_RECIPES: usize = 255;
 
 /// Serves one connection to its end.
-pub async fn connection(shared: Arc<RobotShared>, stream: TcpStream) {
-    let (mut reader, writer) = stream.into_split();
+pub async fn connection(shared: Arc<RobotShared>, stream: LinkStream) {
+    let (mut reader, writer) = tokio::io::split(stream);
     let inlet = shared.outlets().open(Feed::Rtde);
     let mut session = Session { id: inlet.id, version: Version::V1, inputs: Vec::new() };
     let (dropped, replies) = (inlet.dropped.clone(), inlet.replies.clone());

@@ -4,18 +4,17 @@
 //! last switch to it, uploads are refused with error C210, as the read-only connections of the controller do.
 
 use crate::sim::controller::{builtins, robot_state};
+use crate::sim::faults::link::LinkStream;
 use crate::sim::robot_server::RobotShared;
 use crate::sim::robot_server::outlets::{Feed, Inlet, encode_message, encode_state};
 use crate::sim::robot_server::script_channel::{ScriptChannel, Upload};
 use crate::wire::primary_message::{MessageBody, READ_ONLY};
 use std::sync::Arc;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
-use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
+use tokio::io::{AsyncReadExt, AsyncWriteExt, ReadHalf, WriteHalf};
 
 /// Serves one connection to its end.
-pub async fn connection(shared: Arc<RobotShared>, stream: TcpStream, feed: Feed) {
-    let (reader, writer) = stream.into_split();
+pub async fn connection(shared: Arc<RobotShared>, stream: LinkStream, feed: Feed) {
+    let (reader, writer) = tokio::io::split(stream);
     let (inlet, switches) = open(&shared, feed);
     let id = inlet.id;
     let dropped = inlet.dropped.clone();
@@ -55,7 +54,7 @@ fn open(shared: &RobotShared, feed: Feed) -> (Inlet, u64) {
 }
 
 /// Writes what is queued until the connection breaks.
-pub async fn write_all(mut inlet: Inlet, mut writer: OwnedWriteHalf) {
+pub async fn write_all(mut inlet: Inlet, mut writer: WriteHalf<LinkStream>) {
     // The own handle for replies would keep the queue open after the outlet is gone.
     drop(inlet.replies);
     while let Some(bytes) = inlet.queue.recv().await {
@@ -67,7 +66,7 @@ pub async fn write_all(mut inlet: Inlet, mut writer: OwnedWriteHalf) {
 
 async fn read_all(
     shared: &RobotShared,
-    mut reader: OwnedReadHalf,
+    mut reader: ReadHalf<LinkStream>,
     feed: Feed,
     switches: u64,
     replies: &tokio::sync::mpsc::Sender<crate::sim::robot_server::outlets::Bytes>,

@@ -30,15 +30,16 @@ impl World {
     pub(super) fn run_pumps(&mut self, dt_s: f64) {
         for channel in Channel::ALL {
             let c = channel.index();
-            let leaking = self.now_s < self.channels[c].leaks_until_s;
             let on = match self.channels[c].holds {
-                _ if leaking => None,
+                _ if self.channels[c].faults.open => None,
                 Some(body) => Some(body),
                 None if self.channels[c].pump.at_rest() => None,
                 None => self.sealed_on(channel),
             };
             let state = &mut self.channels[c];
             state.sealed = on.is_some();
+            state.leak_age_s += dt_s;
+            state.pump.set_ceiling(state.faults.leak.map(|leak| leak.ceiling(state.leak_age_s)));
             state.pump.step(dt_s, on.is_some());
             if let Some(body) = on
                 && state.holds.is_none()
@@ -122,7 +123,7 @@ impl World {
 
     /// Lets go of what the vacuum no longer carries.
     pub(super) fn let_go(&mut self) {
-        let Some(tool) = self.tool else { return };
+        let Some(tool) = self.tool.filter(|_| !self.sticky) else { return };
         for index in 0..self.bodies.len() {
             let body = &self.bodies[index];
             let BodyState::Held { floor_m, .. } = body.state else { continue };

@@ -15,6 +15,7 @@
 //! - A placed object that penetrates others by up to 1 mm shares the push with them; deeper, it stays tilted on top.
 //! - Pressing into table or objects lifts what is held and is recorded as a contact; the arm itself is not stopped here.
 
+pub mod disturb;
 pub mod event;
 mod grip;
 mod placing;
@@ -25,8 +26,10 @@ pub mod vacuum;
 mod view;
 
 use crate::geometry::pose::Pose2;
+use crate::sim::faults::camera::CameraFaults;
 use crate::sim::render::scene::Cells;
-use crate::sim::world::event::{Contact, Event, EventKind, Fault, FaultError};
+use crate::sim::world::disturb::ChannelFaults;
+use crate::sim::world::event::{Contact, Event, EventKind};
 use crate::sim::world::section::Section;
 use crate::sim::world::spec::{GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec};
 use crate::sim::world::spec::{WorldError, WorldObject, WorldSpec};
@@ -73,7 +76,9 @@ pub struct World {
     tool: Option<Tool>,
     contact: Option<Contact>,
     events: VecDeque<Event>,
-    camera_on: bool,
+    recorded: u64,
+    camera: CameraFaults,
+    sticky: bool,
 }
 
 /// An object as it is now.
@@ -126,7 +131,8 @@ struct ChannelState {
     pump: Pump,
     sealed: bool,
     holds: Option<usize>,
-    leaks_until_s: f64,
+    faults: ChannelFaults,
+    leak_age_s: f64,
 }
 
 #[derive(Clone, Copy)]
@@ -199,8 +205,13 @@ impl World {
             .iter()
             .map(|marker| Ok((*marker, cells_of("reference marker", marker.id)?)))
             .collect::<Result<_, WorldError>>()?;
-        let channel =
-            || ChannelState { pump: Pump::new(), sealed: false, holds: None, leaks_until_s: f64::MIN };
+        let channel = || ChannelState {
+            pump: Pump::new(),
+            sealed: false,
+            holds: None,
+            faults: ChannelFaults::default(),
+            leak_age_s: 0.0,
+        };
         Ok(World {
             table: spec.table,
             base_from_table: spec.base_from_table,
@@ -226,7 +237,9 @@ impl World {
             tool: None,
             contact: None,
             events: VecDeque::new(),
-            camera_on: true,
+            recorded: 0,
+            camera: CameraFaults::default(),
+            sticky: false,
         })
     }
 
@@ -322,38 +335,7 @@ impl World {
 
     /// False after the fault `camera.off`.
     pub fn camera_on(&self) -> bool {
-        self.camera_on
-    }
-
-    /// Carries out a fault.
-    ///
-    /// # Errors
-    /// [`FaultError::NoSuchObject`], [`FaultError::NotFree`].
-    pub fn apply_fault(&mut self, fault: &Fault) -> Result<(), FaultError> {
-        match fault {
-            Fault::VacuumDrop { channel, seconds } => {
-                for each in Channel::ALL.into_iter().filter(|each| channel.is_none_or(|only| only == *each)) {
-                    let state = &mut self.channels[each.index()];
-                    state.pump.collapse();
-                    state.leaks_until_s = self.now_s + seconds;
-                }
-            }
-            Fault::Camera { on } => self.camera_on = *on,
-            Fault::Nudge { object, by } => self.nudge(object, by)?,
-        }
-        self.record(EventKind::Fault { name: fault.name().to_string() });
-        Ok(())
-    }
-
-    fn nudge(&mut self, object: &str, by: &Pose2) -> Result<(), FaultError> {
-        let found = self.bodies.iter().position(|body| body.id == object);
-        let index = found.ok_or_else(|| FaultError::NoSuchObject(object.to_string()))?;
-        if !self.bodies[index].is_resting() || self.bodies[index].fixed {
-            return Err(FaultError::NotFree(object.to_string()));
-        }
-        let pose = self.bodies[index].pose();
-        self.put_down(index, Pose2::new(pose.x + by.x, pose.y + by.y, pose.theta + by.theta));
-        Ok(())
+        !self.camera.off
     }
 
     fn track_tool(&mut self, dt_s: f64, base_from_flange: &Isometry3<f64>) {
@@ -376,6 +358,7 @@ impl World {
         if self.events.len() >= EVENT_CAPACITY {
             self.events.pop_front();
         }
+        self.recorded += 1;
         self.events.push_back(Event { time_s: self.now_s, kind });
     }
 }

@@ -15,7 +15,7 @@ impl World {
         json!({
             "time_s": self.now_s,
             "seed": self.seed,
-            "camera_on": self.camera_on,
+            "camera_on": self.camera_on(),
             "objects": self.bodies.iter().map(|body| self.body_json(body)).collect::<Vec<_>>(),
             "channels": channels,
             "contact": self.contact,

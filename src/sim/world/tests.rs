@@ -2,6 +2,8 @@
 
 use super::*;
 use crate::geometry::footprint::Footprint;
+use crate::sim::faults::FaultError;
+use crate::sim::world::disturb::Leak;
 use crate::sim::world::grip::YIELD_M;
 use crate::sim::world::spec::Cup;
 use nalgebra::{Translation3, UnitQuaternion};
@@ -203,7 +205,9 @@ fn a_vacuum_fault_drops_the_object_where_it_is() {
     let mut cell = Cell::new(vec![block("a", 0.1, 0.1)], PlacementErrors::default(), 4);
     cell.grip(0.1, 0.1, 0.02);
     cell.go([0.3, 0.3, 0.12]);
-    cell.world.apply_fault(&Fault::VacuumDrop { channel: None, seconds: 0.3 }).unwrap();
+    for channel in Channel::ALL {
+        cell.world.set_channel_faults(channel, ChannelFaults { open: true, leak: None });
+    }
     cell.wait(0.1);
     assert_eq!(cell.world.held().count(), 0);
     assert!(cell.world.vacuum(Channel::A) <= 0.12);
@@ -338,7 +342,7 @@ fn what_leaves_the_board_has_fallen() {
     cell.move_object([0.1, 0.1], [0.65, 0.1], 0.001);
     assert!(cell.world.object("a").unwrap().is_fallen());
     assert_eq!(cell.happened(|kind| matches!(kind, EventKind::Fallen { .. })), 1);
-    let refused = cell.world.apply_fault(&Fault::Nudge { object: "a".into(), by: Pose2::default() });
+    let refused = cell.world.nudge("a", &Pose2::default());
     assert!(matches!(refused, Err(FaultError::NotFree(_))));
 }
 
@@ -359,10 +363,10 @@ fn the_same_seed_gives_the_same_world_and_another_a_different_one() {
 fn a_nudge_moves_an_object_and_pushes_nothing_it_does_not_meet() {
     let mut cell = Cell::new(vec![block("a", 0.1, 0.1), block("b", 0.3, 0.3)], no_errors(), 9);
     let by = Pose2::new(0.02, 0.0, 0.1);
-    cell.world.apply_fault(&Fault::Nudge { object: "a".into(), by }).unwrap();
+    cell.world.nudge("a", &by).unwrap();
     assert!(cell.pose("a").same(&Pose2::new(0.12, 0.1, 0.1)));
     assert!(cell.pose("b").same(&Pose2::new(0.3, 0.3, 0.0)));
-    let unknown = cell.world.apply_fault(&Fault::Nudge { object: "z".into(), by });
+    let unknown = cell.world.nudge("z", &by);
     assert!(matches!(unknown, Err(FaultError::NoSuchObject(_))));
 }
 
@@ -440,4 +444,39 @@ fn any_sequence_of_moves_leaves_flat_objects_apart() {
         }
     }
     assert!(moved > 30 && tilted > 5, "{moved} {tilted}");
+}
+
+#[test]
+fn a_leak_keeps_a_cup_from_gripping_or_lets_the_load_fall_slowly() {
+    let leak = |vacuum, falls_s| ChannelFaults { open: false, leak: Some(Leak { vacuum, falls_s }) };
+    let mut cell = Cell::new(vec![block("a", 0.1, 0.1)], no_errors(), 4);
+    cell.world.set_channel_faults(Channel::A, leak(0.15, 0.0));
+    cell.grip(0.1, 0.1, 0.02);
+    assert_eq!(cell.world.held().count(), 0, "the cup seals and the vacuum stays below what holds");
+    assert!((cell.world.vacuum(Channel::A) - 0.15).abs() < 0.01);
+    cell.world.set_channel_faults(Channel::A, ChannelFaults::default());
+    cell.wait(0.5);
+    assert_eq!(cell.world.held().count(), 1);
+    cell.go([0.3, 0.3, 0.12]);
+    cell.world.set_channel_faults(Channel::A, leak(0.0, 4.0));
+    cell.wait(2.0);
+    assert!((cell.world.vacuum(Channel::A) - 0.4).abs() < 0.03, "{}", cell.world.vacuum(Channel::A));
+    // Set anew with the same leak, as when another fault comes: it goes on falling.
+    cell.world.set_channel_faults(Channel::A, leak(0.0, 4.0));
+    cell.wait(2.0);
+    assert_eq!(cell.happened(|kind| matches!(kind, EventKind::Dropped { .. })), 1);
+}
+
+#[test]
+fn a_sticky_object_stays_on_the_cups_without_vacuum() {
+    let mut cell = Cell::new(vec![block("a", 0.1, 0.1)], no_errors(), 4);
+    cell.grip(0.1, 0.1, 0.02);
+    cell.world.set_sticky(true);
+    cell.release();
+    cell.go([0.1, 0.1, 0.1]);
+    assert_eq!(cell.world.held().count(), 1);
+    assert!(cell.world.vacuum(Channel::A) < 0.01);
+    cell.world.set_sticky(false);
+    cell.wait(0.01);
+    assert_eq!(cell.world.held().count(), 0);
 }

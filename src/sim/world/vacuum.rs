@@ -56,12 +56,13 @@ pub struct Pump {
     mode: VacuumMode,
     target: f64,
     vacuum: f64,
+    ceiling: f64,
 }
 
 impl Pump {
     /// A channel at ambient pressure with open vents.
     pub fn new() -> Pump {
-        Pump { mode: VacuumMode::Release, target: 0.0, vacuum: 0.0 }
+        Pump { mode: VacuumMode::Release, target: 0.0, vacuum: 0.0, ceiling: HIGHEST_TARGET }
     }
 
     /// Takes a new mode; the target (fraction) is clamped to what the device takes and ignored but for grip.
@@ -95,14 +96,22 @@ impl Pump {
         self.vacuum = 0.0;
     }
 
+    /// The most that can be reached, fraction (a leak); absent: what the device can.
+    pub fn set_ceiling(&mut self, ceiling: Option<f64>) {
+        self.ceiling = ceiling.unwrap_or(HIGHEST_TARGET);
+    }
+
     /// Advances by `dt_s`, exactly for the first-order model, so that the step size does not matter.
     pub fn step(&mut self, dt_s: f64, sealed: bool) {
         let (goal, tau) = match (self.mode, sealed) {
-            (VacuumMode::Grip, true) => (self.target, PUMP_TAU_S),
-            (VacuumMode::Grip, false) if self.vacuum > UNSEALED_VACUUM => {
-                (UNSEALED_VACUUM.min(self.target), VENT_TAU_S)
+            (VacuumMode::Grip | VacuumMode::Idle, true) if self.vacuum > self.ceiling => {
+                (self.ceiling, VENT_TAU_S)
             }
-            (VacuumMode::Grip, false) => (UNSEALED_VACUUM.min(self.target), PUMP_TAU_S),
+            (VacuumMode::Grip, true) => (self.target.min(self.ceiling), PUMP_TAU_S),
+            (VacuumMode::Grip, false) if self.vacuum > UNSEALED_VACUUM => {
+                (UNSEALED_VACUUM.min(self.target).min(self.ceiling), VENT_TAU_S)
+            }
+            (VacuumMode::Grip, false) => (UNSEALED_VACUUM.min(self.target).min(self.ceiling), PUMP_TAU_S),
             (VacuumMode::Release, _) | (VacuumMode::Idle, false) => (0.0, VENT_TAU_S),
             (VacuumMode::Idle, true) => (0.0, SEAL_TAU_S),
         };

@@ -1,10 +1,11 @@
 //! What can be seen of the world: the scene the camera draws.
 //!
-//! In: the world. Out: a [`Scene`] in the table frame; the gripper is drawn as its housing (from the flange down) and
+//! In: the world. Out: a [`Scene`] in the table frame, with what faults add to it or cover; the gripper is drawn as its housing (from the flange down) and
 //! its cups. The arm itself is not drawn: from the wrist nothing of it is in view.
 
 use crate::sim::render::scene::{Print, Prism, Scene};
 use crate::sim::world::{Body, World};
+use crate::vision::image::tag36h11_bitmap;
 use nalgebra::Isometry3;
 
 impl World {
@@ -23,11 +24,32 @@ impl World {
         if self.tool.is_some() {
             prisms.extend(self.gripper_prisms(&table_from_flange));
         }
-        Scene {
+        let mut scene = Scene {
             board: [-margin, -margin, self.table.width_m + margin, self.table.height_m + margin],
             table_from_flange,
             prisms,
             prints: on_table.collect(),
+        };
+        self.disturb_prints(&mut scene);
+        scene
+    }
+
+    /// Covers prints and adds others, as the camera's faults say.
+    fn disturb_prints(&self, scene: &mut Scene) {
+        for cells in self.camera.covered.iter().filter_map(|id| tag36h11_bitmap(*id)) {
+            let on_objects = scene.prisms.iter_mut().filter_map(|prism| prism.print.as_mut());
+            for print in scene.prints.iter_mut().chain(on_objects).filter(|print| print.cells == cells) {
+                // A strip of white paper over the left half.
+                print.cells.iter_mut().for_each(|row| row[..5].fill(true));
+            }
+        }
+        for extra in &self.camera.prints {
+            let (cells, like_m) = self.print_of(extra.marker).unzip();
+            if let (Some(cells), Some(size_m)) =
+                (cells.or_else(|| tag36h11_bitmap(extra.marker)), extra.size_m.or(like_m))
+            {
+                scene.prints.push(Print { cells, size_m, pose: extra.pose });
+            }
         }
     }
 

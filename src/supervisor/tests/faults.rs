@@ -231,6 +231,25 @@ fn an_unknown_marker_on_the_table_is_not_free_room() {
     let mut all = bench.until_planning();
     all.extend(bench.look());
     assert_eq!(ended(&all), Some((JobEnd::Failed, "unknown_marker".into())), "{all:?}");
+
+    let mut ignoring = Bench::new();
+    ignoring.unknown = vec![78];
+    ignoring.job(false);
+    assert!(ignoring.until_planning().iter().any(|action| matches!(action, Action::Plan(_))));
+}
+
+#[test]
+fn objects_of_the_catalogue_that_are_not_seen_are_told_once() {
+    let mut bench = Bench::new();
+    bench.missing = vec!["b".into()];
+    bench.job(false);
+    let all = bench.until_planning();
+    let told =
+        all.iter().filter(|a| matches!(a, Action::Say(n) if n.alarm && n.text.ends_with(": b"))).count();
+    assert_eq!(told, 1, "{all:?}");
+    bench.plan();
+    bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+    assert!(!said(&bench.ticks(50), ": b"));
 }
 
 #[test]

@@ -1,0 +1,74 @@
+//! What is wrong with the camera at this moment, as one value.
+//!
+//! In: the faults in force. Out: [`CameraFaults`], which the world keeps for the scene and the camera server asks
+//! for at every exposure.
+
+use crate::geometry::pose::Pose2;
+use crate::sim::faults::CameraFault;
+use crate::sim::render::sensor::Exposure;
+use nalgebra::Isometry3;
+
+/// A print that somebody has put on the table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExtraPrint {
+    /// Number in the family tag36h11.
+    pub marker: u32,
+    /// Where: x, y in m and theta in rad, table frame.
+    pub pose: Pose2,
+    /// Edge of the black square, m; absent: as the print it repeats.
+    pub size_m: Option<f64>,
+}
+
+/// Everything that is wrong with the camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraFaults {
+    /// It does not answer.
+    pub off: bool,
+    /// It sends the same frame again.
+    pub frozen: bool,
+    /// It sends the same picture as a new frame.
+    pub repeats: bool,
+    /// Light, fog and blur.
+    pub exposure: Exposure,
+    /// Camera where it was mounted from camera where it is.
+    pub shift: Isometry3<f64>,
+    /// Numbers of half covered markers.
+    pub covered: Vec<u32>,
+    /// Further prints.
+    pub prints: Vec<ExtraPrint>,
+}
+
+impl Default for CameraFaults {
+    fn default() -> CameraFaults {
+        CameraFaults {
+            off: false,
+            frozen: false,
+            repeats: false,
+            exposure: Exposure::default(),
+            shift: Isometry3::identity(),
+            covered: Vec::new(),
+            prints: Vec::new(),
+        }
+    }
+}
+
+impl CameraFaults {
+    /// All of `faults` at once: gains multiply, blurs and shifts add up, the densest fog counts.
+    pub fn of<'a>(faults: impl Iterator<Item = &'a CameraFault>) -> CameraFaults {
+        let mut all = CameraFaults::default();
+        for fault in faults {
+            match fault {
+                CameraFault::Off => all.off = true,
+                CameraFault::Freeze => all.frozen = true,
+                CameraFault::Repeat => all.repeats = true,
+                CameraFault::Gain(gain) => all.exposure.gain *= *gain as f32,
+                CameraFault::Blur(sigma_px) => all.exposure.blur_px = all.exposure.blur_px.hypot(*sigma_px),
+                CameraFault::Fog(share) => all.exposure.fog = all.exposure.fog.max(*share as f32),
+                CameraFault::Occlude(marker) => all.covered.push(*marker),
+                CameraFault::Print(print) => all.prints.push(*print),
+                CameraFault::Extrinsics(shift) => all.shift *= shift,
+            }
+        }
+        all
+    }
+}

@@ -1,0 +1,337 @@
+//! Connections that can go wrong: every socket of the simulator's servers passes through here.
+//!
+//! In: a TCP connection and the state of its server's [`Link`]. Out: the same bytes, or what the faults leave of them.
+//! Without faults nothing is copied or delayed. A cut cable is modelled as silence: both directions wait, and go on
+//! where they were when the fault ends, as TCP does. Times in a [`LinkState`] are wall time: the desk has divided
+//! them by the time factor.
+
+use std::collections::VecDeque;
+use std::future::Future;
+use std::io::{Error, ErrorKind};
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+use tokio::time::{Instant, Sleep};
+
+/// Most bytes held back for a delay.
+const MOST_DELAYED: usize = 4 << 20;
+
+/// A server of the simulated cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinkName {
+    /// RTDE.
+    Rtde,
+    /// Dashboard.
+    Dashboard,
+    /// Primary interface.
+    Primary,
+    /// Secondary interface.
+    Secondary,
+    /// Real-time interface.
+    Realtime,
+    /// Modbus.
+    Gripper,
+    /// HTTP of the camera.
+    Camera,
+}
+
+impl LinkName {
+    /// Names in fault files; `all` is every server.
+    pub const NAMES: [(&'static str, Option<LinkName>); 8] = [
+        ("rtde", Some(LinkName::Rtde)),
+        ("dashboard", Some(LinkName::Dashboard)),
+        ("primary", Some(LinkName::Primary)),
+        ("secondary", Some(LinkName::Secondary)),
+        ("realtime", Some(LinkName::Realtime)),
+        ("gripper", Some(LinkName::Gripper)),
+        ("camera", Some(LinkName::Camera)),
+        ("all", None),
+    ];
+
+    /// All servers.
+    pub const ALL: [LinkName; 7] = [
+        LinkName::Rtde,
+        LinkName::Dashboard,
+        LinkName::Primary,
+        LinkName::Secondary,
+        LinkName::Realtime,
+        LinkName::Gripper,
+        LinkName::Camera,
+    ];
+
+    /// True for the servers that run on the controller and go down with it.
+    pub fn on_controller(self) -> bool {
+        !matches!(self, LinkName::Gripper | LinkName::Camera)
+    }
+}
+
+/// What is wrong with a server's connections.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LinkState {
+    /// Counts resets; connections made before the last one are dead.
+    pub resets: u64,
+    /// Nothing passes.
+    pub silent: bool,
+    /// What is sent arrives so much later.
+    pub latency: Duration,
+    /// Largest piece sent at once, bytes.
+    pub slice: Option<usize>,
+    /// Most bytes sent on a connection.
+    pub limit: Option<u64>,
+    /// Every Modbus request gets this exception.
+    pub exception: Option<u8>,
+    /// The server does not listen.
+    pub down: bool,
+}
+
+/// One server's connections.
+#[derive(Debug)]
+pub struct Link(watch::Sender<LinkState>);
+
+impl Default for Link {
+    fn default() -> Link {
+        Link(watch::Sender::new(LinkState::default()))
+    }
+}
+
+impl Link {
+    /// What is wrong now.
+    pub fn state(&self) -> LinkState {
+        self.0.borrow().clone()
+    }
+
+    /// Follows what is wrong.
+    pub fn watch(&self) -> watch::Receiver<LinkState> {
+        self.0.subscribe()
+    }
+
+    /// Changes what is wrong; resets are kept.
+    pub fn set(&self, state: LinkState) {
+        self.0.send_if_modified(|now| {
+            let state = LinkState { resets: now.resets, ..state };
+            let changed = *now != state;
+            *now = state;
+            changed
+        });
+    }
+
+    /// Resets all connections.
+    pub fn reset(&self) {
+        self.0.send_modify(|now| now.resets += 1);
+    }
+}
+
+/// All servers' connections.
+#[derive(Debug, Default)]
+pub struct Links([Arc<Link>; 7]);
+
+impl Links {
+    /// Those of one server.
+    pub fn get(&self, name: LinkName) -> &Arc<Link> {
+        &self.0[name as usize]
+    }
+}
+
+/// A listener whose connections pass through a link, for the HTTP server.
+#[derive(Debug)]
+pub struct LinkListener {
+    /// The listener.
+    pub listener: TcpListener,
+    /// The link.
+    pub link: Arc<Link>,
+}
+
+impl axum::serve::Listener for LinkListener {
+    type Io = LinkStream;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (LinkStream, SocketAddr) {
+        loop {
+            match self.listener.accept().await {
+                Ok((stream, address)) => return (LinkStream::new(stream, &self.link), address),
+                // Accepting can fail for want of file handles; the next attempt may succeed.
+                Err(_) => tokio::time::sleep(Duration::from_millis(10)).await,
+            }
+        }
+    }
+
+    fn local_addr(&self) -> std::io::Result<SocketAddr> {
+        self.listener.local_addr()
+    }
+}
+
+type Change = Pin<Box<dyn Future<Output = watch::Receiver<LinkState>> + Send + Sync>>;
+
+/// The state as one direction of a connection sees it; it wakes that direction when it changes.
+struct Follower {
+    now: LinkState,
+    change: Change,
+}
+
+impl Follower {
+    fn new(mut receiver: watch::Receiver<LinkState>) -> Follower {
+        let now = receiver.borrow_and_update().clone();
+        Follower { now, change: next_change(receiver) }
+    }
+
+    fn poll(&mut self, context: &mut Context<'_>) -> &LinkState {
+        while let Poll::Ready(mut receiver) = self.change.as_mut().poll(context) {
+            self.now = receiver.borrow_and_update().clone();
+            self.change = next_change(receiver);
+        }
+        &self.now
+    }
+}
+
+fn next_change(mut receiver: watch::Receiver<LinkState>) -> Change {
+    Box::pin(async move {
+        if receiver.changed().await.is_err() {
+            // The link is gone, and with it everything that could change.
+            std::future::pending::<()>().await;
+        }
+        receiver
+    })
+}
+
+/// A connection that passes through a link.
+pub struct LinkStream {
+    stream: TcpStream,
+    reading: Follower,
+    writing: Follower,
+    resets: u64,
+    dead: bool,
+    written: u64,
+    /// A slice was just sent: others come first.
+    pause: bool,
+    delayed: VecDeque<(Instant, Vec<u8>)>,
+    delayed_bytes: usize,
+    timer: Pin<Box<Sleep>>,
+}
+
+impl LinkStream {
+    /// A connection just made.
+    pub fn new(stream: TcpStream, link: &Link) -> LinkStream {
+        let (reading, writing) = (Follower::new(link.watch()), Follower::new(link.watch()));
+        LinkStream {
+            stream,
+            resets: reading.now.resets,
+            reading,
+            writing,
+            dead: false,
+            written: 0,
+            pause: false,
+            delayed: VecDeque::new(),
+            delayed_bytes: 0,
+            timer: Box::pin(tokio::time::sleep(Duration::ZERO)),
+        }
+    }
+
+    /// Sends what has been held back long enough.
+    fn send_delayed(&mut self, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        while let Some((due, bytes)) = self.delayed.front_mut() {
+            if Instant::now() < *due {
+                self.timer.as_mut().reset(*due);
+                ready!(self.timer.as_mut().poll(context));
+                continue;
+            }
+            let count = ready!(Pin::new(&mut self.stream).poll_write(context, bytes))?;
+            self.delayed_bytes = self.delayed_bytes.saturating_sub(count);
+            bytes.drain(..count);
+            if bytes.is_empty() {
+                self.delayed.pop_front();
+            }
+        }
+        Poll::Ready(Ok(()))
+    }
+
+    fn die(&mut self) -> Error {
+        self.dead = true;
+        Error::from(ErrorKind::ConnectionReset)
+    }
+}
+
+impl AsyncRead for LinkStream {
+    fn poll_read(
+        self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        let this = self.get_mut();
+        let state = this.reading.poll(context);
+        let (resets, silent) = (state.resets, state.silent);
+        if resets != this.resets {
+            return Poll::Ready(Err(this.die()));
+        }
+        if silent {
+            return Poll::Pending;
+        }
+        // Whoever reads is always waiting, so what was held back is sent from here, too.
+        if let Poll::Ready(Err(error)) = this.send_delayed(context) {
+            return Poll::Ready(Err(error));
+        }
+        Pin::new(&mut this.stream).poll_read(context, buffer)
+    }
+}
+
+impl AsyncWrite for LinkStream {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        let this = self.get_mut();
+        let state = this.writing.poll(context);
+        let (resets, silent, latency) = (state.resets, state.silent, state.latency);
+        let (slice, limit) = (state.slice, state.limit);
+        let left = limit.map_or(u64::MAX, |limit| limit.saturating_sub(this.written));
+        if resets != this.resets || (left == 0 && !bytes.is_empty()) {
+            return Poll::Ready(Err(this.die()));
+        }
+        if silent {
+            return Poll::Pending;
+        }
+        if std::mem::take(&mut this.pause) {
+            context.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+        this.pause = slice.is_some();
+        let most =
+            bytes.len().min(slice.unwrap_or(usize::MAX)).min(usize::try_from(left).unwrap_or(usize::MAX));
+        let piece = &bytes[..most];
+        let count = if latency.is_zero() && this.delayed.is_empty() {
+            ready!(Pin::new(&mut this.stream).poll_write(context, piece))?
+        } else {
+            this.delayed.push_back((Instant::now() + latency, piece.to_vec()));
+            this.delayed_bytes += piece.len();
+            match this.send_delayed(context) {
+                Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
+                Poll::Pending if this.delayed_bytes > MOST_DELAYED => return Poll::Ready(Err(this.die())),
+                _ => piece.len(),
+            }
+        };
+        this.written += count as u64;
+        Poll::Ready(Ok(count))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Pin::new(&mut self.get_mut().stream).poll_flush(context)
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Pin::new(&mut self.get_mut().stream).poll_shutdown(context)
+    }
+}
+
+impl Drop for LinkStream {
+    fn drop(&mut self) {
+        if self.dead {
+            // The peer sees a reset instead of an orderly end; failing that, it sees the end.
+            let _ = rustix::net::sockopt::set_socket_linger(&self.stream, Some(Duration::ZERO));
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Faults of the world: air, sticky cups, moved objects, and what the camera suffers; and what the desk of faults
+//! needs to see to know when they are due.
+//!
+//! In: calls of the desk between two frames. Out: changed state, events, glances. Nothing here happens by itself.
+
+use crate::geometry::pose::Pose2;
+use crate::sim::faults::FaultError;
+use crate::sim::faults::camera::CameraFaults;
+use crate::sim::faults::schedule::Glance;
+use crate::sim::render::scene::Cells;
+use crate::sim::world::World;
+use crate::sim::world::event::{Event, EventKind};
+use crate::sim::world::vacuum::{Channel, HIGHEST_TARGET, VacuumMode};
+
+/// What is wrong with a channel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ChannelFaults {
+    /// Air enters freely.
+    pub open: bool,
+    /// The pump no longer reaches what it did.
+    pub leak: Option<Leak>,
+}
+
+/// A leak.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Leak {
+    /// The most the pump reaches in the end, fraction.
+    pub vacuum: f64,
+    /// Time to fall to that, s.
+    pub falls_s: f64,
+}
+
+impl Leak {
+    /// The most the pump reaches after `age_s` seconds of leaking.
+    pub fn ceiling(&self, age_s: f64) -> f64 {
+        if age_s >= self.falls_s {
+            return self.vacuum;
+        }
+        HIGHEST_TARGET + (self.vacuum - HIGHEST_TARGET) * age_s / self.falls_s
+    }
+}
+
+impl World {
+    /// Sets what is wrong with a channel; a leak that was there already goes on falling.
+    pub fn set_channel_faults(&mut self, channel: Channel, faults: ChannelFaults) {
+        let state = &mut self.channels[channel.index()];
+        if faults.open && !state.faults.open {
+            state.pump.collapse();
+        }
+        if faults.leak != state.faults.leak {
+            state.leak_age_s = 0.0;
+        }
+        state.faults = faults;
+    }
+
+    /// What is held stays on the cups, whatever the vacuum.
+    pub fn set_sticky(&mut self, sticky: bool) {
+        self.sticky = sticky;
+    }
+
+    /// What is wrong with the camera.
+    pub fn camera_faults(&self) -> &CameraFaults {
+        &self.camera
+    }
+
+    /// Sets what is wrong with the camera.
+    pub fn set_camera_faults(&mut self, faults: CameraFaults) {
+        self.camera = faults;
+    }
+
+    /// Keeps in the list of events that a fault was brought about.
+    pub fn note_fault(&mut self, name: &str) {
+        self.record(EventKind::Fault { name: name.to_owned() });
+    }
+
+    /// Somebody moves an object by `by`: a shift in the table frame and a turn about itself.
+    ///
+    /// # Errors
+    /// [`FaultError::NoSuchObject`], [`FaultError::NotFree`].
+    pub fn nudge(&mut self, object: &str, by: &Pose2) -> Result<(), FaultError> {
+        let index = self.free_object(object)?;
+        let pose = self.bodies[index].pose();
+        self.put_down(index, Pose2::new(pose.x + by.x, pose.y + by.y, pose.theta + by.theta));
+        Ok(())
+    }
+
+    /// Somebody puts an object to `pose`.
+    ///
+    /// # Errors
+    /// [`FaultError::NoSuchObject`], [`FaultError::NotFree`].
+    pub fn put(&mut self, object: &str, pose: &Pose2) -> Result<(), FaultError> {
+        let index = self.free_object(object)?;
+        self.put_down(index, *pose);
+        Ok(())
+    }
+
+    fn free_object(&self, object: &str) -> Result<usize, FaultError> {
+        let found = self.bodies.iter().position(|body| body.id == object);
+        let index = found.ok_or_else(|| FaultError::NoSuchObject(object.to_owned()))?;
+        match self.bodies[index].is_resting() && !self.bodies[index].fixed {
+            true => Ok(index),
+            false => Err(FaultError::NotFree(object.to_owned())),
+        }
+    }
+
+    /// Some print in the cell has this number.
+    pub fn has_marker(&self, id: u32) -> bool {
+        self.print_of(id).is_some()
+    }
+
+    /// Cells and size (m) of the print with this number.
+    pub(super) fn print_of(&self, id: u32) -> Option<(Cells, f64)> {
+        let on_table = self.reference.iter().map(|(marker, cells)| (marker.id, *cells, marker.size_m));
+        let on_objects = self.bodies.iter().filter_map(|body| body.marker.as_ref());
+        let on_objects = on_objects.map(|(marker, cells)| (marker.id, *cells, marker.size_m));
+        on_table
+            .chain(on_objects)
+            .find(|(number, ..)| *number == id)
+            .map(|(_, cells, size_m)| (cells, size_m))
+    }
+
+    /// Events recorded so far, those included that were dropped since.
+    pub fn recorded(&self) -> u64 {
+        self.recorded
+    }
+
+    /// Events after the first `seen`, oldest first.
+    pub fn events_after(&self, seen: u64) -> impl Iterator<Item = &Event> + Clone {
+        let new = usize::try_from(self.recorded.saturating_sub(seen)).unwrap_or(usize::MAX);
+        self.events.iter().skip(self.events.len().saturating_sub(new))
+    }
+
+    /// What shows which part of a pick-n-place this is.
+    pub fn glance(&self) -> Glance {
+        let (tool, velocity) = self.tool.map_or(([0.0; 3], [0.0; 3]), |tool| {
+            (tool.table_from_tool.translation.vector.into(), tool.velocity.into())
+        });
+        let gripping = self.channels.iter().any(|state| state.pump.mode() == VacuumMode::Grip);
+        Glance { holds: self.held().next().is_some(), gripping, tool, velocity }
+    }
+}
