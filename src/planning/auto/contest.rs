@@ -52,6 +52,13 @@ impl Contest<'_> {
     pub fn cheapest(&self, most: f64, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Option<Contested> {
         let mut places = self.places(rng, effort);
         places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // One place for each set of displaced objects: places beside each other would crowd out all others.
+        let mut seen: Vec<ObjectSet> = Vec::new();
+        places.retain(|(.., displaced)| {
+            let new = !seen.contains(displaced);
+            seen.push(*displaced);
+            new
+        });
         let priced = places.into_iter().take(CONTENDERS).map(|(_, spot, displaced)| {
             let (price, aside) = self.price(&spot, displaced);
             (price, Contested { spot, displaced, aside })
@@ -77,6 +84,10 @@ impl Contest<'_> {
                 continue;
             }
             let displaced = table.standing_at(self.object, &spot);
+            // Free places that cost no more than these have been looked for already.
+            if displaced.is_empty() {
+                continue;
+            }
             let closing = (table.blocked_by(self.object, &spot) & before).weight(self.costs);
             let area: f64 = displaced.iter().map(|o| scene.problem.objects[o].footprint.area()).sum();
             let price = (self.rough(displaced) + closing + 0.5 * area) * rng.random_range(1.0..2.5);
