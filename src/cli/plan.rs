@@ -68,7 +68,7 @@ pub struct PlanArgs {
     /// Seed of every random choice
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Threads; the paper's solvers use one
+    /// Threads for auto, default one for each core; the paper's solvers use one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
     /// Keep to the paper where celld knows better: rbm and erbm take the first order of moves with the fewest
@@ -169,8 +169,10 @@ fn search(
         }
         progress.found(cost);
     };
+    let pool = pool(args.threads);
     let control = Control {
         work_limit: args.work,
+        pool: pool.as_ref(),
         on_plan: &on_plan,
         first: args.first,
         strict_paper: args.strict_paper,
@@ -180,6 +182,16 @@ fn search(
     progress.clear();
     let first_plan = first_plan.lock().ok().and_then(|first| *first);
     Ok((outcome?, Timing { first_plan, all: begun.elapsed().as_secs_f64() }))
+}
+
+/// Threads for `auto`, by default one for each core; None where there is only one, or no more can be had.
+pub fn pool(threads: Option<u16>) -> Option<rayon::ThreadPool> {
+    let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let count = threads.map_or_else(cores, usize::from);
+    if count < 2 {
+        return None;
+    }
+    rayon::ThreadPoolBuilder::new().num_threads(count).build().ok()
 }
 
 /// A line on standard error that appears only when a search takes long, and only on a terminal.

@@ -11,8 +11,9 @@ use crate::planning::object_set::ObjectSet;
 use crate::planning::plan::{Action, Objective, Status};
 use crate::planning::problem::{Problem, Witness};
 use crate::planning::scene::Scene;
-use crate::planning::solver::search::Incumbent;
+use crate::planning::solver::incumbent::Incumbent;
 
+mod incumbent;
 mod search;
 
 /// The solvers of the paper, and ours.
@@ -71,6 +72,9 @@ pub struct Control<'a> {
     /// RBM and ERBM take the first primitive plan of minimum peak, however many objects it buffers; TRLB clears no
     /// places for objects that find none.
     pub strict_paper: bool,
+    /// Where `auto` searches on several threads; the others use the caller's alone. No result depends on it, unless the
+    /// clock ends the search.
+    pub pool: Option<&'a rayon::ThreadPool>,
     /// For the objective `time`: seconds of a plan.
     pub seconds: Option<PlanSeconds<'a>>,
     /// For the objective `time`: seconds that no single move can undercut; 0 is always valid.
@@ -86,6 +90,7 @@ impl<'a> Control<'a> {
             on_plan: &|_, _| (),
             first: false,
             strict_paper: false,
+            pool: None,
             seconds: None,
             least_move_seconds: 0.0,
         }
@@ -181,7 +186,7 @@ pub fn solve(
     }
     let mut effort = Effort::new(control.work_limit, control.stop);
     let mut incumbent = Incumbent::new(problem, objective, control, lower_bound);
-    search::run(&scene, solver, seed, &mut incumbent, &mut effort);
+    incumbent::run(&scene, solver, seed, &mut incumbent, &mut effort);
     let (plan, cost) = incumbent.best.unzip();
     let status = match cost {
         Some(cost) if reaches(cost, lower_bound) => Status::Optimal,

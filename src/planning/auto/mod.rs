@@ -1,196 +1,108 @@
-//! `auto`, our own anytime solver: many randomised roll-outs, then pieces of the best plan solved anew.
+//! `auto`, our own anytime solver: a portfolio of randomised searches that share their best plan.
 //!
-//! In: a scene, a seed, the cost of a move of each object. Out: plans, each offered as it is found. A first plan comes
-//! from roll-outs (`roll_out`) from the start or, turned round, from the goal. From then on a piece of the plan, its
-//! tail, its head (backwards) or a window, is replaced by a roll-out between the same two arrangements whenever that
-//! costs no more; equal cost counts as progress, so that the plan drifts until a better one is near. Ideas:
-//! feedback vertex set as bound and guide (Gao et al., TRLB), plan shortening by large-neighbourhood search.
-//! Deterministic: one thread, all choices from the seed, nothing but steps decides when it ends.
+//! In: a scene, a seed, the cost of a move of each object, the paper's solvers as a way out. Out: plans, each offered
+//! as it is found. Members (`member`) search beside each other, on the caller's threads if there are any; after a
+//! fixed number of steps they meet, in the order of their numbers, and those that have a worse plan take over the best.
+//! So nothing but seed and steps decides what is found, however many threads there are.
 
 pub mod contest;
+pub mod member;
 pub mod parking;
 pub mod regions;
 pub mod roll_out;
 pub mod stops;
 pub mod table;
 
-use crate::geometry::pose::Pose2;
-use crate::planning::auto::parking::{Care, Shapes};
-use crate::planning::auto::roll_out::{Style, Task, roll_out};
-use crate::planning::buffers::Arrangement;
-use crate::planning::completion;
+use crate::planning::auto::member::{Member, Rescue};
 use crate::planning::effort::Effort;
 use crate::planning::mcts::Verdict;
-use crate::planning::object_set::ObjectSet;
-use crate::planning::scene::{Scene, Spot};
-use crate::planning::trlb::{Move, reversed, tidy};
-use rand::RngExt;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use std::sync::Arc;
+use crate::planning::scene::Scene;
+use crate::planning::trlb::Move;
+use rayon::prelude::*;
 
-/// Searches until the plan is good enough or the effort is spent. `offer` hears of every plan that is better than
-/// those before, and checks it.
-pub fn search(
-    scene: &Scene,
-    costs: &[f64],
-    seed: u64,
-    offer: &mut dyn FnMut(&[Move]) -> Verdict,
-    effort: &mut Effort,
-) {
-    let mut auto = Auto::new(scene, costs, seed);
-    let mut best = f64::INFINITY;
-    // A step each round: a search that samples nothing has to come to its limit too.
-    while effort.step() {
-        let Some(plan) = auto.next_plan(effort) else { continue };
-        let cost = auto.cost(&plan);
-        if cost < best - auto.slack {
-            match offer(&plan) {
-                Verdict::Enough => return,
-                Verdict::Refused => continue,
-                Verdict::Accepted => best = cost,
-            }
-        }
-        auto.plan = Some(plan);
-    }
+/// Members: as many as there are, so many threads have work.
+const MEMBERS: u64 = 4;
+
+/// Steps of each member in the first round; a first plan is often found within.
+const FIRST_ROUND: u64 = 200;
+
+/// Steps of each member in the longest rounds: a fraction of a second.
+const LONGEST_ROUND: u64 = 20_000;
+
+/// A task for the portfolio.
+pub struct Search<'a> {
+    /// The scene.
+    pub scene: &'a Scene<'a>,
+    /// Cost of a move of each object, positive.
+    pub costs: &'a [f64],
+    /// No plan is cheaper.
+    pub lower_bound: f64,
+    /// Another way to a first plan.
+    pub rescue: &'a Rescue<'a>,
+    /// Where the members work; without, one after the other.
+    pub pool: Option<&'a rayon::ThreadPool>,
+    /// Seed of everything.
+    pub seed: u64,
 }
 
-struct Auto<'a> {
-    scene: &'a Scene<'a>,
-    costs: &'a [f64],
-    shapes: Shapes,
-    flexible: ObjectSet,
-    start: Arrangement,
-    goals: Vec<Option<Pose2>>,
-    plan: Option<Vec<Move>>,
-    slack: f64,
-    rng: ChaCha8Rng,
-    rounds: u64,
-}
-
-/// A piece of a plan.
-struct Piece {
-    first: usize,
-    last: usize,
-    backwards: bool,
-}
-
-/// From one arrangement to another, at a price.
-struct Leg {
-    from: Arrangement,
-    to: Arrangement,
-    backwards: bool,
-    flexible: ObjectSet,
-    ceiling: f64,
-}
-
-impl<'a> Auto<'a> {
-    fn new(scene: &'a Scene<'a>, costs: &'a [f64], seed: u64) -> Auto<'a> {
-        let goals = completion::assigned_goals(scene);
-        let flexible = scene.movable.iter().copied().filter(|&o| goals[o].is_none()).collect();
-        let start = (0..costs.len()).map(|i| scene.start(i).clone()).collect();
-        let slack = 1e-6 * costs.iter().sum::<f64>();
-        let (shapes, rng) = (Shapes::new(scene), ChaCha8Rng::seed_from_u64(seed));
-        Auto { scene, costs, shapes, flexible, start, goals, plan: None, slack, rng, rounds: 0 }
+impl Search<'_> {
+    /// Searches until the plan is good enough or the effort is spent. `offer` hears of every plan that is better than
+    /// those before, and checks it.
+    pub fn run(&self, offer: &mut dyn FnMut(&[Move]) -> Verdict, effort: &mut Effort) {
+        let seed = |k: u64| self.seed.wrapping_mul(MEMBERS).wrapping_add(k);
+        let member = |k| Member::new(self.scene, self.costs, self.rescue, seed(k));
+        let mut members: Vec<Member> = (0..MEMBERS).map(member).collect();
+        let mut best: Option<(f64, Vec<Move>)> = None;
+        let mut steps = FIRST_ROUND;
+        while !effort.is_over() {
+            self.round(&mut members, steps, effort);
+            if self.meet(&mut members, &mut best, offer) {
+                return;
+            }
+            steps = LONGEST_ROUND.min(steps + steps / 2);
+            // A round in which nobody could make a step comes to an end here.
+            effort.step();
+        }
     }
 
-    fn cost(&self, moves: &[Move]) -> f64 {
-        moves.iter().map(|m| self.costs[m.object]).sum()
+    fn round(&self, members: &mut [Member], steps: u64, effort: &mut Effort) {
+        let steps = steps.min(effort.left() / MEMBERS);
+        let mut parts: Vec<Effort> = members.iter().map(|_| effort.part(steps)).collect();
+        let work = |(member, part): (&mut Member, &mut Effort)| member.search(self.lower_bound, part);
+        match self.pool {
+            Some(pool) => {
+                pool.install(|| members.par_iter_mut().zip(parts.par_iter_mut()).for_each(work));
+            }
+            None => members.iter_mut().zip(parts.iter_mut()).for_each(work),
+        }
+        parts.iter().for_each(|part| effort.spend(part));
     }
 
-    /// A plan no dearer than the one before, or none this time.
-    fn next_plan(&mut self, effort: &mut Effort) -> Option<Vec<Move>> {
-        self.rounds += 1;
-        match self.plan.take() {
-            None => self.whole_plan(f64::INFINITY, effort),
-            Some(plan) => {
-                let new = self.improved(&plan, effort);
-                self.plan = Some(plan);
-                new
+    /// Offers what is better, and hands the best plan round; true if it is good enough.
+    fn meet(
+        &self,
+        members: &mut [Member],
+        best: &mut Option<(f64, Vec<Move>)>,
+        offer: &mut dyn FnMut(&[Move]) -> Verdict,
+    ) -> bool {
+        let slack = 1e-6 * self.costs.iter().sum::<f64>();
+        let known = |best: &Option<(f64, Vec<Move>)>| best.as_ref().map_or(f64::INFINITY, |(cost, _)| *cost);
+        for member in members.iter_mut() {
+            let Some(plan) = member.plan.as_ref().filter(|_| member.plan_cost() < known(best) - slack) else {
+                continue;
+            };
+            match offer(plan) {
+                Verdict::Enough => return true,
+                Verdict::Accepted => *best = Some((member.plan_cost(), plan.clone())),
+                // The solvers' predicates and the checker's may differ within rounding.
+                Verdict::Refused => member.plan = None,
             }
         }
-    }
-
-    fn whole_plan(&mut self, ceiling: f64, effort: &mut Effort) -> Option<Vec<Move>> {
-        let goal = completion::complete(self.scene, &self.goals, &mut self.rng, effort)?;
-        let (backwards, flexible) = (self.rounds % 3 == 2, self.flexible);
-        let leg = Leg { from: self.start.clone(), to: goal, backwards, flexible, ceiling };
-        let style = self.style(None, true);
-        self.travel(&leg, &style, effort).map(tidy)
-    }
-
-    fn improved(&mut self, plan: &[Move], effort: &mut Effort) -> Option<Vec<Move>> {
-        if plan.is_empty() || self.rng.random_bool(0.05) {
-            let ceiling = self.cost(plan);
-            return self.whole_plan(ceiling, effort);
-        }
-        let Piece { first, last, backwards } = self.choose(plan.len());
-        let leg = Leg {
-            from: self.arrangement_after(&plan[..first]),
-            to: self.arrangement_after(&plan[..last]),
-            backwards,
-            flexible: if last == plan.len() { self.flexible } else { ObjectSet::EMPTY },
-            ceiling: self.cost(&plan[first..last]),
-        };
-        let detours = self.rng.random_bool(0.5);
-        let style = self.style(Some(plan), detours);
-        let new = self.travel(&leg, &style, effort)?;
-        let (head, tail) = (plan[..first].iter(), plan[last..].iter());
-        Some(tidy(head.cloned().chain(new).chain(tail.cloned()).collect()))
-    }
-
-    fn travel(&mut self, leg: &Leg, style: &Style, effort: &mut Effort) -> Option<Vec<Move>> {
-        let (from, to, flexible) = match leg.backwards {
-            true => (&leg.to, &leg.from, ObjectSet::EMPTY),
-            false => (&leg.from, &leg.to, leg.flexible),
-        };
-        let (scene, shapes, costs, ceiling) = (self.scene, &self.shapes, self.costs, leg.ceiling);
-        let task = Task { scene, shapes, costs, from, to, flexible, ceiling };
-        let moves = roll_out(&task, style, &mut self.rng, effort)?;
-        Some(if leg.backwards { reversed(moves) } else { moves })
-    }
-
-    fn arrangement_after(&self, moves: &[Move]) -> Arrangement {
-        let mut arrangement = self.start.clone();
-        moves.iter().for_each(|m| arrangement[m.object] = m.to.clone());
-        arrangement
-    }
-
-    /// Tail, head or window of a plan that is not empty, whose cost is to be undercut.
-    fn choose(&mut self, length: usize) -> Piece {
-        let rng = &mut self.rng;
-        match rng.random_range(0..10u8) {
-            0..=3 => Piece { first: rng.random_range(0..length), last: length, backwards: false },
-            4..=7 => Piece { first: 0, last: rng.random_range(1..=length), backwards: true },
-            _ => {
-                let span = length.min(rng.random_range(4..=30));
-                let first = rng.random_range(0..=length - span);
-                Piece { first, last: first + span, backwards: rng.random_bool(0.5) }
+        for member in members {
+            if member.plan_cost() > known(best) + slack {
+                member.plan = best.as_ref().map(|(_, plan)| plan.clone());
             }
         }
-    }
-
-    /// How the next roll-out goes about it; plans on the way give it places and favourites.
-    fn style(&mut self, plan: Option<&[Move]>, detours: bool) -> Style {
-        let count = self.costs.len();
-        let rng = &mut self.rng;
-        let care = match rng.random_range(0..6u8) {
-            0..=2 => Care { samples: 20, angles: 0, pivots: 0 },
-            3 | 4 => Care { samples: 60, angles: 1, pivots: 8 },
-            _ => Care { samples: 120, angles: 3, pivots: 16 },
-        };
-        let mut bias: Vec<f64> = (0..count).map(|_| rng.random_range(1.0..2.0)).collect();
-        let mut hints: Vec<Vec<Arc<Spot>>> = vec![Vec::new(); count];
-        let hinted = rng.random_bool(0.5);
-        for m in plan.unwrap_or_default() {
-            let is_end = self.scene.goal(m.object).is_some_and(|goal| goal.pose == m.to.pose);
-            if hinted && !is_end && rng.random_bool(0.8) {
-                hints[m.object].push(m.to.clone());
-                bias[m.object] = rng.random_range(0.0..1.3);
-            }
-        }
-        let hold = if rng.random_bool(0.2) { 0.1 } else { 0.0 };
-        let stops = if rng.random_bool(0.5) { rng.random_range(1..=2) } else { 0 };
-        Style { care, bias, hints, hold, stops, detours }
+        false
     }
 }

@@ -313,6 +313,19 @@ fn auto_makes_room_for_a_large_object() {
 }
 
 #[test]
+fn auto_finds_the_same_on_any_number_of_threads() {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().expect("threads");
+    for problem in &random_problems(28, 4) {
+        let outcome = |pool| {
+            let control = Control { work_limit: Some(6000), pool, ..Control::until(&|| false) };
+            let outcome = solve(problem, SolverKind::Auto, Objective::Ti, &control, 2).expect("built");
+            (actions(&outcome), outcome.work)
+        };
+        assert_eq!(outcome(None), outcome(Some(&pool)));
+    }
+}
+
+#[test]
 fn auto_stops_at_the_first_plan_if_asked_to() {
     for problem in &random_problems(27, 4) {
         let heard = Mutex::new(0);
