@@ -95,7 +95,8 @@ mod tests {
         Problem::new(&generated.instance).map_err(|faults| faults.to_string())
     }
 
-    const LIMITS: Limits = Limits { seconds: 600.0, work: Some(100_000), first: true, strict_paper: false };
+    const LIMITS: Limits =
+        Limits { seconds: 600.0, work: Some(100_000), first: true, strict_paper: false, solver_threads: 1 };
 
     fn rows(threads: usize) -> Vec<Row> {
         let mut rows = Vec::new();

@@ -85,6 +85,9 @@ pub struct BenchPlanningArgs {
     /// Cases at the same time; default: one for each core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+    /// Threads of each case, for auto
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub solver_threads: u16,
     /// Run part i of N only; the parts' files merge by concatenation
     #[arg(long, value_name = "i/N", value_parser = Shard::parse)]
     pub shard: Option<Shard>,
@@ -167,7 +170,13 @@ fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
 }
 
 fn limits(args: &BenchPlanningArgs) -> Limits {
-    Limits { seconds: args.time_limit, work: args.work, first: args.first, strict_paper: args.strict_paper }
+    Limits {
+        seconds: args.time_limit,
+        work: args.work,
+        first: args.first,
+        strict_paper: args.strict_paper,
+        solver_threads: args.solver_threads,
+    }
 }
 
 fn read_baseline(path: &Path) -> Result<Vec<Measured>, String> {

@@ -4,11 +4,14 @@
 //! `--out` and `--svg`, progress on standard error. Exit code 0 with a plan, 1 without one, 2 for bad input,
 //! 130 after Ctrl-C before there was a plan. The clock is read here and nowhere below.
 
+use crate::bench::planning::thread_pool;
 use crate::cli::task::{TaskArgs, complain, print};
 use crate::planning::check::CheckedPlan;
+use crate::planning::object_set::ObjectSet;
 use crate::planning::plan::{Action, ActionKind, Objective, PlanFile, Status};
 use crate::planning::problem::Problem;
-use crate::planning::solver::{Control, Outcome, SolverKind, solve};
+use crate::planning::scene::Scene;
+use crate::planning::solver::{Control, Outcome, SolverKind, lower_bound, solve};
 use crate::report::plan_svg::plan_svg;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -158,7 +161,7 @@ fn search(
     let limit = args.time_limit.unwrap_or(if args.solver == SolverKind::Auto { 10.0 } else { 600.0 });
     let begun = Instant::now();
     let first_plan = Mutex::new(None);
-    let progress = Progress::new(begun, limit);
+    let progress = Progress::new(args, problem, begun, limit);
     let stop = || {
         progress.tick();
         stop.load(Ordering::Relaxed) || begun.elapsed().as_secs_f64() >= limit
@@ -184,32 +187,41 @@ fn search(
     Ok((outcome?, Timing { first_plan, all: begun.elapsed().as_secs_f64() }))
 }
 
-/// Threads for `auto`, by default one for each core; None where there is only one, or no more can be had.
-pub fn pool(threads: Option<u16>) -> Option<rayon::ThreadPool> {
+/// Threads for `auto`: so many, or one for each core.
+fn pool(threads: Option<u16>) -> Option<rayon::ThreadPool> {
     let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let count = threads.map_or_else(cores, usize::from);
-    if count < 2 {
-        return None;
-    }
-    rayon::ThreadPoolBuilder::new().num_threads(count).build().ok()
+    thread_pool(threads.unwrap_or_else(|| u16::try_from(cores()).unwrap_or(u16::MAX)))
 }
 
-/// A line on standard error that appears only when a search takes long, and only on a terminal.
+/// What standard error hears: a line for each better plan of a search that goes on, and, on a terminal, one that stays
+/// and tells the time when a search takes long.
 struct Progress {
     begun: Instant,
     limit: f64,
+    /// Below which no cost can be; None while nobody needs it.
+    bound: Option<f64>,
     bar: Mutex<Option<ProgressBar>>,
     best: Mutex<Option<f64>>,
 }
 
 impl Progress {
-    fn new(begun: Instant, limit: f64) -> Progress {
-        Progress { begun, limit, bar: Mutex::new(None), best: Mutex::new(None) }
+    fn new(args: &PlanArgs, problem: &Problem, begun: Instant, limit: f64) -> Progress {
+        let goes_on = matches!(args.solver, SolverKind::Mcts | SolverKind::Emcts | SolverKind::Auto);
+        let fits = problem.objects.len() <= ObjectSet::CAPACITY;
+        let told = goes_on && !args.first && fits;
+        let bound = told.then(|| lower_bound(&Scene::new(problem), args.objective, 0.0).value);
+        Progress { begun, limit, bound, bar: Mutex::new(None), best: Mutex::new(None) }
     }
 
     fn found(&self, cost: f64) {
         if let Ok(mut best) = self.best.lock() {
             *best = Some(cost);
+        }
+        let Some(bound) = self.bound else { return };
+        let line = format!("{:.3} s: {}", self.begun.elapsed().as_secs_f64(), standing(cost, bound));
+        match self.bar.lock().as_deref() {
+            Ok(Some(bar)) => bar.suspend(|| complain(&line)),
+            _ => complain(&line),
         }
     }
 
@@ -224,7 +236,11 @@ impl Progress {
             ProgressBar::new_spinner()
                 .with_style(template.unwrap_or_else(|_| ProgressStyle::default_spinner()))
         });
-        let best = best.map_or("no plan yet".to_string(), |cost| format!("best {cost}"));
+        let best = match (*best, self.bound) {
+            (None, _) => "no plan yet".to_string(),
+            (Some(cost), Some(bound)) => standing(cost, bound),
+            (Some(cost), None) => format!("cost {cost}"),
+        };
         bar.set_message(format!("{:.1} s of at most {:.0} s, {best}", passed.as_secs_f64(), self.limit));
         bar.tick();
     }
@@ -234,6 +250,13 @@ impl Progress {
             bar.finish_and_clear();
         }
     }
+}
+
+/// Cost, bound, and by how much the one is over the other.
+fn standing(cost: f64, bound: f64) -> String {
+    let gap = if bound > 0.0 { (100.0 * (cost / bound - 1.0)).max(0.0) } else { 0.0 };
+    let number = |value: f64| (value * 1e6).round() / 1e6;
+    format!("cost {}, bound {}, gap {gap:.1} %", number(cost), number(bound))
 }
 
 fn plan_file(args: &PlanArgs, problem: &Problem, outcome: &Outcome, timing: &Timing) -> PlanFile {
@@ -302,4 +325,16 @@ fn summary(problem: &Problem, outcome: &Outcome, file: &PlanFile) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gap_is_that_of_cost_over_bound() {
+        assert_eq!(standing(23.0, 20.0), "cost 23, bound 20, gap 15.0 %");
+        assert_eq!(standing(0.1 + 0.2, 0.3), "cost 0.3, bound 0.3, gap 0.0 %");
+        assert_eq!(standing(0.0, 0.0), "cost 0, bound 0, gap 0.0 %");
+    }
 }
