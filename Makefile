@@ -6,7 +6,8 @@ SHELL := /bin/bash
 
 # Found missing by the build otherwise: clang is run by the OpenCV bindings' generator, the others are the
 # OpenCV modules celld calls. Not libapriltag-dev: the crate brings the C sources it was made for.
-PACKAGES := clang pkg-config libopencv-core-dev libopencv-imgproc-dev libopencv-imgcodecs-dev \
+# python3-venv runs the third-party clients of the tests.
+PACKAGES := clang pkg-config python3-venv libopencv-core-dev libopencv-imgproc-dev libopencv-imgcodecs-dev \
             libopencv-calib3d-dev libopencv-videoio-dev
 
 ARGS ?=
@@ -17,7 +18,7 @@ SOLVERS ?= paper
 COUNT ?= 3
 LIMIT ?= 2
 
-.PHONY: help setup demo test bench figures
+.PHONY: help setup clients demo test bench figures
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
@@ -46,6 +47,17 @@ setup:
 	"$${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
 	  apt-get install -y -qq --no-install-recommends "$${missing[@]}"
 
+# The third-party clients that the simulator is tested with, in an environment of their own.
+CLIENTS := $(abspath $(or $(CARGO_TARGET_DIR),target))/clients
+
+clients: setup
+	@if ! cmp -s tests/clients/requirements.txt $(CLIENTS)/installed.txt; then \
+	  echo "clients: installing $$(grep -v '^#' tests/clients/requirements.txt | tr '\n' ' ')"; \
+	  rm -rf $(CLIENTS); python3 -m venv $(CLIENTS); \
+	  $(CLIENTS)/bin/pip install --quiet --disable-pip-version-check --no-deps -r tests/clients/requirements.txt; \
+	  cp tests/clients/requirements.txt $(CLIENTS)/installed.txt; \
+	fi
+
 demo: setup
 	cargo run --release --quiet -- demo $(ARGS)
 
@@ -53,7 +65,8 @@ demo: setup
 DATA := $(or $(CELLD_DATA),../shared/data)
 
 # Without nextest the closed-loop tests (cell_*) run after the others, one at a time: they need the cores.
-test: setup
+test: export CELLD_CLIENTS := $(CLIENTS)
+test: setup clients
 	cargo fmt --check
 	cargo clippy --all-targets -- -D warnings
 	@[ -d "$(DATA)" ] || echo "SKIPPED: tests on the public instances and camera recordings, no folder $(DATA) (set CELLD_DATA)"

@@ -8,6 +8,7 @@ pub mod bench_figures;
 pub mod bench_planning;
 pub mod calibrate;
 pub mod check;
+pub mod check_script;
 pub mod daemon;
 pub mod demo;
 pub mod detect;

@@ -3,6 +3,7 @@
 //! In: the simulator's configuration. Out: one JSON line on stdout when all servers listen, then nothing until
 //! Ctrl-C. `sim_config` is also what the demo starts its cell from.
 
+use crate::cli::check_script::check_scripts;
 use crate::cli::task::{complain, print};
 use crate::cli::values;
 use crate::config::cell::CupChannel;
@@ -12,8 +13,7 @@ use crate::geometry::footprint::Footprint;
 use crate::io::priority;
 use crate::sim::camera_server::CameraSetup;
 use crate::sim::cell::{SimConfig, SimError, start};
-use crate::sim::controller::builtins::compile_program;
-use crate::sim::controller::{ControllerConfig, calibrated_ur5e};
+use crate::sim::controller::{ControllerConfig, calibrated};
 use crate::sim::faults::Planned;
 use crate::sim::faults::read::read_faults;
 use crate::sim::render::lens::CameraTruth;
@@ -52,15 +52,15 @@ pub struct SimArgs {
     /// Also open the control socket (loopback only): faults and the world's truth.
     #[arg(long)]
     control: bool,
-    /// Parse a URScript program, report, and stop.
-    #[arg(long, value_name = "FILE")]
-    check_script: Option<PathBuf>,
+    /// Parse URScript programs (`-` for standard input), report, and stop.
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    check_script: Vec<PathBuf>,
 }
 
 /// Runs the simulator; returns the exit code.
 pub fn run(args: &SimArgs) -> u8 {
-    if let Some(path) = &args.check_script {
-        return check_script(path);
+    if !args.check_script.is_empty() {
+        return check_scripts(&args.check_script);
     }
     let file = match load_sim(&args.config) {
         Ok(file) => file,
@@ -139,23 +139,6 @@ async fn serve(config: SimConfig) -> u8 {
     0
 }
 
-fn check_script(path: &std::path::Path) -> u8 {
-    let text = match crate::cli::task::read_text(path) {
-        Ok(text) => text,
-        Err(message) => {
-            complain(&message);
-            return 2;
-        }
-    };
-    match compile_program(&text) {
-        Ok(_) => 0,
-        Err(error) => {
-            complain(&format!("{}: {error}", path.display()));
-            2
-        }
-    }
-}
-
 /// The simulated cell a configuration describes; its truth deviates from the nominal values by the seed.
 pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig {
     let errors = &file.errors;
@@ -173,9 +156,10 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
         mount_rad: errors.mount_rad,
     };
     let truth = spec::TruthSpec::from_seed(&nominal, &limits, file.seed);
-    let mut controller = ControllerConfig::ur5e(file.seed);
+    let mut controller = ControllerConfig::of(&file.model, file.seed);
     controller.start = file.start_pose;
-    controller.dh = calibrated_ur5e(file.seed, errors.dh_m, errors.dh_rad);
+    controller.programs.clone_from(&file.programs);
+    controller.dh = calibrated(&file.model.dh, file.seed, errors.dh_m, errors.dh_rad);
     SimConfig {
         bind,
         ports,

@@ -11,7 +11,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Larger files are no instances; reading them would only fill the memory.
-const LARGEST_FILE_BYTES: u64 = 32 << 20;
+pub const LARGEST_FILE_BYTES: u64 = 32 << 20;
 
 /// Where a task is.
 #[derive(Clone, Debug, clap::Args)]

@@ -10,11 +10,13 @@ use crate::config::fields::{
 use crate::config::simulated::{SimErrors, SimFile, SimPorts};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
+use crate::motion::kinematics::ARM_MODELS;
 use crate::tabletop::arrangement::{Layout, Place};
 use crate::tabletop::decode;
 use crate::tabletop::instance::{ObjectSpec, Workspace};
 use crate::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
 use crate::units::rad_from_deg;
+use std::collections::BTreeMap;
 use std::net::IpAddr;
 
 /// Keys of the file.
@@ -31,7 +33,9 @@ pub const SIM_KEYS: &[&str] = &[
     "flange_from_tool",
     "base_from_table",
     "flange_from_camera",
+    "model",
     "start_pose_deg",
+    "programs",
     "errors",
 ];
 
@@ -80,6 +84,14 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let base_from_table = transform(decoder, fields, "base_from_table");
     let flange_from_camera = transform(decoder, fields, "flange_from_camera");
     let start_pose = fields.required("start_pose_deg", decoder).and_then(|at| joints_deg(decoder, &at));
+    let model = optional(decoder, fields, "model", ARM_MODELS[0], |decoder, at| {
+        let choices: Vec<_> = ARM_MODELS.iter().map(|model| (model.name, *model)).collect();
+        decoder.choice(at, &choices)
+    });
+    let programs = optional(decoder, fields, "programs", None, |decoder, at| {
+        let folder = decoder.map(at, &["folder"])?;
+        folder.optional("folder").map_or(Some(None), |at| decoder.text(&at).map(Some))
+    });
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
     let size = size?;
     Some(SimFile {
@@ -95,7 +107,10 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         gripper: gripper?,
         objects: objects?,
         reference_markers: markers?,
+        model: model?,
         start_pose: start_pose?,
+        program_folder: programs?,
+        programs: BTreeMap::new(),
         errors: errors?,
     })
 }
@@ -106,12 +121,16 @@ fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
     let camera = port(decoder, &fields, "camera");
     let control = port(decoder, &fields, "control");
     let ports = SimPorts { modbus: modbus?, camera: camera?, control: control? };
-    let taken = [29999, 30001, 30002, 30003, 30004];
+    let taken = [29999, 30001, 30002, 30003, 30004, 30011, 30012, 30013];
     let mine = [("modbus", ports.modbus), ("camera", ports.camera), ("control", ports.control)];
     for (index, (key, port)) in mine.iter().enumerate() {
         if taken.contains(port) || mine.iter().take(index).any(|(_, other)| other == port) {
             let message = format!("port {port} for {key} is taken by another server of the cell");
-            decoder.complain_at(at, message, "29999 and 30001 to 30004 are the controller's own");
+            decoder.complain_at(
+                at,
+                message,
+                "29999, 30001 to 30004 and 30011 to 30013 are the controller's own",
+            );
         }
     }
     Some(ports)

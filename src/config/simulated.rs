@@ -6,9 +6,11 @@
 
 use crate::config::cell::{GripperConfig, ReferenceMarkerConfig};
 use crate::geometry::pose::Pose2;
+use crate::motion::kinematics::ArmModel;
 use crate::tabletop::instance::ObjectSpec;
 use crate::units::Joints;
 use nalgebra::Isometry3;
+use std::collections::BTreeMap;
 
 /// One simulated cell, as `celld sim` needs it.
 #[derive(Clone, Debug)]
@@ -37,8 +39,14 @@ pub struct SimFile {
     pub objects: Vec<ObjectSpec>,
     /// Markers fixed to the table.
     pub reference_markers: Vec<ReferenceMarkerConfig>,
+    /// Which arm.
+    pub model: ArmModel,
     /// Joint pose at power-on.
     pub start_pose: Joints,
+    /// Folder with the programs that the dashboard loads, relative to the file's own; absent: none.
+    pub program_folder: Option<String>,
+    /// The scripts in it by the program's name; whoever opens files fills them in.
+    pub programs: BTreeMap<String, String>,
     /// How far the truth is off.
     pub errors: SimErrors,
 }

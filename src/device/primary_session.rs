@@ -216,6 +216,7 @@ impl PrimarySession {
             | MessageBody::Error { .. }
             | MessageBody::SafetyMode { .. }
             | MessageBody::Version { .. }
+            | MessageBody::Popup { .. }
             | MessageBody::Other { .. } => return,
         };
         self.outbox.report(event);

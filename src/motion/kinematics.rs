@@ -26,12 +26,94 @@ pub struct DhParameters {
 
 impl DhParameters {
     /// Nominal UR5e (the vendor's published table).
-    pub const UR5E: DhParameters = DhParameters {
-        a: [0.0, -0.425, -0.3922, 0.0, 0.0, 0.0],
-        d: [0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996],
-        alpha: [FRAC_PI_2, 0.0, 0.0, FRAC_PI_2, -FRAC_PI_2, 0.0],
-        theta: [0.0; 6],
+    pub const UR5E: DhParameters = DhParameters::of([0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996]);
+
+    /// The six lengths (m) in which the vendor's arms differ: d1, a2, a3, d4, d5, d6.
+    const fn of([d1, a2, a3, d4, d5, d6]: [f64; 6]) -> DhParameters {
+        DhParameters {
+            a: [0.0, a2, a3, 0.0, 0.0, 0.0],
+            d: [d1, 0.0, 0.0, d4, d5, d6],
+            alpha: [FRAC_PI_2, 0.0, 0.0, FRAC_PI_2, -FRAC_PI_2, 0.0],
+            theta: [0.0; 6],
+        }
+    }
+}
+
+/// One of the vendor's arms.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmModel {
+    /// The vendor's name.
+    pub name: &'static str,
+    /// Nominal parameters.
+    pub dh: DhParameters,
+    /// Fastest speed of each joint, rad/s.
+    pub joint_speed: [f64; 6],
+}
+
+const SLOW: f64 = 120.0 / 180.0 * PI;
+const WRIST: f64 = 210.0 / 180.0 * PI;
+const LARGE: [f64; 6] = [SLOW, SLOW, PI, PI, PI, PI];
+const SMALL: [f64; 6] = [PI, PI, PI, TAU, TAU, TAU];
+const HEAVY: [f64; 6] = [SLOW, SLOW, 150.0 / 180.0 * PI, WRIST, WRIST, WRIST];
+
+/// The arms whose published figures two sources agree on: the vendor's article on DH parameters, and the
+/// vendor's public robot descriptions or the parameter tables of others. Speeds: the vendor's joint limits.
+pub const ARM_MODELS: &[ArmModel] = &[
+    ArmModel { name: "UR5e", dh: DhParameters::UR5E, joint_speed: [PI; 6] },
+    ArmModel {
+        name: "UR3e",
+        dh: DhParameters::of([0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921]),
+        joint_speed: SMALL,
+    },
+    ArmModel {
+        name: "UR10e",
+        dh: DhParameters::of([0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655]),
+        joint_speed: LARGE,
+    },
+    ArmModel {
+        name: "UR16e",
+        dh: DhParameters::of([0.1807, -0.4784, -0.36, 0.17415, 0.11985, 0.11655]),
+        joint_speed: LARGE,
+    },
+    ArmModel {
+        name: "UR20",
+        dh: DhParameters::of([0.2363, -0.862, -0.7287, 0.201, 0.1593, 0.1543]),
+        joint_speed: HEAVY,
+    },
+    ArmModel {
+        name: "UR30",
+        dh: DhParameters::of([0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543]),
+        joint_speed: HEAVY,
+    },
+    ArmModel {
+        name: "UR3",
+        dh: DhParameters::of([0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819]),
+        joint_speed: SMALL,
+    },
+    ArmModel {
+        name: "UR5",
+        dh: DhParameters::of([0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823]),
+        joint_speed: [PI; 6],
+    },
+    ArmModel {
+        name: "UR10",
+        dh: DhParameters::of([0.1273, -0.612, -0.5723, 0.163941, 0.1157, 0.0922]),
+        joint_speed: LARGE,
+    },
+];
+
+/// The nominal arm that calibrated parameters belong to. The offsets d2 and d3 along the parallel axes say
+/// nothing: a calibration trades them against each other.
+fn nominal_of(dh: &DhParameters) -> &'static DhParameters {
+    let distance = |other: &DhParameters| {
+        let a = (0..6).map(|i| (dh.a[i] - other.a[i]).abs()).sum::<f64>();
+        a + [0, 4, 5].map(|i: usize| (dh.d[i] - other.d[i]).abs()).iter().sum::<f64>()
     };
+    ARM_MODELS
+        .iter()
+        .map(|model| &model.dh)
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        .unwrap_or(&DhParameters::UR5E)
 }
 
 /// Newton stops when the pose error (m and rad together) is below this; the controller's own
@@ -84,7 +166,7 @@ pub fn jacobian(dh: &DhParameters, q: &Joints) -> Matrix6<f64> {
 /// At a wrist singularity (joint 5 at 0 or pi) joint 6 is free and taken as 0.
 pub fn inverse(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<Joints> {
     let mut solutions: Vec<Joints> = Vec::with_capacity(8);
-    for start in inverse_nominal(&DhParameters::UR5E, base_from_flange) {
+    for start in inverse_nominal(nominal_of(dh), base_from_flange) {
         if let Some(joints) = refine(dh, base_from_flange, start) {
             let wrapped = Joints(joints.0.map(wrap));
             if solutions.iter().all(|known| known.max_difference(&wrapped) > 1e-6) {
@@ -235,6 +317,46 @@ mod tests {
             [0.3, -1.2, 1.7, -2.0, -1.4, 0.6],
             [-0.519919, -0.318082, 0.265628, 2.385285, 1.747807, 0.015563],
         );
+    }
+
+    /// The exact figures of the published table: sums of the DH lengths where the axes are at right angles.
+    #[test]
+    fn forward_is_exact_to_a_micrometre() {
+        let dh = DhParameters::UR5E;
+        let check = |q: [f64; 6], expected: [f64; 3]| {
+            let found = forward(&dh, &Joints(q)).translation.vector;
+            assert!((found - Vector3::from(expected)).norm() < 1e-9, "{q:?}: {found}");
+        };
+        check([0.0; 6], [-0.8172, -(0.1333 + 0.0996), 0.1625 - 0.0997]);
+        check([0.0, -FRAC_PI_2, 0.0, -FRAC_PI_2, 0.0, 0.0], [0.0, -0.2329, 0.1625 + 0.425 + 0.3922 + 0.0997]);
+        check(
+            [0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0],
+            [-(0.3922 + 0.0997), -0.1333, 0.1625 + 0.425 - 0.0996],
+        );
+        let [x, y, z, ..] = ur_pose_from_isometry(&forward(&dh, &Joints([0.3, -1.2, 1.7, -2.0, -1.4, 0.6])));
+        let wrong = [x + 0.519919, y + 0.318082, z - 0.265628].iter().any(|error| error.abs() > 1e-6);
+        assert!(!wrong, "{x} {y} {z}");
+    }
+
+    #[test]
+    fn every_model_finds_its_way_back_with_its_calibration() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(11);
+        for model in ARM_MODELS {
+            let mut dh = model.dh;
+            for i in 0..6 {
+                dh.a[i] += rng.random_range(-5e-4..5e-4);
+                dh.d[i] += rng.random_range(-5e-4..5e-4);
+            }
+            (dh.d[1], dh.d[2]) = (dh.d[1] + 0.7, dh.d[2] - 0.7);
+            for q in [[0.3, -1.2, 1.7, -2.0, -1.4, 0.6], [-1.0, -1.9, -1.3, 0.5, 1.1, 2.0]] {
+                let found = inverse(&dh, &forward(&dh, &Joints(q)));
+                assert!(
+                    found.iter().any(|s| s.max_difference(&Joints(q)) < 1e-7),
+                    "{}: {found:?}",
+                    model.name
+                );
+            }
+        }
     }
 
     #[test]

@@ -17,6 +17,7 @@ use crate::sim::faults::{FaultError, Planned};
 use crate::sim::gripper_server;
 use crate::sim::motion::FRAME_SECONDS;
 use crate::sim::robot_server::{self, ListenError, RobotAddresses, RobotPorts, RobotServers, RobotShared};
+use crate::sim::world::event::Contact;
 use crate::sim::world::spec::{WorldError, WorldSpec};
 use crate::sim::world::{SharedWorld, World, lock};
 use std::net::{IpAddr, SocketAddr};
@@ -159,7 +160,7 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
     let mut tasks = JoinSet::new();
     let link = |name| robot.links.get(name).clone();
     let gripper = gripper_server::serve(modbus.0, world.clone(), link(LinkName::Gripper), until(&stopped));
-    tasks.spawn(async move { report("gripper server", gripper.await) });
+    tasks.spawn(gripper);
     let seen = link(LinkName::Camera);
     let pictures = camera_server::serve(camera.0, config.camera, world.clone(), seen, until(&stopped));
     tasks.spawn(async move { report("camera server", pictures.await) });
@@ -271,18 +272,21 @@ impl Drop for RunningSim {
 struct Schedule {
     period: Duration,
     due: Instant,
+    /// When the frame that is being made was due before it was pushed back.
+    intended: Instant,
 }
 
 impl Schedule {
     fn new(factor: f64, now: Instant) -> Schedule {
         let period = Duration::from_secs_f64(FRAME_SECONDS / factor);
-        Schedule { period, due: now + period }
+        Schedule { period, due: now + period, intended: now }
     }
 
     /// Time to sleep until the frame that is due at `now`; a frame that is late by more than is tolerated
     /// moves all later ones.
     fn wait(&mut self, now: Instant) -> Duration {
         let wait = self.due.saturating_duration_since(now);
+        self.intended = self.due;
         if now > self.due + TOLERATED_LATENESS.max(self.period) {
             self.due = now;
         }
@@ -309,7 +313,7 @@ fn run_frames(
             held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
         }
         wait_for_follower(pace, held_us, stopped);
-        robot.frame();
+        robot.frame(Some(schedule.intended));
         step_world(robot, world);
         desk.frame();
         frames += 1;
@@ -360,19 +364,23 @@ fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
     start.elapsed()
 }
 
-/// The world follows the arm; where the arm presses on it, the arm's safety system stops it.
+/// The world follows the arm, which feels what it touches; where it presses too hard, its safety system stops it.
 fn step_world(robot: &RobotShared, world: &SharedWorld) {
     let (now, base_from_flange, moving) = {
         let controller = robot.controller();
         (controller.core.timestamp(), controller.core.base_from_flange(), !controller.core.mover.stands())
     };
-    let pressed = {
+    let (force, pressed) = {
         let mut world = lock(world);
         let before = world.contact().map_or(0.0, |contact| contact.depth_m);
         world.step(now, FRAME_SECONDS, &base_from_flange);
         // Only what gets deeper: after the stop the arm must be able to retreat.
-        world.contact().filter(|contact| moving && contact.depth_m > STOP_DEPTH_M.max(before)).cloned()
+        let too_deep = |contact: &&Contact| moving && contact.depth_m > STOP_DEPTH_M.max(before);
+        let force = world.base_from_table().rotation * world.contact_force();
+        (force, world.contact().filter(too_deep).cloned())
     };
+    let wrench = [force.x, force.y, force.z, 0.0, 0.0, 0.0];
+    robot.controller().core.sensing.set_contact_wrench(wrench);
     if let Some(contact) = pressed {
         let reason = format!("{} presses on {}", contact.moving, contact.against);
         robot.controller().protective_stop(&reason);

@@ -1,22 +1,22 @@
 //! The gripper's Modbus TCP server: the registers of a vacuum gripper behind its compute box.
 //!
-//! In: requests of unit 65: read holding registers (0x03), write one (0x06) or several (0x10). Out: register values, or
-//! the exceptions the protocol has for what the device does not offer. Registers: 0 and 1 control of channels A and B
-//! (high byte 0 release, 1 grip, 2 idle; low byte target in per cent, more than 80 is taken as 80), 2 current limit in
-//! mA (up to 1000), 258 and 259 relative vacuum in per mille, read only. A lost connection leaves the last command
-//! active, as on the device. Source: reference drivers of the device; the answer to other units (exception
-//! 0x0B) is our choice.
+//! In: requests of unit 65: read holding registers (0x03), write one (0x06) or several (0x10), from several masters.
+//! Out: register values, or the exceptions the protocol has for what the device does not offer. Registers: 0 and 1
+//! control of channels A and B (high byte 0 release, 1 grip, 2 idle; low byte target in per cent, more than 80 is taken
+//! as 80), 2 current limit in mA (up to 1000), 258 and 259 relative vacuum in per mille, read only. A lost connection
+//! leaves the last command active, as on the device. Source: reference drivers of the device; the answer to other
+//! units (exception 0x0B) is our choice.
 
-use crate::sim::faults::link::{Link, LinkStream};
+use crate::sim::faults::link::{Link, LinkState, LinkStream};
 use crate::sim::world::vacuum::{Channel, HIGHEST_TARGET, VacuumMode};
 use crate::sim::world::{SharedWorld, World, lock};
-use std::future::{Future, Ready, ready};
-use std::net::SocketAddr;
+use crate::wire::bytes::WireError;
+use crate::wire::modbus::{Adu, Exception, Function, Splitter, register_bytes};
+use std::future::Future;
 use std::sync::Arc;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
-use tokio_modbus::prelude::{ExceptionCode, Request, Response, SlaveRequest};
-use tokio_modbus::server::Service;
-use tokio_modbus::server::tcp::Server;
+use tokio::task::JoinSet;
 
 /// The unit number the device answers to.
 pub const UNIT: u8 = 65;
@@ -28,113 +28,123 @@ pub const CURRENT_LIMIT_REGISTER: u16 = 2;
 pub const VACUUM_REGISTER: u16 = 258;
 /// Highest current limit, mA.
 const HIGHEST_CURRENT_MA: u16 = 1000;
-/// Most registers in one request, by the protocol.
-const MOST_REGISTERS: u16 = 125;
+/// Masters at once; further ones are closed.
+const MAX_CONNECTIONS: usize = 32;
+/// Wait after a connection could not be accepted, which for want of file handles passes.
+const ACCEPT_AGAIN: std::time::Duration = std::time::Duration::from_millis(10);
 
-struct Registers {
-    world: SharedWorld,
-    link: Arc<Link>,
-}
-
-/// Serves clients until `stop` resolves.
-///
-/// # Errors
-/// The listener failed.
+/// Serves masters until `stop` resolves.
 pub async fn serve(
     listener: TcpListener,
     world: SharedWorld,
     link: Arc<Link>,
     stop: impl Future<Output = ()> + Send + Sync + 'static,
-) -> std::io::Result<()> {
-    let on_connected = |stream: TcpStream, _: SocketAddr| {
-        let (world, link) = (world.clone(), link.clone());
-        async move {
-            stream.set_nodelay(true)?;
-            let stream = LinkStream::new(stream, &link);
-            Ok(Some((Registers { world, link }, stream)))
+) {
+    let mut connections = JoinSet::new();
+    tokio::pin!(stop);
+    loop {
+        tokio::select! {
+            () = &mut stop => break,
+            accepted = listener.accept() => match accepted {
+                Ok((stream, _)) => {
+                    while connections.try_join_next().is_some() {}
+                    if connections.len() < MAX_CONNECTIONS && stream.set_nodelay(true).is_ok() {
+                        connections.spawn(connection(stream, world.clone(), link.clone()));
+                    }
+                }
+                Err(_) => tokio::time::sleep(ACCEPT_AGAIN).await,
+            },
         }
-    };
-    let on_error = |error: std::io::Error| tracing::debug!(%error, "gripper client dropped");
-    Server::new(listener).serve_until(&on_connected, on_error, stop).await?;
-    Ok(())
+    }
+    connections.shutdown().await;
 }
 
-impl Service for Registers {
-    type Request = SlaveRequest<'static>;
-    type Response = Response;
-    type Exception = ExceptionCode;
-    type Future = Ready<Result<Response, ExceptionCode>>;
-
-    fn call(&self, request: SlaveRequest<'static>) -> Self::Future {
-        if let Some(exception) = self.link.state().exception.and_then(exception) {
-            return ready(Err(exception));
+async fn connection(stream: TcpStream, world: SharedWorld, link: Arc<Link>) {
+    let mut stream = LinkStream::new(stream, &link);
+    let mut session = Session::default();
+    let mut buffer = vec![0; 4096];
+    while let Ok(count @ 1..) = stream.read(&mut buffer).await {
+        let heard = session.receive(&mut lock(&world), &link.state(), &buffer[..count]);
+        let Ok(answers) = heard else { return };
+        if stream.write_all(&answers).await.is_err() {
+            return;
         }
-        if request.slave != UNIT {
-            return ready(Err(ExceptionCode::GatewayTargetDevice));
-        }
-        ready(answer(&mut lock(&self.world), &request.request))
     }
 }
 
-/// The exception a fault asks for.
-fn exception(code: u8) -> Option<ExceptionCode> {
-    Some(match code {
-        1 => ExceptionCode::IllegalFunction,
-        2 => ExceptionCode::IllegalDataAddress,
-        3 => ExceptionCode::IllegalDataValue,
-        4 => ExceptionCode::ServerDeviceFailure,
-        6 => ExceptionCode::ServerDeviceBusy,
-        _ => return None,
-    })
+/// One master's connection, without its socket.
+#[derive(Default)]
+pub struct Session {
+    splitter: Splitter,
 }
 
-fn answer(world: &mut World, request: &Request) -> Result<Response, ExceptionCode> {
-    match request {
-        Request::ReadHoldingRegisters(address, count) => {
-            read(world, *address, *count).map(Response::ReadHoldingRegisters)
+impl Session {
+    /// Carries out what arrived; the answers.
+    ///
+    /// # Errors
+    /// The bytes are no Modbus TCP; the connection ends.
+    pub fn receive(
+        &mut self,
+        world: &mut World,
+        faults: &LinkState,
+        bytes: &[u8],
+    ) -> Result<Vec<u8>, WireError> {
+        self.splitter.push(bytes);
+        let mut answers = Vec::new();
+        while let Some(mut request) = self.splitter.next_adu()? {
+            let data = match faults.exception.and_then(Exception::from_code) {
+                Some(exception) => Err(exception),
+                None => answer(world, &request),
+            };
+            if faults.wrong_transaction {
+                request.transaction = request.transaction.wrapping_add(1);
+            }
+            answers.extend(request.answer(data));
         }
-        Request::WriteSingleRegister(address, value) => {
-            write(world, *address, &[*value])?;
-            Ok(Response::WriteSingleRegister(*address, *value))
-        }
-        Request::WriteMultipleRegisters(address, values) => {
-            write(world, *address, values)?;
-            let count = u16::try_from(values.len()).map_err(|_| ExceptionCode::IllegalDataValue)?;
-            Ok(Response::WriteMultipleRegisters(*address, count))
-        }
-        _ => Err(ExceptionCode::IllegalFunction),
+        Ok(answers)
     }
 }
 
-fn addresses(first: u16, count: usize) -> Result<impl Iterator<Item = u16>, ExceptionCode> {
-    if count == 0 || count > usize::from(MOST_REGISTERS) {
-        return Err(ExceptionCode::IllegalDataValue);
+fn answer(world: &mut World, request: &Adu) -> Result<Vec<u8>, Exception> {
+    if request.unit != UNIT {
+        return Err(Exception::NoTarget);
     }
-    let last = first.checked_add(count as u16 - 1).ok_or(ExceptionCode::IllegalDataAddress)?;
+    let function = request.function()?;
+    match &function {
+        Function::Read { first, count } => return Ok(register_bytes(&read(world, *first, *count)?)),
+        Function::WriteOne { first, value } => write(world, *first, &[*value])?,
+        Function::WriteMany { first, values } => write(world, *first, values)?,
+    }
+    Ok(function.echo())
+}
+
+fn addresses(first: u16, count: usize) -> Result<impl Iterator<Item = u16>, Exception> {
+    let last = u16::try_from(count.saturating_sub(1)).ok().and_then(|more| first.checked_add(more));
+    let last = last.ok_or(Exception::IllegalAddress)?;
     Ok(first..=last)
 }
 
-fn read(world: &World, first: u16, count: u16) -> Result<Vec<u16>, ExceptionCode> {
+fn read(world: &World, first: u16, count: u16) -> Result<Vec<u16>, Exception> {
     addresses(first, usize::from(count))?
         .map(|address| match address {
             CURRENT_LIMIT_REGISTER => Ok(world.current_limit_ma()),
             _ => match (control_channel(address), vacuum_channel(address)) {
                 (Some(channel), _) => Ok(control_word(world, channel)),
                 (_, Some(channel)) => Ok(world.vacuum_reading_per_mille(channel)),
-                (None, None) => Err(ExceptionCode::IllegalDataAddress),
+                (None, None) => Err(Exception::IllegalAddress),
             },
         })
         .collect()
 }
 
 /// Writes all or nothing: every value is checked before the first takes effect.
-fn write(world: &mut World, first: u16, values: &[u16]) -> Result<(), ExceptionCode> {
+fn write(world: &mut World, first: u16, values: &[u16]) -> Result<(), Exception> {
     for (address, value) in addresses(first, values.len())?.zip(values) {
         match (address, control_channel(address)) {
             (_, Some(_)) => drop(mode_of(*value)?),
             (CURRENT_LIMIT_REGISTER, None) if *value <= HIGHEST_CURRENT_MA => {}
-            (CURRENT_LIMIT_REGISTER, None) => return Err(ExceptionCode::IllegalDataValue),
-            _ => return Err(ExceptionCode::IllegalDataAddress),
+            (CURRENT_LIMIT_REGISTER, None) => return Err(Exception::IllegalValue),
+            _ => return Err(Exception::IllegalAddress),
         }
     }
     for (address, value) in addresses(first, values.len())?.zip(values) {
@@ -149,12 +159,12 @@ fn write(world: &mut World, first: u16, values: &[u16]) -> Result<(), ExceptionC
     Ok(())
 }
 
-fn mode_of(word: u16) -> Result<VacuumMode, ExceptionCode> {
+fn mode_of(word: u16) -> Result<VacuumMode, Exception> {
     match word >> 8 {
         0 => Ok(VacuumMode::Release),
         1 => Ok(VacuumMode::Grip),
         2 => Ok(VacuumMode::Idle),
-        _ => Err(ExceptionCode::IllegalDataValue),
+        _ => Err(Exception::IllegalValue),
     }
 }
 
@@ -181,10 +191,10 @@ mod tests {
     use super::*;
     use crate::sim::world::empty_world;
     use nalgebra::Isometry3;
+    use std::net::SocketAddr;
     use std::sync::Mutex;
-    use tokio::io::{AsyncReadExt, AsyncWriteExt};
     use tokio_modbus::client::{Context, Reader, Writer, tcp};
-    use tokio_modbus::prelude::Slave;
+    use tokio_modbus::prelude::{ExceptionCode, Slave};
 
     async fn started() -> (SocketAddr, SharedWorld) {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();

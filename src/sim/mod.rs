@@ -18,4 +18,6 @@ pub mod render;
 
 pub mod robot_server;
 
+pub mod script_sockets;
+
 pub mod world;

@@ -1,4 +1,4 @@
-//! Robot messages (package type 20): version, text, key events, error codes, runtime exceptions, safety.
+//! Robot messages (package type 20): version, text, popups, key events, error codes, runtime exceptions, safety.
 //!
 //! In: the payload behind the package header. Out: a [`Message`], and bytes again. Source: the vendor's
 //! client-interface guide (reference on UR interfaces, 3.4).
@@ -31,6 +31,23 @@ pub struct Message {
 pub enum MessageBody {
     /// Type 0: `textmsg` of a program.
     Text(String),
+    /// Type 2: a popup on the pendant.
+    Popup {
+        /// Number of the request; answers name it.
+        request: u32,
+        /// Type of the value asked for; 8 is none.
+        value_type: u32,
+        /// Shown as a warning.
+        warning: bool,
+        /// Shown as an error.
+        error: bool,
+        /// The program waits until it is closed.
+        blocking: bool,
+        /// Title.
+        title: String,
+        /// Text.
+        text: String,
+    },
     /// Type 3: the first thing on every connection.
     Version {
         /// `URControl`.
@@ -94,7 +111,7 @@ pub enum MessageBody {
         /// What went wrong.
         text: String,
     },
-    /// Types nobody here needs to read (labels, popups, requests for values).
+    /// Types nobody here needs to read (labels, requests for values).
     Other {
         /// Type byte.
         kind: u8,
@@ -110,6 +127,10 @@ impl Message {
         out.u64(self.timestamp).i8(self.source);
         match &self.body {
             MessageBody::Text(text) => out.u8(0).bytes(text.as_bytes()),
+            MessageBody::Popup { request, value_type, warning, error, blocking, title, text } => {
+                out.u8(2).u32(*request).u32(*value_type).bool(*warning).bool(*error).bool(*blocking);
+                out.short_text(title).bytes(text.as_bytes())
+            }
             MessageBody::Version { project, major, minor, bugfix, build, date } => {
                 out.u8(3).short_text(project).u8(*major).u8(*minor);
                 out.i32(*bugfix).i32(*build).bytes(date.as_bytes())
@@ -146,6 +167,15 @@ impl MessageBody {
     fn decode(kind: u8, reader: &mut Reader) -> Result<MessageBody, WireError> {
         Ok(match kind {
             0 => MessageBody::Text(reader.rest_text()),
+            2 => MessageBody::Popup {
+                request: reader.u32("request id")?,
+                value_type: reader.u32("requested type")?,
+                warning: reader.bool("warning")?,
+                error: reader.bool("error")?,
+                blocking: reader.bool("blocking")?,
+                title: reader.short_text("popup title")?,
+                text: reader.rest_text(),
+            },
             3 => MessageBody::Version {
                 project: reader.short_text("project name")?,
                 major: reader.u8("major version")?,
@@ -225,6 +255,16 @@ mod tests {
             text: String::new(),
         };
         check(error, "06000000d200000000000000020000000000000000");
+        let popup = MessageBody::Popup {
+            request: 1,
+            value_type: 8,
+            warning: false,
+            error: true,
+            blocking: false,
+            title: "T".into(),
+            text: "p".into(),
+        };
+        check(popup, "020000000100000008000100015470");
         let key = MessageBody::Key { code: 0, argument: 0, title: "T".into(), text: "p".into() };
         check(key, "070000000000000000015470");
         let exception = MessageBody::RuntimeException { line: 3, column: 5, text: "x".into() };

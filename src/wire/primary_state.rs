@@ -1,4 +1,4 @@
-//! Robot state (package type 16): sub-packages 0 to 6.
+//! Robot state (package type 16): its sub-packages.
 //!
 //! In: the payload behind the package header. Out: [`SubPackage`]s, and bytes again. Unknown sub-packages
 //! are kept as bytes; bytes behind the fields known here are skipped, as newer controllers append fields.
@@ -6,6 +6,7 @@
 //! client-interface guide (reference on UR interfaces, 3.3).
 
 use crate::wire::bytes::{Reader, WireError, Writer};
+use crate::wire::primary_tool::{AdditionalData, ForceModeData, ToolCommunicationData, ToolModeData};
 
 const HEADER: usize = 5;
 
@@ -26,7 +27,15 @@ pub enum SubPackage {
     Kinematics(KinematicsData),
     /// Type 6.
     Configuration(ConfigurationData),
-    /// Any other type.
+    /// Type 7.
+    ForceMode(ForceModeData),
+    /// Type 8.
+    Additional(AdditionalData),
+    /// Type 11.
+    ToolCommunication(ToolCommunicationData),
+    /// Type 12.
+    ToolMode(ToolModeData),
+    /// Any other type; 9 (calibration) and 10 (safety) are the vendor's own and published without a layout.
     Other {
         /// Type byte.
         kind: u8,
@@ -225,6 +234,10 @@ impl SubPackage {
             SubPackage::Cartesian(_) => 4,
             SubPackage::Kinematics(_) => 5,
             SubPackage::Configuration(_) => 6,
+            SubPackage::ForceMode(_) => 7,
+            SubPackage::Additional(_) => 8,
+            SubPackage::ToolCommunication(_) => 11,
+            SubPackage::ToolMode(_) => 12,
             SubPackage::Other { kind, .. } => *kind,
         }
     }
@@ -242,6 +255,10 @@ impl SubPackage {
             }
             SubPackage::Kinematics(data) => encode_kinematics(data, &mut body),
             SubPackage::Configuration(data) => encode_configuration(data, &mut body),
+            SubPackage::ForceMode(data) => data.encode(&mut body),
+            SubPackage::Additional(data) => data.encode(&mut body),
+            SubPackage::ToolCommunication(data) => data.encode(&mut body),
+            SubPackage::ToolMode(data) => data.encode(&mut body),
             SubPackage::Other { payload, .. } => {
                 body.bytes(payload);
             }
@@ -287,6 +304,10 @@ impl SubPackage {
             }),
             5 => SubPackage::Kinematics(decode_kinematics(&mut reader)?),
             6 => SubPackage::Configuration(decode_configuration(&mut reader)?),
+            7 => SubPackage::ForceMode(ForceModeData::decode(&mut reader)?),
+            8 => SubPackage::Additional(AdditionalData::decode(&mut reader)?),
+            11 => SubPackage::ToolCommunication(ToolCommunicationData::decode(&mut reader)?),
+            12 => SubPackage::ToolMode(ToolModeData::decode(&mut reader)?),
             kind => SubPackage::Other { kind, payload: body.to_vec() },
         })
     }

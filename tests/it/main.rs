@@ -10,3 +10,4 @@ mod program_protocol;
 mod public_bounds;
 mod render;
 mod robot_session;
+mod third_party;

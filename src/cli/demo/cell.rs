@@ -16,10 +16,11 @@ use crate::config::read_sim::DEFAULT_ERRORS;
 use crate::config::simulated::{SimFile, SimPorts};
 use crate::daemon::setup::arm_model;
 use crate::jobs::policy::{Approval, JobObjective};
-use crate::motion::kinematics::DhParameters;
+use crate::motion::kinematics::{ARM_MODELS, DhParameters};
 use crate::tabletop::instance::Instance;
 use crate::units::Joints;
 use nalgebra::Isometry3;
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::net::IpAddr;
 use std::path::Path;
@@ -160,7 +161,10 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         gripper: config.gripper.clone(),
         objects: instance.objects.clone(),
         reference_markers: config.reference_markers.clone(),
+        model: ARM_MODELS[0],
         start_pose: config.park_pose,
+        program_folder: None,
+        programs: BTreeMap::new(),
         errors: DEFAULT_ERRORS,
     })
 }

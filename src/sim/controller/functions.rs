@@ -1,19 +1,20 @@
 //! What the controller's built-ins do: dispatch, state and kinematics, tool, messages, watchdogs (motion and
-//! input/output are in their own files).
+//! input/output, sockets and forces are in their own files).
 //!
-//! In: calls from running programs. Out: values, waits, or the message of a runtime exception. Forces and
-//! torques are zero: nothing presses on the simulated arm.
+//! In: calls from running programs. Out: values, waits, or the message of a runtime exception.
 
 use crate::geometry::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use crate::motion::kinematics::{forward, inverse_near};
 use crate::sim::controller::registers::Input;
 use crate::sim::controller::{Core, DEFAULT_STOP, FRAMES_PER_SECOND};
-use crate::sim::controller::{builtins, io_functions, motion_functions};
+use crate::sim::controller::{
+    force_functions, io_functions, motion_functions, setting_functions, socket_functions,
+};
 use crate::units::Joints;
 use crate::urscript::host::{Call, Host, Reply};
 use crate::urscript::value::{ThreadId, Value};
 use crate::wire::primary_message::MessageBody;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 
 /// Frames the arm must have stood still to count as steady (0.5 s).
 const STEADY_FRAMES: u64 = 250;
@@ -42,7 +43,15 @@ impl Host for Core {
         if let Some(reply) = motion_functions::call(self, &mut call) {
             return reply;
         }
+        if let Some(reply) = socket_functions::call(self, &mut call) {
+            return reply;
+        }
+        if call.name == "popup" {
+            return popup(self, &call);
+        }
         let value = io_functions::call(self, &call)
+            .or_else(|| force_functions::call(self, &call))
+            .or_else(|| setting_functions::call(self, &call))
             .or_else(|| kinematics(self, &call))
             .or_else(|| tool(self, &call))
             .or_else(|| state(self, &call))
@@ -54,7 +63,7 @@ impl Host for Core {
     }
 
     fn abandoned(&mut self, thread: ThreadId, name: &'static str) {
-        if matches!(name, "movej" | "movel" | "movep" | "servoj" | "speedj" | "speedl") {
+        if motion_functions::MOVES.contains(&name) {
             self.orphaned = true;
         }
         if self.owner.is_some_and(|(owner, _)| owner == thread) {
@@ -171,6 +180,7 @@ fn tool(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         "set_gravity" => finite(call, 0).map(|gravity| core.payload.gravity = gravity),
         "get_tcp_offset" => return Some(Ok(Value::Pose(core.tcp_offset))),
         "get_target_payload" => return Some(Ok(Value::Float(core.payload.mass))),
+        "get_gravity" => return Some(Ok(Value::numbers(core.payload.gravity))),
         "get_target_payload_cog" => return Some(Ok(Value::numbers(core.payload.centre))),
         "get_target_payload_inertia" => return Some(Ok(list(core.payload.inertia))),
         _ => return None,
@@ -201,24 +211,23 @@ fn state(core: &Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         }
         "get_actual_joint_speeds" | "get_target_joint_speeds" => list(mover.qd()),
         "get_target_joint_accelerations" => list(mover.qdd()),
-        "get_actual_tcp_pose" | "get_target_tcp_pose" => Value::Pose(core.tcp_pose()),
-        "get_actual_tcp_speed" | "get_target_tcp_speed" => Value::numbers(mover.tcp_speed().iter().copied()),
+        "get_actual_tcp_pose" | "get_target_tcp_pose" | "get_target_tcp_pose_along_path" => {
+            Value::Pose(core.tcp_pose())
+        }
+        "get_actual_tcp_speed" | "get_target_tcp_speed" | "get_target_tcp_speed_along_path" => {
+            Value::numbers(mover.tcp_speed().iter().copied())
+        }
         "get_actual_tool_flange_pose" => Value::Pose(ur_pose_from_isometry(&core.base_from_flange())),
         "is_steady" => Value::Bool(mover.still_frames() >= STEADY_FRAMES),
         "get_steptime" => Value::Float(1.0 / FRAMES_PER_SECOND as f64),
-        "get_joint_torques" | "get_tcp_force" => list([0.0; 6]),
-        "force" => Value::Float(0.0),
         "get_joint_temp" => Value::Float(35.0),
         "get_controller_temp" => Value::Float(40.0),
-        "tool_contact" => Value::Int(0),
-        "zero_ftsensor"
-        | "force_mode_set_damping"
-        | "force_mode_set_gain_scaling"
-        | "end_force_mode"
-        | "end_freedrive_mode"
-        | "end_teach_mode"
-        | "ft_rtde_input_enable"
-        | "enable_external_ft_sensor" => Value::Nothing,
+        "get_tool_accelerometer_reading" => {
+            let up = core.base_from_flange().rotation.inverse() * Vector3::from(core.payload.gravity);
+            Value::numbers(up.iter().copied())
+        }
+        "get_tool_current" => Value::Float(0.0),
+        "get_target_waypoint" => Value::Pose(core.target_waypoint()),
         _ => return None,
     }))
 }
@@ -229,8 +238,6 @@ fn messages(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             let second = call.argument(1).map(Value::to_string).unwrap_or_default();
             core.message(MessageBody::Text(format!("{first}{second}")));
         }),
-        // A blocking popup would wait for an operator; there is none, so it is shown and passed.
-        "popup" => call.required(0).map(|text| core.popup = Some(text.to_string())),
         "protective_stop" => {
             core.stop_asked = Some("protective stop by the program".to_owned());
             Ok(())
@@ -267,7 +274,14 @@ fn set_watchdog(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     Ok(())
 }
 
-/// A built-in that the compiler lets pass and that is not carried out.
-pub fn is_known_only(name: &str) -> bool {
-    builtins::KNOWN.iter().any(|builtin| builtin.name == name)
+/// Shows a text on the pendant; a blocking one waits until somebody has closed it.
+fn popup(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
+    let text = call.required(0)?.to_string();
+    let blocking = call.argument(4).map_or(Ok(false), Value::truth)?;
+    if call.frames == 0 {
+        core.popup = Some(text);
+    } else if core.popup.as_ref() != Some(&text) {
+        return Ok(Reply::Value(Value::Nothing));
+    }
+    Ok(if blocking { Reply::Wait } else { Reply::Value(Value::Nothing) })
 }

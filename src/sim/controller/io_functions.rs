@@ -52,7 +52,8 @@ fn within(call: &Call<'_>, number: usize, length: usize) -> Result<usize, String
 type Number<'a> = &'a dyn Fn(usize) -> Result<usize, String>;
 
 fn digital(core: &mut Core, call: &Call<'_>, of: Number<'_>) -> Option<Result<Value, String>> {
-    let (first, count) = match call.name.split_once("digital").map(|(head, _)| head) {
+    let head = call.name.strip_suffix("_out").or_else(|| call.name.strip_suffix("_in"));
+    let (first, count) = match head.and_then(|head| head.strip_suffix("digital")) {
         Some("set_" | "get_") => (0, 10),
         Some("set_standard_" | "get_standard_") => (0, 8),
         Some("set_configurable_" | "get_configurable_") => (8, 8),
@@ -84,8 +85,15 @@ fn analog(core: &mut Core, call: &Call<'_>, of: Number<'_>) -> Option<Result<Val
             registers.analog_outputs[n] = ratio;
             Ok(Value::Nothing)
         }),
-        "get_standard_analog_out" => of(2).map(|n| Value::Float(registers.analog_outputs[n])),
-        "get_standard_analog_in" => of(2).map(|_| Value::Float(0.0)),
+        "get_analog_out" | "get_standard_analog_out" => {
+            of(2).map(|n| Value::Float(registers.analog_outputs[n]))
+        }
+        "set_analog_outputdomain" => of(2).and_then(|n| {
+            registers.analog_output_voltage[n] = call.required(1)?.integer()? != 0;
+            Ok(Value::Nothing)
+        }),
+        "get_analog_in" => of(4).map(|_| Value::Float(0.0)),
+        "get_standard_analog_in" | "get_tool_analog_in" => of(2).map(|_| Value::Float(0.0)),
         _ => return None,
     })
 }

@@ -8,6 +8,8 @@
 
 pub mod builtins;
 
+pub mod force_functions;
+
 pub mod functions;
 
 pub mod io_functions;
@@ -18,6 +20,8 @@ pub mod motion_functions;
 
 pub mod outputs;
 
+pub mod pendant;
+
 pub mod programs;
 
 pub mod realtime;
@@ -26,11 +30,26 @@ pub mod registers;
 
 pub mod robot_state;
 
+pub mod sensing;
+
+pub mod setting_functions;
+
+pub mod settings;
+
+pub mod socket_functions;
+
+pub mod sockets;
+
 use crate::geometry::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
-use crate::motion::kinematics::{DhParameters, forward};
+use crate::motion::kinematics::{ARM_MODELS, ArmModel, DhParameters, forward};
+use crate::sim::controller::force_functions::{Compliance, ForceSettings};
 use crate::sim::controller::modes::Modes;
+use crate::sim::controller::pendant::Pendant;
 use crate::sim::controller::programs::Programs;
 use crate::sim::controller::registers::Registers;
+use crate::sim::controller::sensing::Sensing;
+use crate::sim::controller::settings::Settings;
+use crate::sim::controller::sockets::{NoNetwork, ScriptSockets};
 use crate::sim::motion::mover::{HARD_RAMP_SECONDS, MoveId, Mover, SOFT_RAMP_SECONDS};
 use crate::sim::motion::{Arm, FRAME_SECONDS, MotionFault};
 use crate::units::Joints;
@@ -39,7 +58,7 @@ use crate::wire::primary_message::MessageBody;
 use nalgebra::Isometry3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::f64::consts::TAU;
 
 /// Frames per second of simulated time.
@@ -62,6 +81,8 @@ const DEFAULT_STOP: f64 = 4.0;
 /// What kind of controller is simulated.
 #[derive(Clone, Debug)]
 pub struct ControllerConfig {
+    /// Which arm.
+    pub arm: ArmModel,
     /// Calibrated kinematics of this arm.
     pub dh: DhParameters,
     /// Where the arm stands at first.
@@ -82,33 +103,42 @@ pub struct ControllerConfig {
     pub payload: f64,
     /// Seed of `random()`.
     pub seed: u64,
+    /// Programs that `load` finds: name of the `.urp` file without its ending, and its script.
+    pub programs: BTreeMap<String, String>,
 }
 
 impl ControllerConfig {
-    /// A UR5e with software 5.21, calibrated by `seed`, powered off, in remote control, arm in a work pose.
+    /// A UR5e with software 5.26, calibrated by `seed`, powered off, in remote control, arm in a work pose.
     pub fn ur5e(seed: u64) -> ControllerConfig {
+        ControllerConfig::of(&ARM_MODELS[0], seed)
+    }
+
+    /// The same with another arm.
+    pub fn of(arm: &ArmModel, seed: u64) -> ControllerConfig {
         ControllerConfig {
-            dh: calibrated_ur5e(seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD),
+            arm: *arm,
+            dh: calibrated(&arm.dh, seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD),
             start: Joints([0.0, -1.57, 1.57, -1.57, -1.57, 0.0]),
             serial_number: "20235500001".to_owned(),
-            model: "UR5".to_owned(),
-            version: [5, 21, 0, 1_234_567],
+            model: arm.name.trim_end_matches('e').to_owned(),
+            version: [5, 26, 0, 1_234_567],
             running: false,
             remote: true,
             tcp: [0.0; 6],
             payload: 0.0,
             seed,
+            programs: BTreeMap::new(),
         }
     }
 }
 
-/// UR5e parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each length and
-/// `std_rad` (rad) of each angle.
-pub fn calibrated_ur5e(seed: u64, std_m: f64, std_rad: f64) -> DhParameters {
+/// Nominal parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each length
+/// and `std_rad` (rad) of each angle.
+pub fn calibrated(nominal: &DhParameters, seed: u64, std_m: f64, std_rad: f64) -> DhParameters {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5572_3565);
     // The sum of twelve uniform numbers is normal enough and needs no further crate.
     let mut normal = |std: f64| (0..12).map(|_| rng.random::<f64>() - 0.5).sum::<f64>() * std;
-    let mut dh = DhParameters::UR5E;
+    let mut dh = *nominal;
     for i in 0..6 {
         dh.a[i] += normal(std_m);
         dh.d[i] += normal(std_m);
@@ -150,6 +180,18 @@ pub struct Core {
     pub step: u64,
     /// Text of a popup on the pendant.
     pub popup: Option<String>,
+    /// Forces at the tool and the arm's recent past.
+    pub sensing: Sensing,
+    /// Force mode or freedrive, if one is on.
+    pub compliance: Option<Compliance>,
+    /// Damping and gain of force mode.
+    pub force_settings: ForceSettings,
+    /// What scripts set and ask back.
+    pub settings: Settings,
+    /// The network, for scripts' sockets.
+    pub sockets: Box<dyn ScriptSockets>,
+    /// What was chosen at the pendant.
+    pub pendant: Pendant,
     messages: VecDeque<MessageBody>,
     tcp_pose: [f64; 6],
     /// Thread and move that have the arm.
@@ -172,7 +214,7 @@ pub struct Controller {
 impl Controller {
     /// A controller just booted.
     pub fn new(config: ControllerConfig) -> Controller {
-        let arm = Arm::ur5e(config.dh);
+        let arm = Arm::of(config.arm.joint_speed, config.dh);
         let core = Core {
             modes: Modes::new(config.running, config.remote),
             registers: Registers::default(),
@@ -186,6 +228,12 @@ impl Controller {
             tcp_offset: [0.0; 6],
             step: 0,
             popup: None,
+            sensing: Sensing::default(),
+            compliance: None,
+            force_settings: ForceSettings::default(),
+            settings: Settings::default(),
+            sockets: Box::new(NoNetwork),
+            pendant: Pendant::default(),
             messages: VecDeque::new(),
             tcp_pose: [0.0; 6],
             owner: None,
@@ -209,12 +257,15 @@ impl Controller {
         if let Some(reason) = self.core.stop_asked.take() {
             self.protective_stop(&reason);
         }
+        self.core.sockets.flush();
         if !self.core.modes.brakes_open() {
             self.core.mover.freeze();
         } else if let Err(fault) = self.move_arm() {
             self.protective_stop(&fault.to_string());
         }
         self.core.refresh();
+        let (q, force) = (self.core.mover.q(), self.core.tcp_force());
+        self.core.sensing.remember(q, force);
     }
 
     fn move_arm(&mut self) -> Result<(), MotionFault> {
@@ -222,6 +273,7 @@ impl Controller {
         self.core.mover.set_ramp(if safe { SOFT_RAMP_SECONDS } else { HARD_RAMP_SECONDS });
         let held = self.programs.paused() || !safe;
         let scaling = if held { 0.0 } else { self.core.registers.speed_fraction() };
+        self.core.yield_to_forces();
         self.core.mover.step(scaling)
     }
 
@@ -229,6 +281,7 @@ impl Controller {
     pub fn protective_stop(&mut self, reason: &str) {
         if self.core.modes.protective_stop(self.core.step) {
             self.programs.pause();
+            self.core.pendant.safety_popup = true;
             self.core.error_message(modes::PATH_SANITY_CODE, 0, reason);
             self.core.safety_message();
         }
@@ -240,6 +293,7 @@ impl Controller {
     /// The sentence of the dashboard, within 5 s of the stop or without one.
     pub fn unlock_protective_stop(&mut self) -> Result<(), String> {
         self.core.modes.unlock(self.core.step)?;
+        self.core.pendant.safety_popup = false;
         self.core.safety_message();
         Ok(())
     }
@@ -266,10 +320,11 @@ impl Controller {
         }
     }
 
-    /// Shows a safety mode by its number and pauses the program; absent: back to normal, and the program goes on.
+    /// Shows a safety mode by its number and pauses the program unless the mode allows motion; absent: back to normal,
+    /// and the program goes on.
     pub fn show_safety(&mut self, number: Option<i32>) {
         self.core.modes.show_safety(number);
-        if number.is_some() {
+        if !self.core.modes.motion_allowed() {
             self.programs.pause_for_safeguard();
         } else {
             self.programs.resume_after_safeguard();
@@ -291,9 +346,12 @@ impl Controller {
         config.running = false;
         config.serial_number = serial.unwrap_or(config.serial_number);
         if let Some(seed) = kinematics {
-            config.dh = calibrated_ur5e(seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD);
+            config.dh = calibrated(&config.arm.dh, seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD);
         }
+        self.core.sockets.close_all();
+        let sockets = std::mem::replace(&mut self.core.sockets, Box::new(NoNetwork));
         *self = Controller::new(config);
+        self.core.sockets = sockets;
     }
 
     /// Arm power off; a running program ends.
@@ -325,6 +383,11 @@ impl Core {
     /// `base_from_flange` as it really is.
     pub fn base_from_flange(&self) -> Isometry3<f64> {
         forward(&self.mover.arm.dh, &self.mover.q())
+    }
+
+    /// Pose the active move leads to; the present one when the arm is in none.
+    pub fn target_waypoint(&self) -> [f64; 6] {
+        self.mover.waypoint().map_or(self.tcp_pose, |pose| ur_pose_from_isometry(&pose))
     }
 
     /// Sets the tool centre point.

@@ -24,7 +24,7 @@ pub const UNLOCK_TOO_EARLY: &str = "Cannot unlock protective stop until 5s after
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Power {
     Off,
-    Booting { frames_left: u32 },
+    Booting { frames_left: u32, then_release: bool },
     Idle,
     Releasing { frames_left: u32 },
     Running,
@@ -39,7 +39,7 @@ enum Safety {
     Safeguard,
     Emergency,
     Fault,
-    /// Another mode in which the arm may not move, by its number.
+    /// Another mode by its number; in reduced mode the arm may move, in all others not.
     Other(i32),
 }
 
@@ -63,8 +63,13 @@ impl Modes {
     /// One frame.
     pub fn advance(&mut self) {
         self.power = match self.power {
-            Power::Booting { frames_left: 0 } => Power::Idle,
-            Power::Booting { frames_left } => Power::Booting { frames_left: frames_left - 1 },
+            Power::Booting { frames_left: 0, then_release: false } => Power::Idle,
+            Power::Booting { frames_left: 0, then_release: true } => {
+                Power::Releasing { frames_left: RELEASING_FRAMES }
+            }
+            Power::Booting { frames_left, then_release } => {
+                Power::Booting { frames_left: frames_left - 1, then_release }
+            }
             Power::Releasing { frames_left: 0 } => Power::Running,
             Power::Releasing { frames_left } => Power::Releasing { frames_left: frames_left - 1 },
             Power::Off | Power::Idle | Power::Running => self.power,
@@ -73,17 +78,24 @@ impl Modes {
 
     /// Arm power on; without effect if it is on or may not be.
     pub fn power_on(&mut self) {
+        self.boot(false);
+    }
+
+    fn boot(&mut self, then_release: bool) {
         if self.power == Power::Off && !matches!(self.safety, Safety::Emergency | Safety::Fault) {
-            self.power = Power::Booting { frames_left: BOOTING_FRAMES };
+            self.power = Power::Booting { frames_left: BOOTING_FRAMES, then_release };
         }
     }
 
-    /// Brakes open; powers the arm on first if need be, as `set robotmode run` does.
+    /// Brakes open; powers the arm on first if need be.
     pub fn release_brakes(&mut self) {
         match self.power {
             Power::Idle => self.power = Power::Releasing { frames_left: RELEASING_FRAMES },
-            Power::Off => self.power_on(),
-            Power::Booting { .. } | Power::Releasing { .. } | Power::Running => {}
+            Power::Off => self.boot(true),
+            Power::Booting { frames_left, .. } => {
+                self.power = Power::Booting { frames_left, then_release: true };
+            }
+            Power::Releasing { .. } | Power::Running => {}
         }
     }
 
@@ -141,7 +153,7 @@ impl Modes {
         changes
     }
 
-    /// Shows a safety mode by its number, in which the arm may not move; absent: back to normal.
+    /// Shows a safety mode by its number; absent: back to normal.
     pub fn show_safety(&mut self, number: Option<i32>) {
         match (number, self.safety) {
             (Some(number), _) => self.safety = Safety::Other(number),
@@ -194,7 +206,7 @@ impl Modes {
 
     /// Safety lets the arm move.
     pub fn motion_allowed(&self) -> bool {
-        self.safety == Safety::Normal
+        self.safety_mode().allows_motion()
     }
 
     /// A protective stop is in force.
@@ -237,6 +249,10 @@ impl Modes {
             Safety::Safeguard => 1 << 4 | 1 << 10,
             Safety::Emergency => 1 << 6 | 1 << 7 | 1 << 10,
             Safety::Fault => 1 << 9 | 1 << 10,
+            Safety::Other(2) => 1 << 1,
+            Safety::Other(4) => 1 << 3 | 1 << 10,
+            Safety::Other(6) => 1 << 5 | 1 << 7 | 1 << 10,
+            Safety::Other(8) => 1 << 8 | 1 << 10,
             Safety::Other(_) => 1 << 10,
         }
     }
@@ -261,6 +277,27 @@ mod tests {
         modes.release_brakes();
         assert!(!modes.brakes_open(), "the reply is not the completion");
         assert!(after(modes, RELEASING_FRAMES + 1).brakes_open());
+    }
+
+    #[test]
+    fn releasing_the_brakes_of_an_arm_without_power_switches_it_on_first() {
+        let mut modes = Modes::new(false, true);
+        modes.release_brakes();
+        let modes = after(modes, BOOTING_FRAMES + 1);
+        assert!(modes.powered() && !modes.brakes_open());
+        assert!(after(modes, RELEASING_FRAMES + 1).brakes_open());
+    }
+
+    #[test]
+    fn reduced_mode_lets_the_arm_move_and_shows() {
+        let mut modes = Modes::new(true, true);
+        modes.show_safety(Some(2));
+        assert!(modes.motion_allowed());
+        assert_eq!((modes.safety_mode(), modes.safety_status_bits()), (SafetyMode::Reduced, 2));
+        modes.show_safety(Some(8));
+        assert!(!modes.motion_allowed());
+        modes.show_safety(None);
+        assert_eq!(modes.safety_mode(), SafetyMode::Normal);
     }
 
     #[test]

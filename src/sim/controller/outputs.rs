@@ -42,12 +42,14 @@ const COMPUTED: &[(&str, Compute)] = &[
     ("target_TCP_pose", |c| Value::Vector6D(c.core.tcp_pose())),
     ("actual_TCP_speed", |c| Value::Vector6D(c.core.mover.tcp_speed().into())),
     ("target_TCP_speed", |c| Value::Vector6D(c.core.mover.tcp_speed().into())),
-    ("actual_TCP_force", |c| Value::Vector6D(c.core.registers.external_force)),
-    ("ft_raw_wrench", |c| Value::Vector6D(c.core.registers.external_force)),
+    ("actual_TCP_force", |c| Value::Vector6D(c.core.tcp_force())),
+    ("ft_raw_wrench", |c| Value::Vector6D(c.core.raw_wrench())),
     ("tcp_offset", |c| Value::Vector6D(c.core.tcp_offset)),
-    ("elbow_position", |c| {
-        let elbow = link_frames(&c.core.mover.arm.dh, &c.core.mover.q())[1].translation.vector;
-        Value::Vector3D(elbow.into())
+    ("elbow_position", |c| Value::Vector3D(elbow(c))),
+    ("elbow_velocity", |c| Value::Vector3D(elbow_velocity(c))),
+    ("tcp_force_scalar", |c| {
+        let [x, y, z, ..] = c.core.tcp_force();
+        Value::Double(x.hypot(y).hypot(z))
     }),
     ("actual_digital_input_bits", |c| Value::Uint64(c.core.registers.digital_inputs)),
     ("actual_digital_output_bits", |c| Value::Uint64(c.core.registers.digital_outputs)),
@@ -123,6 +125,43 @@ impl Output {
     }
 }
 
+/// Whether an output follows the simulation, has a constant of a healthy robot, or is always zero.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grade {
+    /// Follows the simulation.
+    Computed,
+    /// What a healthy robot could send, always.
+    Constant,
+    /// Zero: nothing in the simulation corresponds to it.
+    Zero,
+}
+
+/// The grade of a variable; `None` if this controller does not have it.
+pub fn grade(name: &str) -> Option<Grade> {
+    Some(match find(name)? {
+        Output::Register(_) | Output::Computed(_) => Grade::Computed,
+        Output::Constant(value) if value == value.kind().zero() => Grade::Zero,
+        Output::Constant(_) => Grade::Constant,
+    })
+}
+
+/// Elbow (origin of the third joint's frame) in the base frame, m.
+pub fn elbow(controller: &Controller) -> [f64; 3] {
+    let mover = &controller.core.mover;
+    link_frames(&mover.arm.dh, &mover.q())[1].translation.vector.into()
+}
+
+/// Speed of the elbow in the base frame, m/s: a difference over a step of the joints that no rounding spoils.
+pub fn elbow_velocity(controller: &Controller) -> [f64; 3] {
+    const STEP_S: f64 = 1e-5;
+    let mover = &controller.core.mover;
+    let mut ahead = mover.q();
+    ahead.0.iter_mut().zip(mover.qd()).for_each(|(q, qd)| *q += qd * STEP_S);
+    let ahead = link_frames(&mover.arm.dh, &ahead)[1].translation.vector;
+    let now = elbow(controller);
+    std::array::from_fn(|axis| (ahead[axis] - now[axis]) / STEP_S)
+}
+
 fn register_value(controller: &Controller, register: Register) -> Value {
     let registers = &controller.core.registers;
     let at = |n: u8| usize::from(n);
@@ -166,6 +205,18 @@ fn analog_output(controller: &Controller, n: usize) -> f64 {
 mod tests {
     use super::*;
     use crate::sim::controller::ControllerConfig;
+
+    #[test]
+    fn the_elbow_turns_with_the_base() {
+        let mut controller = Controller::new(ControllerConfig { running: true, ..ControllerConfig::ur5e(1) });
+        let script = "def m():\n speedj([0.5,0,0,0,0,0], 40, 10)\nend\n";
+        controller.programs.upload(crate::sim::controller::builtins::compile_program(script));
+        (0..200).for_each(|_| controller.frame());
+        let ([x, y, _], [vx, vy, vz]) = (elbow(&controller), elbow_velocity(&controller));
+        let qd = controller.core.mover.qd()[0];
+        assert!((qd - 0.5).abs() < 1e-6, "{qd}");
+        assert!((vx + qd * y).abs() < 1e-4 && (vy - qd * x).abs() < 1e-4 && vz.abs() < 1e-4);
+    }
 
     #[test]
     fn every_documented_variable_has_its_documented_type() {

@@ -32,8 +32,10 @@ enum Run {
 pub struct Programs {
     run: Run,
     uploads: VecDeque<Result<Code, CompileError>>,
-    /// What `play` starts: the main program that ran last.
+    /// What `play` starts.
     loaded: Option<Arc<Code>>,
+    /// The main program that ran last.
+    last: Option<Arc<Code>>,
     seed: u64,
     starts: u64,
     /// A fault: uploads do not start.
@@ -43,7 +45,15 @@ pub struct Programs {
 impl Programs {
     /// Nothing loaded.
     pub fn new(seed: u64) -> Programs {
-        Programs { run: Run::Stopped, uploads: VecDeque::new(), loaded: None, seed, starts: 0, deaf: false }
+        let (run, uploads) = (Run::Stopped, VecDeque::new());
+        Programs { run, uploads, loaded: None, last: None, seed, starts: 0, deaf: false }
+    }
+
+    /// Loads a program for `play`, as from the controller's files; one that runs ends.
+    pub fn load(&mut self, code: Arc<Code>, core: &mut Core) {
+        self.stop(core);
+        self.last = Some(code.clone());
+        self.loaded = Some(code);
     }
 
     /// Hands over an upload; it starts in the next frame. False if too many wait.
@@ -92,8 +102,13 @@ impl Programs {
     pub fn name(&self) -> Option<&str> {
         match &self.run {
             Run::Playing(program) | Run::Paused { program, .. } => Some(program.name()),
-            Run::Stopped => self.loaded.as_ref().map(|code| &*code.name),
+            Run::Stopped => self.last.as_ref().map(|code| &*code.name),
         }
+    }
+
+    /// The main program, running or the last that ran, is the one that was loaded.
+    pub fn is_loaded(&self) -> bool {
+        matches!((&self.last, &self.loaded), (Some(last), Some(loaded)) if Arc::ptr_eq(last, loaded))
     }
 
     /// Line the main thread is in; 0 without a program.
@@ -147,8 +162,8 @@ impl Programs {
         }
     }
 
-    /// The dashboard's `play`: goes on with a paused program or starts the last one anew. False if there is
-    /// none or the arm is not ready.
+    /// The dashboard's `play`: goes on with a paused program or starts the loaded one. False if there is none or the
+    /// arm is not ready. A script that came over a socket is not loaded, as on the controller.
     pub fn play(&mut self, core: &mut Core) -> bool {
         if !core.modes.brakes_open() || !core.modes.motion_allowed() {
             return false;
@@ -223,13 +238,13 @@ impl Programs {
         }
         self.stop(core);
         let code = Arc::new(code);
-        self.loaded = Some(code.clone());
         self.start(code, core);
     }
 
     fn start(&mut self, code: Arc<Code>, core: &mut Core) {
         self.starts += 1;
         core.message(key_message(PROGRAM_STARTED, &code.name));
+        self.last = Some(code.clone());
         self.run = Run::Playing(Program::new(code, self.seed.wrapping_add(self.starts)));
     }
 
@@ -255,6 +270,8 @@ fn ended(program: &Program, core: &mut Core) {
     core.owner = None;
     core.orphaned = false;
     core.watchdogs.clear();
+    core.compliance = None;
+    core.sockets.close_all();
     if core.mover.stands() {
         // A move that was paused must not go on under the next program.
         core.mover.freeze();

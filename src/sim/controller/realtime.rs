@@ -1,11 +1,11 @@
 //! The state block of the real-time interface (port 30003).
 //!
 //! In: the controller's state. Out: 1220 bytes, the layout of software 5.10 and later: a length and 152
-//! doubles. Source: the vendor's client-interface table; the length is confirmed, single fields are from
-//! memory and marked so in the interface notes, so nothing of celld reads this block.
+//! doubles. Source: the vendor's table of the real-time interface (5.9) and the length that later versions send; nothing
+//! of celld reads this block. What is not simulated is zero, as in RTDE.
 
 use crate::sim::controller::Controller;
-use crate::sim::controller::outputs::{joint_mode, speed_scaling};
+use crate::sim::controller::outputs::{elbow, elbow_velocity, joint_mode, speed_scaling};
 use crate::wire::bytes::Writer;
 
 /// Bytes of the block, the length field included.
@@ -24,7 +24,7 @@ pub fn block(controller: &Controller) -> Vec<u8> {
     out.f64s(&q).f64s(&qd).f64s(&qdd).f64s(&[0.0; 12]);
     out.f64s(&q).f64s(&qd).f64s(&[0.0; 12]);
     // Actual TCP pose, speed and force; target TCP pose and speed.
-    out.f64s(&core.tcp_pose()).f64s(&tcp_speed).f64s(&core.registers.external_force);
+    out.f64s(&core.tcp_pose()).f64s(&tcp_speed).f64s(&core.tcp_force());
     out.f64s(&core.tcp_pose()).f64s(&tcp_speed);
     out.f64(core.registers.digital_inputs as f64).f64s(&[35.0; 6]);
     // Controller timer, test value, modes.
@@ -37,7 +37,7 @@ pub fn block(controller: &Controller) -> Vec<u8> {
     out.f64(speed_scaling(controller)).f64s(&[0.0; 3]).f64s(&[48.0, 48.0, 0.6]).f64s(&[48.0; 6]);
     out.f64(core.registers.digital_outputs as f64).f64(program_state);
     // Elbow position and speed, safety status, unused.
-    out.f64s(&[0.0; 6]).f64(safety).f64s(&[0.0; 3]);
+    out.f64s(&elbow(controller)).f64s(&elbow_velocity(controller)).f64(safety).f64s(&[0.0; 3]);
     out.f64(core.payload.mass).f64s(&core.payload.centre).f64s(&core.payload.inertia);
     out.finish()
 }
@@ -46,6 +46,29 @@ pub fn block(controller: &Controller) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::sim::controller::ControllerConfig;
+
+    /// The double in a column of the vendor's table, which counts from 1 behind the length.
+    fn column(bytes: &[u8], number: usize) -> f64 {
+        let at = 4 + (number - 1) * 8;
+        f64::from_be_bytes(bytes[at..at + 8].try_into().unwrap())
+    }
+
+    #[test]
+    fn fields_stand_in_the_columns_of_the_table() {
+        let mut controller = Controller::new(ControllerConfig { running: true, ..ControllerConfig::ur5e(1) });
+        controller.core.payload.mass = 1.5;
+        controller.core.registers.digital_outputs = 5;
+        controller.frame();
+        let bytes = block(&controller);
+        let q = controller.core.mover.q().0;
+        assert_eq!(column(&bytes, 1), controller.core.timestamp());
+        assert_eq!([column(&bytes, 2), column(&bytes, 32)], [q[0], q[0]]);
+        assert_eq!(column(&bytes, 56), controller.core.tcp_pose()[0]);
+        assert_eq!([column(&bytes, 95), column(&bytes, 96), column(&bytes, 102)], [7.0, 253.0, 1.0]);
+        assert_eq!([column(&bytes, 118), column(&bytes, 131), column(&bytes, 132)], [1.0, 5.0, 1.0]);
+        assert_eq!([column(&bytes, 133), column(&bytes, 139)], [elbow(&controller)[0], 1.0]);
+        assert_eq!(column(&bytes, 143), 1.5);
+    }
 
     #[test]
     fn the_block_has_the_length_it_names() {

@@ -1,22 +1,35 @@
 //! The robot state package of the primary and secondary interface.
 //!
-//! In: the controller's state. Out: sub-packages 0, 1, 2, 3 and 4, which go out ten times a second, and 5 and
-//! 6, which a connection gets once. Sub-package 5 is this arm's calibration, as a real controller reports it:
+//! In: the controller's state. Out: sub-packages 0 to 4, 7, 8, 11 and 12, which go out ten times a second, and 5 and 6,
+//! which a connection gets once (9 and 10 are the vendor's own and have no published meaning). Sub-package 5 is this arm's calibration, as a real controller reports it:
 //! it is the only way in which a client learns the simulated arm's true parameters.
 
 use crate::sim::controller::Controller;
 use crate::sim::controller::outputs::{joint_mode, speed_scaling};
+use crate::wire::enumerations::SafetyMode;
 use crate::wire::primary_state::{
     CartesianData, ConfigurationData, JointData, KinematicsData, MasterboardData, RobotModeData, SubPackage,
     ToolData,
 };
+use crate::wire::primary_tool::{AdditionalData, ForceModeData, ToolCommunicationData, ToolModeData};
 use sha2::{Digest, Sha256};
 
-/// `robot type` of a UR5.
-const ROBOT_TYPE_UR5: i32 = 1;
+/// `robot type` by the dashboard's name of the model.
+const ROBOT_TYPES: [(&str, i32); 7] =
+    [("UR5", 1), ("UR10", 2), ("UR3", 3), ("UR16", 4), ("UR20", 7), ("UR30", 8), ("UR15", 9)];
 
 /// Calibration status of a calibrated arm.
 const CALIBRATED: u32 = 0;
+
+/// The tool's serial line as it is by default; nothing is connected to it.
+const TOOL_LINE: ToolCommunicationData = ToolCommunicationData {
+    enabled: false,
+    baud_rate: 115_200,
+    parity: 0,
+    stop_bits: 1,
+    rx_idle_chars: 1.5,
+    tx_idle_chars: 3.5,
+};
 
 /// What changes.
 pub fn periodic(controller: &Controller) -> Vec<SubPackage> {
@@ -29,6 +42,10 @@ pub fn periodic(controller: &Controller) -> Vec<SubPackage> {
             tcp_pose: controller.core.tcp_pose(),
             tcp_offset: controller.core.tcp_offset,
         }),
+        SubPackage::ForceMode(ForceModeData { wrench: controller.core.tcp_force(), dexterity: 0.0 }),
+        SubPackage::Additional(AdditionalData { freedrive_enabled: true, ..AdditionalData::default() }),
+        SubPackage::ToolCommunication(TOOL_LINE),
+        SubPackage::ToolMode(ToolModeData::default()),
     ]
 }
 
@@ -47,7 +64,7 @@ pub fn once(controller: &Controller) -> Vec<SubPackage> {
         }),
         SubPackage::Configuration(ConfigurationData {
             joint_limits: [[-arm.joint_range, arm.joint_range]; 6],
-            joint_maxima: [[arm.joint_speed, arm.joint_acceleration]; 6],
+            joint_maxima: arm.joint_speed.map(|speed| [speed, arm.joint_acceleration]),
             defaults: [1.05, 1.4, 0.25, 1.2],
             equivalent_radius: 0.2,
             a: dh.a,
@@ -56,10 +73,16 @@ pub fn once(controller: &Controller) -> Vec<SubPackage> {
             theta: dh.theta,
             masterboard_version: 0,
             controller_box_type: 0,
-            robot_type: ROBOT_TYPE_UR5,
+            robot_type: robot_type(controller.core.model()),
             robot_sub_type: 0,
         }),
     ]
+}
+
+/// The number of a model; that of the UR5 for a name that the table does not have.
+fn robot_type(model: &str) -> i32 {
+    let known = ROBOT_TYPES.iter().find(|(name, _)| name.eq_ignore_ascii_case(model.trim_end_matches('e')));
+    known.map_or(ROBOT_TYPES[0].1, |(_, number)| *number)
 }
 
 /// One number per joint that changes with its calibration.
@@ -120,6 +143,38 @@ fn masterboard(controller: &Controller) -> MasterboardData {
         robot_voltage_48v: 48.0,
         robot_current: 0.6,
         safety_mode: controller.core.modes.safety_mode().code() as u8,
+        reduced_mode: u8::from(controller.core.modes.safety_mode() == SafetyMode::Reduced),
+        operational_mode_selector: controller.core.pendant.operational_mode.selector(),
         ..MasterboardData::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::controller::ControllerConfig;
+
+    #[test]
+    fn the_model_decides_the_robot_type() {
+        for (model, number) in [("UR5", 1), ("UR3", 3), ("UR10", 2), ("UR10e", 2), ("UR30", 8), ("UR15", 9)] {
+            let config = ControllerConfig { model: model.to_owned(), ..ControllerConfig::ur5e(1) };
+            let parts = once(&Controller::new(config));
+            let found = parts.iter().find_map(|part| match part {
+                SubPackage::Configuration(data) => Some(data.robot_type),
+                _ => None,
+            });
+            assert_eq!(found, Some(number), "{model}");
+        }
+    }
+
+    #[test]
+    fn every_published_sub_package_is_sent() {
+        let controller = Controller::new(ControllerConfig::ur5e(1));
+        let parts: Vec<SubPackage> = periodic(&controller).into_iter().chain(once(&controller)).collect();
+        let mut kinds: Vec<u8> = parts.iter().map(|part| part.encode()[4]).collect();
+        kinds.sort_unstable();
+        assert_eq!(kinds, [0, 1, 2, 3, 4, 5, 6, 7, 8, 11, 12]);
+        let bytes: Vec<u8> = parts.iter().flat_map(SubPackage::encode).collect();
+        assert_eq!(SubPackage::decode_all(&bytes), Ok(parts));
     }
 }

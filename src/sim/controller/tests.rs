@@ -5,6 +5,8 @@ use crate::sim::controller::registers::{ClientId, Input};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 use crate::wire::rtde_values::Value;
 
+mod built_ins;
+
 fn running() -> Controller {
     Controller::new(ControllerConfig { running: true, ..ControllerConfig::ur5e(3) })
 }
@@ -66,8 +68,8 @@ fn programs_report_their_start_and_end() {
         &["exception 2:7 syntax_error_on_line:2:expected an expression, found `=`"],
     );
     check(
-        "def f():\n  movec(p[0,0,0,0,0,0], p[0,0,0,0,0,0])\nend\n",
-        &["STARTED:f", "exception 2:3 movec is not available in the simulation", "STOPPED:f"],
+        "def f():\n  clear_interpreter()\nend\n",
+        &["STARTED:f", "exception 2:3 clear_interpreter is not available in the simulation", "STOPPED:f"],
     );
 }
 
@@ -312,11 +314,15 @@ fn time_starts_late_enough_and_advances_by_frames() {
 fn the_calibrated_arm_deviates_by_its_seed_and_little() {
     let nominal = forward(&DhParameters::UR5E, &ControllerConfig::ur5e(1).start);
     let deviation = |seed: u64| {
-        let arm = forward(&calibrated_ur5e(seed, 5e-4, 9e-4), &ControllerConfig::ur5e(seed).start);
+        let arm =
+            forward(&calibrated(&DhParameters::UR5E, seed, 5e-4, 9e-4), &ControllerConfig::ur5e(seed).start);
         (arm.translation.vector - nominal.translation.vector).norm()
     };
-    assert_eq!(calibrated_ur5e(5, 5e-4, 9e-4), calibrated_ur5e(5, 5e-4, 9e-4));
-    assert_eq!(calibrated_ur5e(5, 0.0, 0.0), DhParameters::UR5E);
+    assert_eq!(
+        calibrated(&DhParameters::UR5E, 5, 5e-4, 9e-4),
+        calibrated(&DhParameters::UR5E, 5, 5e-4, 9e-4)
+    );
+    assert_eq!(calibrated(&DhParameters::UR5E, 5, 0.0, 0.0), DhParameters::UR5E);
     for seed in 0..20 {
         assert!((1e-5..6e-3).contains(&deviation(seed)), "{} m with seed {seed}", deviation(seed));
     }

@@ -85,6 +85,8 @@ pub struct LinkState {
     pub limit: Option<u64>,
     /// Every Modbus request gets this exception.
     pub exception: Option<u8>,
+    /// Every Modbus answer has the number of another request.
+    pub wrong_transaction: bool,
     /// The server does not listen.
     pub down: bool,
 }

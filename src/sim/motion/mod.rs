@@ -3,8 +3,10 @@
 //! In: move, servo, speed and stop commands, and one step per 2 ms frame. Out: joint positions and speeds, or
 //! a [`MotionFault`] that the controller turns into a protective stop. Pure. The real controller's profiles
 //! are not published; modelled here: speed over the path is a trapezoid ([`profile`]), a path is a line in
-//! joint or tool space ([`segment`]), and a blend is the end of one segment and the start of the next running
-//! at the same time ([`mover`]).
+//! joint space or a line, circle or rounded corner in tool space ([`segment`], [`tool_path`]), and a blend is
+//! the end of one segment and the start of the next running at the same time ([`mover`]).
+
+pub mod dynamics;
 
 pub mod mover;
 
@@ -12,9 +14,11 @@ pub mod profile;
 
 pub mod segment;
 
+pub mod tool_path;
+
 use crate::motion::kinematics::{DhParameters, forward, jacobian, pose_error};
 use crate::units::Joints;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector6};
 
 /// Length of a controller frame, s.
 pub const FRAME_SECONDS: f64 = 0.002;
@@ -28,28 +32,45 @@ pub struct Arm {
     pub flange_from_tcp: Isometry3<f64>,
     /// Joint range to either side, rad.
     pub joint_range: f64,
-    /// Fastest joint speed, rad/s.
-    pub joint_speed: f64,
+    /// Fastest speed of each joint, rad/s.
+    pub joint_speed: [f64; 6],
     /// Fastest joint acceleration in servo and stop modes, rad/s2.
     pub joint_acceleration: f64,
+    /// Fastest TCP that the safety configuration allows, m/s; motion is slowed down to it.
+    pub tool_speed: f64,
 }
 
 impl Arm {
-    /// UR5e limits (data sheet: +-360 degrees, 180 degrees/s; the acceleration is not published, 40 rad/s2
-    /// is what client libraries let pass).
+    /// A UR5e.
     pub fn ur5e(dh: DhParameters) -> Arm {
+        Arm::of([std::f64::consts::PI; 6], dh)
+    }
+
+    /// An arm with these joint speeds (rad/s). The other limits are the same for all models: +-360 degrees (data
+    /// sheets); the acceleration is not published, 40 rad/s2 is what client libraries let pass; 1.5 m/s is the
+    /// usual safety configuration.
+    pub fn of(joint_speed: [f64; 6], dh: DhParameters) -> Arm {
         Arm {
             dh,
             flange_from_tcp: Isometry3::identity(),
             joint_range: std::f64::consts::TAU,
-            joint_speed: std::f64::consts::PI,
+            joint_speed,
             joint_acceleration: 40.0,
+            tool_speed: 1.5,
         }
     }
 
     /// `base_from_tcp` at joint positions `q`.
     pub fn tcp(&self, q: &Joints) -> Isometry3<f64> {
         forward(&self.dh, q) * self.flange_from_tcp
+    }
+
+    /// The TCP at `q` after a small step in the base frame: m and a rotation vector in rad.
+    pub fn moved(&self, q: &Joints, step: &Vector6<f64>) -> Isometry3<f64> {
+        let pose = self.tcp(q);
+        let turned = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
+        let moved = Translation3::from(pose.translation.vector + step.fixed_rows::<3>(0));
+        Isometry3::from_parts(moved, turned * pose.rotation)
     }
 
     /// Joint positions near `near` that put the TCP at `base_from_tcp`: Newton steps from `near`, for poses a

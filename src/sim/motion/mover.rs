@@ -2,17 +2,20 @@
 //!
 //! In: commands, and [`Mover::step`] once per frame with the speed scaling of that frame. Out: joint
 //! positions, speeds and accelerations. The speed slider, pauses and protective stops scale the time of the
-//! segments, so the arm stays on its path while it slows down and when it goes on.
+//! segments, so the arm stays on its path while it slows down and when it goes on. So does the safety
+//! configuration's limit of the tool speed: the real controller plans within it and stops protectively only
+//! when it is exceeded, which a simulated arm that follows exactly never does.
 //! A blend: the new segment starts from the target of the one before while that still brakes; the joint
 //! positions are those of the new one plus what the old one lacks to its target. In a blend of moves of equal
 //! acceleration `a` that meet at an angle, acceleration is at most `a` times the difference of the two unit
 //! directions (that of a parabola).
 
-use crate::motion::kinematics::jacobian;
-use crate::sim::motion::segment::{MoveLimits, Segment};
+use crate::sim::motion::dynamics::tool_jacobian;
+use crate::sim::motion::segment::{MoveLimits, Segment, Start};
+use crate::sim::motion::tool_path::ToolPath;
 use crate::sim::motion::{Arm, FRAME_SECONDS, MotionFault};
 use crate::units::Joints;
-use nalgebra::{Isometry3, Vector3, Vector6};
+use nalgebra::{Isometry3, Vector6};
 use std::collections::VecDeque;
 
 /// Time in which speed scaling goes from 1 to 0, s: pause and slider.
@@ -36,11 +39,31 @@ struct Active {
 enum Task {
     Stand,
     Segments(VecDeque<Active>),
-    Servo { target: Joints, lookahead: f64, seconds_left: f64 },
-    JointSpeed { target: [f64; 6], acceleration: f64 },
-    ToolSpeed { target: Vector6<f64>, acceleration: f64, turn_acceleration: f64 },
-    StopJoints { acceleration: f64 },
-    StopTool { acceleration: f64 },
+    Servo {
+        target: Joints,
+        lookahead: f64,
+        seconds_left: f64,
+    },
+    JointSpeed {
+        target: [f64; 6],
+        acceleration: f64,
+    },
+    /// Driven by torques for a frame at a time.
+    Driven {
+        acceleration: [f64; 6],
+        frames_left: u32,
+    },
+    ToolSpeed {
+        target: Vector6<f64>,
+        acceleration: f64,
+        turn_acceleration: f64,
+    },
+    StopJoints {
+        acceleration: f64,
+    },
+    StopTool {
+        acceleration: f64,
+    },
 }
 
 /// The moving arm.
@@ -62,6 +85,12 @@ pub struct Mover {
     still_frames: u64,
     /// Tool speed set in the last frame of a tool-speed task; measuring it anew each frame would drift.
     tool_speed: Option<Vector6<f64>>,
+    /// Share of the segments' speed that keeps the tool within its limit.
+    limiter: f64,
+    /// Tool speed that is added to any motion (force mode, freedrive): m/s and rad/s in the base frame.
+    drift: Vector6<f64>,
+    /// How far the segments' joint positions have drifted, rad.
+    drifted: [f64; 6],
 }
 
 impl Mover {
@@ -80,6 +109,9 @@ impl Mover {
             last_id: 0,
             still_frames: 0,
             tool_speed: None,
+            limiter: 1.0,
+            drift: Vector6::zeros(),
+            drifted: [0.0; 6],
         }
     }
 
@@ -100,7 +132,23 @@ impl Mover {
 
     /// Momentary speed scaling, 0 to 1.
     pub fn scaling(&self) -> f64 {
-        self.scaling
+        self.scaling * self.limiter
+    }
+
+    /// Tool speed added to any motion: m/s and rad/s in the base frame.
+    pub fn drift(&self) -> Vector6<f64> {
+        self.drift
+    }
+
+    /// Lets the tool give way at this speed from now on.
+    pub fn set_drift(&mut self, drift: Vector6<f64>) {
+        self.drift = drift;
+    }
+
+    /// Pose the move that was started last leads to; `None` when the arm is in none.
+    pub fn waypoint(&self) -> Option<Isometry3<f64>> {
+        let Task::Segments(segments) = &self.task else { return None };
+        segments.back().map(|last| self.arm.tcp(&last.segment.target()))
     }
 
     /// True when no joint moves.
@@ -115,12 +163,7 @@ impl Mover {
 
     /// Speed of the TCP in the base frame: m/s, rad/s.
     pub fn tcp_speed(&self) -> Vector6<f64> {
-        let flange = jacobian(&self.arm.dh, &self.q) * Vector6::from(self.qd);
-        let lever = self.arm.tcp(&self.q).translation.vector
-            - crate::motion::kinematics::forward(&self.arm.dh, &self.q).translation.vector;
-        let angular = Vector3::new(flange[3], flange[4], flange[5]);
-        let linear = Vector3::new(flange[0], flange[1], flange[2]) + angular.cross(&lever);
-        Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+        tool_jacobian(&self.arm.dh, &self.arm.flange_from_tcp, &self.q) * Vector6::from(self.qd)
     }
 
     /// Starts a joint move to `to`.
@@ -146,8 +189,60 @@ impl Mover {
         limits: &MoveLimits,
     ) -> Result<MoveId, MotionFault> {
         let (from, lead) = self.departure(limits.acceleration.max(1.0));
-        let segment = Segment::line(&self.arm, &from, base_from_tcp, limits, lead)?;
+        let path = ToolPath::line(&self.arm.tcp(&from), base_from_tcp);
+        let segment = Segment::tool(&self.arm, &from, path, limits, lead)?;
         Ok(self.add(segment))
+    }
+
+    /// Starts a move on the circle through `via` to `to`; with `fixed` the tool turns with the circle.
+    ///
+    /// # Errors
+    /// When the circle leads out of reach or through a singularity.
+    pub fn move_circle(
+        &mut self,
+        via: &Isometry3<f64>,
+        to: &Isometry3<f64>,
+        fixed: bool,
+        limits: &MoveLimits,
+    ) -> Result<MoveId, MotionFault> {
+        let (from, lead) = self.departure(limits.acceleration.max(1.0));
+        let path = ToolPath::circle(&self.arm.tcp(&from), via, to, fixed);
+        let segment = Segment::tool(&self.arm, &from, path, limits, lead)?;
+        Ok(self.add(segment))
+    }
+
+    /// Starts a process move: where the last one's blend begins, the tool goes on at its speed round the corner.
+    ///
+    /// # Errors
+    /// When the way leads out of reach or through a singularity.
+    pub fn move_process(
+        &mut self,
+        base_from_tcp: &Isometry3<f64>,
+        limits: &MoveLimits,
+    ) -> Result<MoveId, MotionFault> {
+        if let Some((path, speed)) = self.takeover(base_from_tcp) {
+            let segment = Segment::process(&self.arm, &self.q, path, limits, Start::Motion(speed))?;
+            self.task = Task::Segments(VecDeque::new());
+            return Ok(self.add(segment));
+        }
+        let (from, lead) = self.departure(limits.acceleration.max(1.0));
+        let path = ToolPath::line(&self.arm.tcp(&from), base_from_tcp);
+        let segment = Segment::process(&self.arm, &from, path, limits, Start::Lead(lead))?;
+        Ok(self.add(segment))
+    }
+
+    /// The way on to `to` from a process move whose blend has begun, and the speed it goes on with.
+    fn takeover(&self, to: &Isometry3<f64>) -> Option<(ToolPath, f64)> {
+        let Task::Segments(segments) = &self.task else { return None };
+        let only = segments.back().filter(|_| segments.len() == 1)?;
+        let handover = only.segment.handover(only.time)?;
+        let path = ToolPath::corner(&self.arm.tcp(&self.q), &handover.direction, handover.ahead, to)?;
+        Some((path, handover.speed))
+    }
+
+    /// Accelerates the joints (rad/s2) for this frame and the next; then they brake unless driven on.
+    pub fn drive(&mut self, acceleration: [f64; 6]) {
+        self.task = Task::Driven { acceleration, frames_left: 2 };
     }
 
     /// True once the program may go on: the move has ended, or its blend begins with the next frame.
@@ -165,7 +260,11 @@ impl Mover {
         match &self.task {
             Task::Segments(segments) => segments.back().is_some_and(|active| !self.released(active.id)),
             Task::StopJoints { .. } | Task::StopTool { .. } => !self.stands(),
-            Task::Stand | Task::Servo { .. } | Task::JointSpeed { .. } | Task::ToolSpeed { .. } => false,
+            Task::Stand
+            | Task::Servo { .. }
+            | Task::JointSpeed { .. }
+            | Task::ToolSpeed { .. }
+            | Task::Driven { .. } => false,
         }
     }
 
@@ -204,7 +303,7 @@ impl Mover {
         match &self.task {
             Task::JointSpeed { target, .. } => target.iter().zip(self.qd).all(|(a, b)| (a - b).abs() < 1e-6),
             Task::ToolSpeed { target, .. } => (target - self.tcp_speed()).norm() < 1e-4,
-            Task::Stand | Task::Segments(_) | Task::Servo { .. } => true,
+            Task::Stand | Task::Segments(_) | Task::Servo { .. } | Task::Driven { .. } => true,
             Task::StopJoints { .. } | Task::StopTool { .. } => self.stands(),
         }
     }
@@ -236,6 +335,7 @@ impl Mover {
         self.task = Task::Stand;
         self.qd = [0.0; 6];
         self.qdd = [0.0; 6];
+        self.drift = Vector6::zeros();
     }
 
     /// One frame of `FRAME_SECONDS`; `scaling` is where the speed scaling should go (0 stands still).
@@ -251,8 +351,10 @@ impl Mover {
         let drive = if self.stalled { 0.0 } else { 1.0 };
         self.drive +=
             (drive - self.drive).clamp(-FRAME_SECONDS / SOFT_RAMP_SECONDS, FRAME_SECONDS / SOFT_RAMP_SECONDS);
-        match self.next_position().and_then(|next| self.check(&next).map(|()| next)) {
+        let next = self.next_position().and_then(|next| self.give_way(next));
+        match next.and_then(|next| self.check(&next).map(|()| next)) {
             Ok(next) => {
+                self.limit_tool_speed(&next);
                 let qd: [f64; 6] = std::array::from_fn(|i| (next.0[i] - self.q.0[i]) / FRAME_SECONDS);
                 self.qdd = std::array::from_fn(|i| (qd[i] - self.qd[i]) / FRAME_SECONDS);
                 (self.q, self.qd) = (next, qd);
@@ -266,10 +368,45 @@ impl Mover {
         }
     }
 
+    /// Adds the drift of this frame, and to segments what has drifted before.
+    fn give_way(&mut self, next: Joints) -> Result<Joints, MotionFault> {
+        let on_segments = matches!(self.task, Task::Segments(_));
+        let mut given = next;
+        if on_segments {
+            given.0.iter_mut().zip(self.drifted).for_each(|(q, drifted)| *q += drifted);
+        }
+        let step = self.drift * (FRAME_SECONDS * self.scaling * self.drive);
+        if step.norm() > 0.0 {
+            given =
+                self.arm.follow(&self.arm.moved(&given, &step), &given).ok_or(MotionFault::Unreachable)?;
+        }
+        let drifted = std::array::from_fn(|i| given.0[i] - next.0[i]);
+        self.drifted = if on_segments { drifted } else { [0.0; 6] };
+        Ok(given)
+    }
+
+    /// Slows segments down in the next frame to the tool speed allowed: the speed this frame would have had
+    /// without the limiter tells by how much.
+    fn limit_tool_speed(&mut self, next: &Joints) {
+        let at = |q: &Joints| self.arm.tcp(q).translation.vector;
+        let speed = (at(next) - at(&self.q)).norm() / FRAME_SECONDS;
+        let unlimited = speed / self.limiter;
+        let allowed = (self.arm.tool_speed / unlimited.max(1e-9)).clamp(0.01, 1.0);
+        self.limiter = if matches!(self.task, Task::Segments(_)) { allowed } else { 1.0 };
+    }
+
+    /// Joint speeds (rad/s) scaled down so that the tool keeps its limit.
+    fn within_tool_speed(&self, speeds: [f64; 6]) -> [f64; 6] {
+        let arm = &self.arm;
+        let tool = tool_jacobian(&arm.dh, &arm.flange_from_tcp, &self.q) * Vector6::from(speeds);
+        let part = (arm.tool_speed / tool.fixed_rows::<3>(0).norm().max(1e-9)).min(1.0);
+        speeds.map(|speed| speed * part)
+    }
+
     fn check(&self, next: &Joints) -> Result<(), MotionFault> {
         for joint in 0..6 {
             let speed = (next.0[joint] - self.q.0[joint]) / FRAME_SECONDS;
-            if speed.is_nan() || speed.abs() > self.arm.joint_speed * 1.05 {
+            if speed.is_nan() || speed.abs() > self.arm.joint_speed[joint] * 1.05 {
                 return Err(MotionFault::JointSpeed { joint, speed });
             }
         }
@@ -310,7 +447,7 @@ impl Mover {
 
     fn next_position(&mut self) -> Result<Joints, MotionFault> {
         let pace = self.scaling * self.drive;
-        let scaled = FRAME_SECONDS * pace;
+        let scaled = FRAME_SECONDS * pace * self.limiter;
         match &mut self.task {
             Task::Stand => Ok(self.q),
             Task::Segments(segments) => {
@@ -323,10 +460,23 @@ impl Mover {
             Task::Servo { .. } => Ok(self.servo_step()),
             Task::JointSpeed { target, acceleration } => {
                 let (target, acceleration) = (target.map(|speed| speed * pace), *acceleration);
-                Ok(self.towards(&target, acceleration))
+                Ok(self.towards(&self.within_tool_speed(target), acceleration))
+            }
+            Task::Driven { acceleration, frames_left } => {
+                let acceleration = *acceleration;
+                *frames_left = frames_left.saturating_sub(1);
+                if *frames_left == 0 || pace < 0.5 {
+                    self.task = Task::StopJoints { acceleration: self.arm.joint_acceleration / 4.0 };
+                }
+                Ok(Joints(std::array::from_fn(|i| {
+                    let speed = self.qd[i] + acceleration[i] * FRAME_SECONDS;
+                    self.q.0[i] + speed * FRAME_SECONDS
+                })))
             }
             Task::ToolSpeed { target, acceleration, turn_acceleration } => {
-                let (target, a, turn) = (*target * pace, *acceleration, *turn_acceleration);
+                let slowed = self.arm.tool_speed / target.fixed_rows::<3>(0).norm().max(1e-9);
+                let target = *target * (pace * slowed.min(1.0));
+                let (a, turn) = (*acceleration, *turn_acceleration);
                 self.tool_speed_step(target, a, turn)
             }
             Task::StopJoints { acceleration } => {
@@ -355,9 +505,11 @@ impl Mover {
         *seconds_left -= FRAME_SECONDS;
         let (limit, gain) = (self.arm.joint_speed, self.scaling * self.drive / *lookahead);
         let wanted: [f64; 6] =
-            std::array::from_fn(|i| ((target.0[i] - self.q.0[i]) * gain).clamp(-limit, limit));
+            std::array::from_fn(|i| ((target.0[i] - self.q.0[i]) * gain).clamp(-limit[i], limit[i]));
+        let over = *seconds_left < -FRAME_SECONDS / 2.0;
+        let wanted = self.within_tool_speed(wanted);
         let acceleration = self.arm.joint_acceleration;
-        if *seconds_left < -FRAME_SECONDS / 2.0 {
+        if over {
             self.task = Task::StopJoints { acceleration: acceleration / 4.0 };
         }
         let most = acceleration * FRAME_SECONDS;
@@ -393,11 +545,7 @@ impl Mover {
         if speed.norm() < 1e-12 {
             return Ok(self.q);
         }
-        let pose = self.arm.tcp(&self.q);
-        let turned = nalgebra::UnitQuaternion::from_scaled_axis(speed.fixed_rows::<3>(3) * FRAME_SECONDS);
-        let moved =
-            nalgebra::Translation3::from(pose.translation.vector + speed.fixed_rows::<3>(0) * FRAME_SECONDS);
-        let next = Isometry3::from_parts(moved, turned * pose.rotation);
+        let next = self.arm.moved(&self.q, &(speed * FRAME_SECONDS));
         self.arm.follow(&next, &self.q).ok_or(MotionFault::Unreachable)
     }
 }

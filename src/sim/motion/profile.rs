@@ -21,6 +21,8 @@ pub struct Shape {
     pub blend: f64,
     /// Time the predecessor still needs, s; 0 for a start from rest.
     pub lead: f64,
+    /// Speed at the start, of a path that takes over from another in full motion; then there is no `lead`.
+    pub entry: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +45,7 @@ pub struct Profile {
 impl Profile {
     /// The fastest profile of a shape.
     pub fn new(shape: &Shape) -> Profile {
-        let Shape { length, speed, acceleration: a, lead, .. } = *shape;
+        let Shape { length, speed, acceleration: a, lead, entry, .. } = *shape;
         if length <= 0.0 {
             return Profile { phases: Vec::new(), length: 0.0, rate: 1.0, tail: 0.0 };
         }
@@ -51,19 +53,30 @@ impl Profile {
         let blend = shape.blend.clamp(0.0, length / 2.0);
         let until_tail = length - blend;
         let mut out = if blend > 0.0 { speed.min((2.0 * a * blend).sqrt()) } else { 0.0 };
-        let start = start_speed(lead, speed, a, until_tail, out);
-        let ramp = start * lead / 2.0;
+        let start = if entry > 0.0 { entry } else { start_speed(lead, speed, a, until_tail, out) };
+        let ramp = if entry > 0.0 { 0.0 } else { start * lead / 2.0 };
         let middle = (until_tail - ramp).max(0.0);
         out = out.min((start * start + 2.0 * a * middle).sqrt());
-        let peak =
-            speed.min(((2.0 * a * middle + start * start + out * out) / 2.0).sqrt()).max(start).max(out);
-        let ramps = (2.0 * peak * peak - start * start - out * out) / (2.0 * a);
+        // Too fast at the start for the way there is: brakes harder.
+        let needed = (start * start - out * out) / (2.0 * middle.max(1e-9));
+        let a = if entry > 0.0 { a.max(needed) } else { a };
+        let peak = speed.min(((2.0 * a * middle + start * start + out * out) / 2.0).sqrt()).max(out);
+        let peak = if entry > 0.0 { peak } else { peak.max(start) };
+        let ramps = ((start * start - peak * peak).abs() + peak * peak - out * out) / (2.0 * a);
         let tail = if out > 0.0 { 2.0 * blend / out } else { 0.0 };
         let lead_slope = if lead > 0.0 { start / lead } else { 0.0 };
         let tail_slope = if tail > 0.0 { -out / tail } else { 0.0 };
         let phases = [
-            Phase { duration: if start > 0.0 { lead } else { 0.0 }, speed: 0.0, acceleration: lead_slope },
-            Phase { duration: (peak - start) / a, speed: start, acceleration: a },
+            Phase {
+                duration: if start > 0.0 && entry <= 0.0 { lead } else { 0.0 },
+                speed: 0.0,
+                acceleration: lead_slope,
+            },
+            Phase {
+                duration: (peak - start).abs() / a,
+                speed: start,
+                acceleration: if start > peak { -a } else { a },
+            },
             Phase { duration: ((middle - ramps) / peak).max(0.0), speed: peak, acceleration: 0.0 },
             Phase { duration: (peak - out) / a, speed: peak, acceleration: -a },
             Phase { duration: tail, speed: out, acceleration: tail_slope },
@@ -133,7 +146,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn shape(length: f64, acceleration: f64, speed: f64) -> Shape {
-        Shape { length, speed, acceleration, blend: 0.0, lead: 0.0 }
+        Shape { length, speed, acceleration, blend: 0.0, lead: 0.0, entry: 0.0 }
     }
 
     #[test]
@@ -158,6 +171,20 @@ mod tests {
     }
 
     #[test]
+    fn a_path_taken_over_in_motion_starts_at_its_speed() {
+        for (entry, speed, length) in
+            [(0.25, 0.25, 0.5), (0.5, 0.25, 0.5), (0.1, 0.25, 0.5), (0.5, 0.5, 0.01)]
+        {
+            let profile = Profile::new(&Shape { entry, ..shape(length, 1.2, speed) });
+            let first = profile.fraction(1e-6) * length / 1e-6;
+            assert!((first - entry).abs() < 1e-3, "{first} instead of {entry}");
+            let end = profile.duration();
+            let last = (1.0 - profile.fraction(end - 1e-5)) * length / 1e-5;
+            assert!(last < 1e-3, "{last} m/s at the end");
+        }
+    }
+
+    #[test]
     fn a_straight_continuation_keeps_its_speed() {
         let first = Profile::new(&Shape { blend: 0.1, ..shape(1.0, 2.0, 0.5) });
         let lead = first.duration() - first.release();
@@ -174,7 +201,7 @@ mod tests {
         #[test]
         fn limits_hold(length in 1e-4..3.0f64, speed in 0.01..3.0f64, acceleration in 0.1..20.0f64,
                        blend in 0.0..0.5f64, lead in 0.0..1.0f64) {
-            let shape = Shape { length, speed, acceleration, blend, lead };
+            let shape = Shape { length, speed, acceleration, blend, lead, entry: 0.0 };
             let profile = Profile::new(&shape);
             let steps = 400;
             let dt = profile.duration() / f64::from(steps);

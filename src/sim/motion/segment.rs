@@ -1,19 +1,15 @@
-//! One piece of motion: a straight line in joint space or in tool space, or the run-out of a speed.
+//! One piece of motion: a straight line in joint space, a way of the tool, or the run-out of a speed.
 //!
-//! In: where it starts and ends, and a [`Profile`]. Out: joint positions at any time of it. A line in tool
-//! space moves the TCP straight and turns it by the shortest rotation, both in step; its joint positions
-//! follow frame by frame from the last ones, so it never changes the arm's posture.
+//! In: where it starts and ends, and a [`Profile`]. Out: joint positions at any time of it. The joint positions
+//! of a [`ToolPath`] follow frame by frame from the last ones, so it never changes the arm's posture.
 
-use crate::geometry::pose::ur_pose_from_isometry;
 use crate::sim::motion::profile::{Profile, Shape};
-use crate::sim::motion::{Arm, MotionFault};
+use crate::sim::motion::tool_path::ToolPath;
+use crate::sim::motion::{Arm, FRAME_SECONDS, MotionFault};
 use crate::units::Joints;
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Unit, Vector3};
 
-/// Metres of a tool move that one radian of turning counts as, where turning takes longer than travelling.
-const METRES_PER_RADIAN: f64 = 0.25;
-
-/// Points at which a tool line is tried before it starts, per metre or radian of it.
+/// Points at which a way of the tool is tried before it starts, per metre or radian of it.
 const PROBES_PER_UNIT: f64 = 100.0;
 
 /// Speeds and accelerations of a move, SI; a `seconds` above 0 overrides them.
@@ -29,11 +25,20 @@ pub struct MoveLimits {
     pub blend: f64,
 }
 
+/// How a segment begins.
+#[derive(Clone, Copy, Debug)]
+pub enum Start {
+    /// From rest, or within the time (s) the predecessor still needs.
+    Lead(f64),
+    /// At this speed (m/s).
+    Motion(f64),
+}
+
 /// Where a segment leads.
 #[derive(Clone, Debug)]
 enum Course {
     Joint { from: Joints, delta: [f64; 6] },
-    Line { from: Isometry3<f64>, travel: Vector3<f64>, turn: Vector3<f64>, last: Joints },
+    Tool { path: ToolPath, last: Joints },
     RunOut { from: Joints, speed: [f64; 6], seconds: f64 },
 }
 
@@ -43,6 +48,19 @@ pub struct Segment {
     course: Course,
     profile: Profile,
     target: Joints,
+    /// A successor may take over in full motion.
+    constant_speed: bool,
+}
+
+/// How a segment whose successor takes over moves at that moment.
+#[derive(Clone, Copy, Debug)]
+pub struct Handover {
+    /// Where the tool is heading.
+    pub direction: Unit<Vector3<f64>>,
+    /// How far it has to its target, m.
+    pub ahead: f64,
+    /// m/s
+    pub speed: f64,
 }
 
 impl Segment {
@@ -52,31 +70,67 @@ impl Segment {
         let length = delta.iter().fold(0.0f64, |longest, value| longest.max(value.abs()));
         let blend =
             if limits.blend > 0.0 { length * joint_blend(arm, from, &delta, to, limits.blend) } else { 0.0 };
-        let profile = profile(length, limits, blend, lead);
-        Segment { course: Course::Joint { from: *from, delta }, profile, target: *to }
+        // No joint may be faster than it can, also where another one leads.
+        let slowest = delta.iter().zip(arm.joint_speed).filter(|(way, _)| way.abs() > 0.0);
+        let speed = slowest.map(|(way, most)| most * length / way.abs()).fold(limits.speed, f64::min);
+        let profile = profile(length, &MoveLimits { speed, ..*limits }, blend, lead);
+        Segment { course: Course::Joint { from: *from, delta }, profile, target: *to, constant_speed: false }
     }
 
-    /// A line in tool space.
+    /// A way of the tool from `from`, where `path` starts. `lead` is the time the predecessor still needs.
     ///
     /// # Errors
-    /// When the line leads out of reach or through a singularity.
-    pub fn line(
+    /// When the way leads out of reach or through a singularity.
+    pub fn tool(
         arm: &Arm,
         from: &Joints,
-        to: &Isometry3<f64>,
+        path: ToolPath,
         limits: &MoveLimits,
         lead: f64,
     ) -> Result<Segment, MotionFault> {
-        let start = arm.tcp(from);
-        let travel = to.translation.vector - start.translation.vector;
-        let turn = (start.rotation.inverse() * to.rotation).scaled_axis();
-        let distance = travel.norm();
-        let length = distance.max(turn.norm() * METRES_PER_RADIAN);
-        let course = Course::Line { from: start, travel, turn, last: *from };
-        let target = probe(arm, from, &start, &travel, &turn)?;
-        let near_target = if distance > 1e-9 { (limits.blend / distance).min(0.5) } else { 0.5 };
-        let blend = if limits.blend > 0.0 { length * near_target } else { 0.0 };
-        Ok(Segment { course, profile: profile(length, limits, blend, lead), target })
+        Segment::along(arm, from, path, limits, Start::Lead(lead), false)
+    }
+
+    /// The same for a process move, whose successor takes over where its blend begins; it may have
+    /// taken over itself.
+    ///
+    /// # Errors
+    /// As for [`Segment::tool`].
+    pub fn process(
+        arm: &Arm,
+        from: &Joints,
+        path: ToolPath,
+        limits: &MoveLimits,
+        start: Start,
+    ) -> Result<Segment, MotionFault> {
+        Segment::along(arm, from, path, limits, start, true)
+    }
+
+    fn along(
+        arm: &Arm,
+        from: &Joints,
+        path: ToolPath,
+        limits: &MoveLimits,
+        start: Start,
+        constant_speed: bool,
+    ) -> Result<Segment, MotionFault> {
+        let target = probe(arm, from, &path)?;
+        let (distance, length) = (path.travel(), path.length());
+        // A process move is handed over on the straight piece at its end.
+        let straight = path.final_line().map_or(0.0, |(_, length)| length);
+        let radius = if constant_speed { limits.blend.min(straight) } else { limits.blend };
+        let near_target = if distance > 1e-9 { (radius / distance).min(0.5) } else { 0.5 };
+        let blend = if radius > 0.0 { length * near_target } else { 0.0 };
+        let profile = match start {
+            Start::Lead(lead) => profile(length, limits, blend, lead),
+            Start::Motion(entry) => {
+                // Where the tool mostly turns, the length is longer than the way.
+                let entry = entry * length / distance.max(1e-9);
+                let (speed, acceleration) = (limits.speed, limits.acceleration);
+                Profile::new(&Shape { length, speed, acceleration, blend, lead: 0.0, entry })
+            }
+        };
+        Ok(Segment { course: Course::Tool { path, last: *from }, profile, target, constant_speed })
     }
 
     /// The way on from `speed` (rad/s) until all joints have stopped together, the fastest of them braking
@@ -85,9 +139,10 @@ impl Segment {
         let fastest = speed.iter().fold(0.0f64, |fastest, value| fastest.max(value.abs()));
         let seconds = fastest / acceleration;
         let target = Joints(std::array::from_fn(|i| from.0[i] + speed[i] * seconds / 2.0));
-        let unit = Shape { length: 1.0, speed: 1.0, acceleration: 1.0, blend: 0.0, lead: 0.0 };
+        let unit = Shape { length: 1.0, speed: 1.0, acceleration: 1.0, blend: 0.0, lead: 0.0, entry: 0.0 };
         let profile = Profile::new(&unit).lasting(seconds.max(1e-9));
-        Segment { course: Course::RunOut { from: *from, speed: *speed, seconds }, profile, target }
+        let course = Course::RunOut { from: *from, speed: *speed, seconds };
+        Segment { course, profile, target, constant_speed: false }
     }
 
     /// Where it ends.
@@ -116,9 +171,8 @@ impl Segment {
         let fraction = self.profile.fraction(time);
         Ok(match &mut self.course {
             Course::Joint { from, delta } => Joints(std::array::from_fn(|i| from.0[i] + delta[i] * fraction)),
-            Course::Line { from, travel, turn, last } => {
-                *last =
-                    arm.follow(&along(from, travel, turn, fraction), last).ok_or(MotionFault::Unreachable)?;
+            Course::Tool { path, last } => {
+                *last = arm.follow(&path.pose(fraction), last).ok_or(MotionFault::Unreachable)?;
                 *last
             }
             Course::RunOut { from, speed, seconds } => {
@@ -129,38 +183,35 @@ impl Segment {
         })
     }
 
-    /// Pose of the TCP where it ends, as the controller writes it.
-    pub fn target_pose(&self, arm: &Arm) -> [f64; 6] {
-        ur_pose_from_isometry(&arm.tcp(&self.target))
+    /// How a process move can be taken over at `time` (s); `None` before its blend begins and for other moves.
+    pub fn handover(&self, time: f64) -> Option<Handover> {
+        let Course::Tool { path, .. } = &self.course else { return None };
+        let blends = self.release() < self.duration() && time + FRAME_SECONDS >= self.release();
+        if !self.constant_speed || !blends || time <= 0.0 {
+            return None;
+        }
+        let step = FRAME_SECONDS.min(time);
+        let (now, before) = (self.profile.fraction(time), self.profile.fraction(time - step));
+        let speed = (now - before) * path.travel() / step;
+        let ahead = (1.0 - now) * path.travel();
+        let (direction, _) = path.final_line()?;
+        (speed > 1e-4).then_some(Handover { direction, ahead, speed })
     }
 }
 
 fn profile(length: f64, limits: &MoveLimits, blend: f64, lead: f64) -> Profile {
-    let shape = Shape { length, speed: limits.speed, acceleration: limits.acceleration, blend, lead };
+    let shape =
+        Shape { length, speed: limits.speed, acceleration: limits.acceleration, blend, lead, entry: 0.0 };
     let natural = Profile::new(&shape);
     if limits.seconds > 0.0 { natural.lasting(limits.seconds) } else { natural }
 }
 
-fn along(from: &Isometry3<f64>, travel: &Vector3<f64>, turn: &Vector3<f64>, fraction: f64) -> Isometry3<f64> {
-    Isometry3::from_parts(
-        Translation3::from(from.translation.vector + travel * fraction),
-        from.rotation * UnitQuaternion::from_scaled_axis(turn * fraction),
-    )
-}
-
-/// Follows a tool line to its end in coarse steps: its last joint positions.
-fn probe(
-    arm: &Arm,
-    from: &Joints,
-    start: &Isometry3<f64>,
-    travel: &Vector3<f64>,
-    turn: &Vector3<f64>,
-) -> Result<Joints, MotionFault> {
-    let steps = ((travel.norm() + turn.norm()) * PROBES_PER_UNIT).ceil().clamp(1.0, 2000.0) as u32;
+/// Follows a way of the tool to its end in coarse steps: its last joint positions.
+fn probe(arm: &Arm, from: &Joints, path: &ToolPath) -> Result<Joints, MotionFault> {
+    let steps = ((path.travel() + path.turning()) * PROBES_PER_UNIT).ceil().clamp(1.0, 2000.0) as u32;
     let mut q = *from;
     for step in 1..=steps {
-        let pose = along(start, travel, turn, f64::from(step) / f64::from(steps));
-        q = arm.follow(&pose, &q).ok_or(MotionFault::Unreachable)?;
+        q = arm.follow(&path.pose(f64::from(step) / f64::from(steps)), &q).ok_or(MotionFault::Unreachable)?;
         if let Some(joint) = arm.outside(&q) {
             return Err(MotionFault::JointRange { joint, position: q.0[joint] });
         }

@@ -322,6 +322,17 @@ impl<'a> Caster<'a> {
         sample
     }
 
+    /// Depth of what the direction `ray` meets, m along the optical axis; infinite if there is nothing.
+    pub fn depth(&self, candidates: &Candidates, ray: [f64; 2]) -> f64 {
+        let d = self.table.direction(ray);
+        // The floor far below the board is too far to matter: the board's plane stands for both.
+        let ground = if d[2] < -1e-9 { -self.table.eye[2] / d[2] } else { f64::INFINITY };
+        let nearest = |depth: f64, index: &usize| {
+            self.prisms[*index].meet(ray, depth.min(f64::MAX)).map_or(depth, |(at, ..)| at)
+        };
+        candidates.prisms.iter().fold(ground, nearest)
+    }
+
     #[inline]
     fn ground(&self, candidates: &Candidates, d: [f64; 3], depth: f64) -> Sample {
         let (x, y) = (self.table.eye[0] + depth * d[0], self.table.eye[1] + depth * d[1]);

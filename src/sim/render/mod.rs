@@ -5,15 +5,18 @@
 //!
 //! How: one ray a pixel through the exact inverse of the lens ([`lens`]), met with prisms, prints and board ([`cast`]);
 //! where neighbouring pixels see different surfaces, 16 rays; then blur, noise and eight bits ([`sensor`]). Exposure
-//! is an instant: there is no motion blur, and no shadow. Uneven light is a smooth gain over the picture.
+//! is an instant: there is no motion blur, and no shadow. Uneven light is a smooth gain over the picture. Depth pictures
+//! are the same rays' lengths with the errors of stereo matching ([`depth`]).
 
 pub mod cast;
+pub mod depth;
 pub mod lens;
 pub mod scene;
 pub mod sensor;
 pub mod texture;
 
 use crate::sim::render::cast::Caster;
+use crate::sim::render::depth::{DepthImage, match_stereo};
 use crate::sim::render::lens::{CameraTruth, RayGrid};
 use crate::sim::render::scene::Scene;
 use crate::sim::render::sensor::{Exposure, Noise, blur};
@@ -84,6 +87,26 @@ impl Renderer {
         exposure.apply(&mut light);
         let rgb = self.noise.develop(&light, noise[0], noise[1]);
         Image { width: self.camera.width, height: self.camera.height, rgb }
+    }
+
+    /// The depth picture of the same moment and place, aligned to the colour picture; `noise` is seed and frame.
+    pub fn expose_depth(
+        &self,
+        scene: &Scene,
+        table_from_camera: &Isometry3<f64>,
+        exposure: &Exposure,
+        noise: [u64; 2],
+    ) -> DepthImage {
+        let (width, height) = (self.camera.width as usize, self.camera.height as usize);
+        let caster = Caster::new(scene, table_from_camera, &self.camera, &self.texture);
+        let depth = |row: usize, column: usize| {
+            caster.depth(caster.candidates(column, row), self.grid.cell(column, row).at(0.5, 0.5)) as f32
+        };
+        let truth: Vec<f32> = (0..height)
+            .flat_map(|row| (0..width).map(move |column| (row, column)))
+            .map(|(r, c)| depth(r, c))
+            .collect();
+        match_stereo(&self.camera, &truth, exposure.gain, noise)
     }
 
     fn fine_sample(&self, caster: &Caster, column: usize, row: usize) -> [f32; 3] {
@@ -209,6 +232,27 @@ mod tests {
         assert!(top[1] > wall[1] + 20, "{top:?} {wall:?}");
         assert!(hidden[0] < 10, "the low body is behind the tall one: {hidden:?}");
         assert!(level([0.049, 0.05, 0.02])[0] < 10 && level([0.2, 0.05, 0.0])[0] > 100);
+    }
+
+    #[test]
+    fn depth_is_that_of_the_surfaces_that_are_seen() {
+        let renderer = Renderer::new(camera());
+        let eye = look_at([0.0, 0.0, 0.4], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]);
+        let block = prism(Section::rectangle(0.1, 0.1), Pose2::new(0.0, 0.0, 0.0), 0.05);
+        let picture = renderer.expose_depth(&scene(vec![block]), &eye, &Exposure::default(), [1, 1]);
+        let mean = |centre: [f64; 3]| {
+            let p = eye.inverse() * Point3::from(centre);
+            let [u, v] = renderer.camera().project([p.x, p.y, p.z]).unwrap();
+            let (u, v) = (u.round() as usize, v.round() as usize);
+            let values: Vec<f64> = (v - 6..v + 6)
+                .flat_map(|row| (u - 6..u + 6).map(move |column| row * 320 + column))
+                .map(|at| f64::from(picture.units[at]) * depth::UNIT_M)
+                .filter(|z| *z > 0.0)
+                .collect();
+            values.iter().sum::<f64>() / values.len() as f64
+        };
+        assert!((mean([0.0, 0.0, 0.05]) - 0.35).abs() < 2e-3, "{}", mean([0.0, 0.0, 0.05]));
+        assert!((mean([0.12, 0.0, 0.0]) - 0.40).abs() < 5e-3, "{}", mean([0.12, 0.0, 0.0]));
     }
 
     #[test]

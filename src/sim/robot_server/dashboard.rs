@@ -1,11 +1,14 @@
 //! Connections to the dashboard server: a greeting, then one reply per command.
 //!
 //! In: lines. Out: replies; they mean "accepted", and the state follows in later frames. Commands that act
-//! are refused in local mode and, until it is reopened, on a connection made before the last switch.
+//! are refused in local mode and, until it is reopened, on a connection made before the last switch. The table of all
+//! commands is docs/simulator-states.md.
 
 use crate::sim::controller::Controller;
+use crate::sim::controller::pendant::{INSTALLATION, LoadError, OperationalMode, PROGRAM_FOLDER};
 use crate::sim::faults::link::LinkStream;
 use crate::sim::robot_server::RobotShared;
+use crate::wire::bytes::WireError;
 use crate::wire::dashboard::{Command, GREETING, LineSplitter, ProgramState, Reply};
 use crate::wire::enumerations::RuntimeState;
 use std::sync::Arc;
@@ -16,30 +19,52 @@ const NO_PROGRAM: &str = "<unnamed>";
 
 /// Serves one connection to its end.
 pub async fn connection(shared: Arc<RobotShared>, mut stream: LinkStream) {
-    let switches = shared.controller().core.modes.switches();
+    let mut session = Session::new(&shared.controller());
     if stream.write_all(format!("{GREETING}\n").as_bytes()).await.is_err() {
         return;
     }
-    let mut splitter = LineSplitter::default();
     let mut buffer = vec![0; 4096];
-    loop {
-        let count = match stream.read(&mut buffer).await {
-            Ok(0) | Err(_) => return,
-            Ok(count) => count,
-        };
-        splitter.push(&buffer[..count]);
-        loop {
-            let line = match splitter.next_line() {
-                Ok(Some(line)) => line,
-                Ok(None) => break,
-                Err(_) => return,
-            };
-            let command = Command::parse(&line);
-            let reply = answer(&mut shared.controller(), &command, &line, switches).line(&command);
-            if stream.write_all(reply.as_bytes()).await.is_err() || command == Command::Quit {
-                return;
-            }
+    while let Ok(count @ 1..) = stream.read(&mut buffer).await {
+        let Ok(replies) = session.receive(&shared, &buffer[..count]) else { return };
+        if stream.write_all(replies.as_bytes()).await.is_err() || session.over() {
+            return;
         }
+    }
+}
+
+/// One connection, without its socket.
+pub struct Session {
+    splitter: LineSplitter,
+    switches: u64,
+    over: bool,
+}
+
+impl Session {
+    /// A connection made now.
+    pub fn new(controller: &Controller) -> Session {
+        let switches = controller.core.modes.switches();
+        Session { splitter: LineSplitter::default(), switches, over: false }
+    }
+
+    /// Carries out what arrived, one command at a time under the controller's lock; the replies.
+    ///
+    /// # Errors
+    /// A line without an end; the connection ends.
+    pub fn receive(&mut self, shared: &RobotShared, bytes: &[u8]) -> Result<String, WireError> {
+        self.splitter.push(bytes);
+        let mut replies = String::new();
+        while let Some(line) = self.splitter.next_line()?.filter(|_| !self.over) {
+            let command = Command::parse(&line);
+            let reply = answer(&mut shared.controller(), &command, &line, self.switches);
+            replies.push_str(&reply.line(&command));
+            self.over = command == Command::Quit;
+        }
+        Ok(replies)
+    }
+
+    /// The client has taken its leave.
+    pub fn over(&self) -> bool {
+        self.over
     }
 }
 
@@ -49,41 +74,86 @@ pub fn answer(controller: &mut Controller, command: &Command, line: &str, switch
     if command.needs_remote_control() && (!modes.remote() || modes.switches() != switches) {
         return Reply::NotAllowed;
     }
-    if let Some(reply) = question(controller, command) {
+    if let Some(reply) = question(controller, command).or_else(|| at_the_pendant(controller, command)) {
         return reply;
     }
-    let accepted = Reply::accepted(command);
     let refused = |verb: &str| Reply::Refused(format!("Failed to execute: {verb}"));
     match command {
         Command::PowerOn => controller.core.modes.power_on(),
         Command::PowerOff | Command::Shutdown => controller.power_off(),
         Command::BrakeRelease => controller.core.modes.release_brakes(),
         Command::Play if !controller.programs.play(&mut controller.core) => return refused("play"),
-        Command::Stop if !controller.programs.stop(&mut controller.core) => return refused("stop"),
+        // Without a program too: clients stop what may have ended a moment ago, and expect no other answer.
+        Command::Stop => drop(controller.programs.stop(&mut controller.core)),
         Command::Pause if !controller.programs.pause() => return refused("pause"),
-        Command::Load(name) | Command::LoadInstallation(name) => {
-            // The simulated controller has no file store; programs come over the script ports.
-            return Reply::Refused(format!("File not found: {name}"));
-        }
+        Command::Load(name) => return load(controller, name),
         Command::UnlockProtectiveStop => {
             if let Err(sentence) = controller.unlock_protective_stop() {
                 return Reply::Refused(sentence);
             }
         }
-        Command::Popup(text) => controller.core.popup = Some(text.clone()),
-        Command::ClosePopup => controller.core.popup = None,
         Command::RestartSafety => controller.restart_safety(),
         Command::Unknown(_) => return Reply::not_understood(line),
         _ => {}
     }
-    accepted
+    Reply::accepted(command)
+}
+
+fn load(controller: &mut Controller, name: &str) -> Reply {
+    match controller.core.open_program(name) {
+        Ok(code) => {
+            controller.programs.load(code, &mut controller.core);
+            let path = controller.core.pendant.program.as_deref().unwrap_or(name);
+            Reply::Accepted(format!("Loading program: {path}"))
+        }
+        Err(LoadError::NotFound) => Reply::Refused(format!("File not found: {name}")),
+        Err(LoadError::Wrong) => Reply::Refused(format!("Error while loading program: {name}")),
+    }
+}
+
+/// Commands that change what stands on the pendant.
+fn at_the_pendant(controller: &mut Controller, command: &Command) -> Option<Reply> {
+    let core = &mut controller.core;
+    match command {
+        Command::Popup(text) => core.popup = Some(text.clone()),
+        Command::ClosePopup => core.popup = None,
+        Command::CloseSafetyPopup => core.pendant.safety_popup = false,
+        Command::LoadInstallation(name) => {
+            let file = name.strip_prefix(PROGRAM_FOLDER).unwrap_or(name);
+            return Some(match file {
+                INSTALLATION => Reply::Accepted(format!("Loading installation: {PROGRAM_FOLDER}{file}")),
+                _ => Reply::Refused(format!("File not found: {name}")),
+            });
+        }
+        Command::SetOperationalMode(name) => match OperationalMode::from_name(name) {
+            Some(mode) => core.pendant.operational_mode = mode,
+            None => return Some(Reply::Refused(format!("Failed setting operational mode: {name}"))),
+        },
+        Command::ClearOperationalMode => {
+            core.pendant.operational_mode = OperationalMode::None;
+            let sentence = "No longer controlling the operational mode. Current operational mode: 'NONE'.";
+            return Some(Reply::Text(sentence.to_owned()));
+        }
+        Command::SetUserRole(name) if !core.pendant.set_role(name) => {
+            return Some(Reply::Refused(format!("Failed setting user role: {name}")));
+        }
+        Command::AddToLog(text) => tracing::info!(text, "log message of a dashboard client"),
+        // Reports are made of files that only a real controller has.
+        Command::GenerateFlightReport(kind) => {
+            return Some(Reply::Text(format!("Error generating flight report: {kind}: not simulated")));
+        }
+        Command::GenerateSupportFile(folder) => {
+            return Some(Reply::Text(format!("Error generating support file: {folder}: not simulated")));
+        }
+        _ => return None,
+    }
+    Some(Reply::accepted(command))
 }
 
 /// Commands that only ask.
 fn question(controller: &Controller, command: &Command) -> Option<Reply> {
     let core = &controller.core;
-    let [major, minor, bugfix, build] = core.config.version;
-    let program = controller.programs.name();
+    let [major, minor, bugfix, build] = core.version();
     Some(match command {
         Command::Running => Reply::Flag(controller.programs.playing()),
         Command::ProgramState => Reply::ProgramState {
@@ -92,13 +162,13 @@ fn question(controller: &Controller, command: &Command) -> Option<Reply> {
                 RuntimeState::Paused => ProgramState::Paused,
                 _ => ProgramState::Stopped,
             },
-            program: program.unwrap_or(NO_PROGRAM).to_owned(),
+            program: program_name(controller).to_owned(),
         },
-        Command::GetLoadedProgram => Reply::Text(match program {
-            Some(name) => format!("Loaded program: {name}"),
+        Command::GetLoadedProgram => Reply::Text(match &core.pendant.program {
+            Some(path) => format!("Loaded program: {path}"),
             None => "No program loaded".to_owned(),
         }),
-        Command::IsProgramSaved => Reply::Text(format!("true {}", program.unwrap_or(NO_PROGRAM))),
+        Command::IsProgramSaved => Reply::Text(format!("true {}", program_name(controller))),
         Command::RobotMode => Reply::RobotMode(core.modes.robot_mode()),
         Command::SafetyMode | Command::SafetyStatus => Reply::SafetyMode(core.modes.safety_mode()),
         Command::IsInRemoteControl => Reply::Flag(core.modes.remote()),
@@ -107,9 +177,20 @@ fn question(controller: &Controller, command: &Command) -> Option<Reply> {
         }
         Command::Version => Reply::Text(format!("{major}.{minor}.{bugfix}.{build}")),
         Command::GetSerialNumber => Reply::Text(core.config.serial_number.clone()),
-        Command::GetRobotModel => Reply::Text(core.config.model.clone()),
-        Command::GetOperationalMode => Reply::Text("NONE".to_owned()),
-        Command::GetUserRole => Reply::Text("PROGRAMMER".to_owned()),
+        Command::GetRobotModel => Reply::Text(core.model().to_owned()),
+        Command::GetOperationalMode => Reply::Text(core.pendant.operational_mode.name().to_owned()),
+        Command::GetUserRole => Reply::Text(core.pendant.role().to_owned()),
         _ => return None,
     })
+}
+
+/// The file of the loaded program, or the name of the script that ran last if it came over a socket.
+fn program_name(controller: &Controller) -> &str {
+    let file = controller.core.pendant.program.as_deref();
+    let file = file.map(|path| path.strip_prefix(PROGRAM_FOLDER).unwrap_or(path));
+    let name = controller.programs.name();
+    match (file, controller.programs.is_loaded()) {
+        (Some(file), true) => file,
+        _ => name.unwrap_or(NO_PROGRAM),
+    }
 }

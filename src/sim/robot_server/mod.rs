@@ -1,5 +1,5 @@
-//! The controller's TCP servers: dashboard (29999), primary (30001), secondary (30002), real-time (30003) and
-//! RTDE (30004), around the frame-stepped [`Controller`].
+//! The controller's TCP servers: dashboard (29999), primary (30001), secondary (30002), real-time (30003), RTDE (30004),
+//! and the read-only twins of the three that take scripts (30011 to 30013), around the frame-stepped [`Controller`].
 //!
 //! In: an address to listen on, and one call of [`RobotShared::frame`] per controller frame from the thread
 //! that keeps the time. Out: whatever the clients of the real controller expect. Connections act on the
@@ -11,6 +11,8 @@ pub mod dashboard;
 
 pub mod outlets;
 
+pub mod punctuality;
+
 pub mod rtde;
 
 pub mod script_channel;
@@ -19,9 +21,13 @@ pub mod script_ports;
 
 use crate::sim::controller::Controller;
 use crate::sim::faults::link::{Link, LinkName, LinkStream, Links};
-use crate::sim::robot_server::outlets::Outlets;
+use crate::sim::robot_server::outlets::{Feed, Outlets};
+use crate::sim::robot_server::punctuality::Punctuality;
+use crate::sim::robot_server::script_ports::Port;
+use crate::sim::script_sockets::TcpScriptSockets;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Instant;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::{JoinHandle, JoinSet};
@@ -45,14 +51,23 @@ pub struct RobotPorts {
     pub realtime: u16,
     /// RTDE.
     pub rtde: u16,
+    /// Primary, secondary and real-time interface without scripts.
+    pub read_only: [u16; 3],
 }
 
 impl RobotPorts {
     /// Those of a real controller.
-    pub const REAL: RobotPorts =
-        RobotPorts { dashboard: 29999, primary: 30001, secondary: 30002, realtime: 30003, rtde: 30004 };
+    pub const REAL: RobotPorts = RobotPorts {
+        dashboard: 29999,
+        primary: 30001,
+        secondary: 30002,
+        realtime: 30003,
+        rtde: 30004,
+        read_only: [30011, 30012, 30013],
+    };
     /// Any that are free.
-    pub const ANY: RobotPorts = RobotPorts { dashboard: 0, primary: 0, secondary: 0, realtime: 0, rtde: 0 };
+    pub const ANY: RobotPorts =
+        RobotPorts { dashboard: 0, primary: 0, secondary: 0, realtime: 0, rtde: 0, read_only: [0; 3] };
 }
 
 /// Where the servers listen.
@@ -68,6 +83,8 @@ pub struct RobotAddresses {
     pub realtime: SocketAddr,
     /// RTDE.
     pub rtde: SocketAddr,
+    /// Primary, secondary and real-time interface without scripts.
+    pub read_only: [SocketAddr; 3],
 }
 
 /// Why the servers cannot start.
@@ -90,15 +107,19 @@ pub struct RobotShared {
     outlets: Mutex<Outlets>,
     /// What is wrong with the connections, those of gripper and camera included.
     pub links: Links,
+    /// How late RTDE packages leave.
+    pub punctuality: Punctuality,
 }
 
 impl RobotShared {
-    /// Around a controller.
-    pub fn new(controller: Controller) -> Arc<RobotShared> {
+    /// Around a controller, which gets the network for its scripts' sockets.
+    pub fn new(mut controller: Controller) -> Arc<RobotShared> {
+        controller.core.sockets = Box::new(TcpScriptSockets::default());
         Arc::new(RobotShared {
             controller: Mutex::new(controller),
             outlets: Mutex::new(Outlets::default()),
             links: Links::default(),
+            punctuality: Punctuality::default(),
         })
     }
 
@@ -113,11 +134,11 @@ impl RobotShared {
         self.outlets.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 
-    /// One controller frame, and its outputs to all connections.
-    pub fn frame(&self) {
+    /// One controller frame, and its outputs to all connections; packages record how late after `due` they leave.
+    pub fn frame(&self, due: Option<Instant>) {
         let mut controller = self.controller();
         controller.frame();
-        self.outlets().publish(&mut controller);
+        self.outlets().publish(&mut controller, due);
     }
 }
 
@@ -154,12 +175,17 @@ pub async fn serve(
     let secondary = listen("secondary interface", bind, ports.secondary).await?;
     let realtime = listen("real-time interface", bind, ports.realtime).await?;
     let rtde = listen("RTDE server", bind, ports.rtde).await?;
+    let [first, second, third] = ports.read_only;
+    let primary_read = listen("read-only primary interface", bind, first).await?;
+    let secondary_read = listen("read-only secondary interface", bind, second).await?;
+    let realtime_read = listen("read-only real-time interface", bind, third).await?;
     let addresses = RobotAddresses {
         dashboard: dashboard.1,
         primary: primary.1,
         secondary: secondary.1,
         realtime: realtime.1,
         rtde: rtde.1,
+        read_only: [primary_read.1, secondary_read.1, realtime_read.1],
     };
     let feed = |listener, name, serve: fn(Arc<RobotShared>, LinkStream) -> Connection| {
         accept(listener, shared, shared.links.get(name), shutdown, serve)
@@ -168,18 +194,25 @@ pub async fn serve(
         feed(dashboard, LinkName::Dashboard, |shared, stream| {
             Box::pin(dashboard::connection(shared, stream))
         }),
-        feed(primary, LinkName::Primary, |shared, stream| {
-            Box::pin(script_ports::connection(shared, stream, outlets::Feed::Primary))
-        }),
+        feed(primary, LinkName::Primary, |shared, stream| scripts(shared, stream, Feed::Primary, false)),
         feed(secondary, LinkName::Secondary, |shared, stream| {
-            Box::pin(script_ports::connection(shared, stream, outlets::Feed::Secondary))
+            scripts(shared, stream, Feed::Secondary, false)
         }),
-        feed(realtime, LinkName::Realtime, |shared, stream| {
-            Box::pin(script_ports::connection(shared, stream, outlets::Feed::Realtime))
+        feed(realtime, LinkName::Realtime, |shared, stream| scripts(shared, stream, Feed::Realtime, false)),
+        feed(primary_read, LinkName::Primary, |shared, stream| scripts(shared, stream, Feed::Primary, true)),
+        feed(secondary_read, LinkName::Secondary, |shared, stream| {
+            scripts(shared, stream, Feed::Secondary, true)
+        }),
+        feed(realtime_read, LinkName::Realtime, |shared, stream| {
+            scripts(shared, stream, Feed::Realtime, true)
         }),
         feed(rtde, LinkName::Rtde, |shared, stream| Box::pin(rtde::connection(shared, stream))),
     ];
     Ok(RobotServers { addresses, tasks })
+}
+
+fn scripts(shared: Arc<RobotShared>, stream: LinkStream, feed: Feed, read_only: bool) -> Connection {
+    Box::pin(script_ports::connection(shared, stream, Port { feed, read_only }))
 }
 
 async fn listen(

@@ -5,17 +5,23 @@
 //! bounded queue per connection. A full queue means that the client is behind: its package is skipped, never
 //! stored elsewhere. An RTDE client that stays behind for 10 s is dropped, as on the controller; the others
 //! are not, because real clients keep a script connection open for hours without reading it.
-//! Also here, because it concerns the same connections: when a client that writes inputs regularly is late.
+//! Clients with equal recipes share one encoding. Also here, because it concerns the same connections: when a client
+//! that writes inputs regularly is late, and how punctual packages are on their way out.
 
 use crate::sim::controller::outputs::Output;
 use crate::sim::controller::registers::ClientId;
 use crate::sim::controller::{Controller, FRAMES_PER_SECOND, realtime, robot_state};
+use crate::sim::faults::link::LinkStream;
+use crate::sim::robot_server::RobotShared;
+use crate::wire::bytes::Writer;
 use crate::wire::primary::Package;
-use crate::wire::primary_message::Message;
+use crate::wire::primary_message::{Message, MessageBody};
 use crate::wire::primary_state::SubPackage;
 use crate::wire::rtde::{Reply, Version};
 use crate::wire::rtde_values::Recipe;
 use std::sync::Arc;
+use std::time::Instant;
+use tokio::io::{AsyncWriteExt, WriteHalf};
 use tokio::sync::{Notify, mpsc};
 
 /// Packages a connection may be behind.
@@ -34,8 +40,30 @@ const REGULAR_INTERVALS: u32 = 5;
 /// Sender of robot messages as the vendor's interface numbers it.
 const SOURCE_ROBOT: i8 = -3;
 
+/// `requested type` of a popup that asks for nothing.
+const NO_VALUE: u32 = 8;
+
 /// Bytes on their way to a client.
 pub type Bytes = Arc<[u8]>;
+
+/// Bytes in a connection's queue, and when the frame they are from was due.
+#[derive(Debug)]
+pub struct Parcel {
+    bytes: Bytes,
+    due: Option<Instant>,
+}
+
+impl From<Vec<u8>> for Parcel {
+    fn from(bytes: Vec<u8>) -> Parcel {
+        Parcel { bytes: bytes.into(), due: None }
+    }
+}
+
+impl From<Bytes> for Parcel {
+    fn from(bytes: Bytes) -> Parcel {
+        Parcel { bytes, due: None }
+    }
+}
 
 /// What a connection is fed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,17 +78,38 @@ pub enum Feed {
     Rtde,
 }
 
-/// An RTDE client's output recipe.
+/// What an RTDE client wants to be sent.
 #[derive(Clone, Debug)]
-pub struct Subscription {
+pub struct Plan {
     /// The recipe.
     pub recipe: Recipe,
     /// How to sample its fields.
     pub fields: Vec<Output>,
-    /// Frames between two packages.
-    pub interval: u64,
     /// For the encoding.
     pub version: Version,
+}
+
+impl Plan {
+    /// The data package of this frame.
+    fn encode(&self, controller: &Controller) -> Bytes {
+        let mut payload = Writer::new();
+        for field in &self.fields {
+            field.sample(controller).encode(&mut payload);
+        }
+        let reply = Reply::Data { recipe: self.recipe.id, payload: payload.finish() };
+        reply.encode(self.version).into()
+    }
+
+    fn same(&self, other: &Plan) -> bool {
+        self.recipe == other.recipe && self.version == other.version
+    }
+}
+
+/// A plan, shared with the clients who want the same, and how often.
+#[derive(Clone, Debug)]
+struct Subscription {
+    plan: Arc<Plan>,
+    interval: u64,
 }
 
 /// The receiving end of a connection's queue, for its writer.
@@ -69,18 +118,20 @@ pub struct Inlet {
     /// The connection.
     pub id: ClientId,
     /// What to write.
-    pub queue: mpsc::Receiver<Bytes>,
+    pub queue: mpsc::Receiver<Parcel>,
     /// Wakes when the connection is to be dropped at once.
     pub dropped: Arc<Notify>,
     /// For replies of the connection itself.
-    pub replies: mpsc::Sender<Bytes>,
+    pub replies: mpsc::Sender<Parcel>,
 }
 
 #[derive(Debug)]
 struct Outlet {
     id: ClientId,
     feed: Feed,
-    queue: mpsc::Sender<Bytes>,
+    /// Its port takes no scripts.
+    read_only: bool,
+    queue: mpsc::Sender<Parcel>,
     dropped: Arc<Notify>,
     behind: u64,
     given_up: bool,
@@ -104,12 +155,16 @@ pub struct Outlets {
     switches: u64,
     sent: u64,
     skipped: u64,
+    /// Frames between RTDE packages whatever was agreed (a fault).
+    forced_interval: Option<u64>,
+    /// The popup of the last frame.
+    popup: Option<String>,
 }
 
 impl Outlets {
     /// Adds a connection; RTDE connections get data only after [`Outlets::subscribe`] and
     /// [`Outlets::start`].
-    pub fn open(&mut self, feed: Feed) -> Inlet {
+    pub fn open(&mut self, feed: Feed, read_only: bool) -> Inlet {
         self.last_id += 1;
         let id = ClientId(self.last_id);
         let (sender, queue) = mpsc::channel(QUEUE);
@@ -117,6 +172,7 @@ impl Outlets {
         self.outlets.push(Outlet {
             id,
             feed,
+            read_only,
             queue: sender.clone(),
             dropped: dropped.clone(),
             behind: 0,
@@ -133,11 +189,19 @@ impl Outlets {
         self.outlets.retain(|outlet| outlet.id != id);
     }
 
-    /// Sets a connection's recipe, in place of an earlier one.
-    pub fn subscribe(&mut self, id: ClientId, subscription: Subscription) {
+    /// Sets a connection's recipe, in place of an earlier one; `interval` in frames between packages.
+    pub fn subscribe(&mut self, id: ClientId, plan: Plan, interval: u64) {
+        let known = self.outlets.iter().filter_map(|outlet| outlet.subscription.as_ref());
+        let known = known.map(|subscription| &subscription.plan).find(|known| known.same(&plan)).cloned();
         if let Some(outlet) = self.find(id) {
-            outlet.subscription = Some(subscription);
+            let plan = known.unwrap_or_else(|| Arc::new(plan));
+            outlet.subscription = Some(Subscription { plan, interval });
         }
+    }
+
+    /// Sends RTDE packages at another rate than was agreed (a fault); `None`: as agreed.
+    pub fn force_rate(&mut self, hz: Option<f64>) {
+        self.forced_interval = hz.map(|hz| (FRAMES_PER_SECOND as f64 / hz).round().max(1.0) as u64);
     }
 
     /// Starts or pauses a connection's data; false without a recipe.
@@ -194,9 +258,10 @@ impl Outlets {
         self.outlets.iter_mut().find(|outlet| outlet.id == id)
     }
 
-    /// Sends what is due at the end of a frame.
-    pub fn publish(&mut self, controller: &mut Controller) {
+    /// Sends what is due at the end of a frame; `due` is when the frame was.
+    pub fn publish(&mut self, controller: &mut Controller, due: Option<Instant>) {
         self.close_after_switch(controller);
+        self.tell_popup(controller);
         let step = controller.core.step;
         let messages: Vec<Bytes> = controller
             .core
@@ -208,24 +273,45 @@ impl Outlets {
         let state_due = step.is_multiple_of(STATE_INTERVAL) && (fed(Feed::Primary) || fed(Feed::Secondary));
         let state = state_due.then(|| encode_state(robot_state::periodic(controller)));
         let block: Option<Bytes> = fed(Feed::Realtime).then(|| realtime::block(controller).into());
-        let (mut sent, mut skipped) = (0, 0);
+        let mut encoded: Vec<(Arc<Plan>, Bytes)> = Vec::new();
         for outlet in &mut self.outlets {
             match outlet.feed {
-                Feed::Primary => messages.iter().chain(&state).for_each(|bytes| outlet.send(bytes.clone())),
-                Feed::Secondary => state.iter().for_each(|bytes| outlet.send(bytes.clone())),
-                Feed::Realtime => block.iter().for_each(|bytes| outlet.send(bytes.clone())),
+                Feed::Primary => messages.iter().chain(&state).for_each(|bytes| outlet.send(bytes, None)),
+                Feed::Secondary => state.iter().for_each(|bytes| outlet.send(bytes, None)),
+                Feed::Realtime => block.iter().for_each(|bytes| outlet.send(bytes, None)),
                 Feed::Rtde => {
-                    if let Some(bytes) = outlet.data(controller, step) {
-                        outlet.send(bytes);
-                        sent += u64::from(outlet.behind == 0);
-                        skipped += u64::from(outlet.behind > 0);
-                    }
+                    let Some(plan) = outlet.plan_of(step, self.forced_interval) else { continue };
+                    let shared = encoded.iter().find(|(known, _)| Arc::ptr_eq(known, &plan));
+                    let bytes = match shared {
+                        Some((_, bytes)) => bytes.clone(),
+                        None => plan.encode(controller),
+                    };
+                    outlet.send(&bytes, due);
+                    self.sent += u64::from(outlet.behind == 0);
+                    self.skipped += u64::from(outlet.behind > 0);
+                    encoded.push((plan, bytes));
                 }
             }
         }
-        self.sent += sent;
-        self.skipped += skipped;
         self.drop_the_hopeless();
+    }
+
+    /// A popup that has come up is told on the primary interface, whoever opened it.
+    fn tell_popup(&mut self, controller: &mut Controller) {
+        if self.popup == controller.core.popup {
+            return;
+        }
+        self.popup = controller.core.popup.clone();
+        let Some(text) = self.popup.clone() else { return };
+        controller.core.message(MessageBody::Popup {
+            request: 0,
+            value_type: NO_VALUE,
+            warning: false,
+            error: false,
+            blocking: false,
+            title: "Popup".to_owned(),
+            text,
+        });
     }
 
     fn drop_the_hopeless(&mut self) {
@@ -245,10 +331,11 @@ impl Outlets {
             return;
         }
         self.outlets.retain(|outlet| {
-            if outlet.feed != Feed::Rtde {
+            let stays = outlet.feed == Feed::Rtde || outlet.read_only;
+            if !stays {
                 outlet.dropped.notify_one();
             }
-            outlet.feed == Feed::Rtde
+            stays
         });
     }
 }
@@ -263,29 +350,39 @@ impl Outlet {
     }
 
     /// Queues a package, or counts the frames it was to last if there is no room.
-    fn send(&mut self, bytes: Bytes) {
+    fn send(&mut self, bytes: &Bytes, due: Option<Instant>) {
         self.given_up &= self.queue.capacity() < QUEUE / 2;
         let frames = self.subscription.as_ref().map_or(1, |subscription| subscription.interval);
-        match self.queue.try_send(bytes) {
+        match self.queue.try_send(Parcel { bytes: bytes.clone(), due }) {
             Ok(()) => self.behind = 0,
             Err(_) => self.behind += frames,
         }
     }
 
-    fn data(&self, controller: &Controller, step: u64) -> Option<Bytes> {
+    /// What is to be sent in this frame, if anything.
+    fn plan_of(&self, step: u64, forced_interval: Option<u64>) -> Option<Arc<Plan>> {
         let subscription = self.subscription.as_ref().filter(|_| self.started)?;
-        if !step.is_multiple_of(subscription.interval) {
-            return None;
+        let interval = forced_interval.unwrap_or(subscription.interval);
+        step.is_multiple_of(interval).then(|| subscription.plan.clone())
+    }
+}
+
+/// Writes what is queued until the connection breaks.
+pub async fn write_all(mut inlet: Inlet, mut writer: WriteHalf<LinkStream>, shared: Arc<RobotShared>) {
+    // The own handle for replies would keep the queue open after the outlet is gone.
+    drop(inlet.replies);
+    while let Some(parcel) = inlet.queue.recv().await {
+        if writer.write_all(&parcel.bytes).await.is_err() {
+            return;
         }
-        let values: Vec<_> = subscription.fields.iter().map(|field| field.sample(controller)).collect();
-        let payload = subscription.recipe.encode(&values).ok()?;
-        let reply = Reply::Data { recipe: subscription.recipe.id, payload };
-        Some(reply.encode(subscription.version).into())
+        if let Some(due) = parcel.due {
+            shared.punctuality.record(due.elapsed());
+        }
     }
 }
 
 /// A robot message as a package.
-pub fn encode_message(controller: &Controller, body: crate::wire::primary_message::MessageBody) -> Bytes {
+pub fn encode_message(controller: &Controller, body: MessageBody) -> Bytes {
     let timestamp = (controller.core.timestamp() * 1e6) as u64;
     Package::Message(Message { timestamp, source: SOURCE_ROBOT, body }).encode().into()
 }

@@ -11,9 +11,11 @@ use crate::sim::controller::registers::{ClientId, Input};
 use crate::sim::controller::{Controller, FRAMES_PER_SECOND};
 use crate::sim::faults::link::LinkStream;
 use crate::sim::robot_server::RobotShared;
-use crate::sim::robot_server::outlets::{Feed, Subscription};
-use crate::sim::robot_server::script_ports::write_all;
-use crate::wire::rtde::{ControllerVersion, Level, Reply, Request, Splitter, TextMessage, Version};
+use crate::sim::robot_server::outlets::{Feed, Plan, write_all};
+use crate::wire::bytes::WireError;
+use crate::wire::rtde::{
+    ControllerVersion, Level, MAX_NAMES, Reply, Request, Splitter, TextMessage, Version,
+};
 use crate::wire::rtde_values::{Leftover, Offer, Recipe};
 use crate::wire::rtde_variables;
 use std::sync::Arc;
@@ -25,31 +27,22 @@ const VERSION_1_INTERVAL: u64 = 4;
 /// Input recipes of a connection.
 const MAX_RECIPES: usize = 255;
 
+/// First software version that bounds the list of names in a request.
+const BOUNDED_SINCE: u32 = 10;
+
 /// Serves one connection to its end.
 pub async fn connection(shared: Arc<RobotShared>, stream: LinkStream) {
     let (mut reader, writer) = tokio::io::split(stream);
-    let inlet = shared.outlets().open(Feed::Rtde);
-    let mut session = Session { id: inlet.id, version: Version::V1, inputs: Vec::new() };
+    let inlet = shared.outlets().open(Feed::Rtde, false);
+    let mut session = Session::new(inlet.id);
     let (dropped, replies) = (inlet.dropped.clone(), inlet.replies.clone());
-    let mut writing = tokio::spawn(write_all(inlet, writer));
+    let mut writing = tokio::spawn(write_all(inlet, writer, shared.clone()));
     let reading = async {
-        let mut splitter = Splitter::default();
         let mut buffer = vec![0; 16 * 1024];
         while let Ok(count @ 1..) = reader.read(&mut buffer).await {
-            splitter.push(&buffer[..count]);
-            loop {
-                let frame = match splitter.next_frame() {
-                    Ok(Some(frame)) => frame,
-                    Ok(None) => break,
-                    Err(_) => return,
-                };
-                let reply = match Request::decode(session.version, &frame) {
-                    Ok(request) => session.handle(&shared, request),
-                    Err(error) => Some((session.text(&error.to_string()), session.version)),
-                };
-                if let Some((reply, version)) = reply
-                    && replies.send(reply.encode(version).into()).await.is_err()
-                {
+            let Ok(answers) = session.receive(&shared, &buffer[..count]) else { return };
+            for answer in answers {
+                if replies.send(answer.into()).await.is_err() {
                     return;
                 }
             }
@@ -60,8 +53,7 @@ pub async fn connection(shared: Arc<RobotShared>, stream: LinkStream) {
         () = dropped.notified() => {}
         _ = &mut writing => {}
     }
-    shared.controller().core.registers.release(session.id);
-    shared.outlets().close(session.id);
+    session.close(&shared);
     writing.abort();
 }
 
@@ -71,13 +63,43 @@ struct InputRecipe {
     fields: Vec<Input>,
 }
 
-struct Session {
+/// One connection, without its socket.
+pub struct Session {
     id: ClientId,
     version: Version,
     inputs: Vec<InputRecipe>,
+    splitter: Splitter,
 }
 
 impl Session {
+    /// A connection that has just been opened as an outlet.
+    pub fn new(id: ClientId) -> Session {
+        Session { id, version: Version::V1, inputs: Vec::new(), splitter: Splitter::default() }
+    }
+
+    /// Carries out what arrived; the answers, one package each.
+    ///
+    /// # Errors
+    /// An impossible length; the connection ends.
+    pub fn receive(&mut self, shared: &RobotShared, bytes: &[u8]) -> Result<Vec<Vec<u8>>, WireError> {
+        self.splitter.push(bytes);
+        let mut answers = Vec::new();
+        while let Some(frame) = self.splitter.next_frame()? {
+            let reply = match Request::decode(self.version, &frame) {
+                Ok(request) => self.handle(shared, request),
+                Err(error) => Some((self.text(&error.to_string()), self.version)),
+            };
+            answers.extend(reply.map(|(reply, version)| reply.encode(version)));
+        }
+        Ok(answers)
+    }
+
+    /// Gives back what the connection has claimed.
+    pub fn close(&self, shared: &RobotShared) {
+        shared.controller().core.registers.release(self.id);
+        shared.outlets().close(self.id);
+    }
+
     /// The reply and the version to write it in; `None` if there is none.
     fn handle(&mut self, shared: &RobotShared, request: Request) -> Option<(Reply, Version)> {
         let before = self.version;
@@ -91,10 +113,13 @@ impl Session {
                 Reply::ProtocolVersion(true)
             }
             Request::ControllerVersion => {
-                let [major, minor, bugfix, build] = shared.controller().core.config.version;
+                let [major, minor, bugfix, build] = shared.controller().core.version();
                 Reply::ControllerVersion(ControllerVersion { major, minor, bugfix, build })
             }
-            Request::Text(_) => return None,
+            Request::Text(text) => {
+                tracing::info!(text.message, text.source, "message of an RTDE client");
+                return None;
+            }
             Request::SetupOutputs { frequency_hz, names } => {
                 self.set_up_outputs(shared, frequency_hz, &names)
             }
@@ -110,6 +135,9 @@ impl Session {
     }
 
     fn set_up_outputs(&self, shared: &RobotShared, frequency_hz: Option<f64>, names: &[String]) -> Reply {
+        if too_long(&shared.controller(), names) {
+            return Reply::SetupOutputs { recipe: 0, offers: vec![Offer::NotFound; names.len()] };
+        }
         let offers: Vec<Offer> = names
             .iter()
             .map(|name| rtde_variables::output_type(name).map_or(Offer::NotFound, Offer::Type))
@@ -123,13 +151,13 @@ impl Session {
         let (Some(recipe), Some(fields), Some(interval)) = (recipe, fields, interval) else {
             return Reply::SetupOutputs { recipe: 0, offers };
         };
-        let subscription = Subscription { recipe, fields, interval, version: self.version };
-        shared.outlets().subscribe(self.id, subscription);
+        let plan = Plan { recipe, fields, version: self.version };
+        shared.outlets().subscribe(self.id, plan, interval);
         Reply::SetupOutputs { recipe: 1, offers }
     }
 
     fn set_up_inputs(&mut self, controller: &mut Controller, names: &[String]) -> Reply {
-        if self.inputs.len() >= MAX_RECIPES {
+        if self.inputs.len() >= MAX_RECIPES || too_long(controller, names) {
             return Reply::SetupInputs { recipe: 0, offers: vec![Offer::NotFound; names.len()] };
         }
         let id = self.inputs.len() as u8 + 1;
@@ -164,6 +192,12 @@ impl Session {
         let (message, source) = (message.to_owned(), "RTDE".to_owned());
         Reply::Text(TextMessage { message, source, level: Level::Error })
     }
+}
+
+/// More names than newer software takes in one request; the replies of older software are bounded by the package alone.
+fn too_long(controller: &Controller, names: &[String]) -> bool {
+    let bytes: usize = names.iter().map(|name| name.len() + 1).sum();
+    controller.core.version()[0] >= BOUNDED_SINCE && bytes > MAX_NAMES + 1
 }
 
 /// Frames between two packages; `None` for a frequency that is refused.

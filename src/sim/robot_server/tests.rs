@@ -12,6 +12,8 @@ use std::net::Ipv4Addr;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
+mod states;
+
 /// Longest a test waits for anything.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -43,7 +45,7 @@ impl Bench {
                 if let Some(found) = ready(self) {
                     return found;
                 }
-                self.shared.frame();
+                self.shared.frame(None);
                 tokio::task::yield_now().await;
             }
         };
@@ -54,7 +56,7 @@ impl Bench {
     async fn during<T>(&self, waiting: impl Future<Output = T>) -> T {
         let stepping = async {
             loop {
-                self.shared.frame();
+                self.shared.frame(None);
                 tokio::task::yield_now().await;
             }
         };
@@ -282,6 +284,69 @@ async fn scripts_run_from_all_three_ports() {
 }
 
 #[tokio::test]
+async fn read_only_ports_send_the_same_and_take_nothing() {
+    let bench = bench(12, running()).await;
+    let [primary, secondary, realtime] = bench.at.read_only;
+    assert_eq!([primary.port(), secondary.port(), realtime.port()], [30011, 30012, 30013]);
+    let mut watcher = Primary::connect(primary).await;
+    for address in [primary, secondary, realtime] {
+        let mut sender = TcpStream::connect(address).await.unwrap();
+        sender.write_all(b"def no():\nend\n").await.unwrap();
+        bench.during(sender.read_u8()).await.unwrap();
+    }
+    bench.shared.controller().core.modes.set_remote(false);
+    bench.shared.frame(None);
+    bench.shared.controller().core.modes.set_remote(true);
+    let mut sender = TcpStream::connect(bench.at.primary).await.unwrap();
+    sender.write_all(b"def yes():\nend\n").await.unwrap();
+    let first = bench.during(watcher.event()).await;
+    assert_eq!(first, "PROGRAM_XXX_STARTED:yes", "going local leaves read-only connections open");
+}
+
+#[tokio::test]
+async fn popups_are_told_on_the_primary_interface() {
+    let bench = bench(13, running()).await;
+    let mut watcher = Primary::connect(bench.at.primary).await;
+    bench.during(watcher.next()).await;
+    assert_eq!(dashboard(&bench).await.ask("popup mind the arm").await, "showing popup");
+    let popup = async {
+        loop {
+            if let Some(Package::Message(message)) = watcher.next().await
+                && let MessageBody::Popup { text, .. } = message.body
+            {
+                return text;
+            }
+        }
+    };
+    assert_eq!(bench.during(popup).await, "mind the arm");
+}
+
+#[tokio::test]
+async fn equal_recipes_share_one_encoding_and_long_lists_are_bounded_on_newer_software() {
+    let bench = bench(14, running()).await;
+    let mut clients = Vec::new();
+    for _ in 0..3 {
+        let mut rtde = Rtde::connect(&bench, Version::V2).await;
+        let recipe = rtde.outputs(500.0, &["timestamp", "actual_q"]).await.unwrap();
+        rtde.ask(Request::Start).await;
+        clients.push((rtde, recipe));
+    }
+    bench.shared.frame(None);
+    let mut seen = Vec::new();
+    for (rtde, recipe) in &mut clients {
+        seen.push(rtde.data(recipe).await);
+    }
+    assert!(seen[0] == seen[1] && seen[1] == seen[2]);
+    let names: Vec<String> = (0..48).map(|n| format!("output_double_register_{n}")).collect();
+    let names: Vec<&str> = names.iter().chain(&names).map(String::as_str).collect();
+    let (rtde, _) = &mut clients[0];
+    assert!(rtde.outputs(1.0, &names).await.is_some());
+    bench.shared.controller().core.pendant.pretend_version(Some([10, 10, 0, 0]));
+    assert!(rtde.outputs(1.0, &names).await.is_none());
+    assert!(rtde.outputs(1.0, &names[..48]).await.is_some());
+}
+
+#[tokio::test]
 async fn rtde_gives_recipes_and_data() {
     let bench = bench(4, running()).await;
     let mut rtde = Rtde::connect(&bench, Version::V2).await;
@@ -317,7 +382,7 @@ async fn the_output_frequency_divides_the_frames() {
         let mut steps = Vec::new();
         while steps.len() < 3 {
             // One frame at a time, so that no package is skipped.
-            bench.shared.frame();
+            bench.shared.frame(None);
             let step = bench.shared.controller().core.step;
             if step % frames == 0 {
                 assert_eq!(rtde.data(&recipe).await, [Value::Uint64(step)], "{frequency} Hz");
@@ -428,7 +493,7 @@ async fn an_rtde_client_that_does_not_read_is_dropped_and_a_script_client_is_not
 #[tokio::test]
 async fn regular_writers_are_waited_for_and_dead_ones_forgotten() {
     let mut outlets = Outlets::default();
-    let inlet = outlets.open(outlets::Feed::Rtde);
+    let inlet = outlets.open(outlets::Feed::Rtde, false);
     for step in (10..=100).step_by(10) {
         outlets.wrote(inlet.id, step);
     }
@@ -451,7 +516,7 @@ async fn random_bytes_do_not_disturb_the_servers() {
             let bytes: Vec<u8> = (0..rng.random_range(1..2000)).map(|_| rng.random::<u8>()).collect();
             // The server may have closed on the first nonsense already.
             let _ = stream.write_all(&bytes).await;
-            bench.shared.frame();
+            bench.shared.frame(None);
         }
     }
     assert_eq!(dashboard(&bench).await.ask("robotmode").await, "Robotmode: RUNNING");

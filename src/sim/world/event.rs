@@ -38,11 +38,11 @@ pub enum EventKind {
         /// How far, m.
         height_m: f64,
     },
-    /// A placed object moved a neighbour, or was moved by one that is fixed.
+    /// A placed object moved a neighbour, or was moved by one that is fixed; or the arm ran into it.
     Pushed {
         /// Who moved.
         object: String,
-        /// Who moved it.
+        /// Who moved it: an object, `cup` or `gripper`.
         by: String,
         /// How far, m.
         distance_m: f64,

@@ -95,8 +95,12 @@ impl World {
         if self.bodies[index].is_held() {
             return; // the second channel on the same object
         }
-        let beside = self.overlapping(index, 0.0).into_iter().map(|(other, _)| other).collect();
+        let mut beside = self.overlapping(index, 0.0);
         let slip = self.random_offset(self.errors.std_xy_m, self.errors.std_theta_rad);
+        // Those it comes to touch by slipping are brushed, not pushed.
+        let slipped = self.bodies[index].pose().compose(&slip);
+        beside.extend(self.overlapping_at(index, &slipped, 0.0));
+        let beside = beside.into_iter().map(|(other, _)| other).collect();
         let body = &mut self.bodies[index];
         let seen = tool.table_from_tool.inverse() * body.table_from_object;
         // The suction shifts the object under the lips: in its own plane, about its own origin.
@@ -169,6 +173,7 @@ impl World {
             keep_deeper(&mut deepest, self.cup_contact(&tool));
         }
         keep_deeper(&mut deepest, self.housing_contact(&tool));
+        self.pressed_m = deepest.as_ref().map_or(0.0, |contact| contact.depth_m.max(0.0));
         let deepest = deepest.filter(|contact| contact.depth_m > COMPLIANCE_M);
         let same = |a: &Contact, b: &Contact| a.moving == b.moving && a.against == b.against;
         if let Some(contact) = &deepest

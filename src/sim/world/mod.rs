@@ -6,7 +6,8 @@
 //! Pure: no clock, no socket; the same seed and the same calls give the same world.
 //!
 //! The model, and what it leaves out:
-//! - Objects are upright prisms, quasi-static: nothing slides or topples by itself, walls do not push sideways.
+//! - Objects are upright prisms, quasi-static: nothing slides or topples by itself. What the arm runs into from the side
+//!   is pushed along the table ([`push`]); nothing is knocked over.
 //! - A channel is sealed when all its cups lie on one object's top, within 2 mm in height and 3 degrees of its
 //!   normal, each lip inside the top (and inside `grippable`) and nothing else above it.
 //! - A sealed channel takes hold at 20 % vacuum. The object then moves rigidly with the tool while the vacuum
@@ -19,6 +20,7 @@ pub mod disturb;
 pub mod event;
 mod grip;
 mod placing;
+mod push;
 pub mod section;
 mod snapshot;
 pub mod spec;
@@ -64,7 +66,7 @@ pub struct World {
     errors: PlacementErrors,
     gripper: GripperSpec,
     housing: Arc<Section>,
-    housing_from_above: Section,
+    housing_from_above: Arc<Section>,
     cup_sections: Vec<Arc<Section>>,
     bodies: Vec<Body>,
     channels: [ChannelState; 2],
@@ -75,6 +77,12 @@ pub struct World {
     steps: u64,
     tool: Option<Tool>,
     contact: Option<Contact>,
+    /// How deep the arm presses on something, the cups' give included, m.
+    pressed_m: f64,
+    /// Pairs that touch, and not from the side: what of the arm, and which object.
+    from_above: Vec<(String, usize)>,
+    /// Force that the objects being pushed take, N, in the table frame.
+    pushing: Vector3<f64>,
     events: VecDeque<Event>,
     recorded: u64,
     camera: CameraFaults,
@@ -219,7 +227,7 @@ impl World {
             reference,
             errors: spec.errors,
             housing: Arc::new(Section::from_footprint(&spec.gripper.body)),
-            housing_from_above: Section::from_footprint(&spec.gripper.body).turned_over(),
+            housing_from_above: Arc::new(Section::from_footprint(&spec.gripper.body).turned_over()),
             cup_sections: spec
                 .gripper
                 .cups
@@ -229,13 +237,16 @@ impl World {
             gripper: spec.gripper,
             bodies,
             channels: [channel(), channel()],
-            current_limit_ma: 500,
+            current_limit_ma: vacuum::FULL_SPEED_MA,
             rng: ChaCha8Rng::seed_from_u64(seed),
             seed,
             now_s: 0.0,
             steps: 0,
             tool: None,
             contact: None,
+            pressed_m: 0.0,
+            from_above: Vec::new(),
+            pushing: Vector3::zeros(),
             events: VecDeque::new(),
             recorded: 0,
             camera: CameraFaults::default(),
@@ -248,6 +259,7 @@ impl World {
     pub fn step(&mut self, now_s: f64, dt_s: f64, base_from_flange: &Isometry3<f64>) {
         self.now_s = now_s;
         self.track_tool(dt_s, base_from_flange);
+        self.push_aside();
         if self.steps.is_multiple_of(5) {
             self.feel_contacts();
         }
@@ -291,6 +303,7 @@ impl World {
     /// Sets the current limit register, mA.
     pub fn set_current_limit_ma(&mut self, limit: u16) {
         self.current_limit_ma = limit;
+        self.channels.iter_mut().for_each(|channel| channel.pump.set_current_limit_ma(limit));
     }
 
     /// All objects, in the order of the spec. Truth: for tests, the report and the drawing only.

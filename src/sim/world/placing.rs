@@ -16,7 +16,7 @@ use rand::RngExt;
 /// An object let go lower than this is set down, higher it falls, m.
 const SET_DOWN_M: f64 = 3e-3;
 /// Overlap that counts as touching, m.
-const TOUCH_M: f64 = 1e-6;
+pub(super) const TOUCH_M: f64 = 1e-6;
 /// Rounds of pushing; a tight cluster keeps what is left then.
 const PUSH_ROUNDS: usize = 40;
 /// Range of the tilt of an object that lies on others, rad.
@@ -87,7 +87,7 @@ impl World {
             && (-margin..=self.table.height_m + margin).contains(&y)
     }
 
-    fn fall_off(&mut self, index: usize) {
+    pub(super) fn fall_off(&mut self, index: usize) {
         let pose = self.bodies[index].pose();
         if !self.on_board(pose.x, pose.y) {
             self.bodies[index].state = BodyState::Fallen;
@@ -98,12 +98,21 @@ impl World {
 
     /// Resting objects that penetrate this one by more than `more_than_m`, with how they do.
     pub(super) fn overlapping(&self, index: usize, more_than_m: f64) -> Vec<(usize, Overlap)> {
-        let pose = self.bodies[index].pose();
+        self.overlapping_at(index, &self.bodies[index].pose(), more_than_m)
+    }
+
+    /// The same with this one at `pose`.
+    pub(super) fn overlapping_at(
+        &self,
+        index: usize,
+        pose: &Pose2,
+        more_than_m: f64,
+    ) -> Vec<(usize, Overlap)> {
         let body = &self.bodies[index];
         let others = self.bodies.iter().enumerate().filter(|(other, b)| *other != index && b.is_resting());
         others
             .filter_map(|(other, b)| {
-                Some((other, Section::overlap(&b.section, &b.pose(), &body.section, &pose)?))
+                Some((other, Section::overlap(&b.section, &b.pose(), &body.section, pose)?))
             })
             .filter(|(_, overlap)| overlap.depth_m > more_than_m)
             .collect()

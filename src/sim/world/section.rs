@@ -130,6 +130,55 @@ impl Section {
         }
     }
 
+    /// Centre of area, m.
+    pub fn centroid(&self) -> [f64; 2] {
+        self.moments().0
+    }
+
+    /// Mean distance of its points from the centre of area, m: the ratio of the largest torque to the largest force of
+    /// friction under uniform pressure. From the radius of gyration, with the ratio of a disc (2/3 to 1/sqrt 2).
+    pub fn friction_radius_m(&self) -> f64 {
+        self.moments().1.sqrt() * (2.0 / 3.0) * std::f64::consts::SQRT_2
+    }
+
+    /// Centre of area, and the second moment about it per area, m2.
+    fn moments(&self) -> ([f64; 2], f64) {
+        let outline = match &self.shape {
+            Shape::Ellipse(half) => return ([0.0; 2], (half[0].powi(2) + half[1].powi(2)) / 4.0),
+            Shape::Polygon(outline) => outline,
+        };
+        let (mut area, mut first, mut second) = (0.0, [0.0; 2], 0.0);
+        for (a, b) in edges(outline) {
+            let cross = a[0] * b[1] - a[1] * b[0];
+            area += cross / 2.0;
+            for axis in 0..2 {
+                first[axis] += cross * (a[axis] + b[axis]) / 6.0;
+                second += cross * (a[axis].powi(2) + a[axis] * b[axis] + b[axis].powi(2)) / 12.0;
+            }
+        }
+        let centre = [first[0] / area, first[1] / area];
+        (centre, (second / area - dot(centre, centre)).max(1e-12))
+    }
+
+    /// A point where two sections that overlap touch: the middle of the corners of each that lie in the other. `None`
+    /// when there are none, as of two crossed bars.
+    pub fn touch(
+        first: &Section,
+        first_pose: &Pose2,
+        second: &Section,
+        second_pose: &Pose2,
+    ) -> Option<[f64; 2]> {
+        let corners = |of: &Section, at: &Pose2, other: &Section, other_at: &Pose2| -> Vec<[f64; 2]> {
+            let placed = of.parts.iter().flat_map(|part| placed(part, at));
+            placed.filter(|p| other.contains(other_at.inverse_transform(*p), 0.0)).collect()
+        };
+        let mut inside = corners(first, first_pose, second, second_pose);
+        inside.extend(corners(second, second_pose, first, first_pose));
+        let count = inside.len() as f64;
+        let sum = inside.iter().fold([0.0; 2], |sum, p| [sum[0] + p[0], sum[1] + p[1]]);
+        (!inside.is_empty()).then(|| [sum[0] / count, sum[1] / count])
+    }
+
     /// Overlap of `first` and `second` at their poses on the table, `None` when they are apart or touch.
     pub fn overlap(
         first: &Section,

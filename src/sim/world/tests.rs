@@ -20,7 +20,7 @@ pub(super) fn gripper() -> GripperSpec {
     }
 }
 
-fn block(id: &str, x: f64, y: f64) -> WorldObject {
+pub(super) fn block(id: &str, x: f64, y: f64) -> WorldObject {
     WorldObject {
         id: id.to_string(),
         footprint: Footprint::rectangle(0.05, 0.05).unwrap(),
@@ -34,19 +34,19 @@ fn block(id: &str, x: f64, y: f64) -> WorldObject {
     }
 }
 
-fn no_errors() -> PlacementErrors {
+pub(super) fn no_errors() -> PlacementErrors {
     PlacementErrors { std_xy_m: 0.0, std_theta_rad: 0.0, drop_xy_per_m: 0.0, drop_theta_rad: 0.0 }
 }
 
 /// A world and an arm whose tool points straight down.
-struct Cell {
-    world: World,
+pub(super) struct Cell {
+    pub(super) world: World,
     now_s: f64,
-    at: [f64; 3],
+    pub(super) at: [f64; 3],
 }
 
 impl Cell {
-    fn new(objects: Vec<WorldObject>, errors: PlacementErrors, seed: u64) -> Cell {
+    pub(super) fn new(objects: Vec<WorldObject>, errors: PlacementErrors, seed: u64) -> Cell {
         let spec = WorldSpec {
             table: TableSpec { width_m: 0.5, height_m: 0.5, margin_m: 0.1 },
             base_from_table: Isometry3::from_parts(
@@ -63,7 +63,7 @@ impl Cell {
         cell
     }
 
-    fn frame(&mut self, tilt_rad: f64) {
+    pub(super) fn frame(&mut self, tilt_rad: f64) {
         self.now_s += 0.002;
         let down = UnitQuaternion::from_euler_angles(std::f64::consts::PI + tilt_rad, 0.0, 0.0);
         let table_from_tool = Isometry3::from_parts(Translation3::from(Vector3::from(self.at)), down);
@@ -79,7 +79,7 @@ impl Cell {
     }
 
     /// Straight to a point at 0.25 m/s, with speed ramps that stay far below what would shake an object off.
-    fn go(&mut self, to: [f64; 3]) {
+    pub(super) fn go(&mut self, to: [f64; 3]) {
         let from = self.at;
         let length = (0..3).map(|i| (to[i] - from[i]).powi(2)).sum::<f64>().sqrt();
         let frames = (length / 0.25 / 0.002 * 2.0).ceil().max(1.0) as usize;
@@ -91,7 +91,7 @@ impl Cell {
         }
     }
 
-    fn grip(&mut self, x: f64, y: f64, top: f64) {
+    pub(super) fn grip(&mut self, x: f64, y: f64, top: f64) {
         self.go([x, y, 0.1]);
         self.go([x, y, top]);
         self.world.command_vacuum(Channel::A, VacuumMode::Grip, 0.6);
@@ -113,11 +113,11 @@ impl Cell {
         self.go([to[0], to[1], 0.1]);
     }
 
-    fn pose(&self, id: &str) -> Pose2 {
+    pub(super) fn pose(&self, id: &str) -> Pose2 {
         self.world.object(id).unwrap().pose()
     }
 
-    fn happened(&self, test: impl Fn(&EventKind) -> bool) -> usize {
+    pub(super) fn happened(&self, test: impl Fn(&EventKind) -> bool) -> usize {
         self.world.events().filter(|event| test(&event.kind)).count()
     }
 }

@@ -4,10 +4,13 @@
 //! vacuum (0 = ambient, 0.6 = 60 %). A first-order model: the pump pulls towards what it can reach with
 //! `tau` = 0.12 s; unsealed cups leave 12 %; open vents release with 0.05 s; idle keeps what is there, and
 //! a sealed cup leaks with 40 s. Source of the figures: the device's data sheet times (0.35 s to grip, 0.2 s to
-//! release) and field reports; not measured by us.
+//! release) and field reports; not measured by us. The current limit slows the pump down in proportion below the
+//! device's default of 500 mA, and at 0 it does not run: our assumption, nothing is published.
 
 /// Time constant of the pump on sealed cups, s.
 const PUMP_TAU_S: f64 = 0.12;
+/// Current limit at which the pump has its full speed, mA: the device's default.
+pub const FULL_SPEED_MA: u16 = 500;
 /// Time constant of open vents and of air through an unsealed cup, s.
 const VENT_TAU_S: f64 = 0.05;
 /// Time constant of a sealed cup with the pump off, s.
@@ -57,12 +60,20 @@ pub struct Pump {
     target: f64,
     vacuum: f64,
     ceiling: f64,
+    pump_tau_s: f64,
 }
 
 impl Pump {
     /// A channel at ambient pressure with open vents.
     pub fn new() -> Pump {
-        Pump { mode: VacuumMode::Release, target: 0.0, vacuum: 0.0, ceiling: HIGHEST_TARGET }
+        let (mode, ceiling) = (VacuumMode::Release, HIGHEST_TARGET);
+        Pump { mode, target: 0.0, vacuum: 0.0, ceiling, pump_tau_s: PUMP_TAU_S }
+    }
+
+    /// Limits the pump's current, mA.
+    pub fn set_current_limit_ma(&mut self, limit: u16) {
+        // Without current the time constant is infinite, which `step` takes as standing still.
+        self.pump_tau_s = PUMP_TAU_S * (f64::from(FULL_SPEED_MA) / f64::from(limit)).max(1.0);
     }
 
     /// Takes a new mode; the target (fraction) is clamped to what the device takes and ignored but for grip.
@@ -107,11 +118,13 @@ impl Pump {
             (VacuumMode::Grip | VacuumMode::Idle, true) if self.vacuum > self.ceiling => {
                 (self.ceiling, VENT_TAU_S)
             }
-            (VacuumMode::Grip, true) => (self.target.min(self.ceiling), PUMP_TAU_S),
+            (VacuumMode::Grip, true) => (self.target.min(self.ceiling), self.pump_tau_s),
             (VacuumMode::Grip, false) if self.vacuum > UNSEALED_VACUUM => {
                 (UNSEALED_VACUUM.min(self.target).min(self.ceiling), VENT_TAU_S)
             }
-            (VacuumMode::Grip, false) => (UNSEALED_VACUUM.min(self.target).min(self.ceiling), PUMP_TAU_S),
+            (VacuumMode::Grip, false) => {
+                (UNSEALED_VACUUM.min(self.target).min(self.ceiling), self.pump_tau_s)
+            }
             (VacuumMode::Release, _) | (VacuumMode::Idle, false) => (0.0, VENT_TAU_S),
             (VacuumMode::Idle, true) => (0.0, SEAL_TAU_S),
         };
@@ -159,5 +172,19 @@ mod tests {
         assert_eq!(pump.target(), HIGHEST_TARGET);
         pump.command(VacuumMode::Grip, f64::NAN);
         assert_eq!(pump.target(), 0.0);
+    }
+
+    #[test]
+    fn the_current_limit_slows_the_pump_and_stops_it_at_nothing() {
+        let after = |limit: u16| {
+            let mut pump = Pump::new();
+            pump.set_current_limit_ma(limit);
+            pump.command(VacuumMode::Grip, 0.6);
+            run(&mut pump, 0.24, true)
+        };
+        let expected = |tau: f64| 0.6 * (1.0 - (-0.24 / tau).exp());
+        assert!((after(500) - expected(0.12)).abs() < 1e-9 && (after(1000) - expected(0.12)).abs() < 1e-9);
+        assert!((after(250) - expected(0.24)).abs() < 1e-9);
+        assert_eq!(after(0), 0.0);
     }
 }

@@ -1,0 +1,139 @@
+//! What stands on the pendant and what the dashboard may change there: loaded program, installation, popups,
+//! operational mode, user role; and which controller this claims to be.
+//!
+//! In: commands. Out: what was chosen. The pendant has no screen; nothing here moves the arm. A real controller keeps
+//! programs as `.urp` files with the generated URScript beside each as `.script`: here the scripts alone are the
+//! programs, named as the `.urp` would be. Pure: the folder was read before the start.
+
+use crate::sim::controller::{Core, builtins};
+use crate::urscript::code::Code;
+use std::sync::Arc;
+
+/// Where a controller keeps its programs, as it names them in replies.
+pub const PROGRAM_FOLDER: &str = "/programs/";
+
+/// The one installation there is.
+pub const INSTALLATION: &str = "default.installation";
+
+/// Roles of the old user management, which newer controllers still answer to.
+const ROLES: [&str; 5] = ["PROGRAMMER", "OPERATOR", "NONE", "LOCKED", "RESTRICTED"];
+
+/// Who may do what at the pendant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OperationalMode {
+    /// Not controlled by the dashboard.
+    #[default]
+    None,
+    /// Loading and editing at the pendant.
+    Manual,
+    /// Running programs only.
+    Automatic,
+}
+
+impl OperationalMode {
+    /// As the dashboard prints it.
+    pub fn name(self) -> &'static str {
+        match self {
+            OperationalMode::None => "NONE",
+            OperationalMode::Manual => "MANUAL",
+            OperationalMode::Automatic => "AUTOMATIC",
+        }
+    }
+
+    /// The mode that `set operational mode` may ask for.
+    pub fn from_name(name: &str) -> Option<OperationalMode> {
+        [OperationalMode::Manual, OperationalMode::Automatic]
+            .into_iter()
+            .find(|mode| mode.name().eq_ignore_ascii_case(name))
+    }
+
+    /// `operational mode selector` of the primary interface.
+    pub fn selector(self) -> u8 {
+        u8::from(self == OperationalMode::Automatic)
+    }
+}
+
+/// Why a program cannot be loaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LoadError {
+    /// There is no such file.
+    NotFound,
+    /// Its script cannot be compiled.
+    Wrong,
+}
+
+/// What was chosen at the pendant.
+#[derive(Clone, Debug)]
+pub struct Pendant {
+    /// Path of the loaded program, as the controller names it.
+    pub program: Option<String>,
+    /// Set by the dashboard.
+    pub operational_mode: OperationalMode,
+    /// A popup of the safety system is open.
+    pub safety_popup: bool,
+    role: &'static str,
+    version: Option<[u32; 4]>,
+    model: Option<String>,
+}
+
+impl Default for Pendant {
+    fn default() -> Pendant {
+        Pendant {
+            program: None,
+            operational_mode: OperationalMode::None,
+            safety_popup: false,
+            role: ROLES[0],
+            version: None,
+            model: None,
+        }
+    }
+}
+
+impl Pendant {
+    /// The user role.
+    pub fn role(&self) -> &'static str {
+        self.role
+    }
+
+    /// Sets the user role; false if there is none of that name.
+    pub fn set_role(&mut self, name: &str) -> bool {
+        let role = ROLES.into_iter().find(|role| role.eq_ignore_ascii_case(name));
+        self.role = role.unwrap_or(self.role);
+        role.is_some()
+    }
+
+    /// Claims another software version (a fault), or tells the true one again.
+    pub fn pretend_version(&mut self, version: Option<[u32; 4]>) {
+        self.version = version;
+    }
+
+    /// Claims to be another robot (a fault), or tells the true model again.
+    pub fn pretend_model(&mut self, model: Option<String>) {
+        self.model = model;
+    }
+}
+
+impl Core {
+    /// Software version as clients are told: major, minor, bug fix, build.
+    pub fn version(&self) -> [u32; 4] {
+        self.pendant.version.unwrap_or(self.config.version)
+    }
+
+    /// Model as clients are told, in the dashboard's words: without the "e".
+    pub fn model(&self) -> &str {
+        self.pendant.model.as_deref().unwrap_or(&self.config.model)
+    }
+
+    /// Finds the program of a `.urp` file and compiles its script.
+    ///
+    /// # Errors
+    /// There is no script of that name, or it cannot be compiled.
+    pub fn open_program(&mut self, file: &str) -> Result<Arc<Code>, LoadError> {
+        let name = file.strip_prefix(PROGRAM_FOLDER).unwrap_or(file);
+        let stem = name.strip_suffix(".urp").ok_or(LoadError::NotFound)?;
+        let text = self.config.programs.get(stem).ok_or(LoadError::NotFound)?;
+        let code = builtins::compile_program(text).map_err(|_| LoadError::Wrong)?;
+        self.pendant.program = Some(format!("{PROGRAM_FOLDER}{name}"));
+        Ok(Arc::new(code))
+    }
+}

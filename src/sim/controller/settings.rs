@@ -1,0 +1,38 @@
+//! What scripts set and ask back, and nothing else depends on: flags, port memory, Modbus signals, encoders.
+//!
+//! In and out: the functions of `setting_functions`. Bounded: names and addresses are checked there.
+
+use std::collections::HashMap;
+
+/// Flags of a program.
+pub const FLAGS: usize = 33;
+
+/// Modbus signals a program may add.
+pub const MAX_SIGNALS: usize = 256;
+
+/// All of it.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// `set_flag`.
+    pub flags: [bool; FLAGS],
+    /// `write_port_bit`, by address.
+    pub port_bits: HashMap<u16, bool>,
+    /// `write_port_register`, by address.
+    pub port_registers: HashMap<u16, i32>,
+    /// Values of Modbus signals, by name.
+    pub signals: HashMap<String, i32>,
+    /// Tick counts of the two encoders.
+    pub ticks: [f64; 2],
+}
+
+impl Default for Settings {
+    fn default() -> Settings {
+        Settings {
+            flags: [false; FLAGS],
+            port_bits: HashMap::new(),
+            port_registers: HashMap::new(),
+            signals: HashMap::new(),
+            ticks: [0.0; 2],
+        }
+    }
+}
