@@ -75,6 +75,9 @@ pub struct Control<'a> {
     /// Where `auto` searches on several threads; the others use the caller's alone. No result depends on it, unless the
     /// clock ends the search.
     pub pool: Option<&'a rayon::ThreadPool>,
+    /// A plan made before, when objects may have lain elsewhere; empty for none. `auto` begins with what is still
+    /// possible of it, in order, and the shortest way from there; the others take no notice.
+    pub known_plan: &'a [Action],
     /// For the objective `time`: seconds of a plan.
     pub seconds: Option<PlanSeconds<'a>>,
     /// For the objective `time`: seconds that no single move can undercut; 0 is always valid.
@@ -91,6 +94,7 @@ impl<'a> Control<'a> {
             first: false,
             strict_paper: false,
             pool: None,
+            known_plan: &[],
             seconds: None,
             least_move_seconds: 0.0,
         }

@@ -1,22 +1,23 @@
 //! `auto`, our own anytime solver: a portfolio of randomised searches that share their best plan.
 //!
-//! In: a scene, a seed, the cost of a move of each object, the paper's solvers as a way out. Out: plans, each offered
-//! as it is found. Members (`member`) search beside each other, on the caller's threads if there are any; after a
+//! In: a [`Quest`]: a scene, costs, the paper's solvers as a way out; a seed. Out: plans, each offered as it is found.
+//! Members (`member`) search beside each other, on the caller's threads if there are any; after a
 //! fixed number of steps they meet, in the order of their numbers, and those that have a worse plan take over the best.
 //! So nothing but seed and steps decides what is found, however many threads there are.
 
+pub mod assignment;
 pub mod contest;
 pub mod member;
 pub mod parking;
+pub mod polish;
 pub mod regions;
 pub mod roll_out;
 pub mod stops;
 pub mod table;
 
-use crate::planning::auto::member::{Member, Rescue};
+use crate::planning::auto::member::{Member, Quest};
 use crate::planning::effort::Effort;
 use crate::planning::mcts::Verdict;
-use crate::planning::scene::Scene;
 use crate::planning::trlb::Move;
 use rayon::prelude::*;
 
@@ -31,14 +32,8 @@ const LONGEST_ROUND: u64 = 20_000;
 
 /// A task for the portfolio.
 pub struct Search<'a> {
-    /// The scene.
-    pub scene: &'a Scene<'a>,
-    /// Cost of a move of each object, positive.
-    pub costs: &'a [f64],
-    /// No plan is cheaper.
-    pub lower_bound: f64,
-    /// Another way to a first plan.
-    pub rescue: &'a Rescue<'a>,
+    /// What is searched for.
+    pub quest: &'a Quest<'a>,
     /// Where the members work; without, one after the other.
     pub pool: Option<&'a rayon::ThreadPool>,
     /// Seed of everything.
@@ -50,7 +45,7 @@ impl Search<'_> {
     /// those before, and checks it.
     pub fn run(&self, offer: &mut dyn FnMut(&[Move]) -> Verdict, effort: &mut Effort) {
         let seed = |k: u64| self.seed.wrapping_mul(MEMBERS).wrapping_add(k);
-        let member = |k| Member::new(self.scene, self.costs, self.rescue, seed(k));
+        let member = |k| Member::new(self.quest, seed(k));
         let mut members: Vec<Member> = (0..MEMBERS).map(member).collect();
         let mut best: Option<(f64, Vec<Move>)> = None;
         let mut steps = FIRST_ROUND;
@@ -68,7 +63,7 @@ impl Search<'_> {
     fn round(&self, members: &mut [Member], steps: u64, effort: &mut Effort) {
         let steps = steps.min(effort.left() / MEMBERS);
         let mut parts: Vec<Effort> = members.iter().map(|_| effort.part(steps)).collect();
-        let work = |(member, part): (&mut Member, &mut Effort)| member.search(self.lower_bound, part);
+        let work = |(member, part): (&mut Member, &mut Effort)| member.search(part);
         match self.pool {
             Some(pool) => {
                 pool.install(|| members.par_iter_mut().zip(parts.par_iter_mut()).for_each(work));
@@ -85,7 +80,7 @@ impl Search<'_> {
         best: &mut Option<(f64, Vec<Move>)>,
         offer: &mut dyn FnMut(&[Move]) -> Verdict,
     ) -> bool {
-        let slack = 1e-6 * self.costs.iter().sum::<f64>();
+        let slack = 1e-6 * self.quest.costs.iter().sum::<f64>();
         let known = |best: &Option<(f64, Vec<Move>)>| best.as_ref().map_or(f64::INFINITY, |(cost, _)| *cost);
         for member in members.iter_mut() {
             let Some(plan) = member.plan.as_ref().filter(|_| member.plan_cost() < known(best) - slack) else {

@@ -8,7 +8,7 @@
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::Point;
 use crate::geometry::pose::Pose2;
-use crate::planning::auto::regions::{Region, convex_outline, placed};
+use crate::planning::auto::regions::{Region, convex_parts, placed};
 use crate::planning::auto::table::Table;
 use crate::planning::effort::Effort;
 use crate::planning::object_set::ObjectSet;
@@ -19,13 +19,13 @@ use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::Arc;
 
-/// Outlines of everything, once for a whole search.
+/// Outlines of everything, once for a whole search. A shape is the union of convex parts.
 pub struct Shapes {
     /// Of each object, held off by the clearance.
-    movers: Vec<Vec<Point>>,
+    movers: Vec<Vec<Vec<Point>>>,
     /// Of each object as it is.
-    obstacles: Vec<Vec<Point>>,
-    /// Keep-out areas and fixed objects, placed.
+    obstacles: Vec<Vec<Vec<Point>>>,
+    /// Parts of keep-out areas and fixed objects, placed.
     standing: Vec<Vec<Point>>,
 }
 
@@ -33,15 +33,19 @@ impl Shapes {
     /// The shapes of a scene.
     pub fn new(scene: &Scene) -> Shapes {
         let problem = scene.problem;
-        let outlines = |clearance: f64| -> Vec<Vec<Point>> {
-            problem.objects.iter().map(|o| convex_outline(&o.footprint, clearance)).collect()
+        let outlines = |clearance: f64| -> Vec<Vec<Vec<Point>>> {
+            problem.objects.iter().map(|o| convex_parts(&o.footprint, clearance)).collect()
         };
         let obstacles = outlines(0.0);
-        let areas = problem.keep_out.iter().map(|k| placed(&convex_outline(&k.footprint, 0.0), &k.pose));
+        let areas = problem.keep_out.iter().map(|k| all_placed(&convex_parts(&k.footprint, 0.0), &k.pose));
         let fixed = problem.objects.iter().zip(&obstacles).filter(|(o, _)| o.fixed);
-        let standing = areas.chain(fixed.map(|(o, outline)| placed(outline, &o.start))).collect();
+        let standing = areas.chain(fixed.map(|(o, parts)| all_placed(parts, &o.start))).flatten().collect();
         Shapes { movers: outlines(problem.clearance), obstacles, standing }
     }
+}
+
+fn all_placed(parts: &[Vec<Point>], pose: &Pose2) -> Vec<Vec<Point>> {
+    parts.iter().map(|part| placed(part, pose)).collect()
 }
 
 /// How hard to look for a place.
@@ -171,23 +175,24 @@ impl Search<'_> {
     /// The region free of everything that stands and of the ends that must stay open.
     fn region(&self, theta: f64) -> Option<Region> {
         let (table, object) = (self.table, self.wish.object);
-        let outline = |o: usize, pose: &Pose2| placed(&self.shapes.obstacles[o], pose);
+        let parts = |o: usize, pose: &Pose2| all_placed(&self.shapes.obstacles[o], pose);
         let here = table.scene.movable.iter().filter(|&&o| o != object);
-        let here = here.map(|&o| outline(o, &table.now[o].pose));
+        let here = here.flat_map(|&o| parts(o, &table.now[o].pose));
         let ends = self.before.iter().map(|v| (table.owner(v), &table.ends[v].pose));
-        let ends = ends.filter(|(o, _)| *o != object).map(|(o, pose)| outline(o, pose));
-        let reserved = self.wish.reserved.iter().map(|(o, spot)| outline(*o, &spot.pose));
+        let ends = ends.filter(|(o, _)| *o != object).flat_map(|(o, pose)| parts(o, pose));
+        let reserved = self.wish.reserved.iter().flat_map(|(o, spot)| parts(*o, &spot.pose));
         let standing = self.shapes.standing.iter().cloned();
-        let mover = placed(&self.shapes.movers[object], &Pose2::new(0.0, 0.0, theta));
+        let mover = all_placed(&self.shapes.movers[object], &Pose2::new(0.0, 0.0, theta));
         let (low, high) = bounds(table.scene, object, theta);
         Region::new(&mover, low, high, standing.chain(here).chain(ends).chain(reserved))
     }
 
     /// Parallel to the table's edge, to another object, or any.
     fn angle(&self, rng: &mut ChaCha8Rng) -> f64 {
+        let object = self.wish.object;
         let turn = FRAC_PI_2 * f64::from(rng.random_range(0..4u8));
         match rng.random_range(0..4u8) {
-            0 | 1 => edge_angle(&self.shapes.movers[self.wish.object], rng) + turn,
+            0 | 1 => wall_angle(self.table.scene, object, rng) + turn,
             2 => {
                 let other =
                     self.table.scene.movable.choose(rng).map_or(0.0, |&o| self.table.now[o].pose.theta);
@@ -198,8 +203,10 @@ impl Search<'_> {
     }
 }
 
-/// An angle that lays an edge of the outline along the x axis.
-fn edge_angle(outline: &[Point], rng: &mut ChaCha8Rng) -> f64 {
+/// An angle that lays an edge, or an axis, of the footprint along the x axis.
+fn wall_angle(scene: &Scene, object: usize, rng: &mut ChaCha8Rng) -> f64 {
+    let Footprint::Polygon(polygon) = &scene.problem.objects[object].footprint else { return 0.0 };
+    let outline = polygon.points();
     let k = rng.random_range(0..outline.len());
     let (a, b) = (outline[k], outline[(k + 1) % outline.len()]);
     -(b[1] - a[1]).atan2(b[0] - a[0])
@@ -218,11 +225,7 @@ pub fn propose(scene: &Scene, object: usize, rng: &mut ChaCha8Rng) -> Option<Arc
     if rng.random_bool(0.4) {
         return scene.sample(object, rng);
     }
-    let footprint = &scene.problem.objects[object].footprint;
-    let theta = match footprint {
-        Footprint::Polygon(polygon) => edge_angle(polygon.points(), rng),
-        _ => 0.0,
-    } + FRAC_PI_2 * f64::from(rng.random_range(-2..2i8));
+    let theta = wall_angle(scene, object, rng) + FRAC_PI_2 * f64::from(rng.random_range(-2..2i8));
     let (low, high) = bounds(scene, object, theta);
     if low[0] > high[0] || low[1] > high[1] {
         return None;

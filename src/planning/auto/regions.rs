@@ -2,9 +2,9 @@
 //!
 //! In: convex outlines of what stands on the table. Out: positions at which the outline touches two of these, or
 //! one and the table's edge: the vertices of the free region, where a parked object wastes the least room. The
-//! positions that a convex obstacle forbids are its Minkowski sum with the mirrored outline. Curves count as
-//! circumscribed polygons and non-convex shapes as their hulls, so a position is a proposal that
-//! `scene` has the last word on, and where curves or bays decide, some places are missed.
+//! positions that a convex obstacle forbids are its Minkowski sum with the mirrored outline; of non-convex shapes every
+//! convex part counts, so that bays are used. Curves count as circumscribed polygons, so a position is a proposal that
+//! `scene` has the last word on, and where curves decide, some places are missed.
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::{Point, convex_hull, cross, sub};
@@ -17,19 +17,21 @@ const CURVE_CORNERS: usize = 16;
 /// A position this far inside a forbidden polygon touches it, m.
 const TOUCH_M: f64 = 1e-9;
 
-/// A convex outline in the object's frame, counter-clockwise, held off by `clearance` all round.
-pub fn convex_outline(footprint: &Footprint, clearance: f64) -> Vec<Point> {
+/// The convex parts of a footprint in the object's frame, counter-clockwise, each held off by `clearance` all round.
+pub fn convex_parts(footprint: &Footprint, clearance: f64) -> Vec<Vec<Point>> {
     let curve = |a: f64, b: f64| {
         let grown = 1.0 / (TAU / 2.0 / CURVE_CORNERS as f64).cos();
         let angle = |k: usize| TAU * k as f64 / CURVE_CORNERS as f64;
         (0..CURVE_CORNERS).map(|k| [a * grown * angle(k).cos(), b * grown * angle(k).sin()]).collect()
     };
-    let hull = match footprint {
-        Footprint::Disc { radius } => curve(*radius, *radius),
-        Footprint::Ellipse { length, width } => curve(length / 2.0, width / 2.0),
-        Footprint::Rectangle { .. } | Footprint::Polygon(_) => convex_hull(&footprint.outline(0)),
+    let parts = match footprint {
+        Footprint::Disc { radius } => vec![curve(*radius, *radius)],
+        Footprint::Ellipse { length, width } => vec![curve(length / 2.0, width / 2.0)],
+        Footprint::Rectangle { .. } => vec![convex_hull(&footprint.outline(0))],
+        // Cut anew, for corners in a line would have no mitre.
+        Footprint::Polygon(polygon) => polygon.parts().iter().map(|part| convex_hull(part)).collect(),
     };
-    if clearance > 0.0 { held_off(&hull, clearance) } else { hull }
+    if clearance > 0.0 { parts.iter().map(|part| held_off(part, clearance)).collect() } else { parts }
 }
 
 /// Every edge moved outwards, the corners mitred.
@@ -143,16 +145,20 @@ pub struct Region {
 }
 
 impl Region {
-    /// Positions between `low` and `high` (where the footprint is on the table) of a mover with this outline at its
-    /// angle, among convex obstacles. None if it does not fit on the table.
+    /// Positions between `low` and `high` (where the footprint is on the table) of a mover with these convex parts at
+    /// its angle, among convex obstacles. None if it does not fit on the table.
     pub fn new(
-        mover: &[Point],
+        mover: &[Vec<Point>],
         low: Point,
         high: Point,
         obstacles: impl Iterator<Item = Vec<Point>>,
     ) -> Option<Region> {
-        let mirrored: Vec<Point> = mover.iter().map(|p| [-p[0], -p[1]]).collect();
-        let forbidden = obstacles.map(|obstacle| NoFit::new(&obstacle, &mirrored)).collect();
+        let mirror = |part: &Vec<Point>| part.iter().map(|p| [-p[0], -p[1]]).collect();
+        let mirrored: Vec<Vec<Point>> = mover.iter().map(mirror).collect();
+        let pairs = obstacles.flat_map(|obstacle| {
+            mirrored.iter().map(|part| NoFit::new(&obstacle, part)).collect::<Vec<NoFit>>()
+        });
+        let forbidden = pairs.collect();
         (low[0] <= high[0] && low[1] <= high[1]).then_some(Region { forbidden, low, high })
     }
 
@@ -234,7 +240,7 @@ mod tests {
         // Two walls leave a gap of 0.1 m; a square of 0.1 m fits at x = 0.5 only.
         let walls = [(0.0, 0.45), (0.55, 1.0)];
         let boxed = |(x0, x1): (f64, f64)| vec![[x0, 0.0], [x1, 0.0], [x1, 0.2], [x0, 0.2]];
-        let mover = convex_outline(&Footprint::rectangle(0.1, 0.1).unwrap(), 0.0);
+        let mover = convex_parts(&Footprint::rectangle(0.1, 0.1).unwrap(), 0.0);
         let region = Region::new(&mover, [0.05, 0.05], [0.95, 0.15], walls.into_iter().map(boxed)).unwrap();
         let found: Vec<Point> = (0..region.obstacle_count()).flat_map(|k| region.corners_at(k)).collect();
         assert!(!found.is_empty());
@@ -242,9 +248,22 @@ mod tests {
     }
 
     #[test]
+    fn a_bay_is_free() {
+        // A square fits exactly into the bay of a U, and nowhere else in these bounds.
+        let u =
+            [[0.0, 0.0], [0.3, 0.0], [0.3, 0.2], [0.2, 0.2], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0.0, 0.2]];
+        let obstacle = convex_parts(&Footprint::polygon(&u).unwrap(), 0.0);
+        let mover = convex_parts(&Footprint::rectangle(0.1, 0.1).unwrap(), 0.0);
+        let region = Region::new(&mover, [0.05, 0.05], [0.25, 0.15], obstacle.into_iter()).unwrap();
+        let found: Vec<Point> = (0..region.obstacle_count()).flat_map(|k| region.corners_at(k)).collect();
+        assert!(!found.is_empty());
+        assert!(found.iter().all(|p| (p[0] - 0.15).abs() + (p[1] - 0.15).abs() < 1e-9), "{found:?}");
+    }
+
+    #[test]
     fn an_outline_held_off_keeps_the_clearance() {
-        let outline = convex_outline(&Footprint::rectangle(0.2, 0.1).unwrap(), 0.01);
-        let bounds = outline.iter().fold([0.0f64; 2], |b, p| [b[0].max(p[0]), b[1].max(p[1])]);
+        let parts = convex_parts(&Footprint::rectangle(0.2, 0.1).unwrap(), 0.01);
+        let bounds = parts[0].iter().fold([0.0f64; 2], |b, p| [b[0].max(p[0]), b[1].max(p[1])]);
         assert!((bounds[0] - 0.11).abs() < 1e-12 && (bounds[1] - 0.06).abs() < 1e-12);
     }
 }

@@ -5,6 +5,7 @@
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto;
+use crate::planning::auto::member::Quest;
 use crate::planning::check::CheckedPlan;
 use crate::planning::effort::Effort;
 use crate::planning::mcts::Verdict;
@@ -72,13 +73,26 @@ const RESCUERS: [SolverKind; 4] = [SolverKind::Erbm, SolverKind::Etbm, SolverKin
 /// Steps of the first call for help; each further one may take a half more.
 const FIRST_RESCUE: f64 = 2000.0;
 
-/// Our own solver. It counts moves, weighted by impedance under TI.
+/// Our own solver. It counts moves, weighted by impedance under TI; under `time` the caller judges whole plans.
 fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
-    let weigh = |o: &ProblemObject| if incumbent.objective == Objective::Ti { o.impedance } else { 1.0 };
-    let costs: Vec<f64> = scene.problem.objects.iter().map(weigh).collect();
-    let (objective, lower_bound, pool) = (incumbent.objective, incumbent.lower_bound, incumbent.control.pool);
+    let (problem, objective, control) = (scene.problem, incumbent.objective, incumbent.control);
+    let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
+    let costs: Vec<f64> = problem.objects.iter().map(weigh).collect();
     let rescue = |turn: u64, effort: &mut Effort| first_plan(scene, objective, seed, turn, effort);
-    let search = auto::Search { scene, costs: &costs, lower_bound, rescue: &rescue, pool, seed };
+    let judge = |moves: &[Move]| cost(problem, objective, control, &actions(problem, moves));
+    let is_known = |action: &&Action| {
+        problem.objects.get(action.object).is_some_and(|o| !o.fixed) && action.to.is_finite()
+    };
+    let known = control.known_plan.iter().filter(is_known).map(|action| (action.object, action.to));
+    let quest = Quest {
+        scene,
+        costs: &costs,
+        judge: if objective == Objective::Time { Some(&judge) } else { None },
+        lower_bound: incumbent.lower_bound,
+        rescue: &rescue,
+        known: &known.collect::<Vec<_>>(),
+    };
+    let search = auto::Search { quest: &quest, pool: control.pool, seed };
     search.run(&mut |moves| incumbent.offer(moves), effort);
 }
 
