@@ -12,6 +12,7 @@ use crate::planning::plan::{Action, ActionKind, Objective, PlanFile, Status};
 use crate::planning::problem::Problem;
 use crate::planning::scene::Scene;
 use crate::planning::solver::{Control, Outcome, SolverKind, lower_bound, solve};
+use crate::planning::travel::NOMINAL;
 use crate::report::plan_svg::plan_svg;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -55,7 +56,8 @@ pub struct PlanArgs {
     /// How the plan is found; `--help` says which to take
     #[arg(long, default_value = "auto", long_help = SOLVERS, value_parser = solver_parser())]
     pub solver: SolverKind,
-    /// What is minimised: pp number of moves, ti total impedance, time seconds
+    /// What is minimised: pp number of moves, ti total impedance, time seconds (here of a nominal arm: 4 s a move and
+    /// its ways at 0.25 m/s; the cell asks its own arm)
     #[arg(long, default_value = "pp", value_parser = objective_parser())]
     pub objective: Objective,
     /// Seconds of planning; default 600 for the paper's solvers, 10 for auto
@@ -173,9 +175,12 @@ fn search(
         progress.found(cost);
     };
     let pool = pool(args.threads);
+    let seconds = |actions: &[Action]| NOMINAL.seconds(actions);
     let control = Control {
         work_limit: args.work,
         pool: pool.as_ref(),
+        seconds: Some(&seconds),
+        least_move_seconds: NOMINAL.least_move_seconds(),
         on_plan: &on_plan,
         first: args.first,
         strict_paper: args.strict_paper,
@@ -209,7 +214,8 @@ impl Progress {
         let goes_on = matches!(args.solver, SolverKind::Mcts | SolverKind::Emcts | SolverKind::Auto);
         let fits = problem.objects.len() <= ObjectSet::CAPACITY;
         let told = goes_on && !args.first && fits;
-        let bound = told.then(|| lower_bound(&Scene::new(problem), args.objective, 0.0).value);
+        let bound = told
+            .then(|| lower_bound(&Scene::new(problem), args.objective, NOMINAL.least_move_seconds()).value);
         Progress { begun, limit, bound, bar: Mutex::new(None), best: Mutex::new(None) }
     }
 

@@ -6,7 +6,8 @@
 //! `total_buffers`: primitive plans of minimum running buffer and of least buffer weight in all. `scene`,
 //! `buffers`, `detour`, `trlb`: lazy buffer allocation and the bidirectional search. `mcts`: tree search over arrangements.
 //! `auto`: our own anytime solver.
-//! `completion`, `solver`: one shape for all solvers. `generate`: random instances.
+//! `completion`, `solver`: one shape for all solvers. `travel`: seconds of a plan where no cell knows better.
+//! `generate`: random instances.
 
 pub mod auto;
 pub mod bound;
@@ -29,5 +30,6 @@ mod random_tables;
 pub mod scene;
 pub mod solver;
 pub mod total_buffers;
+pub mod travel;
 pub mod trlb;
 pub mod weights;

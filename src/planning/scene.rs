@@ -26,7 +26,8 @@ pub struct Spot {
     /// Radius of a disc about the pose that the footprint covers, m; 0 where there is none.
     core: f64,
     at_start: bool,
-    at_goal: bool,
+    /// Whose goal this is, among those the object may take.
+    goal_of: Option<usize>,
 }
 
 /// A problem with its footprints placed once for all that does not change.
@@ -83,7 +84,8 @@ impl<'a> Scene<'a> {
 
     /// May two objects stand at these spots at the same time?
     pub fn clear(&self, a: &Spot, b: &Spot) -> bool {
-        let given = (a.at_start && b.at_start) || (a.at_goal && b.at_goal);
+        let goals = a.goal_of.is_some() && b.goal_of.is_some() && a.goal_of != b.goal_of;
+        let given = (a.at_start && b.at_start) || goals;
         given || (!cores_meet(a, b) && self.apart(&a.placed, &b.placed))
     }
 
@@ -152,6 +154,17 @@ fn new_spot(problem: &Problem, object: usize, pose: Pose2, core: f64) -> Spot {
         core,
         placed: Placed::new(&given.footprint, pose),
         at_start: pose == given.start,
-        at_goal: given.goal == Some(pose),
+        goal_of: goal_of(problem, object, &pose),
     }
+}
+
+/// The object whose goal the pose is: the object itself, or a member of its group.
+fn goal_of(problem: &Problem, object: usize, pose: &Pose2) -> Option<usize> {
+    let objects = &problem.objects;
+    let given = &objects[object];
+    if given.goal == Some(*pose) {
+        return Some(object);
+    }
+    given.group.as_ref()?;
+    objects.iter().position(|other| other.group == given.group && other.goal == Some(*pose))
 }

@@ -206,6 +206,9 @@ fn reaches(cost: f64, bound: f64) -> bool {
 }
 
 #[cfg(test)]
+mod auto_properties;
+
+#[cfg(test)]
 mod properties;
 
 #[cfg(test)]

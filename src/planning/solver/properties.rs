@@ -18,16 +18,16 @@ fn all() -> impl Iterator<Item = SolverKind> {
     PLAIN.into_iter().chain(EXTENDED).chain([SolverKind::Auto])
 }
 
-fn run(problem: &Problem, solver: SolverKind, objective: Objective, seed: u64) -> Outcome {
+pub(super) fn run(problem: &Problem, solver: SolverKind, objective: Objective, seed: u64) -> Outcome {
     let control = Control { work_limit: Some(4000), ..Control::until(&|| false) };
     solve(problem, solver, objective, &control, seed).expect("a built solver")
 }
 
-fn actions(outcome: &Outcome) -> Vec<Action> {
+pub(super) fn actions(outcome: &Outcome) -> Vec<Action> {
     outcome.plan.as_ref().map(|plan| plan.actions().to_vec()).unwrap_or_default()
 }
 
-fn random_problems(seed: u64, count: usize) -> Vec<Problem> {
+pub(super) fn random_problems(seed: u64, count: usize) -> Vec<Problem> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..count).map(|_| Problem::new(&random_instance(&mut rng, 5)).expect("starts stand")).collect()
 }
@@ -250,7 +250,7 @@ fn emcts_explores_otherwise_than_mcts_under_pp() {
 }
 
 /// Some of everything that a problem can have beside objects with goals of their own.
-fn mixed(rng: &mut ChaCha8Rng) -> Instance {
+pub(super) fn mixed(rng: &mut ChaCha8Rng) -> Instance {
     let mut instance = random_instance(rng, 6);
     instance.objects[0].goal = None;
     instance.objects[1].goal = None;
@@ -265,23 +265,6 @@ fn mixed(rng: &mut ChaCha8Rng) -> Instance {
         pose: Pose2::new(0.05, 0.05, 0.0),
     });
     instance
-}
-
-#[test]
-fn auto_honours_obstacles_clearance_and_objects_without_goals() {
-    let mut rng = ChaCha8Rng::seed_from_u64(31);
-    let problems = (0..200).filter_map(|_| Problem::new(&mixed(&mut rng)).ok());
-    let problems: Vec<Problem> = problems.filter(|p| p.goal_conflict().is_none()).take(12).collect();
-    assert!(problems.len() >= 6, "{} of 200 stand", problems.len());
-    let mut solved = 0;
-    for (case, problem) in problems.iter().enumerate() {
-        let outcome = run(problem, SolverKind::Auto, Objective::Pp, case as u64);
-        let Some(cost) = outcome.cost else { continue };
-        solved += 1;
-        assert!(CheckedPlan::new(problem, &actions(&outcome)).is_ok(), "case {case}");
-        assert!(cost >= outcome.lower_bound - 1e-9, "case {case}");
-    }
-    assert!(solved + 1 >= problems.len(), "{solved} of {}", problems.len());
 }
 
 #[test]
