@@ -18,12 +18,21 @@ SOLVERS ?= paper
 COUNT ?= 3
 LIMIT ?= 2
 
-.PHONY: help setup clients demo test bench figures
+# `make fuzz`: seconds for each protocol. Coverage comes from options of the stable compiler; naming the target keeps
+# them away from build scripts.
+SECONDS ?= 600
+FUZZ_TARGETS ?= rtde dashboard primary urscript modbus
+FUZZ_FLAGS := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
+              -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
+              -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing
+
+.PHONY: help setup clients demo test bench figures fuzz
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
 	@echo "make test                           formatting, lints, all tests"
 	@echo "make figures                        small versions of the paper's six figures in ./out/figures"
+	@echo "make fuzz [SECONDS=600]              fuzz each protocol for so long (fuzz/README.md)"
 	@echo "make bench                          nanoseconds of the collision kernel by pair of shapes"
 	@echo "make setup                          install what the build needs (Debian 12), nothing else"
 
@@ -84,3 +93,15 @@ figures: setup
 	cargo run --release --quiet -- bench planning --figure $(FIGURES) --solver $(SOLVERS) --first \
 	  --count $(COUNT) --time-limit $(LIMIT) --out out/figures/limit-$(LIMIT)s.csv
 	cargo run --release --quiet -- bench figures out/figures/limit-$(LIMIT)s.csv --out out/figures
+
+# New inputs are kept in target/fuzz/found, crashes in target/fuzz/crashes; fuzz/README.md says what to do with them.
+fuzz: setup
+	host=$$(rustc -vV | sed -n 's/^host: //p'); \
+	RUSTFLAGS="$(FUZZ_FLAGS)" cargo build --release --manifest-path fuzz/Cargo.toml --target-dir target/fuzz --target $$host; \
+	mkdir -p target/fuzz/crashes; \
+	for target in $(FUZZ_TARGETS); do \
+	  mkdir -p target/fuzz/found/$$target; \
+	  target/fuzz/$$host/release/$$target -max_total_time=$(SECONDS) -timeout=20 -rss_limit_mb=2048 -max_len=8192 \
+	    -print_final_stats=1 -artifact_prefix=target/fuzz/crashes/$$target- \
+	    target/fuzz/found/$$target fuzz/corpus/$$target; \
+	done

@@ -3,13 +3,17 @@
 //! `table`: rows and their CSV. `planning`: one case. `cells`: which cases a run consists of, and its share of
 //! them. `baseline`: beside the public code's
 //! own figures. `runner`: many cases on many threads. `results`: the file that survives interruptions. `summary`: a table
-//! for people. `figures`: the paper's six figures from rows.
+//! for people. `figures`: the paper's six figures from rows. `rtde`: the codec and the simulator's own timing, with
+//! `rtde_client` as the clients and `rtde_process` as the simulator that is watched.
 
 pub mod baseline;
 pub mod cells;
 pub mod figures;
 pub mod planning;
 pub mod results;
+pub mod rtde;
+mod rtde_client;
+mod rtde_process;
 pub mod runner;
 pub mod summary;
 pub mod table;

@@ -6,6 +6,7 @@
 pub mod bench_cases;
 pub mod bench_figures;
 pub mod bench_planning;
+pub mod bench_rtde;
 pub mod calibrate;
 pub mod check;
 pub mod check_script;
@@ -69,6 +70,8 @@ enum Bench {
     Planning(Box<bench_planning::BenchPlanningArgs>),
     /// The paper's figures from result tables
     Figures(bench_figures::BenchFiguresArgs),
+    /// What the RTDE codec costs, and how the simulator keeps its 500 Hz
+    Rtde(bench_rtde::BenchRtdeArgs),
 }
 
 /// Parses the process's arguments and runs the subcommand.
@@ -91,8 +94,24 @@ pub fn main() -> ExitCode {
             bench_planning::run(&args, &stop)
         }
         Command::Bench(Bench::Figures(args)) => bench_figures::run(&args),
+        Command::Bench(Bench::Rtde(args)) => bench_rtde::run(&args),
         Command::Client(command) => jobs::run(command),
     })
+}
+
+/// `celld-sim`: the simulator alone.
+#[derive(Parser, Debug)]
+#[command(name = "celld-sim", version, about = "Simulated UR5e, VGC10 and camera behind the real protocols")]
+struct SimulatorCli {
+    #[command(flatten)]
+    args: sim::SimArgs,
+}
+
+/// Parses the process's arguments and runs the simulator: `celld sim` without the rest.
+pub fn simulator() -> ExitCode {
+    let cli = SimulatorCli::parse();
+    start_log();
+    ExitCode::from(sim::run(&cli.args))
 }
 
 /// Logs go to stderr; `CELLD_LOG` chooses what (`info`, `celld::daemon=debug`, ...).

@@ -105,7 +105,10 @@ pub fn run(args: &SimArgs) -> u8 {
 }
 
 /// The plans in a fault file.
-fn faults_of(path: &std::path::Path) -> Result<Vec<Planned>, String> {
+///
+/// # Errors
+/// Every complaint, for a terminal.
+pub fn faults_of(path: &std::path::Path) -> Result<Vec<Planned>, String> {
     let text = crate::cli::task::read_text(path)?;
     read_faults(&text, &path.display().to_string()).map_err(|complaints| complaints.to_string())
 }

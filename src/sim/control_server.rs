@@ -1,7 +1,8 @@
 //! The simulator's own control interface: true state and faults, for tests and training.
 //!
-//! In: `GET /world.json`, `POST /fault` with `{"do": NAME, "args": {...}}`, with a trigger `at`, or a whole `{"faults":
-//! [...]}` as in a fault file. Out: the true state as JSON; `{"ok": true}`, or 400 with `{"error": TEXT}`. Loopback only, and only when asked for: the daemon has no client for it.
+//! In: `GET /world.json`, `GET /timing.json`, `POST /fault` with `{"do": NAME, "args": {...}}`, with a trigger `at`, or a whole `{"faults":
+//! [...]}` as in a fault file. Out: the true state; how late RTDE packages
+//! have left the simulator (us after their frame was due), how many were sent and skipped; `{"ok": true}`, or 400 with `{"error": TEXT}`. Loopback only, and only when asked for: the daemon has no client for it.
 
 use crate::sim::faults::desk::FaultDesk;
 use crate::sim::faults::read::read_posted;
@@ -54,6 +55,7 @@ pub async fn serve(
     }
     let router = Router::new()
         .route("/world.json", get(state))
+        .route("/timing.json", get(timing))
         .route("/fault", post(fault))
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
         .with_state(Control { world, desk });
@@ -64,6 +66,23 @@ async fn state(State(control): State<Control>) -> Response {
     let mut snapshot = lock(&control.world).snapshot_json();
     snapshot["faults"] = control.desk.snapshot_json();
     Json(snapshot).into_response()
+}
+
+async fn timing(State(control): State<Control>) -> Response {
+    let robot = control.desk.robot();
+    let delays = robot.punctuality.delays();
+    let (sent, skipped) = robot.outlets().counts();
+    let timing = json!({
+        "packages": delays.count,
+        "within_1_ms": delays.within_1_ms,
+        "median_us": delays.median_us,
+        "p999_us": delays.p999_us,
+        "worst_us": delays.worst_us,
+        "sent": sent,
+        "skipped": skipped,
+        "frames": robot.controller().core.step,
+    });
+    Json(timing).into_response()
 }
 
 async fn fault(State(control): State<Control>, body: Bytes) -> Response {

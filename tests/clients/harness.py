@@ -5,6 +5,7 @@ failed. The kinematics are those the controller itself publishes on its primary 
 pose can be compared with the joint positions it belongs to without trusting the simulator's own arithmetic.
 """
 
+import faulthandler
 import math
 import socket
 import struct
@@ -13,6 +14,11 @@ import time
 
 LONG = 30.0
 """Longest wait for anything, s: far above what is expected, so that a busy computer fails nothing."""
+
+PATIENCE = 240.0
+"""Longest run of a script, s; then it says where it hangs, in place of being killed without a word."""
+
+faulthandler.dump_traceback_later(PATIENCE, exit=True)
 
 failures = []
 count = 0

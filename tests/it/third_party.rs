@@ -60,11 +60,17 @@ fn passes(script: &str, address: &str) {
     let Some(python) = python() else { return };
     let _simulator = Simulator::start(address);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/clients").join(script);
-    let out = Command::new(python).arg("-B").arg(&script).arg(address).output().unwrap();
-    let (said, complained) = (String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr));
-    println!("{said}\n{complained}");
+    let mut child =
+        Command::new(python).arg("-B").arg(&script).arg(address).stdout(Stdio::piped()).spawn().unwrap();
+    let mut last = String::new();
+    // Line by line, so that a script which hangs has said how far it came.
+    for line in BufReader::new(child.stdout.take().unwrap()).lines() {
+        last = line.unwrap();
+        println!("{last}");
+    }
+    let status = child.wait().unwrap();
     // The closing line too: a script that ends early must not pass for one that found nothing.
-    assert!(out.status.success() && said.trim_end().ends_with(" checks, 0 failed"), "{}", script.display());
+    assert!(status.success() && last.ends_with(" checks, 0 failed"), "{}", script.display());
 }
 
 #[test]

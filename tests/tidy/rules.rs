@@ -68,10 +68,10 @@ pub fn table_faults(table: &[Row]) -> Vec<String> {
     faults
 }
 
-/// The top-level module a source file belongs to; `None` for the two roots.
+/// The top-level module a source file belongs to; `None` for the roots of the library and of the binaries.
 fn top_module(path: &str) -> Option<&str> {
     let inside = path.strip_prefix("src/")?;
-    if inside == "lib.rs" || inside == "main.rs" {
+    if inside == "lib.rs" || inside == "main.rs" || inside.starts_with("bin/") {
         return None;
     }
     inside.split('/').next().map(|part| part.trim_end_matches(".rs"))

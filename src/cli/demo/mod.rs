@@ -11,7 +11,7 @@ pub mod teach;
 pub mod watch;
 
 use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config};
-use crate::cli::sim::FOCAL_PX;
+use crate::cli::sim::{FOCAL_PX, faults_of};
 use crate::cli::task::TaskArgs;
 use crate::cli::task::outln;
 use crate::cli::values;
@@ -58,6 +58,9 @@ pub struct DemoArgs {
     /// Loopback address of the simulated devices.
     #[arg(long, default_value = "127.0.0.1", value_parser = values::loopback)]
     bind: IpAddr,
+    /// What goes wrong and when (docs/faults.md); nothing without it.
+    #[arg(long, value_name = "FILE")]
+    faults: Option<PathBuf>,
     /// Where the report, pictures and recording go.
     #[arg(long, default_value = "out", value_name = "DIR")]
     out: PathBuf,
@@ -158,6 +161,13 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
             return 2;
         }
     };
+    let faults = match args.faults.as_deref().map_or(Ok(Vec::new()), faults_of) {
+        Ok(faults) => faults,
+        Err(message) => {
+            eprintln!("celld demo: {message}");
+            return 2;
+        }
+    };
     let runtime = match tokio::runtime::Builder::new_multi_thread()
         .worker_threads(3)
         .enable_all()
@@ -173,13 +183,13 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
     let interrupted = Arc::new(AtomicBool::new(false));
     priority::raise();
     let watcher = watch_for_interrupt(&runtime, stop.clone(), interrupted.clone());
-    let outcome = runtime.block_on(run::demo(instance, &choice, &config, &args.out, stop));
+    let outcome = runtime.block_on(run::demo(instance, &choice, &config, faults, &args.out, stop));
     watcher.abort();
     let code = match outcome {
         Ok(outcome) => output::write(&outcome, instance, &choice, &args.out),
-        Err(message) => {
-            eprintln!("celld demo: {message}");
-            1
+        Err(error) => {
+            eprintln!("celld demo: {error}");
+            if matches!(error, run::DemoError::Faults(_)) { 2 } else { 1 }
         }
     };
     if interrupted.load(Ordering::Relaxed) { 130 } else { code }

@@ -21,7 +21,8 @@ use crate::io::camera::http::HttpCamera;
 use crate::io::clock::Clock;
 use crate::planning::plan::Objective;
 use crate::planning::solver::SolverKind;
-use crate::sim::cell::{RunningSim, start};
+use crate::sim::cell::{RunningSim, SimError, start};
+use crate::sim::faults::{FaultError, Planned};
 use crate::sim::robot_server::RobotPorts;
 use crate::sim::world::lock;
 use crate::supervisor::cell::{Cell, Status};
@@ -51,6 +52,23 @@ pub struct DemoOutcome {
     pub recording_fault: Option<String>,
 }
 
+/// Why a demo did not come to its end.
+#[derive(Debug, thiserror::Error)]
+pub enum DemoError {
+    /// A planned fault names something that is not in the scene.
+    #[error("--faults: {0}")]
+    Faults(FaultError),
+    /// What could not be done, and what helps.
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl From<String> for DemoError {
+    fn from(sentence: String) -> DemoError {
+        DemoError::Failed(sentence)
+    }
+}
+
 /// The robot's session, 125 states a second: enough for 10 ms ticks, and a quarter of the work.
 const RTDE_HZ: f64 = 125.0;
 
@@ -60,17 +78,23 @@ const FRAME_LIMIT: std::time::Duration = std::time::Duration::from_secs(20);
 /// Runs the demo.
 ///
 /// # Errors
-/// One sentence: what could not be done, and what helps.
+/// What could not be done.
 pub async fn demo(
     instance: &Instance,
     choice: &DemoChoice,
     config: &CellConfig,
+    faults: Vec<Planned>,
     out: &Path,
     stop: Arc<AtomicBool>,
-) -> Result<DemoOutcome, String> {
+) -> Result<DemoOutcome, DemoError> {
     let mut config = config.clone();
     let file = sim_file(instance, &config, choice)?;
-    let sim = start(sim_config(&file, choice.bind, RobotPorts::ANY)).await.map_err(|error| chain(&error))?;
+    let mut simulated = sim_config(&file, choice.bind, RobotPorts::ANY);
+    simulated.faults = faults;
+    let sim = start(simulated).await.map_err(|error| match error {
+        SimError::Fault(fault) => DemoError::Faults(fault),
+        error => DemoError::Failed(chain(&error)),
+    })?;
     config.devices.gripper_port = sim.addresses.modbus.port();
     let outcome = with_sim(instance, choice, out, &config, &sim, &stop).await;
     let truth = {

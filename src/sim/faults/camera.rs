@@ -55,8 +55,13 @@ impl Default for CameraFaults {
 impl CameraFaults {
     /// All of `faults` at once: gains multiply, blurs and shifts add up, the densest fog counts.
     pub fn of<'a>(faults: impl Iterator<Item = &'a CameraFault>) -> CameraFaults {
+        CameraFaults::at(faults.map(|fault| (fault, 0.0)))
+    }
+
+    /// As [`CameraFaults::of`], each with the time it has been in force, s.
+    pub fn at<'a>(faults: impl Iterator<Item = (&'a CameraFault, f64)>) -> CameraFaults {
         let mut all = CameraFaults::default();
-        for fault in faults {
+        for (fault, age_s) in faults {
             match fault {
                 CameraFault::Off => all.off = true,
                 CameraFault::Freeze => all.frozen = true,
@@ -67,6 +72,10 @@ impl CameraFaults {
                 CameraFault::Occlude(marker) => all.covered.push(*marker),
                 CameraFault::Print(print) => all.prints.push(*print),
                 CameraFault::Extrinsics(shift) => all.shift *= shift,
+                CameraFault::Drift { translation, rotation } => {
+                    let minutes = age_s / 60.0;
+                    all.shift *= Isometry3::new(translation * minutes, rotation * minutes);
+                }
             }
         }
         all

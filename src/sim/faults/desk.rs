@@ -25,6 +25,9 @@ use std::time::Duration;
 /// The client that claims inputs as a fault: no connection has this number.
 const STRANGER: ClientId = ClientId(u64::MAX);
 
+/// Frames between two steps of a camera that drifts (0.1 s).
+const DRIFT_FRAMES: u64 = 50;
+
 /// Faults planned and in force.
 #[derive(Debug)]
 pub struct FaultDesk {
@@ -57,6 +60,7 @@ struct State {
 #[derive(Debug)]
 struct Active {
     order: Order,
+    began_s: f64,
     ends_s: Option<f64>,
     /// The speed slider before.
     slider: f64,
@@ -76,6 +80,11 @@ impl FaultDesk {
     /// Over a cell whose time runs `factor` times as fast as the wall's.
     pub fn new(robot: Arc<RobotShared>, world: SharedWorld, factor: f64) -> FaultDesk {
         FaultDesk { robot, world: WorldHandle(world), factor, state: Mutex::new(State::default()) }
+    }
+
+    /// The controller whose faults these are.
+    pub fn robot(&self) -> &RobotShared {
+        &self.robot
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -121,6 +130,10 @@ impl FaultDesk {
                 tracing::warn!(fault = name, %error, "a planned fault could not be brought about");
             }
         }
+        let drifts = |fault: &Fault| matches!(fault, Fault::Camera(CameraFault::Drift { .. }));
+        if state.frames.is_multiple_of(DRIFT_FRAMES) && state.has(drifts) {
+            self.settle_camera(state);
+        }
         let now_s = state.time_s();
         self.end(state, |active| active.ends_s.is_some_and(|ends_s| now_s >= ends_s));
     }
@@ -159,7 +172,10 @@ impl FaultDesk {
             // The same fault again only begins its time anew.
             match state.active.iter_mut().find(|active| active.order.fault == order.fault) {
                 Some(active) => active.ends_s = ends_s,
-                None => state.active.push(Active { order, ends_s, slider }),
+                None => {
+                    let began_s = state.time_s();
+                    state.active.push(Active { order, began_s, ends_s, slider });
+                }
             }
             self.settle(state);
         }
@@ -189,13 +205,10 @@ impl FaultDesk {
     /// Brings camera, vacuum and links into line with the faults in force.
     fn settle(&self, state: &State) {
         let faults = || state.active.iter().map(|active| &active.order.fault);
-        let cameras = faults().filter_map(|fault| match fault {
-            Fault::Camera(camera) => Some(camera),
-            _ => None,
-        });
+        self.settle_camera(state);
+        self.settle_controller(state);
         {
             let mut world = lock(&self.world.0);
-            world.set_camera_faults(CameraFaults::of(cameras));
             world.set_sticky(state.has(|fault| *fault == Fault::Vacuum(VacuumFault::Stick)));
             for channel in Channel::ALL {
                 world.set_channel_faults(channel, channel_faults(channel, faults()));
@@ -210,6 +223,32 @@ impl FaultDesk {
         if reboots {
             self.reset(LinkName::on_controller);
         }
+    }
+
+    fn settle_camera(&self, state: &State) {
+        let now_s = state.time_s();
+        let cameras = state.active.iter().filter_map(|active| match &active.order.fault {
+            Fault::Camera(camera) => Some((camera, now_s - active.began_s)),
+            _ => None,
+        });
+        lock(&self.world.0).set_camera_faults(CameraFaults::at(cameras));
+    }
+
+    /// What the controller claims to be, and how often it sends.
+    fn settle_controller(&self, state: &State) {
+        let (mut rate, mut version, mut model) = (None, None, None);
+        for active in &state.active {
+            match &active.order.fault {
+                Fault::Robot(RobotFault::Rate(hz)) => rate = Some(*hz),
+                Fault::Robot(RobotFault::Version(numbers)) => version = Some(*numbers),
+                Fault::Robot(RobotFault::Model(name)) => model = Some(name.clone()),
+                _ => {}
+            }
+        }
+        self.robot.outlets().force_rate(rate);
+        let mut controller = self.robot.controller();
+        controller.core.pendant.pretend_version(version);
+        controller.core.pendant.pretend_model(model);
     }
 
     fn reset(&self, which: impl Fn(LinkName) -> bool) {
@@ -236,6 +275,7 @@ impl FaultDesk {
                 link.limit = Some(link.limit.map_or(*bytes, |least| least.min(*bytes)))
             }
             Toxic::Exception(code) => link.exception = Some(*code),
+            Toxic::Transaction => link.wrong_transaction = true,
         }
     }
 }
@@ -325,6 +365,8 @@ fn begin(controller: &mut Controller, fault: &RobotFault) -> Result<(), FaultErr
         RobotFault::Claim(input) => controller.core.registers.seize(STRANGER, input),
         RobotFault::Payload(mass_kg) => controller.core.payload.mass = *mass_kg,
         RobotFault::Reboot { .. } => controller.power_off(),
+        // These follow from the list of faults in force.
+        RobotFault::Rate(_) | RobotFault::Version(_) | RobotFault::Model(_) => {}
     }
     Ok(())
 }
@@ -345,7 +387,10 @@ fn undo(controller: &mut Controller, fault: &RobotFault, slider: f64) {
         RobotFault::Stall => controller.core.mover.set_stalled(false),
         RobotFault::Claim(input) => controller.core.registers.give_back(STRANGER, input),
         RobotFault::Reboot { serial, kinematics } => controller.reboot(serial.clone(), *kinematics),
-        RobotFault::ProtectiveStop
+        RobotFault::Rate(_)
+        | RobotFault::Version(_)
+        | RobotFault::Model(_)
+        | RobotFault::ProtectiveStop
         | RobotFault::SafetyFault
         | RobotFault::KillProgram
         | RobotFault::ForeignScript(_)

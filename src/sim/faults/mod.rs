@@ -15,7 +15,7 @@ use crate::geometry::pose::Pose2;
 use crate::sim::faults::camera::ExtraPrint;
 use crate::sim::faults::link::LinkName;
 use crate::sim::world::vacuum::Channel;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 
 /// A fault, when it comes and how long it stays.
 #[derive(Clone, Debug, PartialEq)]
@@ -186,6 +186,12 @@ pub enum RobotFault {
     Claim(String),
     /// The controller believes in another payload, kg.
     Payload(f64),
+    /// RTDE comes at this rate whatever was agreed, Hz.
+    Rate(f64),
+    /// The controller says that it runs this software: major, minor, bug fix, build.
+    Version([u32; 4]),
+    /// The controller says that it is this robot.
+    Model(String),
     /// The controller boots anew.
     Reboot {
         /// It comes back with this serial number.
@@ -234,6 +240,13 @@ pub enum CameraFault {
     Print(ExtraPrint),
     /// The mount is bumped: camera before from camera after.
     Extrinsics(Isometry3<f64>),
+    /// The mount gives way: shift (m) and turn (rotation vector, rad) of each minute, in the camera's frame.
+    Drift {
+        /// m per minute.
+        translation: Vector3<f64>,
+        /// rad per minute.
+        rotation: Vector3<f64>,
+    },
 }
 
 /// Objects moved by hand.
@@ -270,6 +283,8 @@ pub enum Toxic {
     LimitData(u64),
     /// The gripper answers every request with this Modbus exception.
     Exception(u8),
+    /// The gripper's answers have the transaction number of another request.
+    Transaction,
 }
 
 /// Why a fault could not be brought about.

@@ -17,7 +17,7 @@ use crate::sim::world::vacuum::{Channel, HIGHEST_TARGET};
 use crate::units::rad_from_deg;
 use crate::vision::image::tag36h11_bitmap;
 use crate::wire::rtde_variables::input_type;
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use std::ops::RangeInclusive;
 
 /// Most faults in a file.
@@ -48,6 +48,9 @@ pub const CATALOGUE: &[(&str, &[&str])] = &[
     ("ur.stall", &["seconds"]),
     ("ur.claim", &["input", "seconds"]),
     ("ur.payload", &["mass_kg"]),
+    ("ur.rate", &["hz", "seconds"]),
+    ("ur.version", &["version", "seconds"]),
+    ("ur.model", &["model", "seconds"]),
     ("ur.reboot", &["serial", "kinematics", "seconds"]),
     ("vacuum.drop", &["channel", "seconds"]),
     ("vacuum.leak", &["channel", "vacuum", "falls_s", "seconds"]),
@@ -63,6 +66,7 @@ pub const CATALOGUE: &[(&str, &[&str])] = &[
     ("camera.dup", &["marker", "pose", "pose_deg", "seconds"]),
     ("camera.unknown", &["marker", "pose", "pose_deg", "size_m", "seconds"]),
     ("camera.extrinsics", &["translation_m", "rotation_deg", "seconds"]),
+    ("camera.drift", &["translation_m", "rotation_deg", "seconds"]),
     ("world.nudge", &["object", "dx_m", "dy_m", "dtheta_rad"]),
     ("world.place", &["object", "pose", "pose_deg"]),
     ("net.reset_peer", &["link"]),
@@ -71,6 +75,7 @@ pub const CATALOGUE: &[(&str, &[&str])] = &[
     ("net.slicer", &["link", "bytes", "seconds"]),
     ("net.limit_data", &["link", "bytes", "seconds"]),
     ("net.exception", &["code", "seconds"]),
+    ("net.transaction", &["seconds"]),
     ("clear", &["fault"]),
 ];
 
@@ -228,6 +233,12 @@ fn robot(decoder: &mut Decoder, name: &str, args: &Args) -> Option<RobotFault> {
         "slider" => RobotFault::Slider(args.number(decoder, "fraction", 0.0..=1.0, "of full speed")?),
         "stall" => RobotFault::Stall,
         "claim" => RobotFault::Claim(args.input(decoder)?),
+        "rate" => RobotFault::Rate(args.number(decoder, "hz", 0.1..=500.0, "Hz")?),
+        "version" => RobotFault::Version(args.version(decoder)?),
+        "model" => {
+            let at = args.fields.required("model", decoder)?;
+            RobotFault::Model(decoder.text(&at)?)
+        }
         "payload" => RobotFault::Payload(args.number(decoder, "mass_kg", 0.0..=50.0, "kg")?),
         _ => {
             let serial = args.optional("serial", None, |at| decoder.text(at).map(Some));
@@ -264,7 +275,14 @@ fn camera(decoder: &mut Decoder, name: &str, args: &Args) -> Option<CameraFault>
         "blur" => CameraFault::Blur(args.number(decoder, "sigma_px", 0.0..=20.0, "px")?),
         "fog" => CameraFault::Fog(args.number(decoder, "share", 0.0..=1.0, "of the contrast")?),
         "occlude" => CameraFault::Occlude(args.marker(decoder)?),
-        "extrinsics" => CameraFault::Extrinsics(args.shift(decoder)?),
+        "extrinsics" => {
+            let (translation, rotation) = args.shift(decoder)?;
+            CameraFault::Extrinsics(Isometry3::new(translation, rotation))
+        }
+        "drift" => {
+            let (translation, rotation) = args.shift(decoder)?;
+            CameraFault::Drift { translation, rotation }
+        }
         _ => {
             let (marker, pose) = (args.marker(decoder), args.pose(decoder));
             let size_m = match name {
@@ -297,6 +315,9 @@ fn net(decoder: &mut Decoder, name: &str, args: &Args) -> Option<Fault> {
         }
         let toxic = Toxic::Exception(u8::try_from(code).ok()?);
         return Some(Fault::Net { link: Some(LinkName::Gripper), toxic });
+    }
+    if name == "transaction" {
+        return Some(Fault::Net { link: Some(LinkName::Gripper), toxic: Toxic::Transaction });
     }
     let at = args.fields.required("link", decoder)?;
     let link = decoder.choice(&at, &LinkName::NAMES);
@@ -386,8 +407,20 @@ impl<'n> Args<'n> {
         Some(name)
     }
 
+    /// Four numbers with points between them, in quotes.
+    fn version(&self, decoder: &mut Decoder) -> Option<[u32; 4]> {
+        let at = self.fields.required("version", decoder)?;
+        let text = decoder.text(&at)?;
+        let numbers: Option<Vec<u32>> = text.split('.').map(|part| part.parse().ok()).collect();
+        let version = numbers.and_then(|numbers| <[u32; 4]>::try_from(numbers).ok());
+        if version.is_none() {
+            decoder.complain_at(&at, format!("{text:?} is no software version"), "as in \"5.9.4.1031232\"");
+        }
+        version
+    }
+
     /// Translation in m and turns about x, y, z in degrees, both in the camera's frame.
-    fn shift(&self, decoder: &mut Decoder) -> Option<Isometry3<f64>> {
+    fn shift(&self, decoder: &mut Decoder) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let mut three = |key: &str, most: f64| {
             self.optional(key, [0.0; 3], |at| {
                 let numbers = decoder.numbers::<3>(at)?;
@@ -399,11 +432,7 @@ impl<'n> Args<'n> {
             })
         };
         let (translation, degrees) = (three("translation_m", 1.0), three("rotation_deg", 180.0));
-        let turn = Vector3::from(degrees?.map(rad_from_deg));
-        Some(Isometry3::from_parts(
-            Translation3::from(Vector3::from(translation?)),
-            UnitQuaternion::from_scaled_axis(turn),
-        ))
+        Some((Vector3::from(translation?), Vector3::from(degrees?.map(rad_from_deg))))
     }
 }
 

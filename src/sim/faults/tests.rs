@@ -211,6 +211,21 @@ impl Rtde {
         }
     }
 
+    /// Reads until two packages with `control_step` alone are `gap` frames apart.
+    async fn until_gap(&mut self, gap: u64) {
+        let began = Instant::now();
+        let mut last = 0;
+        loop {
+            assert!(began.elapsed() < PATIENCE, "never {gap} frames apart");
+            let Reply::Data { payload, .. } = self.reply().await.expect("closed") else { continue };
+            let values = self.recipe.decode(&payload, Leftover::Refuse).unwrap();
+            let [Value::Uint64(step)] = values[..] else { panic!("{values:?}") };
+            if std::mem::replace(&mut last, step) + gap == step {
+                return;
+            }
+        }
+    }
+
     /// Reads until the values are these.
     async fn until(&mut self, wanted: &[Value]) {
         let began = Instant::now();

@@ -53,6 +53,13 @@ pub struct Parcel {
     due: Option<Instant>,
 }
 
+impl Parcel {
+    /// What goes to the client.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
 impl From<Vec<u8>> for Parcel {
     fn from(bytes: Vec<u8>) -> Parcel {
         Parcel { bytes: bytes.into(), due: None }

@@ -42,6 +42,8 @@ fn what_is_wrong_is_said_with_its_place() {
     refused("faults:\n  - {do: world.nudge}\n", "key \"object\" is missing");
     refused("faults:\n  - {do: net.timeout, args: {link: rdte}}\n", "\"rdte\" is not known here");
     refused("faults:\n  - {do: net.exception, args: {code: 5}}\n", "code 5 is no error");
+    refused("faults:\n  - {do: ur.version, args: {version: 5.9}}\n", "no software version");
+    refused("faults:\n  - {do: ur.rate, args: {hz: 0}}\n", "0 Hz is out of range");
     refused("faults:\n  - {do: clear, args: {fault: ur}}\n", "\"ur\" is not known here");
     refused("fault: []\n", "did you mean \"faults\"?");
     refused("faults: 3\n", "a list");

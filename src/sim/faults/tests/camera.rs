@@ -100,3 +100,17 @@ async fn pictures_are_dark_blurred_foggy_or_from_elsewhere() {
     assert!(bench.shot().await.difference(&good) < 2.0 * still, "cleared");
     bench.sim.shutdown().await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_camera_that_drifts_moves_further_with_time() {
+    let bench = bench("").await;
+    let shift = |sim: &RunningSim| lock(&sim.world()).camera_faults().shift.translation.vector.x;
+    bench.fault("{do: camera.drift, args: {translation_m: [0.06, 0, 0]}}");
+    bench.until("a millimetre", |sim| shift(sim) > 0.001).await;
+    bench.until("three", |sim| shift(sim) > 0.003).await;
+    let (seconds, moved) = (bench.step() as f64 / 500.0, shift(&bench.sim));
+    assert!(moved <= 0.001 * seconds, "{moved} m in at most {seconds} s");
+    bench.fault("{do: clear}");
+    assert_eq!(shift(&bench.sim), 0.0);
+    bench.sim.shutdown().await;
+}

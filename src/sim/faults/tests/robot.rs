@@ -321,3 +321,48 @@ async fn people_move_objects_and_faults_name_what_exists() {
         read_faults("faults: [{at: {time_s: 1}, do: camera.occlude, args: {marker: 9}}]", "f").unwrap();
     assert!(matches!(start(bad).await, Err(SimError::Fault(FaultError::NoSuchMarker(9)))));
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn rtde_comes_at_another_rate_than_was_agreed() {
+    let bench = bench("").await;
+    let mut rtde = Rtde::connect(bench.sim.addresses.robot.rtde, &["control_step"]).await;
+    // 25 Hz were agreed: every 20 frames.
+    bench.fault("{do: ur.rate, args: {hz: 5}}");
+    rtde.until_gap(100).await;
+    bench.fault("{do: clear}");
+    rtde.until_gap(20).await;
+    bench.sim.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_controller_says_it_is_another_one() {
+    let bench = bench("").await;
+    bench.fault("{do: ur.version, args: {version: 3.15.8.106339}}");
+    bench.fault("{do: ur.model, args: {model: UR10}}");
+    assert_eq!(bench.ask("version").await, "3.15.8.106339");
+    assert_eq!(bench.ask("get robot model").await, "UR10");
+    bench.fault("{do: clear, args: {fault: ur.model}}");
+    assert_eq!(bench.ask("get robot model").await, "UR5");
+    bench.fault("{do: clear}");
+    assert!(bench.ask("PolyscopeVersion").await.starts_with("URSoftware 5."));
+    bench.sim.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn answers_of_the_gripper_have_another_number() {
+    let bench = bench("").await;
+    bench.fault("{do: net.transaction}");
+    let mut stream = TcpStream::connect(bench.sim.addresses.modbus).await.unwrap();
+    let request = [0x12, 0x34, 0, 0, 0, 6, 65, 3, 0, 2, 0, 1];
+    let mut answer = [0; 11];
+    stream.write_all(&request).await.unwrap();
+    stream.read_exact(&mut answer).await.unwrap();
+    assert_eq!(answer[..2], [0x12, 0x35]);
+    assert!(
+        bench.gripper().await.read_holding_registers(2, 1).await.is_err(),
+        "a master takes it for its own"
+    );
+    bench.fault("{do: clear}");
+    assert_eq!(bench.gripper().await.read_holding_registers(2, 1).await.unwrap().unwrap(), [500]);
+    bench.sim.shutdown().await;
+}

@@ -1,0 +1,8 @@
+//! Fuzz target `primary`; what it does stands in `targets.rs`.
+#![no_main]
+
+#[allow(dead_code, reason = "each binary runs one of the targets")]
+#[path = "../targets.rs"]
+mod targets;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| targets::primary(data));

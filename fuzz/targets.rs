@@ -1,0 +1,240 @@
+//! What is done with fuzzed bytes: one function a protocol, for libFuzzer and for the test that replays the corpora.
+//!
+//! In: any bytes; the first says how the rest is cut into pieces, as a network may. Out: nothing, or a panic, which is
+//! a finding: our own of a broken promise, or one of the code under test. Both directions of every codec are read,
+//! and the simulator's sessions are talked to as if over a socket, with controller frames in between.
+
+use celld::device::dashboard_session::DashboardSession;
+use celld::device::primary_session::PrimarySession;
+use celld::device::rtde_session::RtdeSession;
+use celld::geometry::footprint::Footprint;
+use celld::sim::controller::builtins::compile_program;
+use celld::sim::controller::{Controller, ControllerConfig};
+use celld::sim::faults::link::LinkState;
+use celld::sim::gripper_server;
+use celld::sim::robot_server::outlets::{Feed, Inlet};
+use celld::sim::robot_server::script_ports::{self, Port};
+use celld::sim::robot_server::{RobotShared, dashboard as dashboard_server, rtde as rtde_server};
+use celld::sim::world::World;
+use celld::sim::world::spec::{Cup, GripperSpec, PlacementErrors, TableSpec, WorldSpec};
+use celld::sim::world::vacuum::Channel;
+use celld::time::{Duration, Timestamp};
+use celld::wire::dashboard::{Command, LineSplitter, Reply as DashboardReply};
+use celld::wire::modbus;
+use celld::wire::primary::Splitter as PrimarySplitter;
+use celld::wire::rtde::{Frame, Reply, Request, Splitter, Version};
+use celld::wire::rtde_values::{Leftover, Recipe};
+use celld::wire::rtde_variables::OUTPUTS;
+use nalgebra::Isometry3;
+use std::sync::Arc;
+
+/// What a target does with the bytes it is given.
+pub type Target = fn(&[u8]);
+
+/// Names of the targets and what they do.
+pub const TARGETS: [(&str, Target); 5] = [
+    ("rtde", rtde),
+    ("dashboard", dashboard),
+    ("primary", primary),
+    ("urscript", urscript),
+    ("modbus", modbus),
+];
+
+/// Most pieces of one input, and frames a program gets.
+const MOST_PIECES: usize = 64;
+const FRAMES: usize = 40;
+
+/// The bytes behind the first, in pieces as long as the first says (0: whole).
+fn pieces(data: &[u8]) -> Vec<&[u8]> {
+    let Some((length, rest)) = data.split_first() else { return Vec::new() };
+    let length = match usize::from(*length) {
+        0 => rest.len().max(1),
+        length => length.max(rest.len() / MOST_PIECES),
+    };
+    rest.chunks(length.max(1)).collect()
+}
+
+fn robot() -> Arc<RobotShared> {
+    let mut config = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
+    let program = "def work():\n while True:\n  sync()\n end\nend\n";
+    config.programs.insert("work".to_owned(), program.to_owned());
+    RobotShared::new(Controller::new(config))
+}
+
+/// What the simulator has queued for a connection.
+fn sent(inlet: &mut Inlet) -> Vec<u8> {
+    std::iter::from_fn(|| inlet.queue.try_recv().ok()).flat_map(|parcel| parcel.bytes().to_vec()).collect()
+}
+
+/// Packages of both directions in both versions; then a connection to the simulator; then a client of ours.
+pub fn rtde(data: &[u8]) {
+    let fields = OUTPUTS.iter().map(|(name, kind)| ((*name).to_owned(), *kind)).collect();
+    let recipe = Recipe { id: 1, fields };
+    for version in [Version::V1, Version::V2] {
+        let mut splitter = Splitter::default();
+        for piece in pieces(data) {
+            splitter.push(piece);
+            while let Ok(Some(frame)) = splitter.next_frame() {
+                let _ = Request::decode(version, &frame).map(|request| request.encode(version));
+                let _ = Reply::decode(version, &frame).map(|reply| reply.encode(version));
+                let _ = recipe.decode(&frame.payload, Leftover::Ignore);
+            }
+        }
+    }
+    let shared = robot();
+    let mut inlet = shared.outlets().open(Feed::Rtde, false);
+    let mut session = rtde_server::Session::new(inlet.id);
+    for piece in pieces(data) {
+        let Ok(answers) = session.receive(&shared, piece) else { break };
+        answers.iter().for_each(|answer| must_be_readable(answer));
+        shared.frame(None);
+        let mut splitter = Splitter::default();
+        splitter.push(&sent(&mut inlet));
+        while let Some(frame) = splitter.next_frame().expect("what we send has a length") {
+            must_be_readable(&frame.encode());
+        }
+    }
+    session.close(&shared);
+    assert!(
+        !shared.controller().core.registers.claimed("input_int_register_24"),
+        "a claim has outlived its client"
+    );
+    let mut client = RtdeSession::new(500.0);
+    let mut now = Timestamp::ZERO;
+    client.connected(now);
+    for piece in pieces(data) {
+        client.received(now, piece);
+        now += Duration::from_secs(1);
+        client.tick(now);
+        while client.poll_transmit().is_some() || client.poll_event().is_some() {}
+    }
+}
+
+/// A client of ours reads what the simulator sends, whatever it was asked.
+fn must_be_readable(package: &[u8]) {
+    let mut splitter = Splitter::default();
+    splitter.push(package);
+    let frame: Frame = splitter.next_frame().expect("a length").expect("a whole package");
+    let readable = [Version::V1, Version::V2].iter().any(|version| Reply::decode(*version, &frame).is_ok());
+    assert!(readable, "{frame:?}");
+}
+
+/// Lines of both directions; then a connection to the simulator; then a client of ours.
+pub fn dashboard(data: &[u8]) {
+    let mut splitter = LineSplitter::default();
+    for piece in pieces(data) {
+        splitter.push(piece);
+        while let Ok(Some(line)) = splitter.next_line() {
+            let command = Command::parse(&line);
+            assert!(command.line().ends_with('\n'), "a command is a line");
+            let _ = DashboardReply::parse(&command, &line).map(|reply| reply.line(&command));
+        }
+    }
+    let shared = robot();
+    let mut session = dashboard_server::Session::new(&shared.controller());
+    for piece in pieces(data) {
+        let Ok(replies) = session.receive(&shared, piece) else { break };
+        assert!(replies.is_empty() || replies.ends_with('\n'), "{replies:?}");
+        (0..3).for_each(|_| shared.frame(None));
+        if session.over() {
+            break;
+        }
+    }
+    let mut client = DashboardSession::default();
+    let mut now = Timestamp::ZERO;
+    client.connected(now);
+    for piece in pieces(data) {
+        let _ = client.ask(now, Command::SafetyMode);
+        client.received(now, piece);
+        now += Duration::from_secs(1);
+        client.tick(now);
+        while client.poll_transmit().is_some() || client.poll_event().is_some() {}
+    }
+}
+
+/// Packages; then a script connection to the simulator; then a client of ours.
+pub fn primary(data: &[u8]) {
+    let mut splitter = PrimarySplitter::default();
+    for piece in pieces(data) {
+        splitter.push(piece);
+        loop {
+            match splitter.next_package() {
+                Ok(Some(package)) => drop(package.encode()),
+                Ok(None) => break,
+                Err(_) => {}
+            }
+        }
+    }
+    let shared = robot();
+    let port = Port { feed: Feed::Primary, read_only: false };
+    let (mut inlet, mut session) = script_ports::Session::open(&shared, port);
+    let mut heard = PrimarySplitter::default();
+    for piece in pieces(data) {
+        if session.receive(&shared, piece).is_err() {
+            break;
+        }
+        (0..3).for_each(|_| shared.frame(None));
+        heard.push(&sent(&mut inlet));
+        while heard.next_package().expect("what we send can be read").is_some() {}
+    }
+    session.finish(&shared);
+    (0..FRAMES).for_each(|_| shared.frame(None));
+    let mut client = PrimarySession::default();
+    let mut now = Timestamp::ZERO;
+    client.connected(now);
+    for piece in pieces(data) {
+        client.received(now, piece);
+        now += Duration::from_secs(1);
+        client.tick(now);
+        while client.poll_transmit().is_some() || client.poll_event().is_some() {}
+    }
+}
+
+/// A program: parsed, checked, and run for some frames.
+pub fn urscript(data: &[u8]) {
+    let text = String::from_utf8_lossy(data);
+    let code = compile_program(&text);
+    let runs = code.is_ok();
+    let mut controller = Controller::new(ControllerConfig { running: true, ..ControllerConfig::ur5e(1) });
+    controller.programs.upload(code);
+    for _ in 0..if runs { FRAMES } else { 1 } {
+        controller.frame();
+    }
+    assert!(controller.core.mover.q().0.iter().all(|angle| angle.is_finite()), "the arm is nowhere");
+    controller.programs.stop(&mut controller.core);
+    controller.frame();
+}
+
+/// Requests to the gripper, with the world's time going on.
+pub fn modbus(data: &[u8]) {
+    let mut world = World::new(bare_world(), 1).expect("a sound world");
+    let mut session = gripper_server::Session::default();
+    let mut now_s = 0.0;
+    for piece in pieces(data) {
+        let Ok(answers) = session.receive(&mut world, &LinkState::default(), piece) else { break };
+        let mut splitter = modbus::Splitter::default();
+        splitter.push(&answers);
+        while splitter.next_adu().expect("what we send is Modbus").is_some() {}
+        now_s += 0.002;
+        world.step(now_s, 0.002, &Isometry3::translation(0.0, 0.0, 1.0));
+    }
+    for channel in Channel::ALL {
+        assert!(world.vacuum_reading_per_mille(channel) <= 1000, "more than a vacuum");
+    }
+}
+
+fn bare_world() -> WorldSpec {
+    WorldSpec {
+        table: TableSpec { width_m: 0.5, height_m: 0.5, margin_m: 0.1 },
+        base_from_table: Isometry3::identity(),
+        objects: Vec::new(),
+        reference_markers: Vec::new(),
+        errors: PlacementErrors::default(),
+        gripper: GripperSpec {
+            flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
+            cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
+            body: Footprint::rectangle(0.05, 0.05).expect("a rectangle"),
+            body_above_lips_m: 0.05,
+        },
+    }
+}
