@@ -182,6 +182,7 @@ fn search(
         seconds: Some(&seconds),
         least_move_seconds: NOMINAL.least_move_seconds(),
         on_plan: &on_plan,
+        on_bound: &|bound| progress.proved(bound),
         first: args.first,
         strict_paper: args.strict_paper,
         ..Control::until(&stop)
@@ -204,7 +205,7 @@ struct Progress {
     begun: Instant,
     limit: f64,
     /// Below which no cost can be; None while nobody needs it.
-    bound: Option<f64>,
+    bound: Mutex<Option<f64>>,
     bar: Mutex<Option<ProgressBar>>,
     best: Mutex<Option<f64>>,
 }
@@ -216,14 +217,28 @@ impl Progress {
         let told = goes_on && !args.first && fits;
         let bound = told
             .then(|| lower_bound(&Scene::new(problem), args.objective, NOMINAL.least_move_seconds()).value);
-        Progress { begun, limit, bound, bar: Mutex::new(None), best: Mutex::new(None) }
+        Progress { begun, limit, bound: Mutex::new(bound), bar: Mutex::new(None), best: Mutex::new(None) }
     }
 
     fn found(&self, cost: f64) {
         if let Ok(mut best) = self.best.lock() {
             *best = Some(cost);
         }
-        let Some(bound) = self.bound else { return };
+        self.tell(cost);
+    }
+
+    fn proved(&self, bound: f64) {
+        if let Ok(mut known) = self.bound.lock() {
+            *known = known.map(|_| bound);
+        }
+        let best = self.best.lock().ok().and_then(|best| *best);
+        if let Some(cost) = best {
+            self.tell(cost);
+        }
+    }
+
+    fn tell(&self, cost: f64) {
+        let Some(bound) = self.bound.lock().ok().and_then(|bound| *bound) else { return };
         let line = format!("{:.3} s: {}", self.begun.elapsed().as_secs_f64(), standing(cost, bound));
         match self.bar.lock().as_deref() {
             Ok(Some(bar)) => bar.suspend(|| complain(&line)),
@@ -236,13 +251,16 @@ impl Progress {
         if passed < QUIET {
             return;
         }
-        let (Ok(mut bar), Ok(best)) = (self.bar.lock(), self.best.lock()) else { return };
+        let (Ok(mut bar), Ok(best), Ok(bound)) = (self.bar.lock(), self.best.lock(), self.bound.lock())
+        else {
+            return;
+        };
         let bar = bar.get_or_insert_with(|| {
             let template = ProgressStyle::with_template("{spinner} planning {msg}");
             ProgressBar::new_spinner()
                 .with_style(template.unwrap_or_else(|_| ProgressStyle::default_spinner()))
         });
-        let best = match (*best, self.bound) {
+        let best = match (*best, *bound) {
             (None, _) => "no plan yet".to_string(),
             (Some(cost), Some(bound)) => standing(cost, bound),
             (Some(cost), None) => format!("cost {cost}"),

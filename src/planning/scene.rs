@@ -46,7 +46,7 @@ pub struct Scene<'a> {
 impl<'a> Scene<'a> {
     /// Places everything that the problem gives.
     pub fn new(problem: &'a Problem) -> Scene<'a> {
-        let cores: Vec<f64> = problem.objects.iter().map(|object| core(&object.footprint)).collect();
+        let cores: Vec<f64> = problem.objects.iter().map(|object| Scene::core(&object.footprint)).collect();
         let spots = |pose: &dyn Fn(usize) -> Option<Pose2>| -> Vec<Option<Arc<Spot>>> {
             (0..problem.objects.len())
                 .map(|i| pose(i).map(|pose| Arc::new(new_spot(problem, i, pose, cores[i]))))
@@ -86,12 +86,28 @@ impl<'a> Scene<'a> {
     pub fn clear(&self, a: &Spot, b: &Spot) -> bool {
         let goals = a.goal_of.is_some() && b.goal_of.is_some() && a.goal_of != b.goal_of;
         let given = (a.at_start && b.at_start) || goals;
-        given || (!cores_meet(a, b) && self.apart(&a.placed, &b.placed))
+        given || self.apart(a, b)
+    }
+
+    /// The same for poses that nobody gave together.
+    pub fn apart(&self, a: &Spot, b: &Spot) -> bool {
+        !cores_meet(a, b) && !self.near(&a.placed, &b.placed)
+    }
+
+    /// Would this shape, at a pose that is not given, be too near to the object at its spot?
+    pub fn meets(&self, shape: &Placed, spot: &Spot) -> bool {
+        self.near(shape, &spot.placed)
+    }
+
+    /// The same for the keep-out areas and everything that never moves.
+    pub fn meets_what_stays(&self, shape: &Placed) -> bool {
+        self.keep_out.iter().any(|area| self.near(shape, area))
+            || self.fixed.iter().any(|fixed| self.near(shape, &fixed.placed))
     }
 
     /// Clear of the keep-out areas and of everything that never moves. Given poses are so by definition.
     pub fn admissible(&self, spot: &Spot) -> bool {
-        self.keep_out.iter().all(|area| self.apart(&spot.placed, area))
+        !self.keep_out.iter().any(|area| self.near(&spot.placed, area))
             && self.fixed.iter().all(|fixed| self.clear(spot, fixed))
     }
 
@@ -101,9 +117,23 @@ impl<'a> Scene<'a> {
         inside(&self.problem.objects[object].footprint, pose, width, height)
     }
 
-    fn apart(&self, a: &Placed, b: &Placed) -> bool {
+    fn near(&self, a: &Placed, b: &Placed) -> bool {
         let clearance = self.problem.clearance;
-        if clearance > 0.0 { !a.closer_than(b, clearance) } else { !a.collides(b) }
+        if clearance > 0.0 { a.closer_than(b, clearance) } else { a.collides(b) }
+    }
+
+    /// Radius of the largest disc about the origin that the footprint covers, m; 0 if the origin lies outside.
+    pub fn core(footprint: &Footprint) -> f64 {
+        match footprint {
+            Footprint::Disc { radius } => *radius,
+            Footprint::Ellipse { length, width } | Footprint::Rectangle { length, width } => {
+                length.min(*width) / 2.0
+            }
+            Footprint::Polygon(polygon) if contains(polygon.points(), [0.0, 0.0]) => {
+                distance_to_outline(polygon.points(), [0.0, 0.0])
+            }
+            Footprint::Polygon(_) => 0.0,
+        }
     }
 
     /// A uniformly random pose of the object inside the table's edge; None if it does not fit at the angle
@@ -131,20 +161,6 @@ fn cores_meet(a: &Spot, b: &Spot) -> bool {
     let reach = a.core + b.core - CORE_MARGIN_M;
     let (dx, dy) = (a.pose.x - b.pose.x, a.pose.y - b.pose.y);
     reach > 0.0 && dx * dx + dy * dy < reach * reach
-}
-
-/// Radius of the largest disc about the origin that the footprint covers, m; 0 if the origin lies outside.
-fn core(footprint: &Footprint) -> f64 {
-    match footprint {
-        Footprint::Disc { radius } => *radius,
-        Footprint::Ellipse { length, width } | Footprint::Rectangle { length, width } => {
-            length.min(*width) / 2.0
-        }
-        Footprint::Polygon(polygon) if contains(polygon.points(), [0.0, 0.0]) => {
-            distance_to_outline(polygon.points(), [0.0, 0.0])
-        }
-        Footprint::Polygon(_) => 0.0,
-    }
 }
 
 fn new_spot(problem: &Problem, object: usize, pose: Pose2, core: f64) -> Spot {

@@ -4,12 +4,13 @@
 //! with a witness, or no plan found. Every plan has passed the independent checker before anybody sees it.
 //! Deterministic: the same seed and work limit give the same outcome; no clock is read here.
 
+use crate::planning::bound::room::RoomBound;
 use crate::planning::bound::{self, LowerBound};
 use crate::planning::check::CheckedPlan;
 use crate::planning::effort::Effort;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::plan::{Action, Objective, Status};
-use crate::planning::problem::{Problem, Witness};
+use crate::planning::problem::{Problem, ProblemObject, Witness};
 use crate::planning::scene::Scene;
 use crate::planning::solver::incumbent::Incumbent;
 
@@ -67,6 +68,8 @@ pub struct Control<'a> {
     pub stop: &'a (dyn Fn() -> bool + Sync),
     /// Called with each better plan and its cost, after the plan was checked.
     pub on_plan: &'a (dyn Fn(&[Action], f64) + Sync),
+    /// Called when `auto` has proved a higher bound.
+    pub on_bound: &'a (dyn Fn(f64) + Sync),
     /// Stop at the first plan. Those built on TRLB (TBM, RBM, ETBM, ERBM) always do.
     pub first: bool,
     /// RBM and ERBM take the first primitive plan of minimum peak, however many objects it buffers; TRLB clears no
@@ -91,6 +94,7 @@ impl<'a> Control<'a> {
             work_limit: None,
             stop,
             on_plan: &|_, _| (),
+            on_bound: &|_| (),
             first: false,
             strict_paper: false,
             pool: None,
@@ -164,6 +168,20 @@ pub fn lower_bound(scene: &Scene, objective: Objective, least_move_seconds: f64)
     }
 }
 
+/// The bound that can be proved for the objectives that need no caller, with what `auto` proves about room; no longer
+/// than needed to reach `claimed`.
+pub fn provable_bound(scene: &Scene, objective: Objective, claimed: f64) -> f64 {
+    let simple = lower_bound(scene, objective, 0.0).value;
+    if objective == Objective::Time || simple >= claimed {
+        return simple;
+    }
+    let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
+    let costs: Vec<f64> = scene.problem.objects.iter().map(weigh).collect();
+    let mut proof = RoomBound::new(scene, &costs);
+    proof.work(claimed, &mut Effort::new(None, &|| false));
+    proof.value.max(simple)
+}
+
 /// Solves the problem as far as the control allows.
 ///
 /// # Errors
@@ -191,7 +209,8 @@ pub fn solve(
     let mut effort = Effort::new(control.work_limit, control.stop);
     let mut incumbent = Incumbent::new(problem, objective, control, lower_bound);
     incumbent::run(&scene, solver, seed, &mut incumbent, &mut effort);
-    let (plan, cost) = incumbent.best.unzip();
+    let Incumbent { best, lower_bound, .. } = incumbent;
+    let (plan, cost) = best.unzip();
     let status = match cost {
         Some(cost) if reaches(cost, lower_bound) => Status::Optimal,
         Some(_) => Status::Solved,

@@ -39,8 +39,8 @@ pub struct Quest<'a> {
     pub costs: &'a [f64],
     /// What a plan costs if that is not the sum of its moves' costs.
     pub judge: Option<&'a Judge<'a>>,
-    /// No plan is cheaper.
-    pub lower_bound: f64,
+    /// What a unit of these costs is worth at least in the objective.
+    pub worth: f64,
     /// Another way to a first plan.
     pub rescue: &'a Rescue<'a>,
     /// A plan made before, perhaps for objects that lie elsewhere now: who was to go where.
@@ -104,8 +104,8 @@ impl<'a> Member<'a> {
         }
     }
 
-    /// Searches until the effort is spent, until there is a first plan, or one no dearer than the bound.
-    pub fn search(&mut self, effort: &mut Effort) {
+    /// Searches until the effort is spent, until there is a first plan, or one no dearer than `enough`.
+    pub fn search(&mut self, enough: f64, effort: &mut Effort) {
         self.rounds += 1;
         if self.plan.is_none() {
             let most = if self.rounds > PATIENCE { effort.left() / 2 } else { u64::MAX };
@@ -123,7 +123,7 @@ impl<'a> Member<'a> {
         }
         let mut cost = self.plan_cost();
         // A step each time: a search that samples nothing has to come to its limit too.
-        while effort.step() && cost > self.quest.lower_bound + self.slack {
+        while effort.step() && cost > enough + self.slack {
             let Some(plan) = self.plan.take() else { return };
             let new = self.varied(&plan, effort).map(|new| (self.judged(&new), new));
             // Equal moves may take more time; equal time is progress as equal moves are.

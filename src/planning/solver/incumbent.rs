@@ -4,8 +4,8 @@
 //! cost, left in [`Incumbent`]. `auto` gets the costs of moves by objective, and the paper's solvers to fall back on.
 
 use crate::geometry::pose::Pose2;
-use crate::planning::auto;
 use crate::planning::auto::member::Quest;
+use crate::planning::auto::{self, Audience};
 use crate::planning::check::CheckedPlan;
 use crate::planning::effort::Effort;
 use crate::planning::mcts::Verdict;
@@ -21,7 +21,8 @@ pub(super) struct Incumbent<'a> {
     problem: &'a Problem,
     objective: Objective,
     control: &'a Control<'a>,
-    lower_bound: f64,
+    /// No plan is cheaper.
+    pub(super) lower_bound: f64,
     /// Plan and cost.
     pub(super) best: Option<(CheckedPlan, f64)>,
 }
@@ -36,7 +37,9 @@ impl<'a> Incumbent<'a> {
     ) -> Incumbent<'a> {
         Incumbent { problem, objective, control, lower_bound, best: None }
     }
+}
 
+impl Audience for Incumbent<'_> {
     /// Takes a plan if the independent checker does, keeps it if it is cheaper, and tells the caller then.
     fn offer(&mut self, moves: &[Move]) -> Verdict {
         let Ok(plan) = CheckedPlan::new(self.problem, &actions(self.problem, moves)) else {
@@ -49,6 +52,14 @@ impl<'a> Incumbent<'a> {
         }
         let enough = self.control.first || reaches(cost, self.lower_bound);
         if enough { Verdict::Enough } else { Verdict::Accepted }
+    }
+
+    fn prove(&mut self, bound: f64) -> bool {
+        if bound > self.lower_bound {
+            self.lower_bound = bound;
+            (self.control.on_bound)(bound);
+        }
+        self.best.as_ref().is_some_and(|(_, cost)| reaches(*cost, self.lower_bound))
     }
 }
 
@@ -88,12 +99,12 @@ fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort
         scene,
         costs: &costs,
         judge: if objective == Objective::Time { Some(&judge) } else { None },
-        lower_bound: incumbent.lower_bound,
+        worth: if objective == Objective::Time { control.least_move_seconds } else { 1.0 },
         rescue: &rescue,
         known: &known.collect::<Vec<_>>(),
     };
     let search = auto::Search { quest: &quest, pool: control.pool, seed };
-    search.run(&mut |moves| incumbent.offer(moves), effort);
+    search.run(incumbent, effort);
 }
 
 /// The first plan of one of the paper's solvers, unchecked, in a part of the effort that grows with `turn`.
