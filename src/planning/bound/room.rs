@@ -9,8 +9,10 @@
 //! lowest bound is high enough. As the boxes cover every pose and every angle, and a second stop of the same object is
 //! allowed to cost its move alone, nothing is sampled or assumed.
 //!
-//! Then either nobody of a set X is put aside, and the feedback vertex set has to do without X; or one of X is, at
-//! least at the price of the cheapest of them: the smaller of the two is a bound, for every X.
+//! The objects looked at are a small set X of large ones without which every feedback vertex set costs more. Then
+//! either nobody of X is put aside, and the set has to do without them; or one of X is put aside first. That one alone,
+//! and then the others of X move once; or another one later, and then that one still was at its start. The cheapest of
+//! these cases is a bound, whatever X is.
 
 use crate::geometry::collision::{Placed, overhang};
 use crate::geometry::footprint::Footprint;
@@ -39,6 +41,9 @@ const STEPS_OF_A_BOX: u64 = 16;
 /// Nodes of each search for a feedback vertex set.
 const NODE_LIMIT: u64 = 5_000;
 
+/// Sets X that are tried.
+const MOST_SETS: usize = 40;
+
 /// The proof as far as it has come.
 pub struct RoomBound<'a> {
     scene: &'a Scene<'a>,
@@ -46,11 +51,16 @@ pub struct RoomBound<'a> {
     parts: Parts,
     /// No plan is cheaper.
     pub value: f64,
-    /// Objects whose price is not known yet, the next one last.
-    waiting: Vec<usize>,
+    /// Who is looked at, and who of them still has to be.
+    set: ObjectSet,
+    waiting: ObjectSet,
     cover: Option<Cover>,
-    /// What plans cost at least that put this object aside.
-    prices: Vec<(usize, f64)>,
+    /// What plans cost at least that put the first of the set aside, by set and first.
+    prices: HashMap<(ObjectSet, usize), f64>,
+    /// Who is known to cost no more than the bound.
+    cheap: ObjectSet,
+    sets_left: usize,
+    slack: f64,
 }
 
 impl<'a> RoomBound<'a> {
@@ -58,71 +68,118 @@ impl<'a> RoomBound<'a> {
     pub fn new(scene: &'a Scene<'a>, costs: &'a [f64]) -> RoomBound<'a> {
         let parts = Parts::new(scene, costs);
         let value = parts.required_cost + feedback::minimum(&parts.graph, costs).lower_bound;
-        let area = |o: &usize| scene.problem.objects[*o].footprint.area();
-        let order: Vec<usize> = (0..costs.len()).collect();
-        let in_cycles = parts.graph.components(&order).into_iter().filter(|part| part.len() > 1).flatten();
         // Two vertices are added to the graph of the problem.
-        let fits = costs.len() + 2 <= ObjectSet::CAPACITY;
-        let mut waiting: Vec<usize> = in_cycles.filter(|_| fits).collect();
-        waiting.sort_by(|a, b| area(a).total_cmp(&area(b)).then(b.cmp(a)));
-        RoomBound { scene, costs, parts, value, waiting, cover: None, prices: Vec::new() }
+        let sets_left = if costs.len() + 2 <= ObjectSet::CAPACITY { MOST_SETS } else { 0 };
+        let slack = 1e-9 * costs.iter().sum::<f64>();
+        let (set, cheap) = (ObjectSet::EMPTY, ObjectSet::EMPTY);
+        let prices = HashMap::new();
+        let mut proof = RoomBound {
+            scene,
+            costs,
+            parts,
+            value,
+            set,
+            waiting: set,
+            cover: None,
+            prices,
+            cheap,
+            sets_left,
+            slack,
+        };
+        proof.choose();
+        proof
     }
 
     /// Goes on until the effort is spent, or nothing more can be proved. `enough`: the cost of a plan that is known.
     pub fn work(&mut self, enough: f64, effort: &mut Effort) {
-        while self.value < enough - 1e-9 * enough.abs() {
-            let Some(mut cover) = self.cover.take().or_else(|| self.next_cover()) else { return };
-            let done = loop {
-                if let Some(price) = cover.price(enough) {
-                    break Some(price);
-                }
-                if !(0..STEPS_OF_A_BOX).all(|_| effort.step()) {
-                    break None;
-                }
-                cover.halve_the_cheapest(self);
+        while self.value < (1.0 - 1e-9) * enough && !self.is_done() {
+            let Some(first) = self.waiting.smallest() else {
+                self.conclude();
+                continue;
             };
-            let Some(price) = done else {
-                self.cover = Some(cover);
-                return;
-            };
-            self.prices.push((cover.object, price));
-            self.conclude();
+            let known = self.prices.get(&(self.set, first)).copied();
+            let Some(price) = known.or_else(|| self.price_of(first, enough, effort)) else { return };
+            self.prices.insert((self.set, first), price);
+            self.waiting.remove(first);
+            if price <= self.value + self.slack {
+                self.cheap.insert(first);
+                self.choose();
+            }
         }
     }
 
     /// Is there nothing more to prove?
     pub fn is_done(&self) -> bool {
-        self.waiting.is_empty() && self.cover.is_none()
+        self.set.is_empty()
     }
 
-    fn next_cover(&mut self) -> Option<Cover> {
-        let object = self.waiting.pop()?;
-        Some(Cover::new(self, object))
-    }
-
-    /// The best bound that the prices known give.
-    fn conclude(&mut self) {
-        let mut dearest = self.prices.clone();
-        dearest.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let mut kept = ObjectSet::EMPTY;
-        for (object, price) in dearest {
-            if price <= self.value {
-                return;
+    /// None when the effort is spent before it is known.
+    fn price_of(&mut self, first: usize, enough: f64, effort: &mut Effort) -> Option<f64> {
+        let mut cover = self.cover.take().unwrap_or_else(|| Cover::new(self, first));
+        loop {
+            if let Some(price) = cover.price(enough) {
+                return Some(price);
             }
-            kept.insert(object);
-            let without = self.parts.required_cost + self.feedback(&self.parts.graph, kept);
-            self.value = self.value.max(without.min(price));
+            if !(0..STEPS_OF_A_BOX).all(|_| effort.step()) {
+                self.cover = Some(cover);
+                return None;
+            }
+            cover.halve_the_cheapest(self);
         }
+    }
+
+    /// Takes the largest object of a cheapest feedback vertex set without those taken, until such a set costs more.
+    fn choose(&mut self) {
+        (self.set, self.waiting) = (ObjectSet::EMPTY, ObjectSet::EMPTY);
+        if self.sets_left == 0 {
+            return;
+        }
+        self.sets_left -= 1;
+        let area = |o: &usize| self.scene.problem.objects[*o].footprint.area();
+        let mut set = ObjectSet::EMPTY;
+        while self.without(set) <= self.value + self.slack {
+            let weights = self.weights(set, self.costs.len());
+            let cheapest = feedback::minimum_within(&self.parts.graph, &weights, NODE_LIMIT).vertices;
+            let candidates = (cheapest - set) - self.cheap;
+            let Some(largest) = candidates.iter().max_by(|a, b| area(a).total_cmp(&area(b))) else { return };
+            set.insert(largest);
+        }
+        (self.set, self.waiting) = (set, set);
+    }
+
+    /// All of the set are dear: so is every plan.
+    fn conclude(&mut self) {
+        let prices = self.set.iter().filter_map(|o| self.prices.get(&(self.set, o)));
+        let least = prices.copied().fold(self.without(self.set), f64::min);
+        // Without end: there is no plan at all. Who wants to hear that wants a reason, which this is not.
+        if least.is_finite() {
+            self.value = self.value.max(least);
+            self.choose();
+        } else {
+            (self.set, self.waiting) = (ObjectSet::EMPTY, ObjectSet::EMPTY);
+        }
+    }
+
+    /// What plans cost at least that put nobody of the set aside.
+    fn without(&self, set: ObjectSet) -> f64 {
+        self.parts.required_cost + self.feedback(&self.parts.graph, set)
+    }
+
+    fn weights(&self, kept: ObjectSet, count: usize) -> Vec<f64> {
+        let forbidden = self.forbidden();
+        (0..count).map(|v| if kept.contains(v) { forbidden } else { self.costs[v] }).collect()
+    }
+
+    /// More than all others together.
+    fn forbidden(&self) -> f64 {
+        4.0 * self.costs.iter().sum::<f64>() + 1.0
     }
 
     /// Weight of the cheapest feedback vertex set without any of `kept`; infinite if there is none.
     fn feedback(&self, graph: &DependencyGraph, kept: ObjectSet) -> f64 {
-        let total: f64 = self.costs.iter().sum();
-        let forbidden = 4.0 * total + 1.0;
-        let weight = |v: usize| if kept.contains(v) { forbidden } else { self.costs[v] };
-        let weights: Vec<f64> = (0..graph.len()).map(weight).collect();
+        let weights = self.weights(kept, graph.len());
         let least = feedback::minimum_within(graph, &weights, NODE_LIMIT).lower_bound;
-        if least >= forbidden { f64::INFINITY } else { least }
+        if least >= self.forbidden() { f64::INFINITY } else { least }
     }
 }
 
@@ -274,13 +331,21 @@ struct Stop<'a> {
 }
 
 impl Stop<'_> {
-    /// What a plan costs at least in which the object's first move leads there: with one more move, or with more.
+    /// What a plan costs at least in which the object's first move leads there, and nobody of the set was put aside
+    /// before: with one more move of the object or with more, with nobody else of the set put aside or with another one.
     fn price(&self) -> f64 {
-        let cost = self.proof.costs[self.object];
-        let rest = self.proof.parts.required_cost + self.forced();
-        let once = rest + cost + self.cycles(false);
-        let more = rest + 2.0 * cost + self.cycles(true);
-        once.min(more)
+        let proof = self.proof;
+        let cost = proof.costs[self.object];
+        let others = proof.set.without(self.object);
+        // Who was put aside later stood at its start until then.
+        let later = others - self.starts;
+        let rest = |more: bool| {
+            let alone = self.cycles(more, others, None);
+            let with = |other: usize| proof.costs[other] + self.cycles(more, others - later, Some(other));
+            later.iter().map(with).fold(alone, f64::min)
+        };
+        let known = proof.parts.required_cost + self.forced();
+        (known + cost + rest(false)).min(known + 2.0 * cost + rest(true))
     }
 
     /// Moves of those in the way who would not have to move otherwise: away, and back to where they belong.
@@ -291,8 +356,9 @@ impl Stop<'_> {
         idle.map(|o| back(o) * proof.costs[o]).sum()
     }
 
-    /// The feedback vertex set with the first move as a vertex of its own, and the second one if there are `more`.
-    fn cycles(&self, more: bool) -> f64 {
+    /// The feedback vertex set without `kept`, with the first move as a vertex of its own, and the second one if there
+    /// are `more`; `gone` is put aside anyway.
+    fn cycles(&self, more: bool, kept: ObjectSet, gone: Option<usize>) -> f64 {
         let (parts, object, count) = (&self.proof.parts, self.object, self.proof.costs.len());
         let (first, second) = (count, count + 1);
         // Who comes after the object has left the place again.
@@ -318,7 +384,11 @@ impl Stop<'_> {
             if self.goals.contains(i) { set.with(left) } else { set }
         };
         let graph = DependencyGraph::from_blockers((0..count + 2).map(blockers).collect());
-        self.proof.feedback(&graph, ObjectSet::EMPTY.with(object).with(first).with(second))
+        let graph = match gone {
+            Some(gone) => graph.restricted(ObjectSet::first(count + 2).without(gone)),
+            None => graph,
+        };
+        self.proof.feedback(&graph, kept.with(object).with(first).with(second))
     }
 }
 
