@@ -26,6 +26,7 @@ use celld::wire::rtde::{Frame, Reply, Request, Splitter, Version};
 use celld::wire::rtde_values::{Leftover, Recipe};
 use celld::wire::rtde_variables::OUTPUTS;
 use nalgebra::Isometry3;
+use std::net::Ipv4Addr;
 use std::sync::Arc;
 
 /// What a target does with the bytes it is given.
@@ -58,7 +59,7 @@ fn robot() -> Arc<RobotShared> {
     let mut config = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
     let program = "def work():\n while True:\n  sync()\n end\nend\n";
     config.programs.insert("work".to_owned(), program.to_owned());
-    RobotShared::new(Controller::new(config))
+    RobotShared::new(Controller::new(config), Ipv4Addr::LOCALHOST.into())
 }
 
 /// What the simulator has queued for a connection.

@@ -8,11 +8,13 @@ use crate::cli::task::{complain, print};
 use crate::cli::values;
 use crate::config::cell::CupChannel;
 use crate::config::load::load_sim;
+use crate::config::read_sim::read_sim;
 use crate::config::simulated::SimFile;
 use crate::geometry::footprint::Footprint;
 use crate::io::priority;
 use crate::sim::camera_server::CameraSetup;
 use crate::sim::cell::{SimConfig, SimError, start};
+use crate::sim::conformance;
 use crate::sim::controller::{ControllerConfig, calibrated};
 use crate::sim::faults::Planned;
 use crate::sim::faults::read::read_faults;
@@ -24,7 +26,7 @@ use crate::tabletop::instance::ObjectSpec;
 use clap::Args;
 use serde_json::json;
 use std::net::IpAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Nominal focal length of the simulated camera, px, and its picture.
 pub const FOCAL_PX: f64 = 650.0;
@@ -37,9 +39,9 @@ const MARGIN_M: f64 = 0.12;
 /// `celld sim`
 #[derive(Args, Clone, Debug)]
 pub struct SimArgs {
-    /// The simulator's configuration.
-    #[arg(long, default_value = "config/sim.yaml", value_name = "FILE")]
-    config: PathBuf,
+    /// The simulator's configuration; without it config/sim.yaml, and where there is none, the copy in this program.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
     /// Address to listen at, instead of the configuration's.
     #[arg(long)]
     bind: Option<IpAddr>,
@@ -55,6 +57,28 @@ pub struct SimArgs {
     /// Parse URScript programs (`-` for standard input), report, and stop.
     #[arg(long, value_name = "FILE", num_args = 1..)]
     check_script: Vec<PathBuf>,
+    /// Print what of the real machines is real here, modelled or absent, and stop.
+    #[arg(long)]
+    conformance: bool,
+}
+
+/// The configuration that is used where no other is at hand.
+const BUILT_IN: &str = include_str!("../../config/sim.yaml");
+
+/// Where it is looked for before that.
+const USUAL_PLACE: &str = "config/sim.yaml";
+
+/// The configuration and what to call it in messages.
+fn configuration(asked: Option<&Path>) -> Result<(SimFile, String), String> {
+    let usual = Path::new(USUAL_PLACE);
+    let path = asked.or_else(|| usual.exists().then_some(usual));
+    let Some(path) = path else {
+        let name = "built-in configuration";
+        let file = read_sim(BUILT_IN, name).map_err(|complaints| complaints.to_string())?;
+        return Ok((file, name.to_owned()));
+    };
+    let file = load_sim(path).map_err(|error| error.to_string())?;
+    Ok((file, path.display().to_string()))
 }
 
 /// Runs the simulator; returns the exit code.
@@ -62,17 +86,21 @@ pub fn run(args: &SimArgs) -> u8 {
     if !args.check_script.is_empty() {
         return check_scripts(&args.check_script);
     }
-    let file = match load_sim(&args.config) {
-        Ok(file) => file,
-        Err(error) => {
-            complain(&error.to_string());
+    if args.conformance {
+        print(&conformance::page());
+        return 0;
+    }
+    let (file, name) = match configuration(args.config.as_deref()) {
+        Ok(found) => found,
+        Err(message) => {
+            complain(&message);
             return 2;
         }
     };
     let bind = match args.bind.map_or_else(|| file.bind.parse::<IpAddr>(), Ok) {
         Ok(bind) => bind,
         Err(error) => {
-            complain(&format!("{}: bind {:?}: {error}", args.config.display(), file.bind));
+            complain(&format!("{name}: bind {:?}: {error}", file.bind));
             return 2;
         }
     };
@@ -108,7 +136,7 @@ pub fn run(args: &SimArgs) -> u8 {
 ///
 /// # Errors
 /// Every complaint, for a terminal.
-pub fn faults_of(path: &std::path::Path) -> Result<Vec<Planned>, String> {
+pub fn faults_of(path: &Path) -> Result<Vec<Planned>, String> {
     let text = crate::cli::task::read_text(path)?;
     read_faults(&text, &path.display().to_string()).map_err(|complaints| complaints.to_string())
 }

@@ -138,7 +138,7 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         return Err(SimError::TimeFactor(config.time_factor));
     }
     let world: SharedWorld = Arc::new(Mutex::new(World::new(config.world, config.seed)?));
-    let robot = RobotShared::new(Controller::new(config.controller));
+    let robot = RobotShared::new(Controller::new(config.controller), config.bind);
     // The world has its arm before the first client can ask for a picture.
     step_world(&robot, &world);
     let desk = Arc::new(FaultDesk::new(robot.clone(), world.clone(), config.time_factor));

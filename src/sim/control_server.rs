@@ -102,11 +102,11 @@ mod tests {
     use crate::sim::controller::{Controller, ControllerConfig};
     use crate::sim::robot_server::RobotShared;
     use crate::sim::world::empty_world;
-    use std::net::SocketAddr;
+    use std::net::{Ipv4Addr, SocketAddr};
     use std::sync::Mutex;
 
     fn desk(world: &SharedWorld) -> Arc<FaultDesk> {
-        let robot = RobotShared::new(Controller::new(ControllerConfig::ur5e(1)));
+        let robot = RobotShared::new(Controller::new(ControllerConfig::ur5e(1)), Ipv4Addr::LOCALHOST.into());
         Arc::new(FaultDesk::new(robot, world.clone(), 1.0))
     }
 

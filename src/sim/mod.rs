@@ -4,6 +4,8 @@ pub mod camera_server;
 
 pub mod cell;
 
+pub mod conformance;
+
 pub mod control_server;
 
 pub mod controller;

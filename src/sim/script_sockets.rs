@@ -6,9 +6,10 @@
 //! system once [`MAX_BUFFER`] bytes are here, so a flood slows its sender down instead of filling memory.
 
 use crate::sim::controller::sockets::{MAX_BUFFER, ScriptSockets, SocketState};
+use socket2::{Domain, Socket as Socket2, Type};
 use std::collections::HashMap;
 use std::io::{ErrorKind, Read, Write};
-use std::net::{TcpStream, ToSocketAddrs};
+use std::net::{IpAddr, SocketAddr, TcpStream, ToSocketAddrs};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
@@ -25,6 +26,15 @@ const MAX_SOCKETS: usize = 32;
 pub struct TcpScriptSockets {
     sockets: HashMap<String, Socket>,
     connecting: Arc<AtomicUsize>,
+    /// The controller's own address, which peers may look at.
+    source: Option<IpAddr>,
+}
+
+impl TcpScriptSockets {
+    /// Sockets of a controller with this address.
+    pub fn from_address(source: IpAddr) -> TcpScriptSockets {
+        TcpScriptSockets { source: Some(source), ..TcpScriptSockets::default() }
+    }
 }
 
 #[derive(Debug)]
@@ -47,7 +57,7 @@ impl ScriptSockets for TcpScriptSockets {
         if self.sockets.len() >= MAX_SOCKETS {
             return;
         }
-        let link = connect(host, port, &self.connecting).map_or(Link::Closed, Link::Connecting);
+        let link = connect(host, port, self.source, &self.connecting).map_or(Link::Closed, Link::Connecting);
         self.sockets.insert(name.to_owned(), Socket { link, received: Vec::new(), unsent: Vec::new() });
     }
 
@@ -134,7 +144,12 @@ impl Socket {
 
 /// Connects on a thread; the stream arrives when it stands, and the channel closes when it does not. `None` if
 /// too many are being tried.
-fn connect(host: &str, port: u16, connecting: &Arc<AtomicUsize>) -> Option<Receiver<TcpStream>> {
+fn connect(
+    host: &str,
+    port: u16,
+    source: Option<IpAddr>,
+    connecting: &Arc<AtomicUsize>,
+) -> Option<Receiver<TcpStream>> {
     if connecting.fetch_add(1, Ordering::Relaxed) >= MAX_SOCKETS {
         connecting.fetch_sub(1, Ordering::Relaxed);
         return None;
@@ -142,7 +157,7 @@ fn connect(host: &str, port: u16, connecting: &Arc<AtomicUsize>) -> Option<Recei
     let (found, answer) = sync_channel(1);
     let (host, counter) = (host.to_owned(), connecting.clone());
     let thread = std::thread::Builder::new().name("script-socket".to_owned()).spawn(move || {
-        if let Some(stream) = stream_to(&host, port) {
+        if let Some(stream) = stream_to(&host, port, source) {
             // The program may have gone meanwhile; the stream then closes with it.
             let _ = found.send(stream);
         }
@@ -154,12 +169,26 @@ fn connect(host: &str, port: u16, connecting: &Arc<AtomicUsize>) -> Option<Recei
     Some(answer)
 }
 
-fn stream_to(host: &str, port: u16) -> Option<TcpStream> {
+fn stream_to(host: &str, port: u16, source: Option<IpAddr>) -> Option<TcpStream> {
     let mut addresses = (host, port).to_socket_addrs().ok()?;
-    let stream = addresses.find_map(|address| TcpStream::connect_timeout(&address, CONNECT_TIMEOUT).ok())?;
+    let stream = addresses.find_map(|address| {
+        // Another computer cannot answer a loopback address, and bind may be "any": then the system chooses.
+        let bound = source.and_then(|source| connect_from(source, address).ok());
+        bound.or_else(|| TcpStream::connect_timeout(&address, CONNECT_TIMEOUT).ok())
+    })?;
     stream.set_nodelay(true).ok()?;
     stream.set_nonblocking(true).ok()?;
     Some(stream)
+}
+
+fn connect_from(source: IpAddr, address: SocketAddr) -> std::io::Result<TcpStream> {
+    if source.is_loopback() != address.ip().is_loopback() {
+        return Err(ErrorKind::AddrNotAvailable.into());
+    }
+    let socket = Socket2::new(Domain::for_address(address), Type::STREAM, None)?;
+    socket.bind(&SocketAddr::new(source, 0).into())?;
+    socket.connect_timeout(&address.into(), CONNECT_TIMEOUT)?;
+    Ok(socket.into())
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! In: text. Out: tokens, the last of which is [`Token::EndOfText`]. Newlines and indentation are white
 //! space: real uploads break lines inside statements and put several statements on one line, so nothing
 //! after this step may depend on lines but error messages (and the one rule for `return`, see the parser).
+//! Lines that begin with `$` are labels of the program tree, which PolyScope writes into the scripts it saves.
 //! Strings know no escapes, as in the classic language; they end on the line they start on.
 
 use crate::urscript::fault::{CompileError, Position};
@@ -136,11 +137,15 @@ impl Lexer<'_> {
     }
 
     fn skip_white_space(&mut self) {
+        let mut line_begins = self.here.column == 1;
         while let Some(c) = self.peek() {
-            if c == '#' {
+            if c == '#' || (c == '$' && line_begins) {
                 while self.peek().is_some_and(|c| c != '\n') {
                     self.next();
                 }
+            } else if c == '\n' {
+                line_begins = true;
+                self.next();
             } else if c.is_whitespace() || c == ';' || c == '\u{feff}' {
                 self.next();
             } else {
@@ -279,6 +284,7 @@ mod tests {
         check("async def_ end endx", "`async` `def_` `end` `endx`");
         check("'it' \"is\"", "string \"it\" string \"is\"");
         check("a # b\nc", "`a` `c`");
+        check("a\n  $ 2 \"Robot Program\"\nc", "`a` `c`");
         check("2e", "`2` `e`");
         check("a.b", "`a` `.` `b`");
     }
@@ -292,7 +298,7 @@ mod tests {
 
     #[test]
     fn bad_characters_are_named_with_their_place() {
-        assert_eq!(tokens("a\n $").unwrap_err().at, Position { line: 2, column: 2 });
+        assert_eq!(tokens("a\n b $").unwrap_err().at, Position { line: 2, column: 4 });
         assert!(tokens("\"open\nline\"").is_err());
         assert!(tokens("0x").is_err());
         assert!(tokens("1e999").is_err());

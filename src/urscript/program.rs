@@ -7,8 +7,9 @@
 //! runs in it. A slice longer than [`SLICE`] instructions is an endless loop and an exception, as the
 //! controller aborts a program that does not let time pass.
 //! The critical section is a lock that is handed on in the order of asking, with sleeping allowed inside. While
-//! its holder waits in a built-in (a motion, a socket) the section is lent to who asks for it: deployed scripts
-//! run whole trajectories within it and still read their orders, a cancellation among them, in another one.
+//! its holder waits in a built-in (a motion, a socket) or joins a thread the section is lent to who asks for it:
+//! deployed scripts run whole trajectories within it and still read their orders, a cancellation among them, in
+//! another one, and wait within it for the end of a thread that has one more round in it to go.
 
 use crate::urscript::code::Code;
 use crate::urscript::fault::{Position, RuntimeException};
@@ -57,7 +58,7 @@ struct Scheduled {
     /// Had its turn in this frame and let time pass.
     done: bool,
     budget: u32,
-    /// How often it had entered the critical section that it lent when it began to wait for the host.
+    /// How often it had entered the critical section that it lent when it began to wait.
     lent: u32,
 }
 
@@ -156,7 +157,7 @@ impl Program {
             Wait::Nothing | Wait::Frames(0) => true,
             Wait::Host => scheduled.lent == 0 || self.holder.is_none(),
             Wait::Frames(_) => false,
-            Wait::Thread(other) => !self.alive(*other),
+            Wait::Thread(other) => !self.alive(*other) && (scheduled.lent == 0 || self.holder.is_none()),
             Wait::Critical => self.holder.is_some_and(|(holder, _)| holder == scheduled.thread.id),
         }
     }
@@ -195,14 +196,12 @@ impl Program {
             Event::Waiting => {
                 scheduled.wait = Wait::Host;
                 scheduled.done = true;
-                if let Some((_, depth)) = self.holder.filter(|(holder, _)| *holder == id) {
-                    scheduled.lent = depth;
-                    self.hand_on();
-                }
+                self.lend(index);
                 return Ok(Turn::Over);
             }
             Event::Join(other) => {
                 scheduled.wait = Wait::Thread(other);
+                self.lend(index);
                 return Ok(Turn::Over);
             }
             Event::Spawn(function, parameters) => self.spawn(index, function, parameters)?,
@@ -287,6 +286,16 @@ impl Program {
             }
         }
         true
+    }
+
+    /// Lends the section, if this thread holds it, until the thread goes on.
+    fn lend(&mut self, index: usize) {
+        let Some(scheduled) = self.threads.get_mut(index) else { return };
+        let id = scheduled.thread.id;
+        if let Some((_, depth)) = self.holder.filter(|(holder, _)| *holder == id) {
+            scheduled.lent = depth;
+            self.hand_on();
+        }
     }
 
     fn exit_critical(&mut self) {

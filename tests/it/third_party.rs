@@ -23,9 +23,10 @@ impl Drop for Simulator {
 
 impl Simulator {
     fn start(address: &str) -> Simulator {
-        let config = concat!(env!("CARGO_MANIFEST_DIR"), "/config/sim.yaml");
+        // As users start it: from anywhere, with the configuration that is in the program.
         let mut child = Command::new(env!("CARGO_BIN_EXE_celld"))
-            .args(["sim", "--control", "--config", config, "--bind", address])
+            .args(["sim", "--control", "--bind", address])
+            .current_dir(std::env::temp_dir())
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();

@@ -54,6 +54,13 @@ pub struct Compliance {
     freedrive: bool,
 }
 
+impl Compliance {
+    /// Guided by hand, instead of a force mode.
+    pub fn is_freedrive(&self) -> bool {
+        self.freedrive
+    }
+}
+
 /// Settings that outlive a force mode.
 #[derive(Clone, Copy, Debug)]
 pub struct ForceSettings {

@@ -3,8 +3,8 @@
 //! In: calls from running programs, repeated each frame until they are done. Out: waits and, in the end,
 //! nothing. Defaults are those of the script manual. A pose may be given as joint positions and the other way
 //! round. `optimovej` and `optimovel` take shares of the fastest the arm can do and are trapezoids all the same.
-//! A target that is not finite or that no posture reaches is a runtime exception; a joint out of range or a
-//! line through a singularity is a protective stop, as on the arm.
+//! A target that is not finite, that no posture reaches or that lies outside the joint range is a runtime exception;
+//! a line that leaves the range on its way or leads through a singularity is a protective stop, as on the arm.
 
 use crate::geometry::pose::isometry_from_ur_pose;
 use crate::motion::kinematics::inverse_near;
@@ -113,6 +113,12 @@ fn start_move(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
     let started = match call.name {
         "movej" | "optimovej" => {
             let joints = joints_of(core, call)?;
+            if let Some(joint) = core.mover.arm.outside(&joints) {
+                return Err(format!(
+                    "{}: the target of joint {joint} is out of its range: {} rad",
+                    call.name, joints.0[joint]
+                ));
+            }
             core.mover.move_joints(&joints, &limits)
         }
         "movec" => {
@@ -236,7 +242,9 @@ fn speed(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
     }
     let seconds = not_negative(call, 2)?;
     if seconds > 0.0 {
-        return Ok(done_if(call.frames as f64 * FRAME_SECONDS >= seconds - 1e-9));
+        // Its time is that of the motion: at half speed it takes twice as long, and leads as far.
+        *call.note += (core.mover.pace() * FRAME_SECONDS * 1e9).round() as u64;
+        return Ok(done_if(*call.note as f64 * 1e-9 >= seconds - 1e-9));
     }
     Ok(done_if(core.mover.at_speed()))
 }

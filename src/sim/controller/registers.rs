@@ -132,9 +132,9 @@ impl Registers {
         self.speed_fraction
     }
 
-    /// Moves the speed slider.
+    /// Moves the speed slider. It cannot be moved to 0: that is what pausing is for.
     pub fn set_speed_fraction(&mut self, fraction: f64) {
-        if fraction.is_finite() {
+        if fraction.is_finite() && fraction > 0.0 {
             self.speed_fraction = fraction.clamp(0.0, 1.0);
         }
     }

@@ -5,6 +5,7 @@
 //! it is the only way in which a client learns the simulated arm's true parameters.
 
 use crate::sim::controller::Controller;
+use crate::sim::controller::force_functions::Compliance;
 use crate::sim::controller::outputs::{joint_mode, speed_scaling};
 use crate::wire::enumerations::SafetyMode;
 use crate::wire::primary_state::{
@@ -109,11 +110,22 @@ fn robot_mode(controller: &Controller) -> RobotModeData {
         program_running: controller.programs.playing(),
         program_paused: controller.programs.paused(),
         robot_mode: modes.robot_mode().code() as i8,
-        control_mode: 0,
+        control_mode: control_mode(controller),
         target_speed_fraction: controller.core.registers.speed_fraction(),
         speed_scaling: speed_scaling(controller),
         target_speed_fraction_limit: 1.0,
         reserved: 0,
+    }
+}
+
+/// What the joints are controlled by: position, hand guiding, force or torque (client interface guide).
+pub fn control_mode(controller: &Controller) -> u8 {
+    let compliance = controller.core.compliance.as_ref();
+    match compliance.map(Compliance::is_freedrive) {
+        _ if controller.core.mover.is_driven() => 3,
+        Some(true) => 1,
+        Some(false) => 2,
+        None => 0,
     }
 }
 

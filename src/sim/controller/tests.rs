@@ -144,7 +144,7 @@ fn kinematics_agree_both_ways() {
 
 #[test]
 fn impossible_moves_stop_protectively_and_pause_the_program() {
-    for script in ["movej([9,0,0,0,0,0])", "movel(p[5,0,0,0,0,0])"] {
+    for script in ["movel(p[5,0,0,0,0,0])", "movec(p[0.3,0.1,0.4,0,0,0], p[5,0,0,0,0,0])"] {
         let mut controller = running();
         upload(&mut controller, &format!("def m():\n {script}\n sleep(1)\nend\n"));
         controller.frame();
@@ -167,6 +167,50 @@ fn numbers_that_are_not_finite_are_exceptions() {
     controller.frame();
     let said = messages(&mut controller);
     assert!(said[1].contains("not finite") && stopped(&controller), "{said:?}");
+}
+
+/// Client libraries wait for the end of the program then, not for a stop of the arm.
+#[test]
+fn a_target_out_of_the_joint_range_ends_the_program() {
+    let mut controller = running();
+    upload(&mut controller, "def m():\n movej([-123,0,0,0,0,0])\nend\n");
+    controller.frame();
+    let said = messages(&mut controller);
+    assert!(said[1].contains("out of its range") && stopped(&controller), "{said:?}");
+    assert_eq!(controller.core.modes.safety_mode(), SafetyMode::Normal);
+}
+
+#[test]
+fn a_move_in_too_short_a_time_takes_longer() {
+    let mut controller = running();
+    upload(&mut controller, "def m():\n movej([3,-1.57,1.57,-1.57,-1.57,0], t=0.1)\nend\n");
+    controller.frame();
+    let frames = step_until(&mut controller, stopped);
+    assert_eq!(controller.core.mover.q().0[0], 3.0);
+    assert!(frames > 500, "{frames} frames for 3 rad");
+}
+
+#[test]
+fn a_timed_speed_leads_as_far_at_half_the_slider_and_takes_twice_as_long() {
+    let way = |fraction: f64| {
+        let mut controller = running();
+        controller.core.registers.set_speed_fraction(fraction);
+        upload(&mut controller, "def m():\n speedj([0.5,0,0,0,0,0], 40, 1)\n stopj(40)\nend\n");
+        controller.frame();
+        (step_until(&mut controller, stopped) as f64, controller.core.mover.q().0[0])
+    };
+    let ((full, far), (half, same)) = (way(1.0), way(0.5));
+    // The slider takes a fifth of a second to get there.
+    assert!((half / full - 2.0).abs() < 0.1, "{half} {full} frames");
+    assert!((far - same).abs() < 0.02 && far > 0.4, "{far} {same}");
+}
+
+#[test]
+fn the_slider_does_not_go_to_nothing() {
+    let mut controller = running();
+    controller.core.registers.set_speed_fraction(0.5);
+    controller.core.registers.set_speed_fraction(0.0);
+    assert_eq!(controller.core.registers.speed_fraction(), 0.5);
 }
 
 #[test]

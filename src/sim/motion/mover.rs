@@ -298,6 +298,16 @@ impl Mover {
         self.task = Task::StopTool { acceleration };
     }
 
+    /// Torques drive it.
+    pub fn is_driven(&self) -> bool {
+        matches!(self.task, Task::Driven { .. })
+    }
+
+    /// Share of its speed at which the arm moves now: the slider's, ramped, 0 while paused or stopped.
+    pub fn pace(&self) -> f64 {
+        self.scaling * self.drive
+    }
+
     /// Speed asked for has been reached, or there is none asked for.
     pub fn at_speed(&self) -> bool {
         match &self.task {
@@ -446,7 +456,7 @@ impl Mover {
     }
 
     fn next_position(&mut self) -> Result<Joints, MotionFault> {
-        let pace = self.scaling * self.drive;
+        let pace = self.pace();
         let scaled = FRAME_SECONDS * pace * self.limiter;
         match &mut self.task {
             Task::Stand => Ok(self.q),

@@ -94,6 +94,15 @@ impl Profile {
         self
     }
 
+    /// Highest speed on the way, length/s.
+    pub fn top_speed(&self) -> f64 {
+        let ends = self
+            .phases
+            .iter()
+            .map(|phase| phase.speed.max(phase.speed + phase.acceleration * phase.duration));
+        ends.fold(0.0, f64::max) * self.rate
+    }
+
     /// Time from start to end, s.
     pub fn duration(&self) -> f64 {
         self.phases.iter().map(|phase| phase.duration).sum::<f64>() / self.rate

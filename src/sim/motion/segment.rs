@@ -72,8 +72,15 @@ impl Segment {
             if limits.blend > 0.0 { length * joint_blend(arm, from, &delta, to, limits.blend) } else { 0.0 };
         // No joint may be faster than it can, also where another one leads.
         let slowest = delta.iter().zip(arm.joint_speed).filter(|(way, _)| way.abs() > 0.0);
-        let speed = slowest.map(|(way, most)| most * length / way.abs()).fold(limits.speed, f64::min);
-        let profile = profile(length, &MoveLimits { speed, ..*limits }, blend, lead);
+        let most = slowest.map(|(way, most)| most * length / way.abs()).fold(f64::INFINITY, f64::min);
+        let speed = limits.speed.min(most);
+        let mut profile = profile(length, &MoveLimits { speed, ..*limits }, blend, lead);
+        // A duration in which they cannot do it is stretched: the controller slows down and says nothing.
+        let too_fast = profile.top_speed() / most;
+        if too_fast > 1.0 {
+            let seconds = profile.duration() * too_fast;
+            profile = profile.lasting(seconds);
+        }
         Segment { course: Course::Joint { from: *from, delta }, profile, target: *to, constant_speed: false }
     }
 

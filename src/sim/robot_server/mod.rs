@@ -112,9 +112,9 @@ pub struct RobotShared {
 }
 
 impl RobotShared {
-    /// Around a controller, which gets the network for its scripts' sockets.
-    pub fn new(mut controller: Controller) -> Arc<RobotShared> {
-        controller.core.sockets = Box::new(TcpScriptSockets::default());
+    /// Around a controller, which gets the network for its scripts' sockets; they come from `address`.
+    pub fn new(mut controller: Controller, address: IpAddr) -> Arc<RobotShared> {
+        controller.core.sockets = Box::new(TcpScriptSockets::from_address(address));
         Arc::new(RobotShared {
             controller: Mutex::new(controller),
             outlets: Mutex::new(Outlets::default()),

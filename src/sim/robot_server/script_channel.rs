@@ -1,8 +1,10 @@
 //! Cuts what arrives on the script ports into programs and commands.
 //!
 //! In: bytes in any chunks. Out: [`Upload`]s. The first line that is neither blank nor a comment decides: a
-//! `def` or `sec` goes on until a line that is `end` in column 0 (other lines may be in column 0 too, in
-//! programs that clients really send); a known command is one; anything else is a program of one line.
+//! `def` or `sec` goes on until what is open at its own indentation is closed; a known command is one; anything else
+//! is a program of one line. Deeper lines are not counted, so that a program with an `end` too few in its body
+//! arrives and is complained about. Programs that clients really send have all lines in column 0, or the whole
+//! program indented.
 //! Comments and blank lines before a program belong to its text, so that line numbers in messages count from
 //! what was sent. Pure.
 
@@ -36,7 +38,16 @@ pub struct TooLong;
 pub struct ScriptChannel {
     line: Vec<u8>,
     text: String,
-    in_function: bool,
+    open: Option<Open>,
+}
+
+/// A program that has begun.
+#[derive(Clone, Copy, Debug)]
+struct Open {
+    /// Columns before its `def`.
+    indentation: usize,
+    /// Blocks open in lines of no more than that.
+    blocks: i32,
 }
 
 impl ScriptChannel {
@@ -66,27 +77,28 @@ impl ScriptChannel {
         self.take_line(&String::from_utf8_lossy(&line))
     }
 
+    /// A line of a program, its first included.
+    fn go_on(&mut self, mut open: Open, line: &str) -> Option<Upload> {
+        if indentation(line) <= open.indentation {
+            open.blocks += blocks(line);
+        }
+        let goes_on = open.blocks > 0;
+        self.open = goes_on.then_some(open);
+        if goes_on { None } else { Some(Upload::Program(std::mem::take(&mut self.text))) }
+    }
+
     fn take_line(&mut self, line: &str) -> Option<Upload> {
         self.text.push_str(line);
         let words = line.trim();
-        if self.in_function {
-            if line.trim_end() != "end" {
-                return None;
-            }
-            self.in_function = false;
-            return Some(Upload::Program(std::mem::take(&mut self.text)));
+        if let Some(open) = self.open {
+            return self.go_on(open, line);
         }
         if words.is_empty() || words.starts_with('#') {
             return None;
         }
         let first = words.split([' ', '\t']).next().unwrap_or_default();
         if first == "def" || first == "sec" {
-            self.in_function = !ends_on_its_line(words);
-            return if self.in_function {
-                None
-            } else {
-                Some(Upload::Program(std::mem::take(&mut self.text)))
-            };
+            return self.go_on(Open { indentation: indentation(line), blocks: 0 }, line);
         }
         let text = std::mem::take(&mut self.text);
         Some(match words {
@@ -100,9 +112,36 @@ impl ScriptChannel {
     }
 }
 
-/// A whole function on one line, as people type into a terminal.
-fn ends_on_its_line(line: &str) -> bool {
-    line.ends_with(" end") && line.contains(':')
+fn indentation(line: &str) -> usize {
+    line.chars().take_while(|character| character.is_whitespace()).count()
+}
+
+/// Blocks that a line opens, less those that it closes.
+fn blocks(line: &str) -> i32 {
+    let code = without_strings(line);
+    let words = code.split(|character: char| !character.is_alphanumeric() && character != '_');
+    let counted = words.map(|word| match word {
+        "def" | "sec" | "thread" | "if" | "while" => 1,
+        "end" => -1,
+        _ => 0,
+    });
+    counted.sum()
+}
+
+/// A line without its strings and its comment.
+fn without_strings(line: &str) -> String {
+    let mut quote = None;
+    let mut code = String::new();
+    for character in line.chars() {
+        match (quote, character) {
+            (None, '#' | '$') => break,
+            (None, '"' | '\'') => quote = Some(character),
+            (None, _) => code.push(character),
+            (Some(begun), _) if begun == character => quote = None,
+            (Some(_), _) => {}
+        }
+    }
+    code
 }
 
 #[cfg(test)]
@@ -137,6 +176,14 @@ mod tests {
         check("def a(): textmsg(1) end\n", &[program("def a(): textmsg(1) end\n")]);
         check("def a():\nx = 1\n# end\n  end\nend\n", &[program("def a():\nx = 1\n# end\n  end\nend\n")]);
         check("def unfinished():\n", &[]);
+        for whole in [
+            "  def a():\n    if x:\n    end\n  end\n",
+            "def a():\nthread b():\nwhile (True):\n# end\nsync()\nend\nend\nrun b()\nend\n",
+            "def a():\nif x: y = \"end\" end\nend\n",
+            "def a():\n  if x:\nend\n",
+        ] {
+            check(&format!("{whole}stop program\n"), &[program(whole), Upload::StopProgram]);
+        }
     }
 
     #[test]

@@ -27,7 +27,7 @@ struct Bench {
 async fn bench(test: u8, config: ControllerConfig) -> Bench {
     let [high, low] = ((std::process::id() % 65_000) as u16 + 256).to_be_bytes();
     let address = IpAddr::V4(Ipv4Addr::new(127, high, low, test));
-    let shared = RobotShared::new(Controller::new(config));
+    let shared = RobotShared::new(Controller::new(config), Ipv4Addr::LOCALHOST.into());
     let (sender, receiver) = watch::channel(false);
     let servers = serve(&shared, address, &RobotPorts::REAL, &receiver).await.unwrap();
     Bench { shared, at: servers.addresses, _shutdown: sender }

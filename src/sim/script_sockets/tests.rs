@@ -109,6 +109,18 @@ fn every_way_of_sending_arrives_as_documented() {
 }
 
 #[test]
+fn the_controller_calls_from_its_own_address() {
+    let (seen, came) = sync_channel(1);
+    let port = server(move |stream| seen.send(stream.peer_addr().unwrap().ip()).unwrap());
+    let mut controller = controller();
+    let address = IpAddr::from([127, 71, 3, 9]);
+    controller.core.sockets = Box::new(TcpScriptSockets::from_address(address));
+    start(&mut controller, &format!("def s():\n socket_open(\"127.0.0.1\", {port}, \"x\")\nend\n"));
+    step_until(&mut controller, stopped);
+    assert_eq!(came.recv_timeout(PATIENCE), Ok(address));
+}
+
+#[test]
 fn a_variable_is_asked_for_and_answered() {
     let port = server(|mut stream| {
         let mut asked = [0; 8];

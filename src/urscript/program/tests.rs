@@ -206,6 +206,13 @@ fn the_critical_section_is_handed_on_in_order() {
          h = run a() n = 0 while n < 2: enter_critical wait(2) say('order') exit_critical n = n + 1 end join h",
         "order|order|arrived",
     );
+    // A thread that is told within the section to end, waited for there, and has to pass it once more itself.
+    check(
+        "on = True thread a(): while on: enter_critical wait(2) exit_critical end say('ended') end\n\
+         h = run a() sync() enter_critical on = False join h say('joined') exit_critical enter_critical say('free') \
+         exit_critical",
+        "ended|joined|free",
+    );
     check_fails("exit_critical", 1, 1, "without enter_critical");
 }
 

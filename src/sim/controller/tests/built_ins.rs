@@ -1,6 +1,7 @@
 //! What the built-ins of motion, force and settings do to the arm, and what they give back.
 
 use super::*;
+use crate::sim::controller::robot_state::control_mode;
 use std::f64::consts::PI;
 
 /// Runs a script to its end and gives what it said by `textmsg`.
@@ -123,6 +124,7 @@ fn force_mode_runs_at_its_limit_in_the_air_and_rests_at_its_force_on_a_wall() {
         }
     };
     step(&mut controller, 250);
+    assert_eq!(control_mode(&controller), 2, "force");
     let speed = controller.core.mover.tcp_speed();
     assert!((speed[2] + 0.05).abs() < 1e-3 && speed.fixed_rows::<2>(0).norm() < 1e-3, "{speed}");
     step(&mut controller, 1500);
