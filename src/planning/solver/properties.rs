@@ -289,7 +289,7 @@ fn auto_makes_room_for_a_large_object() {
     ]);
     (crowded.workspace.width, crowded.workspace.height) = (1.1, 0.5);
     let problem = Problem::new(&crowded).expect("valid");
-    let control = Control { work_limit: Some(30_000), ..Control::until(&|| false) };
+    let control = Control { work_limit: Some(200_000), ..Control::until(&|| false) };
     let outcome = solve(&problem, SolverKind::Auto, Objective::Pp, &control, 1).expect("built");
     // The small one has to leave and to come back: 3 + 2. That 3 are too few is proved.
     assert_eq!((outcome.cost, outcome.lower_bound), (Some(5.0), 4.0));
