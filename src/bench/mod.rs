@@ -17,3 +17,4 @@ mod rtde_process;
 pub mod runner;
 pub mod summary;
 pub mod table;
+pub mod targets;

@@ -26,6 +26,8 @@ pub struct Limits {
     pub first: bool,
     /// As [`Control::strict_paper`].
     pub strict_paper: bool,
+    /// Threads of one case, for `auto`; results do not depend on it unless the clock ends the search.
+    pub solver_threads: u16,
 }
 
 /// Runs one case.
@@ -48,8 +50,10 @@ pub fn run_case(
             first.get_or_insert(begun.elapsed().as_secs_f64());
         }
     };
+    let pool = thread_pool(limits.solver_threads);
     let control = Control {
         work_limit: limits.work,
+        pool: pool.as_ref(),
         on_plan: &on_plan,
         first: limits.first,
         strict_paper: limits.strict_paper,
@@ -74,6 +78,12 @@ pub fn run_case(
         first_plan_seconds: first_plan.lock().ok().and_then(|first| *first),
         seconds,
     }))
+}
+
+/// Threads for `auto`; None for one, or where no more can be had: the caller's own has to do then.
+pub fn thread_pool(threads: u16) -> Option<rayon::ThreadPool> {
+    let build = |count| rayon::ThreadPoolBuilder::new().num_threads(count).build().ok();
+    (threads > 1).then(|| build(usize::from(threads))).flatten()
 }
 
 /// Asks a solver to swap two discs: tells what it cannot do before hours are spent on what it can.
@@ -124,7 +134,8 @@ mod tests {
 
     #[test]
     fn a_case_is_measured_and_one_cut_short_is_not() {
-        let limits = Limits { seconds: 60.0, work: None, first: true, strict_paper: false };
+        let limits =
+            Limits { seconds: 60.0, work: None, first: true, strict_paper: false, solver_threads: 1 };
         let problem = two_discs().unwrap();
         let row = run_case(&problem, key(SolverKind::Erbm), limits, &|| false).unwrap().unwrap();
         assert_eq!((row.status, row.moves, row.cost), (Status::Optimal, Some(3), Some(3.0)));
@@ -134,7 +145,7 @@ mod tests {
 
     #[test]
     fn a_case_that_its_own_limit_ends_is_a_timeout() {
-        let limits = Limits { seconds: 0.0, work: None, first: true, strict_paper: false };
+        let limits = Limits { seconds: 0.0, work: None, first: true, strict_paper: false, solver_threads: 1 };
         let row = run_case(&two_discs().unwrap(), key(SolverKind::Erbm), limits, &|| false).unwrap().unwrap();
         assert_eq!((row.status, row.moves, row.first_plan_seconds), (Status::Timeout, None, None));
     }

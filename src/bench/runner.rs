@@ -14,8 +14,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 pub struct Runner<'a> {
     /// Makes or reads the problem of a unit.
     pub load: &'a (dyn Fn(&Unit) -> Result<Problem, String> + Sync),
-    /// For each case.
-    pub limits: Limits,
+    /// For a case.
+    pub limits: &'a (dyn Fn(&Unit) -> Limits + Sync),
     /// Cases at the same time.
     pub threads: usize,
     /// Asked often; true ends the run.
@@ -66,7 +66,7 @@ impl Runner<'_> {
 
     fn one(&self, unit: &Unit, stop: &(dyn Fn() -> bool + Sync)) -> Result<Option<Row>, String> {
         let problem = (self.load)(unit)?;
-        run_case(&problem, unit.key.clone(), self.limits, stop).map_err(|error| {
+        run_case(&problem, unit.key.clone(), (self.limits)(unit), stop).map_err(|error| {
             let key = &unit.key;
             format!("{} density {} n {} case {}: {error}", key.scenario, key.density, key.objects, key.id)
         })
@@ -95,11 +95,12 @@ mod tests {
         Problem::new(&generated.instance).map_err(|faults| faults.to_string())
     }
 
-    const LIMITS: Limits = Limits { seconds: 600.0, work: Some(100_000), first: true, strict_paper: false };
+    const LIMITS: Limits =
+        Limits { seconds: 600.0, work: Some(100_000), first: true, strict_paper: false, solver_threads: 1 };
 
     fn rows(threads: usize) -> Vec<Row> {
         let mut rows = Vec::new();
-        let runner = Runner { load: &load, limits: LIMITS, threads, stop: &|| false };
+        let runner = Runner { load: &load, limits: &|_| LIMITS, threads, stop: &|| false };
         runner
             .run(&some_units(), &mut |row| {
                 rows.push(row);
@@ -121,9 +122,10 @@ mod tests {
 
     #[test]
     fn the_first_error_ends_the_run_and_is_told() {
-        let runner = Runner { load: &|_| Err("gone".into()), limits: LIMITS, threads: 2, stop: &|| false };
+        let runner =
+            Runner { load: &|_| Err("gone".into()), limits: &|_| LIMITS, threads: 2, stop: &|| false };
         assert_eq!(runner.run(&some_units(), &mut |_| Ok(())), Err("gone".into()));
-        let runner = Runner { load: &load, limits: LIMITS, threads: 2, stop: &|| false };
+        let runner = Runner { load: &load, limits: &|_| LIMITS, threads: 2, stop: &|| false };
         let mut count = 0;
         let full = runner.run(&some_units(), &mut |_| {
             count += 1;
@@ -135,7 +137,7 @@ mod tests {
 
     #[test]
     fn nothing_is_run_once_stopped() {
-        let runner = Runner { load: &load, limits: LIMITS, threads: 2, stop: &|| true };
+        let runner = Runner { load: &load, limits: &|_| LIMITS, threads: 2, stop: &|| true };
         let mut count = 0;
         runner
             .run(&some_units(), &mut |_| {

@@ -12,6 +12,9 @@ use crate::planning::problem::Problem;
 use crate::planning::solver::SolveError;
 use std::path::{Path, PathBuf};
 
+/// The pairs of arrangements of discs and sticks that are taken first: those that the targets name.
+const PAIRS: [&str; 3] = ["0-1", "1-3", "4-5"];
+
 /// Where a run's cases come from.
 #[derive(Clone, Debug)]
 pub enum Source {
@@ -66,7 +69,9 @@ impl Source {
             }
             Source::Public { data, ids, count } => {
                 let pairs = ["disk", "stick"].contains(&cell.scenario.as_str());
-                let name = |k: u64| if pairs { format!("{}-{}", 2 * k, 2 * k + 1) } else { k.to_string() };
+                let pair =
+                    |k: usize| PAIRS.get(k).map_or(format!("{}-{}", 2 * k, 2 * k + 1), ToString::to_string);
+                let name = |k: u64| if pairs { pair(k as usize) } else { k.to_string() };
                 let ids = ids.clone().unwrap_or_else(|| (0..*count).map(name).collect());
                 ids.into_iter().filter(|id| is_there(&task(data, cell, id))).collect()
             }

@@ -13,6 +13,7 @@ use crate::bench::results::{Found, ResultsFile};
 use crate::bench::runner::Runner;
 use crate::bench::summary::summary;
 use crate::bench::table::{CSV_HEADER, Row, Table};
+use crate::bench::targets::{self, TARGETS, Target};
 use crate::cli::bench_cases::Source;
 use crate::cli::generate::ratios_parser;
 use crate::cli::plan::{objective_parser, seconds};
@@ -36,6 +37,10 @@ pub struct BenchPlanningArgs {
     #[arg(long, value_delimiter = ',', value_parser = figure_parser(),
           conflicts_with_all = ["scenario", "density", "n", "objective"])]
     pub figure: Vec<String>,
+    /// The cells that auto has figures to reach in; prints what is reached beside them. 10 or 60 s a case, or
+    /// --time-limit if that is less. Generated cases without --data, and then no discs and sticks
+    #[arg(long, conflicts_with_all = ["figure", "scenario", "density", "n", "objective"])]
+    pub targets: bool,
     /// Families: rand, sq; with --data also disk, stick, or the name of a folder in `hetori/instances`
     #[arg(long, value_delimiter = ',', default_value = "rand,sq")]
     pub scenario: Vec<String>,
@@ -50,7 +55,7 @@ pub struct BenchPlanningArgs {
     pub objective: Vec<Objective>,
     /// The rows of this table of the public code's runs instead of cells; the table printed has both side by side
     #[arg(long, value_name = "CSV", requires = "data",
-          conflicts_with_all = ["figure", "scenario", "density", "n", "objective", "count", "ids"])]
+          conflicts_with_all = ["figure", "targets", "scenario", "density", "n", "objective", "count", "ids"])]
     pub baseline: Option<PathBuf>,
     /// Cases of each cell; the paper has 50
     #[arg(long, value_name = "K", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=100_000))]
@@ -85,6 +90,9 @@ pub struct BenchPlanningArgs {
     /// Cases at the same time; default: one for each core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+    /// Threads of each case, for auto
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub solver_threads: u16,
     /// Run part i of N only; the parts' files merge by concatenation
     #[arg(long, value_name = "i/N", value_parser = Shard::parse)]
     pub shard: Option<Shard>,
@@ -148,9 +156,10 @@ fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
     let mut desk = Desk::new(args, file, &units, found);
     let left: Vec<Unit> = units.into_iter().filter(|unit| !desk.table.has(&unit.key)).collect();
     desk.announce(left.len());
+    let limits_of = |unit: &Unit| limits(args, &unit.cell);
     let runner = Runner {
         load: &|unit| source.problem(unit),
-        limits: limits(args),
+        limits: &limits_of,
         threads: threads(args),
         stop: &|| stop.load(Ordering::Relaxed),
     };
@@ -166,8 +175,14 @@ fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
     Ok(0)
 }
 
-fn limits(args: &BenchPlanningArgs) -> Limits {
-    Limits { seconds: args.time_limit, work: args.work, first: args.first, strict_paper: args.strict_paper }
+fn limits(args: &BenchPlanningArgs, cell: &Cell) -> Limits {
+    Limits {
+        seconds: if args.targets { targets::limit(cell).min(args.time_limit) } else { args.time_limit },
+        work: args.work,
+        first: args.first,
+        strict_paper: args.strict_paper,
+        solver_threads: args.solver_threads,
+    }
 }
 
 fn read_baseline(path: &Path) -> Result<Vec<Measured>, String> {
@@ -231,6 +246,10 @@ fn their_units(source: &Source, rows: &[Measured], solvers: &[SolverKind], seeds
 fn cells(args: &BenchPlanningArgs) -> Vec<Cell> {
     if !args.figure.is_empty() {
         return figures(&args.figure).iter().flat_map(Spec::cells).collect();
+    }
+    if args.targets {
+        let kept = |cell: &Cell| args.data.is_some() || ["rand", "sq"].contains(&cell.scenario.as_str());
+        return TARGETS.iter().flat_map(Target::cells).filter(kept).collect();
     }
     let mut cells = Vec::new();
     for scenario in &args.scenario {
@@ -325,7 +344,11 @@ impl<'a> Desk<'a> {
 
     fn finish(&self, measured: Option<&[Measured]>) {
         let rows = &self.table.rows;
-        let text = measured.map_or_else(|| summary(rows), |measured| baseline::report(measured, rows));
+        let text = match measured {
+            Some(measured) => baseline::report(measured, rows),
+            None if self.args.targets => format!("{}{}", summary(rows), targets::report(rows)),
+            None => summary(rows),
+        };
         if self.csv { complain(&text) } else { print(&text) }
     }
 }

@@ -4,11 +4,15 @@
 //! `--out` and `--svg`, progress on standard error. Exit code 0 with a plan, 1 without one, 2 for bad input,
 //! 130 after Ctrl-C before there was a plan. The clock is read here and nowhere below.
 
+use crate::bench::planning::thread_pool;
 use crate::cli::task::{TaskArgs, complain, print};
 use crate::planning::check::CheckedPlan;
+use crate::planning::object_set::ObjectSet;
 use crate::planning::plan::{Action, ActionKind, Objective, PlanFile, Status};
 use crate::planning::problem::Problem;
-use crate::planning::solver::{Control, Outcome, SolverKind, solve};
+use crate::planning::scene::Scene;
+use crate::planning::solver::{Control, Outcome, SolverKind, lower_bound, solve};
+use crate::planning::travel::NOMINAL;
 use crate::report::plan_svg::plan_svg;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -29,7 +33,7 @@ Objects that block each other in a circle cannot all go straight home: some have
 The solvers differ in whom they put aside, and when.
 
   erbm   As little as possible waits at the same time, and objects that are hard to place (large, long) count \
-more. Fast and dependable, also on crowded tables: take this one if in doubt.
+more. Fast and dependable, also on crowded tables.
   rbm    The same, all objects count alike. Good for objects of one size.
   etbm   As little as possible is put aside in all, hard-to-place objects counting more. The shortest plans \
 where there is room.
@@ -37,7 +41,8 @@ where there is room.
   mcts   Tries moves on the real table and follows those that bring objects home. Longer plans at first, \
 but it goes on improving until the time limit unless --first is given.
   emcts  The same, hard-to-place objects are tried more often.
-  auto   celld's own; not in this version.
+  auto   A plan within milliseconds, then better ones until the time limit or until one is proved best. The default: \
+take another only to compare.
 
 Under --objective ti the three that begin with e count impedance instead of difficulty; the others search as under \
 pp. All are randomised: another --seed gives another plan.";
@@ -49,9 +54,10 @@ pub struct PlanArgs {
     #[command(flatten)]
     pub task: TaskArgs,
     /// How the plan is found; `--help` says which to take
-    #[arg(long, default_value = "erbm", long_help = SOLVERS, value_parser = solver_parser())]
+    #[arg(long, default_value = "auto", long_help = SOLVERS, value_parser = solver_parser())]
     pub solver: SolverKind,
-    /// What is minimised: pp number of moves, ti total impedance, time seconds
+    /// What is minimised: pp number of moves, ti total impedance, time seconds (here of a nominal arm: 4 s a move and
+    /// its ways at 0.25 m/s; the cell asks its own arm)
     #[arg(long, default_value = "pp", value_parser = objective_parser())]
     pub objective: Objective,
     /// Seconds of planning; default 600 for the paper's solvers, 10 for auto
@@ -60,14 +66,14 @@ pub struct PlanArgs {
     /// Deterministic steps of planning; with it the same seed gives the same plan on any machine
     #[arg(long, value_name = "N")]
     pub work: Option<u64>,
-    /// Stop at the first plan, as in the paper. tbm, rbm, etbm and erbm always do; mcts and emcts go on for better
-    /// ones until the time is up or the plan is proved best
+    /// Stop at the first plan, as in the paper. tbm, rbm, etbm and erbm always do; mcts, emcts and auto go on for
+    /// better ones until the time is up or the plan is proved best
     #[arg(long)]
     pub first: bool,
     /// Seed of every random choice
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Threads; the paper's solvers use one
+    /// Threads for auto, default one for each core; the paper's solvers use one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
     /// Keep to the paper where celld knows better: rbm and erbm take the first order of moves with the fewest
@@ -89,7 +95,7 @@ pub struct PlanArgs {
 /// A solver by its word.
 pub fn solver_parser() -> impl TypedValueParser<Value = SolverKind> {
     PossibleValuesParser::new(["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"])
-        .map(|word| SolverKind::from_word(&word).unwrap_or(SolverKind::Erbm))
+        .map(|word| SolverKind::from_word(&word).unwrap_or(SolverKind::Auto))
 }
 
 /// An objective by its word.
@@ -157,7 +163,7 @@ fn search(
     let limit = args.time_limit.unwrap_or(if args.solver == SolverKind::Auto { 10.0 } else { 600.0 });
     let begun = Instant::now();
     let first_plan = Mutex::new(None);
-    let progress = Progress::new(begun, limit);
+    let progress = Progress::new(args, problem, begun, limit);
     let stop = || {
         progress.tick();
         stop.load(Ordering::Relaxed) || begun.elapsed().as_secs_f64() >= limit
@@ -168,9 +174,15 @@ fn search(
         }
         progress.found(cost);
     };
+    let pool = pool(args.threads);
+    let seconds = |actions: &[Action]| NOMINAL.seconds(actions);
     let control = Control {
         work_limit: args.work,
+        pool: pool.as_ref(),
+        seconds: Some(&seconds),
+        least_move_seconds: NOMINAL.least_move_seconds(),
         on_plan: &on_plan,
+        on_bound: &|bound| progress.proved(bound),
         first: args.first,
         strict_paper: args.strict_paper,
         ..Control::until(&stop)
@@ -181,22 +193,56 @@ fn search(
     Ok((outcome?, Timing { first_plan, all: begun.elapsed().as_secs_f64() }))
 }
 
-/// A line on standard error that appears only when a search takes long, and only on a terminal.
+/// Threads for `auto`: so many, or one for each core.
+fn pool(threads: Option<u16>) -> Option<rayon::ThreadPool> {
+    let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    thread_pool(threads.unwrap_or_else(|| u16::try_from(cores()).unwrap_or(u16::MAX)))
+}
+
+/// What standard error hears: a line for each better plan of a search that goes on, and, on a terminal, one that stays
+/// and tells the time when a search takes long.
 struct Progress {
     begun: Instant,
     limit: f64,
+    /// Below which no cost can be; None while nobody needs it.
+    bound: Mutex<Option<f64>>,
     bar: Mutex<Option<ProgressBar>>,
     best: Mutex<Option<f64>>,
 }
 
 impl Progress {
-    fn new(begun: Instant, limit: f64) -> Progress {
-        Progress { begun, limit, bar: Mutex::new(None), best: Mutex::new(None) }
+    fn new(args: &PlanArgs, problem: &Problem, begun: Instant, limit: f64) -> Progress {
+        let goes_on = matches!(args.solver, SolverKind::Mcts | SolverKind::Emcts | SolverKind::Auto);
+        let fits = problem.objects.len() <= ObjectSet::CAPACITY;
+        let told = goes_on && !args.first && fits;
+        let bound = told
+            .then(|| lower_bound(&Scene::new(problem), args.objective, NOMINAL.least_move_seconds()).value);
+        Progress { begun, limit, bound: Mutex::new(bound), bar: Mutex::new(None), best: Mutex::new(None) }
     }
 
     fn found(&self, cost: f64) {
         if let Ok(mut best) = self.best.lock() {
             *best = Some(cost);
+        }
+        self.tell(cost);
+    }
+
+    fn proved(&self, bound: f64) {
+        if let Ok(mut known) = self.bound.lock() {
+            *known = known.map(|_| bound);
+        }
+        let best = self.best.lock().ok().and_then(|best| *best);
+        if let Some(cost) = best {
+            self.tell(cost);
+        }
+    }
+
+    fn tell(&self, cost: f64) {
+        let Some(bound) = self.bound.lock().ok().and_then(|bound| *bound) else { return };
+        let line = format!("{:.3} s: {}", self.begun.elapsed().as_secs_f64(), standing(cost, bound));
+        match self.bar.lock().as_deref() {
+            Ok(Some(bar)) => bar.suspend(|| complain(&line)),
+            _ => complain(&line),
         }
     }
 
@@ -205,13 +251,20 @@ impl Progress {
         if passed < QUIET {
             return;
         }
-        let (Ok(mut bar), Ok(best)) = (self.bar.lock(), self.best.lock()) else { return };
+        let (Ok(mut bar), Ok(best), Ok(bound)) = (self.bar.lock(), self.best.lock(), self.bound.lock())
+        else {
+            return;
+        };
         let bar = bar.get_or_insert_with(|| {
             let template = ProgressStyle::with_template("{spinner} planning {msg}");
             ProgressBar::new_spinner()
                 .with_style(template.unwrap_or_else(|_| ProgressStyle::default_spinner()))
         });
-        let best = best.map_or("no plan yet".to_string(), |cost| format!("best {cost}"));
+        let best = match (*best, *bound) {
+            (None, _) => "no plan yet".to_string(),
+            (Some(cost), Some(bound)) => standing(cost, bound),
+            (Some(cost), None) => format!("cost {cost}"),
+        };
         bar.set_message(format!("{:.1} s of at most {:.0} s, {best}", passed.as_secs_f64(), self.limit));
         bar.tick();
     }
@@ -221,6 +274,13 @@ impl Progress {
             bar.finish_and_clear();
         }
     }
+}
+
+/// Cost, bound, and by how much the one is over the other.
+fn standing(cost: f64, bound: f64) -> String {
+    let gap = if bound > 0.0 { (100.0 * (cost / bound - 1.0)).max(0.0) } else { 0.0 };
+    let number = |value: f64| (value * 1e6).round() / 1e6;
+    format!("cost {}, bound {}, gap {gap:.1} %", number(cost), number(bound))
 }
 
 fn plan_file(args: &PlanArgs, problem: &Problem, outcome: &Outcome, timing: &Timing) -> PlanFile {
@@ -289,4 +349,16 @@ fn summary(problem: &Problem, outcome: &Outcome, file: &PlanFile) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gap_is_that_of_cost_over_bound() {
+        assert_eq!(standing(23.0, 20.0), "cost 23, bound 20, gap 15.0 %");
+        assert_eq!(standing(0.1 + 0.2, 0.3), "cost 0.3, bound 0.3, gap 0.0 %");
+        assert_eq!(standing(0.0, 0.0), "cost 0, bound 0, gap 0.0 %");
+    }
 }

@@ -96,7 +96,7 @@ fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option
             file.lower_bound
         ));
     }
-    let bound = provable_bound(problem, file.objective)?;
+    let bound = provable_bound(problem, file)?;
     if file.lower_bound > bound && !same(file.lower_bound, bound) {
         return Some(format!("`lower_bound` says {}; what can be proved is {bound}", file.lower_bound));
     }
@@ -104,9 +104,9 @@ fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option
 }
 
 /// The bound computed afresh; None for more objects than that is made for.
-fn provable_bound(problem: &Problem, objective: Objective) -> Option<f64> {
+fn provable_bound(problem: &Problem, file: &PlanFile) -> Option<f64> {
     let few = problem.objects.len() <= ObjectSet::CAPACITY;
-    few.then(|| solver::lower_bound(&Scene::new(problem), objective, 0.0).value)
+    few.then(|| solver::provable_bound(&Scene::new(problem), file.objective, file.lower_bound))
 }
 
 fn same(a: f64, b: f64) -> bool {

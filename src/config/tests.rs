@@ -97,7 +97,6 @@ fn a_unit_or_type_is_told() {
     check("port: 5020", "port: 70000", "out of range");
     check("host: 127.0.0.2}", "host: 'http://127.0.0.2:80'}", "not a host name");
     check("solver: erbm", "solver: best", "one of: tbm");
-    check("solver: erbm", "solver: auto", "\"auto\" is not built yet; one of: tbm, rbm");
     check("objective: pp", "objective: time", "\"time\" is not built yet; one of: pp, ti");
     check(
         "mount: flange\n  flange_from",

@@ -67,11 +67,11 @@ impl JobObjective {
 }
 
 /// The solver names that job and configuration files may use.
-pub const SOLVER_WORDS: [&str; 6] = ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts"];
+pub const SOLVER_WORDS: [&str; 7] = ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"];
 
 /// Words of the design that this build cannot carry out yet. A file that asks for them is refused where it is read,
 /// not when its job is due.
-const NOT_BUILT_YET: [&str; 2] = ["auto", "time"];
+const NOT_BUILT_YET: [&str; 1] = ["time"];
 
 /// What is wrong with a word that stands for nothing here, and what to write instead.
 pub fn unknown_word(word: &str, known: &[&str]) -> (String, String) {

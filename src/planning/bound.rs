@@ -6,7 +6,7 @@
 //! next; so the objects that move twice form a feedback vertex set, and the cheapest one is added. Members of a
 //! group count only by what holds for every assignment: they take no part in the cycles, and the group needs
 //! as many moves as it has goals at which no member stands (or members that stand in the way of a goal, if that
-//! is more). The feedback vertex set is exact.
+//! is more). The feedback vertex set is exact. `room` proves more where there is no room to put objects aside.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::feedback;
@@ -14,6 +14,8 @@ use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::Scene;
 use std::collections::BTreeMap;
+
+pub mod room;
 
 /// The bound and what it is made of.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,22 +46,44 @@ fn stays(scene: &Scene, i: usize) -> bool {
     scene.goal(i).is_some_and(|goal| goal.pose.same(&scene.start(i).pose))
 }
 
+/// What the bound is put together from.
+pub struct Parts {
+    /// Objects that move and are no member of a group.
+    pub single: ObjectSet,
+    /// Those of them that must move.
+    pub required: ObjectSet,
+    /// Objects (or nameless members of groups) that move at least once.
+    pub required_moves: usize,
+    /// Cost of these moves.
+    pub required_cost: f64,
+    /// Who of the single objects waits for whom.
+    pub graph: DependencyGraph,
+}
+
+impl Parts {
+    /// For the given cost of one move of each object of the problem.
+    pub fn new(scene: &Scene, move_costs: &[f64]) -> Parts {
+        let graph = start_goal_graph(scene);
+        let groups = groups(scene);
+        let grouped: ObjectSet = groups.values().flatten().copied().collect();
+        let single: ObjectSet = scene.movable.iter().copied().filter(|&i| !grouped.contains(i)).collect();
+        let blocking = blocking(scene, &graph, &groups, single);
+        let required: ObjectSet = single.iter().filter(|&i| must_move(scene, i, blocking)).collect();
+        let mut required_moves = required.len();
+        let mut required_cost = required.weight(move_costs);
+        for members in groups.values() {
+            let (moves, cost) = group_moves(scene, members, blocking, move_costs);
+            required_moves += moves;
+            required_cost += cost;
+        }
+        Parts { single, required, required_moves, required_cost, graph: graph.restricted(single) }
+    }
+}
+
 /// The bound for the given cost of one move of each object of the problem.
 pub fn lower_bound(scene: &Scene, move_costs: &[f64]) -> LowerBound {
-    let graph = start_goal_graph(scene);
-    let groups = groups(scene);
-    let grouped: ObjectSet = groups.values().flatten().copied().collect();
-    let single: ObjectSet = scene.movable.iter().copied().filter(|&i| !grouped.contains(i)).collect();
-    let blocking = blocking(scene, &graph, &groups, single);
-    let alone: ObjectSet = single.iter().filter(|&i| must_move(scene, i, blocking)).collect();
-    let mut required_moves = alone.len();
-    let mut required_cost = alone.weight(move_costs);
-    for members in groups.values() {
-        let (moves, cost) = group_moves(scene, members, blocking, move_costs);
-        required_moves += moves;
-        required_cost += cost;
-    }
-    let cycle_cost = feedback::minimum(&graph.restricted(single), move_costs).lower_bound;
+    let Parts { required_moves, required_cost, graph, .. } = Parts::new(scene, move_costs);
+    let cycle_cost = feedback::minimum(&graph, move_costs).lower_bound;
     LowerBound { value: required_cost + cycle_cost, required_moves, required_cost, cycle_cost }
 }
 

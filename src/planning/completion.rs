@@ -35,11 +35,7 @@ pub fn assigned_goals(scene: &Scene) -> Vec<Option<Pose2>> {
             goals[member] = taken.map(|g| open[g]);
         }
     }
-    // Goals that are given closer than the clearance are exempt only for those they were written for.
-    let ends: Vec<Arc<Spot>> =
-        goals.iter().enumerate().filter_map(|(i, goal)| goal.map(|pose| scene.spot(i, pose))).collect();
-    let stands = ends.iter().enumerate().all(|(k, a)| ends[k + 1..].iter().all(|b| scene.clear(a, b)));
-    if stands { goals } else { objects.iter().map(|object| object.goal).collect() }
+    goals
 }
 
 /// For each start the index of the goal it takes, at most one each: identical poses first, then greedily the

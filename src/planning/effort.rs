@@ -37,6 +37,23 @@ impl<'a> Effort<'a> {
         !self.stopped
     }
 
+    /// A meter for a part of the search that may take `most` steps; tell with [`Effort::spend`] what it took.
+    pub fn part(&self, most: u64) -> Effort<'a> {
+        Effort::new(Some(most.min(self.left())), self.stop)
+    }
+
+    /// Counts the steps of a part.
+    pub fn spend(&mut self, part: &Effort) {
+        self.done += part.done.min(part.limit);
+        // A part that ended within its limit was stopped from outside.
+        self.stopped |= part.stopped && part.done <= part.limit;
+    }
+
+    /// Steps that may still be made.
+    pub fn left(&self) -> u64 {
+        self.limit.saturating_sub(self.done)
+    }
+
     /// The search has to end.
     pub fn is_over(&self) -> bool {
         self.stopped
@@ -57,6 +74,23 @@ mod tests {
         let mut effort = Effort::new(Some(1000), &|| false);
         assert_eq!((0..5000).filter(|_| effort.step()).count(), 1000);
         assert!(effort.is_over() && !effort.step());
+    }
+
+    #[test]
+    fn parts_share_the_limit_and_pass_a_stop_on() {
+        let mut effort = Effort::new(Some(100), &|| false);
+        let mut part = effort.part(70);
+        assert_eq!((0..200).filter(|_| part.step()).count(), 70);
+        effort.spend(&part);
+        assert!(!effort.is_over());
+        assert_eq!(effort.left(), 30);
+        let mut rest = effort.part(70);
+        assert_eq!((0..200).filter(|_| rest.step()).count(), 30);
+        let mut stopped = Effort::new(None, &|| true);
+        let mut part = stopped.part(5);
+        assert!(!part.step());
+        stopped.spend(&part);
+        assert!(stopped.is_over());
     }
 
     #[test]

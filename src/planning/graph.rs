@@ -20,6 +20,11 @@ impl DependencyGraph {
         DependencyGraph { blockers }
     }
 
+    /// The graph with these blockers; no vertex may be among its own.
+    pub fn from_blockers(blockers: Vec<ObjectSet>) -> DependencyGraph {
+        DependencyGraph { blockers }
+    }
+
     /// Number of vertices.
     pub fn len(&self) -> usize {
         self.blockers.len()

@@ -5,8 +5,11 @@
 //! `bound`: dependency graph, minimum feedback vertex sets, lower bound. `weights`: HeCP and HeTI. `primitive`,
 //! `total_buffers`: primitive plans of minimum running buffer and of least buffer weight in all. `scene`,
 //! `buffers`, `detour`, `trlb`: lazy buffer allocation and the bidirectional search. `mcts`: tree search over arrangements.
-//! `completion`, `solver`: one shape for all solvers. `generate`: random instances.
+//! `auto`: our own anytime solver.
+//! `completion`, `solver`: one shape for all solvers. `travel`: seconds of a plan where no cell knows better.
+//! `generate`: random instances.
 
+pub mod auto;
 pub mod bound;
 pub mod buffers;
 pub mod check;
@@ -27,5 +30,6 @@ mod random_tables;
 pub mod scene;
 pub mod solver;
 pub mod total_buffers;
+pub mod travel;
 pub mod trlb;
 pub mod weights;

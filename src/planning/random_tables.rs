@@ -75,7 +75,7 @@ struct Options {
     bodies: Vec<Option<Body>>,
 }
 
-/// Least cost of carrying the start to a goal arrangement if any number of objects may wait beside the table, and
+/// Least cost of carrying the start to a goal arrangement, with the problem's clearance, if any number of objects may wait beside the table, and
 /// objects without a goal may end there. `costs`: one move of each object.
 pub fn optimum_with_outside(problem: &Problem, costs: &[f64]) -> f64 {
     let options: Vec<Options> = (0..problem.objects.len()).map(|i| options(problem, i)).collect();
@@ -91,8 +91,14 @@ pub fn optimum_with_outside(problem: &Problem, costs: &[f64]) -> f64 {
     };
     let encode =
         |at: &[usize]| at.iter().zip(&sizes).rev().fold(0, |code, (digit, size)| code * size + digit);
+    let clearance = problem.clearance;
     let meet = |i: usize, a: usize, j: usize, b: usize| match (&options[i].bodies[a], &options[j].bodies[b]) {
-        (Some(mine), Some(theirs)) => mine.overlaps_deeper(theirs, TOUCH_M),
+        (Some(mine), Some(theirs)) => {
+            // Number 0 is the start. Given neighbours may be nearer than the clearance.
+            let given = (a == 0 && b == 0) || (a > 0 && b > 0);
+            mine.overlaps_deeper(theirs, TOUCH_M)
+                || (clearance > 0.0 && !given && mine.nearer_than(theirs, clearance))
+        }
         _ => false,
     };
     let mut least = vec![f64::INFINITY; states];

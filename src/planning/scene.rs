@@ -5,13 +5,17 @@
 //! its goal: given arrangements may overlap a little, and only those pairs, in exactly those poses, are exempt.
 //! Pairs are decided by `geometry::collision`; the plan checker decides again by other means.
 
-use crate::geometry::collision::Placed;
+use crate::geometry::collision::{Placed, inside};
 use crate::geometry::footprint::Footprint;
+use crate::geometry::polygon::{contains, distance_to_outline};
 use crate::geometry::pose::Pose2;
 use crate::planning::problem::Problem;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
+
+/// Discs that overlap by less are left to the exact test, m: far more than rounding.
+const CORE_MARGIN_M: f64 = 1e-6;
 
 /// An object at a pose.
 #[derive(Debug)]
@@ -19,8 +23,11 @@ pub struct Spot {
     /// Where, in the table frame.
     pub pose: Pose2,
     placed: Placed,
+    /// Radius of a disc about the pose that the footprint covers, m; 0 where there is none.
+    core: f64,
     at_start: bool,
-    at_goal: bool,
+    /// Whose goal this is, among those the object may take.
+    goal_of: Option<usize>,
 }
 
 /// A problem with its footprints placed once for all that does not change.
@@ -33,14 +40,16 @@ pub struct Scene<'a> {
     goals: Vec<Option<Arc<Spot>>>,
     fixed: Vec<Arc<Spot>>,
     keep_out: Vec<Placed>,
+    cores: Vec<f64>,
 }
 
 impl<'a> Scene<'a> {
     /// Places everything that the problem gives.
     pub fn new(problem: &'a Problem) -> Scene<'a> {
+        let cores: Vec<f64> = problem.objects.iter().map(|object| Scene::core(&object.footprint)).collect();
         let spots = |pose: &dyn Fn(usize) -> Option<Pose2>| -> Vec<Option<Arc<Spot>>> {
             (0..problem.objects.len())
-                .map(|i| pose(i).map(|pose| Arc::new(new_spot(problem, i, pose))))
+                .map(|i| pose(i).map(|pose| Arc::new(new_spot(problem, i, pose, cores[i]))))
                 .collect()
         };
         let starts: Vec<Arc<Spot>> =
@@ -54,6 +63,7 @@ impl<'a> Scene<'a> {
             fixed: all().filter(is_fixed).map(|i| starts[i].clone()).collect(),
             keep_out: problem.keep_out.iter().map(|k| Placed::new(&k.footprint, k.pose)).collect(),
             starts,
+            cores,
         }
     }
 
@@ -69,24 +79,61 @@ impl<'a> Scene<'a> {
 
     /// The object at any pose.
     pub fn spot(&self, object: usize, pose: Pose2) -> Arc<Spot> {
-        Arc::new(new_spot(self.problem, object, pose))
+        Arc::new(new_spot(self.problem, object, pose, self.cores[object]))
     }
 
     /// May two objects stand at these spots at the same time?
     pub fn clear(&self, a: &Spot, b: &Spot) -> bool {
-        let given = (a.at_start && b.at_start) || (a.at_goal && b.at_goal);
-        given || self.apart(&a.placed, &b.placed)
+        let goals = a.goal_of.is_some() && b.goal_of.is_some() && a.goal_of != b.goal_of;
+        let given = (a.at_start && b.at_start) || goals;
+        given || self.apart(a, b)
+    }
+
+    /// The same for poses that nobody gave together.
+    pub fn apart(&self, a: &Spot, b: &Spot) -> bool {
+        !cores_meet(a, b) && !self.near(&a.placed, &b.placed)
+    }
+
+    /// Would this shape, at a pose that is not given, be too near to the object at its spot?
+    pub fn meets(&self, shape: &Placed, spot: &Spot) -> bool {
+        self.near(shape, &spot.placed)
+    }
+
+    /// The same for the keep-out areas and everything that never moves.
+    pub fn meets_what_stays(&self, shape: &Placed) -> bool {
+        self.keep_out.iter().any(|area| self.near(shape, area))
+            || self.fixed.iter().any(|fixed| self.near(shape, &fixed.placed))
     }
 
     /// Clear of the keep-out areas and of everything that never moves. Given poses are so by definition.
     pub fn admissible(&self, spot: &Spot) -> bool {
-        self.keep_out.iter().all(|area| self.apart(&spot.placed, area))
+        !self.keep_out.iter().any(|area| self.near(&spot.placed, area))
             && self.fixed.iter().all(|fixed| self.clear(spot, fixed))
     }
 
-    fn apart(&self, a: &Placed, b: &Placed) -> bool {
+    /// Does the object lie within the table's edge at this pose?
+    pub fn on_table(&self, object: usize, pose: &Pose2) -> bool {
+        let (width, height) = (self.problem.workspace.width, self.problem.workspace.height);
+        inside(&self.problem.objects[object].footprint, pose, width, height)
+    }
+
+    fn near(&self, a: &Placed, b: &Placed) -> bool {
         let clearance = self.problem.clearance;
-        if clearance > 0.0 { !a.closer_than(b, clearance) } else { !a.collides(b) }
+        if clearance > 0.0 { a.closer_than(b, clearance) } else { a.collides(b) }
+    }
+
+    /// Radius of the largest disc about the origin that the footprint covers, m; 0 if the origin lies outside.
+    pub fn core(footprint: &Footprint) -> f64 {
+        match footprint {
+            Footprint::Disc { radius } => *radius,
+            Footprint::Ellipse { length, width } | Footprint::Rectangle { length, width } => {
+                length.min(*width) / 2.0
+            }
+            Footprint::Polygon(polygon) if contains(polygon.points(), [0.0, 0.0]) => {
+                distance_to_outline(polygon.points(), [0.0, 0.0])
+            }
+            Footprint::Polygon(_) => 0.0,
+        }
     }
 
     /// A uniformly random pose of the object inside the table's edge; None if it does not fit at the angle
@@ -109,12 +156,31 @@ fn between(rng: &mut ChaCha8Rng, low: f64, high: f64) -> Option<f64> {
     (low < high).then(|| rng.random_range(low..high))
 }
 
-fn new_spot(problem: &Problem, object: usize, pose: Pose2) -> Spot {
+/// The discs within the footprints overlap: most pairs that collide are told by that, at a tenth of the price.
+fn cores_meet(a: &Spot, b: &Spot) -> bool {
+    let reach = a.core + b.core - CORE_MARGIN_M;
+    let (dx, dy) = (a.pose.x - b.pose.x, a.pose.y - b.pose.y);
+    reach > 0.0 && dx * dx + dy * dy < reach * reach
+}
+
+fn new_spot(problem: &Problem, object: usize, pose: Pose2, core: f64) -> Spot {
     let given = &problem.objects[object];
     Spot {
         pose,
+        core,
         placed: Placed::new(&given.footprint, pose),
         at_start: pose == given.start,
-        at_goal: given.goal == Some(pose),
+        goal_of: goal_of(problem, object, &pose),
     }
+}
+
+/// The object whose goal the pose is: the object itself, or a member of its group.
+fn goal_of(problem: &Problem, object: usize, pose: &Pose2) -> Option<usize> {
+    let objects = &problem.objects;
+    let given = &objects[object];
+    if given.goal == Some(*pose) {
+        return Some(object);
+    }
+    given.group.as_ref()?;
+    objects.iter().position(|other| other.group == given.group && other.goal == Some(*pose))
 }

@@ -4,15 +4,17 @@
 //! with a witness, or no plan found. Every plan has passed the independent checker before anybody sees it.
 //! Deterministic: the same seed and work limit give the same outcome; no clock is read here.
 
+use crate::planning::bound::room::RoomBound;
 use crate::planning::bound::{self, LowerBound};
 use crate::planning::check::CheckedPlan;
 use crate::planning::effort::Effort;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::plan::{Action, Objective, Status};
-use crate::planning::problem::{Problem, Witness};
+use crate::planning::problem::{Problem, ProblemObject, Witness};
 use crate::planning::scene::Scene;
-use crate::planning::solver::search::Incumbent;
+use crate::planning::solver::incumbent::Incumbent;
 
+mod incumbent;
 mod search;
 
 /// The solvers of the paper, and ours.
@@ -66,11 +68,19 @@ pub struct Control<'a> {
     pub stop: &'a (dyn Fn() -> bool + Sync),
     /// Called with each better plan and its cost, after the plan was checked.
     pub on_plan: &'a (dyn Fn(&[Action], f64) + Sync),
+    /// Called when `auto` has proved a higher bound.
+    pub on_bound: &'a (dyn Fn(f64) + Sync),
     /// Stop at the first plan. Those built on TRLB (TBM, RBM, ETBM, ERBM) always do.
     pub first: bool,
     /// RBM and ERBM take the first primitive plan of minimum peak, however many objects it buffers; TRLB clears no
     /// places for objects that find none.
     pub strict_paper: bool,
+    /// Where `auto` searches on several threads; the others use the caller's alone. No result depends on it, unless the
+    /// clock ends the search.
+    pub pool: Option<&'a rayon::ThreadPool>,
+    /// A plan made before, when objects may have lain elsewhere; empty for none. `auto` begins with what is still
+    /// possible of it, in order, and the shortest way from there; the others take no notice.
+    pub known_plan: &'a [Action],
     /// For the objective `time`: seconds of a plan.
     pub seconds: Option<PlanSeconds<'a>>,
     /// For the objective `time`: seconds that no single move can undercut; 0 is always valid.
@@ -84,8 +94,11 @@ impl<'a> Control<'a> {
             work_limit: None,
             stop,
             on_plan: &|_, _| (),
+            on_bound: &|_| (),
             first: false,
             strict_paper: false,
+            pool: None,
+            known_plan: &[],
             seconds: None,
             least_move_seconds: 0.0,
         }
@@ -112,9 +125,6 @@ pub struct Outcome {
 /// Why a solver cannot even start.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SolveError {
-    /// A solver that this version does not have.
-    #[error("the solver {0} is not built into this version; use erbm")]
-    NotBuilt(&'static str),
     /// More objects than the bitsets hold.
     #[error("{found} objects; the planner takes at most {most}")]
     TooManyObjects {
@@ -158,6 +168,20 @@ pub fn lower_bound(scene: &Scene, objective: Objective, least_move_seconds: f64)
     }
 }
 
+/// The bound that can be proved for the objectives that need no caller, with what `auto` proves about room; no longer
+/// than needed to reach `claimed`.
+pub fn provable_bound(scene: &Scene, objective: Objective, claimed: f64) -> f64 {
+    let simple = lower_bound(scene, objective, 0.0).value;
+    if objective == Objective::Time || simple >= claimed {
+        return simple;
+    }
+    let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
+    let costs: Vec<f64> = scene.problem.objects.iter().map(weigh).collect();
+    let mut proof = RoomBound::new(scene, &costs);
+    proof.work(claimed, &mut Effort::new(None, &|| false));
+    proof.value.max(simple)
+}
+
 /// Solves the problem as far as the control allows.
 ///
 /// # Errors
@@ -176,9 +200,6 @@ pub fn solve(
     if objective == Objective::Time && control.seconds.is_none() {
         return Err(SolveError::NoTimes);
     }
-    if solver == SolverKind::Auto {
-        return Err(SolveError::NotBuilt(solver.word()));
-    }
     let scene = Scene::new(problem);
     let lower_bound = lower_bound(&scene, objective, control.least_move_seconds).value;
     if let Some(witness) = problem.goal_conflict() {
@@ -187,8 +208,9 @@ pub fn solve(
     }
     let mut effort = Effort::new(control.work_limit, control.stop);
     let mut incumbent = Incumbent::new(problem, objective, control, lower_bound);
-    search::run(&scene, solver, seed, &mut incumbent, &mut effort);
-    let (plan, cost) = incumbent.best.unzip();
+    incumbent::run(&scene, solver, seed, &mut incumbent, &mut effort);
+    let Incumbent { best, lower_bound, .. } = incumbent;
+    let (plan, cost) = best.unzip();
     let status = match cost {
         Some(cost) if reaches(cost, lower_bound) => Status::Optimal,
         Some(_) => Status::Solved,
@@ -201,6 +223,9 @@ pub fn solve(
 fn reaches(cost: f64, bound: f64) -> bool {
     cost <= bound + 1e-9 * bound.abs().max(1.0)
 }
+
+#[cfg(test)]
+mod auto_properties;
 
 #[cfg(test)]
 mod properties;

@@ -217,7 +217,8 @@ fn from_root(tree: &[Node], node: usize) -> Vec<Move> {
     path.iter().rev().flat_map(|&index| tree[index].moves.clone()).collect()
 }
 
-fn reversed(moves: Vec<Move>) -> Vec<Move> {
+/// The moves from the end to the beginning: what is possible one way is possible the other way.
+pub fn reversed(moves: Vec<Move>) -> Vec<Move> {
     moves.into_iter().rev().map(|m| Move { object: m.object, from: m.to, to: m.from }).collect()
 }
 

@@ -85,6 +85,7 @@ fn running_buffers_solve_the_easy_public_instances() {
                     work: Some(3_000_000),
                     first: true,
                     strict_paper: false,
+                    solver_threads: 1,
                 };
                 let key = Key {
                     scenario: family.into(),

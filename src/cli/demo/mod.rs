@@ -43,7 +43,7 @@ pub struct DemoArgs {
     /// Edge of the table, m; instance files are scaled to it.
     #[arg(long, value_name = "M", value_parser = values::table_size)]
     table_size: Option<f64>,
-    /// Solver: tbm, rbm, etbm, erbm, mcts or emcts.
+    /// Solver: tbm, rbm, etbm, erbm, mcts, emcts or auto.
     #[arg(long, default_value = "erbm", value_parser = values::solver)]
     solver: String,
     /// Seed of the simulated world's truth, its errors and the planner.

@@ -1,11 +1,11 @@
-//! What holds for every solver of the paper, on small random tables.
+//! What holds for every solver, on small random tables.
 
 use super::*;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::planning::plan::ActionKind;
 use crate::planning::random_tables::{random_instance, table};
-use crate::tabletop::instance::{Instance, ObjectSpec};
+use crate::tabletop::instance::{Instance, KeepOut, ObjectSpec};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
@@ -15,19 +15,19 @@ const PLAIN: [SolverKind; 3] = [SolverKind::Tbm, SolverKind::Rbm, SolverKind::Mc
 const EXTENDED: [SolverKind; 3] = [SolverKind::Etbm, SolverKind::Erbm, SolverKind::Emcts];
 
 fn all() -> impl Iterator<Item = SolverKind> {
-    PLAIN.into_iter().chain(EXTENDED)
+    PLAIN.into_iter().chain(EXTENDED).chain([SolverKind::Auto])
 }
 
-fn run(problem: &Problem, solver: SolverKind, objective: Objective, seed: u64) -> Outcome {
+pub(super) fn run(problem: &Problem, solver: SolverKind, objective: Objective, seed: u64) -> Outcome {
     let control = Control { work_limit: Some(4000), ..Control::until(&|| false) };
     solve(problem, solver, objective, &control, seed).expect("a built solver")
 }
 
-fn actions(outcome: &Outcome) -> Vec<Action> {
+pub(super) fn actions(outcome: &Outcome) -> Vec<Action> {
     outcome.plan.as_ref().map(|plan| plan.actions().to_vec()).unwrap_or_default()
 }
 
-fn random_problems(seed: u64, count: usize) -> Vec<Problem> {
+pub(super) fn random_problems(seed: u64, count: usize) -> Vec<Problem> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..count).map(|_| Problem::new(&random_instance(&mut rng, 5)).expect("starts stand")).collect()
 }
@@ -247,4 +247,75 @@ fn emcts_explores_otherwise_than_mcts_under_pp() {
     };
     let differing = random_problems(25, 12).iter().filter(|problem| differs(problem)).count();
     assert!(differing >= 3, "{differing} of 12");
+}
+
+/// Some of everything that a problem can have beside objects with goals of their own.
+pub(super) fn mixed(rng: &mut ChaCha8Rng) -> Instance {
+    let mut instance = random_instance(rng, 6);
+    instance.objects[0].goal = None;
+    instance.objects[1].goal = None;
+    let step = [[0.0, 0.0], [0.2, 0.0], [0.2, 0.06], [0.06, 0.06], [0.06, 0.2], [0.0, 0.2]];
+    let bay = Footprint::polygon(&step).expect("valid");
+    instance.objects[2].footprint = bay;
+    instance.objects[3].fixed = true;
+    instance.objects[3].goal = None;
+    instance.clearance = 0.01;
+    instance.keep_out.push(KeepOut {
+        footprint: Footprint::rectangle(0.1, 0.1).expect("valid"),
+        pose: Pose2::new(0.05, 0.05, 0.0),
+    });
+    instance
+}
+
+#[test]
+fn auto_needs_no_more_than_any_other_solver() {
+    let problems = random_problems(26, 8);
+    for (case, problem) in problems.iter().enumerate() {
+        for objective in [Objective::Pp, Objective::Ti] {
+            let cost = |solver| run(problem, solver, objective, 1).cost.unwrap_or(f64::INFINITY);
+            let auto = cost(SolverKind::Auto);
+            let others = PLAIN.into_iter().chain(EXTENDED).map(cost).fold(f64::INFINITY, f64::min);
+            assert!(auto <= others + 1e-9, "case {case}: {auto}, others {others}");
+        }
+    }
+}
+
+#[test]
+fn auto_makes_room_for_a_large_object() {
+    let mut crowded = table(vec![
+        square("left", 0.3, 1.0, (0.15, 0.35), (0.5, 0.35)),
+        square("right", 0.3, 1.0, (0.5, 0.35), (0.15, 0.35)),
+        square("small", 0.12, 1.0, (0.875, 0.25), (0.875, 0.25)),
+    ]);
+    (crowded.workspace.width, crowded.workspace.height) = (1.1, 0.5);
+    let problem = Problem::new(&crowded).expect("valid");
+    let control = Control { work_limit: Some(200_000), ..Control::until(&|| false) };
+    let outcome = solve(&problem, SolverKind::Auto, Objective::Pp, &control, 1).expect("built");
+    // The small one has to leave and to come back: 3 + 2. That 3 are too few is proved.
+    assert_eq!((outcome.cost, outcome.lower_bound), (Some(5.0), 4.0));
+}
+
+#[test]
+fn auto_finds_the_same_on_any_number_of_threads() {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().expect("threads");
+    for problem in &random_problems(28, 4) {
+        let outcome = |pool| {
+            let control = Control { work_limit: Some(6000), pool, ..Control::until(&|| false) };
+            let outcome = solve(problem, SolverKind::Auto, Objective::Ti, &control, 2).expect("built");
+            (actions(&outcome), outcome.work)
+        };
+        assert_eq!(outcome(None), outcome(Some(&pool)));
+    }
+}
+
+#[test]
+fn auto_stops_at_the_first_plan_if_asked_to() {
+    for problem in &random_problems(27, 4) {
+        let heard = Mutex::new(0);
+        let on_plan = |_: &[Action], _: f64| *heard.lock().expect("one thread") += 1;
+        let control = Control { on_plan: &on_plan, first: true, ..Control::until(&|| false) };
+        let outcome = solve(problem, SolverKind::Auto, Objective::Pp, &control, 1).expect("built");
+        assert!(outcome.cost.is_some());
+        assert_eq!(heard.into_inner().expect("one thread"), 1);
+    }
 }

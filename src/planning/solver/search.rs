@@ -1,90 +1,66 @@
 //! Runs the paper's solvers: which weights and which search each of them is made of.
 //!
-//! In: a scene whose goal arrangement stands, solver, objective, control, seed. Out: the best checked plan and its
-//! cost. TBM, RBM and MCTS search alike under every objective; ETBM, ERBM and EMCTS weigh objects by HeCP, and by
-//! HeTI under TI. TRLB ends with its first plan, as the paper does; the tree searches go on for better ones until
-//! the limit, unless the control asks for the first.
+//! In: a scene whose goal arrangement stands, solver, objective, seed. Out: plans, offered to the caller. TBM, RBM and MCTS search alike under every objective; ETBM, ERBM and EMCTS weigh objects by HeCP, and by
+//! HeTI under TI. TRLB ends with its first plan that is accepted, as the paper does; the tree searches go on for better
+//! ones until the limit, or until the caller has enough.
 
-use crate::geometry::pose::Pose2;
 use crate::planning::buffers::Arrangement;
-use crate::planning::check::CheckedPlan;
 use crate::planning::completion;
 use crate::planning::effort::Effort;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::mcts::{FIRST_TREE, LARGEST_TREE, Rule, TreeSearch, Verdict};
-use crate::planning::plan::{Action, ActionKind, Objective};
+use crate::planning::plan::Objective;
 use crate::planning::primitive::{Preference, RunningBuffer};
-use crate::planning::problem::{Problem, ProblemObject};
 use crate::planning::scene::Scene;
-use crate::planning::solver::{Control, SolverKind, cost, reaches};
+use crate::planning::solver::SolverKind;
 use crate::planning::total_buffers::TotalBuffers;
 use crate::planning::trlb::{Move, Planner, Trlb};
 use crate::planning::weights;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// The best plan so far, and who decides whether another one is better.
-pub(super) struct Incumbent<'a> {
-    problem: &'a Problem,
-    objective: Objective,
-    control: &'a Control<'a>,
-    lower_bound: f64,
-    /// Plan and cost.
-    pub(super) best: Option<(CheckedPlan, f64)>,
+/// Takes plans, unchecked, and says whether the search goes on.
+pub(super) type Offer<'a> = dyn FnMut(&[Move]) -> Verdict + 'a;
+
+/// What the paper's solvers have to know beside the scene.
+#[derive(Clone, Copy)]
+pub(super) struct Setting {
+    /// The objective, which decides about weights.
+    pub(super) objective: Objective,
+    /// As [`crate::planning::solver::Control::strict_paper`].
+    pub(super) strict_paper: bool,
 }
 
-impl<'a> Incumbent<'a> {
-    /// No plan yet.
-    pub(super) fn new(
-        problem: &'a Problem,
-        objective: Objective,
-        control: &'a Control<'a>,
-        lower_bound: f64,
-    ) -> Incumbent<'a> {
-        Incumbent { problem, objective, control, lower_bound, best: None }
-    }
-
-    /// Takes a plan if the independent checker does, keeps it if it is cheaper, and tells the caller then.
-    fn offer(&mut self, moves: &[Move]) -> Verdict {
-        let Ok(plan) = CheckedPlan::new(self.problem, &actions(self.problem, moves)) else {
-            return Verdict::Refused;
-        };
-        let cost = cost(self.problem, self.objective, self.control, plan.actions());
-        if self.best.as_ref().is_none_or(|(_, least)| cost < *least) {
-            (self.control.on_plan)(plan.actions(), cost);
-            self.best = Some((plan, cost));
-        }
-        let enough = self.control.first || reaches(cost, self.lower_bound);
-        if enough { Verdict::Enough } else { Verdict::Accepted }
-    }
-}
-
-/// Searches until the solver's rule, the control or the effort ends it; the plan is left in `incumbent`.
+/// Searches until the solver's rule, `offer` or the effort ends it. `Auto` is none of these solvers.
 pub(super) fn run(
     scene: &Scene,
     solver: SolverKind,
     seed: u64,
-    incumbent: &mut Incumbent,
+    setting: Setting,
+    offer: &mut Offer,
     effort: &mut Effort,
 ) {
-    let objective = incumbent.objective;
+    let objective = setting.objective;
     let count = scene.problem.objects.len();
     match solver {
-        SolverKind::Tbm => total_buffers(scene, &vec![1.0; count], seed, incumbent, effort),
-        SolverKind::Etbm => total_buffers(scene, &heuristic(scene, objective), seed, incumbent, effort),
-        SolverKind::Rbm => running_buffer(scene, &vec![1; count], Objective::Pp, seed, incumbent, effort),
+        SolverKind::Tbm => total_buffers(scene, &vec![1.0; count], setting, seed, offer, effort),
+        SolverKind::Etbm => total_buffers(scene, &heuristic(scene, objective), setting, seed, offer, effort),
+        SolverKind::Rbm => {
+            let setting = Setting { objective: Objective::Pp, ..setting };
+            running_buffer(scene, &vec![1; count], setting, seed, offer, effort);
+        }
         SolverKind::Erbm => {
             let weights = rounded(scene, objective);
-            running_buffer(scene, &weights, objective, seed, incumbent, effort);
+            running_buffer(scene, &weights, setting, seed, offer, effort);
         }
-        SolverKind::Mcts => tree_search(scene, &Rule::plain(count), seed, incumbent, effort),
+        SolverKind::Mcts => tree_search(scene, &Rule::plain(count), seed, offer, effort),
         SolverKind::Emcts => {
             let weights = heuristic(scene, objective);
             let rule = match objective {
                 Objective::Ti => Rule::rewarding(&weights),
                 Objective::Pp | Objective::Time => Rule::exploring(&weights),
             };
-            tree_search(scene, &rule, seed, incumbent, effort);
+            tree_search(scene, &rule, seed, offer, effort);
         }
         SolverKind::Auto => {}
     }
@@ -115,32 +91,39 @@ fn rounded(scene: &Scene, objective: Objective) -> Vec<u32> {
 }
 
 /// TBM and ETBM.
-fn total_buffers(scene: &Scene, weights: &[f64], seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
+fn total_buffers(
+    scene: &Scene,
+    weights: &[f64],
+    setting: Setting,
+    seed: u64,
+    offer: &mut Offer,
+    effort: &mut Effort,
+) {
     let planner = |graph: &DependencyGraph, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
         let weights: Vec<f64> = objects.iter().map(|&o| weights[o]).collect();
         TotalBuffers { graph, weights: &weights }.plan(rng, effort)
     };
-    trlb(scene, &planner, seed, incumbent, effort);
+    trlb(scene, &planner, setting, seed, offer, effort);
 }
 
 /// RBM and ERBM. Under TI the cost of a buffered object is its impedance, else 1.
 fn running_buffer(
     scene: &Scene,
     weights: &[u32],
-    objective: Objective,
+    setting: Setting,
     seed: u64,
-    incumbent: &mut Incumbent,
+    offer: &mut Offer,
     effort: &mut Effort,
 ) {
-    let preference =
-        if incumbent.control.strict_paper { Preference::FirstFound } else { Preference::FewerBuffers };
-    let cost = |o: usize| if objective == Objective::Ti { scene.problem.objects[o].impedance } else { 1.0 };
+    let preference = if setting.strict_paper { Preference::FirstFound } else { Preference::FewerBuffers };
+    let cost =
+        |o: usize| if setting.objective == Objective::Ti { scene.problem.objects[o].impedance } else { 1.0 };
     let planner = |graph: &DependencyGraph, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
         let weights: Vec<u32> = objects.iter().map(|&o| weights[o]).collect();
         let costs: Vec<f64> = objects.iter().map(|&o| cost(o)).collect();
         RunningBuffer { graph, weights: &weights, costs: &costs, preference }.plan(rng, effort)
     };
-    trlb(scene, &planner, seed, incumbent, effort);
+    trlb(scene, &planner, setting, seed, offer, effort);
 }
 
 /// Calls `search` with the start and a complete goal until it says that it is over, or the effort is spent.
@@ -164,41 +147,29 @@ fn repeat(
 }
 
 /// TRLB with the given primitive planner, until its first plan that passes the check.
-fn trlb(scene: &Scene, planner: &Planner, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
-    let trlb = Trlb { scene, planner, detours: !incumbent.control.strict_paper };
+fn trlb(
+    scene: &Scene,
+    planner: &Planner,
+    setting: Setting,
+    seed: u64,
+    offer: &mut Offer,
+    effort: &mut Effort,
+) {
+    let trlb = Trlb { scene, planner, detours: !setting.strict_paper };
     repeat(scene, seed, effort, |start, goal, rng, effort| {
         let moves = trlb.search(start.clone(), goal, rng, effort);
-        moves.is_some_and(|moves| incumbent.offer(&moves) != Verdict::Refused)
+        moves.is_some_and(|moves| offer(&moves) != Verdict::Refused)
     });
 }
 
 /// MCTS and EMCTS: trees that keep the best plan.
-fn tree_search(scene: &Scene, rule: &Rule, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
+fn tree_search(scene: &Scene, rule: &Rule, seed: u64, offer: &mut Offer, effort: &mut Effort) {
     let mut ceiling = f64::INFINITY;
     let mut most = FIRST_TREE;
     repeat(scene, seed, effort, |start, goal, rng, effort| {
         let search = TreeSearch { scene, rule, start, goal: &goal };
-        let enough = search.grow(most, &mut ceiling, rng, effort, &mut |moves| incumbent.offer(&moves));
+        let enough = search.grow(most, &mut ceiling, rng, effort, &mut |moves| offer(&moves));
         most = LARGEST_TREE.min(2 * most);
         enough
     });
-}
-
-fn actions(problem: &Problem, moves: &[Move]) -> Vec<Action> {
-    moves
-        .iter()
-        .map(|m| {
-            let kind =
-                if is_goal_of(problem, m.object, &m.to.pose) { ActionKind::Goal } else { ActionKind::Buffer };
-            Action { object: m.object, from: m.from.pose, to: m.to.pose, kind }
-        })
-        .collect()
-}
-
-/// Is the pose the object's goal, or one of its group's?
-fn is_goal_of(problem: &Problem, object: usize, pose: &Pose2) -> bool {
-    let group = &problem.objects[object].group;
-    let shared = |o: &ProblemObject| group.is_some() && o.group == *group;
-    let may_take = problem.objects.iter().enumerate().filter(|(k, o)| *k == object || shared(o));
-    may_take.into_iter().any(|(_, o)| o.goal == Some(*pose))
 }

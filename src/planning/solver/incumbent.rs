@@ -1,0 +1,148 @@
+//! Between the solvers and the caller: the best checked plan, and how `auto` is set up.
+//!
+//! In: a scene whose goal arrangement stands, solver, objective, control, seed. Out: the best checked plan and its
+//! cost, left in [`Incumbent`]. `auto` gets the costs of moves by objective, and the paper's solvers to fall back on.
+
+use crate::geometry::pose::Pose2;
+use crate::planning::auto::member::Quest;
+use crate::planning::auto::{self, Audience};
+use crate::planning::check::CheckedPlan;
+use crate::planning::effort::Effort;
+use crate::planning::mcts::Verdict;
+use crate::planning::plan::{Action, ActionKind, Objective};
+use crate::planning::problem::{Problem, ProblemObject};
+use crate::planning::scene::Scene;
+use crate::planning::solver::search::{self, Setting};
+use crate::planning::solver::{Control, SolverKind, cost, reaches};
+use crate::planning::trlb::Move;
+
+/// The best plan so far, and who decides whether another one is better.
+pub(super) struct Incumbent<'a> {
+    problem: &'a Problem,
+    objective: Objective,
+    control: &'a Control<'a>,
+    /// No plan is cheaper.
+    pub(super) lower_bound: f64,
+    /// Plan and cost.
+    pub(super) best: Option<(CheckedPlan, f64)>,
+}
+
+impl<'a> Incumbent<'a> {
+    /// No plan yet.
+    pub(super) fn new(
+        problem: &'a Problem,
+        objective: Objective,
+        control: &'a Control<'a>,
+        lower_bound: f64,
+    ) -> Incumbent<'a> {
+        Incumbent { problem, objective, control, lower_bound, best: None }
+    }
+}
+
+impl Audience for Incumbent<'_> {
+    /// Takes a plan if the independent checker does, keeps it if it is cheaper, and tells the caller then.
+    fn offer(&mut self, moves: &[Move]) -> Verdict {
+        let Ok(plan) = CheckedPlan::new(self.problem, &actions(self.problem, moves)) else {
+            return Verdict::Refused;
+        };
+        let cost = cost(self.problem, self.objective, self.control, plan.actions());
+        if self.best.as_ref().is_none_or(|(_, least)| cost < *least) {
+            (self.control.on_plan)(plan.actions(), cost);
+            self.best = Some((plan, cost));
+        }
+        let enough = self.control.first || reaches(cost, self.lower_bound);
+        if enough { Verdict::Enough } else { Verdict::Accepted }
+    }
+
+    fn prove(&mut self, bound: f64) -> bool {
+        if bound > self.lower_bound {
+            self.lower_bound = bound;
+            (self.control.on_bound)(bound);
+        }
+        self.best.as_ref().is_some_and(|(_, cost)| reaches(*cost, self.lower_bound))
+    }
+}
+
+/// Searches until the solver's rule, the control or the effort ends it; the plan is left in `incumbent`.
+pub(super) fn run(
+    scene: &Scene,
+    solver: SolverKind,
+    seed: u64,
+    incumbent: &mut Incumbent,
+    effort: &mut Effort,
+) {
+    if solver == SolverKind::Auto {
+        return auto(scene, seed, incumbent, effort);
+    }
+    let setting = Setting { objective: incumbent.objective, strict_paper: incumbent.control.strict_paper };
+    search::run(scene, solver, seed, setting, &mut |moves| incumbent.offer(moves), effort);
+}
+
+/// Solvers that `auto` asks where it finds no plan itself, in turn.
+const RESCUERS: [SolverKind; 4] = [SolverKind::Erbm, SolverKind::Etbm, SolverKind::Emcts, SolverKind::Rbm];
+
+/// Steps of the first call for help; each further one may take a half more.
+const FIRST_RESCUE: f64 = 2000.0;
+
+/// Our own solver. It counts moves, weighted by impedance under TI; under `time` the caller judges whole plans.
+fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
+    let (problem, objective, control) = (scene.problem, incumbent.objective, incumbent.control);
+    let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
+    let costs: Vec<f64> = problem.objects.iter().map(weigh).collect();
+    let rescue = |turn: u64, effort: &mut Effort| first_plan(scene, objective, seed, turn, effort);
+    let judge = |moves: &[Move]| cost(problem, objective, control, &actions(problem, moves));
+    let is_known = |action: &&Action| {
+        problem.objects.get(action.object).is_some_and(|o| !o.fixed) && action.to.is_finite()
+    };
+    let known = control.known_plan.iter().filter(is_known).map(|action| (action.object, action.to));
+    let quest = Quest {
+        scene,
+        costs: &costs,
+        judge: if objective == Objective::Time { Some(&judge) } else { None },
+        worth: if objective == Objective::Time { control.least_move_seconds } else { 1.0 },
+        rescue: &rescue,
+        known: &known.collect::<Vec<_>>(),
+    };
+    let search = auto::Search { quest: &quest, pool: control.pool, seed };
+    search.run(incumbent, effort);
+}
+
+/// The first plan of one of the paper's solvers, unchecked, in a part of the effort that grows with `turn`.
+fn first_plan(
+    scene: &Scene,
+    objective: Objective,
+    seed: u64,
+    turn: u64,
+    effort: &mut Effort,
+) -> Option<Vec<Move>> {
+    let solver = RESCUERS[(turn % RESCUERS.len() as u64) as usize];
+    let mut found = None;
+    let mut offer = |moves: &[Move]| {
+        found = Some(moves.to_vec());
+        Verdict::Enough
+    };
+    let mut part = effort.part((FIRST_RESCUE * 1.5f64.powf(turn as f64)) as u64);
+    let setting = Setting { objective, strict_paper: false };
+    search::run(scene, solver, seed.wrapping_add(turn), setting, &mut offer, &mut part);
+    effort.spend(&part);
+    found
+}
+
+fn actions(problem: &Problem, moves: &[Move]) -> Vec<Action> {
+    moves
+        .iter()
+        .map(|m| {
+            let kind =
+                if is_goal_of(problem, m.object, &m.to.pose) { ActionKind::Goal } else { ActionKind::Buffer };
+            Action { object: m.object, from: m.from.pose, to: m.to.pose, kind }
+        })
+        .collect()
+}
+
+/// Is the pose the object's goal, or one of its group's?
+fn is_goal_of(problem: &Problem, object: usize, pose: &Pose2) -> bool {
+    let group = &problem.objects[object].group;
+    let shared = |o: &ProblemObject| group.is_some() && o.group == *group;
+    let may_take = problem.objects.iter().enumerate().filter(|(k, o)| *k == object || shared(o));
+    may_take.into_iter().any(|(_, o)| o.goal == Some(*pose))
+}
