@@ -37,8 +37,8 @@ const CASES: &[Case] = &[
     (CONFIG, "id: 1, size: 0.036", "id: 00, size: 0.036", "00,", &["marker 0 is used twice", "plank-1"]),
     (CONFIG, "{id: 501,", "{id: 0500,", "0500", &["marker 500 is used twice"]),
     (CONFIG, "{id: 501,", "{id: 3,", "3,", &["marker 3 is also that of object \"lid\""]),
-    (CONFIG, "solver: erbm", "solver: best", "best", &["one of: tbm, rbm, etbm, erbm, mcts, emcts, auto"]),
-    (CONFIG, "objective: pp", "objective: time", "time", &["not built yet", "one of: pp, ti"]),
+    (CONFIG, "solver: auto", "solver: best", "best", &["one of: tbm, rbm, etbm, erbm, mcts, emcts, auto"]),
+    (CONFIG, "objective: pp", "objective: speed", "speed", &["not known here", "one of: pp, ti, time"]),
     (CONFIG, "mount: flange\n", "mount: fixed\n", "fixed", &["not built yet", "use `mount: flange`"]),
     (SIM, "\nseed: 1", "\nsed: 1", "sed", &["unknown key", "did you mean \"seed\""]),
     (SIM, "start_deg: [0.12,", "start_deg: [12 cm,", "12 cm", &["without \"cm\""]),
@@ -56,7 +56,7 @@ const CASES: &[Case] = &[
     (JOB, "[0.1, 0.1, 0]", "[100 mm, 0.1, 0]", "100 mm", &["without \"mm\""]),
     (JOB, "objective: pp", "objective: [pp]", "[pp]", &["a list where a text is wanted"]),
     (JOB, "[0.1, 0.1, 0]", "[.nan, 0.1, 0]", ".nan", &["not a finite number"]),
-    (JOB, "objective: pp", "objective: time", "time", &["not built yet"]),
+    (JOB, "objective: pp", "objective: speed", "speed", &["not known here"]),
     (JOB, "{id: block", "{id: blok", "{id: blok", &["\"blok\" is unknown", "did you mean \"block\""]),
     (JOB, "{id: block", "{id: plank-1", "{id: plank-1", &["has a goal already, at line 4"]),
     (
@@ -192,8 +192,8 @@ fn three_faults_of_one_file_are_told_in_one_run() {
             ["over the table's edge", "\"heavy\" is not a number", "marker 500 is used twice"],
         ),
         (
-            spoilt(JOB, [("[0.1, 0.1, 0]", "[0.1, 0.1]"), ("block", "blok"), ("pp", "time")]),
-            ["2 values, 3 are wanted", "\"blok\" is unknown", "not built yet"],
+            spoilt(JOB, [("[0.1, 0.1, 0]", "[0.1, 0.1]"), ("block", "blok"), ("pp", "speed")]),
+            ["2 values, 3 are wanted", "\"blok\" is unknown", "\"speed\" is not known here"],
         ),
         (
             spoilt(
