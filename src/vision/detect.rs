@@ -42,7 +42,7 @@ impl Default for DetectSettings {
     fn default() -> DetectSettings {
         DetectSettings {
             decimate: 1.5,
-            sharpen_px: 0.8,
+            sharpen_px: 1.1,
             threads: 2,
             bits_corrected: 1,
             contrast_min: 24,

@@ -80,8 +80,8 @@ pub struct ObserveLimits {
 impl Default for ObserveLimits {
     fn default() -> ObserveLimits {
         ObserveLimits {
-            corner_noise_px: 0.02,
-            corner_bias_px: 0.015,
+            corner_noise_px: 0.018,
+            corner_bias_px: 0.012,
             systematic_xy_m: 3e-4,
             systematic_theta_rad: 5e-4,
             height_std_m: 3e-4,
