@@ -34,7 +34,7 @@ pub struct DetectArgs {
     /// Families looked for, comma-separated.
     #[arg(long, value_delimiter = ',', default_value = "tag36h11")]
     family: Vec<Family>,
-    /// Search on a picture this much smaller (1 finds most, 1.5 is faster).
+    /// Search on a picture this much smaller (1 finds the smallest markers, 1.5 is twice as fast).
     #[arg(long, value_name = "F", default_value_t = DetectSettings::default().decimate)]
     decimate: f32,
     /// Write a copy with the detections drawn on it.
