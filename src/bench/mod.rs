@@ -4,7 +4,8 @@
 //! them. `baseline`: beside the public code's
 //! own figures. `runner`: many cases on many threads. `results`: the file that survives interruptions. `summary`: a table
 //! for people. `figures`: the paper's six figures from rows. `rtde`: the codec and the simulator's own timing, with
-//! `rtde_client` as the clients and `rtde_process` as the simulator that is watched.
+//! `rtde_client` as the clients and `rtde_process` as the simulator that is watched. `vision`: rate, accuracy and time
+//! of detection and poses.
 
 pub mod baseline;
 pub mod cells;
@@ -18,3 +19,4 @@ pub mod runner;
 pub mod summary;
 pub mod table;
 pub mod targets;
+pub mod vision;

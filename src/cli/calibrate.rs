@@ -1,71 +1,282 @@
-//! `celld calibrate`: camera on the hand and table under the robot, against live devices.
+//! `celld calibrate`: the lens, the camera on the hand, the table under the robot.
 //!
-//! In: the cell's configuration with its nominal mount, table and calibration poses. Out: the three calibration files,
-//! and the error of every sample on stderr. Exit codes as everywhere.
+//! In: the cell's configuration with its nominal mount, table and calibration poses, and live devices or a recorded round. Out: calibration
+//! files, and the error of every sample on stderr. `camera` measures the lens (its own file), `hand-eye` (and no
+//! word at all) mount and table together, `table` the table alone after it was moved. Exit codes as everywhere.
+
+pub mod camera;
 
 use crate::cli::daemon::{open_camera, open_hardware, with_runtime};
 use crate::cli::demo::run::chain;
+use crate::cli::detect::{read_camera, read_picture};
 use crate::cli::task::complain;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::daemon::calibrate::{Arm, Eye, Setting, measure, solve};
+use crate::daemon::calibrate::{Arm, Eye, Look, Setting, measure, solve};
 use crate::daemon::calibration_files::{CalibrationSet, provenance};
 use crate::daemon::setup::reference_markers;
 use crate::device::program::Nonce;
 use crate::io::clock::unix_now_s;
+use crate::io::files;
 use crate::jobs::utc;
-use crate::vision::calibrate::HandEye;
+use crate::vision::calibrate::{HandEye, Sample};
 use crate::vision::calibration::camera::CameraCalibration;
-use crate::vision::calibration::hand_eye::HandEyeCalibration;
+use crate::vision::calibration::hand_eye::{HandEyeCalibration, Provenance};
+use crate::vision::calibration::round::{RecordedSample, Round};
 use crate::vision::calibration::table::TableCalibration;
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detector};
-use clap::Args;
-use std::path::PathBuf;
+use clap::{Args, Subcommand};
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// `celld calibrate`
 #[derive(Args, Clone, Debug)]
+#[command(args_conflicts_with_subcommands = true)]
 pub struct CalibrateArgs {
+    #[command(subcommand)]
+    what: Option<What>,
+    #[command(flatten)]
+    round: RoundArgs,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum What {
+    /// The lens, from pictures of a printed board
+    Camera(camera::CameraArgs),
+    /// Where the camera sits on the flange, and the table under the robot
+    HandEye(RoundArgs),
+    /// The table alone, after it was moved: the camera's place on the flange is kept
+    Table(RoundArgs),
+}
+
+/// A round over the reference markers.
+#[derive(Args, Clone, Debug)]
+pub struct RoundArgs {
     /// The cell's configuration, with nominal camera mount, table and calibration poses.
     #[arg(long, default_value = "config/cell.yaml", value_name = "FILE")]
     config: PathBuf,
+    /// Solve a round recorded in this folder instead of moving the arm.
+    #[arg(long, value_name = "DIR", conflicts_with = "record")]
+    from: Option<PathBuf>,
+    /// Keep the round's pictures and poses in this folder.
+    #[arg(long, value_name = "DIR")]
+    record: Option<PathBuf>,
+    /// Leave these samples out, by their numbers in the report: 3,7
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    drop: Vec<usize>,
 }
 
-/// Calibrates hand-eye and table; returns the exit code.
+/// What is asked of a round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wanted {
+    MountAndTable,
+    Table,
+}
+
+/// Calibrates; returns the exit code.
 pub fn run(args: &CalibrateArgs, stop: Arc<AtomicBool>) -> u8 {
-    match load_cell(&args.config) {
-        Ok(config) => with_runtime(stop, |stop| calibration(config, stop)),
-        Err(error) => {
-            complain(&error.to_string());
-            2
-        }
+    match &args.what {
+        None => round(&args.round, Wanted::MountAndTable, stop),
+        Some(What::HandEye(args)) => round(args, Wanted::MountAndTable, stop),
+        Some(What::Table(args)) => round(args, Wanted::Table, stop),
+        Some(What::Camera(args)) => camera::run(args),
     }
 }
 
-async fn calibration(config: CellConfig, stop: Arc<AtomicBool>) -> Result<(), String> {
-    let (mut hardware, _) = open_hardware(&config)?;
-    let mut camera = open_camera(&config, None)?;
-    let lens = tokio::task::block_in_place(|| camera.intrinsics()).map_err(|error| chain(&error))?;
+fn round(args: &RoundArgs, wanted: Wanted, stop: Arc<AtomicBool>) -> u8 {
+    let config = match load_cell(&args.config) {
+        Ok(config) => config,
+        Err(error) => {
+            complain(&error.to_string());
+            return 2;
+        }
+    };
+    if args.from.is_some() {
+        return match recorded(&config, args).and_then(|taken| finish(&config, taken, args, wanted)) {
+            Ok(()) => 0,
+            Err(fault) => {
+                complain(&fault.message);
+                fault.code
+            }
+        };
+    }
+    let args = args.clone();
+    with_runtime(stop, move |stop| async move {
+        let taken = live(&config, &args, stop).await?;
+        finish(&config, taken, &args, wanted).map_err(|fault| fault.message)
+    })
+}
+
+/// Why there is no calibration, and the exit code that says so.
+#[derive(Debug)]
+struct Fault {
+    message: String,
+    code: u8,
+}
+
+fn bad_input(message: String) -> Fault {
+    Fault { message, code: 2 }
+}
+
+/// A round as it was taken.
+#[derive(Debug)]
+struct Taken {
+    lens: CameraCalibration,
+    provenance: Provenance,
+    samples: Vec<Sample>,
+}
+
+/// Moves the arm round.
+async fn live(config: &CellConfig, args: &RoundArgs, stop: Arc<AtomicBool>) -> Result<Taken, String> {
+    let (mut hardware, _) = open_hardware(config)?;
+    let mut camera = open_camera(config, None)?;
+    let own = tokio::task::block_in_place(|| camera.intrinsics()).map_err(|error| chain(&error))?;
+    let lens = lens(config, own)?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let count = config.calibration_poses.len();
+    let record = args.record.as_deref().map(Recording::new).transpose()?;
     let setting = Setting {
-        config: &config,
+        config,
         nonce: Nonce::new((unix_now_s() * 1e3) as u64),
         stop: &|| stop.load(Ordering::Relaxed),
-        progress: &|pose, markers| complain(&format!("pose {pose}/{count}: {markers} markers")),
+        progress: &|look| {
+            complain(&format!("pose {}/{count}: {} markers", look.pose, look.sample.detections.len()));
+            if let Some(record) = &record {
+                record.keep(look);
+            }
+        },
     };
     let eye = Eye { camera, detector };
     let (arm, samples) = measure(&mut hardware, eye, &setting).await.map_err(|error| chain(&error))?;
-    let solved = solve(&config, &lens, &samples).map_err(|error| chain(&error))?;
-    report(&solved);
-    let written = set(&config, lens, &arm, &solved).write(&config.calibration).map(|paths| {
-        for path in paths {
-            complain(&format!("wrote {}", path.display()));
+    let provenance = of_arm(&lens.model, &arm);
+    if let Some(record) = &record {
+        record.close(&lens, &provenance)?;
+    }
+    Ok(Taken { lens, provenance, samples })
+}
+
+fn of_arm(lens: &CameraModel, arm: &Arm) -> Provenance {
+    provenance(&lens.serial, arm, &utc::text(unix_now_s()))
+}
+
+/// The lens to work with: the one `celld calibrate camera` measured for this camera at this size, or the camera's own.
+fn lens(config: &CellConfig, own: CameraModel) -> Result<CameraCalibration, String> {
+    let path = &config.calibration.camera;
+    if path.exists() {
+        let text = files::read_named(path, 1 << 20).map_err(|error| error.to_string())?;
+        let known = CameraCalibration::parse(&text, &path.display().to_string());
+        if let Ok(known) = known.map_err(|complaints| complain(&complaints.to_string()))
+            && known.measured.is_some()
+        {
+            let fits = (known.model.serial.as_str(), known.model.width, known.model.height);
+            if fits == (own.serial.as_str(), own.width, own.height) {
+                return Ok(known);
+            }
+            return Err(format!(
+                "{}: measured for camera {} at {} x {}, but this is {} at {} x {}: run `celld calibrate camera` for it, \
+                 or delete the file to work with the camera's own numbers",
+                path.display(),
+                known.model.serial,
+                known.model.width,
+                known.model.height,
+                own.serial,
+                own.width,
+                own.height
+            ));
         }
-    });
-    written.map_err(|error| chain(&error))
+    }
+    let (source, date) = ("factory intrinsics".to_string(), utc::text(unix_now_s()));
+    Ok(CameraCalibration { model: own, source, date, reprojection_px: None, measured: None })
+}
+
+/// Reads a recorded round and finds its markers.
+fn recorded(config: &CellConfig, args: &RoundArgs) -> Result<Taken, Fault> {
+    let folder = args.from.as_deref().unwrap_or(Path::new("."));
+    let path = folder.join("samples.yaml");
+    let name = path.display().to_string();
+    let text = files::read_named(&path, 16 << 20).map_err(|error| {
+        bad_input(format!(
+            "{}; a round is recorded with `celld calibrate hand-eye --record DIR`",
+            chain(&error)
+        ))
+    })?;
+    let round = Round::parse(&text, &name).map_err(|complaints| bad_input(complaints.to_string()))?;
+    let own = read_camera(&folder.join("camera.yaml")).map_err(bad_input)?;
+    if own.serial != round.provenance.camera_serial {
+        let wanted = &round.provenance.camera_serial;
+        return Err(bad_input(format!(
+            "{name}: recorded with camera {wanted}, but camera.yaml beside it is of {}",
+            own.serial
+        )));
+    }
+    let lens = lens(config, own).map_err(bad_input)?;
+    let settings = DetectSettings::default();
+    let mut detector = Detector::new(settings).map_err(|error| bad_input(error.to_string()))?;
+    let mut samples = Vec::with_capacity(round.samples.len());
+    for (index, recorded) in round.samples.iter().enumerate() {
+        let file = folder.join(&recorded.image);
+        let image = read_picture(&file).map_err(bad_input)?;
+        let fits = lens.model.check_picture(image.width, image.height);
+        fits.map_err(|error| bad_input(format!("{}: {error}", file.display())))?;
+        let detections = detector.detect(&image.gray()).map_err(|error| bad_input(error.to_string()))?;
+        complain(&format!("sample {:2}, {}: {} markers", index + 1, recorded.image, detections.len()));
+        samples.push(Sample { base_from_flange: recorded.base_from_flange, detections });
+    }
+    Ok(Taken { lens, provenance: round.provenance, samples })
+}
+
+/// Solves, reports, writes.
+fn finish(config: &CellConfig, taken: Taken, args: &RoundArgs, wanted: Wanted) -> Result<(), Fault> {
+    let mut samples = taken.samples;
+    for number in &args.drop {
+        let Some(sample) = number.checked_sub(1).and_then(|index| samples.get_mut(index)) else {
+            return Err(bad_input(format!("--drop {number}: there are samples 1 to {}", samples.len())));
+        };
+        sample.detections.clear();
+    }
+    let known = match wanted {
+        Wanted::MountAndTable => None,
+        Wanted::Table => Some(known_mount(config, &taken.provenance).map_err(bad_input)?),
+    };
+    let mount = known.as_ref().map(|known| known.flange_from_camera);
+    let solved = solve(config, &taken.lens.model, &samples, mount);
+    let solved = solved.map_err(|error| Fault { message: chain(&error), code: 1 })?;
+    report(&solved);
+    let hand_eye =
+        known.unwrap_or_else(|| HandEyeCalibration::from_solution(&solved, taken.provenance.clone()));
+    let table = TableCalibration::from_solution(&solved, &reference_markers(config), taken.provenance);
+    let set = CalibrationSet { camera: taken.lens, hand_eye, table };
+    let paths = set.write(&config.calibration).map_err(|error| Fault { message: chain(&error), code: 1 })?;
+    for path in paths {
+        complain(&format!("wrote {}", path.display()));
+    }
+    Ok(())
+}
+
+/// The mount measured before, if it is this camera's on this robot.
+fn known_mount(config: &CellConfig, now: &Provenance) -> Result<HandEyeCalibration, String> {
+    let path = &config.calibration.hand_eye;
+    let text = files::read_named(path, 1 << 20)
+        .map_err(|error| format!("{}; run `celld calibrate hand-eye` first", chain(&error)))?;
+    let known = HandEyeCalibration::parse(&text, &path.display().to_string());
+    let known = known.map_err(|complaints| complaints.to_string())?;
+    let same = known.provenance.camera_serial == now.camera_serial
+        && known.provenance.robot_serial == now.robot_serial
+        && known.provenance.kinematics_checksum == now.kinematics_checksum;
+    if same {
+        return Ok(known);
+    }
+    Err(format!(
+        "{}: made with camera {} on robot {}, but this is {} on {}; run `celld calibrate hand-eye`",
+        path.display(),
+        known.provenance.camera_serial,
+        known.provenance.robot_serial,
+        now.camera_serial,
+        now.robot_serial
+    ))
 }
 
 fn report(solved: &HandEye) {
@@ -84,17 +295,50 @@ fn report(solved: &HandEye) {
     }
 }
 
-fn set(config: &CellConfig, lens: CameraModel, arm: &Arm, solved: &HandEye) -> CalibrationSet {
-    let date = utc::text(unix_now_s());
-    let whose = provenance(&lens.serial, arm, &date);
-    CalibrationSet {
-        camera: CameraCalibration {
-            model: lens,
-            source: "factory intrinsics".to_string(),
-            date,
-            reprojection_px: None,
-        },
-        hand_eye: HandEyeCalibration::from_solution(solved, whose.clone()),
-        table: TableCalibration::from_solution(solved, &reference_markers(config), whose),
+/// A round being kept in a folder.
+struct Recording<'a> {
+    folder: &'a Path,
+    /// What was kept so far, and the first thing that went wrong.
+    kept: RefCell<(Vec<RecordedSample>, Option<String>)>,
+}
+
+impl Recording<'_> {
+    fn new(folder: &Path) -> Result<Recording<'_>, String> {
+        files::create_folder(folder).map_err(|error| error.to_string())?;
+        Ok(Recording { folder, kept: RefCell::default() })
+    }
+
+    fn keep(&self, look: &Look) {
+        let image = format!("{:02}.png", look.pose);
+        let bytes = look.image.encode_png().map_err(|error| error.to_string());
+        let path = self.folder.join(&image);
+        let written =
+            bytes.and_then(|bytes| files::write_atomic(&path, &bytes).map_err(|error| error.to_string()));
+        let mut kept = self.kept.borrow_mut();
+        match written {
+            Ok(()) => {
+                kept.0.push(RecordedSample { image, base_from_flange: look.sample.base_from_flange });
+            }
+            Err(error) => kept.1 = kept.1.take().or(Some(error)),
+        }
+    }
+
+    /// Writes the poses and the lens beside the pictures.
+    fn close(&self, lens: &CameraCalibration, provenance: &Provenance) -> Result<(), String> {
+        let (samples, fault) = self.kept.take();
+        if let Some(fault) = fault {
+            return Err(fault);
+        }
+        let round = Round { provenance: provenance.clone(), samples };
+        let put = |name: &str, text: String| {
+            files::write_atomic(&self.folder.join(name), text.as_bytes()).map_err(|error| error.to_string())
+        };
+        put("camera.yaml", lens.to_yaml())?;
+        put("samples.yaml", round.to_yaml())?;
+        complain(&format!("recorded {} samples in {}", round.samples.len(), self.folder.display()));
+        Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

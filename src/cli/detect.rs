@@ -10,7 +10,7 @@ use crate::vision::annotate;
 use crate::vision::calibration::camera::CameraCalibration;
 use crate::vision::camera::CameraModel;
 use crate::vision::cv;
-use crate::vision::detect::{DetectSettings, Detection, Detector};
+use crate::vision::detect::{DetectSettings, Detection, Detector, Family};
 use crate::vision::image::Image;
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -31,8 +31,11 @@ pub struct DetectArgs {
     /// Edge of the markers' black squares in m; with --camera, adds distance and tilt.
     #[arg(long, value_name = "M", requires = "camera", value_parser = positive)]
     size: Option<f64>,
-    /// Search on a picture this much smaller (1 finds most, 1.5 is faster).
-    #[arg(long, value_name = "F", default_value_t = 1.0)]
+    /// Families looked for, comma-separated.
+    #[arg(long, value_delimiter = ',', default_value = "tag36h11")]
+    family: Vec<Family>,
+    /// Search on a picture this much smaller (1 finds the smallest markers, 1.5 is twice as fast).
+    #[arg(long, value_name = "F", default_value_t = DetectSettings::default().decimate)]
     decimate: f32,
     /// Write a copy with the detections drawn on it.
     #[arg(long, value_name = "FILE")]
@@ -101,7 +104,7 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
         fits.map_err(|error| format!("{}: {error}", args.image.display()))?;
     }
     let settings = DetectSettings { decimate: args.decimate, ..DetectSettings::default() };
-    let mut detector = Detector::new(settings).map_err(chain)?;
+    let mut detector = Detector::of(&args.family, settings).map_err(chain)?;
     let detections = detector
         .detect(&image.gray())
         .map_err(|error| format!("{}: {}", args.image.display(), chain(error)))?;
@@ -126,7 +129,7 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
     Ok((text, found.len()))
 }
 
-fn read_picture(path: &Path) -> Result<Image, String> {
+pub(super) fn read_picture(path: &Path) -> Result<Image, String> {
     let failed = |error: std::io::Error| format!("{} cannot be read: {error}", path.display());
     let size = std::fs::metadata(path).map_err(failed)?.len();
     if size > PICTURE_MAX {
@@ -136,7 +139,7 @@ fn read_picture(path: &Path) -> Result<Image, String> {
     Image::decode(&bytes).map_err(|error| format!("{}: {}", path.display(), chain(error)))
 }
 
-fn read_camera(path: &Path) -> Result<CameraModel, String> {
+pub(super) fn read_camera(path: &Path) -> Result<CameraModel, String> {
     let (text, _) = files::read_regular(path, 1 << 20).map_err(chain)?;
     let calibration = CameraCalibration::parse(&text, &path.display().to_string());
     calibration.map(|calibration| calibration.model).map_err(|complaints| complaints.to_string())
@@ -156,7 +159,7 @@ fn table(path: &Path, image: &Image, found: &[Found]) -> String {
     let name = path.display();
     let _ = writeln!(text, "{name}: {} x {}, {} markers", image.width, image.height, found.len());
     if found.is_empty() {
-        text.push_str("no tag36h11 marker found: too small (under 3 px a module), too dark, blurred, or without its white ring?\n");
+        text.push_str("no marker of the families looked for: too small (under 3 px a module), too dark, blurred, or without its white ring?\n");
         return text;
     }
     text.push_str(
@@ -190,7 +193,7 @@ fn json(path: &Path, image: &Image, found: &[Found]) -> Result<String, String> {
 }
 
 /// An error with its causes on one line.
-fn chain(error: impl std::error::Error) -> String {
+pub(super) fn chain(error: impl std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(inner) = cause {
@@ -206,7 +209,15 @@ mod tests {
     use crate::vision::marker;
 
     fn args(image: PathBuf) -> DetectArgs {
-        DetectArgs { image, camera: None, size: None, decimate: 1.0, out: None, format: Format::Text }
+        DetectArgs {
+            image,
+            camera: None,
+            size: None,
+            family: vec![Family::Tag36h11],
+            decimate: 1.0,
+            out: None,
+            format: Format::Text,
+        }
     }
 
     fn camera(width: u32, height: u32) -> String {
@@ -221,7 +232,7 @@ mod tests {
             distortion: [0.0; 5],
         };
         let (source, date) = ("factory".to_owned(), "2026-11-21".to_owned());
-        CameraCalibration { model, source, date, reprojection_px: None }.to_yaml()
+        CameraCalibration { model, source, date, reprojection_px: None, measured: None }.to_yaml()
     }
 
     #[test]

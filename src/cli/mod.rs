@@ -7,7 +7,9 @@ pub mod bench_cases;
 pub mod bench_figures;
 pub mod bench_planning;
 pub mod bench_rtde;
+pub mod bench_vision;
 pub mod calibrate;
+pub mod capture;
 pub mod check;
 pub mod check_script;
 pub mod daemon;
@@ -16,6 +18,7 @@ pub mod detect;
 pub mod generate;
 pub mod interrupt;
 pub mod jobs;
+pub mod markers;
 pub mod plan;
 pub mod recorder;
 pub mod sim;
@@ -45,10 +48,14 @@ enum Command {
     Run(daemon::RunArgs),
     /// Simulated UR5e, VGC10 and camera behind the real protocols
     Sim(sim::SimArgs),
-    /// Calibrate camera and table against live devices
+    /// Calibrate lens, camera mount and table, live or from recorded pictures
     Calibrate(calibrate::CalibrateArgs),
     /// Markers found in a picture
     Detect(detect::DetectArgs),
+    /// The table as it is now, as a goal file
+    Capture(capture::CaptureArgs),
+    /// Markers and calibration boards for the printer
+    Markers(markers::MarkersArgs),
     /// Plan a rearrangement
     Plan(plan::PlanArgs),
     /// Check a plan independently
@@ -68,6 +75,8 @@ enum Command {
 enum Bench {
     /// Solvers on generated or public instances
     Planning(Box<bench_planning::BenchPlanningArgs>),
+    /// Marker detection and poses on rendered pictures
+    Vision(bench_vision::BenchVisionArgs),
     /// The paper's figures from result tables
     Figures(bench_figures::BenchFiguresArgs),
     /// What the RTDE codec costs, and how the simulator keeps its 500 Hz
@@ -85,6 +94,8 @@ pub fn main() -> ExitCode {
         Command::Sim(args) => sim::run(&args),
         Command::Calibrate(args) => calibrate::run(&args, stop),
         Command::Detect(args) => detect::run(&args),
+        Command::Capture(args) => capture::run(&args),
+        Command::Markers(args) => markers::run(&args),
         Command::Plan(args) => plan::run(&args, &stop),
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),
@@ -92,6 +103,10 @@ pub fn main() -> ExitCode {
         Command::Bench(Bench::Planning(args)) => {
             interrupt::watch(&stop);
             bench_planning::run(&args, &stop)
+        }
+        Command::Bench(Bench::Vision(args)) => {
+            interrupt::watch(&stop);
+            bench_vision::run(&args, &stop)
         }
         Command::Bench(Bench::Figures(args)) => bench_figures::run(&args),
         Command::Bench(Bench::Rtde(args)) => bench_rtde::run(&args),

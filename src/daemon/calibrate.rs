@@ -22,7 +22,9 @@ use crate::vision::calibrate::{
 };
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::{Detection, Detector};
+use crate::vision::image::Image;
 use crate::wire::enumerations::{RobotMode, RuntimeState};
+use nalgebra::Isometry3;
 use std::time::Duration;
 
 /// Why a calibration run ended without samples.
@@ -131,8 +133,18 @@ pub struct Setting<'a> {
     pub nonce: Nonce,
     /// The operator's stop.
     pub stop: &'a dyn Fn() -> bool,
-    /// Hears each pose's number and how many markers were found from it.
-    pub progress: &'a dyn Fn(usize, usize),
+    /// Hears of each pose with what was seen from it.
+    pub progress: &'a dyn Fn(&Look),
+}
+
+/// One stop of a calibration round.
+pub struct Look<'a> {
+    /// The pose's number, from 1.
+    pub pose: usize,
+    /// The picture taken there.
+    pub image: &'a Image,
+    /// Where the flange was and which markers were found.
+    pub sample: &'a Sample,
 }
 
 /// The whole round: wakes the arm, visits the poses, looks, ends the program. The arm stands afterwards, whatever
@@ -157,15 +169,23 @@ pub async fn measure(
 
 /// Camera mount and table from the samples, starting at the configuration's nominal values.
 ///
+/// With a known mount only the table is solved for.
+///
 /// # Errors
 /// The solver's, or that the camera does not sit on the flange.
-pub fn solve(config: &CellConfig, lens: &CameraModel, samples: &[Sample]) -> Result<HandEye, DriveError> {
+pub fn solve(
+    config: &CellConfig,
+    lens: &CameraModel,
+    samples: &[Sample],
+    known_mount: Option<Isometry3<f64>>,
+) -> Result<HandEye, DriveError> {
     let CameraMount::Flange { flange_from_camera } = config.camera else {
         return Err(DriveError::FixedCamera);
     };
+    let flange_from_camera = known_mount.unwrap_or(flange_from_camera);
     let guess = HandEyeGuess { flange_from_camera, base_from_table: config.base_from_table };
-    let reference = reference_markers(config);
-    Ok(solve_hand_eye(samples, &reference, lens, &guess, &HandEyeSettings::default())?)
+    let settings = HandEyeSettings { keep_mount: known_mount.is_some(), ..HandEyeSettings::default() };
+    Ok(solve_hand_eye(samples, &reference_markers(config), lens, &guess, &settings)?)
 }
 
 /// Powers the arm, releases the brakes, starts the on-robot program, tells it what hangs on the flange.
@@ -291,7 +311,7 @@ struct Round<'a> {
     stop: &'a dyn Fn() -> bool,
 }
 
-/// Visits the poses and takes a picture at each; `progress` hears the pose's number and the markers found.
+/// Visits the poses and takes a picture at each; `progress` hears of it.
 ///
 /// # Errors
 /// What interrupted the round; the arm is told to stop.
@@ -299,7 +319,7 @@ async fn collect(
     round: &mut Round<'_>,
     poses: &[Joints],
     mut eye: Eye,
-    progress: &dyn Fn(usize, usize),
+    progress: &dyn Fn(&Look),
 ) -> Result<Vec<Sample>, DriveError> {
     let mut samples = Vec::with_capacity(poses.len());
     for (index, pose) in poses.iter().enumerate() {
@@ -311,27 +331,31 @@ async fn collect(
                 return Err(error);
             }
         };
-        let (returned, detections) = detect(round.hardware, eye).await?;
+        let (returned, image, detections) = detect(round.hardware, eye).await?;
         eye = returned;
-        progress(index + 1, detections.len());
-        samples.push(Sample { base_from_flange: forward(&round.model.dh, &q), detections });
+        let sample = Sample { base_from_flange: forward(&round.model.dh, &q), detections };
+        progress(&Look { pose: index + 1, image: &image, sample: &sample });
+        samples.push(sample);
     }
     Ok(samples)
 }
 
-/// Markers of one new frame. The frame is taken on another thread, so that the robot's heartbeat goes on.
-async fn detect(hardware: &mut Hardware, mut eye: Eye) -> Result<(Eye, Vec<Detection>), DriveError> {
+/// One new frame and its markers. The frame is taken on another thread, so that the robot's heartbeat goes on.
+async fn detect(hardware: &mut Hardware, mut eye: Eye) -> Result<(Eye, Image, Vec<Detection>), DriveError> {
     let task = tokio::task::spawn_blocking(move || {
         let frame = eye.camera.grab().map_err(|error| error.to_string());
-        let found = frame
-            .and_then(|frame| eye.detector.detect(&frame.image.gray()).map_err(|error| error.to_string()));
+        let found = frame.and_then(|frame| {
+            let seen = eye.detector.detect(&frame.image.gray()).map_err(|error| error.to_string())?;
+            Ok((frame.image, seen))
+        });
         (eye, found)
     });
     while !task.is_finished() {
         trouble(&hardware.next().await)?;
     }
     let (eye, found) = task.await.map_err(|error| DriveError::Camera(error.to_string()))?;
-    Ok((eye, found.map_err(DriveError::Camera)?))
+    let (image, detections) = found.map_err(DriveError::Camera)?;
+    Ok((eye, image, detections))
 }
 
 fn trouble(happenings: &[Happening]) -> Result<(), DriveError> {

@@ -3,6 +3,7 @@
 pub mod chart;
 pub mod html;
 pub mod plan_svg;
+pub mod prints;
 pub mod raster;
 pub mod run;
 pub mod summary;

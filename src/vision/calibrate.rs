@@ -7,6 +7,7 @@
 //!
 //! Honest errors: `held_out_*` predicts samples that were not used, `halves_*` compares two independent halves.
 
+pub mod lens;
 pub mod observability;
 pub mod problem;
 pub mod report;
@@ -52,6 +53,8 @@ pub struct HandEyeSettings {
     pub outlier_ratio: f64,
     /// Parts for the held-out error; each is predicted by a fit to the others.
     pub folds: usize,
+    /// The camera's place on the flange is known (it is the start's), only the table is looked for.
+    pub keep_mount: bool,
 }
 
 impl Default for HandEyeSettings {
@@ -63,6 +66,7 @@ impl Default for HandEyeSettings {
             std_max_m: 1e-3,
             outlier_ratio: 4.0,
             folds: 5,
+            keep_mount: false,
         }
     }
 }
@@ -208,13 +212,19 @@ fn best_start(
     start: &HandEyeGuess,
     settings: &HandEyeSettings,
 ) -> Option<Fit> {
-    let closed = closed_form(problem, camera);
+    let closed = closed_form(problem, camera, settings.keep_mount.then_some(start));
     let fits = [Some(*start), closed].into_iter().flatten();
     fits.filter_map(|guess| problem.fit(all, guess, settings)).min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
 /// Park's closed form on the pose of the whole marker layout in each picture; `None` where it breaks down.
-fn closed_form(problem: &Problem, camera: &CameraModel) -> Option<HandEyeGuess> {
+///
+/// With a known mount the table is the mean of where each picture puts it.
+fn closed_form(
+    problem: &Problem,
+    camera: &CameraModel,
+    known: Option<&HandEyeGuess>,
+) -> Option<HandEyeGuess> {
     let (mut flanges, mut tables) = (Vec::new(), Vec::new());
     for stop in &problem.stops {
         if let Ok(pose) = cv::board_pose(camera, &stop.board_m, &stop.pixels) {
@@ -222,10 +232,11 @@ fn closed_form(problem: &Problem, camera: &CameraModel) -> Option<HandEyeGuess> 
             tables.push(pose.camera_from_target);
         }
     }
-    if flanges.len() < 3 {
-        return None;
-    }
-    let flange_from_camera = cv::hand_eye_park(&flanges, &tables).ok()?;
+    let flange_from_camera = match known {
+        Some(known) => known.flange_from_camera,
+        None if flanges.len() < 3 => return None,
+        None => cv::hand_eye_park(&flanges, &tables).ok()?,
+    };
     let in_base = flanges.iter().zip(&tables).map(|(flange, table)| flange * flange_from_camera * table);
     Some(HandEyeGuess { flange_from_camera, base_from_table: report::mean_pose(in_base)? })
 }
@@ -393,6 +404,26 @@ mod tests {
             .map(|t| testing::looking_down(0.25, 0.25 + 0.05 * t.sin(), 0.5, [0.06 * t - 0.33, 0.0], 0.0));
         let text = sentence(nodding.collect());
         assert!(text.contains("nearest the camera's x") && text.contains("camera's y axis"), "{text}");
+    }
+
+    #[test]
+    fn a_table_that_was_moved_is_found_with_the_mount_kept_from_poses_that_hardly_turn() {
+        let steps = (0..8).map(f64::from);
+        let poses: Vec<_> = steps
+            .map(|t| {
+                testing::looking_down(0.25 + 0.1 * t.sin(), 0.25 + 0.1 * t.cos(), 0.5, [0.02 * t, 0.0], 0.0)
+            })
+            .collect();
+        let samples = samples(&poses, 0.1, 5e-5, 3);
+        let start = HandEyeGuess { flange_from_camera: truth().flange_from_camera, ..nominal() };
+        let settings = HandEyeSettings { keep_mount: true, ..Default::default() };
+        let camera = testing::camera(1280, 720);
+        let found = solve_hand_eye(&samples, &reference(), &camera, &start, &settings).unwrap();
+        let mount = found.flange_from_camera.inverse() * start.flange_from_camera;
+        assert!(mount.translation.vector.norm() < 1e-9 && found.flange_from_camera_std.translation_m < 1e-6);
+        let table = found.base_from_table.inverse() * truth().base_from_table;
+        assert!(table.translation.vector.norm() < 3e-4 && table.rotation.angle() < 1e-3, "{table}");
+        assert!(matches!(solve(&samples, &nominal()), Err(CalibrateError::NotObservable { .. })));
     }
 
     #[test]

@@ -7,6 +7,7 @@
 
 pub mod camera;
 pub mod hand_eye;
+pub mod round;
 pub mod table;
 
 use crate::document::decode::{At, Decoder, Fields};

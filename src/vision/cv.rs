@@ -1,4 +1,4 @@
-//! What OpenCV computes for us: undistorting and projecting points, poses of squares and boards, hand-eye start.
+//! What OpenCV computes for us: undistorting and projecting points, poses of squares and boards, the lens, hand-eye start.
 //!
 //! In: [`CameraModel`], points in pixels or metres, poses. Out: the same kinds of things as nalgebra types; no OpenCV type
 //! leaves this file, the only one in `vision` that calls the library (Debian 12's 4.6: signatures differ between
@@ -8,7 +8,9 @@ use crate::vision::camera::CameraModel;
 use crate::vision::marker;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use opencv::calib3d;
-use opencv::core::{Mat, MatTraitConst, Point2d, Point3d, TermCriteria, Vector, no_array};
+use opencv::core::{
+    Mat, MatTraitConst, Point2d, Point2f, Point3d, Point3f, Size, TermCriteria, Vector, no_array,
+};
 
 /// OpenCV refused or answered with something that is not a number.
 #[derive(Debug, thiserror::Error)]
@@ -129,7 +131,125 @@ pub fn board_pose(
         return Err(CvError::NoAnswer { what });
     }
     let candidates = flat_poses(camera, board_m, pixels, calib3d::SolvePnPMethod::SOLVEPNP_IPPE)?;
-    candidates.into_iter().next().ok_or(CvError::NoAnswer { what })
+    let rough = candidates.into_iter().next().ok_or(CvError::NoAnswer { what })?;
+    refined(camera, board_m, pixels, &rough)
+}
+
+/// The pose with the least reprojection error near a rough one, or the rough one where there is no better.
+fn refined(
+    camera: &CameraModel,
+    board_m: &[[f64; 2]],
+    pixels: &[[f64; 2]],
+    rough: &TargetPose,
+) -> Result<TargetPose, CvError> {
+    const WHAT: &str = "refine the pose of a board";
+    let failed = |source| CvError::Library { what: WHAT, source };
+    let object: Vector<Point3d> = board_m.iter().map(|p| Point3d::new(p[0], p[1], 0.0)).collect();
+    let image: Vector<Point2d> = pixels.iter().map(|p| Point2d::new(p[0], p[1])).collect();
+    let (matrix, distortion) = lens(camera, WHAT)?;
+    let column = |v: Vector3<f64>| Mat::from_slice_2d(&[[v.x], [v.y], [v.z]]).map_err(failed);
+    let mut turn = column(rough.camera_from_target.rotation.scaled_axis())?;
+    let mut shift = column(rough.camera_from_target.translation.vector)?;
+    let until = TermCriteria { typ: 3, max_count: 50, epsilon: 1e-12 };
+    calib3d::solve_pnp_refine_lm(&object, &image, &matrix, &distortion, &mut turn, &mut shift, until)
+        .map_err(failed)?;
+    let (r, t) = (vector3(&turn).map_err(failed)?, vector3(&shift).map_err(failed)?);
+    if !r.iter().chain(t.iter()).all(|value| value.is_finite()) || t.z <= 0.0 {
+        return Ok(*rough);
+    }
+    let camera_from_target = Isometry3::new(t, r);
+    let points: Vec<[f64; 3]> = board_m.iter().map(|p| [p[0], p[1], 0.0]).collect();
+    let reprojection_px = rms(&project(camera, &camera_from_target, &points)?, pixels);
+    let better = reprojection_px < rough.reprojection_px;
+    Ok(if better { TargetPose { camera_from_target, reprojection_px } } else { *rough })
+}
+
+/// Corners of a board on the board (m) and in one picture (pixels).
+pub type BoardCorners = (Vec<[f64; 2]>, Vec<[f64; 2]>);
+
+/// A lens fitted to pictures of a board.
+#[derive(Clone, Debug)]
+pub struct LensFit {
+    /// The numbers; the serial is empty.
+    pub camera: CameraModel,
+    /// Root mean square corner error, pixels.
+    pub reprojection_px: f64,
+    /// The same of each picture, in their order.
+    pub by_view_px: Vec<f64>,
+    /// Standard deviations of fx, fy, cx, cy, pixels.
+    pub std_px: [f64; 4],
+}
+
+/// Fits focal lengths, principal point and k1, k2, p1, p2, k3 to pictures of a flat board (Zhang, 2000).
+///
+/// # Errors
+/// `Library` or `NoAnswer`, for instance with fewer than 3 pictures.
+pub fn calibrate_lens(width: u32, height: u32, views: &[BoardCorners]) -> Result<LensFit, CvError> {
+    const WHAT: &str = "fit the lens to pictures of a board";
+    let failed = |source| CvError::Library { what: WHAT, source };
+    let sound =
+        |(board, seen): &BoardCorners| board.len() == seen.len() && board.len() >= 4 && !on_one_line(board);
+    if views.len() < 3 || !views.iter().all(sound) {
+        return Err(CvError::NoAnswer { what: WHAT });
+    }
+    // Single precision is what the function takes: a ten thousandth of a pixel.
+    let (mut object, mut image) = (Vector::<Vector<Point3f>>::new(), Vector::<Vector<Point2f>>::new());
+    for (board, seen) in views {
+        object.push(board.iter().map(|p| Point3f::new(p[0] as f32, p[1] as f32, 0.0)).collect());
+        image.push(seen.iter().map(|p| Point2f::new(p[0] as f32, p[1] as f32)).collect());
+    }
+    let size = Size::new(i32::try_from(width).unwrap_or(0), i32::try_from(height).unwrap_or(0));
+    let (mut matrix, mut distortion) = (Mat::default(), Mat::default());
+    let (mut turns, mut shifts) = (Vector::<Mat>::new(), Vector::<Mat>::new());
+    let (mut std, mut std_views, mut by_view) = (Mat::default(), Mat::default(), Mat::default());
+    let until = TermCriteria { typ: 3, max_count: 200, epsilon: 1e-12 };
+    let reprojection_px = calib3d::calibrate_camera_extended(
+        &object,
+        &image,
+        size,
+        &mut matrix,
+        &mut distortion,
+        &mut turns,
+        &mut shifts,
+        &mut std,
+        &mut std_views,
+        &mut by_view,
+        0,
+        until,
+    )
+    .map_err(failed)?;
+    let number = |mat: &Mat, i: i32| {
+        let at = if mat.rows() == 1 { mat.at_2d::<f64>(0, i) } else { mat.at_2d::<f64>(i, 0) };
+        at.copied().map_err(failed)
+    };
+    let entry = |i: i32, j: i32| matrix.at_2d::<f64>(i, j).copied().map_err(failed);
+    let camera = CameraModel {
+        serial: String::new(),
+        width,
+        height,
+        fx: entry(0, 0)?,
+        fy: entry(1, 1)?,
+        cx: entry(0, 2)?,
+        cy: entry(1, 2)?,
+        distortion: numbers([0, 1, 2, 3, 4].map(|i| number(&distortion, i)))?,
+    };
+    let std_px = numbers([0, 1, 2, 3].map(|i| number(&std, i)))?;
+    let by_view_px = (0..views.len() as i32).map(|i| number(&by_view, i)).collect::<Result<Vec<_>, _>>()?;
+    let finite =
+        by_view_px.iter().chain(&std_px).all(|value| value.is_finite()) && reprojection_px.is_finite();
+    if !finite || camera.check().is_err() {
+        return Err(CvError::NoAnswer { what: WHAT });
+    }
+    Ok(LensFit { camera, reprojection_px, by_view_px, std_px })
+}
+
+/// All numbers, or the first failure.
+fn numbers<const N: usize>(found: [Result<f64, CvError>; N]) -> Result<[f64; N], CvError> {
+    let mut values = [0.0; N];
+    for (value, found) in values.iter_mut().zip(found) {
+        *value = found?;
+    }
+    Ok(values)
 }
 
 /// True when the points fix no plane: their spread across is less than a thousandth of that along.

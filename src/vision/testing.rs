@@ -147,10 +147,10 @@ fn draw(
         for column in bound(0, camera.width) {
             let mut sum = 0.0;
             for sub in 0..16 {
-                let pixel = [
-                    column as f64 + (f64::from(sub % 4) - 1.5) / 4.0,
-                    row as f64 + (f64::from(sub / 4) - 1.5) / 4.0,
-                ];
+                // Sheared, so that a side along the pixel grid is cut at 16 places and not at 4.
+                let (across, down) = (f64::from(sub % 4), f64::from(sub / 4));
+                let cell = |a: f64, b: f64| (a + (b + 0.5) / 4.0) / 4.0 - 0.5;
+                let pixel = [column as f64 + cell(across, down), row as f64 + cell(down, across)];
                 sum += shade(unproject(camera, pixel), table_from_camera, all);
             }
             light[row * camera.width as usize + column] = sum / 16.0;

@@ -137,11 +137,11 @@ async fn with_sim(
         config,
         nonce: Nonce::new(choice.seed.wrapping_add(1)),
         stop: &|| stop.load(Ordering::Relaxed),
-        progress: &|pose, markers| eprintln!("  pose {pose}: {markers} markers"),
+        progress: &|look| eprintln!("  pose {}: {} markers", look.pose, look.sample.detections.len()),
     };
     let eye = Eye { camera: Box::new(camera), detector };
     let (arm, samples) = measure(&mut hardware, eye, &setting).await.map_err(|error| chain(&error))?;
-    let calibration = solve(config, &lens, &samples).map_err(|error| chain(&error))?;
+    let calibration = solve(config, &lens, &samples, None).map_err(|error| chain(&error))?;
     eprintln!(
         "calibrated: {:.2} px, {:.2} mm held out",
         calibration.reprojection_px_rms,

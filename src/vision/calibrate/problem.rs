@@ -15,6 +15,9 @@ use nalgebra::{
     Isometry3, Matrix2x3, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
 };
 
+/// Weight of a mount that is known: nothing a picture says moves it by more than a nanometre.
+const HELD: f64 = 1e16;
+
 /// 12 x 12: six of the camera on the flange, then six of the table in the base; translation before rotation.
 pub type Information = SMatrix<f64, 12, 12>;
 
@@ -96,10 +99,18 @@ impl Problem {
 
     /// Fits the chosen stops from `start`; `None` when a marker lies behind a camera or the numbers break down.
     pub fn fit(&self, chosen: &[usize], start: HandEyeGuess, settings: &HandEyeSettings) -> Option<Fit> {
-        let mut best = self.linearise(chosen, start, settings.robust_px)?;
+        let at = |guess| {
+            let mut linear = self.linearise(chosen, guess, settings.robust_px)?;
+            if settings.keep_mount {
+                (0..6).for_each(|i| linear.gradient[i] = 0.0);
+                (0..6).for_each(|i| linear.information[(i, i)] += HELD);
+            }
+            Some(linear)
+        };
+        let mut best = at(start)?;
         let mut damping = 1e-3;
         for _ in 0..200 {
-            let next = step(&best, damping).and_then(|g| self.linearise(chosen, g, settings.robust_px));
+            let next = step(&best, damping).and_then(at);
             match next {
                 Some(next) if next.cost < best.cost => {
                     let settled = best.cost - next.cost < 1e-12 * (1.0 + best.cost);

@@ -6,6 +6,7 @@
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::write::Out;
 use crate::document::{Complaints, parse};
+use crate::vision::calibrate::lens::{LensSample, LensSolution};
 use crate::vision::calibration;
 use crate::vision::camera::CameraModel;
 
@@ -20,11 +21,44 @@ pub struct CameraCalibration {
     pub date: String,
     /// Mean reprojection error, pixels, where they were measured.
     pub reprojection_px: Option<f64>,
+    /// What says how good a measurement it was; `None` for a factory's numbers.
+    pub measured: Option<Measured>,
+}
+
+/// How good measured numbers are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measured {
+    /// Error of pictures that were predicted without having been used, pixels.
+    pub held_out_px: f64,
+    /// Standard deviations of fx, fy, cx, cy, pixels.
+    pub std_px: [f64; 4],
+    /// One entry for each picture.
+    pub samples: Vec<LensSample>,
 }
 
 const MODEL_KEYS: [&str; 6] = ["serial", "width", "height", "focal_px", "principal_point_px", "distortion"];
 
 impl CameraCalibration {
+    /// The file's content from a solution; `source` says with what it was measured.
+    pub fn from_solution(
+        solution: LensSolution,
+        serial: &str,
+        source: String,
+        date: String,
+    ) -> CameraCalibration {
+        CameraCalibration {
+            model: CameraModel { serial: serial.to_owned(), ..solution.camera },
+            source,
+            date,
+            reprojection_px: Some(solution.reprojection_px),
+            measured: Some(Measured {
+                held_out_px: solution.held_out_px,
+                std_px: solution.std_px,
+                samples: solution.samples,
+            }),
+        }
+    }
+
     /// Reads the text of a file; `name` is for the complaints.
     ///
     /// # Errors
@@ -56,13 +90,24 @@ impl CameraCalibration {
             ("date", Out::Text(self.date.clone())),
         ];
         calibration::push_number(&mut pairs, "reprojection_px", self.reprojection_px);
+        if let Some(measured) = &self.measured {
+            pairs.push((
+                "residuals",
+                Out::map(vec![
+                    ("held_out_px", calibration::finite(measured.held_out_px)),
+                    ("std_px", Out::numbers(&measured.std_px)),
+                ]),
+            ));
+            pairs.push(("samples", Out::List(measured.samples.iter().map(sample_out).collect())));
+        }
         let header = "# Lens of the camera: pixels with (0, 0) in the centre of the first pixel, distortion k1, k2, p1, p2, k3.\n";
         format!("{header}{}", Out::map(pairs).to_yaml(2))
     }
 }
 
 fn decode(top: &At, decoder: &mut Decoder) -> Option<CameraCalibration> {
-    let fields = decoder.map(top, &["version", "camera", "source", "date", "reprojection_px"])?;
+    let known = ["version", "camera", "source", "date", "reprojection_px", "residuals", "samples"];
+    let fields = decoder.map(top, &known)?;
     let version = calibration::check_version(&fields, decoder);
     let camera = fields.required("camera", decoder);
     let model = camera.and_then(|at| model(&at, decoder));
@@ -70,8 +115,55 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<CameraCalibration> {
     let date = calibration::short_text(&fields, "date", decoder);
     let reprojection_px =
         calibration::optional_size(&fields, "reprojection_px", calibration::FIT_PX, decoder);
+    let measured = match fields.optional("residuals") {
+        Some(at) => measured(&at, &fields, decoder).map(Some),
+        None => Some(None),
+    };
     version?;
-    Some(CameraCalibration { model: model?, source: source?, date: date?, reprojection_px: reprojection_px? })
+    let (reprojection_px, measured) = (reprojection_px?, measured?);
+    Some(CameraCalibration { model: model?, source: source?, date: date?, reprojection_px, measured })
+}
+
+fn measured(at: &At, top: &Fields, decoder: &mut Decoder) -> Option<Measured> {
+    let fields = decoder.map(at, &["held_out_px", "std_px"])?;
+    let held_out_px = calibration::size(&fields, "held_out_px", calibration::FIT_PX, decoder);
+    let std_px = fields.required("std_px", decoder).and_then(|at| decoder.numbers::<4>(&at));
+    let items = top.required("samples", decoder).and_then(|at| decoder.sequence(&at));
+    let samples: Vec<_> = items?.iter().map(|item| sample(item, decoder)).collect();
+    Some(Measured {
+        held_out_px: held_out_px?,
+        std_px: std_px?,
+        samples: samples.into_iter().collect::<Option<_>>()?,
+    })
+}
+
+fn sample(at: &At, decoder: &mut Decoder) -> Option<LensSample> {
+    let fields = decoder.map(at, &["name", "corners", "residual_px", "held_out_px", "rejected"])?;
+    let name = calibration::short_text(&fields, "name", decoder);
+    let corners = fields.required("corners", decoder).and_then(|at| decoder.integer(&at, 0..=1_000_000));
+    let rejected = fields.required("rejected", decoder).and_then(|at| decoder.boolean(&at));
+    let most = calibration::SAMPLE_PX;
+    let most = if rejected == Some(false) { most } else { calibration::unlimited(most) };
+    let residual_px = calibration::size(&fields, "residual_px", most, decoder);
+    let held_out_px = calibration::optional_size(&fields, "held_out_px", most, decoder);
+    Some(LensSample {
+        name: name?,
+        corners: usize::try_from(corners?).ok()?,
+        residual_px: residual_px?,
+        held_out_px: held_out_px?,
+        rejected: rejected?,
+    })
+}
+
+fn sample_out(sample: &LensSample) -> Out {
+    let mut pairs = vec![
+        ("name", Out::Text(sample.name.clone())),
+        ("corners", calibration::counted(sample.corners)),
+        ("residual_px", calibration::finite(sample.residual_px)),
+    ];
+    calibration::push_number(&mut pairs, "held_out_px", sample.held_out_px);
+    pairs.push(("rejected", Out::Boolean(sample.rejected)));
+    Out::map(pairs)
 }
 
 fn model(at: &At, decoder: &mut Decoder) -> Option<CameraModel> {
@@ -110,14 +202,24 @@ mod tests {
             source: "factory".into(),
             date: "2026-11-21T06:00:00Z".into(),
             reprojection_px: Some(0.12),
+            measured: Some(Measured {
+                held_out_px: 0.13,
+                std_px: [0.4, 0.4, 0.2, 0.3],
+                samples: vec![sample()],
+            }),
         }
+    }
+
+    fn sample() -> LensSample {
+        let name = "01.png".to_owned();
+        LensSample { name, corners: 120, residual_px: 0.1, held_out_px: Some(0.11), rejected: false }
     }
 
     #[test]
     fn a_file_is_read_back_as_it_was_written() {
         let text = measured().to_yaml();
         assert_eq!(CameraCalibration::parse(&text, "camera.yaml").unwrap(), measured(), "{text}");
-        let factory = CameraCalibration { reprojection_px: None, ..measured() };
+        let factory = CameraCalibration { reprojection_px: None, measured: None, ..measured() };
         assert_eq!(CameraCalibration::parse(&factory.to_yaml(), "camera.yaml").unwrap(), factory);
     }
 

@@ -61,6 +61,8 @@ pub struct ObserveLimits {
     pub systematic_theta_rad: f64,
     /// Uncertainty of an object's height and of the camera's height above it, m.
     pub height_std_m: f64,
+    /// Uncertainty of an object's top being level, about either axis, rad.
+    pub tilt_std_rad: f64,
     /// An object tilted by more than this is suspicious, rad.
     pub tilt_max_rad: f64,
     /// An object higher or lower than it should be by more than this is suspicious, m.
@@ -78,11 +80,12 @@ pub struct ObserveLimits {
 impl Default for ObserveLimits {
     fn default() -> ObserveLimits {
         ObserveLimits {
-            corner_noise_px: 0.03,
-            corner_bias_px: 0.07,
+            corner_noise_px: 0.018,
+            corner_bias_px: 0.012,
             systematic_xy_m: 3e-4,
             systematic_theta_rad: 5e-4,
             height_std_m: 3e-4,
+            tilt_std_rad: 0.5_f64.to_radians(),
             tilt_max_rad: 4.0_f64.to_radians(),
             height_error_max_m: 3e-3,
             significance: 5.0,

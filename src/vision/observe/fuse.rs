@@ -1,13 +1,13 @@
 //! Several views of one marker become one pose; a view that disagrees is left out, two places are not one.
 //!
-//! In: the placed sightings of one marker. Out: [`Fused`], or [`Disagreement`]. The median decides who is an outlier, the weighted mean of
-//! the rest is the pose. Corner errors that repeat while the camera stands still (the bias of the pixel grid) are
+//! In: the placed sightings of one marker. Out: [`Fused`], or [`Disagreement`]. The median decides who is an outlier; one square is fitted to
+//! the corners of all the rest, so that views from several sides also tell height and tilt. Corner errors that repeat while the camera stands still (the bias of the pixel grid) are
 //! counted once for each place the camera was at, not once for each picture: five pictures from one place are
 //! hardly better than one, and the standard deviation says so. Pure.
 
 use crate::geometry::pose::{Pose2, wrap_angle};
-use crate::vision::observe::planar::Placed;
-use crate::vision::observe::{ObserveLimits, View};
+use crate::vision::observe::planar::{self, Placed, Sighting, Target};
+use crate::vision::observe::{ObserveLimits, View, square};
 use nalgebra::{Matrix2, Matrix3, Vector3};
 
 /// The common pose of one marker.
@@ -15,6 +15,8 @@ use nalgebra::{Matrix2, Matrix3, Vector3};
 pub struct Fused {
     /// The marker in the table frame.
     pub pose: Pose2,
+    /// Covariance of x, y (m2) and theta (rad2), what no number of pictures improves included.
+    pub covariance: Matrix3<f64>,
     /// Standard deviation along the worse axis, m.
     pub std_xy_m: f64,
     /// Standard deviation of the angle, rad.
@@ -47,17 +49,16 @@ pub fn apart_in_one_view(placed: &[Placed], limit_m: f64) -> Option<Disagreement
 ///
 /// # Errors
 /// [`Disagreement`] when no majority agrees, or when an outlier lies further off than `duplicate_m`.
-pub fn fuse(placed: &[Placed], views: &[View], limits: &ObserveLimits) -> Result<Fused, Disagreement> {
+pub fn fuse(
+    placed: &[Placed],
+    target: Target,
+    views: &[View],
+    limits: &ObserveLimits,
+) -> Result<Fused, Disagreement> {
     let Some(middle) = middle(placed) else { return Err(disagreement(placed)) };
-    let systematic = Matrix3::from_diagonal(&Vector3::new(
-        limits.systematic_xy_m.powi(2),
-        limits.systematic_xy_m.powi(2),
-        limits.systematic_theta_rad.powi(2),
-    ));
     let sigmas = |p: &Placed| {
-        let by_height = p.by_height * p.by_height.transpose() * limits.height_std_m.powi(2);
         let off = difference(&p.pose, &middle);
-        let information = (p.covariance + by_height + systematic).try_inverse();
+        let information = (p.covariance + systematic(limits)).try_inverse();
         information.map_or(f64::INFINITY, |w| (off.transpose() * w * off)[(0, 0)].max(0.0).sqrt())
     };
     let (inliers, outliers): (Vec<&Placed>, Vec<&Placed>) =
@@ -67,7 +68,7 @@ pub fn fuse(placed: &[Placed], views: &[View], limits: &ObserveLimits) -> Result
         return Err(disagreement(placed));
     }
     let rejected = outliers.len();
-    weighted(&inliers, &middle, views, limits)
+    together(&inliers, &middle, target, views, limits)
         .map(|fused| Fused { rejected, ..fused })
         .ok_or_else(|| disagreement(placed))
 }
@@ -109,36 +110,48 @@ pub fn places<P: std::borrow::Borrow<Placed>>(placed: &[P], views: &[View]) -> V
     groups
 }
 
-/// Weighted mean of the inliers and its covariance.
-fn weighted(inliers: &[&Placed], about: &Pose2, views: &[View], limits: &ObserveLimits) -> Option<Fused> {
-    let weights: Vec<Matrix3<f64>> =
-        inliers.iter().map(|p| p.covariance.try_inverse()).collect::<Option<_>>()?;
-    let information: Matrix3<f64> = weights.iter().sum();
-    let spread = information.try_inverse()?;
-    let pull = inliers.iter().zip(&weights).map(|(p, w)| w * difference(&p.pose, about));
-    let shift = spread * pull.sum::<Vector3<f64>>();
+/// What no number of pictures improves.
+fn systematic(limits: &ObserveLimits) -> Matrix3<f64> {
+    let xy = limits.systematic_xy_m.powi(2);
+    Matrix3::from_diagonal(&Vector3::new(xy, xy, limits.systematic_theta_rad.powi(2)))
+}
+
+/// One square fitted to all inliers, and its covariance.
+fn together(
+    inliers: &[&Placed],
+    about: &Pose2,
+    target: Target,
+    views: &[View],
+    limits: &ObserveLimits,
+) -> Option<Fused> {
+    let prior = target.prior(limits);
+    let start = about.at_height(target.height_m);
+    let fit = |seen: &[Sighting]| {
+        square::fit(seen, target.size_m, views, start, square::Freedom::All, Some(&prior))
+    };
+    let sightings: Vec<Sighting> = inliers.iter().map(|p| p.sighting.clone()).collect();
+    let joint = fit(&sightings)?;
     // The part of the corner error that is new in each picture averages out, the rest only between places.
-    let fresh = limits.corner_noise_px.powi(2) / limits.corner_std_px().powi(2).max(f64::MIN_POSITIVE);
-    let mut scatter = information * fresh;
-    for group in places(inliers, views) {
-        let pull: Matrix3<f64> = group.iter().map(|&i| weights[i]).sum();
-        let shared: Matrix3<f64> =
-            group.iter().map(|&i| inliers[i].covariance).sum::<Matrix3<f64>>() / group.len() as f64;
-        scatter += pull * shared * pull.transpose() * (1.0 - fresh);
+    let (fresh, shared) = (limits.corner_noise_px.powi(2), limits.corner_bias_px.powi(2));
+    let mut scatter = prior.information() * limits.corner_std_px().powi(2);
+    for place in places(inliers, views) {
+        let seen: Vec<Sighting> = place.iter().map(|&i| sightings[i].clone()).collect();
+        let at = joint.table_from_marker;
+        scatter +=
+            square::information(&seen, target.size_m, views, at)? * (fresh + shared * place.len() as f64);
     }
-    let by_height = spread * inliers.iter().zip(&weights).map(|(p, w)| w * p.by_height).sum::<Vector3<f64>>();
-    let covariance =
-        spread * scatter * spread + by_height * by_height.transpose() * limits.height_std_m.powi(2);
+    let spread = joint.information.try_inverse()?;
+    let covariance = planar::in_plane(&(spread * scatter * spread)) + systematic(limits);
     let plane = Matrix2::from_fn(|i, j| covariance[(i, j)]);
-    let worst = plane.symmetric_eigenvalues().max().max(0.0).sqrt();
-    let pose = Pose2::new(about.x + shift.x, about.y + shift.y, wrap_angle(about.theta + shift.z));
     let mut used: Vec<usize> = inliers.iter().map(|p| p.sighting.view).collect();
     used.sort_unstable();
     used.dedup();
+    let pose = planar::flat(&joint.table_from_marker);
     pose.is_finite().then_some(Fused {
         pose,
-        std_xy_m: worst.hypot(limits.systematic_xy_m),
-        std_theta_rad: covariance[(2, 2)].max(0.0).sqrt().hypot(limits.systematic_theta_rad),
+        covariance,
+        std_xy_m: plane.symmetric_eigenvalues().max().max(0.0).sqrt(),
+        std_theta_rad: covariance[(2, 2)].max(0.0).sqrt(),
         views: used,
         rejected: 0,
     })

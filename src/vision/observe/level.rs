@@ -68,7 +68,7 @@ impl Level {
 pub fn fit(placed: &[Placed], target: Target, views: &[View], limits: &ObserveLimits) -> Option<Level> {
     let sightings: Vec<Sighting> = placed.iter().map(|p| p.sighting.clone()).collect();
     let start = fuse::middle(placed)?.at_height(target.height_m);
-    let fit = |start, freedom| square::fit(&sightings, target.size_m, views, start, freedom);
+    let fit = |start, freedom| square::fit(&sightings, target.size_m, views, start, freedom, None);
     let flat = fit(start, Freedom::Plane)?;
     let raised = fit(flat.table_from_marker, Freedom::PlaneAndHeight)?;
     let mut free = fit(raised.table_from_marker, Freedom::All)?;
@@ -93,7 +93,7 @@ pub fn fit(placed: &[Placed], target: Target, views: &[View], limits: &ObserveLi
         tilt_std_rad: tilts.symmetric_eigenvalues().max().max(0.0).sqrt(),
         tilt_significance: significance(raised.cost_px2, free.cost_px2),
         height_error_m: raised.table_from_marker.translation.z - target.height_m,
-        height_std_m: height_variance.hypot(limits.height_std_m.powi(2)).sqrt(),
+        height_std_m: height_variance.hypot(target.height_std_m.powi(2)).sqrt(),
         height_significance: significance(flat.cost_px2, raised.cost_px2),
         free_height_error_m: free.table_from_marker.translation.z - target.height_m,
     })

@@ -1,16 +1,17 @@
 //! One marker in one picture, laid on the plane its height puts it on: x, y, theta and their covariance.
 //!
 //! In: a detection, the camera's pose, the marker's size and height. Out: [`Placed`]. The rays through the undistorted corners
-//! meet the plane z = height; the square of known size is fitted to those four points by least squares, each
-//! weighted by what corner noise becomes on the plane. With the height known, a tenth of a pixel is a tenth of a
-//! millimetre at 0.5 m, where a free pose would be off by several in depth. Pure.
+//! meet the plane z = height, which starts the fit of the square of known size to the corners. With the height known, a
+//! tenth of a pixel is a tenth of a millimetre at 0.5 m, where a free pose would be off by several in depth; how
+//! well height and level are known enters as a prior, because a degree of tilt seen from the side turns a marker
+//! by half as much in the picture. Pure.
 
 use crate::geometry::pose::Pose2;
 use crate::vision::camera::CameraModel;
 use crate::vision::cv::{self, CvError};
 use crate::vision::marker;
 use crate::vision::observe::{ObserveLimits, View, square};
-use nalgebra::{Isometry3, Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2, Matrix2x3, Matrix3, Matrix6, Vector2, Vector3};
 use std::collections::BTreeMap;
 
 /// A square whose size is known, on a plane that is known.
@@ -20,6 +21,22 @@ pub struct Target {
     pub size_m: f64,
     /// Height of the marker above the table, m.
     pub height_m: f64,
+    /// Standard deviation of that height, m.
+    pub height_std_m: f64,
+    /// Standard deviation of its tilt about either axis of the table, rad.
+    pub tilt_std_rad: f64,
+}
+
+impl Target {
+    /// What is known of it before looking.
+    pub fn prior(&self, limits: &ObserveLimits) -> square::Prior {
+        square::Prior {
+            height_m: self.height_m,
+            height_std_m: self.height_std_m,
+            tilt_std_rad: self.tilt_std_rad,
+            corner_std_px: limits.corner_std_px(),
+        }
+    }
 }
 
 /// A detection with the lens taken out.
@@ -40,10 +57,8 @@ pub struct Placed {
     pub sighting: Sighting,
     /// The marker's pose in the table frame.
     pub pose: Pose2,
-    /// Covariance of x, y (m2) and theta (rad2) by one picture's corner noise and bias.
+    /// Covariance of x, y (m2) and theta (rad2): one picture's corner noise and bias, height and tilt.
     pub covariance: Matrix3<f64>,
-    /// Change of x, y, theta for each metre the marker is higher than thought.
-    pub by_height: Vector3<f64>,
     /// How badly the corners fit a square of the known size in any pose at all, rms, pixels.
     pub shape_residual_px: f64,
 }
@@ -82,20 +97,33 @@ fn sighting(view: usize, points: &[[f64; 2]]) -> Option<Sighting> {
 pub fn place(sighting: &Sighting, target: Target, views: &[View], limits: &ObserveLimits) -> Option<Placed> {
     let table_from_camera = views.get(sighting.view)?.table_from_camera;
     let landed = land(sighting, &table_from_camera, target.height_m)?;
-    let (pose, information) = fit_square(&landed, target.size_m)?;
-    let covariance = information.try_inverse()? * limits.corner_std_px().powi(2);
-    let higher = land(sighting, &table_from_camera, target.height_m + 1e-3)?;
-    let (raised, _) = fit_square(&higher, target.size_m)?;
-    let by_height = Vector3::new(
-        (raised.x - pose.x) / 1e-3,
-        (raised.y - pose.y) / 1e-3,
-        crate::geometry::pose::wrap_angle(raised.theta - pose.theta) / 1e-3,
-    );
-    let start = pose.at_height(target.height_m);
-    let free =
-        square::fit(std::slice::from_ref(sighting), target.size_m, views, start, square::Freedom::All)?;
+    let start = fit_square(&landed, target.size_m)?.at_height(target.height_m);
+    let alone = std::slice::from_ref(sighting);
+    let fit = |start, prior: Option<&square::Prior>| {
+        square::fit(alone, target.size_m, views, start, square::Freedom::All, prior)
+    };
+    let prior = target.prior(limits);
+    let likely = fit(start, Some(&prior))?;
+    let free = fit(likely.table_from_marker, None)?;
+    let covariance = in_plane(&likely.information.try_inverse()?) * limits.corner_std_px().powi(2);
     let shape_residual_px = (free.cost_px2 / 4.0).sqrt();
-    Some(Placed { sighting: sighting.clone(), pose, covariance, by_height, shape_residual_px })
+    let pose = flat(&likely.table_from_marker);
+    Some(Placed { sighting: sighting.clone(), pose, covariance, shape_residual_px })
+}
+
+/// x, y and the turn about the vertical of a marker that may be slightly tilted.
+pub fn flat(table_from_marker: &Isometry3<f64>) -> Pose2 {
+    let x_axis = table_from_marker.rotation * Vector3::x();
+    let y_axis = table_from_marker.rotation * Vector3::y();
+    let at = table_from_marker.translation.vector;
+    // Both axes: a tilt about one of them does not turn the mean.
+    Pose2::new(at.x, at.y, (x_axis.y - y_axis.x).atan2(x_axis.x + y_axis.y))
+}
+
+/// The part of a covariance of x, y, z and the turns about x, y, z that belongs to x, y and the turn about z.
+pub fn in_plane(covariance: &Matrix6<f64>) -> Matrix3<f64> {
+    const PLANE: [usize; 3] = [0, 1, 5];
+    Matrix3::from_fn(|i, j| covariance[(PLANE[i], PLANE[j])])
 }
 
 /// The four corners on the plane z = `height_m` of the table, m; `None` if the rays do not meet it.
@@ -141,8 +169,8 @@ fn land(sighting: &Sighting, table_from_camera: &Isometry3<f64>, height_m: f64) 
     Some(landed)
 }
 
-/// Least squares pose of the square, and the information matrix (inverse covariance for 1 px of noise).
-fn fit_square(landed: &[Landed; 4], size_m: f64) -> Option<(Pose2, Matrix3<f64>)> {
+/// Least squares pose of the square on the plane.
+fn fit_square(landed: &[Landed; 4], size_m: f64) -> Option<Pose2> {
     let model = marker::corners_m(size_m);
     let centre = landed.iter().map(|l| l.point).sum::<Vector2<f64>>() / 4.0;
     let (mut sin, mut cos) = (0.0, 0.0);
@@ -152,9 +180,8 @@ fn fit_square(landed: &[Landed; 4], size_m: f64) -> Option<(Pose2, Matrix3<f64>)
         sin += corner[0] * out.y - corner[1] * out.x;
     }
     let mut pose = Pose2::new(centre.x, centre.y, sin.atan2(cos));
-    let mut information = Matrix3::zeros();
     for _ in 0..5 {
-        information = Matrix3::zeros();
+        let mut information = Matrix3::zeros();
         let mut gradient = Vector3::zeros();
         for (place, corner) in landed.iter().zip(model) {
             let at = pose.transform(corner);
@@ -171,7 +198,7 @@ fn fit_square(landed: &[Landed; 4], size_m: f64) -> Option<(Pose2, Matrix3<f64>)
         }
     }
     pose.theta = crate::geometry::pose::wrap_angle(pose.theta);
-    pose.is_finite().then_some((pose, information))
+    pose.is_finite().then_some(pose)
 }
 
 #[cfg(test)]
@@ -181,7 +208,7 @@ mod tests {
     use crate::vision::testing::{self, Print};
     use rand::SeedableRng;
 
-    const TARGET: Target = Target { size_m: 0.03, height_m: 0.02 };
+    const TARGET: Target = Target { size_m: 0.03, height_m: 0.02, height_std_m: 0.0, tilt_std_rad: 0.0 };
 
     fn placed(camera: &CameraModel, seen_by: &CameraModel, noise_px: f64, seed: u64) -> (Pose2, Placed) {
         let truth = Pose2::new(0.13, -0.06, 0.7);
@@ -230,19 +257,38 @@ mod tests {
         assert!((mean - 3.0).abs() < 0.5, "{mean}");
     }
 
-    #[test]
-    fn a_wrong_height_moves_the_pose_as_predicted() {
+    /// A marker raised and tilted as its prior allows, seen from the side; the pose found, normalised by its covariance.
+    fn normalised_off(prior_m: f64, prior_rad: f64, seed: u64) -> f64 {
         let camera = testing::camera(1280, 720);
-        let (truth, placed) = placed(&camera, &camera, 0.0, 0);
-        // Seen obliquely, 1 mm of height is about a third of a millimetre on the table.
-        assert!(placed.by_height.fixed_rows::<2>(0).norm() > 0.2);
-        let table_from_camera = testing::looking_down(0.0, 0.0, 0.4, [0.2, 0.1], 0.4);
-        let views = [View { table_from_camera, detections: vec![], time: Timestamp::ZERO }];
-        let higher = Target { height_m: TARGET.height_m + 2e-3, ..TARGET };
-        let moved = place(&placed.sighting, higher, &views, &ObserveLimits::default()).unwrap().pose;
-        let predicted = placed.by_height * 2e-3;
-        assert!((moved.x - truth.x - predicted.x).abs() < 2e-5);
-        assert!((moved.y - truth.y - predicted.y).abs() < 2e-5);
+        let limits = ObserveLimits::default();
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let table_from_camera = testing::looking_down(0.0, 0.0, 0.5, [0.0, 0.0], 0.4);
+        let truth = Pose2::new(0.3, -0.1, 0.3 * seed as f64);
+        let mut print =
+            Print::level(1, TARGET.size_m, truth, TARGET.height_m + 2e-4 * testing::normal(&mut random));
+        let slope = Vector3::new(testing::normal(&mut random), testing::normal(&mut random), 0.0) * 0.01;
+        let tilt = nalgebra::UnitQuaternion::from_scaled_axis(slope);
+        print.table_from_marker.rotation = tilt * print.table_from_marker.rotation;
+        let noise = limits.corner_std_px();
+        let prints = [print];
+        let detections = testing::detections(&camera, &table_from_camera, &prints, noise, &mut random);
+        let views = [View { table_from_camera, detections, time: Timestamp::ZERO }];
+        let seen = sightings(&camera, &views).unwrap();
+        let target = Target { height_std_m: prior_m, tilt_std_rad: prior_rad, ..TARGET };
+        let placed = place(&seen[&1][0], target, &views, &limits).unwrap();
+        let turned = crate::geometry::pose::wrap_angle(placed.pose.theta - truth.theta);
+        let off = Vector3::new(placed.pose.x - truth.x, placed.pose.y - truth.y, turned);
+        (off.transpose() * placed.covariance.try_inverse().unwrap() * off)[(0, 0)]
+    }
+
+    #[test]
+    fn height_and_tilt_that_are_not_exact_are_in_the_covariance() {
+        let mean = |prior_m, prior_rad| {
+            (0..200).map(|seed| normalised_off(prior_m, prior_rad, seed)).sum::<f64>() / 200.0
+        };
+        let (told, untold) = (mean(2e-4, 0.01), mean(0.0, 0.0));
+        assert!((told - 3.0).abs() < 0.6, "{told}");
+        assert!(untold > 6.0, "a degree of tilt seen from the side is no small thing: {untold}");
     }
 
     #[test]

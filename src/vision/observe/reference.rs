@@ -47,7 +47,8 @@ pub fn check(
     let mut markers = Vec::new();
     let mut surveyed = Vec::new();
     for marker in reference {
-        let target = Target { size_m: marker.size, height_m: 0.0 };
+        // They are the table: held exactly flat, any lift or tilt of the camera shows as a shift.
+        let target = Target { size_m: marker.size, height_m: 0.0, height_std_m: 0.0, tilt_std_rad: 0.0 };
         let seen = sightings.get(&marker.id).map_or(&[][..], Vec::as_slice);
         let placed: Vec<Placed> = seen
             .iter()

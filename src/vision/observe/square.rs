@@ -1,7 +1,7 @@
 //! Fits a square of known size, free in space or held level, to its corners in any number of views.
 //!
 //! In: sightings, views, a start pose, which degrees of freedom may move. Out: [`SquareFit`] with the sum of squared pixel
-//! errors. Levenberg-Marquardt on pixels. Comparing the costs of fits with more and less freedom tells whether a marker is
+//! errors. Levenberg-Marquardt on pixels; a [`Prior`] holds the marker nearly level at nearly its height. Comparing the costs of fits with more and less freedom tells whether a marker is
 //! really tilted: near a frontal view a tilt's own standard deviation lies, a difference of costs does not.
 
 use crate::vision::marker;
@@ -31,12 +31,55 @@ impl Freedom {
     }
 }
 
+/// What is known before looking: the marker lies level at its height, within these standard deviations.
+#[derive(Clone, Copy, Debug)]
+pub struct Prior {
+    /// Height above the table, m.
+    pub height_m: f64,
+    /// Of the height, m.
+    pub height_std_m: f64,
+    /// Of the tilt about either axis of the table, rad.
+    pub tilt_std_rad: f64,
+    /// Of a corner along each axis, pixels: what the other two are weighed against.
+    pub corner_std_px: f64,
+}
+
+impl Prior {
+    /// Square roots of the weights of height (pixels per m) and tilt (pixels per rad).
+    fn stiffness(&self) -> (f64, f64) {
+        // Exactly known still is a number.
+        let of = |std: f64| self.corner_std_px.max(1e-4) / std.max(1e-6);
+        (of(self.height_std_m), of(self.tilt_std_rad))
+    }
+
+    /// What the prior adds to `SquareFit::information`.
+    pub fn information(&self) -> Matrix6<f64> {
+        let (height, tilt) = self.stiffness();
+        let weights = [0.0, 0.0, height * height, tilt * tilt, tilt * tilt, 0.0];
+        Matrix6::from_diagonal(&Vector6::from_column_slice(&weights))
+    }
+
+    /// Adds the prior's cost, slope and weight at the pose.
+    fn add_to(&self, linear: &mut Linear) {
+        let (height, tilt) = self.stiffness();
+        let normal = linear.table_from_marker.rotation * Vector3::z();
+        let raised = linear.table_from_marker.translation.z - self.height_m;
+        // A small turn w moves the normal of a nearly level marker by (w_y, -w_x).
+        let misses = [(2, -height * raised, height), (3, tilt * normal.y, tilt), (4, -tilt * normal.x, tilt)];
+        for (axis, miss, slope) in misses {
+            linear.cost_px2 += miss * miss;
+            linear.information[(axis, axis)] += slope * slope;
+            linear.gradient[axis] += slope * miss;
+        }
+    }
+}
+
 /// A square fitted to its corners.
 #[derive(Clone, Copy, Debug)]
 pub struct SquareFit {
     /// Where it is.
     pub table_from_marker: Isometry3<f64>,
-    /// Sum of the squared corner errors, pixels squared.
+    /// Sum of the squared corner errors, and of the prior's misses in the same unit, pixels squared.
     pub cost_px2: f64,
     /// J^T J of x, y, z (1/m2) and the turns about the table's axes (1/rad2), for 1 px of noise.
     pub information: Matrix6<f64>,
@@ -49,11 +92,13 @@ pub fn fit(
     views: &[View],
     start: Isometry3<f64>,
     freedom: Freedom,
+    prior: Option<&Prior>,
 ) -> Option<SquareFit> {
-    let mut best = linearise(sightings, size_m, views, start)?;
+    let mut best = linearise(sightings, size_m, views, start, prior)?;
     let mut damping = 1e-4;
     for _ in 0..60 {
-        let Some(next) = step(&best, damping, freedom).and_then(|p| linearise(sightings, size_m, views, p))
+        let Some(next) =
+            step(&best, damping, freedom).and_then(|p| linearise(sightings, size_m, views, p, prior))
         else {
             damping *= 10.0;
             continue;
@@ -79,6 +124,16 @@ pub fn fit(
     })
 }
 
+/// What these views say about the pose of a square that is there: `SquareFit::information` without a fit.
+pub fn information(
+    sightings: &[Sighting],
+    size_m: f64,
+    views: &[View],
+    table_from_marker: Isometry3<f64>,
+) -> Option<Matrix6<f64>> {
+    linearise(sightings, size_m, views, table_from_marker, None).map(|linear| linear.information)
+}
+
 /// The problem linearised at a pose.
 struct Linear {
     table_from_marker: Isometry3<f64>,
@@ -92,6 +147,7 @@ fn linearise(
     size_m: f64,
     views: &[View],
     table_from_marker: Isometry3<f64>,
+    prior: Option<&Prior>,
 ) -> Option<Linear> {
     let mut linear = Linear {
         table_from_marker,
@@ -122,6 +178,9 @@ fn linearise(
             linear.information += slope.transpose() * slope;
             linear.gradient += slope.transpose() * miss;
         }
+    }
+    if let Some(prior) = prior {
+        prior.add_to(&mut linear);
     }
     linear.cost_px2.is_finite().then_some(linear)
 }

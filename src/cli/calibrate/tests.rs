@@ -1,0 +1,159 @@
+//! Tests of the calibration commands on rendered pictures: what is written, and what is refused with which words.
+
+use super::*;
+use crate::bench::vision::calibrated::{bench_board, board_picture};
+use crate::bench::vision::render::Lens;
+use crate::bench::vision::scene::bench_camera;
+use camera::{CameraArgs, calibrate};
+use nalgebra::Isometry3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+fn camera_args(images: &Path, out: &Path) -> CameraArgs {
+    CameraArgs {
+        images: Some(images.to_path_buf()),
+        config: None,
+        save: None,
+        count: 0,
+        board: [7, 5],
+        family: crate::vision::detect::Family::Tag36h11,
+        first_id: 0,
+        size_mm: 30.0,
+        gap_mm: None,
+        serial: "bench".into(),
+        drop: vec![],
+        out: Some(out.to_path_buf()),
+    }
+}
+
+#[test]
+fn a_folder_of_board_pictures_becomes_a_lens_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(8);
+    let lens = Lens::new(bench_camera(), &mut random);
+    for number in 0..24 {
+        let (picture, _) = board_picture(&lens, &bench_board(), &mut random);
+        let name = folder.path().join(format!("{number:02}.png"));
+        std::fs::write(name, picture.encode_png().unwrap()).unwrap();
+    }
+    let out = folder.path().join("new/camera.yaml");
+    let args = camera_args(folder.path(), &out);
+    calibrate(&CameraArgs { drop: vec!["03.png".into()], ..args.clone() }).unwrap();
+    let text = std::fs::read_to_string(&out).unwrap();
+    let found = CameraCalibration::parse(&text, "camera.yaml").unwrap();
+    assert_eq!((found.model.serial.as_str(), found.measured.as_ref().unwrap().samples.len()), ("bench", 23));
+    assert!((found.model.fx / 650.0 - 1.0).abs() < 2e-3, "{text}");
+    assert!(found.reprojection_px.unwrap() < 0.3 && found.source.contains("7x5"));
+    // Another board: its markers are not there.
+    let told = calibrate(&CameraArgs { first_id: 300, ..args.clone() }).unwrap_err();
+    assert!(told.code == 1 && told.message.contains("--first-id"), "{told:?}");
+    let told = calibrate(&CameraArgs { drop: vec!["99.png".into()], ..args.clone() }).unwrap_err();
+    assert!(told.code == 2 && told.message.contains("--drop 99.png"), "{told:?}");
+    // A picture cut short, and one of another size.
+    let bytes = std::fs::read(folder.path().join("05.png")).unwrap();
+    std::fs::write(folder.path().join("05.png"), &bytes[..bytes.len() / 2]).unwrap();
+    let told = calibrate(&args).unwrap_err();
+    assert!(told.code == 2 && told.message.contains("05.png"), "{told:?}");
+    let other = crate::vision::image::Image::filled(640, 480, [9; 3]).encode_png().unwrap();
+    std::fs::write(folder.path().join("05.png"), other).unwrap();
+    assert!(calibrate(&args).unwrap_err().message.contains("640 x 480"));
+}
+
+#[test]
+fn a_folder_without_pictures_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = camera_args(folder.path(), &folder.path().join("camera.yaml"));
+    assert!(calibrate(&args).unwrap_err().message.contains("no PNG or JPEG"));
+    assert!(
+        calibrate(&camera_args(&folder.path().join("gone"), Path::new("x")))
+            .unwrap_err()
+            .message
+            .contains("gone")
+    );
+}
+
+/// The example cell, its calibration files copied to a folder of their own.
+fn cell(folder: &Path) -> CellConfig {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut config = load_cell(&root.join("config/cell.yaml")).unwrap();
+    let calibration = &mut config.calibration;
+    for path in [&mut calibration.camera, &mut calibration.hand_eye, &mut calibration.table] {
+        let to = folder.join(path.file_name().unwrap());
+        std::fs::copy(&*path, &to).unwrap();
+        *path = to;
+    }
+    config
+}
+
+/// A round over the example cell's reference markers, rendered through its own lens; returns the mount and table it was taken with.
+fn record(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
+    use crate::bench::vision::render::{Ground, Print, render};
+    use crate::bench::vision::scene::{DEGRADE, looking_down};
+    use crate::vision::detect::Family;
+    let set = CalibrationSet::read(config).unwrap();
+    let [mount, table] = [set.hand_eye.flange_from_camera, set.table.base_from_table];
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    let lens = Lens::new(set.camera.model.clone(), &mut random);
+    let prints: Vec<Print> = reference_markers(config)
+        .iter()
+        .map(|marker| Print {
+            pattern: Family::Tag36h11.pattern(marker.id).unwrap(),
+            size_m: marker.size,
+            table_from_marker: marker.pose.at_height(0.0),
+            greys: [35.0, 215.0],
+            rim: (0.002, 150.0),
+        })
+        .collect();
+    let recording = Recording::new(folder).unwrap();
+    for pose in 1..=10 {
+        let t = f64::from(pose as u32);
+        let tilt = [0.3 * (1.7 * t).sin(), 0.3 * (2.3 * t + 0.5).cos()];
+        let mut table_from_camera = looking_down([0.0, 0.0], 0.0, tilt, 0.5 * (0.7 * t).sin());
+        let back = table_from_camera.rotation * nalgebra::Vector3::new(0.0, 0.0, -0.62);
+        table_from_camera.translation.vector = nalgebra::Vector3::new(0.25, 0.25, 0.0) + back;
+        let picture = render(&lens, &table_from_camera, &Ground::Plain(140.0), &prints, DEGRADE, &mut random);
+        let base_from_flange = table * table_from_camera * mount.inverse();
+        let sample = Sample { base_from_flange, detections: vec![] };
+        recording.keep(&Look { pose, image: &picture.to_image(), sample: &sample });
+    }
+    recording.close(&set.camera, &set.hand_eye.provenance).unwrap();
+    [mount, table]
+}
+
+#[test]
+fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = cell(folder.path());
+    let round = folder.path().join("round");
+    let [mount, table] = record(&config, &round);
+    let args = RoundArgs { config: PathBuf::new(), from: Some(round.clone()), record: None, drop: vec![2] };
+    let solve = |args: &RoundArgs, wanted| {
+        recorded(&config, args).and_then(|taken| finish(&config, taken, args, wanted))
+    };
+    solve(&args, Wanted::MountAndTable).unwrap();
+    let found = CalibrationSet::read(&config).unwrap();
+    let off = found.hand_eye.flange_from_camera.inverse() * mount;
+    assert!(off.translation.vector.norm() < 5e-4 && off.rotation.angle() < 1.7e-3, "{off}");
+    assert!((found.table.base_from_table.inverse() * table).translation.vector.norm() < 5e-4);
+    assert_eq!(found.hand_eye.samples.len(), 9, "one was dropped");
+    solve(&args, Wanted::Table).unwrap();
+    let kept = CalibrationSet::read(&config).unwrap();
+    assert_eq!(kept.hand_eye, found.hand_eye, "the mount is kept");
+    let told = |args: &RoundArgs| solve(args, Wanted::MountAndTable).unwrap_err();
+    assert!(told(&RoundArgs { drop: vec![40], ..args.clone() }).message.contains("samples 1 to 10"));
+    let few = told(&RoundArgs { drop: (1..=8).collect(), ..args.clone() });
+    assert!(few.code == 1 && few.message.contains("only 2 of 10 samples"), "{few:?}");
+    let gone = RoundArgs { from: Some(folder.path().join("gone")), ..args.clone() };
+    assert!(told(&gone).message.contains("--record"));
+    std::fs::remove_file(&config.calibration.hand_eye).unwrap();
+    assert!(solve(&args, Wanted::Table).unwrap_err().message.contains("calibrate hand-eye"));
+    // Intrinsics of another camera beside the pictures.
+    let lens = std::fs::read_to_string(round.join("camera.yaml")).unwrap();
+    std::fs::write(round.join("camera.yaml"), lens.replace("serial: sim-d405", "serial: other")).unwrap();
+    assert!(told(&args).message.contains("recorded with camera sim-d405"));
+    // And of another size.
+    let small = lens.replace("width: 1280", "width: 1290");
+    std::fs::write(round.join("camera.yaml"), small).unwrap();
+    std::fs::remove_file(&config.calibration.camera).unwrap();
+    assert!(told(&args).message.contains("01.png: the picture is 1280 x 720"));
+}

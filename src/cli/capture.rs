@@ -1,0 +1,265 @@
+//! `celld capture`: the table as it is now, as a goal file.
+//!
+//! In: the cell's configuration, the lens, and pictures of the table: files, or one frame of the cell's camera where it stands. Each picture
+//! tells by itself where it was taken, from the reference markers in it, so no robot is asked. Out: a goal file. Exit
+//! codes: 0 every object was seen and written, 1 some were not (with `--partial` the others are written), 2 bad input.
+
+use crate::cli::daemon::open_camera;
+use crate::cli::demo::run::chain;
+use crate::cli::detect::{read_camera, read_picture};
+use crate::cli::task::{complain, print};
+use crate::config::cell::CellConfig;
+use crate::config::load::load_cell;
+use crate::daemon::setup::reference_markers;
+use crate::io::files;
+use crate::jobs::job_file::goal_yaml;
+use crate::time::Timestamp;
+use crate::vision::camera::CameraModel;
+use crate::vision::cv;
+use crate::vision::detect::{DetectSettings, Detection, Detector};
+use crate::vision::image::Image;
+use crate::vision::marker;
+use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
+use nalgebra::Isometry3;
+use std::path::PathBuf;
+
+/// Arguments of `celld capture`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct CaptureArgs {
+    /// The cell's configuration: objects, reference markers, calibration files
+    #[arg(long, default_value = "config/cell.yaml", value_name = "FILE")]
+    config: PathBuf,
+    /// Pictures of the table (PNG or JPEG); without any, the cell's camera takes one where it stands
+    #[arg(value_name = "IMAGE")]
+    images: Vec<PathBuf>,
+    /// Where to write the goal
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Write the objects that were seen even when others were not; those may then end anywhere
+    #[arg(long)]
+    partial: bool,
+}
+
+/// Fewest reference markers that say where a picture was taken: with these, a wrong one shows.
+const REFERENCES_MIN: usize = 3;
+/// Reference markers that fit worse than this are not where they were surveyed, pixels.
+const MISFIT_PX: f64 = 1.0;
+
+/// Runs the subcommand and returns the exit code.
+pub fn run(args: &CaptureArgs) -> u8 {
+    match capture(args) {
+        Ok((text, code)) => {
+            print(&text);
+            code
+        }
+        Err(message) => {
+            complain(&format!("celld capture: {message}"));
+            2
+        }
+    }
+}
+
+/// What to tell, and the exit code.
+fn capture(args: &CaptureArgs) -> Result<(String, u8), String> {
+    let config = load_cell(&args.config).map_err(|error| error.to_string())?;
+    let lens = read_camera(&config.calibration.camera).map_err(|error| {
+        format!("{error}; `celld calibrate camera` or `celld calibrate hand-eye` makes it")
+    })?;
+    let pictures = pictures(args, &config, &lens)?;
+    let reference = reference_markers(&config);
+    let mut detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
+    let mut views = Vec::with_capacity(pictures.len());
+    for (index, (name, image)) in pictures.iter().enumerate() {
+        let fits = lens.check_picture(image.width, image.height);
+        fits.map_err(|error| format!("{name}: {error}"))?;
+        let detections = detector.detect(&image.gray()).map_err(|error| format!("{name}: {error}"))?;
+        let table_from_camera =
+            where_taken(&lens, &reference, &detections).map_err(|fault| format!("{name}: {fault}"))?;
+        views.push(View { table_from_camera, detections, time: Timestamp::from_nanos(index as u64) });
+    }
+    let objects = objects(&config);
+    let seen = observe(&objects, &reference, &lens, &views, &ObserveLimits::default());
+    let seen = seen.map_err(|error| chain(&error))?;
+    let mut text = told(&seen);
+    if !seen.complete() && !args.partial || seen.objects.is_empty() {
+        text.push_str("nothing was written; look again from where all can be seen, or give --partial\n");
+        return Ok((text, 1));
+    }
+    let goal = goal_yaml(seen.objects.iter().map(|object| (object.id.as_str(), object.pose)), "");
+    let file = format!("version: 1\n{goal}");
+    files::write_atomic(&args.out, file.as_bytes()).map_err(|error| error.to_string())?;
+    text.push_str(&format!("wrote {} objects to {}\n", seen.objects.len(), args.out.display()));
+    Ok((text, u8::from(!seen.complete())))
+}
+
+/// The pictures with their names.
+fn pictures(
+    args: &CaptureArgs,
+    config: &CellConfig,
+    lens: &CameraModel,
+) -> Result<Vec<(String, Image)>, String> {
+    if args.images.is_empty() {
+        let frame = open_camera(config, Some(lens.clone()))?.grab().map_err(|error| chain(&error))?;
+        return Ok(vec![(frame.source, frame.image)]);
+    }
+    args.images.iter().map(|path| Ok((path.display().to_string(), read_picture(path)?))).collect()
+}
+
+/// Where a picture was taken, by the reference markers in it.
+fn where_taken(
+    lens: &CameraModel,
+    reference: &[ReferenceMarker],
+    detections: &[Detection],
+) -> Result<Isometry3<f64>, String> {
+    let (mut on_table, mut in_picture) = (Vec::new(), Vec::new());
+    for marker in reference {
+        let seen: Vec<&Detection> = detections.iter().filter(|seen| seen.id == marker.id).collect();
+        let [once] = seen.as_slice() else { continue };
+        on_table.extend(marker::corners_m(marker.size).map(|corner| marker.pose.transform(corner)));
+        in_picture.extend(once.corners);
+    }
+    let count = on_table.len() / 4;
+    if count < REFERENCES_MIN {
+        return Err(format!(
+            "{count} of the {} reference markers are in it, {REFERENCES_MIN} are needed to tell where it was taken: \
+             uncover them or take the picture from higher up",
+            reference.len()
+        ));
+    }
+    let pose = cv::board_pose(lens, &on_table, &in_picture).map_err(|error| chain(&error))?;
+    if pose.reprojection_px > MISFIT_PX {
+        return Err(format!(
+            "its reference markers miss their surveyed places by {:.1} px: one was moved, or the lens is another one",
+            pose.reprojection_px
+        ));
+    }
+    Ok(pose.camera_from_target.inverse())
+}
+
+/// The objects that can move, by their markers.
+fn objects(config: &CellConfig) -> Vec<MarkedObject> {
+    let movable = config.objects.iter().filter(|object| !object.fixed);
+    let marked = movable.filter_map(|object| {
+        let (marker, height) = (object.marker.as_ref()?, object.height?);
+        Some(MarkedObject {
+            id: object.id.clone(),
+            marker_id: marker.id,
+            marker_size: marker.size,
+            height,
+            offset: marker.offset,
+        })
+    });
+    marked.collect()
+}
+
+/// One line for each object that was expected.
+fn told(seen: &Observation) -> String {
+    let mut text = String::new();
+    for object in &seen.objects {
+        let pose = object.pose;
+        text.push_str(&format!(
+            "{}: x {:.4} m, y {:.4} m, {:.2} deg, +- {:.2} mm\n",
+            object.id,
+            pose.x,
+            pose.y,
+            pose.theta.to_degrees(),
+            1e3 * object.std_xy_m
+        ));
+    }
+    for id in &seen.missing {
+        text.push_str(&format!("{id}: not seen\n"));
+    }
+    for suspicious in &seen.suspicious {
+        text.push_str(&format!("{}: {}\n", suspicious.id, suspicious.reason));
+    }
+    for duplicate in &seen.duplicates {
+        text.push_str(&format!("{}: marker {} is at several places\n", duplicate.id, duplicate.marker_id));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::vision::render::{Ground, Lens, Print, render};
+    use crate::bench::vision::scene::{DEGRADE, looking_down};
+    use crate::geometry::pose::Pose2;
+    use crate::jobs::goal::parse_goal_file;
+    use crate::vision::detect::Family;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use std::path::Path;
+
+    /// A picture of the example cell from above, with some of its objects in a row; returns where they lie.
+    fn picture(config: &CellConfig, shown: usize, references: usize, path: &Path) -> Vec<(String, Pose2)> {
+        let lens = read_camera(&config.calibration.camera).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let print = |id: u32, size_m: f64, pose: Pose2, z_m: f64| Print {
+            pattern: Family::Tag36h11.pattern(id).unwrap(),
+            size_m,
+            table_from_marker: pose.at_height(z_m),
+            greys: [30.0, 220.0],
+            rim: (0.001, 130.0),
+        };
+        let surveyed = reference_markers(config);
+        let mut prints: Vec<Print> =
+            surveyed.iter().take(references).map(|m| print(m.id, m.size, m.pose, 0.0)).collect();
+        let mut truth = Vec::new();
+        for (i, object) in objects(config).iter().take(shown).enumerate() {
+            let pose = Pose2::new(0.13 + 0.24 * (i % 2) as f64, 0.13 + 0.24 * (i / 2) as f64, 0.4 * i as f64);
+            let marker = pose.compose(&object.offset);
+            prints.push(print(object.marker_id, object.marker_size, marker, object.height));
+            truth.push((object.id.clone(), pose));
+        }
+        let lens = Lens::new(lens, &mut random);
+        let view = looking_down([0.25, 0.25], 0.75, [0.02, -0.01], 1.5);
+        let picture = render(&lens, &view, &Ground::Plain(120.0), &prints, DEGRADE, &mut random);
+        std::fs::write(path, picture.encode_png().unwrap()).unwrap();
+        truth
+    }
+
+    fn args(image: &Path, out: &Path) -> CaptureArgs {
+        let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml");
+        CaptureArgs { config, images: vec![image.to_path_buf()], out: out.to_path_buf(), partial: false }
+    }
+
+    #[test]
+    fn what_lies_there_becomes_a_goal_that_reads_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let (image, out) = (folder.path().join("t.png"), folder.path().join("goal.yaml"));
+        let args = args(&image, &out);
+        let config = load_cell(&args.config).unwrap();
+        let all = objects(&config).len();
+        let truth = picture(&config, all, 12, &image);
+        let (text, code) = capture(&args).unwrap();
+        assert_eq!(code, 0, "{text}");
+        let written = std::fs::read_to_string(&out).unwrap();
+        let obstacles = config.obstacles();
+        let context = config.goal_context(&obstacles);
+        let goal = parse_goal_file(&written, "goal.yaml", Some(&context)).unwrap();
+        assert_eq!(goal.len(), truth.len());
+        for (id, pose) in truth {
+            let found = goal.iter().find(|goal| goal.id.as_ref() == Some(&id)).unwrap().pose.unwrap();
+            assert!(found.distance(&pose) < 5e-4, "{id}: {found:?} {pose:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_missing_is_named_and_a_part_is_written_only_when_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let (image, out) = (folder.path().join("t.png"), folder.path().join("goal.yaml"));
+        let args = args(&image, &out);
+        let config = load_cell(&args.config).unwrap();
+        let missing = objects(&config)[2].id.clone();
+        picture(&config, 2, 12, &image);
+        let (text, code) = capture(&args).unwrap();
+        assert!(code == 1 && text.contains(&format!("{missing}: not seen")) && !out.exists(), "{text}");
+        let (_, code) = capture(&CaptureArgs { partial: true, ..args.clone() }).unwrap();
+        assert!(code == 1 && out.exists());
+        picture(&config, 2, 2, &image);
+        let told = capture(&args).unwrap_err();
+        assert!(told.contains("t.png: 2 of the") && told.contains("reference markers"), "{told}");
+        std::fs::write(&image, b"\x89PNG").unwrap();
+        assert!(capture(&args).unwrap_err().contains("t.png"));
+    }
+}
