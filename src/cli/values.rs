@@ -3,7 +3,7 @@
 //! In: the text after an option. Out: the value, or one sentence that says what to give; clap adds the option's name
 //! and ends with exit code 2. The ranges are those of the same keys in the configuration.
 
-use crate::jobs::policy::{SOLVER_WORDS, unknown_word};
+use crate::jobs::policy::{JobObjective, SOLVER_WORDS, unknown_word};
 use std::net::IpAddr;
 use std::ops::RangeInclusive;
 
@@ -37,6 +37,14 @@ pub fn solver(text: &str) -> Result<String, String> {
     }
     let (message, help) = unknown_word(text, &SOLVER_WORDS);
     Err(format!("{message}; {help}"))
+}
+
+/// An objective's name.
+pub fn objective(text: &str) -> Result<JobObjective, String> {
+    JobObjective::from_word(text).ok_or_else(|| {
+        let (message, help) = unknown_word(text, &JobObjective::WORDS);
+        format!("{message}; {help}")
+    })
 }
 
 /// An address of this machine that no other machine can reach.

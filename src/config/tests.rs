@@ -96,8 +96,8 @@ fn a_unit_or_type_is_told() {
     check("clearance: 0.002", "clearance: '0.002'", "text in quotes");
     check("port: 5020", "port: 70000", "out of range");
     check("host: 127.0.0.2}", "host: 'http://127.0.0.2:80'}", "not a host name");
-    check("solver: erbm", "solver: best", "one of: tbm");
-    check("objective: pp", "objective: time", "\"time\" is not built yet; one of: pp, ti");
+    check("solver: auto", "solver: best", "one of: tbm");
+    check("objective: pp", "objective: fast", "one of: pp, ti, time");
     check(
         "mount: flange\n  flange_from",
         "mount: fixed\n  base_from",

@@ -258,10 +258,7 @@ impl StateOffice {
     fn order(&self, job: &JobRecord) -> JobOrder {
         let planner = &self.config.planner;
         let spec = &job.spec;
-        let objective = match spec.objective.unwrap_or(planner.objective) {
-            JobObjective::Pp => Objective::Pp,
-            JobObjective::Ti => Objective::Ti,
-        };
+        let objective = objective_of(spec.objective.unwrap_or(planner.objective));
         let solver = spec.solver.as_deref().unwrap_or(&planner.solver);
         let seconds = spec.time_limit_s.unwrap_or(planner.time_limit_s);
         JobOrder {
@@ -373,5 +370,13 @@ impl Office for StateOffice {
         if let Err(error) = file.write(&self.state.status()) {
             tracing::warn!(%error, "the status file could not be written");
         }
+    }
+}
+/// The planner's objective for a job's.
+pub fn objective_of(objective: JobObjective) -> Objective {
+    match objective {
+        JobObjective::Pp => Objective::Pp,
+        JobObjective::Ti => Objective::Ti,
+        JobObjective::Time => Objective::Time,
     }
 }

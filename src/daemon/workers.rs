@@ -6,7 +6,7 @@
 use crate::io::camera::CameraSource;
 use crate::io::clock::Clock;
 use crate::io::priority;
-use crate::planning::plan::Status;
+use crate::planning::plan::{Action, Status};
 use crate::planning::problem::Problem;
 use crate::planning::solver::{Control, solve};
 use crate::supervisor::input::{PlanAnswer, PlanRequest};
@@ -130,7 +130,12 @@ fn plan(request: &PlanRequest, stop: &AtomicBool) -> PlanAnswer {
     // Planning is work of this computer, so its budget is real time even when the cell's time is scaled.
     let started = Instant::now();
     let over = || stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit;
-    let control = Control::until(&over);
+    let seconds = |actions: &[Action]| request.times.seconds(actions.iter().map(|a| (a.from, a.to)));
+    let control = Control {
+        seconds: Some(&seconds),
+        least_move_seconds: request.times.least_move_seconds(),
+        ..Control::until(&over)
+    };
     let outcome = match solve(&problem, request.solver, request.objective, &control, request.seed) {
         Ok(outcome) => outcome,
         Err(error) => return PlanAnswer::Unsolvable(error.to_string()),

@@ -45,17 +45,20 @@ pub enum JobObjective {
     Pp,
     /// Total impedance of the moves.
     Ti,
+    /// Seconds of the arm's travel, estimated.
+    Time,
 }
 
 impl JobObjective {
     /// The words a file may use.
-    pub const WORDS: [&'static str; 2] = ["pp", "ti"];
+    pub const WORDS: [&'static str; 3] = ["pp", "ti", "time"];
 
     /// The value that `word` stands for.
     pub fn from_word(word: &str) -> Option<JobObjective> {
         match word {
             "pp" => Some(JobObjective::Pp),
             "ti" => Some(JobObjective::Ti),
+            "time" => Some(JobObjective::Time),
             _ => None,
         }
     }
@@ -69,17 +72,9 @@ impl JobObjective {
 /// The solver names that job and configuration files may use.
 pub const SOLVER_WORDS: [&str; 7] = ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"];
 
-/// Words of the design that this build cannot carry out yet. A file that asks for them is refused where it is read,
-/// not when its job is due.
-const NOT_BUILT_YET: [&str; 1] = ["time"];
-
 /// What is wrong with a word that stands for nothing here, and what to write instead.
 pub fn unknown_word(word: &str, known: &[&str]) -> (String, String) {
-    let message = match NOT_BUILT_YET.contains(&word) {
-        true => format!("{word:?} is not built yet"),
-        false => format!("{word:?} is not known here"),
-    };
-    (message, format!("one of: {}", known.join(", ")))
+    (format!("{word:?} is not known here"), format!("one of: {}", known.join(", ")))
 }
 
 /// A solver's name.

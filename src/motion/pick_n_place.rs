@@ -231,13 +231,14 @@ fn linear(target: Joints, cycle: &CycleParameters, blend: f64) -> Segment {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
     use crate::motion::kinematics::DhParameters;
     use crate::motion::path::ArmLimits;
     use rand::{RngExt, SeedableRng};
 
-    fn model(width: f64) -> ArmModel {
+    /// The demo's arm at a table of this width.
+    pub fn model(width: f64) -> ArmModel {
         ArmModel {
             dh: DhParameters::UR5E,
             // The base stands behind the middle of the near edge.
@@ -255,7 +256,8 @@ mod tests {
         }
     }
 
-    fn cycle() -> CycleParameters {
+    /// Usual heights and speeds.
+    pub fn cycle() -> CycleParameters {
         CycleParameters {
             tallest: 0.02,
             air: 0.03,
@@ -270,7 +272,7 @@ mod tests {
     }
 
     /// Joints to begin with: the tool over the middle of the table.
-    fn home(model: &ArmModel, width: f64) -> Joints {
+    pub fn home(model: &ArmModel, width: f64) -> Joints {
         let over = tool_down(width / 2.0, width / 2.0, 0.3, 0.0);
         model.joints_in_work_posture(&over, &model.home).expect("reachable")
     }

@@ -3,6 +3,7 @@
 use crate::device::gripper::{Channels, GripperCommand, GripperEvent};
 use crate::device::robot_types::{RobotCommand, RobotEvent, RobotState};
 use crate::geometry::pose::Pose2;
+use crate::motion::cycle_time::CycleTimes;
 use crate::planning::plan::{Action as PlanAction, Objective};
 use crate::planning::solver::SolverKind;
 use crate::supervisor::order::{JobOrder, JobReport};
@@ -116,6 +117,8 @@ pub struct PlanRequest {
     pub seed: u64,
     /// Budget.
     pub time_limit: Duration,
+    /// What the arm takes, for plans that are judged by time.
+    pub times: CycleTimes,
 }
 
 /// A line of the step journal; committed before the next action of the list is carried out.

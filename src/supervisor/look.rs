@@ -6,6 +6,7 @@
 use crate::device::robot_types::RobotCommand;
 use crate::geometry::collision::penetration;
 use crate::geometry::pose::Pose2;
+use crate::motion::cycle_time::CycleTimes;
 use crate::motion::path::{CheckedPath, Leg, Segment};
 use crate::planning::check::CheckedPlan;
 use crate::planning::plan::{Action as PlanAction, ActionKind};
@@ -427,6 +428,7 @@ impl Cell {
             solver: job.order.solver,
             seed: job.order.seed.wrapping_add(u64::from(job.replans)),
             time_limit: job.order.time_limit,
+            times: CycleTimes::new(&self.model.arm, &self.model.cycle, self.model.arm.home),
         };
         let limit = request.time_limit + self.model.tolerances.plan_grace;
         if job.route.is_some() {

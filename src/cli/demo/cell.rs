@@ -45,6 +45,8 @@ pub struct DemoChoice {
     pub seed: u64,
     /// Solver's name.
     pub solver: String,
+    /// What plans are judged by.
+    pub objective: JobObjective,
     /// Planning budget, s.
     pub time_limit_s: f64,
 }
@@ -122,7 +124,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         },
         planner: PlannerConfig {
             solver: choice.solver.clone(),
-            objective: JobObjective::Pp,
+            objective: choice.objective,
             time_limit_s: choice.time_limit_s,
             seed: choice.seed,
         },

@@ -18,6 +18,7 @@ use crate::cli::values;
 use crate::config::cell::CellConfig;
 use crate::daemon::setup::{CUP_MARGIN_M, check_reach};
 use crate::io::priority;
+use crate::jobs::policy::JobObjective;
 use crate::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
 use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
 use crate::tabletop::room::Cup;
@@ -44,8 +45,11 @@ pub struct DemoArgs {
     #[arg(long, value_name = "M", value_parser = values::table_size)]
     table_size: Option<f64>,
     /// Solver: tbm, rbm, etbm, erbm, mcts, emcts or auto.
-    #[arg(long, default_value = "erbm", value_parser = values::solver)]
+    #[arg(long, default_value = "auto", value_parser = values::solver)]
     solver: String,
+    /// What plans are judged by: pp moves, ti total impedance, time the arm's seconds.
+    #[arg(long, default_value = "pp", value_parser = values::objective)]
+    objective: JobObjective,
     /// Seed of the simulated world's truth, its errors and the planner.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -142,6 +146,7 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
         time_factor: args.time_factor,
         seed: args.seed,
         solver: args.solver.clone(),
+        objective: args.objective,
         time_limit_s: args.time_limit,
     };
     if let Err(error) = std::fs::create_dir_all(&args.out) {

@@ -112,6 +112,7 @@ fn settings(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice) -> 
         pair("table", format!("{:.2} x {:.2} m", instance.workspace.width, instance.workspace.height)),
         pair("density", format!("{:.2}", instance.density())),
         pair("solver", choice.solver.clone()),
+        pair("objective", choice.objective.word().to_string()),
         pair("seed", choice.seed.to_string()),
         pair("time factor", format!("{} asked, {:.1} reached", choice.time_factor, outcome.factor)),
         pair("calibration", format!("{:.2} px rms", calibration.reprojection_px_rms)),
@@ -225,7 +226,7 @@ fn result_json(outcome: &DemoOutcome, report: &RunReport, choice: &DemoChoice) -
     let (measured_mm, measured_deg) = worst(|o| o.measured);
     let value = json!({
         "reached": report.reached, "headline": report.headline, "code": job.map(|job| job.code.clone()),
-        "seed": choice.seed, "solver": choice.solver, "moves": report.figures.moves,
+        "seed": choice.seed, "solver": choice.solver, "objective": choice.objective.word(), "moves": report.figures.moves,
         "buffers": report.figures.buffers, "lower_bound": report.figures.lower_bound,
         "plans": report.figures.plans, "looks": report.figures.looks,
         "planning_seconds": report.figures.planning_s, "cycle_seconds": report.figures.cycle_s,

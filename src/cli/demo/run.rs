@@ -10,6 +10,7 @@ use crate::cli::sim::sim_config;
 use crate::config::cell::CellConfig;
 use crate::daemon::calibrate::{Eye, Setting, measure, solve};
 use crate::daemon::hardware::{Addresses, Hardware};
+use crate::daemon::office::objective_of;
 use crate::daemon::run::{Office, Shell, Workers, run};
 use crate::daemon::setup::{Measured, cell_model, eye_parameters, gripper_parameters};
 use crate::daemon::workers::spawn_eye;
@@ -19,7 +20,6 @@ use crate::geometry::pose::Pose2;
 use crate::io::camera::CameraSource;
 use crate::io::camera::http::HttpCamera;
 use crate::io::clock::Clock;
-use crate::planning::plan::Objective;
 use crate::planning::solver::SolverKind;
 use crate::sim::cell::{RunningSim, SimError, start};
 use crate::sim::faults::{FaultError, Planned};
@@ -172,7 +172,7 @@ fn order(instance: &Instance, choice: &DemoChoice) -> Result<JobOrder, String> {
     Ok(JobOrder {
         id: "demo".to_string(),
         goals: instance.objects.iter().filter_map(|o| Some((o.id.clone(), o.goal?))).collect(),
-        objective: Objective::Pp,
+        objective: objective_of(choice.objective),
         solver,
         time_limit: Duration::from_secs_f64(choice.time_limit_s),
         seed: choice.seed,
