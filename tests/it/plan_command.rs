@@ -111,9 +111,20 @@ fn exit_codes_tell_how_it_ended() {
     assert_eq!(files.plan(&unknown_key, &[], false), 2);
     assert_eq!(files.plan("/nowhere/at/all.yaml", &[], false), 2);
     let good = files.write("swap.yaml", SWAP);
-    assert_eq!(files.plan(&good, &["--objective", "time", "--work", "20000"], false), 0);
     assert_eq!(files.plan(&good, &[], true), 130);
     assert_eq!(files.plan(&good, &["--work", "1"], false), 1);
+}
+
+#[test]
+fn seconds_are_minimised_without_a_cell_too() {
+    let files = Files::new();
+    let instance = files.write("swap.yaml", SWAP);
+    assert_eq!(files.plan(&instance, &["--objective", "time", "--work", "20000"], false), 0);
+    let file = read(&files.path("plan.json"));
+    // Three moves of four seconds at least, and the ways between them.
+    assert!(file.moves == Some(3) && file.lower_bound == 12.0, "{file:?}");
+    assert!(file.cost.is_some_and(|seconds| seconds > 12.0), "{file:?}");
+    assert_eq!(files.verify(&instance), 0);
 }
 
 #[test]
