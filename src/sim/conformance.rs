@@ -1,8 +1,8 @@
 //! What of the real machines is real here, what is modelled and what is absent, as one page for users.
 //!
 //! In: the tables that the simulator itself runs by (built-ins of scripts, RTDE variables), and for the rest rows that
-//! name the test which would fail if the row were wrong. Out: Markdown, `docs/simulator-conformance.md`, which a test
-//! compares with this; `celld sim --conformance` prints it. A claim that nothing checks does not stand here.
+//! name a test of theirs. Out: Markdown, `docs/simulator-conformance.md`, which a test
+//! compares with this; `celld sim --conformance` prints it. A claim without a test does not stand here.
 
 use crate::sim::controller::builtins::{self, Entry, Grade};
 use crate::sim::controller::outputs;
@@ -41,7 +41,7 @@ const MOTION: &[Claim] = &[
     Claim("speedj, speedl, stopj, stopl", Grade::Real, "", "a_tool_speed_goes_straight_and_stops"),
     Claim("Speed slider, pausing on the way", Grade::Real, "", "half_the_slider_takes_twice_the_time"),
     Claim(
-        "Singularities, joint range, reach",
+        "Ways out of reach, out of the joint range or through a singularity",
         Grade::Real,
         "a protective stop, as on the arm",
         "impossible_moves_stop_protectively_and_pause_the_program",
@@ -214,8 +214,8 @@ const HEAD: &str = "# What is real, modelled and absent
 
 Printed by `celld sim --conformance`; a test keeps this page equal to the program. Real: as the manuals say. Modelled:
 something simpler, which the note names. Absent: not there, and said so when asked for. The last column of the first tables
-names the test that would fail otherwise; the script and RTDE tables are those that the simulator runs by, and every row of
-them is called by tests (`src/sim/controller/builtins.rs`, `src/sim/robot_server/tests/states.rs`).
+names a test of it; the script and RTDE tables are those that the simulator runs by, and tests call every row of
+them (`src/sim/controller/builtins.rs`, `src/sim/robot_server/tests/states.rs`).
 ";
 
 fn word(grade: Grade) -> &'static str {
@@ -335,8 +335,12 @@ mod tests {
         sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src/sim"), &mut text);
         for Claim(what, grade, _, test) in MOTION.iter().chain(SERVERS).chain(CELL) {
             assert_eq!(*grade == Grade::Absent, test.is_empty(), "{what}");
+            let before = text.split(&format!("fn {test}(")).next().unwrap();
+            let above =
+                before.trim_end().trim_end_matches("async").trim_end().lines().last().unwrap_or_default();
+            let is_test = above.trim().starts_with("#[") && above.contains("test");
             assert!(
-                test.is_empty() || text.contains(&format!("fn {test}(")),
+                test.is_empty() || (is_test && before.len() < text.len()),
                 "{what}: there is no test {test}"
             );
         }

@@ -173,22 +173,26 @@ fn stream_to(host: &str, port: u16, source: Option<IpAddr>) -> Option<TcpStream>
     let mut addresses = (host, port).to_socket_addrs().ok()?;
     let stream = addresses.find_map(|address| {
         // Another computer cannot answer a loopback address, and bind may be "any": then the system chooses.
-        let bound = source.and_then(|source| connect_from(source, address).ok());
-        bound.or_else(|| TcpStream::connect_timeout(&address, CONNECT_TIMEOUT).ok())
+        match source.and_then(|source| bound(source, address).ok()) {
+            Some(socket) => {
+                socket.connect_timeout(&address.into(), CONNECT_TIMEOUT).ok().map(|()| socket.into())
+            }
+            None => TcpStream::connect_timeout(&address, CONNECT_TIMEOUT).ok(),
+        }
     })?;
     stream.set_nodelay(true).ok()?;
     stream.set_nonblocking(true).ok()?;
     Some(stream)
 }
 
-fn connect_from(source: IpAddr, address: SocketAddr) -> std::io::Result<TcpStream> {
+/// A socket with this address, for a peer that can answer it.
+fn bound(source: IpAddr, address: SocketAddr) -> std::io::Result<Socket2> {
     if source.is_loopback() != address.ip().is_loopback() {
         return Err(ErrorKind::AddrNotAvailable.into());
     }
     let socket = Socket2::new(Domain::for_address(address), Type::STREAM, None)?;
     socket.bind(&SocketAddr::new(source, 0).into())?;
-    socket.connect_timeout(&address.into(), CONNECT_TIMEOUT)?;
-    Ok(socket.into())
+    Ok(socket)
 }
 
 #[cfg(test)]

@@ -201,7 +201,9 @@ impl Program {
             }
             Event::Join(other) => {
                 scheduled.wait = Wait::Thread(other);
-                self.lend(index);
+                if self.alive(other) {
+                    self.lend(index);
+                }
                 return Ok(Turn::Over);
             }
             Event::Spawn(function, parameters) => self.spawn(index, function, parameters)?,
@@ -219,6 +221,10 @@ impl Program {
                     return Err(self.exception(index, "exit_critical without enter_critical".to_owned()));
                 }
                 self.exit_critical();
+                // Who lent it goes on as soon as it is free: not only if nobody takes it again at once.
+                if self.holder.is_none() && self.threads.iter().any(|other| other.lent > 0) {
+                    return Ok(Turn::Over);
+                }
             }
             Event::Halt => return Ok(Turn::ProgramEnded),
             Event::Finished => {

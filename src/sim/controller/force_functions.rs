@@ -120,7 +120,7 @@ fn numbers<const N: usize>(call: &Call<'_>, index: usize) -> Result<[f64; N], St
 }
 
 fn force_mode(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
-    let frame = isometry_from_ur_pose(call.required(0)?.pose()?);
+    let frame = isometry_from_ur_pose(numbers(call, 0)?);
     let free = numbers::<6>(call, 1)?.map(|axis| axis != 0.0);
     let (wrench, limits) = (numbers(call, 2)?, numbers::<6>(call, 4)?.map(f64::abs));
     let frame = match call.required(3)?.integer()? {
@@ -146,7 +146,7 @@ fn freedrive(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
         None => TaskFrame::Fixed(Isometry3::identity()),
         Some(Value::Text(name)) if &**name == "tool" => TaskFrame::Tool,
         Some(Value::Text(name)) if &**name == "base" => TaskFrame::Fixed(Isometry3::identity()),
-        Some(feature) => TaskFrame::Fixed(isometry_from_ur_pose(feature.array()?)),
+        Some(_) => TaskFrame::Fixed(isometry_from_ur_pose(numbers(call, 1)?)),
     };
     core.compliance = Some(hand_guided(free, frame));
     Ok(())

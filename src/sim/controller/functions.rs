@@ -40,6 +40,9 @@ pub struct Watchdog {
 
 impl Host for Core {
     fn call(&mut self, mut call: Call<'_>) -> Result<Reply, String> {
+        if self.secondary && motion_functions::takes_the_arm(call.name) {
+            return Err(format!("{}: a secondary program must not move the arm", call.name));
+        }
         if let Some(reply) = motion_functions::call(self, &mut call) {
             return reply;
         }

@@ -166,6 +166,8 @@ pub struct Payload {
 pub struct Core {
     /// What does not change.
     pub config: ControllerConfig,
+    /// A secondary program is being carried out.
+    pub secondary: bool,
     /// Power, brakes, safety, remote control.
     pub modes: Modes,
     /// Registers, inputs and outputs.
@@ -241,6 +243,7 @@ impl Controller {
             watchdogs: Vec::new(),
             stop_asked: None,
             config,
+            secondary: false,
         };
         let seed = core.config.seed;
         let mut controller = Controller { core, programs: Programs::new(seed) };

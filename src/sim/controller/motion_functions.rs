@@ -33,6 +33,12 @@ pub const MOVES: &[&str] = &[
     "direct_torque",
 ];
 
+/// True for built-ins that move the arm or decide how it gives way.
+pub fn takes_the_arm(name: &str) -> bool {
+    let others = ["stopj", "stopl", "set_pos", "force_mode", "freedrive_mode", "teach_mode", "screw_driving"];
+    MOVES.contains(&name) || others.contains(&name)
+}
+
 /// What `optimovej` and `optimovel` take as the fastest acceleration: rad/s2 and m/s2.
 const OPTIMAL_JOINT_ACCELERATION: f64 = 15.0;
 const OPTIMAL_TOOL_ACCELERATION: f64 = 5.0;
@@ -54,7 +60,7 @@ pub fn call(core: &mut Core, call: &mut Call<'_>) -> Option<Result<Reply, String
         "direct_torque" => torque(core, call),
         "set_pos" => place(core, call),
         "stopj" | "stopl" if first => stop(core, call),
-        "stopj" | "stopl" => Ok(done_if(core.mover.stands())),
+        "stopj" | "stopl" => Ok(done_if(core.mover.has_braked())),
         "servoj" => servo(core, call),
         "speedj" | "speedl" => speed(core, call),
         _ => return None,
@@ -202,7 +208,8 @@ fn stop(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     if call.name == "stopj" {
         core.mover.stop_joints(acceleration);
     } else {
-        core.mover.stop_tool(acceleration);
+        let turning = positive(call, 1, acceleration)?;
+        core.mover.stop_tool(acceleration, turning);
     }
     Ok(Reply::Wait)
 }

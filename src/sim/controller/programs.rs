@@ -180,6 +180,15 @@ impl Programs {
         }
     }
 
+    /// Ends the main program, and those that were sent before this and have not begun; false if none runs.
+    pub fn cancel(&mut self, core: &mut Core) -> bool {
+        let stays = |upload: &Result<Code, CompileError>| {
+            upload.as_ref().map_or(true, |code| code.kind == FunctionKind::Sec)
+        };
+        self.uploads.retain(stays);
+        self.stop(core)
+    }
+
     /// Ends the main program; false if there is none.
     pub fn stop(&mut self, core: &mut Core) -> bool {
         match std::mem::replace(&mut self.run, Run::Stopped) {
@@ -251,7 +260,10 @@ impl Programs {
     fn run_secondary(&mut self, code: Code, core: &mut Core) {
         self.starts += 1;
         let mut program = Program::new(Arc::new(code), self.seed.wrapping_add(self.starts));
-        match program.frame(core) {
+        core.secondary = true;
+        let progress = program.frame(core);
+        core.secondary = false;
+        match progress {
             Progress::Finished => {}
             Progress::Failed(exception) => core.message(exception_message(&exception)),
             Progress::Running => {

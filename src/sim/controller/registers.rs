@@ -211,7 +211,9 @@ impl Registers {
             (Input::AnalogMask, Value::Uint8(mask)) => masks.analog = *mask,
             (Input::AnalogType, Value::Uint8(types)) => masks.analog_types = *types,
             (Input::Analog(n), Value::Double(ratio)) => masks.analog_values[n] = Some(*ratio),
-            (Input::ExternalForce, Value::Vector6D(wrench)) => self.external_force = *wrench,
+            (Input::ExternalForce, Value::Vector6D(wrench)) if wrench.iter().all(|part| part.is_finite()) => {
+                self.external_force = *wrench;
+            }
             // The codec hands over values of the type of the field; anything else cannot come up.
             _ => {}
         }

@@ -169,6 +169,53 @@ fn numbers_that_are_not_finite_are_exceptions() {
     assert!(said[1].contains("not finite") && stopped(&controller), "{said:?}");
 }
 
+#[test]
+fn a_secondary_program_does_not_move_the_arm() {
+    for script in ["movej([1,-1.57,1.57,-1.57,-1.57,0])", "speedj([0.2,0,0,0,0,0])", "stopj(1)"] {
+        let mut controller = running();
+        let start = controller.core.mover.q();
+        upload(&mut controller, &format!("sec s():\n {script}\nend\n"));
+        (0..100).for_each(|_| controller.frame());
+        assert_eq!(controller.core.mover.q(), start, "{script}");
+        assert!(messages(&mut controller)[0].contains("must not move the arm"), "{script}");
+    }
+}
+
+#[test]
+fn a_stop_keeps_programs_from_starting_that_came_before_it() {
+    let mut controller = running();
+    upload(&mut controller, "def m():\n movej([1,-1.57,1.57,-1.57,-1.57,0])\nend\n");
+    controller.programs.cancel(&mut controller.core);
+    (0..10).for_each(|_| controller.frame());
+    assert!(stopped(&controller) && controller.core.mover.stands());
+}
+
+#[test]
+fn stopping_within_force_mode_slows_down() {
+    for end in ["", "stopj(2)"] {
+        let mut controller = running();
+        let force = "force_mode(p[0,0,0,0,0,0],[0,0,1,0,0,0],[0,0,-20,0,0,0],2,[.1,.1,.05,.5,.5,.5])";
+        upload(&mut controller, &format!("def m():\n {force}\n sleep(1)\n {end}\nend\n"));
+        controller.frame();
+        while !stopped(&controller) || !controller.core.mover.stands() {
+            controller.frame();
+            let speed = controller.core.mover.tcp_speed().fixed_rows::<3>(0).norm();
+            assert!(speed < 0.06, "{speed} m/s {end}");
+            assert!(controller.core.step < 20_000, "{end}");
+        }
+        assert_eq!(controller.core.modes.safety_mode(), SafetyMode::Normal);
+    }
+}
+
+#[test]
+fn a_speed_without_a_time_is_reached_at_half_the_slider() {
+    let mut controller = running();
+    controller.core.registers.set_speed_fraction(0.5);
+    upload(&mut controller, "def m():\n speedj([0.2,0,0,0,0,0], 0.5)\n stopj(2)\nend\n");
+    controller.frame();
+    step_until(&mut controller, stopped);
+}
+
 /// Client libraries wait for the end of the program then, not for a stop of the arm.
 #[test]
 fn a_target_out_of_the_joint_range_ends_the_program() {

@@ -63,6 +63,7 @@ enum Task {
     },
     StopTool {
         acceleration: f64,
+        turn_acceleration: f64,
     },
 }
 
@@ -74,6 +75,8 @@ pub struct Mover {
     q: Joints,
     qd: [f64; 6],
     qdd: [f64; 6],
+    /// Joint speeds of the task alone, without the drift: what braking and speeding up start from.
+    own: [f64; 6],
     task: Task,
     scaling: f64,
     /// A fault: the arm does not follow, and nobody is told.
@@ -101,6 +104,7 @@ impl Mover {
             q,
             qd: [0.0; 6],
             qdd: [0.0; 6],
+            own: [0.0; 6],
             task: Task::Stand,
             scaling: 1.0,
             stalled: false,
@@ -255,11 +259,16 @@ impl Mover {
         })
     }
 
+    /// Nothing but force mode or freedrive moves the arm.
+    pub fn has_braked(&self) -> bool {
+        self.own.iter().all(|speed| speed.abs() < 1e-9)
+    }
+
     /// True while a move that was not released yet is under way.
     pub fn busy(&self) -> bool {
         match &self.task {
             Task::Segments(segments) => segments.back().is_some_and(|active| !self.released(active.id)),
-            Task::StopJoints { .. } | Task::StopTool { .. } => !self.stands(),
+            Task::StopJoints { .. } | Task::StopTool { .. } => !self.has_braked(),
             Task::Stand
             | Task::Servo { .. }
             | Task::JointSpeed { .. }
@@ -293,9 +302,9 @@ impl Mover {
         self.task = Task::StopJoints { acceleration };
     }
 
-    /// Stops the tool along its direction at `acceleration` (m/s2).
-    pub fn stop_tool(&mut self, acceleration: f64) {
-        self.task = Task::StopTool { acceleration };
+    /// Stops the tool along its direction at `acceleration` (m/s2) and `turn_acceleration` (rad/s2).
+    pub fn stop_tool(&mut self, acceleration: f64, turn_acceleration: f64) {
+        self.task = Task::StopTool { acceleration, turn_acceleration };
     }
 
     /// Torques drive it.
@@ -311,8 +320,11 @@ impl Mover {
     /// Speed asked for has been reached, or there is none asked for.
     pub fn at_speed(&self) -> bool {
         match &self.task {
-            Task::JointSpeed { target, .. } => target.iter().zip(self.qd).all(|(a, b)| (a - b).abs() < 1e-6),
-            Task::ToolSpeed { target, .. } => (target - self.tcp_speed()).norm() < 1e-4,
+            Task::JointSpeed { target, .. } => {
+                let aim = self.within_tool_speed(target.map(|speed| speed * self.pace()));
+                aim.iter().zip(self.own).all(|(a, b)| (a - b).abs() < 1e-6)
+            }
+            Task::ToolSpeed { target, .. } => (self.tool_aim(target) - self.own_tool_speed()).norm() < 1e-4,
             Task::Stand | Task::Segments(_) | Task::Servo { .. } | Task::Driven { .. } => true,
             Task::StopJoints { .. } | Task::StopTool { .. } => self.stands(),
         }
@@ -332,7 +344,8 @@ impl Mover {
 
     /// Places a standing arm elsewhere (start of the simulation, tests).
     pub fn place(&mut self, q: Joints) {
-        *self = Mover::new(self.arm.clone(), q);
+        self.freeze();
+        (self.q, self.drifted, self.tool_speed) = (q, [0.0; 6], None);
     }
 
     /// Time in which speed scaling goes from 1 to 0 from now on, s.
@@ -345,6 +358,7 @@ impl Mover {
         self.task = Task::Stand;
         self.qd = [0.0; 6];
         self.qdd = [0.0; 6];
+        self.own = [0.0; 6];
         self.drift = Vector6::zeros();
     }
 
@@ -385,6 +399,7 @@ impl Mover {
         if on_segments {
             given.0.iter_mut().zip(self.drifted).for_each(|(q, drifted)| *q += drifted);
         }
+        self.own = std::array::from_fn(|i| (given.0[i] - self.q.0[i]) / FRAME_SECONDS);
         let step = self.drift * (FRAME_SECONDS * self.scaling * self.drive);
         if step.norm() > 0.0 {
             given =
@@ -393,24 +408,6 @@ impl Mover {
         let drifted = std::array::from_fn(|i| given.0[i] - next.0[i]);
         self.drifted = if on_segments { drifted } else { [0.0; 6] };
         Ok(given)
-    }
-
-    /// Slows segments down in the next frame to the tool speed allowed: the speed this frame would have had
-    /// without the limiter tells by how much.
-    fn limit_tool_speed(&mut self, next: &Joints) {
-        let at = |q: &Joints| self.arm.tcp(q).translation.vector;
-        let speed = (at(next) - at(&self.q)).norm() / FRAME_SECONDS;
-        let unlimited = speed / self.limiter;
-        let allowed = (self.arm.tool_speed / unlimited.max(1e-9)).clamp(0.01, 1.0);
-        self.limiter = if matches!(self.task, Task::Segments(_)) { allowed } else { 1.0 };
-    }
-
-    /// Joint speeds (rad/s) scaled down so that the tool keeps its limit.
-    fn within_tool_speed(&self, speeds: [f64; 6]) -> [f64; 6] {
-        let arm = &self.arm;
-        let tool = tool_jacobian(&arm.dh, &arm.flange_from_tcp, &self.q) * Vector6::from(speeds);
-        let part = (arm.tool_speed / tool.fixed_rows::<3>(0).norm().max(1e-9)).min(1.0);
-        speeds.map(|speed| speed * part)
     }
 
     fn check(&self, next: &Joints) -> Result<(), MotionFault> {
@@ -438,7 +435,7 @@ impl Mover {
             self.task = Task::Segments(VecDeque::new());
             return (self.q, 0.0);
         }
-        let segment = Segment::run_out(&self.q, &self.qd, acceleration);
+        let segment = Segment::run_out(&self.q, &self.own, acceleration);
         let departure = (segment.target(), segment.duration());
         self.task = Task::Segments(VecDeque::from([Active { segment, time: 0.0, id: MoveId(0) }]));
         departure
@@ -479,15 +476,13 @@ impl Mover {
                     self.task = Task::StopJoints { acceleration: self.arm.joint_acceleration / 4.0 };
                 }
                 Ok(Joints(std::array::from_fn(|i| {
-                    let speed = self.qd[i] + acceleration[i] * FRAME_SECONDS;
+                    let speed = self.own[i] + acceleration[i] * FRAME_SECONDS;
                     self.q.0[i] + speed * FRAME_SECONDS
                 })))
             }
             Task::ToolSpeed { target, acceleration, turn_acceleration } => {
-                let slowed = self.arm.tool_speed / target.fixed_rows::<3>(0).norm().max(1e-9);
-                let target = *target * (pace * slowed.min(1.0));
-                let (a, turn) = (*acceleration, *turn_acceleration);
-                self.tool_speed_step(target, a, turn)
+                let (target, a, turn) = (*target, *acceleration, *turn_acceleration);
+                self.tool_speed_step(self.tool_aim(&target), a, turn)
             }
             Task::StopJoints { acceleration } => {
                 let acceleration = *acceleration;
@@ -495,9 +490,9 @@ impl Mover {
                 self.stand_when_there(&next);
                 Ok(next)
             }
-            Task::StopTool { acceleration } => {
-                let acceleration = *acceleration;
-                let next = self.tool_speed_step(Vector6::zeros(), acceleration, acceleration * 4.0)?;
+            Task::StopTool { acceleration, turn_acceleration } => {
+                let (acceleration, turn) = (*acceleration, *turn_acceleration);
+                let next = self.tool_speed_step(Vector6::zeros(), acceleration, turn)?;
                 self.stand_when_there(&next);
                 Ok(next)
             }
@@ -524,17 +519,17 @@ impl Mover {
         }
         let most = acceleration * FRAME_SECONDS;
         Joints(std::array::from_fn(|i| {
-            self.q.0[i] + (self.qd[i] + (wanted[i] - self.qd[i]).clamp(-most, most)) * FRAME_SECONDS
+            self.q.0[i] + (self.own[i] + (wanted[i] - self.own[i]).clamp(-most, most)) * FRAME_SECONDS
         }))
     }
 
     /// A frame with the speeds changing towards `target`, all in step, the one that changes most by
     /// `acceleration`.
     fn towards(&self, target: &[f64; 6], acceleration: f64) -> Joints {
-        let most = target.iter().zip(self.qd).fold(0.0f64, |most, (a, b)| most.max((a - b).abs()));
+        let most = target.iter().zip(self.own).fold(0.0f64, |most, (a, b)| most.max((a - b).abs()));
         let part = if most > 0.0 { (acceleration * FRAME_SECONDS / most).min(1.0) } else { 1.0 };
         Joints(std::array::from_fn(|i| {
-            self.q.0[i] + (self.qd[i] + (target[i] - self.qd[i]) * part) * FRAME_SECONDS
+            self.q.0[i] + (self.own[i] + (target[i] - self.own[i]) * part) * FRAME_SECONDS
         }))
     }
 
@@ -544,7 +539,7 @@ impl Mover {
         acceleration: f64,
         turn_acceleration: f64,
     ) -> Result<Joints, MotionFault> {
-        let now = self.tool_speed.unwrap_or_else(|| self.tcp_speed());
+        let now = self.tool_speed.unwrap_or_else(|| self.own_tool_speed());
         let change = target - now;
         let (linear, angular) = (change.fixed_rows::<3>(0).norm(), change.fixed_rows::<3>(3).norm());
         let part = (acceleration * FRAME_SECONDS / linear.max(1e-12))
@@ -582,6 +577,8 @@ fn sum_of(
     segments.retain(|active| active.time < active.segment.duration());
     Ok(sum)
 }
+
+mod tool_speed;
 
 #[cfg(test)]
 mod tests;

@@ -84,7 +84,7 @@ pub fn answer(controller: &mut Controller, command: &Command, line: &str, switch
         Command::BrakeRelease => controller.core.modes.release_brakes(),
         Command::Play if !controller.programs.play(&mut controller.core) => return refused("play"),
         // Without a program too: clients stop what may have ended a moment ago, and expect no other answer.
-        Command::Stop => drop(controller.programs.stop(&mut controller.core)),
+        Command::Stop => drop(controller.programs.cancel(&mut controller.core)),
         Command::Pause if !controller.programs.pause() => return refused("pause"),
         Command::Load(name) => return load(controller, name),
         Command::UnlockProtectiveStop => {

@@ -2,8 +2,8 @@
 //!
 //! In: bytes in any chunks. Out: [`Upload`]s. The first line that is neither blank nor a comment decides: a
 //! `def` or `sec` goes on until what is open at its own indentation is closed; a known command is one; anything else
-//! is a program of one line. Deeper lines are not counted, so that a program with an `end` too few in its body
-//! arrives and is complained about. Programs that clients really send have all lines in column 0, or the whole
+//! is a program of one line. A program with an `end` too few in its body arrives all the same and is complained about:
+//! deeper lines alone keep none open, and a command ends what is open. Programs that clients really send have all lines in column 0, or the whole
 //! program indented.
 //! Comments and blank lines before a program belong to its text, so that line numbers in messages count from
 //! what was sent. Pure.
@@ -48,6 +48,8 @@ struct Open {
     indentation: usize,
     /// Blocks open in lines of no more than that.
     blocks: i32,
+    /// Blocks open in all lines.
+    depth: i32,
 }
 
 impl ScriptChannel {
@@ -65,7 +67,13 @@ impl ScriptChannel {
             self.line.extend_from_slice(part);
             if part.ends_with(b"\n") {
                 let line = std::mem::take(&mut self.line);
-                done.extend(self.take_line(&String::from_utf8_lossy(&line)));
+                let line = String::from_utf8_lossy(&line);
+                if self.open.is_some() && command(line.trim()).is_some() {
+                    // Clients must be able to stop the arm, whatever they sent before: what is open has an error.
+                    self.open = None;
+                    done.push(Upload::Program(std::mem::take(&mut self.text)));
+                }
+                done.extend(self.take_line(&line));
             }
         }
         Ok(done)
@@ -79,10 +87,13 @@ impl ScriptChannel {
 
     /// A line of a program, its first included.
     fn go_on(&mut self, mut open: Open, line: &str) -> Option<Upload> {
-        if indentation(line) <= open.indentation {
-            open.blocks += blocks(line);
+        let change = blocks(line);
+        open.depth += change;
+        let outermost = indentation(line) <= open.indentation;
+        if outermost {
+            open.blocks += change;
         }
-        let goes_on = open.blocks > 0;
+        let goes_on = !outermost || (open.blocks > 0 && open.depth > 0);
         self.open = goes_on.then_some(open);
         if goes_on { None } else { Some(Upload::Program(std::mem::take(&mut self.text))) }
     }
@@ -98,18 +109,23 @@ impl ScriptChannel {
         }
         let first = words.split([' ', '\t']).next().unwrap_or_default();
         if first == "def" || first == "sec" {
-            return self.go_on(Open { indentation: indentation(line), blocks: 0 }, line);
+            return self.go_on(Open { indentation: indentation(line), blocks: 0, depth: 0 }, line);
         }
         let text = std::mem::take(&mut self.text);
-        Some(match words {
-            "power on" => Upload::PowerOn,
-            "power off" => Upload::PowerOff,
-            "set robotmode run" => Upload::ReleaseBrakes,
-            "set unlock protective stop" => Upload::Unlock,
-            "stop program" => Upload::StopProgram,
-            _ => Upload::Program(text),
-        })
+        Some(command(words).unwrap_or(Upload::Program(text)))
     }
+}
+
+/// A command that is no program.
+fn command(line: &str) -> Option<Upload> {
+    Some(match line {
+        "power on" => Upload::PowerOn,
+        "power off" => Upload::PowerOff,
+        "set robotmode run" => Upload::ReleaseBrakes,
+        "set unlock protective stop" => Upload::Unlock,
+        "stop program" => Upload::StopProgram,
+        _ => return None,
+    })
 }
 
 fn indentation(line: &str) -> usize {
@@ -181,6 +197,8 @@ mod tests {
             "def a():\nthread b():\nwhile (True):\n# end\nsync()\nend\nend\nrun b()\nend\n",
             "def a():\nif x: y = \"end\" end\nend\n",
             "def a():\n  if x:\nend\n",
+            "def a():\nif x:\n  y()\n  end\nend\n",
+            "def a():\nif x:\ny()\nend\n",
         ] {
             check(&format!("{whole}stop program\n"), &[program(whole), Upload::StopProgram]);
         }

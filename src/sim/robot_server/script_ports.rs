@@ -136,7 +136,7 @@ impl Session {
                 let _ = controller.unlock_protective_stop();
             }
             Upload::StopProgram => {
-                controller.programs.stop(&mut controller.core);
+                controller.programs.cancel(&mut controller.core);
             }
         }
     }

@@ -206,6 +206,16 @@ fn the_critical_section_is_handed_on_in_order() {
          h = run a() n = 0 while n < 2: enter_critical wait(2) say('order') exit_critical n = n + 1 end join h",
         "order|order|arrived",
     );
+    check(
+        "thread a(): enter_critical wait(5) say('arrived') exit_critical end run a() n = 0 \
+         while n < 20: enter_critical sync() exit_critical n = n + 1 end say('end')",
+        "arrived|end",
+    );
+    check(
+        "thread a(): enter_critical say('a') sync() say('a2') exit_critical end h = run a() enter_critical sync() \
+         join 0 say('m') sync() say('m2') exit_critical join h",
+        "m|m2|a|a2",
+    );
     // A thread that is told within the section to end, waited for there, and has to pass it once more itself.
     check(
         "on = True thread a(): while on: enter_critical wait(2) exit_critical end say('ended') end\n\

@@ -64,6 +64,10 @@ impl Level {
     }
 }
 
+/// By how much looks from different places disagree along each axis, pixels: errors of arm and mount, of which the
+/// corners' own noise knows nothing. Without it a small marker that lies flat is now and then called tilted.
+const LOOKS_PX: f64 = 0.07;
+
 /// Compares level, raised and tilted fits over all views; `None` if the numbers break down.
 pub fn fit(placed: &[Placed], target: Target, views: &[View], limits: &ObserveLimits) -> Option<Level> {
     let sightings: Vec<Sighting> = placed.iter().map(|p| p.sighting.clone()).collect();
@@ -81,7 +85,8 @@ pub fn fit(placed: &[Placed], target: Target, views: &[View], limits: &ObserveLi
     }
     // Repeated pictures from one place share their corner bias, which therefore does not average out.
     let repeats = sightings.len() as f64 / fuse::places(placed, views).len().max(1) as f64;
-    let modelled = limits.corner_noise_px.powi(2) + repeats * limits.corner_bias_px.powi(2);
+    let shared = limits.corner_bias_px.hypot(LOOKS_PX);
+    let modelled = limits.corner_noise_px.powi(2) + repeats * shared.powi(2);
     let freedom_left = (8 * sightings.len() - 6).max(1) as f64;
     let variance = modelled.max(free.cost_px2 / freedom_left);
     let significance = |less: f64, more: f64| ((less - more).max(0.0) / variance).sqrt();

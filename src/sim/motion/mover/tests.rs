@@ -241,7 +241,7 @@ fn a_tool_speed_goes_straight_and_stops() {
         mover.step(1.0).unwrap();
     }
     assert!(mover.at_speed());
-    mover.stop_tool(0.5);
+    mover.stop_tool(0.5, 2.0);
     finish(&mut mover, |_| {});
     let moved = mover.arm.tcp(&mover.q).translation.vector - start.translation.vector;
     assert!(moved.xy().norm() < 1e-6 && (moved.z + 0.1).abs() < 2e-3, "{moved}");
