@@ -3,7 +3,7 @@
 //! In: the parts that could be read, and where the keys stand. Out: complaints in the decoder. Each check takes
 //! the parts it needs and is left out when one of them is missing, so that one wrong key hides no other fault. Pure.
 
-use crate::config::cell::{CameraDevice, CupConfig, Devices, GripperConfig, MotionLimits};
+use crate::config::cell::{CupConfig, Devices, GripperConfig, MotionLimits};
 use crate::config::parts::CellParts;
 use crate::document::Location;
 use crate::document::decode::Decoder;
@@ -94,10 +94,7 @@ fn check_simulation(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
 
 fn hosts(devices: &Devices) -> Vec<(&'static str, &str)> {
     let mut hosts = vec![("robot", devices.robot_host.as_str()), ("gripper", devices.gripper_host.as_str())];
-    match &devices.camera {
-        CameraDevice::Simulator { host, .. } => hosts.push(("camera", host)),
-        CameraDevice::Folder { .. } | CameraDevice::Video { .. } => {}
-    }
+    hosts.extend(devices.camera.host().map(|host| ("camera", host)));
     hosts
 }
 

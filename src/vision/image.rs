@@ -5,6 +5,7 @@
 //! the marker family's patterns (`tag36h11`).
 
 pub mod depth;
+pub mod quality;
 pub mod tag36h11;
 
 pub use depth::DepthImage;
@@ -70,7 +71,9 @@ pub enum ImageError {
         height: u32,
     },
     /// A picture, but not one of depths.
-    #[error("a picture with pixels of kind {found} is no depth picture: a PNG file with 16 bits of grey is wanted")]
+    #[error(
+        "a picture with pixels of kind {found} is no depth picture: a PNG file with 16 bits of grey is wanted"
+    )]
     NotDepth {
         /// The kind of its pixels.
         found: String,

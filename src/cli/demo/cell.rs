@@ -19,6 +19,7 @@ use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::kinematics::{ARM_MODELS, DhParameters};
 use crate::tabletop::instance::Instance;
 use crate::units::Joints;
+use crate::vision::image::quality::PictureLimits;
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -71,7 +72,8 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             robot_host: choice.bind.to_string(),
             gripper_host: choice.bind.to_string(),
             gripper_port: 502,
-            camera: CameraDevice::Simulator { host: choice.bind.to_string(), port: 8080 },
+            camera: CameraDevice::Simulator { host: choice.bind.to_string(), port: 8080, depth: false },
+            picture_limits: PictureLimits::STANDARD,
         },
         workspace: WorkspaceConfig {
             width_m: width,

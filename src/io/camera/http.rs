@@ -1,12 +1,13 @@
 //! A camera behind an HTTP address: the simulator's, or any that speaks the same few words.
 //!
 //! `GET /frame.png` gives a picture with headers `X-Sequence` (whole number), `X-Time` (s) and `X-Serial`; `GET
-//! /intrinsics.json` gives the fields of [`CameraModel`]. Every request has a time limit and the answer a size limit.
+//! /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is asked for, 16 bits of 0.1 mm. Every request has a time limit and the answer a size limit.
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
+use crate::vision::image::depth::UNIT_M;
+use crate::vision::image::{DepthImage, Image};
 use std::time::Duration;
 
 /// Largest answer read, bytes.
@@ -15,42 +16,40 @@ const ANSWER_MAX: u64 = 64 << 20;
 /// The camera at an address.
 pub struct HttpCamera {
     base: String,
-    limit: Duration,
-    agent: ureq::Agent,
+    client: Client,
     lens: Option<CameraModel>,
+    depth: bool,
     watch: Watch,
 }
 
-impl HttpCamera {
-    /// The camera at `base` (`http://host:port`); every request may take up to `limit`. Connects to nothing yet.
-    pub fn new(base: &str, limit: Duration) -> HttpCamera {
+/// What asks an address for bytes.
+pub(super) struct Client {
+    limit: Duration,
+    agent: ureq::Agent,
+}
+
+impl Client {
+    /// Every request may take up to `limit`. Connects to nothing yet.
+    pub(super) fn new(limit: Duration) -> Client {
         let config = ureq::Agent::config_builder()
             .timeout_global(Some(limit))
             .http_status_as_error(false)
             .max_redirects(0)
             .proxy(None)
             .build();
-        HttpCamera {
-            base: base.trim_end_matches('/').to_owned(),
-            limit,
-            agent: ureq::Agent::new_with_config(config),
-            lens: None,
-            watch: Watch::default(),
-        }
+        Client { limit, agent: ureq::Agent::new_with_config(config) }
     }
 
-    /// Uses a lens from a calibration file instead of the camera's own; frames must then carry its serial number.
-    pub fn with_lens(mut self, lens: CameraModel) -> HttpCamera {
-        self.lens = Some(lens);
-        self
+    /// The same with no connection kept.
+    pub(super) fn anew(&self) -> Client {
+        Client::new(self.limit)
     }
 
-    /// The camera was restarted on purpose: its count may begin again.
-    pub fn restarted(&mut self) {
-        self.watch.forget();
-    }
-
-    fn get(&self, address: &str) -> Result<(ureq::http::HeaderMap, Vec<u8>), CameraError> {
+    /// Headers and body at `address`.
+    ///
+    /// # Errors
+    /// `Unreachable`, `Status`.
+    pub(super) fn get(&self, address: &str) -> Result<(ureq::http::HeaderMap, Vec<u8>), CameraError> {
         let unreachable = |error: ureq::Error| CameraError::Unreachable {
             address: address.to_owned(),
             limit: self.limit,
@@ -66,13 +65,44 @@ impl HttpCamera {
     }
 }
 
+impl HttpCamera {
+    /// The camera at `base` (`http://host:port`); every request may take up to `limit`. Connects to nothing yet.
+    pub fn new(base: &str, limit: Duration) -> HttpCamera {
+        HttpCamera {
+            base: base.trim_end_matches('/').to_owned(),
+            client: Client::new(limit),
+            lens: None,
+            depth: false,
+            watch: Watch::default(),
+        }
+    }
+
+    /// Uses a lens from a calibration file instead of the camera's own; frames must then carry its serial number.
+    pub fn with_lens(mut self, lens: CameraModel) -> HttpCamera {
+        self.lens = Some(lens);
+        self
+    }
+
+    /// Asks for the depth picture with every frame.
+    pub fn with_depth(mut self) -> HttpCamera {
+        self.depth = true;
+        self
+    }
+
+    fn take_depth(&self) -> Result<DepthImage, CameraError> {
+        let address = format!("{}/depth.png", self.base);
+        let (_, bytes) = self.client.get(&address)?;
+        DepthImage::decode(&bytes, UNIT_M).map_err(|source| CameraError::Picture { place: address, source })
+    }
+}
+
 impl CameraSource for HttpCamera {
     fn intrinsics(&mut self) -> Result<CameraModel, CameraError> {
         if let Some(lens) = &self.lens {
             return Ok(lens.clone());
         }
         let address = format!("{}/intrinsics.json", self.base);
-        let (_, bytes) = self.get(&address)?;
+        let (_, bytes) = self.client.get(&address)?;
         let lens: CameraModel = serde_json::from_slice(&bytes)
             .map_err(|source| CameraError::Intrinsics { place: address, source })?;
         lens.check()?;
@@ -82,7 +112,7 @@ impl CameraSource for HttpCamera {
 
     fn grab(&mut self) -> Result<Frame, CameraError> {
         let address = format!("{}/frame.png", self.base);
-        let (headers, bytes) = self.get(&address)?;
+        let (headers, bytes) = self.client.get(&address)?;
         let sequence = header(&headers, &address, "X-Sequence", "whole number")?;
         let time_s = header(&headers, &address, "X-Time", "number of seconds")?;
         let serial: String = header(&headers, &address, "X-Serial", "serial number")?;
@@ -94,9 +124,22 @@ impl CameraSource for HttpCamera {
         }
         let image = Image::decode(&bytes)
             .map_err(|source| CameraError::Picture { place: address.clone(), source })?;
-        let frame = Frame { image, sequence, time_s, source: address };
+        let mut frame = Frame { image, sequence, time_s, source: address, depth: None };
         self.watch.check(&frame, self.lens.as_ref())?;
+        if self.depth {
+            frame.depth = Some(self.take_depth()?);
+        }
         Ok(frame)
+    }
+
+    fn is_live(&self) -> bool {
+        true
+    }
+
+    fn reopen(&mut self) -> Result<(), CameraError> {
+        self.client = self.client.anew();
+        self.watch.restarted();
+        Ok(())
     }
 }
 
@@ -117,7 +160,7 @@ fn header<T: std::str::FromStr>(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use std::io::{Read, Write};
     use std::net::TcpListener;
@@ -126,7 +169,7 @@ mod tests {
         "distortion": [0, 0, 0, 0, 0]}"#;
 
     /// Answers each request with the next of `answers` (status line and headers, body), then stops listening.
-    fn serve(answers: Vec<(String, Vec<u8>)>) -> String {
+    pub fn serve(answers: Vec<(String, Vec<u8>)>) -> String {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = format!("http://{}", listener.local_addr().unwrap());
         std::thread::spawn(move || {

@@ -18,6 +18,8 @@ struct Last {
     sequence: u64,
     time_s: f64,
     content: u64,
+    /// The camera was connected to anew since: its count and its clock may begin again.
+    restarted: bool,
 }
 
 impl Watch {
@@ -32,29 +34,36 @@ impl Watch {
             lens.check_picture(frame.image.width, frame.image.height)?;
         }
         let place = || frame.source.clone();
-        let sequence = frame.sequence;
+        let (sequence, time_s) = (frame.sequence, frame.time_s);
         let mut hasher = DefaultHasher::new();
         frame.image.rgb.hash(&mut hasher);
         let content = hasher.finish();
-        if let Some(last) = &self.last {
-            if sequence <= last.sequence {
-                return Err(CameraError::RepeatedSequence { place: place(), sequence, last: last.sequence });
+        let mut last_s = f64::NEG_INFINITY;
+        if let Some(Last { sequence: last, time_s: before_s, content: before, restarted }) = self.last {
+            let counts_on = sequence > last || restarted && sequence != last;
+            if !counts_on && (content == before || !restarted) {
+                return Err(CameraError::RepeatedSequence { place: place(), sequence, last });
             }
-            if content == last.content {
-                return Err(CameraError::RepeatedPicture { place: place(), sequence, last: last.sequence });
+            if content == before {
+                return Err(CameraError::RepeatedPicture { place: place(), sequence, last });
+            }
+            if !restarted {
+                last_s = before_s;
             }
         }
-        let last_s = self.last.as_ref().map_or(f64::NEG_INFINITY, |last| last.time_s);
-        if !frame.time_s.is_finite() || frame.time_s < last_s {
-            return Err(CameraError::Time { place: place(), sequence, time_s: frame.time_s, last_s });
+        if !time_s.is_finite() || time_s < last_s {
+            return Err(CameraError::Time { place: place(), sequence, time_s, last_s });
         }
-        self.last = Some(Last { sequence, time_s: frame.time_s, content });
+        self.last = Some(Last { sequence, time_s, content, restarted: false });
         Ok(())
     }
 
-    /// Forgets the last frame, after the caller decided that a restarted camera is fine.
-    pub fn forget(&mut self) {
-        self.last = None;
+    /// The camera was connected to anew: its count and its clock may begin again. Its last picture is remembered: a
+    /// camera that still gives that one is frozen.
+    pub fn restarted(&mut self) {
+        if let Some(last) = &mut self.last {
+            last.restarted = true;
+        }
     }
 }
 
@@ -64,7 +73,13 @@ mod tests {
     use crate::vision::image::Image;
 
     fn frame(sequence: u64, time_s: f64, grey: u8) -> Frame {
-        Frame { image: Image::filled(32, 24, [grey; 3]), sequence, time_s, source: "test".into() }
+        Frame {
+            image: Image::filled(32, 24, [grey; 3]),
+            sequence,
+            time_s,
+            source: "test".into(),
+            depth: None,
+        }
     }
 
     #[test]
@@ -79,8 +94,10 @@ mod tests {
         assert!(matches!(watch.check(&frame(7, 0.5, 12), None), Err(CameraError::Time { .. })));
         assert!(matches!(watch.check(&frame(7, f64::NAN, 12), None), Err(CameraError::Time { .. })));
         watch.check(&frame(8, 1.2, 13), None).unwrap();
-        watch.forget();
-        watch.check(&frame(1, 0.0, 13), None).unwrap();
+        watch.restarted();
+        assert!(matches!(watch.check(&frame(8, 1.2, 13), None), Err(CameraError::RepeatedSequence { .. })));
+        assert!(matches!(watch.check(&frame(1, 0.0, 13), None), Err(CameraError::RepeatedPicture { .. })));
+        watch.check(&frame(1, 0.0, 14), None).unwrap();
     }
 
     #[test]
