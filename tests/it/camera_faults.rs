@@ -33,12 +33,12 @@ fn truth() -> (f64, usize) {
     let lid = objects.iter().find(|object| object["id"] == "lid").expect("the lid");
     let grips = world["events"].as_array().expect("events").iter();
     let grips = grips.filter(|event| event.to_string().contains("grip")).count();
-    (lid["pose"]["x"].as_f64().expect("a number"), grips)
+    (lid["pose"][0].as_f64().expect("a number"), grips)
 }
 
 /// The example cell with its calibration, and the simulator with a control server.
 fn start(folder: &Path) -> (Running, Running) {
-    let (cell, sim) = configuration(folder, ADDRESS);
+    let (cell, sim) = configuration(folder, ADDRESS, 2);
     let calibration = folder.join("calibration/sim");
     std::fs::create_dir_all(&calibration).expect("created");
     let made = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim");

@@ -88,7 +88,7 @@ pub(crate) fn wait_until(what: &str, condition: impl Fn() -> bool) {
 }
 
 /// The example configuration at an address and a time factor of this test's own.
-pub(crate) fn configuration(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
+pub(crate) fn configuration(folder: &Path, address: &str, factor: u32) -> (PathBuf, PathBuf) {
     let config = folder.join("config");
     std::fs::create_dir(&config).expect("created");
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
@@ -96,8 +96,8 @@ pub(crate) fn configuration(folder: &Path, address: &str) -> (PathBuf, PathBuf) 
         let text = std::fs::read_to_string(entry.path()).expect("text");
         let text = text
             .replace("127.0.0.2", address)
-            .replace("time_factor: 1\n", "time_factor: 4\n")
-            .replace("clock_factor: 1}", "clock_factor: 4}")
+            .replace("time_factor: 1\n", &format!("time_factor: {factor}\n"))
+            .replace("clock_factor: 1}", &format!("clock_factor: {factor}}}"))
             .replace("\napproval: always", "\napproval: never");
         std::fs::write(config.join(entry.file_name()), text).expect("written");
     }
@@ -146,7 +146,7 @@ pub(crate) fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
 #[test]
 fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim) = configuration(folder.path(), "127.7.1.2");
+    let (cell, sim) = configuration(folder.path(), "127.7.1.2", 4);
     let _sim = start_sim(&sim);
     let cell_text = cell.display().to_string();
     let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());

@@ -237,6 +237,23 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn depth_comes_with_the_picture_where_it_is_asked_for() {
+        let depth = DepthImage::from_units(40, 32, &[4217; 40 * 32], UNIT_M).unwrap();
+        let answer = ("HTTP/1.1 200 OK\r\n".to_owned(), depth.encode_png(UNIT_M).unwrap());
+        let (_, colour) = picture(5, 12);
+        let answers =
+            vec![picture(3, 10), answer, picture(4, 11), ("HTTP/1.1 200 OK\r\n".to_owned(), colour)];
+        let mut camera = camera(answers).with_depth();
+        let frame = camera.grab().unwrap();
+        assert_eq!(frame.depth.unwrap().at(39, 31), depth.at(0, 0));
+        let told = camera.grab().unwrap_err();
+        assert!(
+            matches!(&told, CameraError::Picture { place, .. } if place.ends_with("/depth.png")),
+            "{told}"
+        );
+    }
+
+    #[test]
     fn the_wrong_camera_or_size_is_refused() {
         let mut camera = camera(vec![text(&LENS.replace("\"7\"", "\"8\"")), picture(1, 1)]);
         camera.intrinsics().unwrap();

@@ -1,10 +1,12 @@
 //! Watches a stream of frames for a camera that is frozen, restarted, or not the one that was calibrated.
 //!
 //! In: frames in the order they came. Out: nothing, or the error that says what is wrong. Content is compared by a hash of all pixels:
-//! a real sensor's noise never repeats, so two equal pictures are one picture.
+//! a real sensor's noise never repeats, so two equal pictures are one picture. Where light or dark leave no room for noise,
+//! content says nothing, and the picture is left to those who judge its light.
 
 use crate::io::camera::{CameraError, Frame};
 use crate::vision::camera::CameraModel;
+use crate::vision::image::Image;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// What the last good frame was.
@@ -17,7 +19,8 @@ pub struct Watch {
 struct Last {
     sequence: u64,
     time_s: f64,
-    content: u64,
+    /// Of the last picture that had noise.
+    content: Option<u64>,
     /// The camera was connected to anew since: its count and its clock may begin again.
     restarted: bool,
 }
@@ -35,26 +38,26 @@ impl Watch {
         }
         let place = || frame.source.clone();
         let (sequence, time_s) = (frame.sequence, frame.time_s);
-        let mut hasher = DefaultHasher::new();
-        frame.image.rgb.hash(&mut hasher);
-        let content = hasher.finish();
-        let mut last_s = f64::NEG_INFINITY;
+        let content = content(&frame.image);
+        let (mut last_s, mut known) = (f64::NEG_INFINITY, None);
         if let Some(Last { sequence: last, time_s: before_s, content: before, restarted }) = self.last {
+            let same = content.is_some() && content == before;
             let counts_on = sequence > last || restarted && sequence != last;
-            if !counts_on && (content == before || !restarted) {
+            if !counts_on && (same || !restarted) {
                 return Err(CameraError::RepeatedSequence { place: place(), sequence, last });
             }
-            if content == before {
+            if same {
                 return Err(CameraError::RepeatedPicture { place: place(), sequence, last });
             }
             if !restarted {
                 last_s = before_s;
             }
+            known = before;
         }
         if !time_s.is_finite() || time_s < last_s {
             return Err(CameraError::Time { place: place(), sequence, time_s, last_s });
         }
-        self.last = Some(Last { sequence, time_s, content, restarted: false });
+        self.last = Some(Last { sequence, time_s, content: content.or(known), restarted: false });
         Ok(())
     }
 
@@ -67,10 +70,24 @@ impl Watch {
     }
 }
 
+/// Grey levels between which a sensor's noise shows, and the least share of them that tells pictures apart.
+const NOISY: std::ops::RangeInclusive<u8> = 6..=249;
+const NOISY_SHARE: f64 = 1e-3;
+
+/// A picture in one number; nothing for one that is black or white all over.
+fn content(image: &Image) -> Option<u64> {
+    let noisy = image.rgb.iter().filter(|level| NOISY.contains(level)).count();
+    if (noisy as f64) < NOISY_SHARE * image.rgb.len() as f64 {
+        return None;
+    }
+    let mut hasher = DefaultHasher::new();
+    image.rgb.hash(&mut hasher);
+    Some(hasher.finish())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vision::image::Image;
 
     fn frame(sequence: u64, time_s: f64, grey: u8) -> Frame {
         Frame {
@@ -98,6 +115,20 @@ mod tests {
         assert!(matches!(watch.check(&frame(8, 1.2, 13), None), Err(CameraError::RepeatedSequence { .. })));
         assert!(matches!(watch.check(&frame(1, 0.0, 13), None), Err(CameraError::RepeatedPicture { .. })));
         watch.check(&frame(1, 0.0, 14), None).unwrap();
+    }
+
+    #[test]
+    fn pictures_without_room_for_noise_are_not_taken_for_frozen_ones() {
+        let mut watch = Watch::default();
+        for (sequence, grey) in [(1, 90), (2, 255), (3, 255), (4, 0), (5, 0)] {
+            watch.check(&frame(sequence, 1.0, grey), None).unwrap();
+        }
+        assert!(matches!(watch.check(&frame(5, 1.0, 0), None), Err(CameraError::RepeatedSequence { .. })));
+        let told = watch.check(&frame(6, 1.0, 90), None).unwrap_err();
+        assert!(
+            matches!(told, CameraError::RepeatedPicture { .. }),
+            "what was seen before is remembered: {told}"
+        );
     }
 
     #[test]

@@ -42,8 +42,9 @@ fn library_in(clients: &Path) -> Option<PathBuf> {
 
 /// One of the recordings beside the public data.
 fn recording(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("CELLD_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let beside =
+        || Path::new(env!("CARGO_MANIFEST_DIR")).parent().map(|folder| folder.join("shared").join("data"));
+    let folder = std::env::var_os("CELLD_DATA").map(PathBuf::from).or_else(beside)?;
     let file = folder.join("camera").join(name);
     if !file.is_file() {
         eprintln!("SKIPPED: no {} (set CELLD_DATA)", file.display());
