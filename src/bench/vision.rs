@@ -222,7 +222,7 @@ impl Bench {
             let detections = detector.detect(&picture).map_err(|error| error.to_string())?;
             self.count(&scene, [number, views.len()], &detections, &mut tally);
             let time = Timestamp::from_nanos(views.len() as u64);
-            views.push(View { table_from_camera: *table_from_camera, detections, time });
+            views.push(View { table_from_camera: *table_from_camera, detections, time, heights: None });
         }
         self.judge(&scene, &self.lens.camera, &views, &mut tally.exact)?;
         if let Some(eye) = eye {
@@ -360,7 +360,8 @@ impl Bench {
     ) -> Result<f64, String> {
         let started = Instant::now();
         let detections = detector.detect(picture).map_err(|error| error.to_string())?;
-        let view = View { table_from_camera: *table_from_camera, detections, time: Timestamp::ZERO };
+        let view =
+            View { table_from_camera: *table_from_camera, detections, time: Timestamp::ZERO, heights: None };
         observe(objects, &[], &self.lens.camera, &[view], &limits()).map_err(|error| error.to_string())?;
         Ok(started.elapsed().as_secs_f64() * 1e3)
     }

@@ -75,7 +75,12 @@ fn capture(args: &CaptureArgs) -> Result<(String, u8), String> {
         let detections = detector.detect(&image.gray()).map_err(|error| format!("{name}: {error}"))?;
         let table_from_camera =
             where_taken(&lens, &reference, &detections).map_err(|fault| format!("{name}: {fault}"))?;
-        views.push(View { table_from_camera, detections, time: Timestamp::from_nanos(index as u64) });
+        views.push(View {
+            table_from_camera,
+            detections,
+            time: Timestamp::from_nanos(index as u64),
+            heights: None,
+        });
     }
     let objects = objects(&config);
     let seen = observe(&objects, &reference, &lens, &views, &ObserveLimits::default());

@@ -196,8 +196,8 @@ async fn daemon(
     let (answers_in, answers) = tokio::sync::mpsc::channel(16);
     let camera = open_camera(&config, Some(measured.camera.clone()))?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let eye =
-        spawn_eye(camera, detector, eye_parameters(&config, measured.camera), clock, answers_in.clone());
+    let eye_parameters = eye_parameters(&config, &measured).map_err(|error| chain(&error))?;
+    let eye = spawn_eye(camera, detector, eye_parameters, clock, answers_in.clone());
     let mut cell = Cell::new(model, seed);
     if config.arm_at_start {
         cell.arm_at_start();

@@ -8,6 +8,7 @@
 use crate::geometry::pose::Pose2;
 use crate::jobs::goal::GoalContext;
 use crate::jobs::policy::{Approval, JobObjective};
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
 use crate::units::{ATMOSPHERE_PA, Joints};
 use crate::vision::observe::ObserveLimits;
@@ -62,6 +63,8 @@ pub struct CellConfig {
     pub goal_folder: PathBuf,
     /// Markers in view that belong to nothing on the table.
     pub ignore_markers: Vec<u32>,
+    /// What is done about things on the table that carry no marker.
+    pub foreign: ForeignRule,
 }
 
 impl CellConfig {

@@ -17,6 +17,7 @@ use crate::config::parts::{CellParts, TableParts};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
 use crate::jobs::policy::{Approval, decode_objective, decode_solver};
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::decode;
 use crate::tabletop::instance::ObjectSpec;
 use crate::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
@@ -50,6 +51,7 @@ pub const CELL_KEYS: &[&str] = &[
     "recording",
     "goal_folder",
     "ignore_markers",
+    "foreign",
 ];
 
 /// Text of a file that the configuration names; `Err` says why it cannot be had.
@@ -124,6 +126,7 @@ fn parts(
     let ignore_markers = optional(decoder, fields, "ignore_markers", Vec::new(), |decoder, at| {
         list(decoder, at, |decoder, at| decoder.integer(at, 0..=586).map(|id| id as u32))
     });
+    let foreign = optional(decoder, fields, "foreign", ForeignRule::Refuse { depth_needed: false }, foreign);
     let goal_folder =
         optional(decoder, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder));
     CellParts {
@@ -151,6 +154,7 @@ fn parts(
         recording,
         goal_folder,
         ignore_markers,
+        foreign,
     }
 }
 
@@ -381,6 +385,23 @@ fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
         observation_age_s: age?,
         reference_residual_m: residual?,
     })
+}
+
+/// `{mode: refuse | off}` or `{mode: obstacle, margin_m}`.
+fn foreign(decoder: &mut Decoder, at: &At) -> Option<ForeignRule> {
+    let mode_at = decoder.open_map(at)?.required("mode", decoder)?;
+    match decoder.choice(&mode_at, &[("refuse", "refuse"), ("obstacle", "obstacle"), ("off", "off")])? {
+        "obstacle" => {
+            let fields = decoder.map(at, &["mode", "margin_m"])?;
+            let margin_m = required_number(decoder, &fields, "margin_m", 0.0..=0.2, "m")?;
+            Some(ForeignRule::Obstacle { margin_m })
+        }
+        mode => {
+            decoder.map(at, &["mode"])?;
+            let refuse = ForeignRule::Refuse { depth_needed: true };
+            Some(if mode == "refuse" { refuse } else { ForeignRule::Off })
+        }
+    }
 }
 
 fn planner(decoder: &mut Decoder, at: &At) -> Option<PlannerConfig> {

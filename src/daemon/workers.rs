@@ -12,6 +12,7 @@ use crate::planning::solver::{Control, solve};
 use crate::supervisor::input::{PlanAnswer, PlanRequest};
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::Detector;
+use crate::vision::foreign::search::ForeignSearch;
 use crate::vision::image::Image;
 use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
 use nalgebra::Isometry3;
@@ -57,6 +58,8 @@ pub struct EyeParameters {
     pub reference: Vec<ReferenceMarker>,
     /// Limits of plausibility.
     pub limits: ObserveLimits,
+    /// The search for what carries no marker; `None` when it is switched off.
+    pub foreign: Option<ForeignSearch>,
 }
 
 /// Starts the thread that owns the camera and the detector.
@@ -73,7 +76,9 @@ pub fn spawn_eye(
         while let Some((number, request)) = requests.blocking_recv() {
             let answer = match request {
                 EyeRequest::Capture { frames, table_from_camera } => {
-                    let taken = capture(&mut *source, &mut detector, frames, table_from_camera, &clock);
+                    let search = parameters.foreign.as_ref();
+                    let eye = (&mut *source as &mut dyn CameraSource, &mut detector);
+                    let taken = capture(eye, frames, table_from_camera, &clock, search);
                     Answer::Captured(taken)
                 }
                 EyeRequest::Observe(views) => Answer::Observed(put_together(&parameters, &views)),
@@ -87,27 +92,37 @@ pub fn spawn_eye(
 }
 
 fn put_together(parameters: &EyeParameters, views: &[View]) -> Result<Box<Observation>, String> {
-    let EyeParameters { camera, objects, reference, limits } = parameters;
-    observe(objects, reference, camera, views, limits).map(Box::new).map_err(|error| error.to_string())
+    let EyeParameters { camera, objects, reference, limits, foreign } = parameters;
+    let mut seen = observe(objects, reference, camera, views, limits).map_err(|error| error.to_string())?;
+    seen.foreign = foreign.as_ref().and_then(|search| search.report(views, &seen));
+    Ok(Box::new(seen))
 }
 
-/// Takes `frames` new frames and finds the markers in each.
+/// Takes `frames` new frames and finds the markers in each; the last one comes with depth if there is a search for it.
 ///
 /// # Errors
 /// The camera's own words, or that no frame was asked for.
-pub fn capture(
-    source: &mut dyn CameraSource,
-    detector: &mut Detector,
+fn capture(
+    (source, detector): (&mut dyn CameraSource, &mut Detector),
     frames: usize,
     table_from_camera: Isometry3<f64>,
     clock: &Clock,
+    search: Option<&ForeignSearch>,
 ) -> Result<(Vec<View>, Image), String> {
     let mut views = Vec::with_capacity(frames);
     let mut last = None;
-    for _ in 0..frames {
+    for left in (0..frames).rev() {
+        source.want_depth(search.is_some() && left == 0);
         let frame = source.grab().map_err(|error| error.to_string())?;
         let detections = detector.detect(&frame.image.gray()).map_err(|error| error.to_string())?;
-        views.push(View { table_from_camera, detections, time: clock.now() });
+        let heights = match (search, &frame.depth) {
+            (Some(search), Some(depth)) => {
+                let map = search.map(depth, &table_from_camera).map_err(|error| error.to_string())?;
+                Some(Arc::new(map))
+            }
+            _ => None,
+        };
+        views.push(View { table_from_camera, detections, time: clock.now(), heights });
         last = Some(frame.image);
     }
     last.map(|image| (views, image)).ok_or_else(|| "no frame was asked for".to_string())

@@ -10,7 +10,7 @@ pub mod video;
 pub mod watch;
 
 use crate::vision::camera::{CameraModel, CameraModelError};
-use crate::vision::image::{Image, ImageError};
+use crate::vision::image::{DepthImage, Image, ImageError};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -25,6 +25,9 @@ pub struct Frame {
     pub time_s: f64,
     /// Which camera or file it came from.
     pub source: String,
+    /// The depth of the same moment, aligned to the picture pixel by pixel; `None` from cameras without it, and where it
+    /// was not asked for.
+    pub depth: Option<DepthImage>,
 }
 
 /// Something pictures come from.
@@ -40,6 +43,9 @@ pub trait CameraSource: Send {
     /// # Errors
     /// Anything else; a recording that has ended is `EndOfRecording`.
     fn grab(&mut self) -> Result<Frame, CameraError>;
+
+    /// Whether the next frames shall carry depth. Cameras without it take no notice.
+    fn want_depth(&mut self, _wanted: bool) {}
 }
 
 /// Why there is no picture or no lens.

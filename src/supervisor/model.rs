@@ -65,6 +65,23 @@ pub struct Tolerances {
     pub plan_grace: Duration,
 }
 
+/// What is done about things on the table that carry no marker.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ForeignRule {
+    /// Nobody looks for them.
+    Off,
+    /// Nothing is moved while there is one.
+    Refuse {
+        /// A look without depth is refused too; otherwise a camera that has no depth is no fault.
+        depth_needed: bool,
+    },
+    /// They are obstacles like any that never move, with this much room round them, m. Depth is needed.
+    Obstacle {
+        /// Room round the outline, and above it, m.
+        margin_m: f64,
+    },
+}
+
 /// The gripper as the supervisor uses it.
 #[derive(Clone, Debug)]
 pub struct GripSettings {
@@ -118,6 +135,8 @@ pub struct CellModel {
     pub ignore_markers: Vec<u32>,
     /// What may be moved.
     pub objects: Vec<CellObject>,
+    /// What is done about things without a marker.
+    pub foreign: ForeignRule,
     /// Limits of decisions.
     pub tolerances: Tolerances,
     /// The gripper.

@@ -12,11 +12,14 @@ use crate::planning::plan::{Action as PlanAction, ActionKind, Objective};
 use crate::planning::solver::SolverKind;
 use crate::supervisor::cell::Cell;
 use crate::supervisor::input::{Action, Input, OperatorCommand, Outside, PlanAnswer};
-use crate::supervisor::model::{CellModel, CellObject, DeviceAddresses, GripSettings, Tolerances};
+use crate::supervisor::model::{
+    CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
+};
 use crate::supervisor::order::{ApprovalRule, JobEnd, JobOrder};
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
+use crate::vision::foreign::{ForeignObject, ForeignReport};
 use crate::vision::observe::reference::{ReferenceCheck, ReferenceError};
 use crate::vision::observe::{ObjectEstimate, Observation};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
@@ -72,6 +75,7 @@ fn model() -> CellModel {
         clearance: 0.002,
         keep_out: Vec::new(),
         ignore_markers: vec![78],
+        foreign: ForeignRule::Refuse { depth_needed: false },
         objects: vec![object],
         tolerances: Tolerances {
             goal_position: 1e-3,
@@ -112,6 +116,7 @@ struct Bench {
     at: Pose2,
     other: Option<(String, Pose2)>,
     reference: ReferenceCheck,
+    foreign: Option<ForeignReport>,
     now: Timestamp,
 }
 
@@ -161,6 +166,7 @@ impl Bench {
             at: Pose2::new(0.15, 0.3, 0.0),
             other: None,
             reference: reference(4, 1e-4),
+            foreign: None,
             now: Timestamp::from_secs_f64(1.0),
         }
     }
@@ -242,7 +248,8 @@ impl Bench {
         let objects: Vec<_> = std::iter::once(estimate.clone()).chain(other).collect();
         let missing = self.missing.clone();
         let unknown = self.unknown.clone();
-        let seen = Observation { objects, reference, unknown, missing, ..Observation::default() };
+        let foreign = self.foreign.clone();
+        let seen = Observation { objects, reference, unknown, missing, foreign, ..Observation::default() };
         self.feed(Input::Observed(Ok(Box::new(seen))))
     }
 
@@ -401,3 +408,4 @@ fn a_plan_approved_late_waits_for_a_new_look() {
 }
 
 mod faults;
+mod foreign;

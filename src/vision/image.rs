@@ -70,7 +70,9 @@ pub enum ImageError {
         height: u32,
     },
     /// A picture, but not one of depths.
-    #[error("a picture with pixels of kind {found} is no depth picture: a PNG file with 16 bits of grey is wanted")]
+    #[error(
+        "a picture with pixels of kind {found} is no depth picture: a PNG file with 16 bits of grey is wanted"
+    )]
     NotDepth {
         /// The kind of its pixels.
         found: String,

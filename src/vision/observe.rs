@@ -223,7 +223,7 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let noise = ObserveLimits::default().corner_std_px();
         let detections = testing::detections(&camera, &table_from_camera, prints, noise, &mut random);
-        View { table_from_camera, detections, time: Timestamp::from_nanos(seed) }
+        View { table_from_camera, detections, time: Timestamp::from_nanos(seed), heights: None }
     }
 
     fn observed(objects: &[MarkedObject], views: &[View]) -> Observation {
@@ -256,7 +256,7 @@ mod tests {
             let table_from_camera = testing::looking_down(0.001 * turn, 0.0, 0.42, [0.02, -0.02], 0.0);
             let picture = testing::render(&camera, &table_from_camera, &prints, USUAL, trial);
             let detections = detector.detect(&picture).unwrap();
-            let views = [View { table_from_camera, detections, time: Timestamp::ZERO }];
+            let views = [View { table_from_camera, detections, time: Timestamp::ZERO, heights: None }];
             let observation = observe(&objects, &[], &camera, &views, &limits).unwrap();
             assert!(observation.complete(), "{observation:?}");
             for (object, estimate) in objects.iter().zip(&observation.objects) {

@@ -17,6 +17,7 @@ use crate::config::simulated::{SimFile, SimPorts};
 use crate::daemon::setup::arm_model;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::kinematics::{ARM_MODELS, DhParameters};
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::Instance;
 use crate::units::Joints;
 use nalgebra::Isometry3;
@@ -134,6 +135,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         recording: None,
         goal_folder: out.to_path_buf(),
         ignore_markers: Vec::new(),
+        foreign: ForeignRule::Refuse { depth_needed: true },
     };
     let model = arm_model(&config, DhParameters::UR5E, base_from_table);
     let angle = ViewAngle {

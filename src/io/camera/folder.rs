@@ -80,7 +80,7 @@ impl CameraSource for FolderCamera {
         self.next += 1;
         let image =
             Image::decode(&bytes?).map_err(|source| CameraError::Picture { place: place.clone(), source })?;
-        let frame = Frame { image, sequence, time_s: sequence as f64, source: place };
+        let frame = Frame { image, sequence, time_s: sequence as f64, source: place, depth: None };
         self.watch.check(&frame, self.lens.as_ref())?;
         Ok(frame)
     }

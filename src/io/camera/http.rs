@@ -1,12 +1,14 @@
 //! A camera behind an HTTP address: the simulator's, or any that speaks the same few words.
 //!
 //! `GET /frame.png` gives a picture with headers `X-Sequence` (whole number), `X-Time` (s) and `X-Serial`; `GET
-//! /intrinsics.json` gives the fields of [`CameraModel`]. Every request has a time limit and the answer a size limit.
+//! /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where there is one, gives depth aligned to the
+//! picture (16 bits, 0.1 mm a unit) with the same headers. Every request has a time limit and the answer a size limit.
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
+use crate::vision::image::depth::UNIT_M;
+use crate::vision::image::{DepthImage, Image};
 use std::time::Duration;
 
 /// Largest answer read, bytes.
@@ -19,6 +21,17 @@ pub struct HttpCamera {
     agent: ureq::Agent,
     lens: Option<CameraModel>,
     watch: Watch,
+    depth: Depth,
+}
+
+/// What is known of the camera's depth.
+#[derive(Default)]
+struct Depth {
+    wanted: bool,
+    /// The camera has said that it has none.
+    absent: bool,
+    /// Number of the last depth picture.
+    last: Option<u64>,
 }
 
 impl HttpCamera {
@@ -36,6 +49,7 @@ impl HttpCamera {
             agent: ureq::Agent::new_with_config(config),
             lens: None,
             watch: Watch::default(),
+            depth: Depth::default(),
         }
     }
 
@@ -48,6 +62,25 @@ impl HttpCamera {
     /// The camera was restarted on purpose: its count may begin again.
     pub fn restarted(&mut self) {
         self.watch.forget();
+        self.depth.last = None;
+    }
+
+    /// A new depth picture; `None` from a camera that has none.
+    fn grab_depth(&mut self) -> Result<Option<DepthImage>, CameraError> {
+        let address = format!("{}/depth.png", self.base);
+        let (headers, bytes) = match self.get(&address) {
+            Err(CameraError::Status { status: 404, .. }) => {
+                self.depth.absent = true;
+                return Ok(None);
+            }
+            answer => answer?,
+        };
+        let sequence = header(&headers, &address, "X-Sequence", "whole number")?;
+        if let Some(last) = self.depth.last.replace(sequence).filter(|last| *last >= sequence) {
+            return Err(CameraError::RepeatedSequence { place: address, sequence, last });
+        }
+        let depth = DepthImage::decode(&bytes, UNIT_M);
+        depth.map(Some).map_err(|source| CameraError::Picture { place: address, source })
     }
 
     fn get(&self, address: &str) -> Result<(ureq::http::HeaderMap, Vec<u8>), CameraError> {
@@ -94,9 +127,16 @@ impl CameraSource for HttpCamera {
         }
         let image = Image::decode(&bytes)
             .map_err(|source| CameraError::Picture { place: address.clone(), source })?;
-        let frame = Frame { image, sequence, time_s, source: address };
+        let mut frame = Frame { image, sequence, time_s, source: address, depth: None };
         self.watch.check(&frame, self.lens.as_ref())?;
+        if self.depth.wanted && !self.depth.absent {
+            frame.depth = self.grab_depth()?;
+        }
         Ok(frame)
+    }
+
+    fn want_depth(&mut self, wanted: bool) {
+        self.depth.wanted = wanted;
     }
 }
 
@@ -191,6 +231,36 @@ mod tests {
         let error = camera.grab().unwrap_err();
         assert!(matches!(error, CameraError::Unreachable { .. }));
         assert!(error.to_string().contains("celld sim") && error.to_string().contains("curl -I http://127"));
+    }
+
+    fn depth(sequence: u64, unit: u16) -> (String, Vec<u8>) {
+        let picture = DepthImage::from_units(40, 32, &[unit; 40 * 32], UNIT_M).unwrap();
+        (format!("HTTP/1.1 200 OK\r\nX-Sequence: {sequence}\r\n"), picture.encode_png(UNIT_M).unwrap())
+    }
+
+    #[test]
+    fn depth_comes_with_the_picture_when_it_is_asked_for() {
+        let answers = vec![picture(1, 1), picture(2, 2), depth(1, 4000), picture(3, 3), depth(1, 4000)];
+        let mut camera = camera(answers);
+        assert!(camera.grab().unwrap().depth.is_none());
+        camera.want_depth(true);
+        let frame = camera.grab().unwrap();
+        assert!((frame.depth.unwrap().at(3, 3).unwrap() - 0.4).abs() < 1e-6);
+        assert!(matches!(camera.grab(), Err(CameraError::RepeatedSequence { .. })), "frozen depth");
+    }
+
+    #[test]
+    fn a_camera_without_depth_is_asked_once_and_one_that_fails_is_an_error() {
+        let none = ("HTTP/1.1 404 Not Found\r\n".to_owned(), vec![]);
+        let mut camera = camera(vec![picture(1, 1), none, picture(2, 2)]);
+        camera.want_depth(true);
+        assert!(camera.grab().unwrap().depth.is_none());
+        assert_eq!(camera.grab().unwrap().sequence, 2);
+        let busy = ("HTTP/1.1 503 Busy\r\n".to_owned(), vec![]);
+        let mut camera = self::camera(vec![picture(1, 1), busy, picture(2, 2), picture(3, 3)]);
+        camera.want_depth(true);
+        assert!(matches!(camera.grab(), Err(CameraError::Status { status: 503, .. })));
+        assert!(matches!(camera.grab(), Err(CameraError::Picture { .. })), "a colour picture is no depth");
     }
 
     #[test]

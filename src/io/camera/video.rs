@@ -65,7 +65,8 @@ impl CameraSource for VideoCamera {
             Some(source) => self.failed("a frame has no pixels", Some(source)),
             None => self.failed("a frame is not 8 bit colour", None),
         })?;
-        let frame = Frame { image, sequence: self.next, time_s: time_ms.max(0.0) / 1e3, source: place };
+        let frame =
+            Frame { image, sequence: self.next, time_s: time_ms.max(0.0) / 1e3, source: place, depth: None };
         self.next += 1;
         self.watch.check(&frame, self.lens.as_ref())?;
         Ok(frame)

@@ -64,7 +64,13 @@ mod tests {
     use crate::vision::image::Image;
 
     fn frame(sequence: u64, time_s: f64, grey: u8) -> Frame {
-        Frame { image: Image::filled(32, 24, [grey; 3]), sequence, time_s, source: "test".into() }
+        Frame {
+            image: Image::filled(32, 24, [grey; 3]),
+            sequence,
+            time_s,
+            source: "test".into(),
+            depth: None,
+        }
     }
 
     #[test]
