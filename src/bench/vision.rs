@@ -3,9 +3,13 @@
 //! In: how many frames, a seed, detector settings. Out: [`Report`]. Frames are drawn by `render` from `scene`'s tables, five views a table;
 //! detection and `observe` run on them as in the cell. Accuracy is told with the lens's true numbers and with those that
 //! a calibration from board pictures found (`calibrated`); times are those of one frame on a core, beside a plain call
-//! of the C library on the same frame.
+//! of the C library on the same frame. Beside it stand the figures of drift (`drift`), of what carries no marker (`foreign`)
+//! and of the camera's mount (`hand_eye`).
 
 pub mod calibrated;
+pub mod drift;
+pub mod foreign;
+pub mod hand_eye;
 pub mod render;
 pub mod scene;
 pub mod tally;

@@ -111,7 +111,7 @@ fn pictures(
 }
 
 /// Where a picture was taken, by the reference markers in it.
-fn where_taken(
+pub(super) fn where_taken(
     lens: &CameraModel,
     reference: &[ReferenceMarker],
     detections: &[Detection],
@@ -142,7 +142,7 @@ fn where_taken(
 }
 
 /// The objects that can move, by their markers.
-fn objects(config: &CellConfig) -> Vec<MarkedObject> {
+pub(super) fn objects(config: &CellConfig) -> Vec<MarkedObject> {
     let movable = config.objects.iter().filter(|object| !object.fixed);
     let marked = movable.filter_map(|object| {
         let (marker, height) = (object.marker.as_ref()?, object.height?);
@@ -158,7 +158,7 @@ fn objects(config: &CellConfig) -> Vec<MarkedObject> {
 }
 
 /// One line for each object that was expected.
-fn told(seen: &Observation) -> String {
+pub(super) fn told(seen: &Observation) -> String {
     let mut text = String::new();
     for object in &seen.objects {
         let pose = object.pose;

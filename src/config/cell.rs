@@ -264,6 +264,10 @@ pub struct Tolerances {
     pub observation_age_s: f64,
     /// Largest mean residual of the reference markers in a look, m.
     pub reference_residual_m: f64,
+    /// Shift or lift of the camera, told by the reference markers from one look pose, that stops motion, m.
+    pub reference_shift_m: f64,
+    /// Turn of it, rad.
+    pub reference_turn_rad: f64,
 }
 
 /// How plans are made.

@@ -54,6 +54,12 @@ pub const CELL_KEYS: &[&str] = &[
     "foreign",
 ];
 
+/// How far the camera may seem shifted or lifted, and turned, unless the file says otherwise: half of what costs a
+/// millimetre or two at the objects, and several times what calibration and arm leave.
+pub const REFERENCE_SHIFT_M: f64 = 1e-3;
+/// See [`REFERENCE_SHIFT_M`].
+pub const REFERENCE_TURN_DEG: f64 = 0.15;
+
 /// Text of a file that the configuration names; `Err` says why it cannot be had.
 pub type ReadFile<'a> = dyn Fn(&Path) -> Result<String, String> + 'a;
 
@@ -373,17 +379,32 @@ fn joint_range(decoder: &mut Decoder, at: &At) -> Option<[(f64, f64); 6]> {
 }
 
 fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
-    let known = ["goal_position_m", "goal_angle_deg", "observation_age_s", "reference_residual_m"];
+    let known = [
+        "goal_position_m",
+        "goal_angle_deg",
+        "observation_age_s",
+        "reference_residual_m",
+        "reference_shift_m",
+        "reference_turn_deg",
+    ];
     let fields = decoder.map(at, &known)?;
     let position = required_positive(decoder, &fields, "goal_position_m", 0.1, "m");
     let angle = required_positive(decoder, &fields, "goal_angle_deg", 90.0, "degrees");
     let age = required_positive(decoder, &fields, "observation_age_s", 3600.0, "s");
     let residual = required_positive(decoder, &fields, "reference_residual_m", 0.1, "m");
+    let shift = optional(decoder, &fields, "reference_shift_m", REFERENCE_SHIFT_M, |d, at| {
+        d.number_in(at, 1e-5..=0.1, "m")
+    });
+    let turn = optional(decoder, &fields, "reference_turn_deg", REFERENCE_TURN_DEG, |d, at| {
+        d.number_in(at, 1e-3..=10.0, "degrees")
+    });
     Some(Tolerances {
         goal_position_m: position?,
         goal_angle_rad: rad_from_deg(angle?),
         observation_age_s: age?,
         reference_residual_m: residual?,
+        reference_shift_m: shift?,
+        reference_turn_rad: rad_from_deg(turn?),
     })
 }
 

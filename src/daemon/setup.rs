@@ -20,6 +20,7 @@ use crate::time::Duration;
 use crate::vision::camera::CameraModel;
 use crate::vision::foreign::search::{ForeignSearch, Inventory};
 use crate::vision::foreign::{Area, ForeignLimits, HeightMapError, KnownBody, OwnBody};
+use crate::vision::observe::reference::DriftLimits;
 use crate::vision::observe::{MarkedObject, ObserveLimits, ReferenceMarker};
 use nalgebra::{Isometry3, Vector3};
 
@@ -115,7 +116,11 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
             expected_position: 2.0 * tolerances.goal_position_m,
             expected_angle: 2.0 * tolerances.goal_angle_rad,
             observation_age: Duration::from_secs_f64(tolerances.observation_age_s),
-            reference_residual: tolerances.reference_residual_m,
+            reference: DriftLimits {
+                residual_m: tolerances.reference_residual_m,
+                shift_m: tolerances.reference_shift_m,
+                turn_rad: tolerances.reference_turn_rad,
+            },
             reference_seen: REFERENCES_SEEN,
             measurement_std: tolerances.goal_position_m,
             retries: 2,

@@ -58,20 +58,31 @@ impl Cell {
             return Some(Doubt { code: "reference_hidden".into(), message, remedy });
         }
         let check = observation.reference.as_ref()?;
-        // A number that is none is no proof that the calibration holds.
-        if check.residual_rms_m <= tolerances.reference_residual {
+        if !check.drifted(&tolerances.reference) {
             return None;
         }
         let mm = |metres: f64| metres * 1e3;
-        let message = format!(
+        let mut message = format!(
             "the reference markers are {:.1} mm off, {:.1} mm are allowed: the table seems shifted by {:.1} mm in x, \
              {:.1} mm in y and {:.2} degrees",
             mm(check.residual_rms_m),
-            mm(tolerances.reference_residual),
+            mm(tolerances.reference.residual_m),
             mm(check.shift_m[0]),
             mm(check.shift_m[1]),
             check.turn_rad.to_degrees()
         );
+        if let Some((look, _)) = check.worst_look(&tolerances.reference) {
+            message.push_str(&format!(
+                "; from the worst look pose by {:.1} mm in x, {:.1} mm in y, {:.1} mm in height and {:.2} degrees, \
+                 {:.1} mm and {:.2} degrees are allowed",
+                mm(look.shift_m[0]),
+                mm(look.shift_m[1]),
+                mm(look.lift_m),
+                look.turn_rad.to_degrees(),
+                mm(tolerances.reference.shift_m),
+                tolerances.reference.turn_rad.to_degrees()
+            ));
+        }
         let remedy = "camera or table were moved: see which, then `celld calibrate`";
         Some(Doubt { code: "calibration_invalid".into(), message, remedy })
     }

@@ -11,6 +11,7 @@ use crate::motion::pick_n_place::CycleParameters;
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::Duration;
 use crate::units::Joints;
+use crate::vision::observe::reference::DriftLimits;
 use nalgebra::{Isometry3, Vector3};
 
 /// One kind of thing the cell may move.
@@ -47,8 +48,8 @@ pub struct Tolerances {
     pub expected_angle: f64,
     /// What was seen longer ago than this is not acted upon.
     pub observation_age: Duration,
-    /// Larger rms errors of the reference markers than this mean that camera or table were moved, m.
-    pub reference_residual: f64,
+    /// Larger errors of the reference markers than these mean that camera or table were moved.
+    pub reference: DriftLimits,
     /// Fewer reference markers in a look than this say nothing about that.
     pub reference_seen: usize,
     /// An object whose position is less certain than this is looked at again, m (one standard deviation).

@@ -20,7 +20,7 @@ use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
 use crate::vision::foreign::{ForeignObject, ForeignReport};
-use crate::vision::observe::reference::{ReferenceCheck, ReferenceError};
+use crate::vision::observe::reference::{DriftLimits, LookShift, ReferenceCheck, ReferenceError};
 use crate::vision::observe::{ObjectEstimate, Observation};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 use nalgebra::{Isometry3, Vector3};
@@ -83,7 +83,7 @@ fn model() -> CellModel {
             expected_position: 2e-3,
             expected_angle: 0.02,
             observation_age: Duration::from_secs(30),
-            reference_residual: 1e-3,
+            reference: DriftLimits { residual_m: 1e-3, shift_m: 5e-4, turn_rad: 1e-3 },
             reference_seen: 3,
             measurement_std: 1e-3,
             retries: 1,
@@ -129,6 +129,7 @@ fn reference(count: u32, shift_m: f64) -> ReferenceCheck {
         residual_max_m: shift_m.abs(),
         shift_m: [shift_m, 0.0],
         turn_rad: 0.0,
+        looks: Vec::new(),
     }
 }
 
@@ -369,6 +370,26 @@ fn a_bumped_camera_stops_the_job_before_anything_is_picked() {
     assert_eq!((end, code.as_str()), (JobEnd::Failed, "calibration_invalid"));
     let (end, code) = ends_without_planning(reference(4, f64::NAN));
     assert_eq!((end, code.as_str()), (JobEnd::Failed, "calibration_invalid"));
+}
+
+#[test]
+fn a_camera_that_was_lifted_shifted_or_turned_at_one_look_pose_stops_the_job() {
+    let look = LookShift { view: 0, markers: 4, shift_m: [0.0; 2], turn_rad: 0.0, lift_m: 0.0 };
+    let bumps = [
+        LookShift { lift_m: -8e-4, ..look },
+        LookShift { shift_m: [4e-4, -4e-4], ..look },
+        LookShift { turn_rad: 2e-3, ..look },
+        LookShift { lift_m: f64::NAN, ..look },
+    ];
+    for bump in bumps {
+        let (_, code) =
+            ends_without_planning(ReferenceCheck { looks: vec![look, bump], ..reference(4, 1e-4) });
+        assert_eq!(code, "calibration_invalid", "{bump:?}");
+    }
+    let mut bench = Bench::new();
+    bench.reference = ReferenceCheck { looks: vec![look], ..reference(4, 1e-4) };
+    bench.job(false);
+    assert!(bench.until_planning().iter().any(|action| matches!(action, Action::Plan(_))));
 }
 
 #[test]

@@ -12,6 +12,7 @@ use crate::config::cell::{
     CalibrationFiles, CameraDevice, CameraMount, CellConfig, CupChannel, CupConfig, Devices, GripperConfig,
     MotionLimits, PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
 };
+use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::config::read_sim::DEFAULT_ERRORS;
 use crate::config::simulated::{SimFile, SimPorts};
 use crate::daemon::setup::arm_model;
@@ -122,6 +123,8 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             goal_angle_rad: 0.7f64.to_radians(),
             observation_age_s: 60.0,
             reference_residual_m: 0.001,
+            reference_shift_m: REFERENCE_SHIFT_M,
+            reference_turn_rad: REFERENCE_TURN_DEG.to_radians(),
         },
         planner: PlannerConfig {
             solver: choice.solver.clone(),
