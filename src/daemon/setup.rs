@@ -116,11 +116,7 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
             expected_position: 2.0 * tolerances.goal_position_m,
             expected_angle: 2.0 * tolerances.goal_angle_rad,
             observation_age: Duration::from_secs_f64(tolerances.observation_age_s),
-            reference: DriftLimits {
-                residual_m: tolerances.reference_residual_m,
-                shift_m: tolerances.reference_shift_m,
-                turn_rad: tolerances.reference_turn_rad,
-            },
+            reference: drift_limits(config),
             reference_seen: REFERENCES_SEEN,
             measurement_std: tolerances.goal_position_m,
             retries: 2,
@@ -293,7 +289,17 @@ pub fn eye_parameters(config: &CellConfig, measured: &Measured) -> Result<EyePar
         }
     };
     let (reference, limits) = (reference_markers(config), ObserveLimits::default());
-    Ok(EyeParameters { camera, objects, reference, limits, foreign })
+    let drift = drift_limits(config);
+    Ok(EyeParameters { camera, objects, reference, limits, foreign, drift, doubts: None })
+}
+
+fn drift_limits(config: &CellConfig) -> DriftLimits {
+    let tolerances = &config.tolerances;
+    DriftLimits {
+        residual_m: tolerances.reference_residual_m,
+        shift_m: tolerances.reference_shift_m,
+        turn_rad: tolerances.reference_turn_rad,
+    }
 }
 
 /// What the table may carry, for the search for what it should not; `camera_from_tool` where the camera is on the arm.

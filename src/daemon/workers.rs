@@ -3,6 +3,7 @@
 //! In: requests. Out: one [`Answer`] each over a bounded channel. Workers run at a lower priority than the
 //! loop that keeps the robot's heartbeat, and planning has a stop flag that the loop may raise.
 
+use crate::daemon::doubts::{self, Shot};
 use crate::io::camera::CameraSource;
 use crate::io::clock::Clock;
 use crate::io::priority;
@@ -14,8 +15,10 @@ use crate::vision::camera::CameraModel;
 use crate::vision::detect::Detector;
 use crate::vision::foreign::search::ForeignSearch;
 use crate::vision::image::Image;
+use crate::vision::observe::reference::DriftLimits;
 use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
 use nalgebra::Isometry3;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -60,6 +63,10 @@ pub struct EyeParameters {
     pub limits: ObserveLimits,
     /// The search for what carries no marker; `None` when it is switched off.
     pub foreign: Option<ForeignSearch>,
+    /// From where on the camera counts as moved: such looks are drawn.
+    pub drift: DriftLimits,
+    /// Folder for pictures of looks that are doubted.
+    pub doubts: Option<PathBuf>,
 }
 
 /// Starts the thread that owns the camera and the detector.
@@ -73,15 +80,26 @@ pub fn spawn_eye(
     let (requests_in, mut requests) = mpsc::channel(4);
     std::thread::spawn(move || {
         priority::lower();
+        let mut shots = Vec::new();
         while let Some((number, request)) = requests.blocking_recv() {
             let answer = match request {
                 EyeRequest::Capture { frames, table_from_camera } => {
                     let search = parameters.foreign.as_ref();
                     let eye = (&mut *source as &mut dyn CameraSource, &mut detector);
                     let taken = capture(eye, frames, table_from_camera, &clock, search);
+                    if let (Ok((_, image)), Some(_)) = (&taken, &parameters.doubts) {
+                        doubts::keep(&mut shots, Shot { image: image.clone(), table_from_camera });
+                    }
                     Answer::Captured(taken)
                 }
-                EyeRequest::Observe(views) => Answer::Observed(put_together(&parameters, &views)),
+                EyeRequest::Observe(views) => {
+                    let seen = put_together(&parameters, &views);
+                    if let (Ok(seen), Some(folder)) = (&seen, &parameters.doubts) {
+                        doubts::write(&parameters, &shots, seen, folder);
+                    }
+                    shots.clear();
+                    Answer::Observed(seen)
+                }
             };
             if answers.blocking_send((number, answer)).is_err() {
                 return;
@@ -92,7 +110,7 @@ pub fn spawn_eye(
 }
 
 fn put_together(parameters: &EyeParameters, views: &[View]) -> Result<Box<Observation>, String> {
-    let EyeParameters { camera, objects, reference, limits, foreign } = parameters;
+    let EyeParameters { camera, objects, reference, limits, foreign, .. } = parameters;
     let mut seen = observe(objects, reference, camera, views, limits).map_err(|error| error.to_string())?;
     seen.foreign = foreign.as_ref().and_then(|search| search.report(views, &seen));
     Ok(Box::new(seen))

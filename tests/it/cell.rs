@@ -88,7 +88,7 @@ fn wait_until(what: &str, condition: impl Fn() -> bool) {
 }
 
 /// The example configuration at an address and a time factor of this test's own.
-fn configuration(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
+fn configuration(folder: &Path, address: &str, factor: u32) -> (PathBuf, PathBuf) {
     let config = folder.join("config");
     std::fs::create_dir(&config).expect("created");
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
@@ -96,8 +96,8 @@ fn configuration(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
         let text = std::fs::read_to_string(entry.path()).expect("text");
         let text = text
             .replace("127.0.0.2", address)
-            .replace("time_factor: 1\n", "time_factor: 4\n")
-            .replace("clock_factor: 1}", "clock_factor: 4}")
+            .replace("time_factor: 1\n", &format!("time_factor: {factor}\n"))
+            .replace("clock_factor: 1}", &format!("clock_factor: {factor}}}"))
             .replace("\napproval: always", "\napproval: never");
         std::fs::write(config.join(entry.file_name()), text).expect("written");
     }
@@ -146,7 +146,7 @@ fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
 #[test]
 fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim) = configuration(folder.path(), "127.7.1.2");
+    let (cell, sim) = configuration(folder.path(), "127.7.1.2", 4);
     let _sim = start_sim(&sim);
     let cell_text = cell.display().to_string();
     let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());
@@ -223,7 +223,7 @@ fn fault(address: &str, text: &str) {
 fn cell_moves_nothing_while_something_without_a_marker_stands_on_the_table() {
     let folder = tempfile::tempdir().expect("a folder");
     let address = "127.7.1.4";
-    let (cell, sim) = configuration(folder.path(), address);
+    let (cell, sim) = configuration(folder.path(), address, 2);
     let _sim = start_sim(&sim);
     let cell_text = cell.display().to_string();
     let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());
@@ -276,8 +276,12 @@ fn cell_moves_nothing_while_something_without_a_marker_stands_on_the_table() {
     let (x, y, high) = (number("x = "), number("y = "), number("something "));
     assert!((x - 230.0).abs() < 8.0 && (y - 220.0).abs() < 8.0 && (high - 90.0).abs() < 8.0, "{result}");
 
+    let drawn = state.join("doubt-1.png");
+    assert!(std::fs::metadata(&drawn).is_ok_and(|meta| meta.len() > 10_000), "the look is drawn");
+
     // Taken away, work goes on.
     fault(address, r#"{"do": "clear"}"#);
     submit("three", 0.40);
     wait_until("the third job is done", || result_of(&state, "done", "three").is_some());
+    assert!(!drawn.exists(), "a good look leaves no doubts behind");
 }
