@@ -11,6 +11,7 @@ use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::daemon::setup::reference_markers;
+use crate::io::camera::CameraSource;
 use crate::io::files;
 use crate::jobs::job_file::goal_yaml;
 use crate::time::Timestamp;

@@ -186,9 +186,9 @@ fn table(path: &Path, image: &Image, found: &[Found]) -> String {
         text.push_str("no marker of the families looked for: too small (under 3 px a module), too dark, blurred, or without its white ring?\n");
         return text;
     }
-    text.push_str(
-        "   id     column        row    edge px  margin  repaired bits    distance mm   tilt deg\n",
-    );
+    let placed = found.iter().any(|found| found.pose.is_some());
+    text.push_str("   id     column        row    edge px  margin  repaired bits");
+    text.push_str(if placed { "    distance mm   tilt deg\n" } else { "\n" });
     for Found { detection, pose } in found {
         let [x, y] = detection.centre();
         let (edge, margin) = (detection.edge_min_px(), detection.decision_margin);
@@ -289,7 +289,9 @@ mod tests {
         let drawn = Image::decode(&std::fs::read(path("drawn.png")).unwrap()).unwrap();
         assert!(drawn.rgb.chunks_exact(3).any(|p| p[0] != p[2]), "colour on a grey picture");
         let (table, _) = detect(&DetectArgs { format: Format::Text, ..args }).unwrap();
-        assert!(table.contains("1 markers") && table.contains("    9 "), "{table}");
+        assert!(table.contains("1 markers") && table.contains("    9 ") && table.contains("tilt"), "{table}");
+        let (table, _) = detect(&self::args(path("m.png"))).unwrap();
+        assert!(!table.contains("tilt"), "no heading over nothing: {table}");
     }
 
     /// The example cell's table with its block at (0.15, 0.3), and a mug at (0.35, 0.2): picture and depth.

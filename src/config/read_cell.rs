@@ -4,9 +4,10 @@
 //! checked configuration, or every complaint at once. Nothing measured and no limit has a default; what may
 //! be left out are the keys that only switch something on.
 
+use crate::config::camera::camera_device;
 use crate::config::cell::{
-    CalibrationFiles, CameraDevice, CameraMount, CellConfig, Devices, MotionLimits, PlannerConfig,
-    RecordingConfig, SimulationConfig, Tolerances,
+    CalibrationFiles, CameraMount, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig,
+    SimulationConfig, Tolerances,
 };
 use crate::config::check::{Places, check_cell};
 use crate::config::fields::{
@@ -181,25 +182,8 @@ fn devices(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Devices> {
         Some((host?, port?))
     });
     let camera = fields.required("camera", decoder).and_then(|at| camera_device(decoder, &at, folder));
-    let (gripper_host, gripper_port) = gripper?;
-    Some(Devices { robot_host: robot?, gripper_host, gripper_port, camera: camera? })
-}
-
-fn camera_device(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CameraDevice> {
-    let kinds = [("simulator", "simulator"), ("folder", "folder"), ("video", "video")];
-    let kind_at = decoder.open_map(at)?.required("kind", decoder)?;
-    match decoder.choice(&kind_at, &kinds)? {
-        "simulator" => {
-            let fields = decoder.map(at, &["kind", "host", "port"])?;
-            let (host, port) = (host(decoder, &fields, "host"), port(decoder, &fields, "port"));
-            Some(CameraDevice::Simulator { host: host?, port: port? })
-        }
-        kind => {
-            let fields = decoder.map(at, &["kind", "path"])?;
-            let path = fields.required("path", decoder).and_then(|at| path(decoder, &at, folder))?;
-            Some(if kind == "folder" { CameraDevice::Folder { path } } else { CameraDevice::Video { path } })
-        }
-    }
+    let ((gripper_host, gripper_port), (camera, picture_limits)) = (gripper?, camera?);
+    Some(Devices { robot_host: robot?, gripper_host, gripper_port, camera, picture_limits })
 }
 
 fn table(decoder: &mut Decoder, fields: &Fields) -> TableParts {

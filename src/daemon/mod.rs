@@ -7,6 +7,7 @@
 
 pub mod calibrate;
 pub mod calibration_files;
+pub mod cameras;
 pub mod doubts;
 pub mod hardware;
 pub mod links;

@@ -3,6 +3,7 @@
 //! In: requests. Out: one [`Answer`] each over a bounded channel. Workers run at a lower priority than the
 //! loop that keeps the robot's heartbeat, and planning has a stop flag that the loop may raise.
 
+use crate::daemon::cameras::trouble_of;
 use crate::daemon::doubts::{self, Shot};
 use crate::io::camera::CameraSource;
 use crate::io::clock::Clock;
@@ -10,7 +11,7 @@ use crate::io::priority;
 use crate::planning::plan::{Action, Status};
 use crate::planning::problem::Problem;
 use crate::planning::solver::{Control, solve};
-use crate::supervisor::input::{PlanAnswer, PlanRequest};
+use crate::supervisor::input::{CameraTrouble, PlanAnswer, PlanRequest};
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::Detector;
 use crate::vision::foreign::search::ForeignSearch;
@@ -31,7 +32,7 @@ pub type Numbered = (u64, Answer);
 #[derive(Debug)]
 pub enum Answer {
     /// Frames of one look pose with the markers found, and the last picture.
-    Captured(Result<(Vec<View>, Image), String>),
+    Captured(Result<(Vec<View>, Image), CameraTrouble>),
     /// A look put together.
     Observed(Result<Box<Observation>, String>),
     /// A plan, or why not.
@@ -126,16 +127,28 @@ fn capture(
     table_from_camera: Isometry3<f64>,
     clock: &Clock,
     search: Option<&ForeignSearch>,
-) -> Result<(Vec<View>, Image), String> {
+) -> Result<(Vec<View>, Image), CameraTrouble> {
+    let failed = |message: String| CameraTrouble {
+        code: "detection_failed",
+        message,
+        remedy: "start the daemon again; if it stays so, this is a fault of celld",
+        lasting: true,
+    };
     let mut views = Vec::with_capacity(frames);
     let mut last = None;
     for left in (0..frames).rev() {
         source.want_depth(search.is_some() && left == 0);
-        let frame = source.grab().map_err(|error| error.to_string())?;
-        let detections = detector.detect(&frame.image.gray()).map_err(|error| error.to_string())?;
+        let frame = source.grab().map_err(|error| trouble_of(&error))?;
+        let grey = frame.image.gray();
+        // The first picture is searched whole; the others are of the same place and the same moment.
+        let found = match views.last() {
+            Some(View { detections, .. }) => detector.detect_again(&grey, detections),
+            None => detector.detect(&grey),
+        };
+        let detections = found.map_err(|error| failed(error.to_string()))?;
         let heights = match (search, &frame.depth) {
             (Some(search), Some(depth)) => {
-                let map = search.map(depth, &table_from_camera).map_err(|error| error.to_string())?;
+                let map = search.map(depth, &table_from_camera).map_err(|error| failed(error.to_string()))?;
                 Some(Arc::new(map))
             }
             _ => None,
@@ -143,7 +156,7 @@ fn capture(
         views.push(View { table_from_camera, detections, time: clock.now(), heights });
         last = Some(frame.image);
     }
-    last.map(|image| (views, image)).ok_or_else(|| "no frame was asked for".to_string())
+    last.map(|image| (views, image)).ok_or_else(|| failed("no frame was asked for".to_string()))
 }
 
 /// Starts one planning run; `stop` ends it early with the best plan so far.

@@ -13,7 +13,7 @@ use crate::planning::plan::{Action as PlanAction, ActionKind};
 use crate::planning::problem::Problem;
 use crate::supervisor::cell::{Cell, JobRun, Look, LookStage, Phase, RouteAction, alarm, say};
 use crate::supervisor::gates;
-use crate::supervisor::input::{Action, JournalEntry, Outside, PlanAnswer, PlanRequest};
+use crate::supervisor::input::{Action, CameraTrouble, JournalEntry, Outside, PlanAnswer, PlanRequest};
 use crate::supervisor::judge::{Doubt, foreign_height};
 use crate::supervisor::model::CellObject;
 use crate::supervisor::order::{ApprovalRule, JobEnd};
@@ -54,7 +54,7 @@ impl Cell {
         match self.transfer_to(&robot.q, target) {
             Ok(path) => {
                 out.push(Action::Robot(RobotCommand::Stream(path)));
-                let look = Look { view, stage: LookStage::Moving, views };
+                let look = Look { view, stage: LookStage::Moving, views, trouble: None };
                 self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
             }
             Err(fault) => {
@@ -150,26 +150,27 @@ impl Cell {
 
     pub(crate) fn on_captured(
         &mut self,
+        now: Timestamp,
         outside: &Outside,
-        result: Result<Vec<View>, String>,
+        result: Result<Vec<View>, CameraTrouble>,
         out: &mut Vec<Action>,
     ) {
         let Phase::Look(look) = &mut self.phase else { return };
         let LookStage::Capturing { q } = &look.stage else { return };
         let moved = outside.robot.is_none_or(|robot| robot.q.max_difference(q) > SAME_PLACE_RAD);
         match result {
-            Ok(views) if !moved => look.views.extend(views),
+            Ok(views) if !moved => {
+                if look.trouble.take().is_some() {
+                    say(out, "the camera gives pictures again");
+                }
+                look.views.extend(views);
+            }
             Ok(_) => {
                 say(out, "the arm moved while a frame was taken; taking it again");
                 look.stage = LookStage::Settling { still_since: None };
                 return;
             }
-            Err(reason) => {
-                // The look's deadline decides when this has gone on for too long.
-                alarm(out, format!("no frame: {reason}"));
-                look.stage = LookStage::Settling { still_since: None };
-                return;
-            }
+            Err(trouble) => return self.no_picture(now, trouble, out),
         }
         let next = look.view + 1;
         if next < self.model.look_poses.len() {
@@ -183,6 +184,30 @@ impl Cell {
             look.stage = LookStage::Observing;
             out.push(Action::Observe(std::mem::take(&mut look.views)));
         }
+    }
+
+    /// The arm stands and waits for the camera; the look's deadline decides when this has gone on for too long.
+    fn no_picture(&mut self, now: Timestamp, trouble: CameraTrouble, out: &mut Vec<Action>) {
+        if trouble.lasting {
+            return self.give_up_looking(now, &trouble, out);
+        }
+        let Phase::Look(look) = &mut self.phase else { return };
+        look.stage = LookStage::Settling { still_since: None };
+        if look.trouble.as_ref().is_none_or(|before| before.code != trouble.code) {
+            alarm(
+                out,
+                format!("waiting for the camera ({}): {}; {}", trouble.code, trouble.message, trouble.remedy),
+            );
+        }
+        look.trouble = Some(trouble);
+    }
+
+    /// Ends the job for want of a picture. The arm stands, nothing hangs on it and nothing was stopped, so the cell stays
+    /// armed: the next job looks again.
+    pub(crate) fn give_up_looking(&mut self, now: Timestamp, trouble: &CameraTrouble, out: &mut Vec<Action>) {
+        self.phase = Phase::Ready;
+        self.seen = None;
+        self.finish(now, JobEnd::Failed, trouble.code, &trouble.message, trouble.remedy, out);
     }
 
     pub(crate) fn on_observed(

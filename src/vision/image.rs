@@ -5,6 +5,7 @@
 //! the marker family's patterns (`tag36h11`).
 
 pub mod depth;
+pub mod quality;
 pub mod tag36h11;
 
 pub use depth::DepthImage;

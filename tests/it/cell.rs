@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-const CELLD: &str = env!("CARGO_BIN_EXE_celld");
+pub(crate) const CELLD: &str = env!("CARGO_BIN_EXE_celld");
 
 /// Longest time a part of a test may take; a machine that needs more has another problem.
-const PATIENCE: Duration = Duration::from_secs(240);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(240);
 
 /// Two planks that have to change places, and a disc in the way of nothing.
 const SWAP: &str = "\
@@ -23,11 +23,11 @@ objects:
   - {id: c, footprint: {disc: {radius: 0.04}}, start: [0.2, 0.3, 0.0], goal: [0.2, 0.3, 0.0]}
 ";
 
-fn celld(arguments: &[&str], folder: &Path) -> Output {
+pub(crate) fn celld(arguments: &[&str], folder: &Path) -> Output {
     Command::new(CELLD).args(arguments).current_dir(folder).output().expect("the binary runs")
 }
 
-fn text(bytes: &[u8]) -> String {
+pub(crate) fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
@@ -68,7 +68,7 @@ fn cell_demo_brings_every_object_to_its_goal_and_the_world_agrees() {
 }
 
 /// A process that is ended with its test.
-struct Running(Child);
+pub(crate) struct Running(pub(crate) Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
@@ -78,7 +78,7 @@ impl Drop for Running {
 }
 
 /// Waits for a condition, not for a time.
-fn wait_until(what: &str, condition: impl Fn() -> bool) {
+pub(crate) fn wait_until(what: &str, condition: impl Fn() -> bool) {
     let started = Instant::now();
     while !condition() {
         assert!(started.elapsed() < PATIENCE, "{what}");
@@ -88,7 +88,7 @@ fn wait_until(what: &str, condition: impl Fn() -> bool) {
 }
 
 /// The example configuration at an address and a time factor of this test's own.
-fn configuration(folder: &Path, address: &str, factor: u32) -> (PathBuf, PathBuf) {
+pub(crate) fn configuration(folder: &Path, address: &str, factor: u32) -> (PathBuf, PathBuf) {
     let config = folder.join("config");
     std::fs::create_dir(&config).expect("created");
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
@@ -136,7 +136,7 @@ fn program_state(address: &str) -> String {
     answer.split_whitespace().next().unwrap_or_default().to_string()
 }
 
-fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
+pub(crate) fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
     let months = std::fs::read_dir(state.join("jobs").join(end)).ok()?;
     months
         .flatten()

@@ -10,6 +10,7 @@ use crate::cli::detect::read_picture;
 use crate::cli::markers::{grid, millimetres};
 use crate::cli::task::complain;
 use crate::config::load::load_cell;
+use crate::io::camera::CameraSource;
 use crate::io::clock::unix_now_s;
 use crate::io::files;
 use crate::jobs::utc;
@@ -50,9 +51,9 @@ pub struct CameraArgs {
     /// White between two squares as measured, mm; default: 0.3 of the edge, as `celld markers` prints
     #[arg(long, value_name = "MM", value_parser = millimetres)]
     pub gap_mm: Option<f64>,
-    /// The camera's serial number, as the camera or its label tells it
-    #[arg(long, value_name = "TEXT")]
-    pub serial: String,
+    /// The camera's serial number, as its label tells it; with --config, the camera is asked
+    #[arg(long, value_name = "TEXT", required_unless_present = "config")]
+    pub serial: Option<String>,
     /// Leave these pictures out, by name
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub drop: Vec<String>,
@@ -74,7 +75,7 @@ pub fn run(args: &CameraArgs) -> u8 {
 
 /// Measures the lens and writes its file.
 pub(super) fn calibrate(args: &CameraArgs) -> Result<(), Fault> {
-    let (folder, out) = places(args)?;
+    let Places { folder, out, serial } = places(args)?;
     let names = pictures(&folder, &args.drop)?;
     let [columns, rows] = args.board;
     let mut board = Board::new(args.family, columns, rows, args.size_mm / 1e3, args.first_id);
@@ -91,7 +92,7 @@ pub(super) fn calibrate(args: &CameraArgs) -> Result<(), Fault> {
         args.size_mm,
         solved.samples.iter().filter(|sample| !sample.rejected).count()
     );
-    let file = CameraCalibration::from_solution(solved, &args.serial, source, utc::text(unix_now_s()));
+    let file = CameraCalibration::from_solution(solved, &serial, source, utc::text(unix_now_s()));
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
         files::create_folder(parent).map_err(|error| bad_input(error.to_string()))?;
     }
@@ -103,18 +104,29 @@ pub(super) fn calibrate(args: &CameraArgs) -> Result<(), Fault> {
     Ok(())
 }
 
-/// The folder with pictures in it, taken first if need be, and the file to write.
-fn places(args: &CameraArgs) -> Result<(PathBuf, PathBuf), Fault> {
+/// The folder with pictures in it, the file to write, the camera's serial number.
+struct Places {
+    folder: PathBuf,
+    out: PathBuf,
+    serial: String,
+}
+
+/// Says where everything is; takes the pictures first if need be.
+fn places(args: &CameraArgs) -> Result<Places, Fault> {
     let Some(path) = &args.config else {
-        let (Some(images), Some(out)) = (&args.images, &args.out) else {
-            return Err(bad_input("a folder of pictures and --out are needed".into()));
+        let (Some(images), Some(out), Some(serial)) = (&args.images, &args.out, &args.serial) else {
+            return Err(bad_input("a folder of pictures, --out and --serial are needed".into()));
         };
-        return Ok((images.clone(), out.clone()));
+        return Ok(Places { folder: images.clone(), out: out.clone(), serial: serial.clone() });
     };
     let config = load_cell(path).map_err(|error| bad_input(error.to_string()))?;
     let Some(save) = &args.save else { return Err(bad_input("--save DIR is needed with --config".into())) };
     files::create_folder(save).map_err(|error| bad_input(error.to_string()))?;
     let mut camera = open_camera(&config, None).map_err(bad_input)?;
+    let own = camera.serial().map_err(|error| Fault { message: chain(&error), code: 1 })?;
+    if let Some(told) = args.serial.as_ref().filter(|told| **told != own) {
+        return Err(bad_input(format!("--serial {told}, but the camera is {own}; leave --serial out")));
+    }
     complain("hold the board still before the camera and press Enter for each picture; Ctrl-D ends early");
     for number in 1..=args.count {
         complain(&format!("picture {number}/{}", args.count));
@@ -127,7 +139,8 @@ fn places(args: &CameraArgs) -> Result<(PathBuf, PathBuf), Fault> {
         let name = save.join(format!("{number:02}.png"));
         files::write_atomic(&name, &bytes).map_err(|error| bad_input(error.to_string()))?;
     }
-    Ok((save.clone(), args.out.clone().unwrap_or(config.calibration.camera)))
+    let out = args.out.clone().unwrap_or(config.calibration.camera);
+    Ok(Places { folder: save.clone(), out, serial: own })
 }
 
 /// Names of the folder's pictures but the dropped ones, in order.

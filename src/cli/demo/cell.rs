@@ -21,6 +21,7 @@ use crate::motion::kinematics::{ARM_MODELS, DhParameters};
 use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::Instance;
 use crate::units::Joints;
+use crate::vision::image::quality::PictureLimits;
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -73,7 +74,8 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             robot_host: choice.bind.to_string(),
             gripper_host: choice.bind.to_string(),
             gripper_port: 502,
-            camera: CameraDevice::Simulator { host: choice.bind.to_string(), port: 8080 },
+            camera: CameraDevice::Simulator { host: choice.bind.to_string(), port: 8080, depth: true },
+            picture_limits: PictureLimits::STANDARD,
         },
         workspace: WorkspaceConfig {
             width_m: width,

@@ -84,6 +84,15 @@ impl CameraSource for FolderCamera {
         self.watch.check(&frame, self.lens.as_ref())?;
         Ok(frame)
     }
+
+    fn is_live(&self) -> bool {
+        false
+    }
+
+    /// Goes on with the next file: what was read is what there is.
+    fn reopen(&mut self) -> Result<(), CameraError> {
+        Ok(())
+    }
 }
 
 fn is_picture(path: &Path) -> bool {

@@ -1,8 +1,8 @@
 //! A camera behind an HTTP address: the simulator's, or any that speaks the same few words.
 //!
 //! `GET /frame.png` gives a picture with headers `X-Sequence` (whole number), `X-Time` (s) and `X-Serial`; `GET
-//! /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where there is one, gives depth aligned to the
-//! picture (16 bits, 0.1 mm a unit) with the same headers. Every request has a time limit and the answer a size limit.
+//! /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is asked for, 16 bits of 0.1 mm
+//! with a number of its own. Every request has a time limit and the answer a size limit.
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
@@ -17,73 +17,44 @@ const ANSWER_MAX: u64 = 64 << 20;
 /// The camera at an address.
 pub struct HttpCamera {
     base: String,
+    client: Client,
+    lens: Option<CameraModel>,
+    depth: bool,
+    /// Depth is of use now.
+    wanted: bool,
+    /// Number of the last depth picture.
+    last_depth: Option<u64>,
+    watch: Watch,
+}
+
+/// What asks an address for bytes.
+pub(super) struct Client {
     limit: Duration,
     agent: ureq::Agent,
-    lens: Option<CameraModel>,
-    watch: Watch,
-    depth: Depth,
 }
 
-/// What is known of the camera's depth.
-#[derive(Default)]
-struct Depth {
-    wanted: bool,
-    /// The camera has said that it has none.
-    absent: bool,
-    /// Number of the last depth picture.
-    last: Option<u64>,
-}
-
-impl HttpCamera {
-    /// The camera at `base` (`http://host:port`); every request may take up to `limit`. Connects to nothing yet.
-    pub fn new(base: &str, limit: Duration) -> HttpCamera {
+impl Client {
+    /// Every request may take up to `limit`. Connects to nothing yet.
+    pub(super) fn new(limit: Duration) -> Client {
         let config = ureq::Agent::config_builder()
             .timeout_global(Some(limit))
             .http_status_as_error(false)
             .max_redirects(0)
             .proxy(None)
             .build();
-        HttpCamera {
-            base: base.trim_end_matches('/').to_owned(),
-            limit,
-            agent: ureq::Agent::new_with_config(config),
-            lens: None,
-            watch: Watch::default(),
-            depth: Depth::default(),
-        }
+        Client { limit, agent: ureq::Agent::new_with_config(config) }
     }
 
-    /// Uses a lens from a calibration file instead of the camera's own; frames must then carry its serial number.
-    pub fn with_lens(mut self, lens: CameraModel) -> HttpCamera {
-        self.lens = Some(lens);
-        self
+    /// The same with no connection kept.
+    pub(super) fn anew(&self) -> Client {
+        Client::new(self.limit)
     }
 
-    /// The camera was restarted on purpose: its count may begin again.
-    pub fn restarted(&mut self) {
-        self.watch.forget();
-        self.depth.last = None;
-    }
-
-    /// A new depth picture; `None` from a camera that has none.
-    fn grab_depth(&mut self) -> Result<Option<DepthImage>, CameraError> {
-        let address = format!("{}/depth.png", self.base);
-        let (headers, bytes) = match self.get(&address) {
-            Err(CameraError::Status { status: 404, .. }) => {
-                self.depth.absent = true;
-                return Ok(None);
-            }
-            answer => answer?,
-        };
-        let sequence = header(&headers, &address, "X-Sequence", "whole number")?;
-        if let Some(last) = self.depth.last.replace(sequence).filter(|last| *last >= sequence) {
-            return Err(CameraError::RepeatedSequence { place: address, sequence, last });
-        }
-        let depth = DepthImage::decode(&bytes, UNIT_M);
-        depth.map(Some).map_err(|source| CameraError::Picture { place: address, source })
-    }
-
-    fn get(&self, address: &str) -> Result<(ureq::http::HeaderMap, Vec<u8>), CameraError> {
+    /// Headers and body at `address`.
+    ///
+    /// # Errors
+    /// `Unreachable`, `Status`.
+    pub(super) fn get(&self, address: &str) -> Result<(ureq::http::HeaderMap, Vec<u8>), CameraError> {
         let unreachable = |error: ureq::Error| CameraError::Unreachable {
             address: address.to_owned(),
             limit: self.limit,
@@ -99,13 +70,50 @@ impl HttpCamera {
     }
 }
 
+impl HttpCamera {
+    /// The camera at `base` (`http://host:port`); every request may take up to `limit`. Connects to nothing yet.
+    pub fn new(base: &str, limit: Duration) -> HttpCamera {
+        HttpCamera {
+            base: base.trim_end_matches('/').to_owned(),
+            client: Client::new(limit),
+            lens: None,
+            depth: false,
+            wanted: true,
+            last_depth: None,
+            watch: Watch::default(),
+        }
+    }
+
+    /// Uses a lens from a calibration file instead of the camera's own; frames must then carry its serial number.
+    pub fn with_lens(mut self, lens: CameraModel) -> HttpCamera {
+        self.lens = Some(lens);
+        self
+    }
+
+    /// Asks for the depth picture with every frame.
+    pub fn with_depth(mut self) -> HttpCamera {
+        self.depth = true;
+        self
+    }
+
+    fn take_depth(&mut self) -> Result<DepthImage, CameraError> {
+        let address = format!("{}/depth.png", self.base);
+        let (headers, bytes) = self.client.get(&address)?;
+        let sequence = header(&headers, &address, "X-Sequence", "whole number")?;
+        if let Some(last) = self.last_depth.replace(sequence).filter(|last| *last >= sequence) {
+            return Err(CameraError::RepeatedSequence { place: address, sequence, last });
+        }
+        DepthImage::decode(&bytes, UNIT_M).map_err(|source| CameraError::Picture { place: address, source })
+    }
+}
+
 impl CameraSource for HttpCamera {
     fn intrinsics(&mut self) -> Result<CameraModel, CameraError> {
         if let Some(lens) = &self.lens {
             return Ok(lens.clone());
         }
         let address = format!("{}/intrinsics.json", self.base);
-        let (_, bytes) = self.get(&address)?;
+        let (_, bytes) = self.client.get(&address)?;
         let lens: CameraModel = serde_json::from_slice(&bytes)
             .map_err(|source| CameraError::Intrinsics { place: address, source })?;
         lens.check()?;
@@ -115,7 +123,7 @@ impl CameraSource for HttpCamera {
 
     fn grab(&mut self) -> Result<Frame, CameraError> {
         let address = format!("{}/frame.png", self.base);
-        let (headers, bytes) = self.get(&address)?;
+        let (headers, bytes) = self.client.get(&address)?;
         let sequence = header(&headers, &address, "X-Sequence", "whole number")?;
         let time_s = header(&headers, &address, "X-Time", "number of seconds")?;
         let serial: String = header(&headers, &address, "X-Serial", "serial number")?;
@@ -129,14 +137,25 @@ impl CameraSource for HttpCamera {
             .map_err(|source| CameraError::Picture { place: address.clone(), source })?;
         let mut frame = Frame { image, sequence, time_s, source: address, depth: None };
         self.watch.check(&frame, self.lens.as_ref())?;
-        if self.depth.wanted && !self.depth.absent {
-            frame.depth = self.grab_depth()?;
+        if self.depth && self.wanted {
+            frame.depth = Some(self.take_depth()?);
         }
         Ok(frame)
     }
 
+    fn is_live(&self) -> bool {
+        true
+    }
+
     fn want_depth(&mut self, wanted: bool) {
-        self.depth.wanted = wanted;
+        self.wanted = wanted;
+    }
+
+    fn reopen(&mut self) -> Result<(), CameraError> {
+        self.client = self.client.anew();
+        self.last_depth = None;
+        self.watch.restarted();
+        Ok(())
     }
 }
 
@@ -157,7 +176,7 @@ fn header<T: std::str::FromStr>(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use std::io::{Read, Write};
     use std::net::TcpListener;
@@ -166,7 +185,7 @@ mod tests {
         "distortion": [0, 0, 0, 0, 0]}"#;
 
     /// Answers each request with the next of `answers` (status line and headers, body), then stops listening.
-    fn serve(answers: Vec<(String, Vec<u8>)>) -> String {
+    pub fn serve(answers: Vec<(String, Vec<u8>)>) -> String {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = format!("http://{}", listener.local_addr().unwrap());
         std::thread::spawn(move || {
@@ -233,34 +252,39 @@ mod tests {
         assert!(error.to_string().contains("celld sim") && error.to_string().contains("curl -I http://127"));
     }
 
-    fn depth(sequence: u64, unit: u16) -> (String, Vec<u8>) {
-        let picture = DepthImage::from_units(40, 32, &[unit; 40 * 32], UNIT_M).unwrap();
-        (format!("HTTP/1.1 200 OK\r\nX-Sequence: {sequence}\r\n"), picture.encode_png(UNIT_M).unwrap())
+    fn depth(sequence: u64) -> (String, Vec<u8>) {
+        let depth = DepthImage::from_units(40, 32, &[4217; 40 * 32], UNIT_M).unwrap();
+        (format!("HTTP/1.1 200 OK\r\nX-Sequence: {sequence}\r\n"), depth.encode_png(UNIT_M).unwrap())
     }
 
     #[test]
-    fn depth_comes_with_the_picture_when_it_is_asked_for() {
-        let answers = vec![picture(1, 1), picture(2, 2), depth(1, 4000), picture(3, 3), depth(1, 4000)];
-        let mut camera = camera(answers);
+    fn depth_comes_with_the_picture_where_it_is_asked_for_and_a_wrong_or_old_one_is_an_error() {
+        let (head, colour) = picture(9, 12);
+        let answers = vec![
+            picture(2, 9),
+            picture(3, 10),
+            depth(1),
+            picture(4, 11),
+            depth(1),
+            picture(5, 12),
+            (head, colour),
+        ];
+        let mut camera = camera(answers).with_depth();
+        camera.want_depth(false);
         assert!(camera.grab().unwrap().depth.is_none());
         camera.want_depth(true);
         let frame = camera.grab().unwrap();
-        assert!((frame.depth.unwrap().at(3, 3).unwrap() - 0.4).abs() < 1e-6);
-        assert!(matches!(camera.grab(), Err(CameraError::RepeatedSequence { .. })), "frozen depth");
-    }
-
-    #[test]
-    fn a_camera_without_depth_is_asked_once_and_one_that_fails_is_an_error() {
-        let none = ("HTTP/1.1 404 Not Found\r\n".to_owned(), vec![]);
-        let mut camera = camera(vec![picture(1, 1), none, picture(2, 2)]);
-        camera.want_depth(true);
-        assert!(camera.grab().unwrap().depth.is_none());
-        assert_eq!(camera.grab().unwrap().sequence, 2);
-        let busy = ("HTTP/1.1 503 Busy\r\n".to_owned(), vec![]);
-        let mut camera = self::camera(vec![picture(1, 1), busy, picture(2, 2), picture(3, 3)]);
-        camera.want_depth(true);
-        assert!(matches!(camera.grab(), Err(CameraError::Status { status: 503, .. })));
-        assert!(matches!(camera.grab(), Err(CameraError::Picture { .. })), "a colour picture is no depth");
+        assert!((frame.depth.unwrap().at(39, 31).unwrap() - 0.4217).abs() < 1e-6);
+        let told = camera.grab().unwrap_err();
+        assert!(
+            matches!(&told, CameraError::RepeatedSequence { sequence: 1, last: 1, .. }),
+            "frozen: {told}"
+        );
+        let told = camera.grab().unwrap_err();
+        assert!(
+            matches!(&told, CameraError::Picture { place, .. } if place.ends_with("/depth.png")),
+            "{told}"
+        );
     }
 
     #[test]
