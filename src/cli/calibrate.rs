@@ -5,6 +5,7 @@
 //! word at all) mount and table together, `table` the table alone after it was moved. Exit codes as everywhere.
 
 pub mod camera;
+mod take;
 
 use crate::cli::daemon::{open_camera, open_hardware, with_runtime};
 use crate::cli::demo::run::chain;

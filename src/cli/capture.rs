@@ -105,7 +105,9 @@ fn pictures(
     lens: &CameraModel,
 ) -> Result<Vec<(String, Image)>, String> {
     if args.images.is_empty() {
-        let frame = open_camera(config, Some(lens.clone()))?.grab().map_err(|error| chain(&error))?;
+        let frame = open_camera(config, Some(lens.clone()))?
+            .grab()
+            .map_err(|error| format!("{}; {}", chain(&error), error.kind().remedy()))?;
         return Ok(vec![(frame.source, frame.image)]);
     }
     args.images.iter().map(|path| Ok((path.display().to_string(), read_picture(path)?))).collect()

@@ -3,6 +3,7 @@
 //! In: a folder of pictures, or a live camera and a person who moves the board; the board's geometry. Out: `camera.yaml` with the error of
 //! every picture, and the same on stderr. Exit codes: 0 written, 1 the pictures do not determine the lens, 2 bad input.
 
+use crate::cli::calibrate::take::take;
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::daemon::open_camera;
 use crate::cli::demo::run::chain;
@@ -77,11 +78,7 @@ pub fn run(args: &CameraArgs) -> u8 {
 pub(super) fn calibrate(args: &CameraArgs) -> Result<(), Fault> {
     let Places { folder, out, serial } = places(args)?;
     let names = pictures(&folder, &args.drop)?;
-    let [columns, rows] = args.board;
-    let mut board = Board::new(args.family, columns, rows, args.size_mm / 1e3, args.first_id);
-    if let Some(gap_mm) = args.gap_mm {
-        board.gap_m = gap_mm / 1e3;
-    }
+    let ([columns, rows], board) = (args.board, board_of(args));
     let (views, width, height) = look(&folder, &names, &board)?;
     let solved = solve_lens(&views, width, height, &LensSettings::default());
     let solved = solved.map_err(|error| Fault { message: chain(&error), code: 1 })?;
@@ -104,6 +101,16 @@ pub(super) fn calibrate(args: &CameraArgs) -> Result<(), Fault> {
     Ok(())
 }
 
+/// The board as printed and measured.
+fn board_of(args: &CameraArgs) -> Board {
+    let [columns, rows] = args.board;
+    let mut board = Board::new(args.family, columns, rows, args.size_mm / 1e3, args.first_id);
+    if let Some(gap_mm) = args.gap_mm {
+        board.gap_m = gap_mm / 1e3;
+    }
+    board
+}
+
 /// The folder with pictures in it, the file to write, the camera's serial number.
 struct Places {
     folder: PathBuf,
@@ -122,23 +129,18 @@ fn places(args: &CameraArgs) -> Result<Places, Fault> {
     let config = load_cell(path).map_err(|error| bad_input(error.to_string()))?;
     let Some(save) = &args.save else { return Err(bad_input("--save DIR is needed with --config".into())) };
     files::create_folder(save).map_err(|error| bad_input(error.to_string()))?;
+    if pictures(save, &[]).is_ok() {
+        let message = "there are pictures in it already: name a new folder, or solve those without --config";
+        return Err(bad_input(format!("--save {}: {message}", save.display())));
+    }
     let mut camera = open_camera(&config, None).map_err(bad_input)?;
     let own = camera.serial().map_err(|error| Fault { message: chain(&error), code: 1 })?;
     if let Some(told) = args.serial.as_ref().filter(|told| **told != own) {
         return Err(bad_input(format!("--serial {told}, but the camera is {own}; leave --serial out")));
     }
     complain("hold the board still before the camera and press Enter for each picture; Ctrl-D ends early");
-    for number in 1..=args.count {
-        complain(&format!("picture {number}/{}", args.count));
-        let mut line = String::new();
-        if std::io::stdin().read_line(&mut line).unwrap_or(0) == 0 {
-            break;
-        }
-        let frame = camera.grab().map_err(|error| Fault { message: chain(&error), code: 1 })?;
-        let bytes = frame.image.encode_png().map_err(|error| bad_input(error.to_string()))?;
-        let name = save.join(format!("{number:02}.png"));
-        files::write_atomic(&name, &bytes).map_err(|error| bad_input(error.to_string()))?;
-    }
+    let mut ready = || std::io::stdin().read_line(&mut String::new()).is_ok_and(|bytes| bytes > 0);
+    take(&mut camera, &board_of(args), save, args.count, &mut ready)?;
     let out = args.out.clone().unwrap_or(config.calibration.camera);
     Ok(Places { folder: save.clone(), out, serial: own })
 }

@@ -55,18 +55,14 @@ impl FaultKind {
     /// What a person can do.
     pub fn remedy(self) -> &'static str {
         match self {
-            FaultKind::Unplugged => "look at the camera's cable and power, then submit again",
+            FaultKind::Unplugged => "look at the camera's cable and power",
             FaultKind::Frozen | FaultKind::Repeated | FaultKind::Broken => {
-                "unplug the camera and plug it in again; if it comes back, change the cable; then submit again"
+                "unplug the camera and plug it in again; if it comes back, change the cable"
             }
-            FaultKind::Dark => "switch the light on or give the camera a longer exposure, then submit again",
-            FaultKind::Overexposed => {
-                "shade the table or give the camera a shorter exposure, then submit again"
-            }
-            FaultKind::Flat => "uncover and clean the lens, then submit again",
-            FaultKind::Blurred => {
-                "clean the lens, see that it is in focus and mounted firmly, then submit again"
-            }
+            FaultKind::Dark => "switch the light on or give the camera a longer exposure",
+            FaultKind::Overexposed => "shade the table or give the camera a shorter exposure",
+            FaultKind::Flat => "uncover and clean the lens",
+            FaultKind::Blurred => "clean the lens, see that it is in focus and mounted firmly",
             FaultKind::Misfit => "correct `devices.camera` or the calibration files as the message says",
             FaultKind::Ended => "name a live camera, or a longer recording",
         }

@@ -146,8 +146,8 @@ mod tests {
     fn a_broken_file_is_told_by_name_and_passed() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("a.png"), b"nonsense").unwrap();
-        write(folder.path(), "b.png", 5);
-        write(folder.path(), "c.png", 5);
+        write(folder.path(), "b.png", 50);
+        write(folder.path(), "c.png", 50);
         let mut camera = FolderCamera::open(folder.path(), None).unwrap();
         let error = camera.grab().unwrap_err();
         assert!(error.to_string().contains("a.png"), "{error}");

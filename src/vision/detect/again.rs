@@ -148,8 +148,11 @@ mod tests {
         let next = picture(&prints(0.0), 2);
         let searched: u64 = pieces(&before, 640, 480).iter().map(Piece::area).sum();
         assert!(searched < 640 * 480 / 2, "{searched} px would be searched");
-        let (again, whole) =
-            (detector.detect_again(&next, &before).unwrap(), detector.detect(&next).unwrap());
+        let begun = std::time::Instant::now();
+        let again = detector.detect_again(&next, &before).unwrap();
+        let (in_pieces, begun) = (begun.elapsed(), std::time::Instant::now());
+        let whole = detector.detect(&next).unwrap();
+        println!("{searched} of {} px: {in_pieces:?}, whole {:?}", 640 * 480, begun.elapsed());
         assert_eq!(ids(&again), ids(&whole));
         for (a, b) in again.iter().zip(&whole) {
             let apart = a.corners.iter().zip(&b.corners).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
