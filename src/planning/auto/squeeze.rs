@@ -213,3 +213,81 @@ fn shifted(scene: &Scene, object: usize, from: &Pose2, rng: &mut ChaCha8Rng) -> 
     let pose = Pose2::new(x, y, theta);
     scene.on_table(object, &pose).then(|| scene.spot(object, pose))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planning::auto::polish::carried_out;
+    use crate::planning::problem::Problem;
+    use crate::planning::random_tables::table;
+    use crate::tabletop::instance::ObjectSpec;
+    use rand::SeedableRng;
+
+    /// A large disc has to go to the middle, where eight small ones stand in its way, and they to the walls.
+    fn crowd() -> Problem {
+        let mut objects = Vec::new();
+        let mut add = |id: String, radius: f64, start: Pose2, goal: Pose2| {
+            let mut disc = ObjectSpec::new(id, Footprint::disc(radius).unwrap());
+            (disc.start, disc.goal) = (Some(start), Some(goal));
+            objects.push(disc);
+        };
+        let at = |x: f64, y: f64| Pose2::new(x, y, 0.0);
+        add("large".into(), 0.25, at(0.26, 0.26), at(0.5, 0.5));
+        for k in 0..8u32 {
+            let (row, b) = (f64::from(k % 4), f64::from(k) / 8.0 * TAU);
+            let start = if k < 4 { at(0.6 + 0.112 * row, 0.4) } else { at(0.1 + 0.13 * row, 0.62) };
+            let reach = if k % 2 == 0 { 0.4 } else { 0.5 };
+            add(format!("small {k}"), 0.055, start, at(0.5 + reach * b.cos(), 0.5 + reach * b.sin()));
+        }
+        Problem::new(&table(objects)).unwrap()
+    }
+
+    #[test]
+    fn it_arrives_over_free_places_however_often_it_is_interrupted() {
+        let problem = crowd();
+        let scene = Scene::new(&problem);
+        let start: Arrangement = (0..9).map(|o| scene.start(o).clone()).collect();
+        let goal: Arrangement = (0..9).map(|o| scene.goal(o).unwrap().clone()).collect();
+        let mut arrived = 0;
+        for seed in 0..20u64 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let mut squeeze = Squeeze::new(&scene, &start, &goal, &mut rng);
+            let moves = loop {
+                let mut effort = Effort::new(Some(50 + 1000 * (seed % 3)), &|| false);
+                match squeeze.run(&|_, _, _, _| None, &mut rng, &mut effort) {
+                    Progress::Arrived(moves) => break moves,
+                    Progress::Stuck => break Vec::new(),
+                    Progress::Interrupted => {}
+                }
+            };
+            let steps: Vec<(usize, Arc<Spot>)> = moves.iter().map(|m| (m.object, m.to.clone())).collect();
+            assert!(carried_out(&scene, &start, &steps).is_some(), "seed {seed}");
+            let mut now = start.clone();
+            moves.iter().for_each(|m| now[m.object] = m.to.clone());
+            arrived += usize::from(now.iter().zip(&goal).all(|(a, b)| a.pose == b.pose));
+        }
+        assert!(arrived > 10, "{arrived} of 20");
+    }
+
+    #[test]
+    fn shifts_that_nobody_needs_are_not_made() {
+        let problem = crowd();
+        let scene = Scene::new(&problem);
+        let start: Arrangement = (0..9).map(|o| scene.start(o).clone()).collect();
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut squeeze = Squeeze::new(&scene, &start, &start, &mut rng);
+        squeeze.opening = Some((start.clone(), Vec::new()));
+        // One goes where it stood in nobody's way, one out of the way of the large one.
+        squeeze.put(1, scene.spot(1, Pose2::new(0.9, 0.9, 0.0)));
+        squeeze.put(5, scene.spot(5, Pose2::new(0.06, 0.94, 0.0)));
+        squeeze.put(0, scene.spot(0, Pose2::new(0.26, 0.5, 0.0)));
+        let all = |from: &Arrangement, to: &Arrangement, _: &mut ChaCha8Rng, _: &mut Effort| {
+            let differ = (0..from.len()).filter(|&o| from[o].pose != to[o].pose);
+            Some(differ.map(|o| Move { object: o, from: from[o].clone(), to: to[o].clone() }).collect())
+        };
+        squeeze.condense(0, &all, &mut rng, &mut Effort::new(None, &|| false));
+        let moved: Vec<usize> = squeeze.moves.iter().map(|m| m.object).collect();
+        assert!(moved.contains(&0) && moved.contains(&5) && !moved.contains(&1), "{moved:?}");
+        assert!(squeeze.now[1].pose == start[1].pose);
+    }
+}
