@@ -83,7 +83,7 @@ pub fn rtde(data: &[u8]) {
         }
     }
     let shared = robot();
-    let mut inlet = shared.outlets().open(Feed::Rtde, false);
+    let mut inlet = shared.outlets().open(Feed::Rtde, false, None);
     let mut session = rtde_server::Session::new(inlet.id);
     for piece in pieces(data) {
         let Ok(answers) = session.receive(&shared, piece) else { break };

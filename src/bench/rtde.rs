@@ -205,9 +205,9 @@ fn crowd(setup: &Setup) -> Result<Seen, String> {
     Ok(all)
 }
 
-/// What a thread that only sleeps sees of the machine.
+/// What a thread that only sleeps sees of the machine, at the priority of the simulator's frames.
 fn sleep_to_schedule(end: Instant) -> Delays {
-    priority::raise();
+    priority::real_time();
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1000));
     let seen = Punctuality::default();
     let mut due = Instant::now() + FRAME;

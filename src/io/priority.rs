@@ -2,7 +2,16 @@
 //!
 //! On Linux `nice` belongs to the thread, so nothing but the caller changes. Going up needs a privilege that
 //! the daemon may not have; without it the threads that do the slow work go down instead, which is enough on
-//! a computer that does nothing else.
+//! a computer that does nothing else. Real time (the system's first-in first-out class) is for a thread that does
+//! little and is judged by when it does it: the system runs it before anything ordinary.
+
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy,
+    thread_native_id,
+};
+
+/// Above ordinary threads, below those of the system itself, which sit at half of the range.
+const REAL_TIME: u8 = 10;
 
 /// Lets other threads go first.
 pub fn lower() {
@@ -12,6 +21,17 @@ pub fn lower() {
 /// Goes before other threads, where that is allowed.
 pub fn raise() {
     change(-10);
+}
+
+/// Goes before all ordinary threads, where that is allowed; else as far up as it may. Threads it starts inherit it.
+pub fn real_time() {
+    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+    let set = ThreadPriority::try_from(REAL_TIME)
+        .map(|priority| set_thread_priority_and_policy(thread_native_id(), priority, policy));
+    if !matches!(set, Ok(Ok(()))) {
+        tracing::debug!("no real-time scheduling for this thread");
+        raise();
+    }
 }
 
 /// Process 0 is the calling thread here.

@@ -8,6 +8,7 @@
 //! held, within bounds, while a client that writes regularly is late or one that reads is behind.
 
 use crate::io::clock::Pace;
+use crate::io::priority;
 use crate::sim::camera_server::{self, CameraSetup};
 use crate::sim::control_server;
 use crate::sim::controller::{Controller, ControllerConfig};
@@ -301,8 +302,13 @@ fn run_frames(
     factor: f64,
     stopped: &watch::Receiver<bool>,
 ) {
-    // Clients measure silence on their own clocks; drawing pictures and planning can wait.
-    crate::io::priority::raise();
+    // Clients measure silence on their own clocks; drawing pictures and planning can wait. Faster than real time this
+    // thread may fill a core, which would then be lost to the clients it is meant for.
+    if factor > 1.0 {
+        priority::raise()
+    } else {
+        priority::real_time()
+    }
     // The default slack of 50 us is half a frame at factor 20. Without it the pace is merely less even.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1000));
     let mut schedule = Schedule::new(factor, Instant::now());

@@ -64,6 +64,12 @@ const MOTION: &[Claim] = &[
         "speed in proportion to the missing force",
         "force_mode_runs_at_its_limit_in_the_air_and_rests_at_its_force_on_a_wall",
     ),
+    Claim(
+        "Joint moments and currents, acceleration, momentum",
+        Grade::Modelled,
+        "moments from the published masses; currents in proportion to them, as no torque constant is published",
+        "a_standing_arm_holds_its_weight_and_the_payload_and_what_presses_on_it",
+    ),
     Claim("Self-collision, safety planes, momentum and power limits", Grade::Absent, "", ""),
     Claim(
         "UR3e, UR5e, UR10e, UR16e and others by their DH table",
@@ -215,7 +221,8 @@ const HEAD: &str = "# What is real, modelled and absent
 Printed by `celld sim --conformance`; a test keeps this page equal to the program. Real: as the manuals say. Modelled:
 something simpler, which the note names. Absent: not there, and said so when asked for. The last column of the first tables
 names a test of it; the script and RTDE tables are those that the simulator runs by, and tests call every row of
-them (`src/sim/controller/builtins.rs`, `src/sim/robot_server/tests/states.rs`).
+them (`src/sim/controller/builtins.rs`, `src/sim/robot_server/tests/states.rs`) and judge every built-in that is called
+real (`src/sim/controller/tests/judged.rs`).
 ";
 
 fn word(grade: Grade) -> &'static str {

@@ -127,7 +127,7 @@ pub const TABLE: &[Entry] = entries![
     Modelled is_within_safety_limits(pose; qnear, maxPositionError, maxOrientationError, tcp) "joint ranges and reach; no safety planes";
     Modelled get_joint_temp(j) "35 degrees";
     Modelled get_controller_temp() "40 degrees";
-    Modelled get_tool_accelerometer_reading() "gravity, in the flange frame";
+    Modelled get_tool_accelerometer_reading() "gravity and motion in the flange frame, without noise";
     Modelled get_tool_current() "0";
     // Tool and installation.
     Real set_tcp(pose; tcp_name) "";

@@ -11,7 +11,7 @@ use crate::geometry::pose::isometry_from_ur_pose;
 use crate::sim::controller::Core;
 use crate::sim::controller::sensing::ExternalSensor;
 use crate::sim::motion::FRAME_SECONDS;
-use crate::sim::motion::dynamics::{self, Link, Masses, UR5E_LINKS};
+use crate::sim::motion::dynamics;
 use crate::units::Joints;
 use crate::urscript::host::Call;
 use crate::urscript::value::Value;
@@ -247,29 +247,6 @@ fn matrix(matrix: &Matrix6<f64>) -> Value {
 }
 
 impl Core {
-    /// Arm and payload.
-    pub fn masses(&self) -> Masses<'static> {
-        let payload =
-            Link { mass: self.payload.mass, centre: self.payload.centre, inertia: self.payload.inertia };
-        Masses { links: &UR5E_LINKS, payload }
-    }
-
-    /// Torques with which the joints hold and move arm and payload, Nm, and what the world adds.
-    pub fn joint_moments(&self) -> [f64; 6] {
-        let mover = &self.mover;
-        let gravity = Vector3::from(self.payload.gravity);
-        let (q, qd, qdd) = (mover.q(), mover.qd(), mover.qdd());
-        let own = dynamics::inverse_dynamics(&mover.arm.dh, &self.masses(), &q, &qd, &qdd, &gravity);
-        let added = self.contact_torques();
-        std::array::from_fn(|i| own[i] + added[i])
-    }
-
-    fn contact_torques(&self) -> [f64; 6] {
-        let arm = &self.mover.arm;
-        let jacobian = dynamics::tool_jacobian(&arm.dh, &arm.flange_from_tcp, &self.mover.q());
-        (-(jacobian.transpose() * Vector6::from(self.tcp_force()))).into()
-    }
-
     /// Force and torque at the TCP in the base frame as the sensor sees them: N, Nm.
     pub fn raw_wrench(&self) -> [f64; 6] {
         let tcp = self.mover.arm.flange_from_tcp.translation.vector;

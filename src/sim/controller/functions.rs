@@ -14,7 +14,7 @@ use crate::units::Joints;
 use crate::urscript::host::{Call, Host, Reply};
 use crate::urscript::value::{ThreadId, Value};
 use crate::wire::primary_message::MessageBody;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::Isometry3;
 
 /// Frames the arm must have stood still to count as steady (0.5 s).
 const STEADY_FRAMES: u64 = 250;
@@ -225,10 +225,7 @@ fn state(core: &Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         "get_steptime" => Value::Float(1.0 / FRAMES_PER_SECOND as f64),
         "get_joint_temp" => Value::Float(35.0),
         "get_controller_temp" => Value::Float(40.0),
-        "get_tool_accelerometer_reading" => {
-            let up = core.base_from_flange().rotation.inverse() * Vector3::from(core.payload.gravity);
-            Value::numbers(up.iter().copied())
-        }
+        "get_tool_accelerometer_reading" => Value::numbers(core.tool_accelerometer()),
         "get_tool_current" => Value::Float(0.0),
         "get_target_waypoint" => Value::Pose(core.target_waypoint()),
         _ => return None,

@@ -8,6 +8,8 @@
 
 pub mod builtins;
 
+pub mod drives;
+
 pub mod force_functions;
 
 pub mod functions;

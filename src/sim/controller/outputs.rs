@@ -6,6 +6,7 @@
 
 use crate::motion::kinematics::link_frames;
 use crate::sim::controller::Controller;
+use crate::sim::controller::drives;
 use crate::sim::controller::registers::bits_word;
 use crate::wire::rtde_values::Value;
 use crate::wire::rtde_variables::{self, Register};
@@ -38,6 +39,15 @@ const COMPUTED: &[(&str, Compute)] = &[
     ("target_qd", |c| Value::Vector6D(c.core.mover.qd())),
     ("actual_qd", |c| Value::Vector6D(c.core.mover.qd())),
     ("target_qdd", |c| Value::Vector6D(c.core.mover.qdd())),
+    ("target_moment", |c| Value::Vector6D(c.core.target_moments())),
+    ("target_current", |c| Value::Vector6D(drives::target_currents(c))),
+    ("actual_current", |c| Value::Vector6D(drives::actual_currents(c))),
+    ("joint_control_output", |c| Value::Vector6D(drives::actual_currents(c))),
+    ("actual_current_as_torque", |c| Value::Vector6D(c.core.joint_moments())),
+    ("actual_momentum", |c| Value::Double(c.core.momentum())),
+    ("actual_tool_accelerometer", |c| Value::Vector3D(c.core.tool_accelerometer())),
+    ("actual_TCP_acceleration", |c| Value::Vector6D(c.core.tcp_acceleration())),
+    ("target_TCP_acceleration", |c| Value::Vector6D(c.core.tcp_acceleration())),
     ("actual_TCP_pose", |c| Value::Vector6D(c.core.tcp_pose())),
     ("target_TCP_pose", |c| Value::Vector6D(c.core.tcp_pose())),
     ("actual_TCP_speed", |c| Value::Vector6D(c.core.mover.tcp_speed().into())),
@@ -94,7 +104,6 @@ const CONSTANT: &[(&str, Value)] = &[
     ("actual_robot_voltage", Value::Double(48.0)),
     ("actual_robot_current", Value::Double(0.6)),
     ("actual_joint_voltage", Value::Vector6D([48.0; 6])),
-    ("actual_tool_accelerometer", Value::Vector3D([0.0, 0.0, 9.8])),
     ("actual_execution_time", Value::Double(0.0002)),
     ("tool_mode", Value::Uint32(253)),
     ("tool_temperature", Value::Double(35.0)),

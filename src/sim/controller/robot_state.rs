@@ -5,6 +5,7 @@
 //! it is the only way in which a client learns the simulated arm's true parameters.
 
 use crate::sim::controller::Controller;
+use crate::sim::controller::drives::actual_currents;
 use crate::sim::controller::force_functions::Compliance;
 use crate::sim::controller::outputs::{joint_mode, speed_scaling};
 use crate::wire::enumerations::SafetyMode;
@@ -132,11 +133,12 @@ pub fn control_mode(controller: &Controller) -> u8 {
 fn joints(controller: &Controller) -> [JointData; 6] {
     let (q, qd) = (controller.core.mover.q(), controller.core.mover.qd());
     let mode = joint_mode(controller) as u8;
+    let currents = actual_currents(controller);
     std::array::from_fn(|joint| JointData {
         q_actual: q.0[joint],
         q_target: q.0[joint],
         qd_actual: qd[joint],
-        current: 0.0,
+        current: currents[joint] as f32,
         voltage: 48.0,
         motor_temperature: 35.0,
         micro_temperature: 0.0,

@@ -6,6 +6,7 @@ use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 use crate::wire::rtde_values::Value;
 
 mod built_ins;
+mod judged;
 
 fn running() -> Controller {
     Controller::new(ControllerConfig { running: true, ..ControllerConfig::ur5e(3) })

@@ -4,6 +4,9 @@
 //! Without faults nothing is copied or delayed. A cut cable is modelled as silence: both directions wait, and go on
 //! where they were when the fault ends, as TCP does. Times in a [`LinkState`] are wall time: the desk has divided
 //! them by the time factor.
+//!
+//! A [`Shortcut`] writes to the socket from any thread, without waking a task first: a second wake-up is a second
+//! chance to be late. It works only while nothing is wrong.
 
 use std::collections::VecDeque;
 use std::future::Future;
@@ -11,6 +14,7 @@ use std::io::{Error, ErrorKind};
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -200,14 +204,72 @@ fn next_change(mut receiver: watch::Receiver<LinkState>) -> Change {
     })
 }
 
+/// The socket of a connection, and what its two ways of writing have to know of each other.
+#[derive(Debug)]
+struct Lane {
+    stream: TcpStream,
+    /// Bytes sent so far, for faults that count them.
+    written: AtomicU64,
+    /// Bytes are held back for a delay: nothing may overtake them.
+    holds_back: AtomicBool,
+}
+
+impl Lane {
+    fn poll_write(&self, context: &mut Context<'_>, bytes: &[u8]) -> Poll<std::io::Result<usize>> {
+        loop {
+            ready!(self.stream.poll_write_ready(context))?;
+            match self.stream.try_write(bytes) {
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                result => return Poll::Ready(result),
+            }
+        }
+    }
+
+    fn poll_read(&self, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<std::io::Result<()>> {
+        loop {
+            ready!(self.stream.poll_read_ready(context))?;
+            match self.stream.try_read(buffer.initialize_unfilled()) {
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                Err(error) => return Poll::Ready(Err(error)),
+                Ok(count) => {
+                    buffer.advance(count);
+                    return Poll::Ready(Ok(()));
+                }
+            }
+        }
+    }
+}
+
+/// The way to a connection's socket past its task. Whoever uses it sees to it that the task writes nothing meanwhile.
+#[derive(Clone, Debug)]
+pub struct Shortcut {
+    lane: Arc<Lane>,
+    link: watch::Receiver<LinkState>,
+    resets: u64,
+}
+
+impl Shortcut {
+    /// Writes what the socket takes at once, at most `bytes`; 0 also when the connection is broken or something is
+    /// wrong with its link, which is for the task to find.
+    pub fn try_write(&self, bytes: &[u8]) -> usize {
+        let sound = *self.link.borrow() == LinkState { resets: self.resets, ..LinkState::default() };
+        if !sound || self.lane.holds_back.load(Ordering::Acquire) {
+            return 0;
+        }
+        let count = self.lane.stream.try_write(bytes).unwrap_or(0);
+        self.lane.written.fetch_add(count as u64, Ordering::Relaxed);
+        count
+    }
+}
+
 /// A connection that passes through a link.
 pub struct LinkStream {
-    stream: TcpStream,
+    lane: Arc<Lane>,
+    link: watch::Receiver<LinkState>,
     reading: Follower,
     writing: Follower,
     resets: u64,
     dead: bool,
-    written: u64,
     /// A slice was just sent: others come first.
     pause: bool,
     delayed: VecDeque<(Instant, Vec<u8>)>,
@@ -219,18 +281,24 @@ impl LinkStream {
     /// A connection just made.
     pub fn new(stream: TcpStream, link: &Link) -> LinkStream {
         let (reading, writing) = (Follower::new(link.watch()), Follower::new(link.watch()));
+        let lane = Lane { stream, written: AtomicU64::new(0), holds_back: AtomicBool::new(false) };
         LinkStream {
-            stream,
+            lane: Arc::new(lane),
+            link: link.watch(),
             resets: reading.now.resets,
             reading,
             writing,
             dead: false,
-            written: 0,
             pause: false,
             delayed: VecDeque::new(),
             delayed_bytes: 0,
             timer: Box::pin(tokio::time::sleep(Duration::ZERO)),
         }
+    }
+
+    /// A way to write to the socket from another thread.
+    pub fn shortcut(&self) -> Shortcut {
+        Shortcut { lane: self.lane.clone(), link: self.link.clone(), resets: self.resets }
     }
 
     /// Sends what has been held back long enough.
@@ -241,13 +309,14 @@ impl LinkStream {
                 ready!(self.timer.as_mut().poll(context));
                 continue;
             }
-            let count = ready!(Pin::new(&mut self.stream).poll_write(context, bytes))?;
+            let count = ready!(self.lane.poll_write(context, bytes))?;
             self.delayed_bytes = self.delayed_bytes.saturating_sub(count);
             bytes.drain(..count);
             if bytes.is_empty() {
                 self.delayed.pop_front();
             }
         }
+        self.lane.holds_back.store(false, Ordering::Release);
         Poll::Ready(Ok(()))
     }
 
@@ -276,7 +345,7 @@ impl AsyncRead for LinkStream {
         if let Poll::Ready(Err(error)) = this.send_delayed(context) {
             return Poll::Ready(Err(error));
         }
-        Pin::new(&mut this.stream).poll_read(context, buffer)
+        this.lane.poll_read(context, buffer)
     }
 }
 
@@ -290,7 +359,8 @@ impl AsyncWrite for LinkStream {
         let state = this.writing.poll(context);
         let (resets, silent, latency) = (state.resets, state.silent, state.latency);
         let (slice, limit) = (state.slice, state.limit);
-        let left = limit.map_or(u64::MAX, |limit| limit.saturating_sub(this.written));
+        let left =
+            limit.map_or(u64::MAX, |limit| limit.saturating_sub(this.lane.written.load(Ordering::Relaxed)));
         if resets != this.resets || (left == 0 && !bytes.is_empty()) {
             return Poll::Ready(Err(this.die()));
         }
@@ -306,8 +376,9 @@ impl AsyncWrite for LinkStream {
             bytes.len().min(slice.unwrap_or(usize::MAX)).min(usize::try_from(left).unwrap_or(usize::MAX));
         let piece = &bytes[..most];
         let count = if latency.is_zero() && this.delayed.is_empty() {
-            ready!(Pin::new(&mut this.stream).poll_write(context, piece))?
+            ready!(this.lane.poll_write(context, piece))?
         } else {
+            this.lane.holds_back.store(true, Ordering::Release);
             this.delayed.push_back((Instant::now() + latency, piece.to_vec()));
             this.delayed_bytes += piece.len();
             match this.send_delayed(context) {
@@ -316,16 +387,17 @@ impl AsyncWrite for LinkStream {
                 _ => piece.len(),
             }
         };
-        this.written += count as u64;
+        this.lane.written.fetch_add(count as u64, Ordering::Relaxed);
         Poll::Ready(Ok(count))
     }
 
-    fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-        Pin::new(&mut self.get_mut().stream).poll_flush(context)
+    fn poll_flush(self: Pin<&mut Self>, _context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        // A socket holds nothing back; what a delay holds back is not owed yet.
+        Poll::Ready(Ok(()))
     }
 
-    fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-        Pin::new(&mut self.get_mut().stream).poll_shutdown(context)
+    fn poll_shutdown(self: Pin<&mut Self>, _context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(rustix::net::shutdown(&self.lane.stream, rustix::net::Shutdown::Write)?))
     }
 }
 
@@ -333,7 +405,7 @@ impl Drop for LinkStream {
     fn drop(&mut self) {
         if self.dead {
             // The peer sees a reset instead of an orderly end; failing that, it sees the end.
-            let _ = rustix::net::sockopt::set_socket_linger(&self.stream, Some(Duration::ZERO));
+            let _ = rustix::net::sockopt::set_socket_linger(&self.lane.stream, Some(Duration::ZERO));
         }
     }
 }

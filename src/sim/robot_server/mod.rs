@@ -138,7 +138,7 @@ impl RobotShared {
     pub fn frame(&self, due: Option<Instant>) {
         let mut controller = self.controller();
         controller.frame();
-        self.outlets().publish(&mut controller, due);
+        self.outlets().publish(&mut controller, due, &self.punctuality);
     }
 }
 

@@ -5,21 +5,24 @@
 //! bounded queue per connection. A full queue means that the client is behind: its package is skipped, never
 //! stored elsewhere. An RTDE client that stays behind for 10 s is dropped, as on the controller; the others
 //! are not, because real clients keep a script connection open for hours without reading it.
+//! A connection with nothing in its queue is written to at once, from the thread that makes the frames; the queue
+//! and its task are for what the socket does not take.
 //! Clients with equal recipes share one encoding. Also here, because it concerns the same connections: when a client
 //! that writes inputs regularly is late, and how punctual packages are on their way out.
 
 use crate::sim::controller::outputs::Output;
 use crate::sim::controller::registers::ClientId;
 use crate::sim::controller::{Controller, FRAMES_PER_SECOND, realtime, robot_state};
-use crate::sim::faults::link::LinkStream;
+use crate::sim::faults::link::{LinkStream, Shortcut};
 use crate::sim::robot_server::RobotShared;
+use crate::sim::robot_server::punctuality::Punctuality;
 use crate::wire::bytes::Writer;
 use crate::wire::primary::Package;
 use crate::wire::primary_message::{Message, MessageBody};
 use crate::wire::primary_state::SubPackage;
 use crate::wire::rtde::{Reply, Version};
 use crate::wire::rtde_values::Recipe;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 use tokio::io::{AsyncWriteExt, WriteHalf};
 use tokio::sync::{Notify, mpsc};
@@ -129,7 +132,63 @@ pub struct Inlet {
     /// Wakes when the connection is to be dropped at once.
     pub dropped: Arc<Notify>,
     /// For replies of the connection itself.
-    pub replies: mpsc::Sender<Parcel>,
+    pub replies: Line,
+}
+
+/// The sending end of a connection's queue. It counts what is queued and not written yet: while that is nothing, and
+/// the count is locked, no task writes to the socket.
+#[derive(Clone, Debug)]
+pub struct Line {
+    queue: mpsc::Sender<Parcel>,
+    backlog: Arc<Mutex<usize>>,
+}
+
+impl Line {
+    fn backlog(&self) -> MutexGuard<'_, usize> {
+        self.backlog.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Queues a parcel when there is room; false when the connection is over.
+    pub async fn send(&self, parcel: Parcel) -> bool {
+        *self.backlog() += 1;
+        self.queue.send(parcel).await.is_ok()
+    }
+
+    /// Queues a parcel; false when there is no room.
+    pub fn try_send(&self, parcel: Parcel) -> bool {
+        let mut backlog = self.backlog();
+        let queued = self.queue.try_send(parcel).is_ok();
+        *backlog += usize::from(queued);
+        queued
+    }
+
+    /// Writes to the socket at once if nothing is queued, and queues what it does not take.
+    fn pass(&self, shortcut: Option<&Shortcut>, bytes: &Bytes, due: Option<Instant>) -> Passed {
+        let mut backlog = self.backlog();
+        let written = match shortcut {
+            Some(shortcut) if *backlog == 0 => shortcut.try_write(bytes),
+            _ => 0,
+        };
+        if written == bytes.len() {
+            return Passed::Written;
+        }
+        let rest = if written == 0 { bytes.clone() } else { Arc::from(&bytes[written..]) };
+        if self.queue.try_send(Parcel { bytes: rest, due }).is_err() {
+            return Passed::Refused;
+        }
+        *backlog += 1;
+        Passed::Queued
+    }
+}
+
+/// What became of a package.
+enum Passed {
+    /// The system has it.
+    Written,
+    /// The connection's task will write it, or its end.
+    Queued,
+    /// The client is too far behind.
+    Refused,
 }
 
 #[derive(Debug)]
@@ -138,7 +197,8 @@ struct Outlet {
     feed: Feed,
     /// Its port takes no scripts.
     read_only: bool,
-    queue: mpsc::Sender<Parcel>,
+    line: Line,
+    shortcut: Option<Shortcut>,
     dropped: Arc<Notify>,
     behind: u64,
     given_up: bool,
@@ -170,17 +230,19 @@ pub struct Outlets {
 
 impl Outlets {
     /// Adds a connection; RTDE connections get data only after [`Outlets::subscribe`] and
-    /// [`Outlets::start`].
-    pub fn open(&mut self, feed: Feed, read_only: bool) -> Inlet {
+    /// [`Outlets::start`]. With a shortcut to its socket packages need not wait for its task.
+    pub fn open(&mut self, feed: Feed, read_only: bool, shortcut: Option<Shortcut>) -> Inlet {
         self.last_id += 1;
         let id = ClientId(self.last_id);
         let (sender, queue) = mpsc::channel(QUEUE);
+        let line = Line { queue: sender, backlog: Arc::default() };
         let dropped = Arc::new(Notify::new());
         self.outlets.push(Outlet {
             id,
             feed,
             read_only,
-            queue: sender.clone(),
+            line: line.clone(),
+            shortcut,
             dropped: dropped.clone(),
             behind: 0,
             given_up: false,
@@ -188,7 +250,7 @@ impl Outlets {
             started: false,
             writes: Writes::default(),
         });
-        Inlet { id, queue, dropped, replies: sender }
+        Inlet { id, queue, dropped, replies: line }
     }
 
     /// Removes a connection.
@@ -265,42 +327,55 @@ impl Outlets {
         self.outlets.iter_mut().find(|outlet| outlet.id == id)
     }
 
-    /// Sends what is due at the end of a frame; `due` is when the frame was.
-    pub fn publish(&mut self, controller: &mut Controller, due: Option<Instant>) {
+    /// Sends what is due at the end of a frame; `due` is when the frame was, and what leaves at once is recorded.
+    pub fn publish(&mut self, controller: &mut Controller, due: Option<Instant>, punctuality: &Punctuality) {
         self.close_after_switch(controller);
         self.tell_popup(controller);
+        self.send_states(controller);
+        self.send_packages(controller, due, punctuality);
+        self.drop_the_hopeless();
+    }
+
+    /// Messages, robot states and real-time blocks.
+    fn send_states(&mut self, controller: &mut Controller) {
         let step = controller.core.step;
-        let messages: Vec<Bytes> = controller
-            .core
-            .take_messages()
-            .into_iter()
-            .map(|body| encode_message(controller, body))
-            .collect();
+        let messages = controller.core.take_messages();
+        let messages: Vec<Bytes> =
+            messages.into_iter().map(|body| encode_message(controller, body)).collect();
         let fed = |feed: Feed| self.outlets.iter().any(|outlet| outlet.feed == feed);
         let state_due = step.is_multiple_of(STATE_INTERVAL) && (fed(Feed::Primary) || fed(Feed::Secondary));
         let state = state_due.then(|| encode_state(robot_state::periodic(controller)));
         let block: Option<Bytes> = fed(Feed::Realtime).then(|| realtime::block(controller).into());
-        let mut encoded: Vec<(Arc<Plan>, Bytes)> = Vec::new();
         for outlet in &mut self.outlets {
-            match outlet.feed {
-                Feed::Primary => messages.iter().chain(&state).for_each(|bytes| outlet.send(bytes, None)),
-                Feed::Secondary => state.iter().for_each(|bytes| outlet.send(bytes, None)),
-                Feed::Realtime => block.iter().for_each(|bytes| outlet.send(bytes, None)),
-                Feed::Rtde => {
-                    let Some(plan) = outlet.plan_of(step, self.forced_interval) else { continue };
-                    let shared = encoded.iter().find(|(known, _)| Arc::ptr_eq(known, &plan));
-                    let bytes = match shared {
-                        Some((_, bytes)) => bytes.clone(),
-                        None => plan.encode(controller),
-                    };
-                    outlet.send(&bytes, due);
-                    self.sent += u64::from(outlet.behind == 0);
-                    self.skipped += u64::from(outlet.behind > 0);
-                    encoded.push((plan, bytes));
-                }
+            let due: Vec<&Bytes> = match outlet.feed {
+                Feed::Primary => messages.iter().chain(&state).collect(),
+                Feed::Secondary => state.iter().collect(),
+                Feed::Realtime => block.iter().collect(),
+                Feed::Rtde => Vec::new(),
+            };
+            for bytes in due {
+                outlet.send(bytes, None);
             }
         }
-        self.drop_the_hopeless();
+    }
+
+    /// RTDE packages.
+    fn send_packages(&mut self, controller: &Controller, due: Option<Instant>, punctuality: &Punctuality) {
+        let mut encoded: Vec<(Arc<Plan>, Bytes)> = Vec::new();
+        for outlet in &mut self.outlets {
+            let Some(plan) = outlet.plan_of(controller.core.step, self.forced_interval) else { continue };
+            let shared = encoded.iter().find(|(known, _)| Arc::ptr_eq(known, &plan));
+            let bytes = match shared {
+                Some((_, bytes)) => bytes.clone(),
+                None => plan.encode(controller),
+            };
+            if let (Passed::Written, Some(due)) = (outlet.send(&bytes, due), due) {
+                punctuality.record(due.elapsed());
+            }
+            self.sent += u64::from(outlet.behind == 0);
+            self.skipped += u64::from(outlet.behind > 0);
+            encoded.push((plan, bytes));
+        }
     }
 
     /// A popup that has come up is told on the primary interface, whoever opened it.
@@ -327,7 +402,7 @@ impl Outlets {
             if hopeless {
                 outlet.dropped.notify_one();
             }
-            !hopeless && !outlet.queue.is_closed()
+            !hopeless && !outlet.line.queue.is_closed()
         });
     }
 
@@ -349,21 +424,20 @@ impl Outlets {
 
 impl Outlet {
     fn is_behind(&self) -> bool {
-        self.started && !self.given_up && self.queue.capacity() < QUEUE / 2
+        self.started && !self.given_up && self.line.queue.capacity() < QUEUE / 2
     }
 
     fn is_late(&self, step: u64) -> bool {
         self.writes.intervals >= REGULAR_INTERVALS && step.saturating_sub(self.writes.last_step) > LATE_FRAMES
     }
 
-    /// Queues a package, or counts the frames it was to last if there is no room.
-    fn send(&mut self, bytes: &Bytes, due: Option<Instant>) {
-        self.given_up &= self.queue.capacity() < QUEUE / 2;
+    /// Sends a package, or counts the frames it was to last if there is no room.
+    fn send(&mut self, bytes: &Bytes, due: Option<Instant>) -> Passed {
+        self.given_up &= self.line.queue.capacity() < QUEUE / 2;
         let frames = self.subscription.as_ref().map_or(1, |subscription| subscription.interval);
-        match self.queue.try_send(Parcel { bytes: bytes.clone(), due }) {
-            Ok(()) => self.behind = 0,
-            Err(_) => self.behind += frames,
-        }
+        let passed = self.line.pass(self.shortcut.as_ref(), bytes, due);
+        self.behind = if matches!(passed, Passed::Refused) { self.behind + frames } else { 0 };
+        passed
     }
 
     /// What is to be sent in this frame, if anything.
@@ -377,6 +451,7 @@ impl Outlet {
 /// Writes what is queued until the connection breaks.
 pub async fn write_all(mut inlet: Inlet, mut writer: WriteHalf<LinkStream>, shared: Arc<RobotShared>) {
     // The own handle for replies would keep the queue open after the outlet is gone.
+    let backlog = inlet.replies.backlog.clone();
     drop(inlet.replies);
     while let Some(parcel) = inlet.queue.recv().await {
         if writer.write_all(&parcel.bytes).await.is_err() {
@@ -385,6 +460,7 @@ pub async fn write_all(mut inlet: Inlet, mut writer: WriteHalf<LinkStream>, shar
         if let Some(due) = parcel.due {
             shared.punctuality.record(due.elapsed());
         }
+        *backlog.lock().unwrap_or_else(PoisonError::into_inner) -= 1;
     }
 }
 

@@ -32,8 +32,9 @@ const BOUNDED_SINCE: u32 = 10;
 
 /// Serves one connection to its end.
 pub async fn connection(shared: Arc<RobotShared>, stream: LinkStream) {
+    let shortcut = stream.shortcut();
     let (mut reader, writer) = tokio::io::split(stream);
-    let inlet = shared.outlets().open(Feed::Rtde, false);
+    let inlet = shared.outlets().open(Feed::Rtde, false, Some(shortcut));
     let mut session = Session::new(inlet.id);
     let (dropped, replies) = (inlet.dropped.clone(), inlet.replies.clone());
     let mut writing = tokio::spawn(write_all(inlet, writer, shared.clone()));
@@ -42,7 +43,7 @@ pub async fn connection(shared: Arc<RobotShared>, stream: LinkStream) {
         while let Ok(count @ 1..) = reader.read(&mut buffer).await {
             let Ok(answers) = session.receive(&shared, &buffer[..count]) else { return };
             for answer in answers {
-                if replies.send(answer.into()).await.is_err() {
+                if !replies.send(answer.into()).await {
                     return;
                 }
             }

@@ -7,12 +7,11 @@
 use crate::sim::controller::{builtins, robot_state};
 use crate::sim::faults::link::LinkStream;
 use crate::sim::robot_server::RobotShared;
-use crate::sim::robot_server::outlets::{Feed, Inlet, Parcel, encode_message, encode_state, write_all};
+use crate::sim::robot_server::outlets::{Feed, Inlet, Line, encode_message, encode_state, write_all};
 use crate::sim::robot_server::script_channel::{ScriptChannel, TooLong, Upload};
 use crate::wire::primary_message::{MessageBody, READ_ONLY};
 use std::sync::Arc;
 use tokio::io::AsyncReadExt;
-use tokio::sync::mpsc::Sender;
 
 /// What a port sends, and whether it takes scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,14 +51,14 @@ pub struct Session {
     channel: ScriptChannel,
     port: Port,
     switches: u64,
-    replies: Sender<Parcel>,
+    replies: Line,
 }
 
 impl Session {
     /// Adds the connection to the outlets with its greeting: version, then what is sent once.
     pub fn open(shared: &RobotShared, port: Port) -> (Inlet, Session) {
         let controller = shared.controller();
-        let inlet = shared.outlets().open(port.feed, port.read_only);
+        let inlet = shared.outlets().open(port.feed, port.read_only, None);
         if port.feed != Feed::Realtime {
             let [major, minor, bugfix, build] = controller.core.version();
             let version = MessageBody::Version {

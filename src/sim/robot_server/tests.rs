@@ -12,6 +12,7 @@ use std::net::Ipv4Addr;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
+mod sending;
 mod states;
 
 /// Longest a test waits for anything.
@@ -493,7 +494,7 @@ async fn an_rtde_client_that_does_not_read_is_dropped_and_a_script_client_is_not
 #[tokio::test]
 async fn regular_writers_are_waited_for_and_dead_ones_forgotten() {
     let mut outlets = Outlets::default();
-    let inlet = outlets.open(outlets::Feed::Rtde, false);
+    let inlet = outlets.open(outlets::Feed::Rtde, false, None);
     for step in (10..=100).step_by(10) {
         outlets.wrote(inlet.id, step);
     }
