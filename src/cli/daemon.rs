@@ -159,6 +159,7 @@ async fn daemon(
 ) -> Result<(), String> {
     let (mut hardware, clock) = open_hardware(&config)?;
     let seed = (unix_now_s() * 1e3) as u64;
+    let doubts = state.root().to_path_buf();
     let mut office =
         StateOffice::open(config.clone(), state, format!("celld-{seed}")).map_err(|error| chain(&error))?;
     for notice in office.notices() {
@@ -172,13 +173,9 @@ async fn daemon(
     let (answers_in, answers) = tokio::sync::mpsc::channel(16);
     let camera = open_camera(&config, Some(measured.camera.clone()))?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let eye = spawn_eye(
-        Box::new(camera),
-        detector,
-        eye_parameters(&config, measured.camera),
-        clock,
-        answers_in.clone(),
-    );
+    let mut eye_parameters = eye_parameters(&config, &measured).map_err(|error| chain(&error))?;
+    eye_parameters.doubts = Some(doubts);
+    let eye = spawn_eye(Box::new(camera), detector, eye_parameters, clock, answers_in.clone());
     let mut cell = Cell::new(model, seed);
     if config.arm_at_start {
         cell.arm_at_start();

@@ -57,6 +57,18 @@ impl CameraDevice {
         }
     }
 
+    /// True where depth comes with the pictures.
+    pub fn measures_depth(&self) -> bool {
+        match self {
+            CameraDevice::Simulator { depth, .. } => *depth,
+            CameraDevice::RealSense(settings) => settings.depth,
+            CameraDevice::Http { .. }
+            | CameraDevice::Uvc(_)
+            | CameraDevice::Folder { .. }
+            | CameraDevice::Video { .. } => false,
+        }
+    }
+
     /// True where the camera itself tells its lens.
     pub fn knows_its_lens(&self) -> bool {
         matches!(self, CameraDevice::Simulator { .. } | CameraDevice::RealSense(_))

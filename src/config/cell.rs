@@ -9,6 +9,7 @@ pub use crate::config::camera::CameraDevice;
 use crate::geometry::pose::Pose2;
 use crate::jobs::goal::GoalContext;
 use crate::jobs::policy::{Approval, JobObjective};
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
 use crate::units::{ATMOSPHERE_PA, Joints};
 use crate::vision::image::quality::PictureLimits;
@@ -64,6 +65,8 @@ pub struct CellConfig {
     pub goal_folder: PathBuf,
     /// Markers in view that belong to nothing on the table.
     pub ignore_markers: Vec<u32>,
+    /// What is done about things on the table that carry no marker.
+    pub foreign: ForeignRule,
 }
 
 impl CellConfig {
@@ -243,6 +246,10 @@ pub struct Tolerances {
     pub observation_age_s: f64,
     /// Largest mean residual of the reference markers in a look, m.
     pub reference_residual_m: f64,
+    /// Shift or lift of the camera, told by the reference markers from one look pose, that stops motion, m.
+    pub reference_shift_m: f64,
+    /// Turn of it, rad.
+    pub reference_turn_rad: f64,
 }
 
 /// How plans are made.

@@ -10,6 +10,7 @@ use crate::document::decode::Decoder;
 use crate::document::tree::{Node, Value};
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::{ObjectSpec, Workspace};
 use crate::tabletop::parse::MarkerUse;
 use crate::tabletop::room::{Cup, place_for_cups};
@@ -61,6 +62,7 @@ fn item(node: &Node, index: usize) -> Option<&Node> {
 /// Complains about everything that does not fit.
 pub(super) fn check_cell(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     check_simulation(decoder, parts, places);
+    check_depth(decoder, parts, places);
     check_poses(decoder, parts, places);
     if let Some(limits) = &parts.limits {
         check_limits(decoder, limits, places);
@@ -89,6 +91,20 @@ fn check_simulation(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
             let help = "remove `simulation`: its clock would run past a real device's deadlines";
             decoder.complain(places.at(&["simulation"]), "simulation", message, help);
         }
+    }
+}
+
+/// What carries no marker is found by depth.
+fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
+    let needed = matches!(
+        parts.foreign,
+        Some(ForeignRule::Refuse { depth_needed: true } | ForeignRule::Obstacle { .. })
+    );
+    let measured = parts.devices.as_ref().is_none_or(|devices| devices.camera.measures_depth());
+    if needed && !measured {
+        let message = "the search for what carries no marker needs depth, and the camera is not asked for it";
+        let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: {mode: off}`";
+        decoder.complain(places.at(&["foreign"]), "foreign", message, help);
     }
 }
 

@@ -344,6 +344,7 @@ async fn collect(
 /// One new frame and its markers. The frame is taken on another thread, so that the robot's heartbeat goes on.
 async fn detect(hardware: &mut Hardware, mut eye: Eye) -> Result<(Eye, Image, Vec<Detection>), DriveError> {
     let task = tokio::task::spawn_blocking(move || {
+        eye.camera.want_depth(false);
         let frame = eye.camera.grab().map_err(|error| trouble_of(&error).message);
         let found = frame.and_then(|frame| {
             let seen = eye.detector.detect(&frame.image.gray()).map_err(|error| error.to_string())?;

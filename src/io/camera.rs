@@ -61,6 +61,10 @@ pub trait CameraSource: Send {
     /// Anything else; a recording that has ended is `EndOfRecording`.
     fn grab(&mut self) -> Result<Frame, CameraError>;
 
+    /// Whether the next pictures shall carry depth, for a camera that was opened with it: they do unless told otherwise.
+    /// A hint that saves time; others take no notice.
+    fn want_depth(&mut self, _wanted: bool) {}
+
     /// The camera's serial number.
     ///
     /// # Errors

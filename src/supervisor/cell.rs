@@ -139,6 +139,8 @@ pub struct Cell {
     pub(crate) seen: Option<Seen>,
     /// When the look behind `seen` was over.
     pub(crate) seen_at: Timestamp,
+    /// Height of what was last seen without a marker and counts as an obstacle, with its margin, m.
+    pub(crate) foreign_height: f64,
     /// Since when the arm has been held in the middle of a motion.
     pub(crate) held_since: Option<Timestamp>,
     /// Why the cell cannot be armed until the daemon is started anew.
@@ -186,6 +188,7 @@ impl Cell {
             job: None,
             seen: None,
             seen_at: Timestamp::ZERO,
+            foreign_height: 0.0,
             held_since: None,
             locked: None,
             nonce: None,

@@ -106,7 +106,7 @@ pub(crate) fn configuration(folder: &Path, address: &str, factor: u32) -> (PathB
 
 fn start_sim(config: &Path) -> Running {
     let mut sim = Command::new(CELLD)
-        .args(["sim", "--config"])
+        .args(["sim", "--control", "--config"])
         .arg(config)
         .stdout(Stdio::piped())
         .spawn()
@@ -210,4 +210,78 @@ fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     wait_until("the program ends with its daemon", || program_state("127.7.1.2") == "STOPPED");
     let recordings = std::fs::read_dir(folder.path().join("recordings")).expect("the configured folder");
     assert!(recordings.flatten().any(|file| file.metadata().is_ok_and(|meta| meta.len() > 1000)));
+}
+
+/// Tells the simulator's control server of a fault, in JSON.
+fn fault(address: &str, text: &str) {
+    let answer = ureq::post(format!("http://{address}:8091/fault")).send(text);
+    assert_eq!(answer.expect("the control server").status().as_u16(), 200);
+}
+
+/// A mug that nobody told the cell of keeps everything where it is, for as long as it stands there.
+#[test]
+fn cell_moves_nothing_while_something_without_a_marker_stands_on_the_table() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let address = "127.7.1.4";
+    let (cell, sim) = configuration(folder.path(), address, 2);
+    let _sim = start_sim(&sim);
+    let cell_text = cell.display().to_string();
+    let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());
+    assert_eq!(calibrated.status.code(), Some(0), "{}", text(&calibrated.stderr));
+    let state = folder.path().join("state");
+    let log = folder.path().join("log.txt");
+    let _daemon = Running(
+        Command::new(CELLD)
+            .args(["run", "--config", &cell_text])
+            .current_dir(folder.path())
+            .stderr(std::fs::File::create(&log).expect("a file"))
+            .spawn()
+            .expect("the binary runs"),
+    );
+    let incoming = state.join("jobs/incoming");
+    wait_until("the daemon opens its folders", || incoming.is_dir());
+    let submit = |id: &str, x: f64| {
+        let goal = format!("goal:\n  objects:\n    - {{id: lid, pose: [{x}, 0.38, 0]}}\n");
+        std::fs::write(incoming.join(format!("{id}.yaml")), format!("version: 1\nid: {id}\n{goal}"))
+            .expect("written");
+    };
+    let said = |what: &str| std::fs::read_to_string(&log).is_ok_and(|log| log.contains(what));
+    let mug = r#"{"do": "world.foreign", "args":
+        {"shape": "mug", "size_m": [0.08, 0.08], "height_m": 0.09, "pose": [0.23, 0.22, 0]}}"#;
+
+    // There at first, and taken away while the cell looks again.
+    fault(address, mug);
+    submit("one", 0.30);
+    wait_until("the cell is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));
+    wait_until("the mug is seen", || said("belongs to nothing the cell knows; looking again"));
+    fault(address, r#"{"do": "clear", "args": {"fault": "world.foreign"}}"#);
+    wait_until("the job ends", || {
+        result_of(&state, "done", "one").or_else(|| result_of(&state, "failed", "one")).is_some()
+    });
+    let result = result_of(&state, "done", "one");
+    let log_text = std::fs::read_to_string(&log).expect("the log");
+    assert!(result.as_ref().is_some_and(|result| result.contains("moves: 1")), "{result:?} {log_text}");
+
+    // There to stay: the job ends, told where and how high, and nothing was moved.
+    fault(address, mug);
+    submit("two", 0.40);
+    wait_until("the second job has ended", || result_of(&state, "failed", "two").is_some());
+    let result = result_of(&state, "failed", "two").expect("a result");
+    assert!(result.contains("code: \"foreign_object\"") && result.contains("moves: 0"), "{result}");
+    let number = |after: &str| -> f64 {
+        let rest = result.split(after).nth(1).unwrap_or_else(|| panic!("{after} in {result}"));
+        let digits: String = rest.chars().take_while(|c| c.is_ascii_digit()).collect();
+        digits.parse().expect("a number")
+    };
+    let (x, y, high) = (number("x = "), number("y = "), number("something "));
+    assert!((x - 230.0).abs() < 8.0 && (y - 220.0).abs() < 8.0 && (high - 90.0).abs() < 8.0, "{result}");
+
+    let drawn = state.join("doubt-1.png");
+    assert!(std::fs::metadata(&drawn).is_ok_and(|meta| meta.len() > 10_000), "the look is drawn");
+
+    // Taken away, work goes on.
+    fault(address, r#"{"do": "clear"}"#);
+    submit("three", 0.40);
+    wait_until("the third job is done", || result_of(&state, "done", "three").is_some());
+    assert!(!drawn.exists(), "a good look leaves no doubts behind");
 }

@@ -123,7 +123,7 @@ async fn with_sim(
     };
     let mut devices = config.devices.clone();
     let (host, port) = (sim.addresses.camera.ip().to_string(), sim.addresses.camera.port());
-    devices.camera = CameraDevice::Simulator { host, port, depth: false };
+    devices.camera = CameraDevice::Simulator { host, port, depth: true };
     let mut parameters = RobotParameters::full_rate();
     parameters.frequency_hz = RTDE_HZ;
     let mut hardware = Hardware::open(&addresses, clock.clone(), parameters, gripper_parameters(config))
@@ -155,9 +155,10 @@ async fn with_sim(
     };
     let model = cell_model(config, &measured).map_err(|error| error.to_string())?;
     let (answers_in, answers) = tokio::sync::mpsc::channel(16);
-    let camera = open(Some(lens.clone()))?;
+    let camera = open(Some(lens))?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let eye = spawn_eye(Box::new(camera), detector, eye_parameters(config, lens), clock, answers_in.clone());
+    let eye_parameters = eye_parameters(config, &measured).map_err(|error| chain(&error))?;
+    let eye = spawn_eye(Box::new(camera), detector, eye_parameters, clock, answers_in.clone());
     let mut watch = Watch::new(Recorder::create(&out.join("run.mcap"), true));
     let mut office = OneJob { order: Some(order(instance, choice)?), armed: false, over: stop.clone() };
     let cell = Cell::new(model, choice.seed.wrapping_add(1000));

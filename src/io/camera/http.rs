@@ -1,7 +1,8 @@
 //! A camera behind an HTTP address: the simulator's, or any that speaks the same few words.
 //!
 //! `GET /frame.png` gives a picture with headers `X-Sequence` (whole number), `X-Time` (s) and `X-Serial`; `GET
-//! /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is asked for, 16 bits of 0.1 mm. Every request has a time limit and the answer a size limit.
+//! /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is asked for, 16 bits of 0.1 mm
+//! with a number of its own. Every request has a time limit and the answer a size limit.
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
@@ -19,6 +20,10 @@ pub struct HttpCamera {
     client: Client,
     lens: Option<CameraModel>,
     depth: bool,
+    /// Depth is of use now.
+    wanted: bool,
+    /// Number of the last depth picture.
+    last_depth: Option<u64>,
     watch: Watch,
 }
 
@@ -73,6 +78,8 @@ impl HttpCamera {
             client: Client::new(limit),
             lens: None,
             depth: false,
+            wanted: true,
+            last_depth: None,
             watch: Watch::default(),
         }
     }
@@ -89,9 +96,13 @@ impl HttpCamera {
         self
     }
 
-    fn take_depth(&self) -> Result<DepthImage, CameraError> {
+    fn take_depth(&mut self) -> Result<DepthImage, CameraError> {
         let address = format!("{}/depth.png", self.base);
-        let (_, bytes) = self.client.get(&address)?;
+        let (headers, bytes) = self.client.get(&address)?;
+        let sequence = header(&headers, &address, "X-Sequence", "whole number")?;
+        if let Some(last) = self.last_depth.replace(sequence).filter(|last| *last >= sequence) {
+            return Err(CameraError::RepeatedSequence { place: address, sequence, last });
+        }
         DepthImage::decode(&bytes, UNIT_M).map_err(|source| CameraError::Picture { place: address, source })
     }
 }
@@ -126,7 +137,7 @@ impl CameraSource for HttpCamera {
             .map_err(|source| CameraError::Picture { place: address.clone(), source })?;
         let mut frame = Frame { image, sequence, time_s, source: address, depth: None };
         self.watch.check(&frame, self.lens.as_ref())?;
-        if self.depth {
+        if self.depth && self.wanted {
             frame.depth = Some(self.take_depth()?);
         }
         Ok(frame)
@@ -136,8 +147,13 @@ impl CameraSource for HttpCamera {
         true
     }
 
+    fn want_depth(&mut self, wanted: bool) {
+        self.wanted = wanted;
+    }
+
     fn reopen(&mut self) -> Result<(), CameraError> {
         self.client = self.client.anew();
+        self.last_depth = None;
         self.watch.restarted();
         Ok(())
     }
@@ -236,16 +252,34 @@ pub(super) mod tests {
         assert!(error.to_string().contains("celld sim") && error.to_string().contains("curl -I http://127"));
     }
 
-    #[test]
-    fn depth_comes_with_the_picture_where_it_is_asked_for() {
+    fn depth(sequence: u64) -> (String, Vec<u8>) {
         let depth = DepthImage::from_units(40, 32, &[4217; 40 * 32], UNIT_M).unwrap();
-        let answer = ("HTTP/1.1 200 OK\r\n".to_owned(), depth.encode_png(UNIT_M).unwrap());
-        let (_, colour) = picture(5, 12);
-        let answers =
-            vec![picture(3, 10), answer, picture(4, 11), ("HTTP/1.1 200 OK\r\n".to_owned(), colour)];
+        (format!("HTTP/1.1 200 OK\r\nX-Sequence: {sequence}\r\n"), depth.encode_png(UNIT_M).unwrap())
+    }
+
+    #[test]
+    fn depth_comes_with_the_picture_where_it_is_asked_for_and_a_wrong_or_old_one_is_an_error() {
+        let (head, colour) = picture(9, 12);
+        let answers = vec![
+            picture(2, 9),
+            picture(3, 10),
+            depth(1),
+            picture(4, 11),
+            depth(1),
+            picture(5, 12),
+            (head, colour),
+        ];
         let mut camera = camera(answers).with_depth();
+        camera.want_depth(false);
+        assert!(camera.grab().unwrap().depth.is_none());
+        camera.want_depth(true);
         let frame = camera.grab().unwrap();
-        assert_eq!(frame.depth.unwrap().at(39, 31), depth.at(0, 0));
+        assert!((frame.depth.unwrap().at(39, 31).unwrap() - 0.4217).abs() < 1e-6);
+        let told = camera.grab().unwrap_err();
+        assert!(
+            matches!(&told, CameraError::RepeatedSequence { sequence: 1, last: 1, .. }),
+            "frozen: {told}"
+        );
         let told = camera.grab().unwrap_err();
         assert!(
             matches!(&told, CameraError::Picture { place, .. } if place.ends_with("/depth.png")),

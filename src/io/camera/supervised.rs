@@ -75,6 +75,10 @@ impl CameraSource for Supervised {
         }
     }
 
+    fn want_depth(&mut self, wanted: bool) {
+        self.source.want_depth(wanted);
+    }
+
     fn serial(&mut self) -> Result<String, CameraError> {
         self.source.serial()
     }

@@ -77,6 +77,17 @@ pub struct WorldObject {
     pub colour: Option<[u8; 3]>,
 }
 
+/// A thing without a marker that somebody puts on the table: an upright prism.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ForeignBody {
+    /// Its footprint.
+    pub footprint: Footprint,
+    /// Its height, m.
+    pub height_m: f64,
+    /// Where it stands.
+    pub pose: Pose2,
+}
+
 /// A tag36h11 marker on an object's top.
 #[derive(Clone, Copy, Debug)]
 pub struct ObjectMarker {
