@@ -38,7 +38,9 @@ pub fn open_camera(devices: &Devices, lens: Option<CameraModel>) -> Result<Super
                 None => camera,
             })
         }
-        CameraDevice::Http { url, serial } => Box::new(SnapshotCamera::open(url, serial, CAMERA_LIMIT, lens)?),
+        CameraDevice::Http { url, serial } => {
+            Box::new(SnapshotCamera::open(url, serial, CAMERA_LIMIT, lens)?)
+        }
         CameraDevice::RealSense(settings) => {
             Box::new(RealSenseCamera::open(settings.clone(), CAMERA_LIMIT, lens)?)
         }
