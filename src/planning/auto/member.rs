@@ -2,7 +2,7 @@
 //!
 //! In: a task that all members share, a seed. Out: after each round a plan no dearer than before. A first plan comes
 //! from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from the goal; where none of
-//! them arrives, from the paper's solvers. From then on a piece of the plan, its tail, its head (backwards) or a window,
+//! them arrives, from pressing everything out of the way (`squeeze`), or from the paper's solvers. From then on a piece of the plan, its tail, its head (backwards) or a window,
 //! is replaced by a roll-out between the same two arrangements whenever that costs no more; equal cost counts as
 //! progress, so that the plan drifts until a better one is near. Under the objective `time` the roll-outs count moves,
 //! the caller's cost function judges what they find, and `polish` tries what no count of moves can tell apart. Ideas:
@@ -13,6 +13,8 @@ use crate::planning::auto::assignment::Groups;
 use crate::planning::auto::parking::{Care, Shapes};
 use crate::planning::auto::polish;
 use crate::planning::auto::roll_out::{Style, Task, roll_out};
+use crate::planning::auto::shorten::shortened;
+use crate::planning::auto::squeeze::{Progress, Squeeze};
 use crate::planning::buffers::Arrangement;
 use crate::planning::completion;
 use crate::planning::effort::Effort;
@@ -24,8 +26,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-/// Rounds without a plan after which the other solvers have a part in the search.
-const PATIENCE: u64 = 4;
+/// Rounds without a plan after which everything is tried side by side.
+const PATIENCE: u64 = 8;
 
 /// Under `time`, the share of small changes among the tries.
 const POLISH: f64 = 0.9;
@@ -67,6 +69,8 @@ pub struct Member<'a> {
     rounds: u64,
     tries: u64,
     rescues: u64,
+    /// A way over a crowded table that is under way, and whether it leads from the goal to the start.
+    squeeze: Option<(Squeeze<'a>, bool)>,
 }
 
 /// A piece of a plan.
@@ -101,6 +105,7 @@ impl<'a> Member<'a> {
             rounds: 0,
             tries: 0,
             rescues: 0,
+            squeeze: None,
         }
     }
 
@@ -108,14 +113,12 @@ impl<'a> Member<'a> {
     pub fn search(&mut self, enough: f64, effort: &mut Effort) {
         self.rounds += 1;
         if self.plan.is_none() {
-            let most = if self.rounds > PATIENCE { effort.left() / 2 } else { u64::MAX };
-            let mut part = effort.part(most);
-            self.first_plan(&mut part, |member, effort| match member.tries {
+            self.first_plan(3, effort, |member, effort| match member.tries {
                 1..=3 if !member.quest.known.is_empty() => member.resumed(effort),
                 _ => member.whole_plan(f64::INFINITY, effort),
             });
-            effort.spend(&part);
-            self.first_plan(effort, |member, effort| {
+            self.first_plan(2, effort, Self::squeezed);
+            self.first_plan(1, effort, |member, effort| {
                 member.rescues += 1;
                 (member.quest.rescue)(member.rescues, effort)
             });
@@ -134,11 +137,20 @@ impl<'a> Member<'a> {
         }
     }
 
-    fn first_plan(&mut self, effort: &mut Effort, way: impl Fn(&mut Self, &mut Effort) -> Option<Vec<Move>>) {
-        while self.plan.is_none() && effort.step() {
+    /// Tries to find a plan in one of `parts` of the effort; in all of it while there is hope for an easy one.
+    fn first_plan(
+        &mut self,
+        parts: u64,
+        effort: &mut Effort,
+        way: impl Fn(&mut Self, &mut Effort) -> Option<Vec<Move>>,
+    ) {
+        let most = if self.rounds <= PATIENCE { u64::MAX } else { effort.left() / parts };
+        let mut part = effort.part(most);
+        while self.plan.is_none() && part.step() {
             self.tries += 1;
-            self.plan = way(self, effort);
+            self.plan = way(self, &mut part);
         }
+        effort.spend(&part);
     }
 
     /// Cost of the plan; infinite without one.
@@ -205,6 +217,41 @@ impl<'a> Member<'a> {
         self.travel(&leg, &style, effort).map(tidy)
     }
 
+    /// Goes on with a way over a crowded table, or begins one.
+    fn squeezed(&mut self, effort: &mut Effort) -> Option<Vec<Move>> {
+        let scene = self.quest.scene;
+        let (mut squeeze, backwards) = match self.squeeze.take() {
+            Some(squeeze) => squeeze,
+            None => self.new_squeeze(effort)?,
+        };
+        let style = Style { hold: 0.0, stops: 0, ..self.style(None, false) };
+        let (costs, shapes, ceiling) = (self.quest.costs, &self.shapes, f64::INFINITY);
+        let shortcut = |from: &Arrangement, to: &Arrangement, rng: &mut ChaCha8Rng, effort: &mut Effort| {
+            let task = Task { scene, shapes, costs, from, to, flexible: ObjectSet::EMPTY, ceiling };
+            roll_out(&task, &style, rng, effort)
+        };
+        match squeeze.run(&shortcut, &mut self.rng, effort) {
+            Progress::Arrived(moves) => {
+                let moves = if backwards { reversed(moves) } else { moves };
+                Some(shortened(scene, &self.start, moves))
+            }
+            Progress::Stuck => None,
+            Progress::Interrupted => {
+                self.squeeze = Some((squeeze, backwards));
+                None
+            }
+        }
+    }
+
+    fn new_squeeze(&mut self, effort: &mut Effort) -> Option<(Squeeze<'a>, bool)> {
+        let Quest { scene, costs, .. } = *self.quest;
+        let goal = completion::complete(scene, &self.goals, &mut self.rng, effort)?;
+        let goal = self.groups.improved(scene, costs, &self.start, goal, &mut self.rng);
+        let backwards = self.rng.random_bool(0.5);
+        let (from, to) = if backwards { (&goal, &self.start) } else { (&self.start, &goal) };
+        Some((Squeeze::new(scene, from, to, &mut self.rng), backwards))
+    }
+
     /// Another plan that costs no more moves.
     fn varied(&mut self, plan: &[Move], effort: &mut Effort) -> Option<Vec<Move>> {
         if self.quest.judge.is_some() && !plan.is_empty() && self.rng.random_bool(POLISH) {
@@ -230,7 +277,11 @@ impl<'a> Member<'a> {
         let style = self.style(Some(plan), detours);
         let new = self.travel(&leg, &style, effort)?;
         let (head, tail) = (plan[..first].iter(), plan[last..].iter());
-        Some(tidy(head.cloned().chain(new).chain(tail.cloned()).collect()))
+        Some(shortened(
+            self.quest.scene,
+            &self.start,
+            head.cloned().chain(new).chain(tail.cloned()).collect(),
+        ))
     }
 
     /// Sometimes members of a group take each other's ends.
@@ -260,7 +311,14 @@ impl<'a> Member<'a> {
 
     /// Tail, head or window of a plan that is not empty, whose cost is to be undercut.
     fn choose(&mut self, length: usize) -> Piece {
+        let most = 2 * self.start.len();
         let rng = &mut self.rng;
+        // No roll-out takes the place of much of a plan that long.
+        if length > most.max(4) && rng.random_bool(0.9) {
+            let span = rng.random_range(4..=most.max(4));
+            let first = rng.random_range(0..=length - span);
+            return Piece { first, last: first + span, backwards: rng.random_bool(0.5) };
+        }
         match rng.random_range(0..10u8) {
             0..=3 => Piece { first: rng.random_range(0..length), last: length, backwards: false },
             4..=7 => Piece { first: 0, last: rng.random_range(1..=length), backwards: true },

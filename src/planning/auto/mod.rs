@@ -13,6 +13,8 @@ pub mod parking;
 pub mod polish;
 pub mod regions;
 pub mod roll_out;
+pub mod shorten;
+pub mod squeeze;
 pub mod stops;
 pub mod table;
 
