@@ -95,12 +95,7 @@ pub const TARGETS: [Target; 17] = [
 impl Target {
     /// The cells that the target is about.
     pub fn cells(&self) -> Vec<Cell> {
-        let cell = |density, objects| Cell {
-            scenario: self.scenario.to_string(),
-            density,
-            objects,
-            objective: self.objective,
-        };
+        let cell = |density, objects| Cell::new(self.scenario, density, objects, self.objective);
         let densities = self.densities.iter();
         densities.flat_map(|&density| self.objects.iter().map(move |&n| cell(density, n))).collect()
     }
