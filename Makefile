@@ -6,8 +6,8 @@ SHELL := /bin/bash
 
 # Found missing by the build otherwise: clang is run by the OpenCV bindings' generator, the others are the
 # OpenCV modules celld calls. Not libapriltag-dev: the crate brings the C sources it was made for.
-# python3-venv runs the third-party clients of the tests.
-PACKAGES := clang pkg-config python3-venv libopencv-core-dev libopencv-imgproc-dev libopencv-imgcodecs-dev \
+# python3-venv runs the third-party clients of the tests; their RealSense SDK needs libusb and the interpreter as a library.
+PACKAGES := clang pkg-config python3-venv libpython3.11 libusb-1.0-0 libopencv-core-dev libopencv-imgproc-dev libopencv-imgcodecs-dev \
             libopencv-calib3d-dev libopencv-videoio-dev
 
 ARGS ?=

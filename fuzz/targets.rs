@@ -7,7 +7,6 @@
 use celld::device::dashboard_session::DashboardSession;
 use celld::device::primary_session::PrimarySession;
 use celld::device::rtde_session::RtdeSession;
-use celld::geometry::footprint::Footprint;
 use celld::sim::controller::builtins::compile_program;
 use celld::sim::controller::{Controller, ControllerConfig};
 use celld::sim::faults::link::LinkState;
@@ -16,7 +15,7 @@ use celld::sim::robot_server::outlets::{Feed, Inlet};
 use celld::sim::robot_server::script_ports::{self, Port};
 use celld::sim::robot_server::{RobotShared, dashboard as dashboard_server, rtde as rtde_server};
 use celld::sim::world::World;
-use celld::sim::world::spec::{Cup, GripperSpec, PlacementErrors, TableSpec, WorldSpec};
+use celld::sim::world::spec::{GripperSpec, WorldSpec};
 use celld::sim::world::vacuum::Channel;
 use celld::time::{Duration, Timestamp};
 use celld::wire::dashboard::{Command, LineSplitter, Reply as DashboardReply};
@@ -62,6 +61,21 @@ fn robot() -> Arc<RobotShared> {
     RobotShared::new(Controller::new(config), Ipv4Addr::LOCALHOST.into())
 }
 
+/// Gives a client of ours the bytes a second apart, and takes what it has to say; `$before` is done before each piece.
+macro_rules! hear {
+    ($client:expr, $data:expr, $before:expr) => {{
+        let (mut client, mut now) = ($client, Timestamp::ZERO);
+        client.connected(now);
+        for piece in pieces($data) {
+            $before(&mut client, now);
+            client.received(now, piece);
+            now += Duration::from_secs(1);
+            client.tick(now);
+            while client.poll_transmit().is_some() || client.poll_event().is_some() {}
+        }
+    }};
+}
+
 /// What the simulator has queued for a connection.
 fn sent(inlet: &mut Inlet) -> Vec<u8> {
     std::iter::from_fn(|| inlet.queue.try_recv().ok()).flat_map(|parcel| parcel.bytes().to_vec()).collect()
@@ -100,15 +114,7 @@ pub fn rtde(data: &[u8]) {
         !shared.controller().core.registers.claimed("input_int_register_24"),
         "a claim has outlived its client"
     );
-    let mut client = RtdeSession::new(500.0);
-    let mut now = Timestamp::ZERO;
-    client.connected(now);
-    for piece in pieces(data) {
-        client.received(now, piece);
-        now += Duration::from_secs(1);
-        client.tick(now);
-        while client.poll_transmit().is_some() || client.poll_event().is_some() {}
-    }
+    hear!(RtdeSession::new(500.0), data, |_: &mut RtdeSession, _| {});
 }
 
 /// A client of ours reads what the simulator sends, whatever it was asked.
@@ -141,16 +147,9 @@ pub fn dashboard(data: &[u8]) {
             break;
         }
     }
-    let mut client = DashboardSession::default();
-    let mut now = Timestamp::ZERO;
-    client.connected(now);
-    for piece in pieces(data) {
+    hear!(DashboardSession::default(), data, |client: &mut DashboardSession, now| {
         let _ = client.ask(now, Command::SafetyMode);
-        client.received(now, piece);
-        now += Duration::from_secs(1);
-        client.tick(now);
-        while client.poll_transmit().is_some() || client.poll_event().is_some() {}
-    }
+    });
 }
 
 /// Packages; then a script connection to the simulator; then a client of ours.
@@ -180,15 +179,7 @@ pub fn primary(data: &[u8]) {
     }
     session.finish(&shared);
     (0..FRAMES).for_each(|_| shared.frame(None));
-    let mut client = PrimarySession::default();
-    let mut now = Timestamp::ZERO;
-    client.connected(now);
-    for piece in pieces(data) {
-        client.received(now, piece);
-        now += Duration::from_secs(1);
-        client.tick(now);
-        while client.poll_transmit().is_some() || client.poll_event().is_some() {}
-    }
+    hear!(PrimarySession::default(), data, |_: &mut PrimarySession, _| {});
 }
 
 /// A program: parsed, checked, and run for some frames.
@@ -208,7 +199,8 @@ pub fn urscript(data: &[u8]) {
 
 /// Requests to the gripper, with the world's time going on.
 pub fn modbus(data: &[u8]) {
-    let mut world = World::new(bare_world(), 1).expect("a sound world");
+    let spec = WorldSpec::bare(Isometry3::identity(), GripperSpec::one_cup(0.2));
+    let mut world = World::new(spec, 1).expect("a sound world");
     let mut session = gripper_server::Session::default();
     let mut now_s = 0.0;
     for piece in pieces(data) {
@@ -221,21 +213,5 @@ pub fn modbus(data: &[u8]) {
     }
     for channel in Channel::ALL {
         assert!(world.vacuum_reading_per_mille(channel) <= 1000, "more than a vacuum");
-    }
-}
-
-fn bare_world() -> WorldSpec {
-    WorldSpec {
-        table: TableSpec { width_m: 0.5, height_m: 0.5, margin_m: 0.1 },
-        base_from_table: Isometry3::identity(),
-        objects: Vec::new(),
-        reference_markers: Vec::new(),
-        errors: PlacementErrors::default(),
-        gripper: GripperSpec {
-            flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
-            cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
-            body: Footprint::rectangle(0.05, 0.05).expect("a rectangle"),
-            body_above_lips_m: 0.05,
-        },
     }
 }

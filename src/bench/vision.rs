@@ -3,9 +3,13 @@
 //! In: how many frames, a seed, detector settings. Out: [`Report`]. Frames are drawn by `render` from `scene`'s tables, five views a table;
 //! detection and `observe` run on them as in the cell. Accuracy is told with the lens's true numbers and with those that
 //! a calibration from board pictures found (`calibrated`); times are those of one frame on a core, beside a plain call
-//! of the C library on the same frame.
+//! of the C library on the same frame. Beside it stand the figures of drift (`drift`), of what carries no marker (`foreign`)
+//! and of the camera's mount (`hand_eye`).
 
 pub mod calibrated;
+pub mod drift;
+pub mod foreign;
+pub mod hand_eye;
 pub mod render;
 pub mod scene;
 pub mod tally;
@@ -222,7 +226,7 @@ impl Bench {
             let detections = detector.detect(&picture).map_err(|error| error.to_string())?;
             self.count(&scene, [number, views.len()], &detections, &mut tally);
             let time = Timestamp::from_nanos(views.len() as u64);
-            views.push(View { table_from_camera: *table_from_camera, detections, time });
+            views.push(View { table_from_camera: *table_from_camera, detections, time, heights: None });
         }
         self.judge(&scene, &self.lens.camera, &views, &mut tally.exact)?;
         if let Some(eye) = eye {
@@ -360,7 +364,8 @@ impl Bench {
     ) -> Result<f64, String> {
         let started = Instant::now();
         let detections = detector.detect(picture).map_err(|error| error.to_string())?;
-        let view = View { table_from_camera: *table_from_camera, detections, time: Timestamp::ZERO };
+        let view =
+            View { table_from_camera: *table_from_camera, detections, time: Timestamp::ZERO, heights: None };
         observe(objects, &[], &self.lens.camera, &[view], &limits()).map_err(|error| error.to_string())?;
         Ok(started.elapsed().as_secs_f64() * 1e3)
     }

@@ -1,7 +1,11 @@
-//! `celld bench vision`: how often markers are found, how exact their poses are, how long it takes.
+//! `celld bench vision`: how often markers are found, how exact their poses are, how long it takes; how surely a bumped
+//! camera and things without a marker are noticed; how exact the camera's mount comes out of calibration.
 //!
-//! In: how many frames, a seed, detector settings. Out: a table for people, or one JSON object; some of the frames as pictures with the
-//! truth about their corners where that is asked for. Exit code 0, 2 for usage, 130 after Ctrl-C.
+//! In: which parts, how many frames, scenes and looks, a seed, detector settings. Out: a table for people, or one JSON object; some of
+//! the frames as pictures with the truth about their corners where that is asked for. Exit code 0, 2 for usage, 130 after
+//! Ctrl-C.
+
+mod parts;
 
 use crate::bench::vision::tally::Accuracy;
 use crate::bench::vision::{Bench, Report, Task};
@@ -40,9 +44,44 @@ pub struct BenchVisionArgs {
     /// Write the first frames of the first N tables here, with the truth about their corners (truth.json)
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
+    /// Which figures, comma-separated
+    #[arg(long, value_delimiter = ',', value_enum, default_values_t = Part::ALL)]
+    part: Vec<Part>,
+    /// Tables with something foreign, and as many without
+    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    scenes: u32,
+    /// Looks with a bumped camera
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    trials: u32,
+    /// Looks with a camera where it should be
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
+    looks: u32,
+    /// Looks that are rendered and detected, half of them with a bumped camera
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    rendered: u32,
+    /// Rounds of twenty poses for the camera's mount
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    rounds: u32,
     /// How to print the figures
     #[arg(long, default_value = "text", value_parser = ["text", "json"])]
     format: String,
+}
+
+/// Parts of the benchmark.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Part {
+    /// Detection and poses.
+    Markers,
+    /// Bumped cameras.
+    Drift,
+    /// Things without a marker.
+    Foreign,
+    /// The camera's place on the flange.
+    HandEye,
+}
+
+impl Part {
+    const ALL: [Part; 4] = [Part::Markers, Part::Drift, Part::Foreign, Part::HandEye];
 }
 
 /// Frames that `--save` writes at most.
@@ -64,6 +103,40 @@ pub fn run(args: &BenchVisionArgs, stop: &AtomicBool) -> u8 {
 }
 
 fn run_all(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<String>, String> {
+    let (mut text, mut json) = (String::new(), serde_json::Map::new());
+    for part in Part::ALL.into_iter().filter(|part| args.part.contains(part)) {
+        let done = match part {
+            Part::Markers => markers(args, stop)?,
+            Part::Drift => parts::drift(args, stop)?,
+            Part::Foreign => parts::foreign(args, stop)?,
+            Part::HandEye => Some(parts::hand_eye(args)?),
+        };
+        let Some((told, figures)) = done else { return Ok(None) };
+        if !text.is_empty() {
+            text.push('\n');
+        }
+        text.push_str(&told);
+        match figures {
+            // The figures of the markers stand at the top.
+            serde_json::Value::Object(figures) if part == Part::Markers => json.extend(figures),
+            figures => {
+                let name = match part {
+                    Part::Markers => "markers",
+                    Part::Drift => "drift",
+                    Part::Foreign => "foreign",
+                    Part::HandEye => "hand_eye",
+                };
+                json.insert(name.to_owned(), figures);
+            }
+        }
+    }
+    Ok(Some(if args.format == "json" { format!("{}\n", serde_json::Value::Object(json)) } else { text }))
+}
+
+/// A part's table, and its figures.
+type Figures = (String, serde_json::Value);
+
+fn markers(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<Figures>, String> {
     let settings = DetectSettings {
         decimate: args.decimate,
         sharpen_px: args.sharpen,
@@ -85,12 +158,8 @@ fn run_all(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<String>, 
     let report = bench.run(stop, &|_, _| bar.inc(1))?;
     bar.finish_and_clear();
     let Some(report) = report else { return Ok(None) };
-    if args.format == "json" {
-        return serde_json::to_string(&report)
-            .map(|text| Some(text + "\n"))
-            .map_err(|error| error.to_string());
-    }
-    Ok(Some(table(&report)))
+    let figures = serde_json::to_value(&report).map_err(|error| error.to_string())?;
+    Ok(Some((table(&report), figures)))
 }
 
 fn save(bench: &Bench, count: usize, folder: &Path) -> Result<(), String> {

@@ -5,6 +5,7 @@
 //! word at all) mount and table together, `table` the table alone after it was moved. Exit codes as everywhere.
 
 pub mod camera;
+mod take;
 
 use crate::cli::daemon::{open_camera, open_hardware, with_runtime};
 use crate::cli::demo::run::chain;
@@ -16,6 +17,8 @@ use crate::daemon::calibrate::{Arm, Eye, Look, Setting, measure, solve};
 use crate::daemon::calibration_files::{CalibrationSet, provenance};
 use crate::daemon::setup::reference_markers;
 use crate::device::program::Nonce;
+use crate::io::camera::CameraSource;
+use crate::io::camera::supervised::Supervised;
 use crate::io::clock::unix_now_s;
 use crate::io::files;
 use crate::jobs::utc;
@@ -132,9 +135,7 @@ struct Taken {
 /// Moves the arm round.
 async fn live(config: &CellConfig, args: &RoundArgs, stop: Arc<AtomicBool>) -> Result<Taken, String> {
     let (mut hardware, _) = open_hardware(config)?;
-    let mut camera = open_camera(config, None)?;
-    let own = tokio::task::block_in_place(|| camera.intrinsics()).map_err(|error| chain(&error))?;
-    let lens = lens(config, own)?;
+    let (camera, lens) = tokio::task::block_in_place(|| camera_and_lens(config))?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let count = config.calibration_poses.len();
     let record = args.record.as_deref().map(Recording::new).transpose()?;
@@ -149,7 +150,7 @@ async fn live(config: &CellConfig, args: &RoundArgs, stop: Arc<AtomicBool>) -> R
             }
         },
     };
-    let eye = Eye { camera, detector };
+    let eye = Eye { camera: Box::new(camera), detector };
     let (arm, samples) = measure(&mut hardware, eye, &setting).await.map_err(|error| chain(&error))?;
     let provenance = of_arm(&lens.model, &arm);
     if let Some(record) = &record {
@@ -160,6 +161,23 @@ async fn live(config: &CellConfig, args: &RoundArgs, stop: Arc<AtomicBool>) -> R
 
 fn of_arm(lens: &CameraModel, arm: &Arm) -> Provenance {
     provenance(&lens.serial, arm, &utc::text(unix_now_s()))
+}
+
+/// The cell's camera, and the lens to work with. A camera that tells no lens needs a measured one first.
+fn camera_and_lens(config: &CellConfig) -> Result<(Supervised, CameraCalibration), String> {
+    if config.devices.camera.knows_its_lens() {
+        let mut camera = open_camera(config, None)?;
+        let own = camera.intrinsics().map_err(|error| chain(&error))?;
+        return lens(config, own).map(|lens| (camera, lens));
+    }
+    let path = &config.calibration.camera;
+    let text = files::read_named(path, 1 << 20).map_err(|error| {
+        let error = chain(&error);
+        format!("{error}; this camera does not tell its lens: measure it with `celld calibrate camera`")
+    })?;
+    let lens = CameraCalibration::parse(&text, &path.display().to_string());
+    let lens = lens.map_err(|complaints| complaints.to_string())?;
+    Ok((open_camera(config, Some(lens.model.clone()))?, lens))
 }
 
 /// The lens to work with: the one `celld calibrate camera` measured for this camera at this size, or the camera's own.

@@ -11,6 +11,7 @@ use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::daemon::setup::reference_markers;
+use crate::io::camera::CameraSource;
 use crate::io::files;
 use crate::jobs::job_file::goal_yaml;
 use crate::time::Timestamp;
@@ -75,7 +76,12 @@ fn capture(args: &CaptureArgs) -> Result<(String, u8), String> {
         let detections = detector.detect(&image.gray()).map_err(|error| format!("{name}: {error}"))?;
         let table_from_camera =
             where_taken(&lens, &reference, &detections).map_err(|fault| format!("{name}: {fault}"))?;
-        views.push(View { table_from_camera, detections, time: Timestamp::from_nanos(index as u64) });
+        views.push(View {
+            table_from_camera,
+            detections,
+            time: Timestamp::from_nanos(index as u64),
+            heights: None,
+        });
     }
     let objects = objects(&config);
     let seen = observe(&objects, &reference, &lens, &views, &ObserveLimits::default());
@@ -99,14 +105,16 @@ fn pictures(
     lens: &CameraModel,
 ) -> Result<Vec<(String, Image)>, String> {
     if args.images.is_empty() {
-        let frame = open_camera(config, Some(lens.clone()))?.grab().map_err(|error| chain(&error))?;
+        let frame = open_camera(config, Some(lens.clone()))?
+            .grab()
+            .map_err(|error| format!("{}; {}", chain(&error), error.kind().remedy()))?;
         return Ok(vec![(frame.source, frame.image)]);
     }
     args.images.iter().map(|path| Ok((path.display().to_string(), read_picture(path)?))).collect()
 }
 
 /// Where a picture was taken, by the reference markers in it.
-fn where_taken(
+pub(super) fn where_taken(
     lens: &CameraModel,
     reference: &[ReferenceMarker],
     detections: &[Detection],
@@ -137,7 +145,7 @@ fn where_taken(
 }
 
 /// The objects that can move, by their markers.
-fn objects(config: &CellConfig) -> Vec<MarkedObject> {
+pub(super) fn objects(config: &CellConfig) -> Vec<MarkedObject> {
     let movable = config.objects.iter().filter(|object| !object.fixed);
     let marked = movable.filter_map(|object| {
         let (marker, height) = (object.marker.as_ref()?, object.height?);
@@ -153,7 +161,7 @@ fn objects(config: &CellConfig) -> Vec<MarkedObject> {
 }
 
 /// One line for each object that was expected.
-fn told(seen: &Observation) -> String {
+pub(super) fn told(seen: &Observation) -> String {
     let mut text = String::new();
     for object in &seen.objects {
         let pose = object.pose;

@@ -6,20 +6,18 @@
 use crate::cli::demo::run::chain;
 use crate::cli::recorder::Recorder;
 use crate::cli::task::complain;
-use crate::config::cell::{CameraDevice, CellConfig, RecordingConfig};
+use crate::config::cell::{CellConfig, RecordingConfig};
 use crate::config::load::load_cell;
 use crate::daemon::calibrate::kinematics;
 use crate::daemon::calibration_files::CalibrationSet;
+use crate::daemon::cameras;
 use crate::daemon::hardware::{Addresses, Hardware};
 use crate::daemon::office::StateOffice;
 use crate::daemon::run::{Event, Observer, Shell, Workers, run as run_shell};
 use crate::daemon::setup::{cell_model, cell_objects, eye_parameters, gripper_parameters};
 use crate::daemon::workers::spawn_eye;
 use crate::device::robot_types::RobotParameters;
-use crate::io::camera::CameraSource;
-use crate::io::camera::folder::FolderCamera;
-use crate::io::camera::http::HttpCamera;
-use crate::io::camera::video::VideoCamera;
+use crate::io::camera::supervised::Supervised;
 use crate::io::clock::{Clock, unix_now_s};
 use crate::io::priority;
 use crate::jobs::state::StateFolder;
@@ -33,7 +31,6 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
 
 /// `celld run`
@@ -49,9 +46,6 @@ pub struct RunArgs {
 
 /// States a second asked of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
 const RTDE_HZ: f64 = 125.0;
-
-/// How long a frame may take, wall time.
-const FRAME_LIMIT: Duration = Duration::from_secs(20);
 
 /// Runs the daemon until Ctrl-C or SIGTERM; returns the exit code.
 pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
@@ -81,9 +75,8 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
 
 /// Old pictures must not move a real arm.
 fn refuse_recorded_camera(config: &CellConfig) -> Result<(), String> {
-    let recorded = matches!(config.devices.camera, CameraDevice::Folder { .. } | CameraDevice::Video { .. });
-    if recorded && config.simulation.is_none() {
-        return Err("devices.camera: a folder or video shows an old table, no arm may act on it; name a live camera, \
+    if config.devices.camera.is_recording() && config.simulation.is_none() {
+        return Err("devices.camera: a folder or recording shows an old table, no arm may act on it; name a live camera, \
                     or try the pictures with `celld detect`"
             .to_string());
     }
@@ -154,25 +147,8 @@ pub(super) fn open_hardware(config: &CellConfig) -> Result<(Hardware, Clock), St
     hardware.map(|hardware| (hardware, clock)).map_err(|error| chain(&error))
 }
 
-pub(super) fn open_camera(
-    config: &CellConfig,
-    lens: Option<CameraModel>,
-) -> Result<Box<dyn CameraSource + Send>, String> {
-    Ok(match &config.devices.camera {
-        CameraDevice::Simulator { host, port } => {
-            let camera = HttpCamera::new(&format!("http://{host}:{port}"), FRAME_LIMIT);
-            Box::new(match lens {
-                Some(lens) => camera.with_lens(lens),
-                None => camera,
-            })
-        }
-        CameraDevice::Folder { path } => {
-            Box::new(FolderCamera::open(path, lens).map_err(|error| chain(&error))?)
-        }
-        CameraDevice::Video { path } => {
-            Box::new(VideoCamera::open(path, lens).map_err(|error| chain(&error))?)
-        }
-    })
+pub(super) fn open_camera(config: &CellConfig, lens: Option<CameraModel>) -> Result<Supervised, String> {
+    cameras::open_camera(&config.devices, lens).map_err(|error| chain(&error))
 }
 
 async fn daemon(
@@ -183,6 +159,7 @@ async fn daemon(
 ) -> Result<(), String> {
     let (mut hardware, clock) = open_hardware(&config)?;
     let seed = (unix_now_s() * 1e3) as u64;
+    let doubts = state.root().to_path_buf();
     let mut office =
         StateOffice::open(config.clone(), state, format!("celld-{seed}")).map_err(|error| chain(&error))?;
     for notice in office.notices() {
@@ -196,8 +173,9 @@ async fn daemon(
     let (answers_in, answers) = tokio::sync::mpsc::channel(16);
     let camera = open_camera(&config, Some(measured.camera.clone()))?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let eye =
-        spawn_eye(camera, detector, eye_parameters(&config, measured.camera), clock, answers_in.clone());
+    let mut eye_parameters = eye_parameters(&config, &measured).map_err(|error| chain(&error))?;
+    eye_parameters.doubts = Some(doubts);
+    let eye = spawn_eye(Box::new(camera), detector, eye_parameters, clock, answers_in.clone());
     let mut cell = Cell::new(model, seed);
     if config.arm_at_start {
         cell.arm_at_start();

@@ -1,8 +1,10 @@
 //! `celld detect IMAGE`: the markers in a picture, as a table or as JSON, and drawn on a copy.
 //!
 //! In: a PNG or JPEG file; optionally the camera's calibration, which adds a size check, and with the markers' size
-//! the distance and tilt of each. Out: stdout, and the annotated picture. Exit codes: 0 markers found, 1 none found,
-//! 2 bad input.
+//! the distance and tilt of each; or the cell's configuration, which adds the objects on the table, and with a depth picture
+//! what carries no marker. Out: stdout, and the annotated picture. Exit codes: 0 markers found, 1 none found, 2 bad input.
+
+mod table;
 
 use crate::io::files;
 use crate::units::{deg_from_rad, mm_from_m};
@@ -12,6 +14,7 @@ use crate::vision::camera::CameraModel;
 use crate::vision::cv;
 use crate::vision::detect::{DetectSettings, Detection, Detector, Family};
 use crate::vision::image::Image;
+use crate::vision::observe::Observation;
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::fmt::Write;
@@ -31,6 +34,12 @@ pub struct DetectArgs {
     /// Edge of the markers' black squares in m; with --camera, adds distance and tilt.
     #[arg(long, value_name = "M", requires = "camera", value_parser = positive)]
     size: Option<f64>,
+    /// The cell's configuration: adds which object lies where, by its markers and calibration.
+    #[arg(long, value_name = "FILE", conflicts_with = "camera")]
+    config: Option<PathBuf>,
+    /// Depth picture of the same moment (16-bit PNG, 0.1 mm a unit): adds what carries no marker.
+    #[arg(long, value_name = "FILE", requires = "config")]
+    depth: Option<PathBuf>,
     /// Families looked for, comma-separated.
     #[arg(long, value_delimiter = ',', default_value = "tag36h11")]
     family: Vec<Family>,
@@ -98,7 +107,11 @@ pub fn run(args: &DetectArgs) -> u8 {
 /// The text to print and the number of markers found.
 fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
     let image = read_picture(&args.image)?;
-    let camera = args.camera.as_deref().map(read_camera).transpose()?;
+    let cell = args.config.as_deref().map(table::Cell::read).transpose()?;
+    let camera = match &cell {
+        Some(cell) => Some(cell.lens.clone()),
+        None => args.camera.as_deref().map(read_camera).transpose()?,
+    };
     if let Some(camera) = &camera {
         let fits = camera.check_picture(image.width, image.height);
         fits.map_err(|error| format!("{}: {error}", args.image.display()))?;
@@ -108,9 +121,14 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
     let detections = detector
         .detect(&image.gray())
         .map_err(|error| format!("{}: {}", args.image.display(), chain(error)))?;
+    let on_table = cell.map(|cell| cell.look(&detections, args.depth.as_deref())).transpose();
+    let on_table = on_table.map_err(|error| format!("{}: {error}", args.image.display()))?;
     if let Some(out) = &args.out {
         let mut drawn = image.clone();
         annotate::draw_detections(&mut drawn, &detections);
+        if let Some(on_table) = &on_table {
+            on_table.draw(&mut drawn)?;
+        }
         let bytes = drawn.encode_png().map_err(chain)?;
         files::write_atomic(out, &bytes).map_err(chain)?;
     }
@@ -123,20 +141,26 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
         })
         .collect();
     let text = match args.format {
-        Format::Text => table(&args.image, &image, &found),
-        Format::Json => json(&args.image, &image, &found)?,
+        Format::Text => {
+            let objects = on_table.map(|on_table| on_table.told()).unwrap_or_default();
+            table(&args.image, &image, &found) + &objects
+        }
+        Format::Json => json(&args.image, &image, &found, on_table.map(|on_table| on_table.seen).as_ref())?,
     };
     Ok((text, found.len()))
 }
 
 pub(super) fn read_picture(path: &Path) -> Result<Image, String> {
+    Image::decode(&read_bytes(path)?).map_err(|error| format!("{}: {}", path.display(), chain(error)))
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>, String> {
     let failed = |error: std::io::Error| format!("{} cannot be read: {error}", path.display());
     let size = std::fs::metadata(path).map_err(failed)?.len();
     if size > PICTURE_MAX {
         return Err(format!("{} has {size} bytes, more than any picture", path.display()));
     }
-    let bytes = std::fs::read(path).map_err(failed)?;
-    Image::decode(&bytes).map_err(|error| format!("{}: {}", path.display(), chain(error)))
+    std::fs::read(path).map_err(failed)
 }
 
 pub(super) fn read_camera(path: &Path) -> Result<CameraModel, String> {
@@ -162,9 +186,9 @@ fn table(path: &Path, image: &Image, found: &[Found]) -> String {
         text.push_str("no marker of the families looked for: too small (under 3 px a module), too dark, blurred, or without its white ring?\n");
         return text;
     }
-    text.push_str(
-        "   id     column        row    edge px  margin  repaired bits    distance mm   tilt deg\n",
-    );
+    let placed = found.iter().any(|found| found.pose.is_some());
+    text.push_str("   id     column        row    edge px  margin  repaired bits");
+    text.push_str(if placed { "    distance mm   tilt deg\n" } else { "\n" });
     for Found { detection, pose } in found {
         let [x, y] = detection.centre();
         let (edge, margin) = (detection.edge_min_px(), detection.decision_margin);
@@ -182,13 +206,16 @@ fn table(path: &Path, image: &Image, found: &[Found]) -> String {
     text
 }
 
-fn json(path: &Path, image: &Image, found: &[Found]) -> Result<String, String> {
-    let report = serde_json::json!({
+fn json(path: &Path, image: &Image, found: &[Found], seen: Option<&Observation>) -> Result<String, String> {
+    let mut report = serde_json::json!({
         "image": path.display().to_string(),
         "width": image.width,
         "height": image.height,
         "detections": found,
     });
+    if let Some(seen) = seen {
+        report["table"] = serde_json::to_value(seen).map_err(chain)?;
+    }
     serde_json::to_string(&report).map(|text| text + "\n").map_err(chain)
 }
 
@@ -206,6 +233,9 @@ pub(super) fn chain(error: impl std::error::Error) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::pose::Pose2;
+    use crate::vision::image::DepthImage;
+    use crate::vision::image::depth::UNIT_M;
     use crate::vision::marker;
 
     fn args(image: PathBuf) -> DetectArgs {
@@ -213,6 +243,8 @@ mod tests {
             image,
             camera: None,
             size: None,
+            config: None,
+            depth: None,
             family: vec![Family::Tag36h11],
             decimate: 1.0,
             out: None,
@@ -257,7 +289,101 @@ mod tests {
         let drawn = Image::decode(&std::fs::read(path("drawn.png")).unwrap()).unwrap();
         assert!(drawn.rgb.chunks_exact(3).any(|p| p[0] != p[2]), "colour on a grey picture");
         let (table, _) = detect(&DetectArgs { format: Format::Text, ..args }).unwrap();
-        assert!(table.contains("1 markers") && table.contains("    9 "), "{table}");
+        assert!(table.contains("1 markers") && table.contains("    9 ") && table.contains("tilt"), "{table}");
+        let (table, _) = detect(&self::args(path("m.png"))).unwrap();
+        assert!(!table.contains("tilt"), "no heading over nothing: {table}");
+    }
+
+    /// The example cell's table with its block at (0.15, 0.3), and a mug at (0.35, 0.2): picture and depth.
+    fn drawn_table(folder: &Path) -> (PathBuf, PathBuf) {
+        use crate::sim::render::Renderer;
+        use crate::sim::render::lens::CameraTruth;
+        use crate::sim::render::scene::{Print, Prism, Scene, look_at};
+        use crate::sim::render::sensor::Exposure;
+        use crate::sim::world::section::Section;
+        use crate::vision::image::tag36h11_bitmap;
+        use std::sync::Arc;
+        let config = crate::config::load::load_cell(&example()).unwrap();
+        let lens = read_camera(&config.calibration.camera).unwrap();
+        let print =
+            |id: u32, size_m: f64, pose: Pose2| Print { cells: tag36h11_bitmap(id).unwrap(), size_m, pose };
+        let prism = |section: Section, pose: Pose2, height_m: f64, print: Option<Print>| Prism {
+            table_from_prism: pose.at_height(0.0),
+            section: Arc::new(section),
+            height_m,
+            colour: [130; 3],
+            print,
+        };
+        let on_block = print(2, 0.05, Pose2::default());
+        let scene = Scene {
+            board: [-0.1, -0.1, 0.6, 0.6],
+            table_from_flange: nalgebra::Isometry3::identity(),
+            prisms: vec![
+                prism(Section::rectangle(0.08, 0.08), Pose2::new(0.15, 0.3, 0.2), 0.03, Some(on_block)),
+                prism(Section::ellipse(0.07, 0.07), Pose2::new(0.35, 0.2, 0.0), 0.09, None),
+            ],
+            prints: config.reference_markers.iter().map(|m| print(m.id, m.size_m, m.pose)).collect(),
+        };
+        let truth = CameraTruth {
+            fx: lens.fx,
+            fy: lens.fy,
+            cx: lens.cx,
+            cy: lens.cy,
+            distortion: lens.distortion,
+            ..CameraTruth::ideal(&lens.serial, lens.width, lens.height, lens.fx)
+        };
+        let renderer = Renderer::new(truth);
+        let eye = look_at([0.25, 0.22, 0.72], [0.25, 0.25, 0.0], [1.0, 0.0, 0.0]);
+        let (colour, depth) = (folder.join("colour.png"), folder.join("depth.png"));
+        std::fs::write(&colour, renderer.render(&scene, &eye, 1, 1).encode_png().unwrap()).unwrap();
+        let found = renderer.expose_depth(&scene, &eye, &Exposure::default(), [1, 1]);
+        let found = DepthImage::from_units(lens.width, lens.height, &found.units, UNIT_M).unwrap();
+        std::fs::write(&depth, found.encode_png(UNIT_M).unwrap()).unwrap();
+        (colour, depth)
+    }
+
+    fn example() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml")
+    }
+
+    #[test]
+    fn with_the_cell_and_depth_objects_are_placed_and_a_mug_is_told_and_outlined() {
+        let folder = tempfile::tempdir().unwrap();
+        let (colour, depth) = drawn_table(folder.path());
+        let out = folder.path().join("drawn.png");
+        let args = DetectArgs {
+            config: Some(example()),
+            depth: Some(depth.clone()),
+            out: Some(out),
+            ..args(colour)
+        };
+        let (text, _) = detect(&args).unwrap();
+        assert!(text.contains("block: x 0.15") && text.contains("plank-1: not seen"), "{text}");
+        assert!(text.contains("foreign: something") && text.contains("1 foreign, depth on"), "{text}");
+        let drawn = Image::decode(&std::fs::read(folder.path().join("drawn.png")).unwrap()).unwrap();
+        let red = drawn.rgb.chunks_exact(3).filter(|p| p == &annotate::BAD.as_slice()).count();
+        assert!(red > 200, "{red} pixels of the mug's outline");
+        let (json, _) = detect(&DetectArgs { format: Format::Json, ..args }).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&json).unwrap();
+        let mug = &report["table"]["foreign"]["objects"][0];
+        assert!((mug["height_m"].as_f64().unwrap() - 0.09).abs() < 0.01, "{mug}");
+        assert!((mug["centre"][0].as_f64().unwrap() - 0.35).abs() < 0.01, "{mug}");
+    }
+
+    #[test]
+    fn depth_of_another_kind_or_size_is_bad_input() {
+        let folder = tempfile::tempdir().unwrap();
+        let (colour, _) = drawn_table(folder.path());
+        let small = folder.path().join("small.png");
+        let picture = DepthImage::from_units(2, 2, &[4000; 4], UNIT_M).unwrap();
+        std::fs::write(&small, picture.encode_png(UNIT_M).unwrap()).unwrap();
+        let with = |depth: PathBuf| {
+            let args = DetectArgs { config: Some(example()), depth: Some(depth), ..args(colour.clone()) };
+            detect(&args).unwrap_err()
+        };
+        assert!(with(colour.clone()).contains("no depth picture"));
+        assert!(with(small).contains("aligned to the colour picture"));
+        assert!(with(folder.path().join("gone.png")).contains("gone.png"));
     }
 
     #[test]

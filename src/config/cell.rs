@@ -5,11 +5,14 @@
 //! No field that is measured, and no speed or acceleration, has a `Default`: a cell that nobody measured
 //! must not start.
 
+pub use crate::config::camera::CameraDevice;
 use crate::geometry::pose::Pose2;
 use crate::jobs::goal::GoalContext;
 use crate::jobs::policy::{Approval, JobObjective};
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
 use crate::units::{ATMOSPHERE_PA, Joints};
+use crate::vision::image::quality::PictureLimits;
 use crate::vision::observe::ObserveLimits;
 use nalgebra::Isometry3;
 use std::path::PathBuf;
@@ -62,6 +65,8 @@ pub struct CellConfig {
     pub goal_folder: PathBuf,
     /// Markers in view that belong to nothing on the table.
     pub ignore_markers: Vec<u32>,
+    /// What is done about things on the table that carry no marker.
+    pub foreign: ForeignRule,
 }
 
 impl CellConfig {
@@ -104,28 +109,8 @@ pub struct Devices {
     pub gripper_port: u16,
     /// The camera.
     pub camera: CameraDevice,
-}
-
-/// Where pictures come from.
-#[derive(Clone, Debug, PartialEq)]
-pub enum CameraDevice {
-    /// The simulator's HTTP camera, `host:port`.
-    Simulator {
-        /// Host name or address.
-        host: String,
-        /// HTTP port.
-        port: u16,
-    },
-    /// Pictures of a folder, in the order of their names.
-    Folder {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// A video file.
-    Video {
-        /// The file.
-        path: PathBuf,
-    },
+    /// When a picture of it is of no use.
+    pub picture_limits: PictureLimits,
 }
 
 /// The table.
@@ -261,6 +246,10 @@ pub struct Tolerances {
     pub observation_age_s: f64,
     /// Largest mean residual of the reference markers in a look, m.
     pub reference_residual_m: f64,
+    /// Shift or lift of the camera, told by the reference markers from one look pose, that stops motion, m.
+    pub reference_shift_m: f64,
+    /// Turn of it, rad.
+    pub reference_turn_rad: f64,
 }
 
 /// How plans are made.

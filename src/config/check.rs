@@ -3,13 +3,14 @@
 //! In: the parts that could be read, and where the keys stand. Out: complaints in the decoder. Each check takes
 //! the parts it needs and is left out when one of them is missing, so that one wrong key hides no other fault. Pure.
 
-use crate::config::cell::{CameraDevice, CupConfig, Devices, GripperConfig, MotionLimits};
+use crate::config::cell::{CupConfig, Devices, GripperConfig, MotionLimits};
 use crate::config::parts::CellParts;
 use crate::document::Location;
 use crate::document::decode::Decoder;
 use crate::document::tree::{Node, Value};
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::{ObjectSpec, Workspace};
 use crate::tabletop::parse::MarkerUse;
 use crate::tabletop::room::{Cup, place_for_cups};
@@ -61,6 +62,7 @@ fn item(node: &Node, index: usize) -> Option<&Node> {
 /// Complains about everything that does not fit.
 pub(super) fn check_cell(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     check_simulation(decoder, parts, places);
+    check_depth(decoder, parts, places);
     check_poses(decoder, parts, places);
     if let Some(limits) = &parts.limits {
         check_limits(decoder, limits, places);
@@ -92,12 +94,23 @@ fn check_simulation(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     }
 }
 
+/// What carries no marker is found by depth.
+fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
+    let needed = matches!(
+        parts.foreign,
+        Some(ForeignRule::Refuse { depth_needed: true } | ForeignRule::Obstacle { .. })
+    );
+    let measured = parts.devices.as_ref().is_none_or(|devices| devices.camera.measures_depth());
+    if needed && !measured {
+        let message = "the search for what carries no marker needs depth, and the camera is not asked for it";
+        let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: {mode: off}`";
+        decoder.complain(places.at(&["foreign"]), "foreign", message, help);
+    }
+}
+
 fn hosts(devices: &Devices) -> Vec<(&'static str, &str)> {
     let mut hosts = vec![("robot", devices.robot_host.as_str()), ("gripper", devices.gripper_host.as_str())];
-    match &devices.camera {
-        CameraDevice::Simulator { host, .. } => hosts.push(("camera", host)),
-        CameraDevice::Folder { .. } | CameraDevice::Video { .. } => {}
-    }
+    hosts.extend(devices.camera.host().map(|host| ("camera", host)));
     hosts
 }
 

@@ -1,5 +1,6 @@
 //! Checked configuration of the cell and of the simulator.
 
+pub mod camera;
 pub mod cell;
 pub mod check;
 mod fields;

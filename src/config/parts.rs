@@ -8,6 +8,7 @@ use crate::config::cell::{
     RecordingConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
 };
 use crate::jobs::policy::Approval;
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::{KeepOut, ObjectSpec, Workspace};
 use crate::tabletop::parse::MarkerUse;
 use crate::units::Joints;
@@ -43,6 +44,7 @@ pub(super) struct CellParts {
     pub recording: Option<Option<RecordingConfig>>,
     pub goal_folder: Option<PathBuf>,
     pub ignore_markers: Option<Vec<u32>>,
+    pub foreign: Option<ForeignRule>,
 }
 
 /// The table's keys.
@@ -84,6 +86,7 @@ impl CellParts {
             recording: self.recording?,
             goal_folder: self.goal_folder?,
             ignore_markers: self.ignore_markers?,
+            foreign: self.foreign?,
         })
     }
 }

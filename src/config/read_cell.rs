@@ -4,9 +4,10 @@
 //! checked configuration, or every complaint at once. Nothing measured and no limit has a default; what may
 //! be left out are the keys that only switch something on.
 
+use crate::config::camera::camera_device;
 use crate::config::cell::{
-    CalibrationFiles, CameraDevice, CameraMount, CellConfig, Devices, MotionLimits, PlannerConfig,
-    RecordingConfig, SimulationConfig, Tolerances,
+    CalibrationFiles, CameraMount, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig,
+    SimulationConfig, Tolerances,
 };
 use crate::config::check::{Places, check_cell};
 use crate::config::fields::{
@@ -17,6 +18,7 @@ use crate::config::parts::{CellParts, TableParts};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
 use crate::jobs::policy::{Approval, decode_objective, decode_solver};
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::decode;
 use crate::tabletop::instance::ObjectSpec;
 use crate::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
@@ -50,7 +52,14 @@ pub const CELL_KEYS: &[&str] = &[
     "recording",
     "goal_folder",
     "ignore_markers",
+    "foreign",
 ];
+
+/// How far the camera may seem shifted or lifted, and turned, unless the file says otherwise: half of what costs a
+/// millimetre or two at the objects, and several times what calibration and arm leave.
+pub const REFERENCE_SHIFT_M: f64 = 1e-3;
+/// See [`REFERENCE_SHIFT_M`].
+pub const REFERENCE_TURN_DEG: f64 = 0.15;
 
 /// Text of a file that the configuration names; `Err` says why it cannot be had.
 pub type ReadFile<'a> = dyn Fn(&Path) -> Result<String, String> + 'a;
@@ -124,6 +133,7 @@ fn parts(
     let ignore_markers = optional(decoder, fields, "ignore_markers", Vec::new(), |decoder, at| {
         list(decoder, at, |decoder, at| decoder.integer(at, 0..=586).map(|id| id as u32))
     });
+    let foreign = optional(decoder, fields, "foreign", ForeignRule::Refuse { depth_needed: false }, foreign);
     let goal_folder =
         optional(decoder, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder));
     CellParts {
@@ -151,6 +161,7 @@ fn parts(
         recording,
         goal_folder,
         ignore_markers,
+        foreign,
     }
 }
 
@@ -171,25 +182,8 @@ fn devices(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Devices> {
         Some((host?, port?))
     });
     let camera = fields.required("camera", decoder).and_then(|at| camera_device(decoder, &at, folder));
-    let (gripper_host, gripper_port) = gripper?;
-    Some(Devices { robot_host: robot?, gripper_host, gripper_port, camera: camera? })
-}
-
-fn camera_device(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CameraDevice> {
-    let kinds = [("simulator", "simulator"), ("folder", "folder"), ("video", "video")];
-    let kind_at = decoder.open_map(at)?.required("kind", decoder)?;
-    match decoder.choice(&kind_at, &kinds)? {
-        "simulator" => {
-            let fields = decoder.map(at, &["kind", "host", "port"])?;
-            let (host, port) = (host(decoder, &fields, "host"), port(decoder, &fields, "port"));
-            Some(CameraDevice::Simulator { host: host?, port: port? })
-        }
-        kind => {
-            let fields = decoder.map(at, &["kind", "path"])?;
-            let path = fields.required("path", decoder).and_then(|at| path(decoder, &at, folder))?;
-            Some(if kind == "folder" { CameraDevice::Folder { path } } else { CameraDevice::Video { path } })
-        }
-    }
+    let ((gripper_host, gripper_port), (camera, picture_limits)) = (gripper?, camera?);
+    Some(Devices { robot_host: robot?, gripper_host, gripper_port, camera, picture_limits })
 }
 
 fn table(decoder: &mut Decoder, fields: &Fields) -> TableParts {
@@ -369,18 +363,50 @@ fn joint_range(decoder: &mut Decoder, at: &At) -> Option<[(f64, f64); 6]> {
 }
 
 fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
-    let known = ["goal_position_m", "goal_angle_deg", "observation_age_s", "reference_residual_m"];
+    let known = [
+        "goal_position_m",
+        "goal_angle_deg",
+        "observation_age_s",
+        "reference_residual_m",
+        "reference_shift_m",
+        "reference_turn_deg",
+    ];
     let fields = decoder.map(at, &known)?;
     let position = required_positive(decoder, &fields, "goal_position_m", 0.1, "m");
     let angle = required_positive(decoder, &fields, "goal_angle_deg", 90.0, "degrees");
     let age = required_positive(decoder, &fields, "observation_age_s", 3600.0, "s");
     let residual = required_positive(decoder, &fields, "reference_residual_m", 0.1, "m");
+    let shift = optional(decoder, &fields, "reference_shift_m", REFERENCE_SHIFT_M, |d, at| {
+        d.number_in(at, 1e-5..=0.1, "m")
+    });
+    let turn = optional(decoder, &fields, "reference_turn_deg", REFERENCE_TURN_DEG, |d, at| {
+        d.number_in(at, 1e-3..=10.0, "degrees")
+    });
     Some(Tolerances {
         goal_position_m: position?,
         goal_angle_rad: rad_from_deg(angle?),
         observation_age_s: age?,
         reference_residual_m: residual?,
+        reference_shift_m: shift?,
+        reference_turn_rad: rad_from_deg(turn?),
     })
+}
+
+/// `{mode: refuse | off}` or `{mode: obstacle, margin_m}`.
+fn foreign(decoder: &mut Decoder, at: &At) -> Option<ForeignRule> {
+    let mode_at = decoder.open_map(at)?.required("mode", decoder)?;
+    match decoder.choice(&mode_at, &[("refuse", "refuse"), ("obstacle", "obstacle"), ("off", "off")])? {
+        "obstacle" => {
+            let fields = decoder.map(at, &["mode", "margin_m"])?;
+            let margin_m = required_number(decoder, &fields, "margin_m", 0.0..=0.2, "m")?;
+            Some(ForeignRule::Obstacle { margin_m })
+        }
+        mode => {
+            decoder.map(at, &["mode"])?;
+            let refuse = ForeignRule::Refuse { depth_needed: true };
+            Some(if mode == "refuse" { refuse } else { ForeignRule::Off })
+        }
+    }
 }
 
 fn planner(decoder: &mut Decoder, at: &At) -> Option<PlannerConfig> {

@@ -103,6 +103,11 @@ fn a_unit_or_type_is_told() {
         "mount: fixed\n  base_from",
         "a fixed camera is not built yet; use `mount: flange`",
     );
+    check("foreign: {mode: refuse}", "foreign: {mode: obstacle}", "key \"margin_m\" is missing");
+    check("foreign: {mode: refuse}", "foreign: {mode: refuse, margin_m: 0.01}", "unknown key");
+    check("foreign: {mode: refuse}", "foreign: {mode: ignore}", "one of: refuse, obstacle, off");
+    check("8090, depth: true}", "8090}", "set `depth: true` in `devices.camera`");
+    check("reference_shift_m: 0.001", "reference_shift_m: 0", "out of range");
     check("\napproval: always", "\napproval: maybe", "one of: never");
     check(
         "[0, 0, 0.2], quaternion: [0, 0, 0, 1]",

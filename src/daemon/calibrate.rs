@@ -6,6 +6,7 @@
 //! (design, section 7, rule 1, class *calibrate*).
 
 use crate::config::cell::{CameraMount, CellConfig};
+use crate::daemon::cameras::trouble_of;
 use crate::daemon::hardware::{Happening, Hardware};
 use crate::daemon::setup::{arm_model, reference_markers};
 use crate::device::program::Nonce;
@@ -343,7 +344,8 @@ async fn collect(
 /// One new frame and its markers. The frame is taken on another thread, so that the robot's heartbeat goes on.
 async fn detect(hardware: &mut Hardware, mut eye: Eye) -> Result<(Eye, Image, Vec<Detection>), DriveError> {
     let task = tokio::task::spawn_blocking(move || {
-        let frame = eye.camera.grab().map_err(|error| error.to_string());
+        eye.camera.want_depth(false);
+        let frame = eye.camera.grab().map_err(|error| trouble_of(&error).message);
         let found = frame.and_then(|frame| {
             let seen = eye.detector.detect(&frame.image.gray()).map_err(|error| error.to_string())?;
             Ok((frame.image, seen))

@@ -9,7 +9,7 @@ use crate::daemon::workers::{Answer, EyeRequest, Numbered, spawn_plan};
 use crate::device::robot_types::{RobotCommand, RobotEvent, RobotState};
 use crate::geometry::pose::Pose2;
 use crate::supervisor::cell::{Cell, Status};
-use crate::supervisor::input::{Action, Input, JournalEntry, Notice, PlanAnswer};
+use crate::supervisor::input::{Action, CameraTrouble, Input, JournalEntry, Notice, PlanAnswer};
 use crate::supervisor::order::JobReport;
 use crate::time::{Duration, Timestamp};
 use crate::vision::image::Image;
@@ -219,7 +219,13 @@ impl<'a> Shell<'a> {
             Action::Gripper(command) => self.hardware.command_gripper(command),
             Action::Capture { frames, table_from_camera } => {
                 if !self.ask_eye(EyeRequest::Capture { frames, table_from_camera }) {
-                    return Ok(Some(Input::Captured(Err("the camera thread does not answer".to_string()))));
+                    let trouble = CameraTrouble {
+                        code: "camera_busy",
+                        message: "the camera thread still works on an earlier request".to_string(),
+                        remedy: "see what the camera says in the log",
+                        lasting: false,
+                    };
+                    return Ok(Some(Input::Captured(Err(trouble))));
                 }
             }
             Action::Observe(views) => {
@@ -268,7 +274,7 @@ impl<'a> Shell<'a> {
                 self.observer.on(now, Event::Picture { image: &image, views: &views });
                 Some(Input::Captured(Ok(views)))
             }
-            Answer::Captured(Err(reason)) => Some(Input::Captured(Err(reason))),
+            Answer::Captured(Err(trouble)) => Some(Input::Captured(Err(trouble))),
             Answer::Observed(result) => {
                 if let Ok(observation) = &result {
                     self.observer.on(now, Event::Observed(observation));

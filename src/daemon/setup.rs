@@ -11,11 +11,16 @@ use crate::geometry::pose::Pose2;
 use crate::motion::kinematics::DhParameters;
 use crate::motion::path::{ArmLimits, ArmModel};
 use crate::motion::pick_n_place::{CycleParameters, PickNPlace, plan};
-use crate::supervisor::model::{CellModel, CellObject, DeviceAddresses, GripSettings, Tolerances};
+use crate::supervisor::model::{
+    CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
+};
 use crate::tabletop::instance::{ObjectSpec, Workspace};
 use crate::tabletop::room::{Cup, Grip, place_for_cups};
 use crate::time::Duration;
 use crate::vision::camera::CameraModel;
+use crate::vision::foreign::search::{ForeignSearch, Inventory};
+use crate::vision::foreign::{Area, ForeignLimits, HeightMapError, KnownBody, OwnBody};
+use crate::vision::observe::reference::DriftLimits;
 use crate::vision::observe::{MarkedObject, ObserveLimits, ReferenceMarker};
 use nalgebra::{Isometry3, Vector3};
 
@@ -74,6 +79,12 @@ const VACUUM_TARGET: f64 = 0.6;
 /// Reference markers that a look must show: with fewer, a bump of the camera could hide in the noise.
 const REFERENCES_SEEN: usize = 3;
 
+/// How far round the workspace foreign objects are looked for, m: the gripper comes down at its very edge.
+const SEARCH_MARGIN_M: f64 = 0.02;
+
+/// Room round the gripper in which points are taken for its own, m.
+const OWN_MARGIN_M: f64 = 0.02;
+
 /// The supervisor's model of the cell.
 ///
 /// # Errors
@@ -98,13 +109,14 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
         keep_out: config.obstacles(),
         ignore_markers: config.ignore_markers.clone(),
         objects,
+        foreign: config.foreign,
         tolerances: Tolerances {
             goal_position: tolerances.goal_position_m,
             goal_angle: tolerances.goal_angle_rad,
             expected_position: 2.0 * tolerances.goal_position_m,
             expected_angle: 2.0 * tolerances.goal_angle_rad,
             observation_age: Duration::from_secs_f64(tolerances.observation_age_s),
-            reference_residual: tolerances.reference_residual_m,
+            reference: drift_limits(config),
             reference_seen: REFERENCES_SEEN,
             measurement_std: tolerances.goal_position_m,
             retries: 2,
@@ -250,7 +262,10 @@ pub fn reference_markers(config: &CellConfig) -> Vec<ReferenceMarker> {
 }
 
 /// What the eye looks for.
-pub fn eye_parameters(config: &CellConfig, camera: CameraModel) -> EyeParameters {
+///
+/// # Errors
+/// What OpenCV says about the lens.
+pub fn eye_parameters(config: &CellConfig, measured: &Measured) -> Result<EyeParameters, HeightMapError> {
     let objects = config
         .objects
         .iter()
@@ -265,5 +280,51 @@ pub fn eye_parameters(config: &CellConfig, camera: CameraModel) -> EyeParameters
             })
         })
         .collect();
-    EyeParameters { camera, objects, reference: reference_markers(config), limits: ObserveLimits::default() }
+    let camera = measured.camera.clone();
+    let foreign = match config.foreign {
+        ForeignRule::Off => None,
+        ForeignRule::Refuse { .. } | ForeignRule::Obstacle { .. } => {
+            let own = measured.flange_from_camera.inverse() * config.flange_from_tool;
+            Some(ForeignSearch::new(&camera, inventory(config, Some(own)), ForeignLimits::default())?)
+        }
+    };
+    let (reference, limits) = (reference_markers(config), ObserveLimits::default());
+    let drift = drift_limits(config);
+    Ok(EyeParameters { camera, objects, reference, limits, foreign, drift, doubts: None })
+}
+
+fn drift_limits(config: &CellConfig) -> DriftLimits {
+    let tolerances = &config.tolerances;
+    DriftLimits {
+        residual_m: tolerances.reference_residual_m,
+        shift_m: tolerances.reference_shift_m,
+        turn_rad: tolerances.reference_turn_rad,
+    }
+}
+
+/// What the table may carry, for the search for what it should not; `camera_from_tool` where the camera is on the arm.
+pub fn inventory(config: &CellConfig, camera_from_tool: Option<Isometry3<f64>>) -> Inventory {
+    let (width, height) = (config.workspace.width_m, config.workspace.height_m);
+    let marked = |object: &&ObjectSpec| object.marker.is_some();
+    let body = |object: &ObjectSpec| {
+        let (footprint, pose) = (object.footprint.clone(), object.start?);
+        Some(KnownBody { footprint, pose, height_m: object.height? })
+    };
+    let radius = config.gripper.body_polygon.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
+    Inventory {
+        area: Area::around(width, height, SEARCH_MARGIN_M),
+        objects: config
+            .objects
+            .iter()
+            .filter(marked)
+            .map(|object| (object.id.clone(), object.footprint.clone(), object.height.unwrap_or(0.0)))
+            .collect(),
+        fixed: config.objects.iter().filter(|object| object.fixed).filter_map(body).collect(),
+        ignored: config.workspace.keep_out.clone(),
+        own: camera_from_tool.map(|camera_from_tool| OwnBody {
+            camera_from_tool,
+            radius_m: radius + OWN_MARGIN_M,
+            beyond_m: OWN_MARGIN_M,
+        }),
+    }
 }

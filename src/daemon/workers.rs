@@ -3,18 +3,23 @@
 //! In: requests. Out: one [`Answer`] each over a bounded channel. Workers run at a lower priority than the
 //! loop that keeps the robot's heartbeat, and planning has a stop flag that the loop may raise.
 
+use crate::daemon::cameras::trouble_of;
+use crate::daemon::doubts::{self, Shot};
 use crate::io::camera::CameraSource;
 use crate::io::clock::Clock;
 use crate::io::priority;
 use crate::planning::plan::{Action, Status};
 use crate::planning::problem::Problem;
 use crate::planning::solver::{Control, solve};
-use crate::supervisor::input::{PlanAnswer, PlanRequest};
+use crate::supervisor::input::{CameraTrouble, PlanAnswer, PlanRequest};
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::Detector;
+use crate::vision::foreign::search::ForeignSearch;
 use crate::vision::image::Image;
+use crate::vision::observe::reference::DriftLimits;
 use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
 use nalgebra::Isometry3;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -27,7 +32,7 @@ pub type Numbered = (u64, Answer);
 #[derive(Debug)]
 pub enum Answer {
     /// Frames of one look pose with the markers found, and the last picture.
-    Captured(Result<(Vec<View>, Image), String>),
+    Captured(Result<(Vec<View>, Image), CameraTrouble>),
     /// A look put together.
     Observed(Result<Box<Observation>, String>),
     /// A plan, or why not.
@@ -57,6 +62,12 @@ pub struct EyeParameters {
     pub reference: Vec<ReferenceMarker>,
     /// Limits of plausibility.
     pub limits: ObserveLimits,
+    /// The search for what carries no marker; `None` when it is switched off.
+    pub foreign: Option<ForeignSearch>,
+    /// From where on the camera counts as moved: such looks are drawn.
+    pub drift: DriftLimits,
+    /// Folder for pictures of looks that are doubted.
+    pub doubts: Option<PathBuf>,
 }
 
 /// Starts the thread that owns the camera and the detector.
@@ -70,13 +81,26 @@ pub fn spawn_eye(
     let (requests_in, mut requests) = mpsc::channel(4);
     std::thread::spawn(move || {
         priority::lower();
+        let mut shots = Vec::new();
         while let Some((number, request)) = requests.blocking_recv() {
             let answer = match request {
                 EyeRequest::Capture { frames, table_from_camera } => {
-                    let taken = capture(&mut *source, &mut detector, frames, table_from_camera, &clock);
+                    let search = parameters.foreign.as_ref();
+                    let eye = (&mut *source as &mut dyn CameraSource, &mut detector);
+                    let taken = capture(eye, frames, table_from_camera, &clock, search);
+                    if let (Ok((_, image)), Some(_)) = (&taken, &parameters.doubts) {
+                        doubts::keep(&mut shots, Shot { image: image.clone(), table_from_camera });
+                    }
                     Answer::Captured(taken)
                 }
-                EyeRequest::Observe(views) => Answer::Observed(put_together(&parameters, &views)),
+                EyeRequest::Observe(views) => {
+                    let seen = put_together(&parameters, &views);
+                    if let (Ok(seen), Some(folder)) = (&seen, &parameters.doubts) {
+                        doubts::write(&parameters, &shots, seen, folder);
+                    }
+                    shots.clear();
+                    Answer::Observed(seen)
+                }
             };
             if answers.blocking_send((number, answer)).is_err() {
                 return;
@@ -87,30 +111,52 @@ pub fn spawn_eye(
 }
 
 fn put_together(parameters: &EyeParameters, views: &[View]) -> Result<Box<Observation>, String> {
-    let EyeParameters { camera, objects, reference, limits } = parameters;
-    observe(objects, reference, camera, views, limits).map(Box::new).map_err(|error| error.to_string())
+    let EyeParameters { camera, objects, reference, limits, foreign, .. } = parameters;
+    let mut seen = observe(objects, reference, camera, views, limits).map_err(|error| error.to_string())?;
+    seen.foreign = foreign.as_ref().and_then(|search| search.report(views, &seen));
+    Ok(Box::new(seen))
 }
 
-/// Takes `frames` new frames and finds the markers in each.
+/// Takes `frames` new frames and finds the markers in each; the last one comes with depth if there is a search for it.
 ///
 /// # Errors
 /// The camera's own words, or that no frame was asked for.
-pub fn capture(
-    source: &mut dyn CameraSource,
-    detector: &mut Detector,
+fn capture(
+    (source, detector): (&mut dyn CameraSource, &mut Detector),
     frames: usize,
     table_from_camera: Isometry3<f64>,
     clock: &Clock,
-) -> Result<(Vec<View>, Image), String> {
+    search: Option<&ForeignSearch>,
+) -> Result<(Vec<View>, Image), CameraTrouble> {
+    let failed = |message: String| CameraTrouble {
+        code: "detection_failed",
+        message,
+        remedy: "start the daemon again; if it stays so, this is a fault of celld",
+        lasting: true,
+    };
     let mut views = Vec::with_capacity(frames);
     let mut last = None;
-    for _ in 0..frames {
-        let frame = source.grab().map_err(|error| error.to_string())?;
-        let detections = detector.detect(&frame.image.gray()).map_err(|error| error.to_string())?;
-        views.push(View { table_from_camera, detections, time: clock.now() });
+    for left in (0..frames).rev() {
+        source.want_depth(search.is_some() && left == 0);
+        let frame = source.grab().map_err(|error| trouble_of(&error))?;
+        let grey = frame.image.gray();
+        // The first picture is searched whole; the others are of the same place and the same moment.
+        let found = match views.last() {
+            Some(View { detections, .. }) => detector.detect_again(&grey, detections),
+            None => detector.detect(&grey),
+        };
+        let detections = found.map_err(|error| failed(error.to_string()))?;
+        let heights = match (search, &frame.depth) {
+            (Some(search), Some(depth)) => {
+                let map = search.map(depth, &table_from_camera).map_err(|error| failed(error.to_string()))?;
+                Some(Arc::new(map))
+            }
+            _ => None,
+        };
+        views.push(View { table_from_camera, detections, time: clock.now(), heights });
         last = Some(frame.image);
     }
-    last.map(|image| (views, image)).ok_or_else(|| "no frame was asked for".to_string())
+    last.map(|image| (views, image)).ok_or_else(|| failed("no frame was asked for".to_string()))
 }
 
 /// Starts one planning run; `stop` ends it early with the best plan so far.

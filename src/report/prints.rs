@@ -36,6 +36,8 @@ const FOOT_MM: f64 = 16.0;
 const RULER_MM: f64 = 100.0;
 /// Between two markers, with room for the words under each, mm.
 const BETWEEN_MM: f64 = 6.0;
+/// From a marker's cutting mark to its caption: the two must not run into each other.
+const CAPTION_MM: f64 = 3.0;
 const POINTS_PER_MM: f64 = 72.0 / 25.4;
 
 /// Why there is no sheet.
@@ -119,7 +121,7 @@ pub fn markers(family: Family, ids: &[u32], size_m: f64, paper: Paper) -> Result
             sheet.marker(pattern, [x, top - edge], edge);
             sheet.frame([x, top - edge], edge);
             let text = format!("{family} {id}, {} mm", number(mm_from_m(size_m)));
-            sheet.words.push(([x, top - edge - 3.4], 2.4, text));
+            sheet.words.push(([x + CAPTION_MM, top - edge - 3.4], 2.4, text));
         }
         sheet.foot(&format!("{family}, black square {} mm", number(mm_from_m(size_m))));
         sheet

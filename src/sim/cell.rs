@@ -396,16 +396,13 @@ fn step_world(robot: &RobotShared, world: &SharedWorld) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::footprint::Footprint;
     use crate::sim::render::lens::CameraTruth;
-    use crate::sim::world::spec::{CameraMount, Cup, GripperSpec, PlacementErrors, TableSpec};
-    use crate::sim::world::vacuum::Channel;
+    use crate::sim::world::spec::{CameraMount, GripperSpec};
     use nalgebra::Isometry3;
     use tokio::io::AsyncReadExt;
 
     fn config(bind: &str, time_factor: f64) -> SimConfig {
         let camera = CameraTruth::ideal("sim-1", 64, 36, 40.0);
-        let body = Footprint::rectangle(0.1, 0.1).unwrap();
         SimConfig {
             bind: bind.parse().unwrap(),
             ports: RobotPorts::ANY,
@@ -414,19 +411,7 @@ mod tests {
             control_port: Some(0),
             time_factor,
             controller: ControllerConfig { running: true, ..ControllerConfig::ur5e(1) },
-            world: WorldSpec {
-                table: TableSpec { width_m: 0.5, height_m: 0.5, margin_m: 0.1 },
-                base_from_table: Isometry3::translation(-0.75, -0.4, 0.0),
-                objects: Vec::new(),
-                reference_markers: Vec::new(),
-                errors: PlacementErrors::default(),
-                gripper: GripperSpec {
-                    flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
-                    cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
-                    body,
-                    body_above_lips_m: 0.02,
-                },
-            },
+            world: WorldSpec::bare(Isometry3::translation(-0.75, -0.4, 0.0), GripperSpec::one_cup(0.2)),
             camera: CameraSetup {
                 truth: camera.clone(),
                 reported: camera,

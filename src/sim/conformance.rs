@@ -249,7 +249,7 @@ fn scripts(page: &mut String) {
     let _ = writeln!(
         page,
         "\n## URScript\n\nThe language is whole: threads, critical sections, nested definitions, named and default \
-         arguments, lists, matrices,\nposes, structs, strings. Of {} built-ins known by name {} are real, {} modelled, \
+         arguments, lists, matrices,\nposes, structs and their methods, strings. Of {} built-ins known by name {} are real, {} modelled, \
          {} absent (calling one is a runtime\nexception; a program that only mentions it loads).\n",
         all.len(),
         count(Grade::Real),

@@ -11,7 +11,7 @@ use crate::device::robot_types::RobotEvent;
 use crate::geometry::pose::Pose2;
 use crate::motion::pick_n_place::PickNPlacePaths;
 use crate::supervisor::gates::{self, Closed};
-use crate::supervisor::input::{Action, Input, Notice, Outside};
+use crate::supervisor::input::{Action, CameraTrouble, Input, Notice, Outside};
 use crate::supervisor::model::CellModel;
 use crate::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult};
 use crate::supervisor::trouble::motion_speed;
@@ -52,6 +52,8 @@ pub(crate) struct Look {
     pub view: usize,
     pub stage: LookStage,
     pub views: Vec<View>,
+    /// Why there is no picture from here yet.
+    pub trouble: Option<CameraTrouble>,
 }
 
 /// Where a look stands.
@@ -137,6 +139,8 @@ pub struct Cell {
     pub(crate) seen: Option<Seen>,
     /// When the look behind `seen` was over.
     pub(crate) seen_at: Timestamp,
+    /// Height of what was last seen without a marker and counts as an obstacle, with its margin, m.
+    pub(crate) foreign_height: f64,
     /// Since when the arm has been held in the middle of a motion.
     pub(crate) held_since: Option<Timestamp>,
     /// Why the cell cannot be armed until the daemon is started anew.
@@ -184,6 +188,7 @@ impl Cell {
             job: None,
             seen: None,
             seen_at: Timestamp::ZERO,
+            foreign_height: 0.0,
             held_since: None,
             locked: None,
             nonce: None,
@@ -220,7 +225,11 @@ impl Cell {
                 (Some(_), None) => "ready".to_string(),
             },
             Phase::BringUp(_) => "starting the robot".to_string(),
-            Phase::Look(look) => format!("looking {}/{}", look.view + 1, self.model.look_poses.len()),
+            Phase::Look(look) => {
+                let waits = look.trouble.as_ref().map(|trouble| format!(", waiting: {}", trouble.code));
+                let waits = waits.unwrap_or_default();
+                format!("looking {}/{}{waits}", look.view + 1, self.model.look_poses.len())
+            }
             Phase::Plan => "planning".to_string(),
             Phase::Approve => "waiting for approval".to_string(),
             Phase::Work(work) => format!("{} {}", work.stage.verb(), work.object),
@@ -271,7 +280,7 @@ impl Cell {
             Input::Tick => self.watch(now, outside, &mut out),
             Input::Robot(event) => self.on_robot(now, outside, event, &mut out),
             Input::Gripper(event) => self.on_gripper(now, event, &mut out),
-            Input::Captured(result) => self.on_captured(outside, result, &mut out),
+            Input::Captured(result) => self.on_captured(now, outside, result, &mut out),
             Input::Observed(result) => self.on_observed(now, result, &mut out),
             Input::Planned(answer) => self.on_planned(now, *answer, &mut out),
             Input::Job(order) => self.on_job(now, *order, &mut out),

@@ -57,6 +57,19 @@ pub enum OperatorCommand {
     Release(Channels),
 }
 
+/// Why a camera gives no picture, after everything that can be tried from here.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CameraTrouble {
+    /// Stable word for the job's result, such as `camera_frozen`.
+    pub code: &'static str,
+    /// What is wrong.
+    pub message: String,
+    /// What a person can do.
+    pub remedy: &'static str,
+    /// Waiting does not help: another camera, another size, a recording at its end.
+    pub lasting: bool,
+}
+
 /// What a plan request came to.
 #[derive(Clone, Debug)]
 pub enum PlanAnswer {
@@ -91,7 +104,7 @@ pub enum Input {
     /// The gripper session reports.
     Gripper(GripperEvent),
     /// The frames of one look pose were taken and searched for markers.
-    Captured(Result<Vec<View>, String>),
+    Captured(Result<Vec<View>, CameraTrouble>),
     /// The views of a look were put together.
     Observed(Result<Box<Observation>, String>),
     /// The planner answered.

@@ -13,7 +13,8 @@ use crate::planning::plan::{Action as PlanAction, ActionKind};
 use crate::planning::problem::Problem;
 use crate::supervisor::cell::{Cell, JobRun, Look, LookStage, Phase, RouteAction, alarm, say};
 use crate::supervisor::gates;
-use crate::supervisor::input::{Action, JournalEntry, Outside, PlanAnswer, PlanRequest};
+use crate::supervisor::input::{Action, CameraTrouble, JournalEntry, Outside, PlanAnswer, PlanRequest};
+use crate::supervisor::judge::{Doubt, foreign_height};
 use crate::supervisor::model::CellObject;
 use crate::supervisor::order::{ApprovalRule, JobEnd};
 use crate::tabletop::instance::{Instance, ObjectSpec};
@@ -35,16 +36,6 @@ const CLEARANCE_SHARE: f64 = 0.3;
 const OVERLAP_STDS: f64 = 3.0;
 const LEAST_OVERLAP_M: f64 = 5e-4;
 
-/// Why an observation is of no use.
-struct Doubt {
-    /// Stable code of the job's result.
-    code: String,
-    /// One sentence.
-    message: String,
-    /// What a person can do.
-    remedy: &'static str,
-}
-
 impl Cell {
     /// Sends the arm to look pose `view`.
     pub(crate) fn begin_look(
@@ -63,7 +54,7 @@ impl Cell {
         match self.transfer_to(&robot.q, target) {
             Ok(path) => {
                 out.push(Action::Robot(RobotCommand::Stream(path)));
-                let look = Look { view, stage: LookStage::Moving, views };
+                let look = Look { view, stage: LookStage::Moving, views, trouble: None };
                 self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
             }
             Err(fault) => {
@@ -83,7 +74,7 @@ impl Cell {
         from: &Joints,
         target: Joints,
     ) -> Result<CheckedPath, crate::motion::path::PathFault> {
-        let cycle = &self.model.cycle;
+        let cycle = self.cycle();
         let segment = Segment::Joint {
             target,
             speed: cycle.joint_speed,
@@ -102,7 +93,7 @@ impl Cell {
 
     /// Vertically to where nothing stands any more.
     fn straight_up(&self, from: &Joints) -> Result<Leg, crate::motion::path::PathFault> {
-        let cycle = &self.model.cycle;
+        let cycle = self.cycle();
         let here = self.model.arm.tool_at(from);
         let mut above = here;
         above.translation.vector.z = cycle.tallest + cycle.air;
@@ -159,26 +150,27 @@ impl Cell {
 
     pub(crate) fn on_captured(
         &mut self,
+        now: Timestamp,
         outside: &Outside,
-        result: Result<Vec<View>, String>,
+        result: Result<Vec<View>, CameraTrouble>,
         out: &mut Vec<Action>,
     ) {
         let Phase::Look(look) = &mut self.phase else { return };
         let LookStage::Capturing { q } = &look.stage else { return };
         let moved = outside.robot.is_none_or(|robot| robot.q.max_difference(q) > SAME_PLACE_RAD);
         match result {
-            Ok(views) if !moved => look.views.extend(views),
+            Ok(views) if !moved => {
+                if look.trouble.take().is_some() {
+                    say(out, "the camera gives pictures again");
+                }
+                look.views.extend(views);
+            }
             Ok(_) => {
                 say(out, "the arm moved while a frame was taken; taking it again");
                 look.stage = LookStage::Settling { still_since: None };
                 return;
             }
-            Err(reason) => {
-                // The look's deadline decides when this has gone on for too long.
-                alarm(out, format!("no frame: {reason}"));
-                look.stage = LookStage::Settling { still_since: None };
-                return;
-            }
+            Err(trouble) => return self.no_picture(now, trouble, out),
         }
         let next = look.view + 1;
         if next < self.model.look_poses.len() {
@@ -192,6 +184,30 @@ impl Cell {
             look.stage = LookStage::Observing;
             out.push(Action::Observe(std::mem::take(&mut look.views)));
         }
+    }
+
+    /// The arm stands and waits for the camera; the look's deadline decides when this has gone on for too long.
+    fn no_picture(&mut self, now: Timestamp, trouble: CameraTrouble, out: &mut Vec<Action>) {
+        if trouble.lasting {
+            return self.give_up_looking(now, &trouble, out);
+        }
+        let Phase::Look(look) = &mut self.phase else { return };
+        look.stage = LookStage::Settling { still_since: None };
+        if look.trouble.as_ref().is_none_or(|before| before.code != trouble.code) {
+            alarm(
+                out,
+                format!("waiting for the camera ({}): {}; {}", trouble.code, trouble.message, trouble.remedy),
+            );
+        }
+        look.trouble = Some(trouble);
+    }
+
+    /// Ends the job for want of a picture. The arm stands, nothing hangs on it and nothing was stopped, so the cell stays
+    /// armed: the next job looks again.
+    pub(crate) fn give_up_looking(&mut self, now: Timestamp, trouble: &CameraTrouble, out: &mut Vec<Action>) {
+        self.phase = Phase::Ready;
+        self.seen = None;
+        self.finish(now, JobEnd::Failed, trouble.code, &trouble.message, trouble.remedy, out);
     }
 
     pub(crate) fn on_observed(
@@ -213,6 +229,7 @@ impl Cell {
             }
         };
         let trouble = self.judge(&observation);
+        self.tell_obstacles(&observation, out);
         let Some(job) = &mut self.job else { return };
         for object in &observation.objects {
             job.last_seen.retain(|(id, _)| *id != object.id);
@@ -225,6 +242,7 @@ impl Cell {
                     let absent = observation.missing.join(", ");
                     alarm(out, format!("not to be seen, taken as not on the table: {absent}"));
                 }
+                self.foreign_height = foreign_height(&self.model, &observation);
                 self.seen = Some(observation);
                 self.seen_at = now;
             }
@@ -236,88 +254,6 @@ impl Cell {
                 say(out, format!("{message}; looking again"));
             }
         }
-    }
-
-    /// What makes an observation useless for the active job.
-    fn judge(&self, observation: &Observation) -> Option<Doubt> {
-        self.doubt_calibration(observation).or_else(|| {
-            self.doubt_objects(observation).map(|(code, message)| {
-                let remedy = "look at the end picture of the job, put the table right, submit again";
-                Doubt { code, message, remedy }
-            })
-        })
-    }
-
-    /// The reference markers are not where they were surveyed, or too few of them are seen to tell.
-    fn doubt_calibration(&self, observation: &Observation) -> Option<Doubt> {
-        let tolerances = &self.model.tolerances;
-        let seen = observation.reference.as_ref().map_or(0, |check| check.markers.len());
-        if seen < tolerances.reference_seen {
-            let message =
-                format!("{seen} reference markers were seen, {} are needed", tolerances.reference_seen);
-            let remedy = "uncover and clean the reference markers, see that the table is lit, submit again";
-            return Some(Doubt { code: "reference_hidden".into(), message, remedy });
-        }
-        let check = observation.reference.as_ref()?;
-        // A number that is none is no proof that the calibration holds.
-        if check.residual_rms_m <= tolerances.reference_residual {
-            return None;
-        }
-        let mm = |metres: f64| metres * 1e3;
-        let message = format!(
-            "the reference markers are {:.1} mm off, {:.1} mm are allowed: the table seems shifted by {:.1} mm in x, \
-             {:.1} mm in y and {:.2} degrees",
-            mm(check.residual_rms_m),
-            mm(tolerances.reference_residual),
-            mm(check.shift_m[0]),
-            mm(check.shift_m[1]),
-            check.turn_rad.to_degrees()
-        );
-        let remedy = "camera or table were moved: see which, then `celld calibrate`";
-        Some(Doubt { code: "calibration_invalid".into(), message, remedy })
-    }
-
-    fn doubt_objects(&self, observation: &Observation) -> Option<(String, String)> {
-        let job = self.job.as_ref()?;
-        let known = |id: &&u32| self.model.ignore_markers.contains(id);
-        if let Some(id) = observation.unknown.iter().find(|id| !known(id)) {
-            let message = format!(
-                "marker {id} is on the table and belongs to nothing the cell knows; take it away, or name it in `ignore_markers`"
-            );
-            return Some(("unknown_marker".into(), message));
-        }
-        if let Some(duplicate) = observation.duplicates.first() {
-            let message =
-                format!("marker {} of {} was seen in two places", duplicate.marker_id, duplicate.id);
-            return Some(("marker_twice".into(), message));
-        }
-        let seen = |id: &str| observation.objects.iter().find(|object| object.id == id);
-        let needed = job.order.goals.iter().map(|(id, _)| id).chain(job.last_seen.iter().map(|(id, _)| id));
-        for id in needed {
-            if let Some(suspicious) = observation.suspicious.iter().find(|suspicious| suspicious.id == *id) {
-                let message = format!("{id} does not lie flat on the table: {}", suspicious.reason);
-                return Some((format!("object_tilted:{id}"), message));
-            }
-            match seen(id) {
-                None => {
-                    return Some((
-                        format!("object_missing:{id}"),
-                        format!("{id} is not to be seen on the table"),
-                    ));
-                }
-                Some(object) if object.std_xy_m > self.model.tolerances.measurement_std => {
-                    let mm = object.std_xy_m * 1e3;
-                    return Some((
-                        format!("object_uncertain:{id}"),
-                        format!("{id} is only known to {mm:.1} mm"),
-                    ));
-                }
-                Some(_) => {}
-            }
-        }
-        let suspicious = observation.suspicious.first()?;
-        let (id, reason) = (&suspicious.id, &suspicious.reason);
-        Some((format!("object_tilted:{id}"), format!("{id} does not lie flat on the table: {reason}")))
     }
 
     /// The table is known: done, go on with the route, or plan.
@@ -401,7 +337,7 @@ impl Cell {
             workspace: self.model.workspace,
             clearance,
             overlap_tolerance,
-            keep_out: self.model.keep_out.clone(),
+            keep_out: self.obstacles(seen),
             objects,
         }
     }
@@ -428,7 +364,7 @@ impl Cell {
             solver: job.order.solver,
             seed: job.order.seed.wrapping_add(u64::from(job.replans)),
             time_limit: job.order.time_limit,
-            times: CycleTimes::new(&self.model.arm, &self.model.cycle, self.model.arm.home),
+            times: CycleTimes::new(&self.model.arm, &self.cycle(), self.model.arm.home),
         };
         let limit = request.time_limit + self.model.tolerances.plan_grace;
         if job.route.is_some() {

@@ -11,6 +11,7 @@ use crate::motion::pick_n_place::CycleParameters;
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::Duration;
 use crate::units::Joints;
+use crate::vision::observe::reference::DriftLimits;
 use nalgebra::{Isometry3, Vector3};
 
 /// One kind of thing the cell may move.
@@ -47,8 +48,8 @@ pub struct Tolerances {
     pub expected_angle: f64,
     /// What was seen longer ago than this is not acted upon.
     pub observation_age: Duration,
-    /// Larger rms errors of the reference markers than this mean that camera or table were moved, m.
-    pub reference_residual: f64,
+    /// Larger errors of the reference markers than these mean that camera or table were moved.
+    pub reference: DriftLimits,
     /// Fewer reference markers in a look than this say nothing about that.
     pub reference_seen: usize,
     /// An object whose position is less certain than this is looked at again, m (one standard deviation).
@@ -63,6 +64,23 @@ pub struct Tolerances {
     pub phase_deadline: Duration,
     /// Added to a plan's own time limit before the planner counts as stuck.
     pub plan_grace: Duration,
+}
+
+/// What is done about things on the table that carry no marker.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ForeignRule {
+    /// Nobody looks for them.
+    Off,
+    /// Nothing is moved while there is one.
+    Refuse {
+        /// A look without depth is refused too; otherwise a camera that has no depth is no fault.
+        depth_needed: bool,
+    },
+    /// They are obstacles like any that never move, with this much room round them, m. Depth is needed.
+    Obstacle {
+        /// Room round the outline, and above it, m.
+        margin_m: f64,
+    },
 }
 
 /// The gripper as the supervisor uses it.
@@ -118,6 +136,8 @@ pub struct CellModel {
     pub ignore_markers: Vec<u32>,
     /// What may be moved.
     pub objects: Vec<CellObject>,
+    /// What is done about things without a marker.
+    pub foreign: ForeignRule,
     /// Limits of decisions.
     pub tolerances: Tolerances,
     /// The gripper.

@@ -12,12 +12,15 @@ use crate::planning::plan::{Action as PlanAction, ActionKind, Objective};
 use crate::planning::solver::SolverKind;
 use crate::supervisor::cell::Cell;
 use crate::supervisor::input::{Action, Input, OperatorCommand, Outside, PlanAnswer};
-use crate::supervisor::model::{CellModel, CellObject, DeviceAddresses, GripSettings, Tolerances};
+use crate::supervisor::model::{
+    CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
+};
 use crate::supervisor::order::{ApprovalRule, JobEnd, JobOrder};
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
-use crate::vision::observe::reference::{ReferenceCheck, ReferenceError};
+use crate::vision::foreign::{ForeignObject, ForeignReport};
+use crate::vision::observe::reference::{DriftLimits, LookShift, ReferenceCheck, ReferenceError};
 use crate::vision::observe::{ObjectEstimate, Observation};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 use nalgebra::{Isometry3, Vector3};
@@ -72,6 +75,7 @@ fn model() -> CellModel {
         clearance: 0.002,
         keep_out: Vec::new(),
         ignore_markers: vec![78],
+        foreign: ForeignRule::Refuse { depth_needed: false },
         objects: vec![object],
         tolerances: Tolerances {
             goal_position: 1e-3,
@@ -79,7 +83,7 @@ fn model() -> CellModel {
             expected_position: 2e-3,
             expected_angle: 0.02,
             observation_age: Duration::from_secs(30),
-            reference_residual: 1e-3,
+            reference: DriftLimits { residual_m: 1e-3, shift_m: 5e-4, turn_rad: 1e-3 },
             reference_seen: 3,
             measurement_std: 1e-3,
             retries: 1,
@@ -112,6 +116,7 @@ struct Bench {
     at: Pose2,
     other: Option<(String, Pose2)>,
     reference: ReferenceCheck,
+    foreign: Option<ForeignReport>,
     now: Timestamp,
 }
 
@@ -124,6 +129,7 @@ fn reference(count: u32, shift_m: f64) -> ReferenceCheck {
         residual_max_m: shift_m.abs(),
         shift_m: [shift_m, 0.0],
         turn_rad: 0.0,
+        looks: Vec::new(),
     }
 }
 
@@ -161,6 +167,7 @@ impl Bench {
             at: Pose2::new(0.15, 0.3, 0.0),
             other: None,
             reference: reference(4, 1e-4),
+            foreign: None,
             now: Timestamp::from_secs_f64(1.0),
         }
     }
@@ -242,7 +249,8 @@ impl Bench {
         let objects: Vec<_> = std::iter::once(estimate.clone()).chain(other).collect();
         let missing = self.missing.clone();
         let unknown = self.unknown.clone();
-        let seen = Observation { objects, reference, unknown, missing, ..Observation::default() };
+        let foreign = self.foreign.clone();
+        let seen = Observation { objects, reference, unknown, missing, foreign, ..Observation::default() };
         self.feed(Input::Observed(Ok(Box::new(seen))))
     }
 
@@ -365,6 +373,26 @@ fn a_bumped_camera_stops_the_job_before_anything_is_picked() {
 }
 
 #[test]
+fn a_camera_that_was_lifted_shifted_or_turned_at_one_look_pose_stops_the_job() {
+    let look = LookShift { view: 0, markers: 4, shift_m: [0.0; 2], turn_rad: 0.0, lift_m: 0.0 };
+    let bumps = [
+        LookShift { lift_m: -8e-4, ..look },
+        LookShift { shift_m: [4e-4, -4e-4], ..look },
+        LookShift { turn_rad: 2e-3, ..look },
+        LookShift { lift_m: f64::NAN, ..look },
+    ];
+    for bump in bumps {
+        let (_, code) =
+            ends_without_planning(ReferenceCheck { looks: vec![look, bump], ..reference(4, 1e-4) });
+        assert_eq!(code, "calibration_invalid", "{bump:?}");
+    }
+    let mut bench = Bench::new();
+    bench.reference = ReferenceCheck { looks: vec![look], ..reference(4, 1e-4) };
+    bench.job(false);
+    assert!(bench.until_planning().iter().any(|action| matches!(action, Action::Plan(_))));
+}
+
+#[test]
 fn hidden_reference_markers_are_not_taken_for_a_bump() {
     let (end, code) = ends_without_planning(reference(2, 0.0));
     assert_eq!((end, code.as_str()), (JobEnd::Failed, "reference_hidden"));
@@ -401,3 +429,4 @@ fn a_plan_approved_late_waits_for_a_new_look() {
 }
 
 mod faults;
+mod foreign;

@@ -5,7 +5,7 @@
 
 use crate::device::gripper::{Channels, GripperCommand};
 use crate::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
-use crate::supervisor::cell::{Cell, Phase, alarm, say};
+use crate::supervisor::cell::{Cell, Look, Phase, alarm, say};
 use crate::supervisor::input::{Action, Outside};
 use crate::supervisor::order::JobEnd;
 use crate::time::{Duration, Timestamp};
@@ -44,6 +44,10 @@ impl Cell {
     }
 
     fn on_deadline(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        if let Phase::Look(Look { trouble: Some(trouble), .. }) = &self.phase {
+            let trouble = trouble.clone();
+            return self.give_up_looking(now, &trouble, out);
+        }
         let (code, message) = match &self.phase {
             Phase::Ready | Phase::Approve => return,
             Phase::BringUp(_) => ("robot_not_started", "the robot did not come up in time".to_string()),

@@ -36,7 +36,7 @@ impl Cell {
             self.finish(now, JobEnd::Failed, &format!("unpickable:{}", next.object), &message, remedy, out);
             return;
         }
-        let paths = match plan(&self.model.arm, &robot.q, &task, &self.model.cycle) {
+        let paths = match plan(&self.model.arm, &robot.q, &task, &self.cycle()) {
             Ok(paths) => paths,
             Err(fault) => {
                 let message = format!("{} cannot be moved: {fault}", next.object);
@@ -59,11 +59,14 @@ impl Cell {
 
     /// An object so tall that the gripper's body, coming down for the pick or the place, would touch it. The body
     /// counts as a disc about the tool's axis, for the yaw is chosen later.
-    fn body_meets(&self, next: &RouteAction, object: &CellObject) -> Option<&str> {
+    fn body_meets(&self, next: &RouteAction, object: &CellObject) -> Option<String> {
         let seen = self.seen.as_ref()?;
         let body = self.model.grip.body_radius;
         let underside = object.height - self.model.cycle.press + self.model.grip.body_above_lips;
         let places = [next.from, next.to].map(|pose| pose.transform(object.grip_point));
+        if let Some(foreign) = self.meets_foreign(&places, body, underside) {
+            return Some(foreign);
+        }
         let others = seen.objects.iter().filter(|other| other.id != object.id);
         let moving = others.filter_map(|other| self.model.object(&other.id).map(|known| (known, other.pose)));
         let mut tall = moving.filter(|(known, _)| known.height > underside);
@@ -72,7 +75,7 @@ impl Cell {
             let meets = places
                 .iter()
                 .any(|[x, y]| penetration(&disc, &Pose2::new(*x, *y, 0.0), &known.footprint, &pose) > 0.0);
-            meets.then_some(known.id.as_str())
+            meets.then(|| known.id.clone())
         })
     }
 

@@ -87,6 +87,7 @@ pub enum StatementKind {
     Continue,
     Return(Option<Expression>),
     Halt,
+    Pause,
     Kill(Expression),
     Join(Expression),
     EnterCritical,
@@ -129,6 +130,7 @@ pub enum ExpressionKind {
     Index(Box<Expression>, Vec<Expression>),
     Member(Box<Expression>, Arc<str>),
     Call { name: Arc<str>, arguments: Vec<Argument> },
+    Method { of: Box<Expression>, name: Arc<str>, arguments: Vec<Expression> },
     Run { name: Arc<str>, arguments: Vec<Argument> },
     Unary(Unary, Box<Expression>),
     Binary(Binary, Box<Expression>, Box<Expression>),
@@ -185,6 +187,28 @@ impl FunctionKind {
 }
 
 impl Expression {
+    /// The variable and the way into it, if this can be assigned to.
+    pub fn as_place(&self) -> Option<(Arc<str>, Vec<Accessor>)> {
+        let mut path = Vec::new();
+        let mut target = self;
+        let name = loop {
+            match &target.kind {
+                ExpressionKind::Name(name) => break name.clone(),
+                ExpressionKind::Index(of, indices) => {
+                    path.extend(indices.iter().rev().cloned().map(Accessor::Index));
+                    target = of;
+                }
+                ExpressionKind::Member(of, member) => {
+                    path.push(Accessor::Member(member.clone()));
+                    target = of;
+                }
+                _ => return None,
+            }
+        };
+        path.reverse();
+        Some((name, path))
+    }
+
     /// An expression with its height computed from its parts.
     pub fn new(kind: ExpressionKind, at: Position) -> Expression {
         let tallest = |parts: &[Expression]| parts.iter().map(|part| part.height).max().unwrap_or(0);
@@ -195,7 +219,9 @@ impl Expression {
             | ExpressionKind::Text(_)
             | ExpressionKind::Name(_) => 0,
             ExpressionKind::List(parts) | ExpressionKind::Pose(parts) => tallest(parts),
-            ExpressionKind::Index(of, indices) => of.height.max(tallest(indices)),
+            ExpressionKind::Index(of, parts) | ExpressionKind::Method { of, arguments: parts, .. } => {
+                of.height.max(tallest(parts))
+            }
             ExpressionKind::Member(of, _) | ExpressionKind::Unary(_, of) => of.height,
             ExpressionKind::Call { arguments, .. } | ExpressionKind::Run { arguments, .. } => {
                 arguments.iter().map(|argument| argument.value.height).max().unwrap_or(0)

@@ -12,7 +12,7 @@ use crate::urscript::code::{Code, FunctionCode, Instruction, PathStep, Variable}
 use crate::urscript::fault::{CompileError, CompileErrorKind, Position};
 use crate::urscript::host::Builtin;
 use crate::urscript::value::Value;
-use crate::urscript::{library, parser, scope};
+use crate::urscript::{library, methods, parser, scope};
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -179,6 +179,9 @@ impl Compiler<'_> {
             StatementKind::Halt => {
                 body.emit(Instruction::Halt, at);
             }
+            StatementKind::Pause => {
+                body.emit(Instruction::Pause, at);
+            }
             StatementKind::EnterCritical => {
                 body.emit(Instruction::EnterCritical, at);
             }
@@ -199,6 +202,19 @@ impl Compiler<'_> {
         at: Position,
         body: &mut Body,
     ) -> Result<(), CompileError> {
+        let steps = self.path(path, body)?;
+        self.expression(value, body)?;
+        let variable = self.variable(name, body);
+        if steps.is_empty() {
+            body.emit(Instruction::Store(variable, qualifier), at);
+        } else {
+            body.emit(Instruction::StoreInto(variable, qualifier, steps), at);
+        }
+        Ok(())
+    }
+
+    /// Leaves the indices of a path on the stack.
+    fn path(&mut self, path: &[Accessor], body: &mut Body) -> Result<Vec<PathStep>, CompileError> {
         let mut steps = Vec::new();
         for accessor in path {
             match accessor {
@@ -209,14 +225,30 @@ impl Compiler<'_> {
                 Accessor::Member(member) => steps.push(PathStep::Member(member.clone())),
             }
         }
-        self.expression(value, body)?;
-        let variable = self.variable(name, body);
-        if steps.is_empty() {
-            body.emit(Instruction::Store(variable, qualifier), at);
-        } else {
-            body.emit(Instruction::StoreInto(variable, qualifier, steps), at);
+        Ok(steps)
+    }
+
+    /// `of.name(arguments)`; what changes a variable does so in its place.
+    fn method(
+        &mut self,
+        of: &Expression,
+        name: &Arc<str>,
+        arguments: &[Expression],
+        body: &mut Body,
+    ) -> Result<Instruction, CompileError> {
+        let count = arguments.len();
+        let Some((variable, path)) = methods::changes(name).then(|| of.as_place()).flatten() else {
+            self.expression(of, body)?;
+            self.all(arguments, body)?;
+            return Ok(Instruction::Method(name.clone(), count));
+        };
+        let place = self.variable(&variable, body);
+        if place.local.is_none() && place.global.is_none() {
+            return Err(not_found(&variable, of.at));
         }
-        Ok(())
+        let steps = self.path(&path, body)?;
+        self.all(arguments, body)?;
+        Ok(Instruction::Change(place, steps, name.clone(), count))
     }
 
     fn conditional(
@@ -296,6 +328,7 @@ impl Compiler<'_> {
                 Instruction::Member(member.clone())
             }
             ExpressionKind::Call { name, arguments } => return self.call(name, arguments, at, body),
+            ExpressionKind::Method { of, name, arguments } => self.method(of, name, arguments, body)?,
             ExpressionKind::Run { name, arguments } => {
                 let Some(function) = self.find_function(name) else { return Err(not_found(name, at)) };
                 let slots = self.arguments_of(function, name, arguments, at, body)?;

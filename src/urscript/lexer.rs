@@ -79,7 +79,7 @@ words! {
         And = "and", Break = "break", Continue = "continue", Def = "def", Elif = "elif", Else = "else",
         End = "end", EnterCritical = "enter_critical", ExitCritical = "exit_critical", False = "False",
         Global = "global", Halt = "halt", If = "if", Join = "join", Kill = "kill", Local = "local",
-        Not = "not", Or = "or", Pass = "pass", Return = "return", Run = "run", Sec = "sec",
+        Not = "not", Or = "or", Pass = "pass", Pause = "pause", Return = "return", Run = "run", Sec = "sec",
         Thread = "thread", True = "True", While = "while", Xor = "xor",
     }
 }
@@ -89,7 +89,7 @@ words! {
     Symbol {
         Equal = "==", NotEqual = "!=", LessEqual = "<=", GreaterEqual = ">=", Less = "<", Greater = ">",
         Assign = "=", Plus = "+", Minus = "-", Times = "*", Divide = "/", Modulo = "%", Open = "(",
-        Close = ")", OpenList = "[", CloseList = "]", Comma = ",", Colon = ":", Dot = ".",
+        Close = ")", OpenList = "[", CloseList = "]", Comma = ",", Colon = ":", Dot = ".", Bang = "!",
     }
 }
 

@@ -18,7 +18,7 @@ pub const BUILTINS: &[Builtin] = urscript_builtins![
     make_list(length, initial_value; capacity), sum(v),
     point_dist(p_from, p_to), pose_add(p_1, p_2), pose_dist(p_from, p_to), pose_inv(p_from), pose_sub(p_to, p_from),
     pose_trans(p_from, p_from_to), interpolate_pose(p_from, p_to, alpha), rotvec2rpy(rotation_vector),
-    rpy2rotvec(rpy_vector), wrench_trans(t_from_to, w_from),
+    rpy2rotvec(rpy_vector), wrench_trans(T_from_to, w_from),
     str_at(src, index), str_cat(op1, op2), str_empty(str), str_find(src, target; start_from), str_len(str),
     str_sub(src, index; len), to_num(str), to_str(val), assert(condition; message),
     binary_list_to_integer(l), integer_to_binary_list(x),

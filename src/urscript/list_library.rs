@@ -92,7 +92,12 @@ fn make_list(call: &Call<'_>) -> Result<Value, String> {
     if !(0..=MAX_LENGTH).contains(&length) {
         return Err(format!("a list of {length} elements cannot be made"));
     }
-    Ok(Value::list(vec![call.required(1)?.clone(); length.unsigned_abs() as usize]))
+    let capacity = call.argument(2).map_or(Ok(length), Value::integer)?;
+    if !(length..=MAX_LENGTH).contains(&capacity) {
+        return Err(format!("a list of {length} elements cannot have a capacity of {capacity}"));
+    }
+    let elements = vec![call.required(1)?.clone(); length.unsigned_abs() as usize];
+    Ok(Value::list_of_capacity(elements, capacity.unsigned_abs() as usize))
 }
 
 fn matrix(call: &Call<'_>) -> Result<DMatrix<f64>, String> {

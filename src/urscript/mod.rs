@@ -27,6 +27,8 @@ pub mod library;
 
 pub mod list_library;
 
+pub mod methods;
+
 pub mod operators;
 
 pub mod parser;

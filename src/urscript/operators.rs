@@ -163,6 +163,7 @@ pub fn index(value: &Value, index: &Value) -> Result<Value, String> {
     let found = usize::try_from(at).ok().and_then(|at| match value {
         Value::List(elements) => elements.get(at).cloned(),
         Value::Pose(pose) => pose.get(at).map(|element| Value::Float(*element)),
+        Value::Struct(members) => members.get(at).map(|(_, member)| member.clone()),
         _ => None,
     });
     found.ok_or_else(|| match value {
@@ -170,6 +171,9 @@ pub fn index(value: &Value, index: &Value) -> Result<Value, String> {
             format!("index {at} is out of range, the list has {} elements", elements.len())
         }
         Value::Pose(_) => format!("index {at} is out of range, a pose has 6 elements"),
+        Value::Struct(members) => {
+            format!("index {at} is out of range, the struct has {} members", members.len())
+        }
         other => format!("{} has no elements", other.type_name()),
     })
 }
@@ -193,32 +197,72 @@ pub enum Step {
 }
 
 /// Replaces the part of `target` that `path` leads to.
+///
+/// # Errors
+/// When it leads nowhere, or the value does not fit.
 pub fn replace(target: &mut Value, path: &[Step], value: Value) -> Result<(), String> {
-    let Some((step, rest)) = path.split_first() else {
-        *target = value;
+    if let (Some((Step::Index(at), before)), true) = (path.split_last(), !path.is_empty())
+        && let Value::Pose(pose) = part(target, before)?
+    {
+        let at = at.integer()?;
+        let element = usize::try_from(at).ok().and_then(|at| pose.get_mut(at));
+        *element.ok_or_else(|| format!("index {at} is out of range, a pose has 6 elements"))? =
+            value.number()?;
         return Ok(());
-    };
-    match (step, target) {
-        (Step::Index(at), Value::Pose(pose)) if rest.is_empty() => {
-            let at = at.integer()?;
-            let element = usize::try_from(at).ok().and_then(|at| pose.get_mut(at));
-            *element.ok_or_else(|| format!("index {at} is out of range, a pose has 6 elements"))? =
-                value.number()?;
-            Ok(())
-        }
-        (Step::Index(at), Value::List(elements)) => {
-            let at = at.integer()?;
-            let count = elements.len();
-            let element = usize::try_from(at).ok().and_then(|at| Arc::make_mut(elements).get_mut(at));
-            let element = element
-                .ok_or_else(|| format!("index {at} is out of range, the list has {count} elements"))?;
-            replace(element, rest, value)
-        }
-        (Step::Member(name), Value::Struct(members)) => {
-            let found = Arc::make_mut(members).iter_mut().find(|(member, _)| member == name);
-            let (_, element) = found.ok_or_else(|| format!("the struct has no member `{name}`"))?;
-            replace(element, rest, value)
-        }
-        (_, other) => Err(format!("cannot assign into {}", other.type_name())),
     }
+    assign(part(target, path)?, value)
+}
+
+/// The part of `target` that `path` leads to.
+///
+/// # Errors
+/// When it leads nowhere.
+pub fn part<'a>(target: &'a mut Value, path: &[Step]) -> Result<&'a mut Value, String> {
+    let mut here = target;
+    for step in path {
+        here = match (step, here) {
+            (Step::Index(at), Value::List(elements)) => {
+                let (at, count) = (at.integer()?, elements.len());
+                let element = usize::try_from(at).ok().and_then(|at| Arc::make_mut(elements).get_mut(at));
+                element.ok_or_else(|| format!("index {at} is out of range, the list has {count} elements"))?
+            }
+            (Step::Index(at), Value::Struct(members)) => {
+                let (at, count) = (at.integer()?, members.len());
+                let member = usize::try_from(at).ok().and_then(|at| Arc::make_mut(members).get_mut(at));
+                let missing = || format!("index {at} is out of range, the struct has {count} members");
+                &mut member.ok_or_else(missing)?.1
+            }
+            (Step::Member(name), Value::Struct(members)) => {
+                let found = Arc::make_mut(members).iter_mut().find(|(member, _)| member == name);
+                &mut found.ok_or_else(|| format!("the struct has no member `{name}`"))?.1
+            }
+            (_, other) => return Err(format!("cannot assign into {}", other.type_name())),
+        };
+    }
+    Ok(here)
+}
+
+/// Gives a variable that has a value a new one. A list keeps its capacity, which the new elements must fit into; a
+/// struct becomes a list where one was (script manual, 4.1.1 and 4.2).
+///
+/// # Errors
+/// When a list is longer than the capacity of the one it replaces.
+pub fn assign(target: &mut Value, value: Value) -> Result<(), String> {
+    let elements = match (&*target, value) {
+        (Value::List(_), Value::List(list)) => list.to_vec(),
+        (Value::List(_), Value::Struct(members)) => {
+            members.iter().map(|(_, member)| member.clone()).collect()
+        }
+        (_, value) => {
+            *target = value;
+            return Ok(());
+        }
+    };
+    let Value::List(list) = &*target else { return Ok(()) };
+    let (capacity, length) = (list.capacity(), elements.len());
+    if length > capacity {
+        return Err(format!("a list of {length} elements does not fit into one of capacity {capacity}"));
+    }
+    *target = Value::list_of_capacity(elements, capacity);
+    Ok(())
 }

@@ -3,7 +3,7 @@
 //! In: text. Out: [`Script`], or the first error with line and column. Statement ends are found by grammar
 //! alone: an expression ends where the next token cannot continue it, across lines too, and `(`, `[`, `-`
 //! and `+` always continue. Precedence, loosest first: `or`/`xor`, `and`, `not`, comparison, `+ -`, `* / %`,
-//! sign, then calls, indices and members. Nesting is bounded by [`MAX_NESTING`].
+//! sign and `!`, then calls, indices, members and methods. Nesting is bounded by [`MAX_NESTING`].
 
 use crate::urscript::ast::{Argument, Binary, Expression, ExpressionKind, MAX_HEIGHT, Script, Unary};
 use crate::urscript::fault::{CompileError, Position};
@@ -153,11 +153,12 @@ impl Parser {
         Ok(left)
     }
 
-    /// A sign or `not` with what it applies to, or a postfix expression.
+    /// A sign, `not` or `!` with what it applies to, or a postfix expression.
     fn operand(&mut self) -> Result<Expression, CompileError> {
         let at = self.here();
         let (operator, level) = match self.peek(0) {
             Token::Keyword(Keyword::Not) => (Unary::Not, LEVEL_NOT),
+            Token::Symbol(Symbol::Bang) => (Unary::Not, LEVEL_SIGN),
             Token::Symbol(Symbol::Minus) => (Unary::Negate, LEVEL_SIGN),
             Token::Symbol(Symbol::Plus) => (Unary::Plus, LEVEL_SIGN),
             _ => return self.postfix(),
@@ -167,7 +168,7 @@ impl Parser {
         self.build(ExpressionKind::Unary(operator, Box::new(operand)), at)
     }
 
-    /// A primary followed by indices and members.
+    /// A primary followed by indices, members and methods.
     pub(crate) fn postfix(&mut self) -> Result<Expression, CompileError> {
         let mut expression = self.primary()?;
         loop {
@@ -179,8 +180,14 @@ impl Parser {
                 }
                 expression = self.build(ExpressionKind::Index(Box::new(expression), indices), at)?;
             } else if self.accept(Symbol::Dot) {
-                let member = self.expect_name("the name of a member")?;
-                expression = self.build(ExpressionKind::Member(Box::new(expression), member), at)?;
+                let name = self.expect_name("the name of a member")?;
+                let of = Box::new(expression);
+                let kind = if self.accept(Symbol::Open) {
+                    ExpressionKind::Method { of, name, arguments: self.list_after_open(Symbol::Close)? }
+                } else {
+                    ExpressionKind::Member(of, name)
+                };
+                expression = self.build(kind, at)?;
             } else {
                 return Ok(expression);
             }
@@ -320,6 +327,9 @@ pub(crate) mod tests {
             ExpressionKind::Index(of, indices) => format!("{}[{}]", show(of), all(indices)),
             ExpressionKind::Member(of, name) => format!("{}.{name}", show(of)),
             ExpressionKind::Call { name, arguments } => format!("{name}({})", args(arguments)),
+            ExpressionKind::Method { of, name, arguments } => {
+                format!("{}.{name}({})", show(of), all(arguments))
+            }
             ExpressionKind::Run { name, arguments } => format!("run {name}({})", args(arguments)),
             ExpressionKind::Unary(operator, of) => format!("({operator:?} {})", show(of)),
             ExpressionKind::Binary(operator, a, b) => format!("({} {operator:?} {})", show(a), show(b)),
@@ -369,6 +379,8 @@ pub(crate) mod tests {
         check("run worker()", "run worker()");
         check("f(x)[2] + 1", "(f(x)[2] Add 1)");
         check("p_a[0] + p[1]", "(p_a[0] Add p[1])");
+        check("a.b[1].append(c, 2).length() + 1", "(a.b[1].append(c, 2).length() Add 1)");
+        check("! a.b() == c", "((Not a.b()) Equal c)");
     }
 
     #[test]
@@ -409,7 +421,7 @@ pub(crate) mod tests {
             proptest::sample::select(vec![
                 "def", "f", "(", ")", ":", "end", "if", "elif", "else", "while", "x", "=", "p", "[", "]", ",",
                 "1", "2.5", "\"s\"", "not", "-", "+", "*", "==", "and", "run", "kill", "join", "return",
-                "thread", "global", "local", "enter_critical", "exit_critical", "halt", ".", "True", "\n",
+                "thread", "global", "local", "enter_critical", "exit_critical", "halt", ".", "True", "\n", "pause", "!",
             ]), 0..60)) {
             let _ = parse(&words.join(" "));
         }

@@ -34,6 +34,8 @@ const MAIN: ThreadId = ThreadId(1);
 pub enum Progress {
     /// It goes on.
     Running,
+    /// It came to `pause`; its next frame goes on behind it.
+    Paused,
     /// It came to its end or to `halt`.
     Finished,
     /// It broke off.
@@ -71,6 +73,8 @@ pub struct Program {
     /// Holder of the critical section, how often it entered, and who waits.
     holder: Option<(ThreadId, u32)>,
     queue: VecDeque<ThreadId>,
+    /// A thread came to `pause` in this frame.
+    pausing: bool,
 }
 
 impl Program {
@@ -80,7 +84,14 @@ impl Program {
         let globals = vec![None; code.globals];
         let shared = Shared { code, globals, random: Random::new(seed) };
         let main = Scheduled { thread: main, wait: Wait::Nothing, done: false, budget: SLICE, lent: 0 };
-        Program { shared, threads: vec![main], last_id: 1, holder: None, queue: VecDeque::new() }
+        Program {
+            shared,
+            threads: vec![main],
+            last_id: 1,
+            holder: None,
+            queue: VecDeque::new(),
+            pausing: false,
+        }
     }
 
     /// The program's name.
@@ -110,6 +121,7 @@ impl Program {
         loop {
             match self.round(host) {
                 Ok(Round::Moved) => {}
+                Ok(Round::Still) if std::mem::take(&mut self.pausing) => return Progress::Paused,
                 Ok(Round::Still) => return Progress::Running,
                 Ok(Round::Ended) => {
                     self.stop(host);
@@ -227,6 +239,12 @@ impl Program {
                 }
             }
             Event::Halt => return Ok(Turn::ProgramEnded),
+            // The other threads have the rest of this frame, as with a pause from outside.
+            Event::Pause => {
+                self.pausing = true;
+                scheduled.done = true;
+                return Ok(Turn::Over);
+            }
             Event::Finished => {
                 self.kill(id, host);
                 return Ok(if id == MAIN { Turn::ProgramEnded } else { Turn::Over });

@@ -6,7 +6,7 @@
 //! nothing else tells `return` followed by a call from a returned call.
 
 use crate::urscript::ast::{
-    Accessor, Expression, ExpressionKind, Function, FunctionKind, Parameter, Qualifier, Script, Statement,
+    Expression, ExpressionKind, Function, FunctionKind, Parameter, Qualifier, Script, Statement,
     StatementKind,
 };
 use crate::urscript::fault::{CompileError, Position};
@@ -95,6 +95,7 @@ impl Parser {
             Keyword::Break => StatementKind::Break,
             Keyword::Continue => StatementKind::Continue,
             Keyword::Halt => StatementKind::Halt,
+            Keyword::Pause => StatementKind::Pause,
             Keyword::EnterCritical => StatementKind::EnterCritical,
             Keyword::ExitCritical => StatementKind::ExitCritical,
             Keyword::Pass => StatementKind::Pass,
@@ -157,29 +158,16 @@ impl Parser {
     fn assignment_or_call(&mut self, qualifier: Qualifier) -> Result<StatementKind, CompileError> {
         let expression = self.postfix()?;
         if !self.accept(Symbol::Assign) {
-            if qualifier == Qualifier::Plain && matches!(expression.kind, ExpressionKind::Call { .. }) {
+            if qualifier == Qualifier::Plain
+                && matches!(expression.kind, ExpressionKind::Call { .. } | ExpressionKind::Method { .. })
+            {
                 return Ok(StatementKind::Expression(expression));
             }
             return Err(self.unexpected("`=` (only a call may stand alone)"));
         }
-        let at = expression.at;
-        let mut path = Vec::new();
-        let mut target = expression;
-        let name = loop {
-            match target.kind {
-                ExpressionKind::Name(name) => break name,
-                ExpressionKind::Index(of, indices) => {
-                    path.extend(indices.into_iter().rev().map(Accessor::Index));
-                    target = *of;
-                }
-                ExpressionKind::Member(of, member) => {
-                    path.push(Accessor::Member(member));
-                    target = *of;
-                }
-                _ => return Err(CompileError::syntax(at, "this cannot be assigned to")),
-            }
+        let Some((name, path)) = expression.as_place() else {
+            return Err(CompileError::syntax(expression.at, "this cannot be assigned to"));
         };
-        path.reverse();
         let value = self.expression()?;
         Ok(StatementKind::Assign { qualifier, name, path, value })
     }
@@ -221,6 +209,7 @@ impl Parser {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::urscript::ast::Accessor;
     use crate::urscript::parser::parse;
     use crate::urscript::parser::tests::show;
 
@@ -274,6 +263,7 @@ mod tests {
     #[test]
     fn assignments_reach_into_values() {
         check("x[1] = 2", "Plain x[1] = 2");
+        check("x.append(2) s.a.clear() pause", "x.append(2); s.a.clear(); Pause");
         check("m[i, j] = 2", "Plain m[i][j] = 2");
         check("m[i][j] = 2", "Plain m[i][j] = 2");
         check("s.a[1] = 2", "Plain s.a[1] = 2");

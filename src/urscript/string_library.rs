@@ -64,17 +64,19 @@ fn find(call: &Call<'_>) -> Result<Value, String> {
     Ok(Value::Int(before.chars().count() as i32))
 }
 
-/// A whole number stays one; anything else is a float.
+/// A whole number, hexadecimal too, stays one; anything else is a float, infinities and "NAN" among them.
 fn number(call: &Call<'_>) -> Result<Value, String> {
     let text = call.required(0)?.string()?;
     let trimmed = text.trim();
     if let Ok(whole) = trimmed.parse::<i32>() {
         return Ok(Value::Int(whole));
     }
-    match trimmed.parse::<f64>() {
-        Ok(number) if number.is_finite() => Ok(Value::Float(number)),
-        _ => Err(format!("\"{text}\" is not a number")),
+    if let Some(digits) = trimmed.strip_prefix("0x").or_else(|| trimmed.strip_prefix("0X"))
+        && let Ok(bits) = u32::from_str_radix(digits, 16)
+    {
+        return Ok(Value::Int(bits as i32));
     }
+    trimmed.parse::<f64>().map(Value::Float).map_err(|_| format!("\"{text}\" is not a number"))
 }
 
 fn assertion(call: &Call<'_>) -> Result<Value, String> {

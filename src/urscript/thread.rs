@@ -9,6 +9,7 @@ use crate::urscript::code::{Code, Instruction, PathStep, Variable};
 use crate::urscript::fault::{Position, RuntimeException};
 use crate::urscript::host::{Builtin, Call, Host, Reply};
 use crate::urscript::library::{self, Random};
+use crate::urscript::methods;
 use crate::urscript::operators::{self, Step};
 use crate::urscript::value::{ThreadId, Value};
 use std::sync::Arc;
@@ -19,6 +20,9 @@ const MAX_CALLS: usize = 200;
 /// Most elements of a list, those of its lists included, and deepest nesting of lists.
 const MAX_ELEMENTS: usize = 200_000;
 const MAX_LIST_NESTING: usize = 8;
+
+/// Elements that a list may grow by until all elements of its variable are counted again.
+const COUNTED_EVERY: usize = 64;
 
 /// Length of a controller frame, s.
 pub const FRAME_SECONDS: f64 = 0.002;
@@ -45,6 +49,7 @@ pub(crate) enum Event {
     EnterCritical,
     ExitCritical,
     Halt,
+    Pause,
     /// The thread's function returned.
     Finished,
     /// The slice is used up.
@@ -179,7 +184,10 @@ impl Thread {
             }
             Instruction::Store(variable, qualifier) => {
                 let value = self.stored_value()?;
-                *self.place(variable, *qualifier, shared)? = Some(value);
+                match self.place(variable, *qualifier, shared)? {
+                    Some(target) => operators::assign(target, value)?,
+                    empty => *empty = Some(value),
+                }
             }
             Instruction::StoreInto(variable, qualifier, path) => {
                 self.store_into(variable, *qualifier, path, shared)?;
@@ -208,6 +216,10 @@ impl Thread {
             Instruction::EnterCritical => return Ok(Some(Event::EnterCritical)),
             Instruction::ExitCritical => return Ok(Some(Event::ExitCritical)),
             Instruction::Halt => return Ok(Some(Event::Halt)),
+            Instruction::Pause => return Ok(Some(Event::Pause)),
+            Instruction::Change(variable, path, name, count) => {
+                self.change(variable, path, (name, *count), shared)?;
+            }
             Instruction::Jump(_)
             | Instruction::JumpUnless(_)
             | Instruction::ShortCircuit(..)
@@ -215,6 +227,7 @@ impl Thread {
             | Instruction::StoreParameter(_) => self.control(instruction)?,
             Instruction::Index(_)
             | Instruction::Member(_)
+            | Instruction::Method(..)
             | Instruction::MakeList(_)
             | Instruction::MakePose
             | Instruction::MakeStruct(_)
@@ -265,6 +278,17 @@ impl Thread {
                 indices.iter().try_fold(value, |value, index| operators::index(&value, index))?
             }
             Instruction::Member(name) => operators::member(&self.pop(), name)?,
+            Instruction::Method(name, count) => {
+                let arguments = self.pop_many(*count);
+                let mut of = self.pop();
+                // What is no variable changes and is gone.
+                let changes = methods::changes(name);
+                bounded(if changes {
+                    methods::change(&mut of, name, arguments)?
+                } else {
+                    methods::call(&of, name, &arguments)?
+                })?
+            }
             Instruction::MakeList(count) => bounded(Value::list(self.pop_many(*count)))?,
             Instruction::MakePose => {
                 let numbers: Vec<f64> =
@@ -405,6 +429,43 @@ impl Thread {
         place.ok_or_else(|| format!("variable `{}` cannot be assigned here", variable.name))
     }
 
+    /// A path with the indices that were left on the stack.
+    fn steps(&mut self, path: &[PathStep]) -> Vec<Step> {
+        let count = path.iter().filter(|step| matches!(step, PathStep::Index)).count();
+        let mut indices = self.pop_many(count).into_iter();
+        let step = |step: &PathStep| match step {
+            PathStep::Index => Step::Index(indices.next().unwrap_or(Value::Nothing)),
+            PathStep::Member(name) => Step::Member(name.clone()),
+        };
+        path.iter().map(step).collect()
+    }
+
+    /// A method that changes a part of a variable.
+    fn change(
+        &mut self,
+        variable: &Variable,
+        path: &[PathStep],
+        (name, count): (&str, usize),
+        shared: &mut Shared,
+    ) -> Result<(), String> {
+        let arguments = self.pop_many(count);
+        let nests = arguments.iter().any(|value| matches!(value, Value::List(_) | Value::Struct(_)));
+        let steps = self.steps(path);
+        let Some(whole) = self.place(variable, Qualifier::Plain, shared)? else {
+            return Err(format!("variable `{}` is used before it has a value", variable.name));
+        };
+        let of = operators::part(whole, &steps)?;
+        let result = methods::change(of, name, arguments)?;
+        // Counting everything at every element would make filling a list as slow as its square.
+        let counts = nests || matches!(of, Value::List(list) if list.len().is_multiple_of(COUNTED_EVERY));
+        if counts && let Err(message) = bounded_ref(whole) {
+            *whole = Value::Nothing;
+            return Err(message);
+        }
+        self.stack.push(result);
+        Ok(())
+    }
+
     fn store_into(
         &mut self,
         variable: &Variable,
@@ -413,15 +474,7 @@ impl Thread {
         shared: &mut Shared,
     ) -> Result<(), String> {
         let value = self.stored_value()?;
-        let mut indices =
-            self.pop_many(path.iter().filter(|step| matches!(step, PathStep::Index)).count()).into_iter();
-        let steps: Vec<Step> = path
-            .iter()
-            .map(|step| match step {
-                PathStep::Index => Step::Index(indices.next().unwrap_or(Value::Nothing)),
-                PathStep::Member(name) => Step::Member(name.clone()),
-            })
-            .collect();
+        let steps = self.steps(path);
         let nests = matches!(value, Value::List(_) | Value::Struct(_));
         let place = self.place(variable, qualifier, shared)?;
         let Some(target) = place else {

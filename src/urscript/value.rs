@@ -24,7 +24,7 @@ pub enum Value {
     /// Text.
     Text(Arc<str>),
     /// A list; a matrix is a list of lists.
-    List(Arc<Vec<Value>>),
+    List(Arc<List>),
     /// A pose: m and rad.
     Pose([f64; 6]),
     /// A thread handle.
@@ -33,15 +33,60 @@ pub enum Value {
     Struct(Arc<Vec<(Arc<str>, Value)>>),
 }
 
+/// A list's elements, and how many it can hold. Lists are equal when their elements are.
+#[derive(Clone, Debug)]
+pub struct List {
+    elements: Vec<Value>,
+    capacity: usize,
+}
+
+impl List {
+    /// Elements it can hold.
+    pub fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    /// The elements, to add and to take away; what is added must fit.
+    pub fn edit(&mut self) -> &mut Vec<Value> {
+        &mut self.elements
+    }
+}
+
+impl std::ops::Deref for List {
+    type Target = [Value];
+
+    fn deref(&self) -> &[Value] {
+        &self.elements
+    }
+}
+
+impl std::ops::DerefMut for List {
+    fn deref_mut(&mut self) -> &mut [Value] {
+        &mut self.elements
+    }
+}
+
+impl PartialEq for List {
+    fn eq(&self, other: &List) -> bool {
+        self.elements == other.elements
+    }
+}
+
 impl Value {
     /// A list of numbers.
     pub fn numbers(values: impl IntoIterator<Item = f64>) -> Value {
-        Value::List(Arc::new(values.into_iter().map(Value::Float).collect()))
+        Value::list(values.into_iter().map(Value::Float).collect())
     }
 
-    /// A list.
+    /// A list that can hold as many elements as it has.
     pub fn list(values: Vec<Value>) -> Value {
-        Value::List(Arc::new(values))
+        let capacity = values.len();
+        Value::list_of_capacity(values, capacity)
+    }
+
+    /// A list that can hold `capacity` elements.
+    pub fn list_of_capacity(elements: Vec<Value>, capacity: usize) -> Value {
+        Value::List(Arc::new(List { capacity: capacity.max(elements.len()), elements }))
     }
 
     /// Text.

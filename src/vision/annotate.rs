@@ -10,7 +10,10 @@ use crate::geometry::pose::Pose2;
 use crate::vision::camera::CameraModel;
 use crate::vision::cv::{self, CvError};
 use crate::vision::detect::Detection;
+use crate::vision::foreign::ForeignObject;
 use crate::vision::image::Image;
+use crate::vision::observe::ReferenceMarker;
+use crate::vision::observe::reference::ReferenceCheck;
 use nalgebra::{Isometry3, Point3};
 
 /// Green: fine.
@@ -36,6 +39,69 @@ pub struct Overlay {
     pub outline: Vec<[f64; 2]>,
     /// Colour of the outline and the label.
     pub colour: [u8; 3],
+}
+
+/// Outlines of what nothing explains, as high as it stands.
+pub fn foreign_overlays(objects: &[ForeignObject]) -> Vec<Overlay> {
+    let overlay = |object: &ForeignObject| {
+        let [x, y] = object.centre;
+        Overlay {
+            label: format!("foreign {:.0} mm", object.height_m * 1e3),
+            pose: Pose2::new(x, y, 0.0),
+            height_m: object.height_m,
+            outline: object.outline.iter().map(|p| [p[0] - x, p[1] - y]).collect(),
+            colour: BAD,
+        }
+    };
+    objects.iter().map(overlay).collect()
+}
+
+/// How many times as long as it is a drift's arrow is drawn: a millimetre is hardly a pixel.
+const ARROW_SCALE: f64 = 20.0;
+
+/// Draws at each reference marker an arrow from where it was surveyed towards where it seems to have gone, twenty times as
+/// long as that, and the shift in words; red beyond the limit of the residual.
+///
+/// # Errors
+/// What OpenCV reports.
+pub fn draw_drift(
+    image: &mut Image,
+    check: &ReferenceCheck,
+    reference: &[ReferenceMarker],
+    limit_m: f64,
+    camera: &CameraModel,
+    table_from_camera: &Isometry3<f64>,
+) -> Result<(), CvError> {
+    let camera_from_table = table_from_camera.inverse();
+    let pixel = |x: f64, y: f64| {
+        let point = camera_from_table * Point3::new(x, y, 0.0);
+        let seen = point.z > 0.01 && point.x.abs() < 3.0 * point.z && point.y.abs() < 3.0 * point.z;
+        let points = if seen { vec![[point.x, point.y, point.z]] } else { Vec::new() };
+        cv::project(camera, &Isometry3::identity(), &points).map(|pixels| pixels.first().copied())
+    };
+    for error in &check.markers {
+        let Some(marker) = reference.iter().find(|marker| marker.id == error.id) else { continue };
+        let [dx, dy] = error.error_m;
+        let (x, y) = (marker.pose.x, marker.pose.y);
+        let (Some(from), Some(to)) = (pixel(x, y)?, pixel(x + ARROW_SCALE * dx, y + ARROW_SCALE * dy)?)
+        else {
+            continue;
+        };
+        let colour = if dx.hypot(dy) > limit_m { BAD } else { GOOD };
+        arrow(image, from, to, colour);
+        raster::text(image, [from[0], from[1] + 12.0], &format!("{:.1} mm", dx.hypot(dy) * 1e3), colour, 2);
+    }
+    Ok(())
+}
+
+fn arrow(image: &mut Image, from: [f64; 2], to: [f64; 2], colour: [u8; 3]) {
+    raster::line(image, from, to, colour, 3);
+    let along = (to[1] - from[1]).atan2(to[0] - from[0]);
+    let barb = 0.3 * (to[0] - from[0]).hypot(to[1] - from[1]).clamp(4.0, 40.0);
+    for side in [-0.5, 0.5] {
+        let back = along + std::f64::consts::PI + side;
+        raster::line(image, to, [to[0] + barb * back.cos(), to[1] + barb * back.sin()], colour, 3);
+    }
 }
 
 /// Draws the detections: the black square's edges, a dot at its lower left corner, its id.
@@ -128,6 +194,42 @@ mod tests {
         for [x, y] in Print::level(0, 0.04, pose, 0.02).corners(&camera, &table_from_camera) {
             assert_eq!(image.pixel(x.round() as u32, y.round() as u32), Some(GOOD), "{x} {y}");
         }
+    }
+
+    #[test]
+    fn a_drift_points_from_where_a_marker_was_surveyed_to_where_it_went() {
+        use crate::vision::observe::reference::ReferenceError;
+        let camera = testing::camera(640, 480);
+        let table_from_camera = testing::looking_down(0.0, 0.0, 0.4, [0.0, 0.0], 0.0);
+        let reference = [ReferenceMarker { id: 7, size: 0.03, pose: Pose2::new(0.02, 0.01, 0.4) }];
+        let check = |error_m: [f64; 2]| ReferenceCheck {
+            markers: vec![ReferenceError { id: 7, error_m, error_rad: 0.0, views: 1 }],
+            residual_rms_m: 2e-3,
+            residual_max_m: 2e-3,
+            shift_m: error_m,
+            turn_rad: 0.0,
+            looks: Vec::new(),
+        };
+        let drawn = |error_m: [f64; 2]| {
+            let mut image = Image::filled(640, 480, [0; 3]);
+            draw_drift(&mut image, &check(error_m), &reference, 1e-3, &camera, &table_from_camera).unwrap();
+            image
+        };
+        let seen = |x: f64, y: f64| {
+            let [u, v] = testing::project(&camera, &(table_from_camera.inverse() * Point3::new(x, y, 0.0)));
+            (u.round() as u32, v.round() as u32)
+        };
+        // 2 mm to the right are drawn 40 mm long.
+        let image = drawn([2e-3, 0.0]);
+        for x in [0.02, 0.03, 0.058] {
+            let (u, v) = seen(x, 0.01);
+            assert_eq!(image.pixel(u, v), Some(BAD), "{x}");
+        }
+        let (u, v) = seen(0.07, 0.01);
+        assert_eq!(image.pixel(u, v), Some([0; 3]));
+        let (u, v) = seen(0.03, 0.01);
+        assert_eq!(drawn([9e-4, 0.0]).pixel(u, v), Some(GOOD));
+        drawn([f64::NAN, 1e9]);
     }
 
     #[test]

@@ -2,9 +2,10 @@
 //!
 //! In: values from the camera's factory or from a calibration. Out: a checked [`CameraModel`]. Pure data; projecting and
 //! undistorting with it is `cv`'s job. Pixel (0, 0) is the centre of the first pixel; the camera frame is
-//! optical (x right, y down, z forward). Distortion is Brown-Conrady as OpenCV orders it: k1, k2, p1, p2, k3.
+//! optical (x right, y down, z forward). Distortion is Brown-Conrady as OpenCV orders it: k1, k2, p1, p2, k3. Factories
+//! write it in other forms too; [`FactoryLens::model`] brings those into this one, or refuses.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 
 /// A calibrated camera. Nothing here has a default: every number is measured.
@@ -69,6 +70,124 @@ pub enum CameraModelError {
         /// Rows of the picture.
         picture_height: u32,
     },
+    /// The factory's distortion cannot be written as Brown-Conrady.
+    #[error(
+        "camera {serial:?}: the factory's distortion ({form}) differs from Brown-Conrady by {miss_px:.2} pixels at worst; \
+         measure the lens with `celld calibrate camera` instead"
+    )]
+    Distortion {
+        /// Whose numbers.
+        serial: String,
+        /// The factory's form.
+        form: &'static str,
+        /// Worst difference within the picture, pixels.
+        miss_px: f64,
+    },
+}
+
+/// Worst difference that bringing a factory's distortion into our form may make, pixels: half of what corners are found to.
+const FACTORY_MISS_PX: f64 = 0.05;
+
+/// How a factory writes down a lens.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FactoryLens {
+    /// Everything but the distortion, which is ignored here.
+    pub pinhole: CameraModel,
+    /// The form of the coefficients.
+    pub form: FactoryDistortion,
+    /// k1, k2, p1, p2, k3 in that form.
+    pub coefficients: [f64; 5],
+}
+
+/// What a factory's distortion coefficients mean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FactoryDistortion {
+    /// The picture is rectified.
+    None,
+    /// As ours.
+    BrownConrady,
+    /// As ours, but for the tangential part, which is that of the point that was moved radially already. The SDK of the
+    /// RealSense cameras projects with this for the models that it calls modified and, despite the name, inverse
+    /// Brown-Conrady (D405, D415, D455): the coefficients distort, they do not undistort.
+    TangentialAfterRadial,
+    /// A fisheye lens.
+    Fisheye,
+}
+
+impl FactoryLens {
+    /// The lens in our form, checked.
+    ///
+    /// # Errors
+    /// `Distortion` where the nearest Brown-Conrady lens differs by more than 0.05 pixels anywhere in the picture, and those of
+    /// [`CameraModel::check`].
+    pub fn model(&self) -> Result<CameraModel, CameraModelError> {
+        let straight = CameraModel { distortion: [0.0; 5], ..self.pinhole.clone() };
+        straight.check()?;
+        let serial = straight.serial.clone();
+        let distortion = match self.form {
+            FactoryDistortion::None => [0.0; 5],
+            FactoryDistortion::BrownConrady => self.coefficients,
+            FactoryDistortion::TangentialAfterRadial => self.nearest()?,
+            FactoryDistortion::Fisheye if self.coefficients == [0.0; 5] => [0.0; 5],
+            FactoryDistortion::Fisheye => {
+                return Err(CameraModelError::Distortion { serial, form: "fisheye", miss_px: f64::INFINITY });
+            }
+        };
+        let model = CameraModel { distortion, ..straight };
+        model.check()?;
+        Ok(model)
+    }
+
+    /// The coefficients of ours that come nearest, by least squares over the picture.
+    fn nearest(&self) -> Result<[f64; 5], CameraModelError> {
+        let CameraModel { width, height, fx, fy, cx, cy, .. } = self.pinhole;
+        let (mut normal, mut right) = (SMatrix::<f64, 5, 5>::zeros(), SVector::<f64, 5>::zeros());
+        let mut points = Vec::new();
+        for row in 0..=16 {
+            for column in 0..=16 {
+                let x = (f64::from(width) * f64::from(column) / 16.0 - cx) / fx;
+                let y = (f64::from(height) * f64::from(row) / 16.0 - cy) / fy;
+                let moved = tangential_after_radial([x, y], &self.coefficients);
+                for (terms, shift) in brown_conrady_terms(x, y).into_iter().zip([moved[0] - x, moved[1] - y])
+                {
+                    let terms = SVector::<f64, 5>::from(terms);
+                    normal += terms * terms.transpose();
+                    right += terms * shift;
+                    points.push((terms, shift));
+                }
+            }
+        }
+        let found = normal.cholesky().map(|solver| solver.solve(&right));
+        let miss = |found: &SVector<f64, 5>| {
+            points.iter().map(|(terms, shift)| (terms.dot(found) - shift).abs()).fold(0.0, f64::max)
+                * fx.max(fy)
+        };
+        let miss_px = found.as_ref().map_or(f64::NAN, miss);
+        match found {
+            Some(found) if miss_px <= FACTORY_MISS_PX => Ok(found.into()),
+            _ => {
+                let (serial, form) = (self.pinhole.serial.clone(), "tangential after radial");
+                Err(CameraModelError::Distortion { serial, form, miss_px })
+            }
+        }
+    }
+}
+
+/// Where the factory's form moves a normalised point.
+fn tangential_after_radial([x, y]: [f64; 2], [k1, k2, p1, p2, k3]: &[f64; 5]) -> [f64; 2] {
+    let r2 = x * x + y * y;
+    let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+    let (x, y) = (x * radial, y * radial);
+    [x + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y)]
+}
+
+/// What each of k1, k2, p1, p2, k3 adds to x and to y, per unit, in our form.
+fn brown_conrady_terms(x: f64, y: f64) -> [[f64; 5]; 2] {
+    let r2 = x * x + y * y;
+    [
+        [x * r2, x * r2 * r2, 2.0 * x * y, r2 + 2.0 * x * x, x * r2 * r2 * r2],
+        [y * r2, y * r2 * r2, r2 + 2.0 * y * y, 2.0 * x * y, y * r2 * r2 * r2],
+    ]
 }
 
 impl CameraModel {
@@ -162,6 +281,28 @@ mod tests {
         assert!(broken(|c| c.cx = 1300.0).contains("cx = 1300"));
         assert!(broken(|c| c.distortion[4] = f64::INFINITY).contains("k3"));
         assert!(broken(|c| c.width = 0).contains("width"));
+    }
+
+    #[test]
+    fn a_factory_s_distortion_is_brought_into_our_form_or_refused() {
+        let coefficients = [-0.0553, 0.0596, 3e-4, -4e-4, -0.0193];
+        let of = |form, coefficients| FactoryLens { pinhole: d405(), form, coefficients }.model();
+        assert_eq!(of(FactoryDistortion::None, coefficients).unwrap().distortion, [0.0; 5]);
+        assert_eq!(of(FactoryDistortion::BrownConrady, coefficients).unwrap().distortion, coefficients);
+        let found = of(FactoryDistortion::TangentialAfterRadial, coefficients).unwrap().distortion;
+        // At a corner and at an edge of the picture, by OpenCV's formula against the factory's.
+        for [x, y] in [[-0.98, -0.55], [0.98, 0.0], [0.3, 0.5]] {
+            let ours =
+                brown_conrady_terms(x, y).map(|t| t.iter().zip(found).map(|(t, k)| t * k).sum::<f64>());
+            let theirs = tangential_after_radial([x, y], &coefficients);
+            let miss = (x + ours[0] - theirs[0]).hypot(y + ours[1] - theirs[1]) * 650.0;
+            assert!(miss < 0.05, "{miss} px at {x} {y}");
+        }
+        assert!(found != coefficients && (found[0] - coefficients[0]).abs() < 1e-3, "{found:?}");
+        let skewed = of(FactoryDistortion::TangentialAfterRadial, [-0.5, 0.3, 0.05, 0.0, 0.0]);
+        assert!(skewed.unwrap_err().to_string().contains("calibrate camera"));
+        assert!(of(FactoryDistortion::Fisheye, coefficients).is_err());
+        assert!(of(FactoryDistortion::BrownConrady, [f64::NAN; 5]).is_err());
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! (0.4 mm at 0.5 m if forgotten). `refine` then finds the corners three times as exactly as the library's own
 //! refinement; OpenCV's `cornerSubPix` makes them worse.
 
+pub mod again;
 pub mod family;
 
 pub use family::Family;

@@ -1,11 +1,14 @@
 //! Pictures in memory: colour for people and recordings, grey for the detector, PNG and JPEG bytes in and out.
 //!
-//! In: rows of pixels, or the bytes of an image file. Out: [`Image`], [`GrayImage`], PNG bytes. Pure: bytes come as
-//! arguments, no file is touched. This is the only part of `vision` that the simulator uses, so it also holds
+//! In: rows of pixels, or the bytes of an image file. Out: [`Image`], [`GrayImage`], [`DepthImage`], PNG bytes. Pure: bytes
+//! come as arguments, no file is touched. This is the only part of `vision` that the simulator uses, so it also holds
 //! the marker family's patterns (`tag36h11`).
 
+pub mod depth;
+pub mod quality;
 pub mod tag36h11;
 
+pub use depth::DepthImage;
 pub use tag36h11::tag36h11_bitmap;
 
 use std::io::Cursor;
@@ -67,6 +70,14 @@ pub enum ImageError {
         /// Rows.
         height: u32,
     },
+    /// A picture, but not one of depths.
+    #[error(
+        "a picture with pixels of kind {found} is no depth picture: a PNG file with 16 bits of grey is wanted"
+    )]
+    NotDepth {
+        /// The kind of its pixels.
+        found: String,
+    },
     /// The picture could not be written as PNG.
     #[error("the picture could not be encoded as PNG")]
     Encode(#[source] image::ImageError),
@@ -96,6 +107,12 @@ impl Image {
     /// # Errors
     /// `Decode` for anything that is not a whole picture of these kinds, `Size` for absurd dimensions.
     pub fn decode(bytes: &[u8]) -> Result<Image, ImageError> {
+        let picture = Image::decode_any(bytes)?.into_rgb8();
+        Image::from_rgb(picture.width(), picture.height(), picture.into_raw())
+    }
+
+    /// The picture in whatever kind of pixels the file has.
+    fn decode_any(bytes: &[u8]) -> Result<image::DynamicImage, ImageError> {
         let failed = |source| ImageError::Decode { bytes: bytes.len(), source };
         let mut reader = image::ImageReader::new(Cursor::new(bytes))
             .with_guessed_format()
@@ -105,8 +122,7 @@ impl Image {
         limits.max_image_height = Some(MAX_EDGE);
         limits.max_alloc = Some(256 << 20);
         reader.limits(limits);
-        let picture = reader.decode().map_err(failed)?.into_rgb8();
-        Image::from_rgb(picture.width(), picture.height(), picture.into_raw())
+        reader.decode().map_err(failed)
     }
 
     /// The picture as the bytes of a PNG file.

@@ -2,7 +2,7 @@
 //!
 //! The path of a picture: `image` (pixels) -> `detect` (marker corners; `refine` makes them exact) -> `observe` (what lies where, how sure). `camera`
 //! is the lens as numbers, `cv` what we let OpenCV compute with them, `calibrate` where camera and table are,
-//! `calibration` the files that keep it, `annotate` the picture for people, `marker` the print itself. Pure; OpenCV
+//! `calibration` the files that keep it, `foreign` what carries no marker, `annotate` the picture for people, `marker` the print itself. Pure; OpenCV
 //! is called in `cv` alone and the AprilTag library in `detect` alone.
 
 pub mod annotate;
@@ -12,6 +12,7 @@ pub mod calibration;
 pub mod camera;
 pub mod cv;
 pub mod detect;
+pub mod foreign;
 pub mod image;
 pub mod marker;
 pub mod observe;

@@ -193,6 +193,7 @@ mod tests {
     use crate::time::Timestamp;
     use crate::vision::detect::{DetectSettings, Detector};
     use crate::vision::testing::{self, Print, USUAL};
+    use nalgebra::Isometry3;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
@@ -223,7 +224,7 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let noise = ObserveLimits::default().corner_std_px();
         let detections = testing::detections(&camera, &table_from_camera, prints, noise, &mut random);
-        View { table_from_camera, detections, time: Timestamp::from_nanos(seed) }
+        View { table_from_camera, detections, time: Timestamp::from_nanos(seed), heights: None }
     }
 
     fn observed(objects: &[MarkedObject], views: &[View]) -> Observation {
@@ -256,7 +257,7 @@ mod tests {
             let table_from_camera = testing::looking_down(0.001 * turn, 0.0, 0.42, [0.02, -0.02], 0.0);
             let picture = testing::render(&camera, &table_from_camera, &prints, USUAL, trial);
             let detections = detector.detect(&picture).unwrap();
-            let views = [View { table_from_camera, detections, time: Timestamp::ZERO }];
+            let views = [View { table_from_camera, detections, time: Timestamp::ZERO, heights: None }];
             let observation = observe(&objects, &[], &camera, &views, &limits).unwrap();
             assert!(observation.complete(), "{observation:?}");
             for (object, estimate) in objects.iter().zip(&observation.objects) {
@@ -426,6 +427,58 @@ mod tests {
         let (residual, bumped) = check(&view);
         assert!((residual - 2e-3).abs() < 2e-4 && (bumped.shift_m[1] - 2e-3).abs() < 2e-4, "{bumped:?}");
         assert!(bumped.turn_rad.abs() < 2e-3);
+    }
+
+    #[test]
+    fn a_bump_in_any_direction_is_drift_and_two_looks_cannot_cancel_it() {
+        let places = [(-0.12, -0.1), (0.12, -0.1), (0.12, 0.1), (-0.12, 0.1), (0.0, 0.1)];
+        let marker = |(i, (x, y)): (usize, &(f64, f64))| ReferenceMarker {
+            id: 500 + i as u32,
+            size: 0.03,
+            pose: Pose2::new(*x, *y, 0.3),
+        };
+        let reference: Vec<ReferenceMarker> = places.iter().enumerate().map(marker).collect();
+        let prints: Vec<Print> =
+            reference.iter().map(|marker| Print::level(marker.id, marker.size, marker.pose, 0.0)).collect();
+        let camera = testing::camera(1280, 720);
+        let limits =
+            reference::DriftLimits { residual_m: 2e-3, shift_m: 1e-3, turn_rad: 0.15_f64.to_radians() };
+        let check = |bump: Isometry3<f64>| {
+            // From two sides: what a bump shifts to the right in one is shifted to the left in the other.
+            let views: Vec<View> = [0.0, std::f64::consts::PI]
+                .iter()
+                .map(|turn| {
+                    let believed = testing::looking_down(0.0, 0.0, 0.5, [0.05, 0.0], *turn);
+                    let mut random = ChaCha8Rng::seed_from_u64(5);
+                    let detections =
+                        testing::detections(&camera, &(believed * bump), &prints, 0.03, &mut random);
+                    View { table_from_camera: believed, detections, time: Timestamp::ZERO, heights: None }
+                })
+                .collect();
+            observe(&[], &reference, &camera, &views, &ObserveLimits::default()).unwrap().reference.unwrap()
+        };
+        let fine = check(Isometry3::identity());
+        assert!(!fine.drifted(&limits) && fine.looks.len() == 2, "{fine:?}");
+        let mut mean_hides = false;
+        for axis in 0..3 {
+            let (mut moved, mut turned) = (nalgebra::Vector3::zeros(), nalgebra::Vector3::zeros());
+            moved[axis] = 2e-3;
+            turned[axis] = 0.3_f64.to_radians();
+            for bump in [Isometry3::new(moved, nalgebra::zero()), Isometry3::new(nalgebra::zero(), turned)] {
+                let bumped = check(bump);
+                assert!(bumped.drifted(&limits), "{axis}: {bumped:?}");
+                mean_hides |= bumped.shift_m[0].hypot(bumped.shift_m[1]) < 5e-4;
+            }
+        }
+        assert!(mean_hides, "the mean over both looks would have told nothing");
+        let lifted = check(Isometry3::translation(0.0, 0.0, 2e-3));
+        let (worst, excess) = lifted.worst_look(&limits).unwrap();
+        assert!((worst.lift_m - 2e-3).abs() < 2e-4 && (excess - 2.0).abs() < 0.2, "{worst:?}");
+        let broken = reference::ReferenceCheck {
+            looks: vec![reference::LookShift { lift_m: f64::NAN, ..worst }],
+            ..fine
+        };
+        assert!(broken.drifted(&limits));
     }
 
     #[test]

@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-const CELLD: &str = env!("CARGO_BIN_EXE_celld");
+pub(crate) const CELLD: &str = env!("CARGO_BIN_EXE_celld");
 
 /// Longest time a part of a test may take; a machine that needs more has another problem.
-const PATIENCE: Duration = Duration::from_secs(240);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(240);
 
 /// Two planks that have to change places, and a disc in the way of nothing.
 const SWAP: &str = "\
@@ -23,11 +23,11 @@ objects:
   - {id: c, footprint: {disc: {radius: 0.04}}, start: [0.2, 0.3, 0.0], goal: [0.2, 0.3, 0.0]}
 ";
 
-fn celld(arguments: &[&str], folder: &Path) -> Output {
+pub(crate) fn celld(arguments: &[&str], folder: &Path) -> Output {
     Command::new(CELLD).args(arguments).current_dir(folder).output().expect("the binary runs")
 }
 
-fn text(bytes: &[u8]) -> String {
+pub(crate) fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
@@ -68,7 +68,7 @@ fn cell_demo_brings_every_object_to_its_goal_and_the_world_agrees() {
 }
 
 /// A process that is ended with its test.
-struct Running(Child);
+pub(crate) struct Running(pub(crate) Child);
 
 impl Drop for Running {
     fn drop(&mut self) {
@@ -78,7 +78,7 @@ impl Drop for Running {
 }
 
 /// Waits for a condition, not for a time.
-fn wait_until(what: &str, condition: impl Fn() -> bool) {
+pub(crate) fn wait_until(what: &str, condition: impl Fn() -> bool) {
     let started = Instant::now();
     while !condition() {
         assert!(started.elapsed() < PATIENCE, "{what}");
@@ -88,7 +88,7 @@ fn wait_until(what: &str, condition: impl Fn() -> bool) {
 }
 
 /// The example configuration at an address and a time factor of this test's own.
-fn configuration(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
+pub(crate) fn configuration(folder: &Path, address: &str, factor: u32) -> (PathBuf, PathBuf) {
     let config = folder.join("config");
     std::fs::create_dir(&config).expect("created");
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
@@ -96,8 +96,8 @@ fn configuration(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
         let text = std::fs::read_to_string(entry.path()).expect("text");
         let text = text
             .replace("127.0.0.2", address)
-            .replace("time_factor: 1\n", "time_factor: 4\n")
-            .replace("clock_factor: 1}", "clock_factor: 4}")
+            .replace("time_factor: 1\n", &format!("time_factor: {factor}\n"))
+            .replace("clock_factor: 1}", &format!("clock_factor: {factor}}}"))
             .replace("\napproval: always", "\napproval: never");
         std::fs::write(config.join(entry.file_name()), text).expect("written");
     }
@@ -106,7 +106,7 @@ fn configuration(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
 
 fn start_sim(config: &Path) -> Running {
     let mut sim = Command::new(CELLD)
-        .args(["sim", "--config"])
+        .args(["sim", "--control", "--config"])
         .arg(config)
         .stdout(Stdio::piped())
         .spawn()
@@ -136,7 +136,7 @@ fn program_state(address: &str) -> String {
     answer.split_whitespace().next().unwrap_or_default().to_string()
 }
 
-fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
+pub(crate) fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
     let months = std::fs::read_dir(state.join("jobs").join(end)).ok()?;
     months
         .flatten()
@@ -146,7 +146,7 @@ fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
 #[test]
 fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim) = configuration(folder.path(), "127.7.1.2");
+    let (cell, sim) = configuration(folder.path(), "127.7.1.2", 4);
     let _sim = start_sim(&sim);
     let cell_text = cell.display().to_string();
     let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());
@@ -210,4 +210,78 @@ fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     wait_until("the program ends with its daemon", || program_state("127.7.1.2") == "STOPPED");
     let recordings = std::fs::read_dir(folder.path().join("recordings")).expect("the configured folder");
     assert!(recordings.flatten().any(|file| file.metadata().is_ok_and(|meta| meta.len() > 1000)));
+}
+
+/// Tells the simulator's control server of a fault, in JSON.
+fn fault(address: &str, text: &str) {
+    let answer = ureq::post(format!("http://{address}:8091/fault")).send(text);
+    assert_eq!(answer.expect("the control server").status().as_u16(), 200);
+}
+
+/// A mug that nobody told the cell of keeps everything where it is, for as long as it stands there.
+#[test]
+fn cell_moves_nothing_while_something_without_a_marker_stands_on_the_table() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let address = "127.7.1.4";
+    let (cell, sim) = configuration(folder.path(), address, 2);
+    let _sim = start_sim(&sim);
+    let cell_text = cell.display().to_string();
+    let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());
+    assert_eq!(calibrated.status.code(), Some(0), "{}", text(&calibrated.stderr));
+    let state = folder.path().join("state");
+    let log = folder.path().join("log.txt");
+    let _daemon = Running(
+        Command::new(CELLD)
+            .args(["run", "--config", &cell_text])
+            .current_dir(folder.path())
+            .stderr(std::fs::File::create(&log).expect("a file"))
+            .spawn()
+            .expect("the binary runs"),
+    );
+    let incoming = state.join("jobs/incoming");
+    wait_until("the daemon opens its folders", || incoming.is_dir());
+    let submit = |id: &str, x: f64| {
+        let goal = format!("goal:\n  objects:\n    - {{id: lid, pose: [{x}, 0.38, 0]}}\n");
+        std::fs::write(incoming.join(format!("{id}.yaml")), format!("version: 1\nid: {id}\n{goal}"))
+            .expect("written");
+    };
+    let said = |what: &str| std::fs::read_to_string(&log).is_ok_and(|log| log.contains(what));
+    let mug = r#"{"do": "world.foreign", "args":
+        {"shape": "mug", "size_m": [0.08, 0.08], "height_m": 0.09, "pose": [0.23, 0.22, 0]}}"#;
+
+    // There at first, and taken away while the cell looks again.
+    fault(address, mug);
+    submit("one", 0.30);
+    wait_until("the cell is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));
+    wait_until("the mug is seen", || said("belongs to nothing the cell knows; looking again"));
+    fault(address, r#"{"do": "clear", "args": {"fault": "world.foreign"}}"#);
+    wait_until("the job ends", || {
+        result_of(&state, "done", "one").or_else(|| result_of(&state, "failed", "one")).is_some()
+    });
+    let result = result_of(&state, "done", "one");
+    let log_text = std::fs::read_to_string(&log).expect("the log");
+    assert!(result.as_ref().is_some_and(|result| result.contains("moves: 1")), "{result:?} {log_text}");
+
+    // There to stay: the job ends, told where and how high, and nothing was moved.
+    fault(address, mug);
+    submit("two", 0.40);
+    wait_until("the second job has ended", || result_of(&state, "failed", "two").is_some());
+    let result = result_of(&state, "failed", "two").expect("a result");
+    assert!(result.contains("code: \"foreign_object\"") && result.contains("moves: 0"), "{result}");
+    let number = |after: &str| -> f64 {
+        let rest = result.split(after).nth(1).unwrap_or_else(|| panic!("{after} in {result}"));
+        let digits: String = rest.chars().take_while(|c| c.is_ascii_digit()).collect();
+        digits.parse().expect("a number")
+    };
+    let (x, y, high) = (number("x = "), number("y = "), number("something "));
+    assert!((x - 230.0).abs() < 8.0 && (y - 220.0).abs() < 8.0 && (high - 90.0).abs() < 8.0, "{result}");
+
+    let drawn = state.join("doubt-1.png");
+    assert!(std::fs::metadata(&drawn).is_ok_and(|meta| meta.len() > 10_000), "the look is drawn");
+
+    // Taken away, work goes on.
+    fault(address, r#"{"do": "clear"}"#);
+    submit("three", 0.40);
+    wait_until("the third job is done", || result_of(&state, "done", "three").is_some());
+    assert!(!drawn.exists(), "a good look leaves no doubts behind");
 }

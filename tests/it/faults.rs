@@ -11,9 +11,8 @@ use celld::sim::render::Renderer;
 use celld::sim::render::lens::CameraTruth;
 use celld::sim::render::scene::look_at;
 use celld::sim::world::World;
-use celld::sim::world::spec::{Cup, GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec};
+use celld::sim::world::spec::{GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec};
 use celld::sim::world::spec::{WorldObject, WorldSpec};
-use celld::sim::world::vacuum::Channel;
 use celld::vision::detect::{DetectSettings, Detection, Detector};
 use nalgebra::Isometry3;
 
@@ -36,12 +35,7 @@ fn world() -> World {
         objects: vec![block],
         reference_markers: vec![ReferenceMarker { id: 500, size_m: 0.04, pose: Pose2::new(0.25, 0.3, 0.0) }],
         errors: PlacementErrors::default(),
-        gripper: GripperSpec {
-            flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
-            cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
-            body: Footprint::rectangle(0.05, 0.05).unwrap(),
-            body_above_lips_m: 0.05,
-        },
+        gripper: GripperSpec::one_cup(0.2),
     };
     World::new(spec, 1).unwrap()
 }

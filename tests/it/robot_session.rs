@@ -6,7 +6,6 @@
 use celld::device::program::Nonce;
 use celld::device::robot::Robot;
 use celld::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
-use celld::geometry::footprint::Footprint;
 use celld::motion::kinematics::DhParameters;
 use celld::motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
 use celld::sim::camera_server::CameraSetup;
@@ -14,8 +13,7 @@ use celld::sim::cell::{RunningSim, SimConfig, start};
 use celld::sim::controller::ControllerConfig;
 use celld::sim::render::lens::CameraTruth;
 use celld::sim::robot_server::RobotPorts;
-use celld::sim::world::spec::{CameraMount, Cup, GripperSpec, PlacementErrors, TableSpec, WorldSpec};
-use celld::sim::world::vacuum::Channel;
+use celld::sim::world::spec::{CameraMount, GripperSpec, WorldSpec};
 use celld::time::Timestamp;
 use celld::units::Joints;
 use nalgebra::Isometry3;
@@ -42,19 +40,7 @@ pub fn config(running: bool) -> SimConfig {
         control_port: None,
         time_factor: FACTOR,
         controller: ControllerConfig { running, ..ControllerConfig::ur5e(3) },
-        world: WorldSpec {
-            table: TableSpec { width_m: 0.5, height_m: 0.5, margin_m: 0.1 },
-            base_from_table: Isometry3::translation(-0.75, -0.4, -0.5),
-            objects: Vec::new(),
-            reference_markers: Vec::new(),
-            errors: PlacementErrors::default(),
-            gripper: GripperSpec {
-                flange_from_tool: Isometry3::translation(0.0, 0.0, 0.1),
-                cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
-                body: Footprint::rectangle(0.05, 0.05).unwrap(),
-                body_above_lips_m: 0.02,
-            },
-        },
+        world: WorldSpec::bare(Isometry3::translation(-0.75, -0.4, -0.5), GripperSpec::one_cup(0.1)),
         camera: CameraSetup {
             truth: camera.clone(),
             reported: camera,

@@ -233,6 +233,7 @@ fn belongs_to(path: &str, stem: &str) -> bool {
 /// The native libraries and the only places (path beginnings) that may call them.
 const NATIVE: &[(&str, &[&str])] = &[
     ("opencv", &["src/vision/cv.rs", "src/vision/cv/", "src/io/camera"]),
+    ("libloading", &["src/io/camera/realsense/"]),
     ("apriltag", &["src/vision/detect.rs", "src/vision/detect/"]),
     ("apriltag_sys", &["src/vision/detect.rs", "src/vision/detect/"]),
 ];

@@ -3,6 +3,7 @@
 //! In: a folder of pictures, or a live camera and a person who moves the board; the board's geometry. Out: `camera.yaml` with the error of
 //! every picture, and the same on stderr. Exit codes: 0 written, 1 the pictures do not determine the lens, 2 bad input.
 
+use crate::cli::calibrate::take::take;
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::daemon::open_camera;
 use crate::cli::demo::run::chain;
@@ -10,6 +11,7 @@ use crate::cli::detect::read_picture;
 use crate::cli::markers::{grid, millimetres};
 use crate::cli::task::complain;
 use crate::config::load::load_cell;
+use crate::io::camera::CameraSource;
 use crate::io::clock::unix_now_s;
 use crate::io::files;
 use crate::jobs::utc;
@@ -50,9 +52,9 @@ pub struct CameraArgs {
     /// White between two squares as measured, mm; default: 0.3 of the edge, as `celld markers` prints
     #[arg(long, value_name = "MM", value_parser = millimetres)]
     pub gap_mm: Option<f64>,
-    /// The camera's serial number, as the camera or its label tells it
-    #[arg(long, value_name = "TEXT")]
-    pub serial: String,
+    /// The camera's serial number, as its label tells it; with --config, the camera is asked
+    #[arg(long, value_name = "TEXT", required_unless_present = "config")]
+    pub serial: Option<String>,
     /// Leave these pictures out, by name
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub drop: Vec<String>,
@@ -74,13 +76,9 @@ pub fn run(args: &CameraArgs) -> u8 {
 
 /// Measures the lens and writes its file.
 pub(super) fn calibrate(args: &CameraArgs) -> Result<(), Fault> {
-    let (folder, out) = places(args)?;
+    let Places { folder, out, serial } = places(args)?;
     let names = pictures(&folder, &args.drop)?;
-    let [columns, rows] = args.board;
-    let mut board = Board::new(args.family, columns, rows, args.size_mm / 1e3, args.first_id);
-    if let Some(gap_mm) = args.gap_mm {
-        board.gap_m = gap_mm / 1e3;
-    }
+    let ([columns, rows], board) = (args.board, board_of(args));
     let (views, width, height) = look(&folder, &names, &board)?;
     let solved = solve_lens(&views, width, height, &LensSettings::default());
     let solved = solved.map_err(|error| Fault { message: chain(&error), code: 1 })?;
@@ -91,7 +89,7 @@ pub(super) fn calibrate(args: &CameraArgs) -> Result<(), Fault> {
         args.size_mm,
         solved.samples.iter().filter(|sample| !sample.rejected).count()
     );
-    let file = CameraCalibration::from_solution(solved, &args.serial, source, utc::text(unix_now_s()));
+    let file = CameraCalibration::from_solution(solved, &serial, source, utc::text(unix_now_s()));
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
         files::create_folder(parent).map_err(|error| bad_input(error.to_string()))?;
     }
@@ -103,31 +101,48 @@ pub(super) fn calibrate(args: &CameraArgs) -> Result<(), Fault> {
     Ok(())
 }
 
-/// The folder with pictures in it, taken first if need be, and the file to write.
-fn places(args: &CameraArgs) -> Result<(PathBuf, PathBuf), Fault> {
+/// The board as printed and measured.
+fn board_of(args: &CameraArgs) -> Board {
+    let [columns, rows] = args.board;
+    let mut board = Board::new(args.family, columns, rows, args.size_mm / 1e3, args.first_id);
+    if let Some(gap_mm) = args.gap_mm {
+        board.gap_m = gap_mm / 1e3;
+    }
+    board
+}
+
+/// The folder with pictures in it, the file to write, the camera's serial number.
+struct Places {
+    folder: PathBuf,
+    out: PathBuf,
+    serial: String,
+}
+
+/// Says where everything is; takes the pictures first if need be.
+fn places(args: &CameraArgs) -> Result<Places, Fault> {
     let Some(path) = &args.config else {
-        let (Some(images), Some(out)) = (&args.images, &args.out) else {
-            return Err(bad_input("a folder of pictures and --out are needed".into()));
+        let (Some(images), Some(out), Some(serial)) = (&args.images, &args.out, &args.serial) else {
+            return Err(bad_input("a folder of pictures, --out and --serial are needed".into()));
         };
-        return Ok((images.clone(), out.clone()));
+        return Ok(Places { folder: images.clone(), out: out.clone(), serial: serial.clone() });
     };
     let config = load_cell(path).map_err(|error| bad_input(error.to_string()))?;
     let Some(save) = &args.save else { return Err(bad_input("--save DIR is needed with --config".into())) };
     files::create_folder(save).map_err(|error| bad_input(error.to_string()))?;
-    let mut camera = open_camera(&config, None).map_err(bad_input)?;
-    complain("hold the board still before the camera and press Enter for each picture; Ctrl-D ends early");
-    for number in 1..=args.count {
-        complain(&format!("picture {number}/{}", args.count));
-        let mut line = String::new();
-        if std::io::stdin().read_line(&mut line).unwrap_or(0) == 0 {
-            break;
-        }
-        let frame = camera.grab().map_err(|error| Fault { message: chain(&error), code: 1 })?;
-        let bytes = frame.image.encode_png().map_err(|error| bad_input(error.to_string()))?;
-        let name = save.join(format!("{number:02}.png"));
-        files::write_atomic(&name, &bytes).map_err(|error| bad_input(error.to_string()))?;
+    if pictures(save, &[]).is_ok() {
+        let message = "there are pictures in it already: name a new folder, or solve those without --config";
+        return Err(bad_input(format!("--save {}: {message}", save.display())));
     }
-    Ok((save.clone(), args.out.clone().unwrap_or(config.calibration.camera)))
+    let mut camera = open_camera(&config, None).map_err(bad_input)?;
+    let own = camera.serial().map_err(|error| Fault { message: chain(&error), code: 1 })?;
+    if let Some(told) = args.serial.as_ref().filter(|told| **told != own) {
+        return Err(bad_input(format!("--serial {told}, but the camera is {own}; leave --serial out")));
+    }
+    complain("hold the board still before the camera and press Enter for each picture; Ctrl-D ends early");
+    let mut ready = || std::io::stdin().read_line(&mut String::new()).is_ok_and(|bytes| bytes > 0);
+    take(&mut camera, &board_of(args), save, args.count, &mut ready)?;
+    let out = args.out.clone().unwrap_or(config.calibration.camera);
+    Ok(Places { folder: save.clone(), out, serial: own })
 }
 
 /// Names of the folder's pictures but the dropped ones, in order.

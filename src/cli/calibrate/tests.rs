@@ -20,7 +20,7 @@ fn camera_args(images: &Path, out: &Path) -> CameraArgs {
         first_id: 0,
         size_mm: 30.0,
         gap_mm: None,
-        serial: "bench".into(),
+        serial: Some("bench".into()),
         drop: vec![],
         out: Some(out.to_path_buf()),
     }

@@ -12,13 +12,16 @@ use crate::config::cell::{
     CalibrationFiles, CameraDevice, CameraMount, CellConfig, CupChannel, CupConfig, Devices, GripperConfig,
     MotionLimits, PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
 };
+use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::config::read_sim::DEFAULT_ERRORS;
 use crate::config::simulated::{SimFile, SimPorts};
 use crate::daemon::setup::arm_model;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::kinematics::{ARM_MODELS, DhParameters};
+use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::Instance;
 use crate::units::Joints;
+use crate::vision::image::quality::PictureLimits;
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -71,7 +74,8 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             robot_host: choice.bind.to_string(),
             gripper_host: choice.bind.to_string(),
             gripper_port: 502,
-            camera: CameraDevice::Simulator { host: choice.bind.to_string(), port: 8080 },
+            camera: CameraDevice::Simulator { host: choice.bind.to_string(), port: 8080, depth: true },
+            picture_limits: PictureLimits::STANDARD,
         },
         workspace: WorkspaceConfig {
             width_m: width,
@@ -121,6 +125,8 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             goal_angle_rad: 0.7f64.to_radians(),
             observation_age_s: 60.0,
             reference_residual_m: 0.001,
+            reference_shift_m: REFERENCE_SHIFT_M,
+            reference_turn_rad: REFERENCE_TURN_DEG.to_radians(),
         },
         planner: PlannerConfig {
             solver: choice.solver.clone(),
@@ -134,6 +140,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         recording: None,
         goal_folder: out.to_path_buf(),
         ignore_markers: Vec::new(),
+        foreign: ForeignRule::Refuse { depth_needed: true },
     };
     let model = arm_model(&config, DhParameters::UR5E, base_from_table);
     let angle = ViewAngle {

@@ -7,8 +7,9 @@ use crate::cli::demo::cell::{DemoChoice, sim_file};
 use crate::cli::demo::watch::Watch;
 use crate::cli::recorder::Recorder;
 use crate::cli::sim::sim_config;
-use crate::config::cell::CellConfig;
+use crate::config::cell::{CameraDevice, CellConfig};
 use crate::daemon::calibrate::{Eye, Setting, measure, solve};
+use crate::daemon::cameras::open_camera;
 use crate::daemon::hardware::{Addresses, Hardware};
 use crate::daemon::office::objective_of;
 use crate::daemon::run::{Office, Shell, Workers, run};
@@ -18,7 +19,6 @@ use crate::device::program::Nonce;
 use crate::device::robot_types::RobotParameters;
 use crate::geometry::pose::Pose2;
 use crate::io::camera::CameraSource;
-use crate::io::camera::http::HttpCamera;
 use crate::io::clock::Clock;
 use crate::planning::solver::SolverKind;
 use crate::sim::cell::{RunningSim, SimError, start};
@@ -72,9 +72,6 @@ impl From<String> for DemoError {
 /// The robot's session, 125 states a second: enough for 10 ms ticks, and a quarter of the work.
 const RTDE_HZ: f64 = 125.0;
 
-/// How long one frame may take, wall time: the simulator renders it on the same computer.
-const FRAME_LIMIT: std::time::Duration = std::time::Duration::from_secs(20);
-
 /// Runs the demo.
 ///
 /// # Errors
@@ -124,12 +121,15 @@ async fn with_sim(
         primary: sim.addresses.robot.primary,
         gripper: sim.addresses.modbus,
     };
+    let mut devices = config.devices.clone();
+    let (host, port) = (sim.addresses.camera.ip().to_string(), sim.addresses.camera.port());
+    devices.camera = CameraDevice::Simulator { host, port, depth: true };
     let mut parameters = RobotParameters::full_rate();
     parameters.frequency_hz = RTDE_HZ;
     let mut hardware = Hardware::open(&addresses, clock.clone(), parameters, gripper_parameters(config))
         .map_err(|error| chain(&error))?;
-    let camera_address = format!("http://{}", sim.addresses.camera);
-    let mut camera = HttpCamera::new(&camera_address, FRAME_LIMIT);
+    let open = |lens| open_camera(&devices, lens).map_err(|error| chain(&error));
+    let mut camera = open(None)?;
     let lens = tokio::task::block_in_place(|| camera.intrinsics()).map_err(|error| chain(&error))?;
     eprintln!("calibrating the camera on the arm ({} poses)", config.calibration_poses.len());
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
@@ -155,9 +155,10 @@ async fn with_sim(
     };
     let model = cell_model(config, &measured).map_err(|error| error.to_string())?;
     let (answers_in, answers) = tokio::sync::mpsc::channel(16);
-    let camera = HttpCamera::new(&camera_address, FRAME_LIMIT).with_lens(lens.clone());
+    let camera = open(Some(lens))?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let eye = spawn_eye(Box::new(camera), detector, eye_parameters(config, lens), clock, answers_in.clone());
+    let eye_parameters = eye_parameters(config, &measured).map_err(|error| chain(&error))?;
+    let eye = spawn_eye(Box::new(camera), detector, eye_parameters, clock, answers_in.clone());
     let mut watch = Watch::new(Recorder::create(&out.join("run.mcap"), true));
     let mut office = OneJob { order: Some(order(instance, choice)?), armed: false, over: stop.clone() };
     let cell = Cell::new(model, choice.seed.wrapping_add(1000));

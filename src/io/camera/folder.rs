@@ -80,9 +80,18 @@ impl CameraSource for FolderCamera {
         self.next += 1;
         let image =
             Image::decode(&bytes?).map_err(|source| CameraError::Picture { place: place.clone(), source })?;
-        let frame = Frame { image, sequence, time_s: sequence as f64, source: place };
+        let frame = Frame { image, sequence, time_s: sequence as f64, source: place, depth: None };
         self.watch.check(&frame, self.lens.as_ref())?;
         Ok(frame)
+    }
+
+    fn is_live(&self) -> bool {
+        false
+    }
+
+    /// Goes on with the next file: what was read is what there is.
+    fn reopen(&mut self) -> Result<(), CameraError> {
+        Ok(())
     }
 }
 
@@ -137,8 +146,8 @@ mod tests {
     fn a_broken_file_is_told_by_name_and_passed() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("a.png"), b"nonsense").unwrap();
-        write(folder.path(), "b.png", 5);
-        write(folder.path(), "c.png", 5);
+        write(folder.path(), "b.png", 50);
+        write(folder.path(), "c.png", 50);
         let mut camera = FolderCamera::open(folder.path(), None).unwrap();
         let error = camera.grab().unwrap_err();
         assert!(error.to_string().contains("a.png"), "{error}");

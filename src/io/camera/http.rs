@@ -1,12 +1,14 @@
 //! A camera behind an HTTP address: the simulator's, or any that speaks the same few words.
 //!
 //! `GET /frame.png` gives a picture with headers `X-Sequence` (whole number), `X-Time` (s) and `X-Serial`; `GET
-//! /intrinsics.json` gives the fields of [`CameraModel`]. Every request has a time limit and the answer a size limit.
+//! /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is asked for, 16 bits of 0.1 mm
+//! with a number of its own. Every request has a time limit and the answer a size limit.
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
+use crate::vision::image::depth::UNIT_M;
+use crate::vision::image::{DepthImage, Image};
 use std::time::Duration;
 
 /// Largest answer read, bytes.
@@ -15,42 +17,44 @@ const ANSWER_MAX: u64 = 64 << 20;
 /// The camera at an address.
 pub struct HttpCamera {
     base: String,
-    limit: Duration,
-    agent: ureq::Agent,
+    client: Client,
     lens: Option<CameraModel>,
+    depth: bool,
+    /// Depth is of use now.
+    wanted: bool,
+    /// Number of the last depth picture.
+    last_depth: Option<u64>,
     watch: Watch,
 }
 
-impl HttpCamera {
-    /// The camera at `base` (`http://host:port`); every request may take up to `limit`. Connects to nothing yet.
-    pub fn new(base: &str, limit: Duration) -> HttpCamera {
+/// What asks an address for bytes.
+pub(super) struct Client {
+    limit: Duration,
+    agent: ureq::Agent,
+}
+
+impl Client {
+    /// Every request may take up to `limit`. Connects to nothing yet.
+    pub(super) fn new(limit: Duration) -> Client {
         let config = ureq::Agent::config_builder()
             .timeout_global(Some(limit))
             .http_status_as_error(false)
             .max_redirects(0)
             .proxy(None)
             .build();
-        HttpCamera {
-            base: base.trim_end_matches('/').to_owned(),
-            limit,
-            agent: ureq::Agent::new_with_config(config),
-            lens: None,
-            watch: Watch::default(),
-        }
+        Client { limit, agent: ureq::Agent::new_with_config(config) }
     }
 
-    /// Uses a lens from a calibration file instead of the camera's own; frames must then carry its serial number.
-    pub fn with_lens(mut self, lens: CameraModel) -> HttpCamera {
-        self.lens = Some(lens);
-        self
+    /// The same with no connection kept.
+    pub(super) fn anew(&self) -> Client {
+        Client::new(self.limit)
     }
 
-    /// The camera was restarted on purpose: its count may begin again.
-    pub fn restarted(&mut self) {
-        self.watch.forget();
-    }
-
-    fn get(&self, address: &str) -> Result<(ureq::http::HeaderMap, Vec<u8>), CameraError> {
+    /// Headers and body at `address`.
+    ///
+    /// # Errors
+    /// `Unreachable`, `Status`.
+    pub(super) fn get(&self, address: &str) -> Result<(ureq::http::HeaderMap, Vec<u8>), CameraError> {
         let unreachable = |error: ureq::Error| CameraError::Unreachable {
             address: address.to_owned(),
             limit: self.limit,
@@ -66,13 +70,50 @@ impl HttpCamera {
     }
 }
 
+impl HttpCamera {
+    /// The camera at `base` (`http://host:port`); every request may take up to `limit`. Connects to nothing yet.
+    pub fn new(base: &str, limit: Duration) -> HttpCamera {
+        HttpCamera {
+            base: base.trim_end_matches('/').to_owned(),
+            client: Client::new(limit),
+            lens: None,
+            depth: false,
+            wanted: true,
+            last_depth: None,
+            watch: Watch::default(),
+        }
+    }
+
+    /// Uses a lens from a calibration file instead of the camera's own; frames must then carry its serial number.
+    pub fn with_lens(mut self, lens: CameraModel) -> HttpCamera {
+        self.lens = Some(lens);
+        self
+    }
+
+    /// Asks for the depth picture with every frame.
+    pub fn with_depth(mut self) -> HttpCamera {
+        self.depth = true;
+        self
+    }
+
+    fn take_depth(&mut self) -> Result<DepthImage, CameraError> {
+        let address = format!("{}/depth.png", self.base);
+        let (headers, bytes) = self.client.get(&address)?;
+        let sequence = header(&headers, &address, "X-Sequence", "whole number")?;
+        if let Some(last) = self.last_depth.replace(sequence).filter(|last| *last >= sequence) {
+            return Err(CameraError::RepeatedSequence { place: address, sequence, last });
+        }
+        DepthImage::decode(&bytes, UNIT_M).map_err(|source| CameraError::Picture { place: address, source })
+    }
+}
+
 impl CameraSource for HttpCamera {
     fn intrinsics(&mut self) -> Result<CameraModel, CameraError> {
         if let Some(lens) = &self.lens {
             return Ok(lens.clone());
         }
         let address = format!("{}/intrinsics.json", self.base);
-        let (_, bytes) = self.get(&address)?;
+        let (_, bytes) = self.client.get(&address)?;
         let lens: CameraModel = serde_json::from_slice(&bytes)
             .map_err(|source| CameraError::Intrinsics { place: address, source })?;
         lens.check()?;
@@ -82,7 +123,7 @@ impl CameraSource for HttpCamera {
 
     fn grab(&mut self) -> Result<Frame, CameraError> {
         let address = format!("{}/frame.png", self.base);
-        let (headers, bytes) = self.get(&address)?;
+        let (headers, bytes) = self.client.get(&address)?;
         let sequence = header(&headers, &address, "X-Sequence", "whole number")?;
         let time_s = header(&headers, &address, "X-Time", "number of seconds")?;
         let serial: String = header(&headers, &address, "X-Serial", "serial number")?;
@@ -94,9 +135,27 @@ impl CameraSource for HttpCamera {
         }
         let image = Image::decode(&bytes)
             .map_err(|source| CameraError::Picture { place: address.clone(), source })?;
-        let frame = Frame { image, sequence, time_s, source: address };
+        let mut frame = Frame { image, sequence, time_s, source: address, depth: None };
         self.watch.check(&frame, self.lens.as_ref())?;
+        if self.depth && self.wanted {
+            frame.depth = Some(self.take_depth()?);
+        }
         Ok(frame)
+    }
+
+    fn is_live(&self) -> bool {
+        true
+    }
+
+    fn want_depth(&mut self, wanted: bool) {
+        self.wanted = wanted;
+    }
+
+    fn reopen(&mut self) -> Result<(), CameraError> {
+        self.client = self.client.anew();
+        self.last_depth = None;
+        self.watch.restarted();
+        Ok(())
     }
 }
 
@@ -117,7 +176,7 @@ fn header<T: std::str::FromStr>(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use std::io::{Read, Write};
     use std::net::TcpListener;
@@ -126,7 +185,7 @@ mod tests {
         "distortion": [0, 0, 0, 0, 0]}"#;
 
     /// Answers each request with the next of `answers` (status line and headers, body), then stops listening.
-    fn serve(answers: Vec<(String, Vec<u8>)>) -> String {
+    pub fn serve(answers: Vec<(String, Vec<u8>)>) -> String {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = format!("http://{}", listener.local_addr().unwrap());
         std::thread::spawn(move || {
@@ -191,6 +250,41 @@ mod tests {
         let error = camera.grab().unwrap_err();
         assert!(matches!(error, CameraError::Unreachable { .. }));
         assert!(error.to_string().contains("celld sim") && error.to_string().contains("curl -I http://127"));
+    }
+
+    fn depth(sequence: u64) -> (String, Vec<u8>) {
+        let depth = DepthImage::from_units(40, 32, &[4217; 40 * 32], UNIT_M).unwrap();
+        (format!("HTTP/1.1 200 OK\r\nX-Sequence: {sequence}\r\n"), depth.encode_png(UNIT_M).unwrap())
+    }
+
+    #[test]
+    fn depth_comes_with_the_picture_where_it_is_asked_for_and_a_wrong_or_old_one_is_an_error() {
+        let (head, colour) = picture(9, 12);
+        let answers = vec![
+            picture(2, 9),
+            picture(3, 10),
+            depth(1),
+            picture(4, 11),
+            depth(1),
+            picture(5, 12),
+            (head, colour),
+        ];
+        let mut camera = camera(answers).with_depth();
+        camera.want_depth(false);
+        assert!(camera.grab().unwrap().depth.is_none());
+        camera.want_depth(true);
+        let frame = camera.grab().unwrap();
+        assert!((frame.depth.unwrap().at(39, 31).unwrap() - 0.4217).abs() < 1e-6);
+        let told = camera.grab().unwrap_err();
+        assert!(
+            matches!(&told, CameraError::RepeatedSequence { sequence: 1, last: 1, .. }),
+            "frozen: {told}"
+        );
+        let told = camera.grab().unwrap_err();
+        assert!(
+            matches!(&told, CameraError::Picture { place, .. } if place.ends_with("/depth.png")),
+            "{told}"
+        );
     }
 
     #[test]

@@ -4,11 +4,11 @@
 //! good for trying things out, not for measuring. Only the FFmpeg reader is asked: the others guess at file names
 //! and write their guesses to the log.
 
+use crate::io::camera::mat::image_of;
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
-use opencv::core::{Mat, MatTraitConst, MatTraitConstManual};
+use opencv::core::{Mat, MatTraitConst};
 use opencv::videoio::{
     CAP_FFMPEG, CAP_PROP_POS_MSEC, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,
 };
@@ -65,24 +65,20 @@ impl CameraSource for VideoCamera {
             Some(source) => self.failed("a frame has no pixels", Some(source)),
             None => self.failed("a frame is not 8 bit colour", None),
         })?;
-        let frame = Frame { image, sequence: self.next, time_s: time_ms.max(0.0) / 1e3, source: place };
+        let time_s = time_ms.max(0.0) / 1e3;
+        let frame = Frame { image, sequence: self.next, time_s, source: place, depth: None };
         self.next += 1;
         self.watch.check(&frame, self.lens.as_ref())?;
         Ok(frame)
     }
-}
 
-/// OpenCV's blue, green, red in our order.
-fn image_of(mat: &Mat) -> Result<Image, Option<opencv::Error>> {
-    if mat.typ() != opencv::core::CV_8UC3 || !mat.is_continuous() {
-        return Err(None);
+    fn is_live(&self) -> bool {
+        false
     }
-    let bytes = mat.data_bytes().map_err(Some)?;
-    let rgb = bytes.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]]).collect();
-    let (width, height) = (u32::try_from(mat.cols()), u32::try_from(mat.rows()));
-    match (width, height) {
-        (Ok(width), Ok(height)) => Image::from_rgb(width, height, rgb).map_err(|_| None),
-        _ => Err(None),
+
+    /// Goes on with the next frame.
+    fn reopen(&mut self) -> Result<(), CameraError> {
+        Ok(())
     }
 }
 

@@ -1,10 +1,12 @@
 //! Watches a stream of frames for a camera that is frozen, restarted, or not the one that was calibrated.
 //!
 //! In: frames in the order they came. Out: nothing, or the error that says what is wrong. Content is compared by a hash of all pixels:
-//! a real sensor's noise never repeats, so two equal pictures are one picture.
+//! a real sensor's noise never repeats, so two equal pictures are one picture. Where light or dark leave no room for noise,
+//! content says nothing, and the picture is left to those who judge its light.
 
 use crate::io::camera::{CameraError, Frame};
 use crate::vision::camera::CameraModel;
+use crate::vision::image::Image;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// What the last good frame was.
@@ -17,7 +19,10 @@ pub struct Watch {
 struct Last {
     sequence: u64,
     time_s: f64,
-    content: u64,
+    /// Of the last picture that had noise.
+    content: Option<u64>,
+    /// The camera was connected to anew since: its count and its clock may begin again.
+    restarted: bool,
 }
 
 impl Watch {
@@ -32,39 +37,66 @@ impl Watch {
             lens.check_picture(frame.image.width, frame.image.height)?;
         }
         let place = || frame.source.clone();
-        let sequence = frame.sequence;
-        let mut hasher = DefaultHasher::new();
-        frame.image.rgb.hash(&mut hasher);
-        let content = hasher.finish();
-        if let Some(last) = &self.last {
-            if sequence <= last.sequence {
-                return Err(CameraError::RepeatedSequence { place: place(), sequence, last: last.sequence });
+        let (sequence, time_s) = (frame.sequence, frame.time_s);
+        let content = content(&frame.image);
+        let (mut last_s, mut known) = (f64::NEG_INFINITY, None);
+        if let Some(Last { sequence: last, time_s: before_s, content: before, restarted }) = self.last {
+            let same = content.is_some() && content == before;
+            let counts_on = sequence > last || restarted && sequence != last;
+            if !counts_on && (same || !restarted) {
+                return Err(CameraError::RepeatedSequence { place: place(), sequence, last });
             }
-            if content == last.content {
-                return Err(CameraError::RepeatedPicture { place: place(), sequence, last: last.sequence });
+            if same {
+                return Err(CameraError::RepeatedPicture { place: place(), sequence, last });
             }
+            if !restarted {
+                last_s = before_s;
+            }
+            known = before;
         }
-        let last_s = self.last.as_ref().map_or(f64::NEG_INFINITY, |last| last.time_s);
-        if !frame.time_s.is_finite() || frame.time_s < last_s {
-            return Err(CameraError::Time { place: place(), sequence, time_s: frame.time_s, last_s });
+        if !time_s.is_finite() || time_s < last_s {
+            return Err(CameraError::Time { place: place(), sequence, time_s, last_s });
         }
-        self.last = Some(Last { sequence, time_s: frame.time_s, content });
+        self.last = Some(Last { sequence, time_s, content: content.or(known), restarted: false });
         Ok(())
     }
 
-    /// Forgets the last frame, after the caller decided that a restarted camera is fine.
-    pub fn forget(&mut self) {
-        self.last = None;
+    /// The camera was connected to anew: its count and its clock may begin again. Its last picture is remembered: a
+    /// camera that still gives that one is frozen.
+    pub fn restarted(&mut self) {
+        if let Some(last) = &mut self.last {
+            last.restarted = true;
+        }
     }
+}
+
+/// Grey levels between which a sensor's noise shows, and the least share of them that tells pictures apart.
+const NOISY: std::ops::RangeInclusive<u8> = 6..=249;
+const NOISY_SHARE: f64 = 1e-3;
+
+/// A picture in one number; nothing for one that is black or white all over.
+fn content(image: &Image) -> Option<u64> {
+    let noisy = image.rgb.iter().filter(|&&level| NOISY.contains(&level)).count();
+    if (noisy as f64) < NOISY_SHARE * image.rgb.len() as f64 {
+        return None;
+    }
+    let mut hasher = DefaultHasher::new();
+    image.rgb.hash(&mut hasher);
+    Some(hasher.finish())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vision::image::Image;
 
     fn frame(sequence: u64, time_s: f64, grey: u8) -> Frame {
-        Frame { image: Image::filled(32, 24, [grey; 3]), sequence, time_s, source: "test".into() }
+        Frame {
+            image: Image::filled(32, 24, [grey; 3]),
+            sequence,
+            time_s,
+            source: "test".into(),
+            depth: None,
+        }
     }
 
     #[test]
@@ -79,8 +111,24 @@ mod tests {
         assert!(matches!(watch.check(&frame(7, 0.5, 12), None), Err(CameraError::Time { .. })));
         assert!(matches!(watch.check(&frame(7, f64::NAN, 12), None), Err(CameraError::Time { .. })));
         watch.check(&frame(8, 1.2, 13), None).unwrap();
-        watch.forget();
-        watch.check(&frame(1, 0.0, 13), None).unwrap();
+        watch.restarted();
+        assert!(matches!(watch.check(&frame(8, 1.2, 13), None), Err(CameraError::RepeatedSequence { .. })));
+        assert!(matches!(watch.check(&frame(1, 0.0, 13), None), Err(CameraError::RepeatedPicture { .. })));
+        watch.check(&frame(1, 0.0, 14), None).unwrap();
+    }
+
+    #[test]
+    fn pictures_without_room_for_noise_are_not_taken_for_frozen_ones() {
+        let mut watch = Watch::default();
+        for (sequence, grey) in [(1, 90), (2, 255), (3, 255), (4, 0), (5, 0)] {
+            watch.check(&frame(sequence, 1.0, grey), None).unwrap();
+        }
+        assert!(matches!(watch.check(&frame(5, 1.0, 0), None), Err(CameraError::RepeatedSequence { .. })));
+        let told = watch.check(&frame(6, 1.0, 90), None).unwrap_err();
+        assert!(
+            matches!(told, CameraError::RepeatedPicture { .. }),
+            "what was seen before is remembered: {told}"
+        );
     }
 
     #[test]

@@ -54,8 +54,8 @@ pub const TABLE: &[Entry] = entries![
     Modelled optimovel(goal; a, v, r) "trapezoid instead of a jerk-limited profile";
     Modelled servoj(q; a, v, t, lookahead_time, gain) "first-order lag of lookahead_time; gain has no effect";
     Modelled servoc(pose; a, v, r) "as movep towards each new target";
-    Real speedj(qd; a, t) "";
-    Real speedl(xd; a, t, aRot) "";
+    Real speedj(qd, a; t) "";
+    Real speedl(xd, a; t, aRot) "";
     Real stopj(a) "";
     Real stopl(a; aRot) "";
     Modelled direct_torque(torque; friction_comp, viscous_scale, coulomb_scale) "rigid bodies with a little friction; the compensation's arguments have no effect";
@@ -70,13 +70,15 @@ pub const TABLE: &[Entry] = entries![
     Absent track_conveyor_linear(direction, ticks_per_meter; encoder_index) "";
     Absent track_conveyor_circular(center, ticks_per_revolution; rotate_tool, encoder_index) "";
     Absent stop_conveyor_tracking(; a) "";
-    Absent conveyor_pulse_decode(type, A, B) "";
+    Modelled tool_wrench_limit_set(frame_offset; Fx, Fy, Fz, Mx, My, Mz) "accepted; no motion is slowed by it";
+    Modelled tool_wrench_limit_disable() "accepted";
+    Absent conveyor_pulse_decode(type, A; B) "";
     Absent get_conveyor_tick_count() "";
     Absent set_conveyor_tick_count(tick_count; absolute_encoder_resolution) "";
     Modelled encoder_enable_pulse_decode(encoder_index, decoder_type, A, B) "accepted; no encoder is wired";
     Modelled encoder_enable_set_tick_count(encoder_index, range_id) "accepted; no encoder is wired";
     Modelled encoder_set_tick_count(encoder_index, count) "the count stays as scripts set it";
-    Modelled encoder_get_tick_count(encoder_index) "the count that scripts have set";
+    Modelled encoder_get_tick_count(encoder_index; opt) "the count that scripts have set, raw or not";
     Real encoder_unwind_delta_tick_count(encoder_index, delta_tick_count) "16 bit counters";
     // Force.
     Modelled force_mode(task_frame, selection_vector, wrench, type, limits) "speed in proportion to the missing force";
@@ -84,6 +86,7 @@ pub const TABLE: &[Entry] = entries![
     Modelled force_mode_set_damping(damping) "scales the speed";
     Modelled force_mode_set_gain_scaling(scaling) "scales the speed";
     Modelled freedrive_mode(; freeAxes, feature) "gives way to the forces of the world";
+    Modelled freedrive_mode_no_incorrect_payload_check() "freedrive on all axes";
     Modelled end_freedrive_mode() "";
     Real get_freedrive_status() "";
     Modelled teach_mode() "freedrive on all axes";
@@ -124,15 +127,17 @@ pub const TABLE: &[Entry] = entries![
     Real get_forward_kin(; q, tcp) "";
     Real get_inverse_kin(x; qnear, maxPositionError, maxOrientationError, tcp) "nearest by the largest joint difference";
     Real get_inverse_kin_has_solution(pose; qnear, maxPositionError, maxOrientationError, tcp) "";
-    Modelled is_within_safety_limits(pose; qnear, maxPositionError, maxOrientationError, tcp) "joint ranges and reach; no safety planes";
+    Modelled is_within_safety_limits(position; qNear, maxPositionError, maxOrientationError, tcp) "joint ranges and reach; no safety planes";
     Modelled get_joint_temp(j) "35 degrees";
     Modelled get_controller_temp() "40 degrees";
     Modelled get_tool_accelerometer_reading() "gravity and motion in the flange frame, without noise";
     Modelled get_tool_current() "0";
+    Modelled get_tool_temp() "35 degrees";
+    Modelled time(; mode) "mode 0: of the simulation since its controller started; mode 2: the same, counted from 2026-01-01";
     // Tool and installation.
     Real set_tcp(pose; tcp_name) "";
     Real set_payload(m; cog) "";
-    Modelled set_target_payload(m; cog, inertia, transition_time) "at once, not over the transition time";
+    Modelled set_target_payload(m, cog; inertia, transition_time) "at once, not over the transition time";
     Real set_payload_mass(m) "";
     Real set_payload_cog(CoG) "";
     Real get_target_payload() "";
@@ -140,25 +145,33 @@ pub const TABLE: &[Entry] = entries![
     Real get_target_payload_inertia() "";
     Real set_gravity(d) "";
     Real get_gravity() "";
+    Real set_base_acceleration(a) "";
+    Real get_base_acceleration() "";
+    Absent estimate_payload(poses, wrenches) "";
     Modelled set_safety_mode_transition_hardness(type) "accepted";
     Modelled high_holding_torque_enable() "accepted";
     Modelled high_holding_torque_disable() "accepted";
     Modelled position_deviation_warning(enabled; threshold) "accepted";
     Modelled pause_on_error_code(code; argument) "accepted";
+    Modelled set_baselight_off() "accepted";
+    Modelled set_baselight_iec() "accepted";
+    Modelled set_baselight_solid(r, g, b) "accepted";
     // Messages and program.
     Real textmsg(s1; s2) "";
     Real popup(s; title, warning, error, blocking) "blocking: until the popup is closed";
     Real protective_stop() "";
     Real powerdown() "";
-    Real rtde_set_watchdog(variable_name; min_frequency, action) "";
+    Real rtde_set_watchdog(variable_name, min_frequency; action) "";
     Absent interpreter_mode(; clearQueueOnEnter, clearOnEnd) "";
     Absent end_interpreter() "";
     Absent clear_interpreter() "";
     Absent rpc_factory(type, url) "";
-    Absent request_boolean_from_primary_client(s) "";
-    Absent request_integer_from_primary_client(s) "";
-    Absent request_float_from_primary_client(s) "";
-    Absent request_string_from_primary_client(s) "";
+    Absent request_boolean_from_primary_client(message) "";
+    Absent request_integer_from_primary_client(message) "";
+    Absent request_float_from_primary_client(message) "";
+    Absent request_string_from_primary_client(message) "";
+    Absent eip_reader_factory(instance_name, data_size) "";
+    Absent eip_writer_factory(instance_name, data_size) "";
     // Registers, inputs and outputs.
     Real read_input_boolean_register(address) "";
     Real read_input_integer_register(address) "";
@@ -201,6 +214,7 @@ pub const TABLE: &[Entry] = entries![
     Modelled set_configurable_digital_input_action(port, action) "accepted";
     Modelled set_tool_digital_input_action(port, action) "accepted";
     Modelled set_gp_boolean_input_action(port, action) "accepted";
+    Modelled set_runstate_outputs(outputs) "accepted; scripts of older software call it";
     Modelled set_runstate_standard_digital_output_to_value(outputId, state) "accepted";
     Modelled set_runstate_configurable_digital_output_to_value(outputId, state) "accepted";
     Modelled set_runstate_tool_digital_output_to_value(outputId, state) "accepted";
@@ -216,7 +230,13 @@ pub const TABLE: &[Entry] = entries![
     Absent get_euromap_output(port_number) "";
     Absent set_euromap_output(port_number, signal_value) "";
     Absent set_euromap_runstate_dependent_choice(port_number, runstate_choice) "";
-    Modelled modbus_add_signal(IP, slave_number, signal_address, signal_type, signal_name; sequential_mode) "a value by name; no device is polled";
+    Modelled modbus_add_signal(IP, slave_number, signal_address, signal_type, signal_name; sequential_mode, register_count) "a value by name; no device is polled";
+    Modelled modbus_add_rw_signal(IP, slave_number, read_address, read_register_count, write_address, write_register_count, signal_name; sequential_mode) "a value by name; no device is polled";
+    Modelled modbus_get_error(signal_name; error_source) "0: none";
+    Modelled modbus_get_time_since_signal_invalid(signal_name) "0";
+    Modelled modbus_request_update_signal_value(signal_name) "accepted";
+    Modelled modbus_reset_connection(connection_id; is_blocking) "accepted";
+    Modelled modbus_set_signal_watchdog(signal_name, new_timeout_in_sec) "accepted";
     Modelled modbus_delete_signal(signal_name) "";
     Modelled modbus_get_signal_status(signal_name; is_secondary_program) "what scripts wrote, at first 0";
     Modelled modbus_set_output_register(signal_name, register_value; is_secondary_program) "kept for scripts";
@@ -241,10 +261,25 @@ pub const TABLE: &[Entry] = entries![
     Real socket_set_var(name, value; socket_name) "";
 ];
 
+/// What deviates in built-ins of the language.
+const LANGUAGE_NOTES: &[(&[&str], &str)] = &[
+    (
+        &["str_at", "str_find", "str_len", "str_sub"],
+        "counted in characters; the controller counts bytes, which differ outside ASCII",
+    ),
+    (&["str_cat", "to_str"], "up to 65,536 bytes; the controller refuses more than 1023 characters"),
+];
+
 /// The whole conformance table: the robot's built-ins, then the language's.
 pub fn all() -> Vec<Entry> {
-    let language =
-        library::BUILTINS.iter().map(|builtin| Entry { builtin: *builtin, grade: Grade::Real, note: "" });
+    let note = |name: &str| {
+        LANGUAGE_NOTES.iter().find(|(names, _)| names.contains(&name)).map_or("", |(_, note)| note)
+    };
+    let language = library::BUILTINS.iter().map(|builtin| Entry {
+        builtin: *builtin,
+        grade: Grade::Real,
+        note: note(builtin.name),
+    });
     TABLE.iter().copied().chain(language).collect()
 }
 

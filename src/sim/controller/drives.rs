@@ -32,9 +32,14 @@ impl Core {
             return [0.0; 6];
         }
         let mover = &self.mover;
-        let gravity = Vector3::from(self.payload.gravity);
+        let gravity = self.felt_gravity();
         let (q, qd, qdd) = (mover.q(), mover.qd(), mover.qdd());
         dynamics::inverse_dynamics(&mover.arm.dh, &self.masses(), &q, &qd, &qdd, &gravity)
+    }
+
+    /// What a standing arm feels, m/s2: gravity, and the acceleration of a base that moves.
+    fn felt_gravity(&self) -> Vector3<f64> {
+        Vector3::from(self.payload.gravity) + Vector3::from(self.settings.base_acceleration)
     }
 
     /// Moments with which they do, Nm: those and what holds against the world.
@@ -67,7 +72,7 @@ impl Core {
         let mover = &self.mover;
         let flange = link_frames(&mover.arm.dh, &mover.q())[5];
         let [x, y, z, ..] = self.tcp_acceleration();
-        let felt = Vector3::new(x, y, z) + Vector3::from(self.payload.gravity);
+        let felt = Vector3::new(x, y, z) + self.felt_gravity();
         (flange.rotation.inverse() * felt).into()
     }
 

@@ -179,7 +179,10 @@ fn tool(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             Ok(())
         }),
         "set_payload" | "set_target_payload" | "set_payload_mass" => set_payload(core, call),
-        "set_payload_cog" => finite(call, 0).map(|centre| core.payload.centre = centre),
+        "set_payload_cog" => finite(call, 0).map(|centre| {
+            core.payload.centre = centre;
+            core.payload.inertia = [0.0; 6];
+        }),
         "set_gravity" => finite(call, 0).map(|gravity| core.payload.gravity = gravity),
         "get_tcp_offset" => return Some(Ok(Value::Pose(core.tcp_offset))),
         "get_target_payload" => return Some(Ok(Value::Float(core.payload.mass))),
@@ -191,18 +194,25 @@ fn tool(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
     Some(done.map(|()| Value::Nothing))
 }
 
+/// Largest element of a payload's inertia, kg m2 (script manual, set_target_payload).
+const MAX_INERTIA: f64 = 133.0;
+
 fn set_payload(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     let mass = call.required(0)?.number()?;
     if !(0.0..=50.0).contains(&mass) {
         return Err(format!("{}: a payload of {mass} kg is not possible", call.name));
     }
-    if call.argument(1).is_some() {
-        core.payload.centre = finite(call, 1)?;
+    let centre = call.argument(1).map(|_| finite(call, 1)).transpose()?;
+    // An inertia that is not given is none.
+    let inertia: [f64; 6] = call.argument(2).map_or(Ok([0.0; 6]), |_| finite(call, 2))?;
+    let [moments, products] = [&inertia[..3], &inertia[3..]];
+    if moments.iter().any(|moment| !(0.0..=MAX_INERTIA).contains(moment))
+        || products.iter().any(|product| product.abs() > MAX_INERTIA)
+    {
+        return Err(format!("{}: an inertia of {inertia:?} kg m2 is not possible", call.name));
     }
-    if call.argument(2).is_some() {
-        core.payload.inertia = finite(call, 2)?;
-    }
-    core.payload.mass = mass;
+    core.payload.centre = centre.unwrap_or(core.payload.centre);
+    (core.payload.mass, core.payload.inertia) = (mass, inertia);
     Ok(())
 }
 
@@ -227,9 +237,29 @@ fn state(core: &Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         "get_controller_temp" => Value::Float(40.0),
         "get_tool_accelerometer_reading" => Value::numbers(core.tool_accelerometer()),
         "get_tool_current" => Value::Float(0.0),
+        "get_tool_temp" => Value::Float(35.0),
+        "time" => return Some(time(core, call)),
         "get_target_waypoint" => Value::Pose(core.target_waypoint()),
         _ => return None,
     }))
+}
+
+/// Simulated time as `struct(sec, nanosec)`.
+fn time(core: &Core, call: &Call<'_>) -> Result<Value, String> {
+    /// 2026-01-01 as system time, s.
+    const EPOCH_S: f64 = 1_767_225_600.0;
+    let start = match call.argument(0).map_or(Ok(0), Value::integer)? {
+        0 => 0.0,
+        2 => EPOCH_S,
+        mode => return Err(format!("time: there is no mode {mode}")),
+    };
+    let seconds = start + core.timestamp();
+    let nanoseconds = (seconds.fract() * 1e9).round().min(999_999_999.0);
+    let member = |name: &str, value: f64| (name.into(), Value::Int(value as i32));
+    Ok(Value::Struct(std::sync::Arc::new(vec![
+        member("sec", seconds.trunc()),
+        member("nanosec", nanoseconds),
+    ])))
 }
 
 fn messages(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {

@@ -218,6 +218,9 @@ impl Programs {
         core.settle_orphaned_motion();
         match progress {
             Progress::Running => self.watch(core),
+            Progress::Paused => {
+                self.pause();
+            }
             Progress::Finished => {
                 self.stop(core);
             }
@@ -266,7 +269,7 @@ impl Programs {
         match progress {
             Progress::Finished => {}
             Progress::Failed(exception) => core.message(exception_message(&exception)),
-            Progress::Running => {
+            Progress::Running | Progress::Paused => {
                 let at = program.position();
                 program.stop(core);
                 let message = "a secondary program must not take time".to_owned();

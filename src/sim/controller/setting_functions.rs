@@ -19,6 +19,12 @@ const ACCEPTED: &[&str] = &[
     "set_analog_inputrange",
     "set_standard_analog_input_domain",
     "set_tool_analog_input_domain",
+    "tool_wrench_limit_disable",
+    "set_baselight_off",
+    "set_baselight_iec",
+    "set_baselight_solid",
+    "modbus_reset_connection",
+    "set_runstate_outputs",
     "set_tool_output_mode",
     "set_tool_digital_output_mode",
     "set_input_actions_to_default",
@@ -64,6 +70,15 @@ pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             Ok(Value::Nothing)
         }),
         "set_tool_communication" => tool_communication(call),
+        "tool_wrench_limit_set" => given(call, 0, Value::pose).map(|_| Value::Nothing),
+        "get_base_acceleration" => Ok(Value::numbers(core.settings.base_acceleration)),
+        "set_base_acceleration" => given(call, 0, Value::array::<3>).and_then(|acceleration| {
+            if acceleration.iter().any(|axis| !axis.is_finite()) {
+                return Err("set_base_acceleration: not a finite number".to_owned());
+            }
+            core.settings.base_acceleration = acceleration;
+            Ok(Value::Nothing)
+        }),
         _ => return signals(core, call).or_else(|| encoders(core, call)),
     })
 }
@@ -102,12 +117,28 @@ fn signals(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
     let name = |index: usize| given(call, index, |value| value.string().map(|name| name.to_string()));
     let unknown = |name: &str| format!("{}: there is no signal {name}", call.name);
     Some(match call.name {
-        "modbus_add_signal" => name(4).and_then(|name| {
-            if signals.len() >= MAX_SIGNALS {
-                return Err(format!("modbus_add_signal: more than {MAX_SIGNALS} signals"));
-            }
-            signals.insert(name, 0);
-            Ok(Value::Nothing)
+        "modbus_add_signal" | "modbus_add_rw_signal" => {
+            let place = if call.name == "modbus_add_signal" { 4 } else { 6 };
+            name(place).and_then(|name| {
+                if signals.len() >= MAX_SIGNALS {
+                    return Err(format!("{}: more than {MAX_SIGNALS} signals", call.name));
+                }
+                signals.insert(name, 0);
+                Ok(Value::Nothing)
+            })
+        }
+        "modbus_get_error"
+        | "modbus_get_time_since_signal_invalid"
+        | "modbus_request_update_signal_value"
+        | "modbus_set_signal_watchdog" => name(0).and_then(|name| match call.name {
+            _ if !signals.contains_key(&name) => Err(unknown(&name)),
+            "modbus_get_error" => Ok(Value::Int(0)),
+            "modbus_get_time_since_signal_invalid" => Ok(Value::Float(0.0)),
+            "modbus_set_signal_watchdog" => match given(call, 1, Value::number)? {
+                0.0..=300.0 => Ok(Value::Nothing),
+                seconds => Err(format!("{}: {seconds} s is not between 0 and 300", call.name)),
+            },
+            _ => Ok(Value::Nothing),
         }),
         "modbus_delete_signal" => name(0).map(|name| {
             signals.remove(&name);

@@ -1,4 +1,4 @@
-//! What scripts set and ask back, and nothing else depends on: flags, port memory, Modbus signals, encoders.
+//! What scripts set and ask back, and little else depends on: flags, port memory, Modbus signals, encoders.
 //!
 //! In and out: the functions of `setting_functions`. Bounded: names and addresses are checked there.
 
@@ -23,6 +23,8 @@ pub struct Settings {
     pub signals: HashMap<String, i32>,
     /// Tick counts of the two encoders.
     pub ticks: [f64; 2],
+    /// Acceleration of the base, m/s2 in the base frame: the joint moments feel it.
+    pub base_acceleration: [f64; 3],
 }
 
 impl Default for Settings {
@@ -33,6 +35,7 @@ impl Default for Settings {
             port_registers: HashMap::new(),
             signals: HashMap::new(),
             ticks: [0.0; 2],
+            base_acceleration: [0.0; 3],
         }
     }
 }

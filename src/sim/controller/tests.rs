@@ -172,7 +172,7 @@ fn numbers_that_are_not_finite_are_exceptions() {
 
 #[test]
 fn a_secondary_program_does_not_move_the_arm() {
-    for script in ["movej([1,-1.57,1.57,-1.57,-1.57,0])", "speedj([0.2,0,0,0,0,0])", "stopj(1)"] {
+    for script in ["movej([1,-1.57,1.57,-1.57,-1.57,0])", "speedj([0.2,0,0,0,0,0], 1.4)", "stopj(1)"] {
         let mut controller = running();
         let start = controller.core.mover.q();
         upload(&mut controller, &format!("sec s():\n {script}\nend\n"));

@@ -164,7 +164,10 @@ impl FaultDesk {
             Fault::Clear { fault } => {
                 self.end(state, |active| fault.as_ref().is_none_or(|name| active.order.name == name));
             }
-            Fault::Vacuum(_) | Fault::Camera(_) | Fault::Net { .. } => {}
+            Fault::World(WorldFault::Foreign(_))
+            | Fault::Vacuum(_)
+            | Fault::Camera(_)
+            | Fault::Net { .. } => {}
         }
         lock(&self.world.0).note_fault(order.name);
         if order.fault.lasts() {
@@ -202,7 +205,7 @@ impl FaultDesk {
         self.settle(state);
     }
 
-    /// Brings camera, vacuum and links into line with the faults in force.
+    /// Brings camera, table, vacuum and links into line with the faults in force.
     fn settle(&self, state: &State) {
         let faults = || state.active.iter().map(|active| &active.order.fault);
         self.settle_camera(state);
@@ -210,6 +213,11 @@ impl FaultDesk {
         {
             let mut world = lock(&self.world.0);
             world.set_sticky(state.has(|fault| *fault == Fault::Vacuum(VacuumFault::Stick)));
+            let foreign = faults().filter_map(|fault| match fault {
+                Fault::World(WorldFault::Foreign(thing)) => Some(thing.clone()),
+                _ => None,
+            });
+            world.set_foreign(&foreign.collect::<Vec<_>>());
             for channel in Channel::ALL {
                 world.set_channel_faults(channel, channel_faults(channel, faults()));
             }

@@ -14,6 +14,7 @@ pub mod schedule;
 use crate::geometry::pose::Pose2;
 use crate::sim::faults::camera::ExtraPrint;
 use crate::sim::faults::link::LinkName;
+use crate::sim::world::spec::ForeignBody;
 use crate::sim::world::vacuum::Channel;
 use nalgebra::{Isometry3, Vector3};
 
@@ -137,7 +138,7 @@ pub enum Fault {
     Vacuum(VacuumFault),
     /// The camera or what it sees.
     Camera(CameraFault),
-    /// Somebody moves an object that lies on the table.
+    /// Somebody moves an object that lies on the table, or leaves something there.
     World(WorldFault),
     /// A server's connections.
     Net {
@@ -249,7 +250,7 @@ pub enum CameraFault {
     },
 }
 
-/// Objects moved by hand.
+/// Objects moved by hand, and things left on the table.
 #[derive(Clone, Debug, PartialEq)]
 pub enum WorldFault {
     /// By this in the table frame.
@@ -266,6 +267,8 @@ pub enum WorldFault {
         /// Where.
         pose: Pose2,
     },
+    /// A thing without a marker is put on the table.
+    Foreign(ForeignBody),
 }
 
 /// What is wrong with connections.
@@ -322,7 +325,8 @@ impl Fault {
             ),
             Fault::Vacuum(_) | Fault::Camera(_) => true,
             Fault::Net { toxic, .. } => *toxic != Toxic::ResetPeer,
-            Fault::World(_) | Fault::Clear { .. } => false,
+            Fault::World(world) => matches!(world, WorldFault::Foreign(_)),
+            Fault::Clear { .. } => false,
         }
     }
 }

@@ -7,12 +7,14 @@
 use crate::document::decode::{At, Decoder, Fields, suggestion};
 use crate::document::tree::Value;
 use crate::document::{Complaints, Node, parse};
+use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::sim::faults::camera::ExtraPrint;
 use crate::sim::faults::link::LinkName;
 use crate::sim::faults::{
     CameraFault, Fault, Happening, Order, Phase, Planned, RobotFault, Toxic, Trigger, VacuumFault, WorldFault,
 };
+use crate::sim::world::spec::ForeignBody;
 use crate::sim::world::vacuum::{Channel, HIGHEST_TARGET};
 use crate::units::rad_from_deg;
 use crate::vision::image::tag36h11_bitmap;
@@ -69,6 +71,7 @@ pub const CATALOGUE: &[(&str, &[&str])] = &[
     ("camera.drift", &["translation_m", "rotation_deg", "seconds"]),
     ("world.nudge", &["object", "dx_m", "dy_m", "dtheta_rad"]),
     ("world.place", &["object", "pose", "pose_deg"]),
+    ("world.foreign", &["shape", "size_m", "height_m", "pose", "pose_deg", "seconds"]),
     ("net.reset_peer", &["link"]),
     ("net.timeout", &["link", "seconds"]),
     ("net.latency", &["link", "latency_s", "seconds"]),
@@ -295,6 +298,9 @@ fn camera(decoder: &mut Decoder, name: &str, args: &Args) -> Option<CameraFault>
 }
 
 fn world(decoder: &mut Decoder, name: &str, args: &Args) -> Option<WorldFault> {
+    if name == "foreign" {
+        return args.foreign(decoder).map(WorldFault::Foreign);
+    }
     let object = args.fields.required("object", decoder).and_then(|at| decoder.text(&at));
     if name == "place" {
         let pose = args.pose(decoder);
@@ -394,6 +400,27 @@ impl<'n> Args<'n> {
             return None;
         };
         Some(Pose2::new(x, y, theta))
+    }
+
+    /// A box or a mug: extents in x and y, height, pose.
+    fn foreign(&self, decoder: &mut Decoder) -> Option<ForeignBody> {
+        let names = [("box", false), ("mug", true)];
+        let round = self.optional("shape", false, |at| decoder.choice(at, &names));
+        let size = self.fields.required("size_m", decoder).and_then(|at| {
+            let [length, width] = decoder.numbers::<2>(&at)?;
+            let fine = 1e-3..=1.0;
+            if !fine.contains(&length) || !fine.contains(&width) {
+                decoder.complain_at(&at, format!("[{length}, {width}] is no size"), "1 mm to 1 m in x and y");
+                return None;
+            }
+            Some([length, width])
+        });
+        let height_m = self.number(decoder, "height_m", 1e-3..=0.5, "m");
+        let pose = self.pose(decoder);
+        let [length, width] = size?;
+        let footprint =
+            if round? { Footprint::ellipse(length, width) } else { Footprint::rectangle(length, width) };
+        Some(ForeignBody { footprint: footprint.ok()?, height_m: height_m?, pose: pose? })
     }
 
     fn input(&self, decoder: &mut Decoder) -> Option<String> {

@@ -11,7 +11,7 @@ use crate::sim::render::scene::look_at;
 use crate::sim::robot_server::RobotPorts;
 use crate::sim::world::event::EventKind;
 use crate::sim::world::lock;
-use crate::sim::world::spec::{CameraMount, Cup, GripperSpec, PlacementErrors, ReferenceMarker, TableSpec};
+use crate::sim::world::spec::{CameraMount, GripperSpec, PlacementErrors, ReferenceMarker, TableSpec};
 use crate::sim::world::spec::{WorldObject, WorldSpec};
 use crate::sim::world::vacuum::Channel;
 use crate::wire::rtde::{Reply, Request, Splitter, Version};
@@ -70,12 +70,7 @@ pub(super) fn config() -> SimConfig {
                 pose: crate::geometry::pose::Pose2::new(0.2, 0.2, 0.0),
             }],
             errors: PlacementErrors::default(),
-            gripper: GripperSpec {
-                flange_from_tool: Isometry3::translation(0.0, 0.0, 0.1),
-                cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
-                body: Footprint::rectangle(0.05, 0.05).unwrap(),
-                body_above_lips_m: 0.05,
-            },
+            gripper: GripperSpec::one_cup(0.1),
         },
         camera: CameraSetup {
             truth: camera.clone(),

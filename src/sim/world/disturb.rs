@@ -8,9 +8,12 @@ use crate::sim::faults::FaultError;
 use crate::sim::faults::camera::CameraFaults;
 use crate::sim::faults::schedule::Glance;
 use crate::sim::render::scene::Cells;
-use crate::sim::world::World;
 use crate::sim::world::event::{Event, EventKind};
+use crate::sim::world::section::Section;
+use crate::sim::world::spec::ForeignBody;
 use crate::sim::world::vacuum::{Channel, HIGHEST_TARGET, VacuumMode};
+use crate::sim::world::{Body, BodyState, World};
+use std::sync::Arc;
 
 /// What is wrong with a channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -37,6 +40,26 @@ impl Leak {
             return self.vacuum;
         }
         HIGHEST_TARGET + (self.vacuum - HIGHEST_TARGET) * age_s / self.falls_s
+    }
+}
+
+/// A mug's mass, kg.
+const FOREIGN_MASS_KG: f64 = 0.3;
+/// A mug's colour.
+const FOREIGN_COLOUR: [u8; 3] = [150, 96, 60];
+
+fn foreign_body(index: usize, thing: &ForeignBody) -> Body {
+    Body {
+        id: format!("foreign-{index}"),
+        section: Arc::new(Section::from_footprint(&thing.footprint)),
+        height_m: thing.height_m,
+        mass_kg: FOREIGN_MASS_KG,
+        marker: None,
+        grippable: None,
+        fixed: false,
+        colour: FOREIGN_COLOUR,
+        table_from_object: thing.pose.at_height(0.0),
+        state: BodyState::Resting { on: Vec::new() },
     }
 }
 
@@ -92,6 +115,28 @@ impl World {
         let index = self.free_object(object)?;
         self.put_down(index, *pose);
         Ok(())
+    }
+
+    /// Puts these things on the table, and takes away those put there before that are no longer among them.
+    ///
+    /// A thing that hangs on the gripper is left there.
+    pub fn set_foreign(&mut self, wanted: &[ForeignBody]) {
+        let known = std::mem::take(&mut self.foreign);
+        for (thing, index) in known {
+            let stays = wanted.contains(&thing) || !self.bodies[index].is_resting();
+            if stays {
+                self.foreign.push((thing, index));
+            } else {
+                self.bodies[index].state = BodyState::Fallen;
+            }
+        }
+        for thing in wanted {
+            if !self.foreign.iter().any(|(there, _)| there == thing) {
+                let index = self.bodies.len();
+                self.bodies.push(foreign_body(index, thing));
+                self.foreign.push((thing.clone(), index));
+            }
+        }
     }
 
     fn free_object(&self, object: &str) -> Result<usize, FaultError> {

@@ -33,7 +33,9 @@ use crate::sim::render::scene::Cells;
 use crate::sim::world::disturb::ChannelFaults;
 use crate::sim::world::event::{Contact, Event, EventKind};
 use crate::sim::world::section::Section;
-use crate::sim::world::spec::{GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec};
+use crate::sim::world::spec::{
+    ForeignBody, GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec,
+};
 use crate::sim::world::spec::{WorldError, WorldObject, WorldSpec};
 use crate::sim::world::vacuum::{Channel, Pump, VacuumMode};
 use crate::vision::image::tag36h11_bitmap;
@@ -87,6 +89,8 @@ pub struct World {
     recorded: u64,
     camera: CameraFaults,
     sticky: bool,
+    /// Things without a marker that stand on the table, with their places among the bodies.
+    foreign: Vec<(ForeignBody, usize)>,
 }
 
 /// An object as it is now.
@@ -251,6 +255,7 @@ impl World {
             recorded: 0,
             camera: CameraFaults::default(),
             sticky: false,
+            foreign: Vec::new(),
         })
     }
 

@@ -29,6 +29,20 @@ pub struct WorldSpec {
     pub gripper: GripperSpec,
 }
 
+impl WorldSpec {
+    /// A bare table of 0.5 x 0.5 m and a gripper of one cup.
+    pub fn bare(base_from_table: Isometry3<f64>, gripper: GripperSpec) -> WorldSpec {
+        WorldSpec {
+            table: TableSpec { width_m: 0.5, height_m: 0.5, margin_m: 0.1 },
+            base_from_table,
+            objects: Vec::new(),
+            reference_markers: Vec::new(),
+            errors: PlacementErrors::default(),
+            gripper,
+        }
+    }
+}
+
 /// The workspace `[0, width] x [0, height]` and the margin of board around it; what leaves the board falls.
 #[derive(Clone, Copy, Debug)]
 pub struct TableSpec {
@@ -61,6 +75,17 @@ pub struct WorldObject {
     pub fixed: bool,
     /// Colour of its top; absent: one by its number.
     pub colour: Option<[u8; 3]>,
+}
+
+/// A thing without a marker that somebody puts on the table: an upright prism.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ForeignBody {
+    /// Its footprint.
+    pub footprint: Footprint,
+    /// Its height, m.
+    pub height_m: f64,
+    /// Where it stands.
+    pub pose: Pose2,
 }
 
 /// A tag36h11 marker on an object's top.
@@ -120,6 +145,19 @@ pub struct GripperSpec {
     pub body: Footprint,
     /// Height of the housing's underside above the cup lips, m.
     pub body_above_lips_m: f64,
+}
+
+impl GripperSpec {
+    /// The simplest gripper: one cup of 20 mm on channel A, `length_m` straight below the flange, under a housing of
+    /// 50 x 50 mm whose underside is 50 mm above the lip.
+    pub fn one_cup(length_m: f64) -> GripperSpec {
+        GripperSpec {
+            flange_from_tool: Isometry3::translation(0.0, 0.0, length_m),
+            cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
+            body: Footprint::Rectangle { length: 0.05, width: 0.05 },
+            body_above_lips_m: 0.05,
+        }
+    }
 }
 
 /// A suction cup.

@@ -6,6 +6,7 @@ use crate::geometry::footprint::Footprint;
 use crate::motion::kinematics::DhParameters;
 use crate::motion::path::Segment;
 use crate::motion::pick_n_place::tool_down;
+use crate::supervisor::input::CameraTrouble;
 
 /// At the plan request, then on the way to the pick.
 fn working() -> Bench {
@@ -293,4 +294,62 @@ fn approval_of_the_first_plan_covers_the_next_for_the_same_goal() {
         let actions = bench.plan();
         assert_eq!(streams(&actions) == 0, waits, "{approval:?}: {actions:?}");
     }
+}
+
+fn camera_trouble(code: &'static str, lasting: bool) -> Input {
+    let message = "the camera is frozen".to_string();
+    Input::Captured(Err(CameraTrouble { code, message, remedy: "look at its cable", lasting }))
+}
+
+/// At the first look pose, with a picture asked for.
+fn looking() -> Bench {
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.feed(Input::Operator(OperatorCommand::Arm));
+    bench.ticks(20);
+    bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+    let settled = bench.ticks(10);
+    assert!(settled.iter().any(|action| matches!(action, Action::Capture { .. })), "{settled:?}");
+    bench
+}
+
+#[test]
+fn a_camera_without_pictures_is_waited_for_and_named_once() {
+    let mut bench = looking();
+    let mut all = Vec::new();
+    for _ in 0..5 {
+        all.extend(bench.feed(camera_trouble("camera_frozen", false)));
+        all.extend(bench.ticks(10));
+    }
+    assert_eq!(streams(&all), 0, "the arm stands");
+    let asked = all.iter().filter(|action| matches!(action, Action::Capture { .. })).count();
+    let told = all.iter().filter(|action| matches!(action, Action::Say(notice) if notice.alarm)).count();
+    assert_eq!((asked, told, ended(&all)), (5, 1, None), "{all:?}");
+    assert_eq!(bench.cell.status().phase, "looking 1/1, waiting: camera_frozen");
+    all.extend(bench.feed(camera_trouble("camera_dark", false)));
+    assert!(said(&all, "camera_dark"), "another fault is told again");
+    bench.ticks(10);
+    let back = bench.feed(Input::Captured(Ok(Vec::new())));
+    assert!(said(&back, "gives pictures again"));
+    assert!(back.iter().any(|action| matches!(action, Action::Observe(_))), "{back:?}");
+}
+
+#[test]
+fn a_camera_that_stays_away_fails_the_job_by_its_name_and_leaves_the_cell_armed() {
+    let mut bench = looking();
+    let mut all = bench.feed(camera_trouble("camera_unplugged", false));
+    // The look's deadline is 20 s; a tick here is 20 ms.
+    all.extend(bench.ticks(1100));
+    assert_eq!(ended(&all), Some((JobEnd::Failed, "camera_unplugged".into())));
+    assert!(bench.cell.status().armed && !all.iter().any(|a| matches!(a, Action::Robot(_))), "{all:?}");
+    let mut next = bench.job(false);
+    next.extend(bench.ticks(5));
+    assert_eq!(streams(&next), 1, "the next job looks again");
+}
+
+#[test]
+fn another_camera_than_the_calibrated_one_is_not_waited_for() {
+    let mut bench = looking();
+    let told = bench.feed(camera_trouble("camera_misfit", true));
+    assert_eq!(ended(&told), Some((JobEnd::Failed, "camera_misfit".into())));
 }

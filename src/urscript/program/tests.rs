@@ -246,7 +246,11 @@ fn exceptions_have_a_place() {
     check_fails("x = 'a' + 1", 1, 9, "cannot compute string + int");
     check_fails("while 1: end", 1, 7, "endless loop");
     check_fails("def f(n): return f(n + 1) end f(0)", 1, 18, "nested deeper");
-    check_fails("x = [0] while True: x = [x, x] end", 1, 25, "too large");
+    check_fails("x = [0] while True: x = [x] end", 1, 25, "too large");
+    check_fails("x = [0] x = [1, 2]", 1, 9, "does not fit");
+    check_fails("x = [0] x.append(1)", 1, 10, "make_list sets its capacity");
+    check_fails("x = [0] x.shape()", 1, 10, "only a matrix");
+    check_fails("x = 5 y = x.length()", 1, 12, "int has no method");
     check_fails("x = sqrt(-1)", 1, 5, "not defined");
     check_fails(
         "thread t():\n sync()\n x = [0][1]\nend\nrun t()\nsync() sync() sync()",
@@ -297,4 +301,30 @@ proptest! {
             }
         }
     }
+}
+
+#[test]
+fn methods_work_on_lists_structs_and_matrices() {
+    // The manual's own examples (chapter 4.3), and what it leaves open.
+    check(
+        "l = make_list(0, 0, 10)\nl.append(88)\nsay(l)\nsay(l.capacity())\nsay(l.excess_capacity())\n\
+         l.extend([1, 2])\nl.insert(1, 7)\nsay(l)\nsay(l.pop())\nl.remove(0)\nsay(l.to_string())\nl.clear()\nsay(l.length())",
+        "[88]|10|9|[88, 7, 1, 2]|2|[7, 1]|0",
+    );
+    check(
+        "l1 = make_list(5, -1, 10)\nl2 = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]\nidx = l1.length()\n\
+         while(idx < l1.capacity()):\nl1.append(l2[idx])\nidx = idx + 1\nend\nsay(l1)\nsay(l2.slice(2, 4))",
+        "[-1, -1, -1, -1, -1, 6, 7, 8, 9, 10]|[3, 4]",
+    );
+    check(
+        "s = struct(a = 1, b = make_list(0, 0, 2))\ns.b.append(5)\nsay(s.b)\nsay(s[0])\nsay(s.length())\n\
+         m = [[1, 2, 3], [4, 5, 6]]\nsay(m.shape())\nsay(m.get_row(1))\nsay(m.get_column(2))\nsay(! True)",
+        "[5]|1|2|[2, 3]|[4, 5, 6]|[3, 6]|False",
+    );
+    // A list keeps its capacity when it is assigned to; copies are their own.
+    check(
+        "a = make_list(0, 0, 3)\na = [1, 2]\na.append(3)\nb = a\nb[0] = 9\nsay(a)\nsay(a.capacity())\nc = [0.0, 0.0]\n\
+         c = struct(x = 1.5, y = 2.5)\nsay(c)",
+        "[1, 2, 3]|3|[1.5, 2.5]",
+    );
 }

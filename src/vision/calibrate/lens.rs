@@ -223,17 +223,25 @@ fn outliers(by_view_px: &[f64], ratio: f64) -> Vec<bool> {
 }
 
 fn covered(views: &[&BoardView], rejected: &[bool], width: u32, height: u32) -> Result<(), LensError> {
-    let mut seen = [false; 9];
-    let third = |value: f64, size: u32| ((3.0 * value / f64::from(size.max(1))) as usize).min(2);
-    for (view, _) in views.iter().zip(rejected).filter(|(_, rejected)| !**rejected) {
-        for [x, y] in &view.corners.1 {
-            seen[3 * third(*y, height) + third(*x, width)] = true;
-        }
-    }
-    match PARTS.into_iter().zip(seen).find(|(_, seen)| !seen) {
-        Some((part, _)) => Err(LensError::Uncovered { part }),
+    let kept = views.iter().zip(rejected).filter(|(_, rejected)| !**rejected).map(|(view, _)| *view);
+    match uncovered(kept, width, height).first() {
+        Some(part) => Err(LensError::Uncovered { part }),
         None => Ok(()),
     }
+}
+
+/// Ninths of the picture in which no view shows a corner of the board, by name, from the upper left.
+pub fn uncovered<'a>(
+    views: impl Iterator<Item = &'a BoardView>,
+    width: u32,
+    height: u32,
+) -> Vec<&'static str> {
+    let mut seen = [false; 9];
+    let third = |value: f64, size: u32| ((3.0 * value / f64::from(size.max(1))) as usize).min(2);
+    for [x, y] in views.flat_map(|view| &view.corners.1) {
+        seen[3 * third(*y, height) + third(*x, width)] = true;
+    }
+    PARTS.into_iter().zip(seen).filter(|(_, seen)| !seen).map(|(part, _)| part).collect()
 }
 
 fn observable(fit: &LensFit, settings: &LensSettings) -> Result<(), LensError> {

@@ -70,6 +70,7 @@ impl Problem {
                 table_from_camera: Isometry3::identity(),
                 detections: sample.detections.clone(),
                 time: crate::time::Timestamp::ZERO,
+                heights: None,
             };
             let mut sightings = planar::sightings(camera, std::slice::from_ref(&view))?;
             let mut stop = Stop {

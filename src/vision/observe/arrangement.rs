@@ -6,9 +6,11 @@
 use crate::geometry::pose::Pose2;
 use crate::time::Timestamp;
 use crate::vision::detect::Detection;
+use crate::vision::foreign::{ForeignReport, HeightMap};
 use crate::vision::observe::reference;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// The detections of one picture and where the camera was.
 #[derive(Clone, Debug)]
@@ -19,6 +21,8 @@ pub struct View {
     pub detections: Vec<Detection>,
     /// When the picture was taken.
     pub time: Timestamp,
+    /// What the depth picture of the same moment says about the table, where there is one.
+    pub heights: Option<Arc<HeightMap>>,
 }
 
 /// An object and the marker on its top.
@@ -169,6 +173,8 @@ pub struct Observation {
     pub reference: Option<reference::ReferenceCheck>,
     /// Root mean square error of the reference markers' centres, m; `None` when none was seen.
     pub reference_residual_m: Option<f64>,
+    /// What stands there and carries no marker; `None` where no depth was measured. Whoever has depth fills it in.
+    pub foreign: Option<ForeignReport>,
 }
 
 impl Observation {

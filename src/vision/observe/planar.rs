@@ -216,7 +216,7 @@ mod tests {
         let prints = [Print::level(1, TARGET.size_m, truth, TARGET.height_m)];
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let detections = testing::detections(camera, &table_from_camera, &prints, noise_px, &mut random);
-        let views = [View { table_from_camera, detections, time: Timestamp::ZERO }];
+        let views = [View { table_from_camera, detections, time: Timestamp::ZERO, heights: None }];
         let seen = sightings(seen_by, &views).unwrap();
         (truth, place(&seen[&1][0], TARGET, &views, &ObserveLimits::default()).unwrap())
     }
@@ -272,7 +272,7 @@ mod tests {
         let noise = limits.corner_std_px();
         let prints = [print];
         let detections = testing::detections(&camera, &table_from_camera, &prints, noise, &mut random);
-        let views = [View { table_from_camera, detections, time: Timestamp::ZERO }];
+        let views = [View { table_from_camera, detections, time: Timestamp::ZERO, heights: None }];
         let seen = sightings(&camera, &views).unwrap();
         let target = Target { height_std_m: prior_m, tilt_std_rad: prior_rad, ..TARGET };
         let placed = place(&seen[&1][0], target, &views, &limits).unwrap();
@@ -296,7 +296,7 @@ mod tests {
         let camera = testing::camera(1280, 720);
         let (_, placed) = placed(&camera, &camera, 0.0, 0);
         let table_from_camera = testing::looking_down(0.0, 0.0, 0.4, [0.2, 0.1], 0.4);
-        let views = [View { table_from_camera, detections: vec![], time: Timestamp::ZERO }];
+        let views = [View { table_from_camera, detections: vec![], time: Timestamp::ZERO, heights: None }];
         let above = Target { height_m: 1.0, ..TARGET };
         assert!(place(&placed.sighting, above, &views, &ObserveLimits::default()).is_none());
     }

@@ -42,7 +42,7 @@ const LINES: &[(&str, &str)] = &[
         "[4, 2, 5, -1]",
     ),
     ("str_empty(\"\") and not str_empty(\"a\")", "True"),
-    ("to_num(\"3.5\") * 2", "7"),
+    ("to_num(\"3.5\") * 2 + to_num(\"0x10\")", "23"),
     ("str_len(to_str(12))", "2"),
     // Poses.
     ("point_dist(p[0,0,0,1,0,0], p[3,4,0,0,0,0])", "5"),
@@ -134,6 +134,17 @@ const CHANGES: &[(&str, &str, &str)] = &[
         "set_target_payload(1, [0, 0, 0], [1, 2, 3, 0, 0, 0])",
         "get_target_payload_inertia()",
         "[1, 2, 3, 0, 0, 0]",
+    ),
+    ("set_base_acceleration([1, 0, 0])", "get_base_acceleration()", "[1, 0, 0]"),
+    (
+        "set_target_payload(1, [0, 0, 0], [1, 2, 3, 0, 0, 0]) set_payload(1)",
+        "norm(get_target_payload_inertia())",
+        "0",
+    ),
+    (
+        "l = make_list(1, 5, 3) l.append(6) l.insert(0, 4)",
+        "[l.length(), l.capacity(), l.excess_capacity(), l[0]]",
+        "[3, 3, 0, 4]",
     ),
     ("set_gravity([0, 5, 0])", "get_gravity()", "[0, 5, 0]"),
 ];

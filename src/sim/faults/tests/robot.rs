@@ -323,6 +323,37 @@ async fn people_move_objects_and_faults_name_what_exists() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn things_without_a_marker_stand_on_the_table_until_their_fault_ends() {
+    let bench = bench("").await;
+    let heights = || -> Vec<f64> {
+        let scene = lock(&bench.sim.world()).scene();
+        scene
+            .prisms
+            .iter()
+            .filter(|p| p.table_from_prism.translation.z.abs() < 1e-9)
+            .map(|p| p.height_m)
+            .collect()
+    };
+    assert_eq!(heights(), [0.03], "the block alone");
+    let thing = |shape: &str, y: f64, height_m: f64| {
+        format!(
+            "{{do: world.foreign, args: {{shape: {shape}, size_m: [0.08, 0.05], height_m: {height_m}, pose: [0.2, {y}, 0]}}}}"
+        )
+    };
+    bench.fault(&thing("mug", 0.2, 0.09));
+    bench.fault(&thing("box", 0.8, 0.05));
+    // Ordered again it is still one thing.
+    bench.fault(&thing("mug", 0.2, 0.09));
+    assert_eq!(heights(), [0.03, 0.09, 0.05]);
+    bench.fault("{do: camera.gain, args: {gain: 0.9}}");
+    bench.fault("{do: clear, args: {fault: camera.gain}}");
+    assert_eq!(heights(), [0.03, 0.09, 0.05], "other faults leave them alone");
+    bench.fault("{do: clear, args: {fault: world.foreign}}");
+    assert_eq!(heights(), [0.03]);
+    bench.sim.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn rtde_comes_at_another_rate_than_was_agreed() {
     let bench = bench("").await;
     let mut rtde = Rtde::connect(bench.sim.addresses.robot.rtde, &["control_step"]).await;

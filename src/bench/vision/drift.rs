@@ -1,0 +1,279 @@
+//! How surely a camera that was bumped is noticed, and how often one is called bumped that was not.
+//!
+//! In: how many trials and looks, a seed. Out: [`Report`]. A table with twelve reference markers and two look poses, as in the example
+//! configuration; the arm comes back to each within its repeatability, corners carry noise. A bump shifts the camera by 2 mm
+//! in any direction or turns it by 0.3 degrees about any axis, for the whole look. Most looks use the corners as the lens
+//! projects them, with normal noise twice what the detector leaves on rendered pictures; some are rendered and detected.
+//! Observation and decision are the cell's own.
+
+use crate::bench::vision::render::{Ground, Lens, Print, render};
+use crate::bench::vision::scene::{DEGRADE, bench_camera, looking_down};
+use crate::geometry::pose::Pose2;
+use crate::time::Timestamp;
+use crate::vision::detect::{DetectSettings, Detection, Detector, Family};
+use crate::vision::observe::reference::DriftLimits;
+use crate::vision::observe::{ObserveLimits, ReferenceMarker, View, observe};
+use nalgebra::{Isometry3, UnitVector3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// The bumps.
+const SHIFT_M: f64 = 2e-3;
+const TURN_RAD: f64 = 0.3 * std::f64::consts::PI / 180.0;
+/// The arm's repeatability, standard deviation along each axis, m.
+const REPEAT_M: f64 = 3e-5;
+/// Corner noise along each axis, pixels.
+const CORNER_PX: f64 = 0.05;
+/// The table and the markers round it, m.
+const TABLE_M: f64 = 0.5;
+const MARKER_M: f64 = 0.03;
+/// Frames from each look pose.
+const FRAMES: usize = 2;
+
+/// What to run.
+#[derive(Clone, Copy, Debug)]
+pub struct Task {
+    /// Bumped looks; half of them shifted, half turned.
+    pub trials: usize,
+    /// Looks with nothing wrong.
+    pub looks: usize,
+    /// Looks that are rendered and detected, half of them bumped.
+    pub rendered: usize,
+    /// Seed.
+    pub seed: u64,
+}
+
+/// What came out.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Bumped looks.
+    pub trials: usize,
+    /// Those that were noticed.
+    pub noticed: usize,
+    /// The least any bump exceeded its limit by, 1 being the limit.
+    pub least_excess: f64,
+    /// Looks with nothing wrong.
+    pub looks: usize,
+    /// Those that were called bumped.
+    pub false_alarms: usize,
+    /// The most any of them came to, 1 being the limit.
+    pub largest_share: f64,
+    /// Rendered looks that were bumped, and those of them that were noticed.
+    pub rendered_trials: usize,
+    /// See `rendered_trials`.
+    pub rendered_noticed: usize,
+    /// Rendered looks with nothing wrong, and those of them that were called bumped.
+    pub rendered_looks: usize,
+    /// See `rendered_looks`.
+    pub rendered_false_alarms: usize,
+    /// The limits.
+    pub limit_mm: f64,
+    /// See `limit_mm`.
+    pub limit_deg: f64,
+}
+
+/// Lens, markers and look poses.
+struct Bench {
+    lens: Lens,
+    reference: Vec<ReferenceMarker>,
+    prints: Vec<Print>,
+    poses: [Isometry3<f64>; 2],
+    limits: DriftLimits,
+}
+
+/// How the markers of a picture become known.
+enum Eye {
+    /// Projected, with noise.
+    Corners,
+    /// Drawn and detected.
+    Pictures(Box<Detector>),
+}
+
+/// Runs with these limits; `None` when `stop` was set.
+///
+/// # Errors
+/// What detector or observation say.
+pub fn run(task: Task, limits: DriftLimits, stop: &AtomicBool) -> Result<Option<Report>, String> {
+    let mut random = ChaCha8Rng::seed_from_u64(task.seed);
+    let bench = Bench::new(limits, &mut random);
+    let mut report = Report {
+        trials: task.trials,
+        noticed: 0,
+        least_excess: f64::INFINITY,
+        looks: task.looks,
+        false_alarms: 0,
+        largest_share: 0.0,
+        rendered_trials: task.rendered / 2,
+        rendered_noticed: 0,
+        rendered_looks: task.rendered - task.rendered / 2,
+        rendered_false_alarms: 0,
+        limit_mm: limits.shift_m * 1e3,
+        limit_deg: limits.turn_rad.to_degrees(),
+    };
+    let mut eye = Eye::Corners;
+    for trial in 0..task.trials + task.looks {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let bumped = trial < task.trials;
+        let bump = if bumped { bump(trial, &mut random) } else { Isometry3::identity() };
+        let (drifted, share) = bench.look(&bump, &mut eye, &mut random)?;
+        if bumped {
+            report.noticed += usize::from(drifted);
+            report.least_excess = report.least_excess.min(share);
+        } else {
+            report.false_alarms += usize::from(drifted);
+            report.largest_share = report.largest_share.max(share);
+        }
+    }
+    let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
+    let mut eye = Eye::Pictures(Box::new(detector));
+    for trial in 0..task.rendered {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let bumped = trial < report.rendered_trials;
+        let bump = if bumped { bump(trial, &mut random) } else { Isometry3::identity() };
+        let (drifted, _) = bench.look(&bump, &mut eye, &mut random)?;
+        report.rendered_noticed += usize::from(drifted && bumped);
+        report.rendered_false_alarms += usize::from(drifted && !bumped);
+    }
+    Ok(Some(report))
+}
+
+/// By turns a shift and a turn, in a direction of its own, in the camera's frame.
+fn bump(trial: usize, random: &mut ChaCha8Rng) -> Isometry3<f64> {
+    let direction = direction(random);
+    if trial.is_multiple_of(2) {
+        Isometry3::new(direction.scale(SHIFT_M), Vector3::zeros())
+    } else {
+        Isometry3::new(Vector3::zeros(), direction.scale(TURN_RAD))
+    }
+}
+
+/// Any direction, all equally likely.
+fn direction(random: &mut ChaCha8Rng) -> UnitVector3<f64> {
+    loop {
+        let mut one = || random.random_range(-1.0..1.0);
+        let v = Vector3::new(one(), one(), one());
+        if (0.01..=1.0).contains(&v.norm()) {
+            return UnitVector3::new_normalize(v);
+        }
+    }
+}
+
+fn normal(random: &mut ChaCha8Rng) -> f64 {
+    let (u, v): (f64, f64) = (random.random(), random.random());
+    (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+impl Bench {
+    fn new(limits: DriftLimits, random: &mut ChaCha8Rng) -> Bench {
+        let (low, high) = (-0.045, TABLE_M + 0.045);
+        let (a, b) = (TABLE_M / 3.0, 2.0 * TABLE_M / 3.0);
+        let corners = [[low, low], [high, low], [low, high], [high, high]];
+        let along = [a, b].into_iter().flat_map(|at| [[at, low], [at, high], [low, at], [high, at]]);
+        let marker = |(i, [x, y]): (u32, [f64; 2])| ReferenceMarker {
+            id: 500 + i,
+            size: MARKER_M,
+            pose: Pose2::new(x, y, 0.0),
+        };
+        let reference: Vec<ReferenceMarker> =
+            (0..).zip(corners.into_iter().chain(along)).map(marker).collect();
+        let print = |marker: &ReferenceMarker| {
+            Some(Print {
+                pattern: Family::Tag36h11.pattern(marker.id)?,
+                size_m: marker.size,
+                table_from_marker: marker.pose.at_height(0.0),
+                greys: [35.0, 215.0],
+                rim: (0.002, 150.0),
+            })
+        };
+        let prints = reference.iter().filter_map(print).collect();
+        let middle = TABLE_M / 2.0;
+        let poses = [0.14, TABLE_M - 0.14].map(|y| looking_down([middle, y], 0.5, [0.02, -0.03], 0.05));
+        Bench { lens: Lens::new(bench_camera(), random), reference, prints, poses, limits }
+    }
+
+    /// Whether a look with the camera bumped like that is called drift, and how near it comes to the limits.
+    fn look(
+        &self,
+        bump: &Isometry3<f64>,
+        eye: &mut Eye,
+        random: &mut ChaCha8Rng,
+    ) -> Result<(bool, f64), String> {
+        let mut views = Vec::with_capacity(self.poses.len() * FRAMES);
+        for believed in &self.poses {
+            let repeat = Vector3::new(normal(random), normal(random), normal(random)) * REPEAT_M;
+            let truly = believed * Isometry3::new(repeat, Vector3::zeros()) * bump;
+            for _ in 0..FRAMES {
+                let detections = self.detections(&truly, eye, random)?;
+                let (table_from_camera, time) = (*believed, Timestamp::ZERO);
+                views.push(View { table_from_camera, detections, time, heights: None });
+            }
+        }
+        let seen = observe(&[], &self.reference, &self.lens.camera, &views, &ObserveLimits::default());
+        let check = seen.map_err(|error| error.to_string())?.reference;
+        let check = check.ok_or("a look showed no reference marker")?;
+        let share = check.worst_look(&self.limits).map_or(0.0, |(_, excess)| excess);
+        Ok((check.drifted(&self.limits), share.max(check.residual_rms_m / self.limits.residual_m)))
+    }
+
+    fn detections(
+        &self,
+        table_from_camera: &Isometry3<f64>,
+        eye: &mut Eye,
+        random: &mut ChaCha8Rng,
+    ) -> Result<Vec<Detection>, String> {
+        if let Eye::Pictures(detector) = eye {
+            let ground = Ground::Plain(140.0);
+            let picture = render(&self.lens, table_from_camera, &ground, &self.prints, DEGRADE, random);
+            return detector.detect(&picture).map_err(|error| error.to_string());
+        }
+        let (width, height) = (f64::from(self.lens.camera.width), f64::from(self.lens.camera.height));
+        let mut seen = Vec::new();
+        for (marker, print) in self.reference.iter().zip(&self.prints) {
+            let corners = print.corners(&self.lens, table_from_camera);
+            let inside =
+                |[x, y]: &[f64; 2]| (4.0..width - 4.0).contains(x) && (4.0..height - 4.0).contains(y);
+            let Some(mut corners) = corners.filter(|corners| corners.iter().all(inside)) else { continue };
+            for value in corners.iter_mut().flatten() {
+                *value += CORNER_PX * normal(random);
+            }
+            seen.push(Detection {
+                family: "tag36h11".into(),
+                id: marker.id,
+                corners,
+                ..Detection::default()
+            });
+        }
+        Ok(seen)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: DriftLimits =
+        DriftLimits { residual_m: 2e-3, shift_m: 1e-3, turn_rad: 0.15 * 0.017_453_292 };
+
+    #[test]
+    fn every_bump_is_noticed_and_nothing_else_is() {
+        let task = Task { trials: 100, looks: 300, rendered: 4, seed: 2 };
+        let report = run(task, LIMITS, &AtomicBool::new(false)).unwrap().unwrap();
+        println!("{report:?}");
+        assert_eq!((report.noticed, report.false_alarms), (100, 0), "{report:?}");
+        assert_eq!((report.rendered_noticed, report.rendered_false_alarms), (2, 0), "{report:?}");
+        assert!(report.least_excess > 1.0 && report.largest_share < 0.5, "{report:?}");
+    }
+
+    #[test]
+    fn limits_that_are_too_wide_let_bumps_through() {
+        let wide = DriftLimits { residual_m: 9e-3, shift_m: 4e-3, turn_rad: 0.02 };
+        let task = Task { trials: 20, looks: 0, rendered: 0, seed: 2 };
+        assert!(run(task, wide, &AtomicBool::new(false)).unwrap().unwrap().noticed < 20);
+    }
+}

@@ -1,0 +1,126 @@
+//! What `celld detect --config` adds: where the objects lie on the table, and, with a depth picture, what carries no marker.
+//!
+//! In: the cell's configuration and calibration, the markers of a picture, a depth picture aligned to it. Out: sentences, JSON and
+//! outlines to draw. Where the picture was taken is told by the reference markers in it.
+
+use crate::cli::capture::{objects, told, where_taken};
+use crate::cli::detect::{chain, read_bytes, read_camera};
+use crate::config::cell::{CameraMount, CellConfig};
+use crate::config::load::load_cell;
+use crate::daemon::setup::{inventory, reference_markers};
+use crate::time::Timestamp;
+use crate::vision::annotate::{self, BAD, GOOD, Overlay};
+use crate::vision::camera::CameraModel;
+use crate::vision::detect::Detection;
+use crate::vision::foreign::ForeignLimits;
+use crate::vision::foreign::search::ForeignSearch;
+use crate::vision::image::depth::UNIT_M;
+use crate::vision::image::{DepthImage, Image};
+use crate::vision::observe::{Observation, ObserveLimits, View, observe};
+use nalgebra::Isometry3;
+use std::fmt::Write;
+use std::path::Path;
+use std::sync::Arc;
+
+/// A cell as far as pictures of its table go.
+pub(super) struct Cell {
+    config: CellConfig,
+    /// The calibrated lens.
+    pub lens: CameraModel,
+}
+
+/// A table as one picture shows it.
+pub(super) struct Table {
+    /// What lies where.
+    pub seen: Observation,
+    config: CellConfig,
+    lens: CameraModel,
+    table_from_camera: Isometry3<f64>,
+}
+
+impl Cell {
+    /// Reads the configuration and the lens it names.
+    pub fn read(path: &Path) -> Result<Cell, String> {
+        let config = load_cell(path).map_err(|error| error.to_string())?;
+        let lens = read_camera(&config.calibration.camera).map_err(|error| {
+            format!("{error}; `celld calibrate camera` or `celld calibrate hand-eye` makes it")
+        })?;
+        Ok(Cell { config, lens })
+    }
+
+    /// The table in a picture with these markers.
+    pub fn look(self, detections: &[Detection], depth: Option<&Path>) -> Result<Table, String> {
+        let Cell { config, lens } = self;
+        let reference = reference_markers(&config);
+        let table_from_camera = where_taken(&lens, &reference, detections)?;
+        let depth = depth.map(read_depth).transpose()?;
+        let search = depth.as_ref().map(|_| search(&config, &lens)).transpose()?;
+        let heights = match (&search, &depth) {
+            (Some(search), Some(depth)) => {
+                Some(Arc::new(search.map(depth, &table_from_camera).map_err(chain)?))
+            }
+            _ => None,
+        };
+        let detections = detections.to_vec();
+        let views = [View { table_from_camera, detections, time: Timestamp::ZERO, heights }];
+        let marked = objects(&config);
+        let mut seen =
+            observe(&marked, &reference, &lens, &views, &ObserveLimits::default()).map_err(chain)?;
+        seen.foreign = search.and_then(|search| search.report(&views, &seen));
+        Ok(Table { seen, config, lens, table_from_camera })
+    }
+}
+
+/// The search with the mount as drawn: the gripper's own room is wide enough for that.
+fn search(config: &CellConfig, lens: &CameraModel) -> Result<ForeignSearch, String> {
+    let own = match &config.camera {
+        CameraMount::Flange { flange_from_camera } => {
+            Some(flange_from_camera.inverse() * config.flange_from_tool)
+        }
+        CameraMount::Fixed { .. } => None,
+    };
+    ForeignSearch::new(lens, inventory(config, own), ForeignLimits::default()).map_err(chain)
+}
+
+fn read_depth(path: &Path) -> Result<DepthImage, String> {
+    let bytes = read_bytes(path)?;
+    DepthImage::decode(&bytes, UNIT_M).map_err(|error| format!("{}: {}", path.display(), chain(error)))
+}
+
+impl Table {
+    /// One line for each object and each thing without a marker.
+    pub fn told(&self) -> String {
+        let mut text = told(&self.seen);
+        if let Some(report) = &self.seen.foreign {
+            for object in &report.objects {
+                let _ = writeln!(text, "foreign: {object}");
+            }
+            let share = 100.0 * report.measured_share;
+            let _ = writeln!(text, "{} foreign, depth on {share:.0} % of the table", report.objects.len());
+        }
+        text
+    }
+
+    /// Draws outlines of what lies where.
+    pub fn draw(&self, image: &mut Image) -> Result<(), String> {
+        let good = self.seen.objects.iter().map(|object| (object, GOOD));
+        let doubted = self.seen.suspicious.iter().filter_map(|doubted| doubted.estimate.as_ref());
+        let mut overlays: Vec<Overlay> = good
+            .chain(doubted.map(|object| (object, BAD)))
+            .filter_map(|(object, colour)| {
+                let spec = self.config.objects.iter().find(|spec| spec.id == object.id)?;
+                Some(Overlay {
+                    label: object.id.clone(),
+                    pose: object.pose,
+                    height_m: spec.height.unwrap_or(0.0),
+                    outline: spec.footprint.outline(64),
+                    colour,
+                })
+            })
+            .collect();
+        if let Some(report) = &self.seen.foreign {
+            overlays.extend(annotate::foreign_overlays(&report.objects));
+        }
+        annotate::draw_overlays(image, &overlays, &self.lens, &self.table_from_camera).map_err(chain)
+    }
+}

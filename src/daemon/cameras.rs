@@ -1,0 +1,135 @@
+//! The camera that the configuration names, opened and under supervision.
+//!
+//! In: the configuration's devices, the lens where a calibration is to be used. Out: a source that gives usable pictures or
+//! says what is wrong; and what the supervisor is told about that.
+
+use crate::config::cell::{CameraDevice, Devices};
+use crate::io::camera::folder::FolderCamera;
+use crate::io::camera::http::HttpCamera;
+use crate::io::camera::realsense::RealSenseCamera;
+use crate::io::camera::snapshot::SnapshotCamera;
+use crate::io::camera::supervised::Supervised;
+use crate::io::camera::uvc::UvcCamera;
+use crate::io::camera::video::VideoCamera;
+use crate::io::camera::{CameraError, CameraSource, FaultKind};
+use crate::supervisor::input::CameraTrouble;
+use crate::vision::camera::CameraModel;
+use std::error::Error;
+use std::time::Duration;
+
+/// How long a frame may take, wall time: the simulator may have to render it on a busy computer.
+pub const FRAME_LIMIT: Duration = Duration::from_secs(20);
+
+/// Opens the camera of the configuration.
+///
+/// # Errors
+/// Why it cannot be opened.
+pub fn open_camera(devices: &Devices, lens: Option<CameraModel>) -> Result<Supervised, CameraError> {
+    let source: Box<dyn CameraSource> = match &devices.camera {
+        CameraDevice::Simulator { host, port, depth } => {
+            let mut camera = HttpCamera::new(&format!("http://{host}:{port}"), FRAME_LIMIT);
+            if *depth {
+                camera = camera.with_depth();
+            }
+            Box::new(match lens {
+                Some(lens) => camera.with_lens(lens),
+                None => camera,
+            })
+        }
+        CameraDevice::Http { url, serial } => Box::new(SnapshotCamera::open(url, serial, FRAME_LIMIT, lens)?),
+        CameraDevice::RealSense(settings) => {
+            Box::new(RealSenseCamera::open(settings.clone(), FRAME_LIMIT, lens)?)
+        }
+        CameraDevice::Uvc(settings) => Box::new(UvcCamera::open(settings.clone(), lens)?),
+        CameraDevice::Folder { path } => Box::new(FolderCamera::open(path, lens)?),
+        CameraDevice::Video { path } => Box::new(VideoCamera::open(path, lens)?),
+    };
+    Ok(Supervised::new(source, devices.picture_limits))
+}
+
+/// What the supervisor is told of a camera that gives no picture.
+pub fn trouble_of(error: &CameraError) -> CameraTrouble {
+    let kind = error.kind();
+    CameraTrouble {
+        code: kind.code(),
+        message: sentence(error),
+        remedy: kind.remedy(),
+        lasting: matches!(kind, FaultKind::Misfit | FaultKind::Ended),
+    }
+}
+
+/// An error with its causes on one line.
+fn sentence(error: &CameraError) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        text.push_str(&format!(": {inner}"));
+        cause = inner.source();
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::camera::Exposure;
+    use crate::io::camera::realsense::RealSenseSettings;
+    use crate::io::camera::uvc::UvcSettings;
+    use crate::vision::image::Image;
+    use crate::vision::image::quality::PictureLimits;
+    use std::path::PathBuf;
+
+    fn devices(camera: CameraDevice) -> Devices {
+        Devices {
+            robot_host: "127.0.0.1".into(),
+            gripper_host: "127.0.0.1".into(),
+            gripper_port: 502,
+            camera,
+            picture_limits: PictureLimits::STANDARD,
+        }
+    }
+
+    #[test]
+    fn the_configured_camera_is_opened_and_its_pictures_are_judged() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut good = Image::filled(64, 64, [180; 3]);
+        (0..32 * 64).for_each(|i| good.set_pixel(16 + i % 32, i / 32, [10; 3]));
+        for (name, picture) in [("1.png", good), ("2.png", Image::filled(64, 64, [4; 3]))] {
+            std::fs::write(folder.path().join(name), picture.encode_png().unwrap()).unwrap();
+        }
+        let devices = devices(CameraDevice::Folder { path: folder.path().to_owned() });
+        let mut camera = open_camera(&devices, None).unwrap();
+        assert_eq!(camera.grab().unwrap().sequence, 0);
+        let trouble = trouble_of(&camera.grab().unwrap_err());
+        assert_eq!((trouble.code, trouble.lasting), ("camera_dark", false));
+        assert!(trouble.message.contains("2.png") && trouble.remedy.contains("light"), "{trouble:?}");
+        let trouble = trouble_of(&camera.grab().unwrap_err());
+        assert_eq!((trouble.code, trouble.lasting), ("recording_ended", true));
+    }
+
+    #[test]
+    fn what_cannot_be_opened_is_told_at_once() {
+        let gone = PathBuf::from("no/such/thing");
+        let (serial, size, rate, exposure) = ("1".to_string(), [640, 480], 30, Exposure::Auto);
+        let uvc = UvcSettings { device: gone.clone(), serial, size, rate, exposure };
+        let realsense = RealSenseSettings {
+            serial: None,
+            file: None,
+            library: Some(gone.clone()),
+            size,
+            rate,
+            exposure,
+            depth: false,
+        };
+        for camera in [
+            CameraDevice::Folder { path: gone.clone() },
+            CameraDevice::Video { path: gone },
+            CameraDevice::Uvc(uvc),
+            CameraDevice::RealSense(realsense),
+        ] {
+            let error = open_camera(&devices(camera.clone()), None).err().unwrap();
+            let told = trouble_of(&error);
+            assert!(told.message.contains("no/such/thing"), "{camera:?}: {told:?}");
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Pictures of a look that could not be trusted: foreign objects outlined, and arrows where the reference markers went.
+//!
+//! In: the pictures of a look, what was observed in them, the eye's parameters. Out: `doubt-1.png` and so on, one for each look pose, in
+//! the folder that is named; a look that is fine leaves nothing behind, not even the pictures of an earlier one.
+
+use crate::daemon::workers::EyeParameters;
+use crate::io::files;
+use crate::vision::annotate::{draw_drift, draw_overlays, foreign_overlays};
+use crate::vision::image::Image;
+use crate::vision::observe::Observation;
+use nalgebra::Isometry3;
+use std::path::Path;
+
+/// Look poses that are kept at most.
+const SHOTS_MAX: usize = 8;
+
+/// The last picture of one look pose.
+pub struct Shot {
+    /// What the camera saw.
+    pub image: Image,
+    /// From where.
+    pub table_from_camera: Isometry3<f64>,
+}
+
+/// Keeps the newest picture of each place.
+pub fn keep(shots: &mut Vec<Shot>, shot: Shot) {
+    shots.retain(|old| old.table_from_camera != shot.table_from_camera);
+    shots.push(shot);
+    if shots.len() > SHOTS_MAX {
+        shots.remove(0);
+    }
+}
+
+/// Draws the look's doubts; what cannot be written is logged, for a picture is no reason to stop.
+pub fn write(parameters: &EyeParameters, shots: &[Shot], seen: &Observation, folder: &Path) {
+    let path = |number: usize| folder.join(format!("doubt-{number}.png"));
+    for number in 1..=SHOTS_MAX {
+        // Most often there is none.
+        let _ = std::fs::remove_file(path(number));
+    }
+    let foreign = seen.foreign.as_ref().map_or(&[][..], |report| &report.objects);
+    let drifted = seen.reference.as_ref().is_some_and(|check| check.drifted(&parameters.drift));
+    if foreign.is_empty() && !drifted {
+        return;
+    }
+    for (number, shot) in (1..).zip(shots) {
+        let bytes = draw(parameters, shot, seen);
+        let written = bytes
+            .and_then(|bytes| files::write_atomic(&path(number), &bytes).map_err(|error| error.to_string()));
+        match written {
+            Ok(()) => tracing::warn!("what is doubted is drawn in {}", path(number).display()),
+            Err(error) => tracing::warn!("{}: {error}", path(number).display()),
+        }
+    }
+}
+
+fn draw(parameters: &EyeParameters, shot: &Shot, seen: &Observation) -> Result<Vec<u8>, String> {
+    let (camera, eye) = (&parameters.camera, &shot.table_from_camera);
+    let mut image = shot.image.clone();
+    if let Some(report) = &seen.foreign {
+        let overlays = foreign_overlays(&report.objects);
+        draw_overlays(&mut image, &overlays, camera, eye).map_err(|error| error.to_string())?;
+    }
+    if let Some(check) = &seen.reference {
+        let limit_m = parameters.drift.shift_m;
+        draw_drift(&mut image, check, &parameters.reference, limit_m, camera, eye)
+            .map_err(|error| error.to_string())?;
+    }
+    image.encode_png().map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::pose::Pose2;
+    use crate::vision::camera::CameraModel;
+    use crate::vision::foreign::{ForeignObject, ForeignReport};
+    use crate::vision::observe::reference::DriftLimits;
+    use crate::vision::observe::{ObserveLimits, ReferenceMarker};
+    use nalgebra::Vector3;
+
+    fn parameters() -> EyeParameters {
+        let camera = CameraModel {
+            serial: "t".into(),
+            width: 320,
+            height: 240,
+            fx: 300.0,
+            fy: 300.0,
+            cx: 160.0,
+            cy: 120.0,
+            distortion: [0.0; 5],
+        };
+        EyeParameters {
+            camera,
+            objects: Vec::new(),
+            reference: vec![ReferenceMarker { id: 500, size: 0.03, pose: Pose2::new(0.05, 0.0, 0.0) }],
+            limits: ObserveLimits::default(),
+            foreign: None,
+            drift: DriftLimits { residual_m: 1e-3, shift_m: 1e-3, turn_rad: 1e-3 },
+            doubts: None,
+        }
+    }
+
+    fn shot(x: f64) -> Shot {
+        let down = Isometry3::new(Vector3::new(x, 0.0, 0.5), Vector3::x() * std::f64::consts::PI);
+        Shot { image: Image::filled(320, 240, [0; 3]), table_from_camera: down }
+    }
+
+    #[test]
+    fn what_is_doubted_is_drawn_and_forgotten_with_the_next_good_look() {
+        let folder = tempfile::tempdir().unwrap();
+        let outline = vec![[-0.03, -0.03], [0.03, -0.03], [0.03, 0.03], [-0.03, 0.03]];
+        let object = ForeignObject { outline, centre: [0.0; 2], area_m2: 0.0036, height_m: 0.05 };
+        let report = ForeignReport { objects: vec![object], measured_share: 1.0 };
+        let seen = Observation { foreign: Some(report), ..Observation::default() };
+        write(&parameters(), &[shot(0.0), shot(0.02)], &seen, folder.path());
+        for name in ["doubt-1.png", "doubt-2.png"] {
+            let bytes = std::fs::read(folder.path().join(name)).unwrap();
+            let drawn = Image::decode(&bytes).unwrap();
+            assert!(drawn.rgb.chunks_exact(3).filter(|p| p[0] > 200).count() > 100, "{name}");
+        }
+        write(&parameters(), &[shot(0.0)], &Observation::default(), folder.path());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn the_newest_picture_of_each_place_is_kept_and_not_too_many() {
+        let mut shots = Vec::new();
+        for number in 0..20 {
+            keep(&mut shots, shot(f64::from(number % 10)));
+        }
+        assert_eq!(shots.len(), SHOTS_MAX);
+        keep(&mut shots, shot(9.0));
+        assert_eq!(shots.len(), SHOTS_MAX);
+    }
+}

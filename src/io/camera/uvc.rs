@@ -1,0 +1,298 @@
+//! A USB camera as the kernel shows it (V4L2), read by OpenCV.
+//!
+//! In: the device file, size, rate, exposure, and the lens from a calibration, for such a camera tells none. Out: frames
+//! with a count of our own and the driver's time. The driver keeps pictures until they are read; those that were exposed
+//! before a picture was asked for are passed over, or a look would see the table as it was at the last one.
+
+use crate::io::camera::mat::image_of;
+use crate::io::camera::watch::Watch;
+use crate::io::camera::{CameraError, CameraSource, Exposure, Frame};
+use crate::vision::camera::CameraModel;
+use opencv::core::{Mat, MatTraitConst};
+use opencv::videoio::{
+    CAP_PROP_AUTO_EXPOSURE, CAP_PROP_BUFFERSIZE, CAP_PROP_EXPOSURE, CAP_PROP_FPS, CAP_PROP_FRAME_HEIGHT,
+    CAP_PROP_FRAME_WIDTH, CAP_PROP_POS_MSEC, CAP_V4L2, VideoCapture, VideoCaptureTrait,
+    VideoCaptureTraitConst,
+};
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// What is asked of the camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UvcSettings {
+    /// Its device file; one under `/dev/v4l/by-id` stays the same camera after a restart.
+    pub device: PathBuf,
+    /// Its serial number: compared with the USB device's, where that has one.
+    pub serial: String,
+    /// Pixels per row and rows.
+    pub size: [u32; 2],
+    /// Pictures a second.
+    pub rate: u32,
+    /// Exposure.
+    pub exposure: Exposure,
+}
+
+/// Where the kernel tells what its cameras are.
+const SYSTEM_CAMERAS: &str = "/sys/class/video4linux";
+/// Where cameras have names that last.
+const LASTING_NAMES: &str = "/dev/v4l/by-id";
+/// Pictures passed over at most: more than any driver keeps.
+const KEPT_MAX: u32 = 8;
+/// The driver's words for exposure by hand and by itself (V4L2_CID_EXPOSURE_AUTO).
+const EXPOSURE_MANUAL: f64 = 1.0;
+const EXPOSURE_AUTO: f64 = 3.0;
+/// A unit of its exposure, microseconds (V4L2_CID_EXPOSURE_ABSOLUTE).
+const EXPOSURE_UNIT_US: f64 = 100.0;
+
+/// A USB camera.
+#[derive(Debug)]
+pub struct UvcCamera {
+    settings: UvcSettings,
+    capture: Option<VideoCapture>,
+    taken: u64,
+    lens: Option<CameraModel>,
+    watch: Watch,
+}
+
+impl UvcCamera {
+    /// Opens the device and sets it up.
+    ///
+    /// # Errors
+    /// `NotConnected` (with the cameras there are), `OtherSerial`, `Setting` for what it does not do.
+    pub fn open(settings: UvcSettings, lens: Option<CameraModel>) -> Result<UvcCamera, CameraError> {
+        super::same_serial(&settings.device.display().to_string(), &settings.serial, lens.as_ref())?;
+        let watch = Watch::default();
+        let mut camera = UvcCamera { settings, capture: None, taken: 0, lens, watch };
+        camera.start()?;
+        Ok(camera)
+    }
+
+    fn start(&mut self) -> Result<(), CameraError> {
+        self.capture = None;
+        check_device(&self.settings, Path::new(SYSTEM_CAMERAS), Path::new(LASTING_NAMES))?;
+        self.capture = Some(begin(&self.settings)?);
+        Ok(())
+    }
+}
+
+/// That the device is there, is a device, and is the one with that serial number.
+fn check_device(settings: &UvcSettings, system: &Path, names: &Path) -> Result<(), CameraError> {
+    let place = settings.device.display().to_string();
+    let kind = match std::fs::metadata(&settings.device) {
+        Ok(meta) => meta.file_type(),
+        Err(error) => {
+            let found = format!("{error}; cameras there are: {}", listed(names));
+            return Err(CameraError::NotConnected { wanted: place, found });
+        }
+    };
+    if !kind.is_char_device() {
+        let what =
+            "it is no device; for a video file write `kind: video`, for pictures `kind: folder`".to_string();
+        return Err(CameraError::Setting { place, what });
+    }
+    match serial_of(&settings.device, system) {
+        Some(found) if found != settings.serial => {
+            let wanted = settings.serial.clone();
+            Err(CameraError::OtherSerial { address: place, found, wanted })
+        }
+        _ => Ok(()),
+    }
+}
+
+fn listed(names: &Path) -> String {
+    let entries = std::fs::read_dir(names).into_iter().flatten().flatten();
+    let mut found: Vec<String> = entries.map(|entry| entry.path().display().to_string()).collect();
+    found.sort();
+    if found.is_empty() { format!("none in {}", names.display()) } else { found.join(", ") }
+}
+
+/// The serial number that the USB device behind a device file has; many have none.
+fn serial_of(device: &Path, system: &Path) -> Option<String> {
+    let node = std::fs::canonicalize(device).ok()?;
+    let interface = std::fs::canonicalize(system.join(node.file_name()?).join("device")).ok()?;
+    // The video interface is a part of the USB device, which is the folder above.
+    let text = std::fs::read_to_string(interface.parent()?.join("serial")).ok()?;
+    let serial = text.trim();
+    (!serial.is_empty()).then(|| serial.to_string())
+}
+
+fn begin(settings: &UvcSettings) -> Result<VideoCapture, CameraError> {
+    let place = settings.device.display().to_string();
+    let failed = |what: &'static str, source: Option<opencv::Error>| CameraError::Video {
+        path: settings.device.clone(),
+        what,
+        source,
+    };
+    let mut capture = VideoCapture::from_file(&settings.device, CAP_V4L2)
+        .map_err(|source| failed("OpenCV refuses the device", Some(source)))?;
+    if !capture.is_opened().unwrap_or(false) {
+        let what = "it cannot be opened: another program has it, this user may not (group video), or it takes no pictures";
+        return Err(CameraError::Setting { place, what: what.to_string() });
+    }
+    let [width, height] = settings.size.map(f64::from);
+    let mut wanted = vec![
+        (CAP_PROP_FRAME_WIDTH, width, true, "its width is"),
+        (CAP_PROP_FRAME_HEIGHT, height, true, "its height is"),
+        (CAP_PROP_FPS, f64::from(settings.rate), true, "its rate is"),
+        // Fewer pictures to pass over where the driver allows it; nothing depends on it.
+        (CAP_PROP_BUFFERSIZE, 1.0, false, ""),
+    ];
+    match settings.exposure {
+        Exposure::Auto => wanted.push((CAP_PROP_AUTO_EXPOSURE, EXPOSURE_AUTO, false, "")),
+        Exposure::Fixed(exposure_us) => wanted.extend([
+            (CAP_PROP_AUTO_EXPOSURE, EXPOSURE_MANUAL, true, "its exposure mode is"),
+            (CAP_PROP_EXPOSURE, (exposure_us / EXPOSURE_UNIT_US).round(), true, "its exposure in 100 us is"),
+        ]),
+    }
+    for &(property, value, ..) in &wanted {
+        // Whether it took the value is asked below, when all are set: some change each other.
+        let _ = capture.set(property, value);
+    }
+    for (property, value, must, words) in wanted {
+        let found = capture.get(property).unwrap_or(f64::NAN);
+        if must && (found - value).abs() > 0.5 {
+            let what = format!(
+                "{words} {found}, {value} was asked for: ask for what `v4l2-ctl --list-formats-ext` lists"
+            );
+            return Err(CameraError::Setting { place, what });
+        }
+    }
+    Ok(capture)
+}
+
+/// Now on the clock that drivers stamp pictures with, ms.
+fn driver_now_ms() -> f64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    now.tv_sec as f64 * 1e3 + now.tv_nsec as f64 / 1e6
+}
+
+/// True for a picture whose exposure began after it was asked for; without a time of the driver's only the count tells.
+fn is_fresh(stamp_ms: f64, asked_ms: f64, exposure: Duration, passed: u32) -> bool {
+    let began_ms = stamp_ms - exposure.as_secs_f64() * 1e3;
+    passed >= KEPT_MAX || (stamp_ms > 0.0 && began_ms >= asked_ms)
+}
+
+impl CameraSource for UvcCamera {
+    fn intrinsics(&mut self) -> Result<CameraModel, CameraError> {
+        let place = || self.settings.device.display().to_string();
+        self.lens.clone().ok_or_else(|| CameraError::NoIntrinsics { place: place() })
+    }
+
+    fn grab(&mut self) -> Result<Frame, CameraError> {
+        if self.capture.is_none() {
+            self.start()?;
+        }
+        let place = self.settings.device.display().to_string();
+        // Exposure fits between two pictures; stamps are of its end at the latest.
+        let exposure = Duration::from_secs(1) / self.settings.rate.max(1);
+        let asked_ms = driver_now_ms();
+        let mut mat = Mat::default();
+        let mut passed = 0;
+        let stamp_ms = loop {
+            let Some(capture) = &mut self.capture else {
+                return Err(CameraError::Silent { place, limit: Duration::ZERO });
+            };
+            let read = capture.read(&mut mat);
+            if !matches!(read, Ok(true)) || mat.empty() {
+                // OpenCV waits ten seconds for a driver; a camera that was pulled out fails at once.
+                self.capture = None;
+                return Err(CameraError::Silent { place, limit: Duration::from_secs(10) });
+            }
+            let stamp_ms = capture.get(CAP_PROP_POS_MSEC).unwrap_or(0.0);
+            if is_fresh(stamp_ms, asked_ms, exposure, passed) {
+                break stamp_ms;
+            }
+            passed += 1;
+        };
+        let path = || self.settings.device.clone();
+        let image = image_of(&mat).map_err(|source| CameraError::Video {
+            path: path(),
+            what: "a frame is not 8 bit colour",
+            source,
+        })?;
+        let time_s = if stamp_ms > 0.0 { stamp_ms } else { asked_ms } / 1e3;
+        let frame = Frame { image, sequence: self.taken, time_s, source: place, depth: None };
+        self.taken += 1;
+        self.watch.check(&frame, self.lens.as_ref())?;
+        Ok(frame)
+    }
+
+    fn serial(&mut self) -> Result<String, CameraError> {
+        Ok(self.settings.serial.clone())
+    }
+
+    fn is_live(&self) -> bool {
+        true
+    }
+
+    fn reopen(&mut self) -> Result<(), CameraError> {
+        self.watch.restarted();
+        self.start()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::symlink;
+
+    fn settings(device: &Path) -> UvcSettings {
+        UvcSettings {
+            device: device.to_owned(),
+            serial: "A1".into(),
+            size: [1280, 720],
+            rate: 30,
+            exposure: Exposure::Auto,
+        }
+    }
+
+    #[test]
+    fn a_camera_that_is_not_there_is_told_with_those_that_are() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("usb-Other_Cam-video-index0"), b"").unwrap();
+        let gone = settings(Path::new("/dev/v4l/by-id/usb-gone-video-index0"));
+        let told = check_device(&gone, folder.path(), folder.path()).unwrap_err();
+        assert!(matches!(told, CameraError::NotConnected { .. }));
+        assert!(told.to_string().contains("usb-Other_Cam-video-index0"), "{told}");
+        assert!(matches!(UvcCamera::open(gone, None), Err(CameraError::NotConnected { .. })));
+    }
+
+    #[test]
+    fn a_file_is_no_device_and_a_device_that_is_no_camera_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("looks.avi");
+        std::fs::write(&file, b"x").unwrap();
+        let told = UvcCamera::open(settings(&file), None).unwrap_err().to_string();
+        assert!(told.contains("kind: video"), "{told}");
+        // A character device, but none that takes pictures.
+        let told = UvcCamera::open(settings(Path::new("/dev/null")), None).unwrap_err();
+        assert!(told.to_string().contains("takes no pictures"), "{told}");
+    }
+
+    #[test]
+    fn the_usb_device_s_serial_number_is_compared() {
+        let folder = tempfile::tempdir().unwrap();
+        let (system, usb) = (folder.path().join("class"), folder.path().join("usb/1-2"));
+        std::fs::create_dir_all(usb.join("1-2:1.0")).unwrap();
+        std::fs::create_dir_all(system.join("null")).unwrap();
+        symlink(usb.join("1-2:1.0"), system.join("null/device")).unwrap();
+        let check = || check_device(&settings(Path::new("/dev/null")), &system, folder.path());
+        assert!(check().is_ok(), "a device without a serial number is taken as told");
+        std::fs::write(usb.join("serial"), "A1\n").unwrap();
+        assert!(check().is_ok());
+        std::fs::write(usb.join("serial"), "B2\n").unwrap();
+        assert!(matches!(check(), Err(CameraError::OtherSerial { found, .. }) if found == "B2"));
+    }
+
+    #[test]
+    fn pictures_from_before_the_question_are_passed_over() {
+        let exposure = Duration::from_millis(33);
+        assert!(!is_fresh(1000.0, 1010.0, exposure, 0), "kept by the driver");
+        assert!(!is_fresh(1030.0, 1010.0, exposure, 1), "its exposure had begun");
+        assert!(is_fresh(1050.0, 1010.0, exposure, 2));
+        assert!(!is_fresh(0.0, 1010.0, exposure, 3) && is_fresh(0.0, 1010.0, exposure, KEPT_MAX));
+        let [before, after] = [driver_now_ms(), driver_now_ms()];
+        assert!(before > 0.0 && after >= before);
+    }
+}

@@ -1,0 +1,124 @@
+//! Things on the table that carry no marker: when nothing moves, and when they are driven round.
+
+use super::*;
+
+fn thing(x: f64, y: f64, height_m: f64) -> ForeignObject {
+    let outline =
+        vec![[x - 0.03, y - 0.03], [x + 0.03, y - 0.03], [x + 0.03, y + 0.03], [x - 0.03, y + 0.03]];
+    ForeignObject { outline, centre: [x, y], area_m2: 0.0036, height_m }
+}
+
+fn report(objects: Vec<ForeignObject>, measured_share: f64) -> Option<ForeignReport> {
+    Some(ForeignReport { objects, measured_share })
+}
+
+fn with(rule: ForeignRule, foreign: Option<ForeignReport>) -> Bench {
+    let mut bench = Bench::new();
+    bench.cell = Cell::new(CellModel { foreign: rule, ..model() }, 7);
+    bench.foreign = foreign;
+    bench
+}
+
+const REFUSE: ForeignRule = ForeignRule::Refuse { depth_needed: false };
+
+/// Looks until the job ends or a plan is asked for; the report of the job, and what was asked of the planner.
+fn goes(bench: &mut Bench) -> Result<crate::supervisor::input::PlanRequest, (String, String, String)> {
+    bench.job(false);
+    let mut all = bench.until_planning();
+    for _ in 0..4 {
+        for action in &all {
+            match action {
+                Action::Plan(request) => return Ok((**request).clone()),
+                Action::Finish(report) => {
+                    return Err((report.code.clone(), report.message.clone(), report.remedy.clone()));
+                }
+                Action::Gripper(_) => panic!("the gripper was used: {all:?}"),
+                _ => {}
+            }
+        }
+        all = bench.look();
+    }
+    panic!("neither planned nor ended")
+}
+
+#[test]
+fn a_foreign_object_is_refused_with_where_it_is_and_how_high() {
+    let mut bench = with(REFUSE, report(vec![thing(0.212, 0.105, 0.094)], 0.99));
+    bench.missing = vec!["b".into()];
+    let (code, message, remedy) = goes(&mut bench).unwrap_err();
+    assert_eq!(code, "foreign_object");
+    assert!(message.contains("94 mm high") && message.contains("x = 212 mm, y = 105 mm"), "{message}");
+    assert!(message.contains("not seen: b") && remedy.contains("take it away"), "{message} {remedy}");
+}
+
+#[test]
+fn taken_away_before_the_last_look_it_is_forgotten() {
+    let mut bench = with(REFUSE, report(vec![thing(0.2, 0.1, 0.09)], 0.99));
+    bench.job(false);
+    let refused = bench.until_planning();
+    assert!(!refused.iter().any(|action| matches!(action, Action::Plan(_))), "{refused:?}");
+    bench.foreign = report(Vec::new(), 0.99);
+    assert!(bench.look().iter().any(|action| matches!(action, Action::Plan(_))));
+}
+
+#[test]
+fn nothing_foreign_is_no_doubt_and_neither_is_a_camera_without_depth() {
+    assert!(goes(&mut with(REFUSE, report(Vec::new(), 0.95))).is_ok());
+    assert!(goes(&mut with(REFUSE, None)).is_ok());
+    assert!(goes(&mut with(ForeignRule::Off, report(vec![thing(0.2, 0.1, 0.09)], 0.1))).is_ok());
+}
+
+#[test]
+fn depth_that_is_asked_for_has_to_come_and_to_cover_the_table() {
+    let needed = ForeignRule::Refuse { depth_needed: true };
+    assert_eq!(goes(&mut with(needed, None)).unwrap_err().0, "depth_missing");
+    assert_eq!(
+        goes(&mut with(ForeignRule::Obstacle { margin_m: 0.01 }, None)).unwrap_err().0,
+        "depth_missing"
+    );
+    assert_eq!(goes(&mut with(REFUSE, report(Vec::new(), 0.4))).unwrap_err().0, "depth_poor");
+    assert_eq!(goes(&mut with(REFUSE, report(Vec::new(), f64::NAN))).unwrap_err().0, "depth_poor");
+}
+
+#[test]
+fn a_bumped_camera_is_named_before_what_it_imagines() {
+    let mut bench = with(REFUSE, report(vec![thing(0.2, 0.1, 0.09)], 0.99));
+    bench.reference = reference(4, 3e-3);
+    assert_eq!(goes(&mut bench).unwrap_err().0, "calibration_invalid");
+}
+
+#[test]
+fn as_an_obstacle_it_reaches_the_planner_with_its_margin_and_the_arm_goes_over_it() {
+    let rule = ForeignRule::Obstacle { margin_m: 0.01 };
+    let mut bench = with(rule, report(vec![thing(0.42, 0.1, 0.12)], 0.99));
+    let request = goes(&mut bench).unwrap();
+    let [keep_out] = &request.instance.keep_out[..] else { panic!("{:?}", request.instance.keep_out) };
+    let (low, high) = keep_out.footprint.bounds(&keep_out.pose);
+    assert!(low[0] < 0.381 && low[0] > 0.378 && high[1] > 0.139 && high[1] < 0.142, "{low:?} {high:?}");
+    let streamed = bench.plan();
+    let path = streamed.iter().find_map(|action| match action {
+        Action::Robot(RobotCommand::Stream(path)) => Some(path.clone()),
+        _ => None,
+    });
+    let text = format!("{:?}", path.expect("the approach"));
+    let mut low = with(REFUSE, report(Vec::new(), 0.99));
+    goes(&mut low).unwrap();
+    let without = low.plan().iter().find_map(|action| match action {
+        Action::Robot(RobotCommand::Stream(path)) => Some(format!("{path:?}")),
+        _ => None,
+    });
+    assert_ne!(Some(text), without, "the approach goes higher");
+}
+
+#[test]
+fn the_gripper_does_not_come_down_beside_a_tall_foreign_obstacle() {
+    let rule = ForeignRule::Obstacle { margin_m: 0.01 };
+    // Beside the object's start by less than the radius of the gripper's body, and higher than its underside.
+    let mut bench = with(rule, report(vec![thing(0.15, 0.385, 0.12)], 0.99));
+    goes(&mut bench).unwrap();
+    let (_, code) = ended(&bench.plan()).expect("refused");
+    assert_eq!(code, "unpickable:a");
+    let mut bench = with(rule, report(vec![thing(0.15, 0.385, 0.03)], 0.99));
+    goes(&mut bench).unwrap();
+    assert_eq!(ended(&bench.plan()), None, "a low one is no matter");
+}

@@ -1,0 +1,209 @@
+//! What lies on the table and carries no marker: a mug, a tool, a hand, an object on its face.
+//!
+//! In: [`HeightMap`]s of one look, the objects whose place is known, [`ForeignLimits`]. Out: [`ForeignReport`]: everything that stands higher
+//! than the table and the known objects explain, over an area large enough, with its outline, area and height; and how much
+//! of the table was measured at all. A known object that is tipped, or lies on its marker, was not seen as itself and so
+//! explains nothing: it is found like any stranger. What is flat, thinner than the limit, smaller than the limit, or of
+//! a kind that the camera cannot measure (clear glass, black velvet, mirrors) is not found. Pure.
+
+pub mod height_map;
+pub mod search;
+#[cfg(test)]
+mod tests;
+
+pub use height_map::{Area, DepthLens, HeightMap, HeightMapError, OwnBody};
+
+use crate::geometry::footprint::Footprint;
+use crate::geometry::polygon::{centroid, contains, convex_hull, distance_to_outline};
+use crate::geometry::pose::Pose2;
+use crate::tabletop::instance::KeepOut;
+use serde::Serialize;
+
+/// From which size on something counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForeignLimits {
+    /// Higher than what is expected by more than this, m.
+    pub height_m: f64,
+    /// Over at least this area, m2.
+    pub area_m2: f64,
+    /// So far round a known object its height is still expected: the ragged edges of stereo depth, m.
+    pub edge_m: f64,
+}
+
+impl Default for ForeignLimits {
+    fn default() -> ForeignLimits {
+        ForeignLimits { height_m: 0.010, area_m2: 4e-4, edge_m: 0.008 }
+    }
+}
+
+/// Something whose place is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KnownBody {
+    /// Its outline seen from above, in its own frame.
+    pub footprint: Footprint,
+    /// Where it is, table frame.
+    pub pose: Pose2,
+    /// How high it stands, m.
+    pub height_m: f64,
+}
+
+/// Something that nothing explains.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ForeignObject {
+    /// Convex outline, counter-clockwise, m, table frame.
+    pub outline: Vec<[f64; 2]>,
+    /// Middle of the outline, m, table frame.
+    pub centre: [f64; 2],
+    /// The area of the table over which it was measured, m2.
+    pub area_m2: f64,
+    /// Height of its highest point over the table, m.
+    pub height_m: f64,
+}
+
+/// What depth says about a table.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ForeignReport {
+    /// What nothing explains, the largest first.
+    pub objects: Vec<ForeignObject>,
+    /// Share of the area in which depth was measured, 0 to 1.
+    pub measured_share: f64,
+}
+
+impl std::fmt::Display for ForeignObject {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "something {:.0} mm high over {:.0} cm2 at x = {:.0} mm, y = {:.0} mm",
+            self.height_m * 1e3,
+            self.area_m2 * 1e4,
+            self.centre[0] * 1e3,
+            self.centre[1] * 1e3
+        )
+    }
+}
+
+impl ForeignObject {
+    /// The outline with `margin_m` around it, as a place where nothing may be put; `None` for an outline without area.
+    pub fn keep_out(&self, margin_m: f64) -> Option<KeepOut> {
+        let grown: Vec<[f64; 2]> = self
+            .outline
+            .iter()
+            .flat_map(|[x, y]| {
+                (0..8).map(move |step| {
+                    let (sin, cos) = (f64::from(step) * std::f64::consts::FRAC_PI_4).sin_cos();
+                    // The octagon lies around the circle of the margin.
+                    let reach = margin_m / (std::f64::consts::PI / 8.0).cos();
+                    [x + reach * cos, y + reach * sin]
+                })
+            })
+            .collect();
+        let footprint = Footprint::polygon(&convex_hull(&grown)).ok()?;
+        Some(KeepOut { footprint, pose: Pose2::default() })
+    }
+}
+
+/// Everything in the maps of one look that neither the table nor `known` explains; over `ignored` nothing is looked for.
+///
+/// A cell counts when any map says so: what was there in one picture may have been hidden in another.
+pub fn find(
+    maps: &[&HeightMap],
+    known: &[KnownBody],
+    ignored: &[KeepOut],
+    limits: &ForeignLimits,
+) -> ForeignReport {
+    let Some(first) = maps.first() else { return ForeignReport::default() };
+    let expected = expected(first, known, ignored, limits);
+    let (mut tallest, mut measured) = (vec![f32::NEG_INFINITY; expected.len()], vec![false; expected.len()]);
+    for map in maps.iter().filter(|map| map.area == first.area) {
+        for (cell, height) in map.heights_m.iter().enumerate().filter(|(_, height)| height.is_finite()) {
+            measured[cell] = true;
+            if *height > expected[cell] {
+                tallest[cell] = tallest[cell].max(*height);
+            }
+        }
+    }
+    let excess = closed(first, &tallest, &measured);
+    let share = measured.iter().filter(|measured| **measured).count() as f64 / measured.len().max(1) as f64;
+    let mut objects: Vec<ForeignObject> = components(first, &excess)
+        .into_iter()
+        .map(|cells| object(first, &cells, &tallest))
+        .filter(|object| object.area_m2 >= limits.area_m2)
+        .collect();
+    objects.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
+    ForeignReport { objects, measured_share: share }
+}
+
+/// Height up to which nothing is foreign, cell by cell.
+fn expected(map: &HeightMap, known: &[KnownBody], ignored: &[KeepOut], limits: &ForeignLimits) -> Vec<f32> {
+    let mut expected = vec![limits.height_m as f32; map.heights_m.len()];
+    let fixed = ignored.iter().map(|place| (&place.footprint, &place.pose, f64::INFINITY));
+    let known = known.iter().map(|body| (&body.footprint, &body.pose, body.height_m + limits.height_m));
+    for (footprint, pose, height_m) in known.chain(fixed) {
+        let outline = footprint.outline(64);
+        let (low, high) = footprint.bounds(pose);
+        for (cell, expected) in expected.iter_mut().enumerate() {
+            let at = map.centre(cell);
+            let far =
+                |axis: usize| at[axis] < low[axis] - limits.edge_m || at[axis] > high[axis] + limits.edge_m;
+            if far(0) || far(1) {
+                continue;
+            }
+            let p = pose.inverse_transform(at);
+            if contains(&outline, p) || distance_to_outline(&outline, p) <= limits.edge_m {
+                *expected = expected.max(height_m as f32);
+            }
+        }
+    }
+    expected
+}
+
+/// The cells that stick out, with unmeasured ones among them: holes in depth must not cut a thing into pieces.
+fn closed(map: &HeightMap, tallest: &[f32], measured: &[bool]) -> Vec<bool> {
+    let excess: Vec<bool> = tallest.iter().map(|height| *height > f32::NEG_INFINITY).collect();
+    let mut closed = excess.clone();
+    for cell in (0..excess.len()).filter(|cell| !measured[*cell]) {
+        closed[cell] = map.neighbours(cell).filter(|near| excess[*near]).count() >= 4;
+    }
+    closed
+}
+
+/// Groups of cells that touch.
+fn components(map: &HeightMap, excess: &[bool]) -> Vec<Vec<usize>> {
+    let mut open = excess.to_vec();
+    let mut groups = Vec::new();
+    for start in 0..open.len() {
+        if !std::mem::take(&mut open[start]) {
+            continue;
+        }
+        let (mut group, mut next) = (Vec::new(), vec![start]);
+        while let Some(cell) = next.pop() {
+            group.push(cell);
+            for near in map.neighbours(cell) {
+                if std::mem::take(&mut open[near]) {
+                    next.push(near);
+                }
+            }
+        }
+        groups.push(group);
+    }
+    groups
+}
+
+fn object(map: &HeightMap, cells: &[usize], tallest: &[f32]) -> ForeignObject {
+    let half = height_map::CELL_M / 2.0;
+    let corners: Vec<[f64; 2]> = cells
+        .iter()
+        .flat_map(|cell| {
+            let [x, y] = map.centre(*cell);
+            [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]]
+        })
+        .collect();
+    let outline = convex_hull(&corners);
+    let height = cells.iter().map(|cell| tallest[*cell]).fold(0.0_f32, f32::max);
+    ForeignObject {
+        centre: centroid(&outline),
+        outline,
+        area_m2: cells.len() as f64 * height_map::CELL_M * height_map::CELL_M,
+        height_m: f64::from(height),
+    }
+}

@@ -1,0 +1,283 @@
+//! From a depth picture to a map of how high the table's surface and what stands on it are.
+//!
+//! In: a [`DepthImage`], the lens, the camera's pose, the part of the table that matters, what of the robot is in view. Out: a
+//! [`HeightMap`]: for each cell of the table the median height of the points measured over it. Medians, because single
+//! points near edges are wild. Stereo cameras read flat targets up to a per cent or two too far towards the corners, by an
+//! amount that differs from camera to camera: the table itself, whose place is known from its markers, tells how much,
+//! and the picture is corrected by that before it is mapped. Pure.
+
+use crate::vision::camera::CameraModel;
+use crate::vision::cv::{self, CvError};
+use crate::vision::image::DepthImage;
+use nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4};
+
+/// Edge of a cell, m: some ten points of a picture from half a metre, and 25 cells to the smallest thing looked for.
+pub const CELL_M: f64 = 0.004;
+/// Every so many pixels of a row and rows of the picture are used: matching windows are larger than that.
+const STRIDE: u32 = 2;
+/// Fewest points that a cell's median is taken of.
+const POINTS_MIN: usize = 2;
+/// Cells along one edge at most: a workspace larger than 4 m is none.
+const EDGE_MAX: usize = 1100;
+/// A point within this distance of the table's plane may be the table's, m.
+const TABLE_M: f64 = 0.012;
+/// Most that the table's correction may change a depth, as a share: what covers the whole table must not pass for it.
+const CORRECTION_MAX: f64 = 0.015;
+/// Points on the table without which nothing is corrected.
+const TABLE_POINTS_MIN: usize = 500;
+
+/// A rectangle of the table, m, table frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Area {
+    /// Lowest x and y.
+    pub low: [f64; 2],
+    /// Highest x and y.
+    pub high: [f64; 2],
+}
+
+impl Area {
+    /// The workspace `[0, width] x [0, height]` and `margin` around it, m.
+    pub fn around(width: f64, height: f64, margin: f64) -> Area {
+        Area { low: [-margin, -margin], high: [width + margin, height + margin] }
+    }
+}
+
+/// A part of the robot that the camera may see: an upright cylinder about the tool's axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OwnBody {
+    /// The tool frame (cup lips, z out of the gripper) seen from the camera.
+    pub camera_from_tool: Isometry3<f64>,
+    /// Its radius, m.
+    pub radius_m: f64,
+    /// How far it reaches beyond the cup lips, m.
+    pub beyond_m: f64,
+}
+
+impl OwnBody {
+    fn contains(&self, in_camera: &Point3<f64>) -> bool {
+        let p = self.camera_from_tool.inverse_transform_point(in_camera);
+        p.z < self.beyond_m && p.x.hypot(p.y) < self.radius_m
+    }
+}
+
+/// Directions of the pixels that are used, worked out once a lens.
+#[derive(Clone, Debug)]
+pub struct DepthLens {
+    width: u32,
+    height: u32,
+    /// x and y at distance 1 along the optical axis, row by row.
+    rays: Vec<[f64; 2]>,
+}
+
+/// Why there is no height map.
+#[derive(Debug, thiserror::Error)]
+pub enum HeightMapError {
+    /// The depth picture is not aligned to the colour picture.
+    #[error(
+        "the depth picture is {found_width} x {found_height} and the camera's calibration is for {width} x {height}: \
+         depth has to be aligned to the colour picture"
+    )]
+    OtherSize {
+        /// Pixels per row the lens is for.
+        width: u32,
+        /// Rows the lens is for.
+        height: u32,
+        /// Pixels per row of the picture.
+        found_width: u32,
+        /// Rows of the picture.
+        found_height: u32,
+    },
+    /// OpenCV failed.
+    #[error("the directions of the pixels could not be worked out")]
+    Cv(#[from] CvError),
+}
+
+impl DepthLens {
+    /// The directions of this camera's pixels.
+    ///
+    /// # Errors
+    /// `Cv`.
+    pub fn new(camera: &CameraModel) -> Result<DepthLens, HeightMapError> {
+        let pixels: Vec<[f64; 2]> =
+            sampled(camera.width, camera.height).map(|(x, y)| [f64::from(x), f64::from(y)]).collect();
+        let rays = cv::undistort(camera, &pixels)?;
+        Ok(DepthLens { width: camera.width, height: camera.height, rays })
+    }
+
+    /// The points that were measured, as direction and depth.
+    fn points<'a>(&'a self, depth: &'a DepthImage) -> impl Iterator<Item = ([f64; 2], f64)> + 'a {
+        sampled(self.width, self.height)
+            .zip(&self.rays)
+            .filter_map(|((x, y), ray)| depth.at(x, y).map(|metres| (*ray, metres)))
+    }
+}
+
+fn sampled(width: u32, height: u32) -> impl Iterator<Item = (u32, u32)> {
+    let step = STRIDE as usize;
+    (0..height).step_by(step).flat_map(move |y| (0..width).step_by(step).map(move |x| (x, y)))
+}
+
+/// Heights over the table, cell by cell.
+#[derive(Clone, PartialEq)]
+pub struct HeightMap {
+    /// The part of the table that is mapped.
+    pub area: Area,
+    /// Cells in x.
+    pub columns: usize,
+    /// Cells in y.
+    pub rows: usize,
+    /// Median height of the points over each cell, m, NaN where too few were measured; x runs fastest.
+    pub heights_m: Vec<f32>,
+}
+
+impl std::fmt::Debug for HeightMap {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "HeightMap({} x {} cells)", self.columns, self.rows)
+    }
+}
+
+impl HeightMap {
+    /// A map of `area` in which nothing was measured yet.
+    pub fn empty(area: Area) -> HeightMap {
+        let [columns, rows] = [0, 1].map(|axis| {
+            let cells = ((area.high[axis] - area.low[axis]) / CELL_M).ceil();
+            if cells.is_finite() { (cells.max(0.0) as usize).min(EDGE_MAX) } else { 0 }
+        });
+        HeightMap { area, columns, rows, heights_m: vec![f32::NAN; columns * rows] }
+    }
+
+    /// What a depth picture taken from `table_from_camera` says about `area`, without the points on `own`.
+    ///
+    /// # Errors
+    /// `OtherSize`.
+    pub fn new(
+        depth: &DepthImage,
+        lens: &DepthLens,
+        table_from_camera: &Isometry3<f64>,
+        area: Area,
+        own: Option<&OwnBody>,
+    ) -> Result<HeightMap, HeightMapError> {
+        if (depth.width, depth.height) != (lens.width, lens.height) {
+            return Err(HeightMapError::OtherSize {
+                width: lens.width,
+                height: lens.height,
+                found_width: depth.width,
+                found_height: depth.height,
+            });
+        }
+        let mut map = HeightMap::empty(area);
+        let field = Field::of(depth, lens, table_from_camera);
+        let mut points: Vec<(u32, f32)> = Vec::new();
+        for (ray, metres) in lens.points(depth) {
+            let metres = metres / (1.0 + field.error(ray));
+            let in_camera = Point3::new(ray[0] * metres, ray[1] * metres, metres);
+            if own.is_some_and(|body| body.contains(&in_camera)) {
+                continue;
+            }
+            let p = table_from_camera * in_camera;
+            if let Some(cell) = map.cell([p.x, p.y]) {
+                points.push((cell as u32, p.z as f32));
+            }
+        }
+        map.take_medians(points);
+        Ok(map)
+    }
+
+    /// Sets each cell to the median of its points.
+    fn take_medians(&mut self, mut points: Vec<(u32, f32)>) {
+        points.sort_unstable_by_key(|(cell, _)| *cell);
+        for of_cell in points.chunk_by_mut(|a, b| a.0 == b.0) {
+            if of_cell.len() < POINTS_MIN {
+                continue;
+            }
+            let middle = of_cell.len() / 2;
+            let (_, (cell, height), _) = of_cell.select_nth_unstable_by(middle, |a, b| a.1.total_cmp(&b.1));
+            self.heights_m[*cell as usize] = *height;
+        }
+    }
+
+    /// The cell over which a point of the table lies.
+    fn cell(&self, p: [f64; 2]) -> Option<usize> {
+        let [column, row] = [0, 1].map(|axis| ((p[axis] - self.area.low[axis]) / CELL_M).floor());
+        let inside = column >= 0.0 && row >= 0.0 && column < self.columns as f64 && row < self.rows as f64;
+        inside.then(|| row as usize * self.columns + column as usize)
+    }
+
+    /// The centre of a cell, m, table frame.
+    pub fn centre(&self, cell: usize) -> [f64; 2] {
+        let (column, row) = (cell % self.columns, cell / self.columns);
+        [(self.area.low[0], column), (self.area.low[1], row)]
+            .map(|(low, at)| low + (at as f64 + 0.5) * CELL_M)
+    }
+
+    /// The cells next to a cell, also over the corners.
+    pub fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> {
+        let (columns, rows) = (self.columns, self.rows);
+        let (column, row) = (cell % columns, cell / columns);
+        let across = column.saturating_sub(1)..=(column + 1).min(columns - 1);
+        let along = row.saturating_sub(1)..=(row + 1).min(rows - 1);
+        along
+            .flat_map(move |row| across.clone().map(move |column| row * columns + column))
+            .filter(move |near| *near != cell)
+    }
+}
+
+/// By what share depths read too far, as a smooth function of the direction.
+#[derive(Clone, Copy, Debug, Default)]
+struct Field {
+    weights: Vector4<f64>,
+}
+
+impl Field {
+    /// Learnt from the points that lie on the table.
+    fn of(depth: &DepthImage, lens: &DepthLens, table_from_camera: &Isometry3<f64>) -> Field {
+        let eye_m = table_from_camera.translation.z;
+        let samples: Vec<(Vector4<f64>, f64)> = lens
+            .points(depth)
+            .step_by(5)
+            .filter_map(|(ray, metres)| {
+                let falls = -(table_from_camera.rotation * Vector3::new(ray[0], ray[1], 1.0)).z;
+                let table_m = eye_m / falls;
+                let near = falls > 0.1 && ((metres - table_m) * falls).abs() < TABLE_M;
+                near.then(|| (terms(ray), metres / table_m - 1.0))
+            })
+            .collect();
+        let mut field = Field::default();
+        let mut kept = f64::INFINITY;
+        for _ in 0..4 {
+            let off = |(terms, share): &(Vector4<f64>, f64)| (share - field.weights.dot(terms)).abs();
+            let used: Vec<&(Vector4<f64>, f64)> =
+                samples.iter().filter(|sample| off(sample) < kept).collect();
+            let Some(fit) = least_squares(&used) else { return Field::default() };
+            let fitted = Field { weights: fit };
+            let mut residuals: Vec<f64> =
+                used.iter().map(|(terms, share)| (share - fit.dot(terms)).abs()).collect();
+            let middle = residuals.len() / 2;
+            let (_, median, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
+            // Three standard deviations of what is normally distributed.
+            kept = 3.0 * 1.4826 * *median;
+            field = fitted;
+        }
+        field
+    }
+
+    fn error(&self, ray: [f64; 2]) -> f64 {
+        self.weights.dot(&terms(ray)).clamp(-CORRECTION_MAX, CORRECTION_MAX)
+    }
+}
+
+fn terms([x, y]: [f64; 2]) -> Vector4<f64> {
+    Vector4::new(1.0, x, y, x * x + y * y)
+}
+
+fn least_squares(samples: &[&(Vector4<f64>, f64)]) -> Option<Vector4<f64>> {
+    if samples.len() < TABLE_POINTS_MIN {
+        return None;
+    }
+    let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+    for (terms, share) in samples {
+        normal += terms * terms.transpose();
+        right += terms * *share;
+    }
+    Some(normal.cholesky()?.solve(&right))
+}

@@ -1,0 +1,83 @@
+//! The search for foreign objects of one cell: everything it has to know, set up once.
+//!
+//! In: lens, workspace, catalogue, what never moves, what of the robot is in view; then depth pictures, and the observation of the same
+//! look. Out: [`HeightMap`]s and a [`ForeignReport`]. Pure.
+
+use crate::geometry::footprint::Footprint;
+use crate::tabletop::instance::KeepOut;
+use crate::vision::camera::CameraModel;
+use crate::vision::foreign::{
+    Area, DepthLens, ForeignLimits, ForeignReport, HeightMap, HeightMapError, KnownBody, OwnBody, find,
+};
+use crate::vision::image::DepthImage;
+use crate::vision::observe::{Observation, View};
+use nalgebra::Isometry3;
+
+/// What the cell may have on its table.
+#[derive(Clone, Debug)]
+pub struct Inventory {
+    /// The part of the table that is searched.
+    pub area: Area,
+    /// What carries a marker: name, footprint, height in m.
+    pub objects: Vec<(String, Footprint, f64)>,
+    /// What stands there and never moves.
+    pub fixed: Vec<KnownBody>,
+    /// Where anything may stand: regions that are kept out of anyway.
+    pub ignored: Vec<KeepOut>,
+    /// The gripper, if the camera may see it.
+    pub own: Option<OwnBody>,
+}
+
+/// The search.
+#[derive(Clone, Debug)]
+pub struct ForeignSearch {
+    lens: DepthLens,
+    inventory: Inventory,
+    limits: ForeignLimits,
+}
+
+impl ForeignSearch {
+    /// Prepares the search with this lens.
+    ///
+    /// # Errors
+    /// `Cv`.
+    pub fn new(
+        camera: &CameraModel,
+        inventory: Inventory,
+        limits: ForeignLimits,
+    ) -> Result<ForeignSearch, HeightMapError> {
+        Ok(ForeignSearch { lens: DepthLens::new(camera)?, inventory, limits })
+    }
+
+    /// What a depth picture says about the table.
+    ///
+    /// # Errors
+    /// `OtherSize`.
+    pub fn map(
+        &self,
+        depth: &DepthImage,
+        table_from_camera: &Isometry3<f64>,
+    ) -> Result<HeightMap, HeightMapError> {
+        HeightMap::new(depth, &self.lens, table_from_camera, self.inventory.area, self.inventory.own.as_ref())
+    }
+
+    /// What the height maps of a look's views show besides what was observed in them; `None` without any map.
+    pub fn report(&self, views: &[View], seen: &Observation) -> Option<ForeignReport> {
+        let maps: Vec<&HeightMap> = views.iter().filter_map(|view| view.heights.as_deref()).collect();
+        if maps.is_empty() {
+            return None;
+        }
+        let placed = |(id, footprint, height_m): &(String, Footprint, f64)| {
+            let pose = seen.object(id)?.pose;
+            Some(KnownBody { footprint: footprint.clone(), pose, height_m: *height_m })
+        };
+        let known: Vec<KnownBody> = self
+            .inventory
+            .objects
+            .iter()
+            .filter_map(placed)
+            .chain(self.inventory.fixed.iter().cloned())
+            .collect();
+        Some(find(&maps, &known, &self.inventory.ignored, &self.limits))
+    }
+}

@@ -1,0 +1,152 @@
+//! Faults of the camera, end to end: the real daemon against the simulator that was told to break its camera.
+//!
+//! Each fault is named while the arm stands and waits, and when it ends the job goes on by itself; one that does not end
+//! fails the job under that name, and the next job is worked on as if nothing had been.
+
+use crate::cell::{CELLD, PATIENCE, Running, celld, configuration, result_of, text, wait_until};
+use std::cell::Cell;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+const ADDRESS: &str = "127.7.5.2";
+
+/// What is asked of the simulator's control server.
+fn control(path: &str, body: Option<&str>) -> serde_json::Value {
+    let url = format!("http://{ADDRESS}:8091{path}");
+    let agent: ureq::Agent = ureq::Agent::config_builder().timeout_global(Some(PATIENCE)).build().into();
+    let answer = match body {
+        Some(body) => agent.post(&url).send(body),
+        None => agent.get(&url).call(),
+    };
+    let text = answer.expect("the control server").body_mut().read_to_string().expect("text");
+    serde_json::from_str(&text).expect("JSON")
+}
+
+fn fault(order: &str) {
+    assert_eq!(control("/fault", Some(order))["ok"], true, "{order}");
+}
+
+/// Where the lid truly is, and how often something was gripped.
+fn truth() -> (f64, usize) {
+    let world = control("/world.json", None);
+    let objects = world["objects"].as_array().expect("objects");
+    let lid = objects.iter().find(|object| object["id"] == "lid").expect("the lid");
+    let grips = world["events"].as_array().expect("events").iter();
+    let grips = grips.filter(|event| event.to_string().contains("grip")).count();
+    (lid["pose"][0].as_f64().expect("a number"), grips)
+}
+
+/// The example cell with its calibration, and the simulator with a control server.
+fn start(folder: &Path) -> (Running, Running) {
+    let (cell, sim) = configuration(folder, ADDRESS, 2);
+    let calibration = folder.join("calibration/sim");
+    std::fs::create_dir_all(&calibration).expect("created");
+    let made = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim");
+    for name in ["camera.yaml", "hand_eye.yaml", "table.yaml"] {
+        std::fs::copy(made.join(name), calibration.join(name)).expect("the simulated cell's calibration");
+    }
+    let mut simulator = Command::new(CELLD)
+        .args(["sim", "--control", "--config"])
+        .arg(sim)
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the binary runs");
+    let mut line = String::new();
+    let stdout = simulator.stdout.take().expect("piped");
+    BufReader::new(stdout).read_line(&mut line).expect("a line");
+    assert!(line.contains("\"ready\":true"), "{line}");
+    let daemon = Command::new(CELLD)
+        .args(["run", "--config"])
+        .arg(cell)
+        .current_dir(folder)
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the binary runs");
+    (Running(simulator), Running(daemon))
+}
+
+/// The running cell as a person sees it.
+struct Desk<'a> {
+    folder: &'a Path,
+    state: PathBuf,
+}
+
+/// How often a job is handed in again that was stopped because a busy machine kept the robot's states from coming.
+const HANDED_IN: usize = 6;
+
+impl Desk<'_> {
+    fn status(&self) -> String {
+        text(&celld(&["status"], self.folder).stdout)
+    }
+
+    fn ended(&self, id: &str) -> Option<String> {
+        ["done", "failed"].into_iter().find_map(|end| result_of(&self.state, end, id))
+    }
+
+    fn arm(&self) {
+        wait_until("the cell is armed", || celld(&["arm"], self.folder).status.code() == Some(0));
+    }
+
+    /// Hands in a job that wants the lid at `x`, does something `meanwhile`, and returns the job's result.
+    fn job(&self, id: &str, x: f64, meanwhile: impl Fn(&str)) -> String {
+        for attempt in 0..HANDED_IN {
+            let id = format!("{id}-{attempt}");
+            let goal = format!("goal:\n  objects:\n    - {{id: lid, pose: [{x}, 0.38, 0]}}\n");
+            let file = self.state.join("jobs/incoming").join(format!("{id}.yaml"));
+            std::fs::write(file, format!("version: 1\nid: {id}\n{goal}")).expect("written");
+            meanwhile(&id);
+            wait_until("the job ends", || self.ended(&id).is_some());
+            let result = self.ended(&id).expect("a result");
+            if !result.contains("robot's state stopped coming") {
+                return result;
+            }
+            self.arm();
+        }
+        panic!("{id}: the machine is too busy for a robot");
+    }
+}
+
+#[test]
+fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let _running = start(folder.path());
+    let desk = Desk { folder: folder.path(), state: folder.path().join("state") };
+    wait_until("the daemon opens its folders", || desk.state.join("jobs/incoming").is_dir());
+    desk.arm();
+    let result = desk.job("good", 0.36, |_| {});
+    assert!(result.contains("status: done"), "{result}");
+    let cases = [
+        ("{do: camera.off}", "camera_unplugged"),
+        ("{do: camera.freeze}", "camera_frozen"),
+        ("{do: camera.repeat}", "camera_repeats"),
+        ("{do: camera.gain, args: {gain: 0.1}}", "camera_dark"),
+        ("{do: camera.gain, args: {gain: 50}}", "camera_overexposed"),
+        ("{do: camera.fog, args: {share: 0.95}}", "camera_sees_nothing"),
+        ("{do: camera.blur, args: {sigma_px: 6}}", "camera_blurred"),
+    ];
+    for (number, (order, code)) in cases.into_iter().enumerate() {
+        // The first one has something to move, so that standing still means something.
+        let x = if number == 0 { 0.30 } else { truth().0 };
+        let named = Cell::new(false);
+        let result = desk.job(code, x, |id| {
+            fault(order);
+            let before = truth();
+            wait_until(code, || desk.status().contains(code) || desk.ended(id).is_some());
+            named.set(named.get() || desk.status().contains(code));
+            assert_eq!(truth(), before, "{code}: nothing is touched while nothing is seen");
+            fault("{do: clear}");
+        });
+        assert!(named.get() && result.contains("status: done"), "{code}: {result}");
+    }
+    assert!((truth().0 - 0.30).abs() < 0.003, "the lid was carried after all");
+
+    let result = desk.job("blind", 0.40, |_| fault("{do: camera.off}"));
+    assert!(result.contains("code: \"camera_unplugged\""), "{result}");
+    assert!(result.contains("cable") && result.contains("asked again 2 x, connected anew 2 x"), "{result}");
+    let status = desk.status();
+    assert!(status.contains("armed") && !status.contains("disarmed"), "{status}");
+    fault("{do: clear}");
+    let result = desk.job("again", 0.40, |_| {});
+    assert!(result.contains("status: done"), "{result}");
+}
