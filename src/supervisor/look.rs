@@ -202,6 +202,11 @@ impl Cell {
 
     /// The arm stands and waits for the camera; the look's deadline decides when this has gone on for too long.
     fn no_picture(&mut self, now: Timestamp, trouble: CameraTrouble, out: &mut Vec<Action>) {
+        if self.job.as_ref().is_some_and(|job| job.cancel) {
+            // Nobody waits for this picture any more.
+            self.phase = Phase::Ready;
+            return;
+        }
         if trouble.lasting {
             return self.give_up_looking(now, &trouble, out);
         }
