@@ -21,6 +21,13 @@ pub struct Cell {
     pub objective: Objective,
 }
 
+impl Cell {
+    /// The cell of these.
+    pub fn new(scenario: &str, density: f64, objects: usize, objective: Objective) -> Cell {
+        Cell { scenario: scenario.to_string(), density, objects, objective }
+    }
+}
+
 /// One run of one solver on one case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unit {

@@ -62,12 +62,7 @@ pub const FIGURES: [Spec; 6] = [
 impl Spec {
     /// The cells the paper shows in this figure.
     pub fn cells(&self) -> Vec<Cell> {
-        let cell = |density, objects| Cell {
-            scenario: self.scenario.to_string(),
-            density,
-            objects,
-            objective: self.objective,
-        };
+        let cell = |density, objects| Cell::new(self.scenario, density, objects, self.objective);
         match self.axis {
             Axis::Objects { density } => OBJECTS.map(|objects| cell(density, objects)).to_vec(),
             Axis::Density { objects } => DENSITIES.map(|density| cell(density, objects)).to_vec(),

@@ -95,12 +95,7 @@ pub const TARGETS: [Target; 17] = [
 impl Target {
     /// The cells that the target is about.
     pub fn cells(&self) -> Vec<Cell> {
-        let cell = |density, objects| Cell {
-            scenario: self.scenario.to_string(),
-            density,
-            objects,
-            objective: self.objective,
-        };
+        let cell = |density, objects| Cell::new(self.scenario, density, objects, self.objective);
         let densities = self.densities.iter();
         densities.flat_map(|&density| self.objects.iter().map(move |&n| cell(density, n))).collect()
     }
@@ -118,6 +113,34 @@ impl Target {
         let (least, most) = (self.objects.first().unwrap_or(&0), self.objects.last().unwrap_or(&0));
         let objects = if least == most { format!("{least}") } else { format!("{least}-{most}") };
         format!("{} {} {} n {objects}", self.scenario, self.objective.word(), densities.join(","))
+    }
+}
+
+/// Some cells of the targets: scenario, objective, density and number of objects, from the left as far as given.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Selection {
+    words: Vec<String>,
+}
+
+impl Selection {
+    /// Reads `rand`, `rand/pp`, `rand/pp/0.6` or `rand/pp/0.6/20`.
+    ///
+    /// # Errors
+    /// What the text has to be; it must name a cell that there is.
+    pub fn parse(text: &str) -> Result<Selection, String> {
+        let selection = Selection { words: text.split('/').map(str::to_string).collect() };
+        let named = TARGETS.iter().flat_map(Target::cells).any(|cell| selection.takes(&cell));
+        named.then_some(selection).ok_or_else(|| {
+            "names no cell of the targets: SCENARIO/OBJECTIVE/DENSITY/N, such as rand/pp/0.6/20 or sq/ti"
+                .into()
+        })
+    }
+
+    /// Is the cell one of these?
+    pub fn takes(&self, cell: &Cell) -> bool {
+        let Cell { scenario, density, objects, objective } = cell;
+        let cell = [scenario.clone(), objective.word().into(), density.to_string(), objects.to_string()];
+        self.words.len() <= cell.len() && self.words.iter().zip(&cell).all(|(word, of_cell)| word == of_cell)
     }
 }
 
@@ -209,6 +232,22 @@ mod tests {
         assert!(!met(&late), "two of twenty are late");
         let failed: Vec<Row> = all.into_iter().chain([row("20", None)]).collect();
         assert!(!met(&failed), "one without a plan");
+    }
+
+    #[test]
+    fn a_selection_takes_what_begins_like_it() {
+        let all: Vec<Cell> = TARGETS.iter().flat_map(Target::cells).collect();
+        let count = |text: &str| {
+            let selection = Selection::parse(text).unwrap();
+            all.iter().filter(|cell| selection.takes(cell)).count()
+        };
+        assert_eq!(
+            [count("rand/pp/0.6/20"), count("rand/pp/0.6"), count("disk"), count("sq/ti")],
+            [1, 2, 8, 15]
+        );
+        for text in ["", "rand/pp/0.7", "ran", "rand/pp/0.6/20/1", "rand//0.6"] {
+            assert!(Selection::parse(text).is_err(), "{text}");
+        }
     }
 
     #[test]

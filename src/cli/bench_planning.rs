@@ -13,7 +13,7 @@ use crate::bench::results::{Found, ResultsFile};
 use crate::bench::runner::Runner;
 use crate::bench::summary::summary;
 use crate::bench::table::{CSV_HEADER, Row, Table};
-use crate::bench::targets::{self, TARGETS, Target};
+use crate::bench::targets::{self, Selection, TARGETS, Target};
 use crate::cli::bench_cases::Source;
 use crate::cli::generate::ratios_parser;
 use crate::cli::plan::{objective_parser, seconds};
@@ -41,6 +41,9 @@ pub struct BenchPlanningArgs {
     /// --time-limit if that is less. Generated cases without --data, and then no discs and sticks
     #[arg(long, conflicts_with_all = ["figure", "scenario", "density", "n", "objective"])]
     pub targets: bool,
+    /// Of --targets only these cells: SCENARIO/OBJECTIVE/DENSITY/N, from the left as far as given (rand/pp/0.6, sq/ti)
+    #[arg(long, value_delimiter = ',', requires = "targets", value_parser = Selection::parse)]
+    pub cells: Vec<Selection>,
     /// Families: rand, sq; with --data also disk, stick, or the name of a folder in `hetori/instances`
     #[arg(long, value_delimiter = ',', default_value = "rand,sq")]
     pub scenario: Vec<String>,
@@ -155,7 +158,7 @@ fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
     };
     let mut desk = Desk::new(args, file, &units, found);
     let left: Vec<Unit> = units.into_iter().filter(|unit| !desk.table.has(&unit.key)).collect();
-    desk.announce(left.len());
+    desk.announce(&left);
     let limits_of = |unit: &Unit| limits(args, &unit.cell);
     let runner = Runner {
         load: &|unit| source.problem(unit),
@@ -248,7 +251,9 @@ fn cells(args: &BenchPlanningArgs) -> Vec<Cell> {
         return figures(&args.figure).iter().flat_map(Spec::cells).collect();
     }
     if args.targets {
-        let kept = |cell: &Cell| args.data.is_some() || ["rand", "sq"].contains(&cell.scenario.as_str());
+        let asked = |cell: &Cell| args.cells.is_empty() || args.cells.iter().any(|some| some.takes(cell));
+        let there = |cell: &Cell| args.data.is_some() || ["rand", "sq"].contains(&cell.scenario.as_str());
+        let kept = |cell: &Cell| asked(cell) && there(cell);
         return TARGETS.iter().flat_map(Target::cells).filter(kept).collect();
     }
     let mut cells = Vec::new();
@@ -294,10 +299,11 @@ impl<'a> Desk<'a> {
     }
 
     /// Says what there is to do, and prints the rows that are there.
-    fn announce(&mut self, left: usize) {
-        let threads = threads(self.args);
+    fn announce(&mut self, units: &[Unit]) {
+        let (threads, left) = (threads(self.args), units.len());
         let rows = &self.table.rows;
-        let worst = (left as f64 * self.args.time_limit / threads.min(left.max(1)) as f64).max(0.0);
+        let all: f64 = units.iter().map(|unit| limits(self.args, &unit.cell).seconds).sum();
+        let worst = (all / threads.min(left.max(1)) as f64).max(0.0);
         complain(&format!(
             "{left} runs on {threads} threads, {} done earlier; at most about {}",
             rows.len(),

@@ -40,7 +40,7 @@ pub fn assigned_goals(scene: &Scene) -> Vec<Option<Pose2>> {
 
 /// For each start the index of the goal it takes, at most one each: identical poses first, then greedily the
 /// nearest pairs, then exchanges of two as long as they shorten the way.
-fn match_to_goals(starts: &[Pose2], goals: &[Pose2]) -> Vec<Option<usize>> {
+pub fn match_to_goals(starts: &[Pose2], goals: &[Pose2]) -> Vec<Option<usize>> {
     let cost = |s: usize, g: usize| {
         // Staying counts far more than any distance on the table.
         if starts[s].same(&goals[g]) { -1e6 } else { starts[s].distance(&goals[g]) }

@@ -5,7 +5,7 @@
 //! its end, and the feedback vertex set of their graph.
 
 use crate::geometry::pose::Pose2;
-use crate::planning::auto::roll_out::NODE_LIMIT;
+use crate::planning::auto::roll_out::node_limit;
 use crate::planning::auto::table::Table;
 use crate::planning::buffers::Arrangement;
 use crate::planning::feedback;
@@ -112,6 +112,6 @@ impl Groups {
 /// No way between the two arrangements costs less.
 fn promise(scene: &Scene, costs: &[f64], from: &Arrangement, ends: &Arrangement) -> f64 {
     let table = Table::new(scene, from, ends, ObjectSet::EMPTY);
-    let set = feedback::minimum_within(&table.graph(), costs, NODE_LIMIT);
+    let set = feedback::minimum_within(&table.graph(), costs, node_limit(ends.len()));
     table.remaining.weight(costs) + set.lower_bound
 }

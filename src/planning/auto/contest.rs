@@ -6,7 +6,7 @@
 //! aside anyway costs nothing. Many places are priced roughly, the best of them by that bound.
 
 use crate::planning::auto::parking;
-use crate::planning::auto::roll_out::NODE_LIMIT;
+use crate::planning::auto::roll_out::node_limit;
 use crate::planning::auto::table::Table;
 use crate::planning::effort::Effort;
 use crate::planning::feedback;
@@ -112,7 +112,7 @@ impl Contest<'_> {
             if waits && blocked.contains(i) { rest.with(self.object) } else { rest.without(self.object) }
         };
         let graph = DependencyGraph::from_blockers((0..table.ends.len()).map(blockers).collect());
-        let set = feedback::minimum_within(&graph, &self.weights, NODE_LIMIT).vertices;
+        let set = feedback::minimum_within(&graph, &self.weights, node_limit(table.ends.len())).vertices;
         let home = displaced - table.remaining;
         let moves = displaced.weight(self.costs) + home.weight(self.costs) + self.costs[self.object];
         (table.remaining.weight(self.costs) + moves + set.weight(self.costs), set | displaced)

@@ -14,6 +14,7 @@ use crate::planning::auto::parking::{Care, Shapes};
 use crate::planning::auto::polish;
 use crate::planning::auto::roll_out::{Style, Task, roll_out};
 use crate::planning::auto::shorten::shortened;
+use crate::planning::auto::sites;
 use crate::planning::auto::squeeze::{Progress, Squeeze};
 use crate::planning::buffers::Arrangement;
 use crate::planning::completion;
@@ -28,6 +29,9 @@ use std::sync::Arc;
 
 /// Rounds without a plan after which everything is tried side by side.
 const PATIENCE: u64 = 8;
+
+/// Share of the ways over a crowded table that go over the sites of a packing, if they can.
+const SITES: f64 = 0.3;
 
 /// Under `time`, the share of small changes among the tries.
 const POLISH: f64 = 0.9;
@@ -222,6 +226,7 @@ impl<'a> Member<'a> {
         let scene = self.quest.scene;
         let (mut squeeze, backwards) = match self.squeeze.take() {
             Some(squeeze) => squeeze,
+            None if self.rng.random_bool(SITES) => return self.over_sites(effort),
             None => self.new_squeeze(effort)?,
         };
         let style = Style { hold: 0.0, stops: 0, ..self.style(None, false) };
@@ -241,6 +246,15 @@ impl<'a> Member<'a> {
                 None
             }
         }
+    }
+
+    /// A way for equal discs, if that is what there is.
+    fn over_sites(&mut self, effort: &mut Effort) -> Option<Vec<Move>> {
+        let scene = self.quest.scene;
+        let radius = sites::common_radius(scene)?;
+        let goal = completion::complete(scene, &self.goals, &mut self.rng, effort)?;
+        let moves = sites::over_sites(scene, radius, &self.start, &goal, &mut self.rng, effort)?;
+        Some(shortened(scene, &self.start, moves))
     }
 
     fn new_squeeze(&mut self, effort: &mut Effort) -> Option<(Squeeze<'a>, bool)> {

@@ -14,6 +14,7 @@ pub mod polish;
 pub mod regions;
 pub mod roll_out;
 pub mod shorten;
+pub mod sites;
 pub mod squeeze;
 pub mod stops;
 pub mod table;

@@ -24,8 +24,11 @@ use std::sync::Arc;
 /// Feedback vertex sets tried before an object is parked at a price.
 const SETS: usize = 3;
 
-/// Nodes of the search for a feedback vertex set: enough for a proof on the tables there are.
-pub const NODE_LIMIT: u64 = 20_000;
+/// Nodes of the search for a feedback vertex set: enough for a proof on the tables that the paper has. Of more vertices
+/// than a machine word holds a proof may take seconds, and a step of a roll-out is to take less than milliseconds.
+pub fn node_limit(vertices: usize) -> u64 {
+    if vertices <= 64 { 20_000 } else { 500 }
+}
 
 /// Stops planned in one roll-out.
 const MOST_STOPS: usize = 4;
@@ -166,7 +169,7 @@ impl RollOut<'_> {
     fn feedback(&self, dear: ObjectSet) -> ObjectSet {
         let mut weights = self.weights();
         dear.iter().for_each(|o| weights[o] *= 4.0);
-        feedback::minimum_within(&self.table.graph(), &weights, NODE_LIMIT).vertices
+        feedback::minimum_within(&self.table.graph(), &weights, node_limit(self.table.ends.len())).vertices
     }
 
     fn too_dear(&self, aside: ObjectSet) -> bool {

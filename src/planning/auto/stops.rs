@@ -5,7 +5,7 @@
 //! feedback vertex: the place is priced by the minimum feedback vertex set of the graph with the stop in it.
 
 use crate::planning::auto::parking;
-use crate::planning::auto::roll_out::{NODE_LIMIT, STEADFAST};
+use crate::planning::auto::roll_out::{STEADFAST, node_limit};
 use crate::planning::auto::table::Table;
 use crate::planning::effort::Effort;
 use crate::planning::feedback;
@@ -84,7 +84,7 @@ impl Stop<'_> {
         weights[object] = STEADFAST * self.costs[object];
         weights.push(weights[object]);
         let graph = DependencyGraph::from_blockers(blockers);
-        let set = feedback::minimum_within(&graph, &weights, NODE_LIMIT).vertices;
+        let set = feedback::minimum_within(&graph, &weights, node_limit(stop + 1)).vertices;
         let kept = set.iter().all(|v| v != object && v != stop && !table.is_planned(v));
         kept.then(|| table.remaining.weight(self.costs) + self.costs[object] + set.weight(&weights))
     }

@@ -205,16 +205,20 @@ fn tree_searches_go_on_until_the_limit_unless_asked_for_the_first_plan() {
     assert!(improved >= 4, "only {improved} searches found a second plan");
 }
 
-#[test]
-fn a_place_is_cleared_for_an_object_that_finds_none() {
-    // Two large squares change places; the only room for one of them has a small square, already home, in it.
+/// Two large squares change places; the only room for one of them has a small square, already home, in it.
+fn a_small_one_in_the_way() -> Problem {
     let mut crowded = table(vec![
         square("left", 0.3, 1.0, (0.15, 0.35), (0.5, 0.35)),
         square("right", 0.3, 1.0, (0.5, 0.35), (0.15, 0.35)),
         square("small", 0.12, 1.0, (0.875, 0.25), (0.875, 0.25)),
     ]);
     (crowded.workspace.width, crowded.workspace.height) = (1.1, 0.5);
-    let problem = Problem::new(&crowded).expect("valid");
+    Problem::new(&crowded).expect("valid")
+}
+
+#[test]
+fn a_place_is_cleared_for_an_object_that_finds_none() {
+    let problem = a_small_one_in_the_way();
     for solver in [SolverKind::Tbm, SolverKind::Rbm, SolverKind::Etbm, SolverKind::Erbm] {
         let status = |strict_paper, work| {
             let control = Control { work_limit: Some(work), strict_paper, ..Control::until(&|| false) };
@@ -282,13 +286,7 @@ fn auto_needs_no_more_than_any_other_solver() {
 
 #[test]
 fn auto_makes_room_for_a_large_object() {
-    let mut crowded = table(vec![
-        square("left", 0.3, 1.0, (0.15, 0.35), (0.5, 0.35)),
-        square("right", 0.3, 1.0, (0.5, 0.35), (0.15, 0.35)),
-        square("small", 0.12, 1.0, (0.875, 0.25), (0.875, 0.25)),
-    ]);
-    (crowded.workspace.width, crowded.workspace.height) = (1.1, 0.5);
-    let problem = Problem::new(&crowded).expect("valid");
+    let problem = a_small_one_in_the_way();
     let control = Control { work_limit: Some(200_000), ..Control::until(&|| false) };
     let outcome = solve(&problem, SolverKind::Auto, Objective::Pp, &control, 1).expect("built");
     // The small one has to leave and to come back: 3 + 2. That 3 are too few is proved.
