@@ -82,7 +82,7 @@ fn a_search_by_depth_needs_a_camera_that_is_asked_for_it() {
     let blind = CELL.replace("8090, depth: true}", "8090}");
     let told = cell(&blind).unwrap_err().to_string();
     assert!(
-        told.contains("foreign: the search") && told.contains("set `depth: true` in `devices.camera`"),
+        told.contains("devices.camera: the search") && told.contains("set `depth: true` in `devices.camera`"),
         "{told}"
     );
     for rule in ["", "foreign: {mode: off}"] {
