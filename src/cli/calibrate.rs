@@ -167,8 +167,12 @@ fn of_arm(lens: &CameraModel, arm: &Arm) -> Provenance {
 fn camera_and_lens(config: &CellConfig) -> Result<(Supervised, CameraCalibration), String> {
     if config.devices.camera.knows_its_lens() {
         let mut camera = open_camera(config, None)?;
-        let own = camera.intrinsics().map_err(|error| chain(&error))?;
-        return lens(config, own).map(|lens| (camera, lens));
+        match camera.intrinsics() {
+            Ok(own) => return lens(config, own).map(|lens| (camera, lens)),
+            // What its factory says may be of no use; then the measured lens is all that is needed.
+            Err(_) if config.calibration.camera.exists() => drop(camera),
+            Err(error) => return Err(chain(&error)),
+        }
     }
     let path = &config.calibration.camera;
     let text = files::read_named(path, 1 << 20).map_err(|error| {

@@ -104,7 +104,7 @@ fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     if needed && !measured {
         let message = "the search for what carries no marker needs depth, and the camera is not asked for it";
         let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: {mode: off}`";
-        decoder.complain(places.at(&["foreign"]), "foreign", message, help);
+        decoder.complain(places.at(&["devices", "camera"]), "devices.camera", message, help);
     }
 }
 

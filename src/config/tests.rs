@@ -78,6 +78,20 @@ fn examples_show_and_comment_every_key() {
 }
 
 #[test]
+fn a_search_by_depth_needs_a_camera_that_is_asked_for_it() {
+    let blind = CELL.replace("8090, depth: true}", "8090}");
+    let told = cell(&blind).unwrap_err().to_string();
+    assert!(
+        told.contains("foreign: the search") && told.contains("set `depth: true` in `devices.camera`"),
+        "{told}"
+    );
+    for rule in ["", "foreign: {mode: off}"] {
+        assert!(cell(&blind.replace("foreign: {mode: refuse}", rule)).is_ok(), "{rule}");
+    }
+    assert!(cell(&blind.replace("mode: refuse", "mode: obstacle, margin_m: 0.01")).is_err());
+}
+
+#[test]
 fn a_missing_key_is_named() {
     for key in ["limits", "gripper", "flange_from_tool", "reference_markers", "planner", "clearance"] {
         let without = CELL.replace(&format!("\n{key}:"), &format!("\nx-{key}:"));
@@ -106,7 +120,6 @@ fn a_unit_or_type_is_told() {
     check("foreign: {mode: refuse}", "foreign: {mode: obstacle}", "key \"margin_m\" is missing");
     check("foreign: {mode: refuse}", "foreign: {mode: refuse, margin_m: 0.01}", "unknown key");
     check("foreign: {mode: refuse}", "foreign: {mode: ignore}", "one of: refuse, obstacle, off");
-    check("8090, depth: true}", "8090}", "set `depth: true` in `devices.camera`");
     check("reference_shift_m: 0.001", "reference_shift_m: 0", "out of range");
     check("\napproval: always", "\napproval: maybe", "one of: never");
     check(

@@ -17,8 +17,10 @@ use crate::vision::camera::CameraModel;
 use std::error::Error;
 use std::time::Duration;
 
-/// How long a frame may take, wall time: the simulator may have to render it on a busy computer.
-pub const FRAME_LIMIT: Duration = Duration::from_secs(20);
+/// How long a frame of the simulator may take, wall time: it may have to be rendered on a busy computer.
+const SIMULATOR_LIMIT: Duration = Duration::from_secs(20);
+/// And one of a camera: none takes that long, and there has to be time left for connecting anew.
+const CAMERA_LIMIT: Duration = Duration::from_secs(4);
 
 /// Opens the camera of the configuration.
 ///
@@ -27,7 +29,7 @@ pub const FRAME_LIMIT: Duration = Duration::from_secs(20);
 pub fn open_camera(devices: &Devices, lens: Option<CameraModel>) -> Result<Supervised, CameraError> {
     let source: Box<dyn CameraSource> = match &devices.camera {
         CameraDevice::Simulator { host, port, depth } => {
-            let mut camera = HttpCamera::new(&format!("http://{host}:{port}"), FRAME_LIMIT);
+            let mut camera = HttpCamera::new(&format!("http://{host}:{port}"), SIMULATOR_LIMIT);
             if *depth {
                 camera = camera.with_depth();
             }
@@ -36,9 +38,11 @@ pub fn open_camera(devices: &Devices, lens: Option<CameraModel>) -> Result<Super
                 None => camera,
             })
         }
-        CameraDevice::Http { url, serial } => Box::new(SnapshotCamera::open(url, serial, FRAME_LIMIT, lens)?),
+        CameraDevice::Http { url, serial } => {
+            Box::new(SnapshotCamera::open(url, serial, CAMERA_LIMIT, lens)?)
+        }
         CameraDevice::RealSense(settings) => {
-            Box::new(RealSenseCamera::open(settings.clone(), FRAME_LIMIT, lens)?)
+            Box::new(RealSenseCamera::open(settings.clone(), CAMERA_LIMIT, lens)?)
         }
         CameraDevice::Uvc(settings) => Box::new(UvcCamera::open(settings.clone(), lens)?),
         CameraDevice::Folder { path } => Box::new(FolderCamera::open(path, lens)?),

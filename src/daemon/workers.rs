@@ -88,6 +88,10 @@ pub fn spawn_eye(
                     let search = parameters.foreign.as_ref();
                     let eye = (&mut *source as &mut dyn CameraSource, &mut detector);
                     let taken = capture(eye, frames, table_from_camera, &clock, search);
+                    if taken.is_err() {
+                        // The look may end here; the next one's pictures are other ones.
+                        shots.clear();
+                    }
                     if let (Ok((_, image)), Some(_)) = (&taken, &parameters.doubts) {
                         doubts::keep(&mut shots, Shot { image: image.clone(), table_from_camera });
                     }
@@ -95,6 +99,11 @@ pub fn spawn_eye(
                 }
                 EyeRequest::Observe(views) => {
                     let seen = put_together(&parameters, &views);
+                    // A look that was broken off has left pictures of its own.
+                    let of_it = |shot: &Shot| {
+                        views.iter().any(|view| view.table_from_camera == shot.table_from_camera)
+                    };
+                    shots.retain(of_it);
                     if let (Ok(seen), Some(folder)) = (&seen, &parameters.doubts) {
                         doubts::write(&parameters, &shots, seen, folder);
                     }

@@ -13,6 +13,7 @@ use crate::supervisor::model::{CellModel, ForeignRule};
 use crate::tabletop::instance::KeepOut;
 use crate::vision::foreign::ForeignObject;
 use crate::vision::observe::Observation;
+use crate::vision::observe::reference::MARKERS_MIN;
 
 /// Share of the table in which depth has to be measured for a look to say that nothing foreign is there.
 const MEASURED_SHARE: f64 = 0.7;
@@ -58,6 +59,13 @@ impl Cell {
             return Some(Doubt { code: "reference_hidden".into(), message, remedy });
         }
         let check = observation.reference.as_ref()?;
+        // Their mean over all looks does not tell a bump: what it shifts from one side it shifts back from another.
+        if tolerances.reference_seen >= MARKERS_MIN && check.looks.is_empty() {
+            let message = format!("no look pose shows {MARKERS_MIN} reference markers at once");
+            let remedy =
+                "uncover the reference markers, or teach a look pose that shows three of them, submit again";
+            return Some(Doubt { code: "reference_hidden".into(), message, remedy });
+        }
         if !check.drifted(&tolerances.reference) {
             return None;
         }
@@ -182,7 +190,7 @@ impl Cell {
         self.model.keep_out.iter().cloned().chain(foreign).collect()
     }
 
-    /// Heights and speeds of a cycle, over foreign obstacles too: those of the last look that was of use.
+    /// Heights and speeds of a cycle, over what carries no marker too, as the last look that measured it saw it.
     pub(crate) fn cycle(&self) -> CycleParameters {
         let mut cycle = self.model.cycle.clone();
         cycle.tallest = cycle.tallest.max(self.foreign_height);
@@ -234,8 +242,12 @@ fn margin_m(model: &CellModel) -> f64 {
     }
 }
 
-/// Height over which the arm has to travel because of what carries no marker, m.
-pub(crate) fn foreign_height(model: &CellModel, seen: &Observation) -> f64 {
-    let heights = foreign_obstacles(model, seen).iter().map(|object| object.height_m + margin_m(model));
-    heights.fold(0.0, f64::max)
+/// Height over which the arm has to travel because of what carries no marker, m; `None` when depth does not tell. It counts
+/// also where such things are refused: the arm still has to look again, and to be parked.
+pub(crate) fn foreign_height(model: &CellModel, seen: &Observation) -> Option<f64> {
+    if model.foreign == ForeignRule::Off {
+        return Some(0.0);
+    }
+    let heights = seen.foreign.as_ref()?.objects.iter().map(|object| object.height_m + margin_m(model));
+    Some(heights.fold(0.0, f64::max))
 }

@@ -59,11 +59,25 @@ impl Cell {
             }
             Err(fault) => {
                 self.phase = Phase::Ready;
-                let message = format!("look pose {} cannot be reached: {fault}", view + 1);
                 self.armed = false;
+                let message = format!("look pose {} cannot be reached: {fault}", view + 1);
+                let (code, message, remedy) = match self.foreign_height > self.model.cycle.tallest {
+                    true => (
+                        "foreign_object",
+                        format!(
+                            "{message}; something without a marker reaches up to {:.0} mm over the table",
+                            self.foreign_height * 1e3
+                        ),
+                        "take it away, then `celld arm`",
+                    ),
+                    false => (
+                        "unreachable",
+                        message,
+                        "move the arm free by hand or teach the look poses again, then arm",
+                    ),
+                };
                 alarm(out, format!("{message}; disarmed"));
-                let remedy = "move the arm free by hand or teach the look poses again, then arm";
-                self.finish(now, JobEnd::Failed, "unreachable", &message, remedy, out);
+                self.finish(now, JobEnd::Failed, code, &message, remedy, out);
             }
         }
     }
@@ -188,6 +202,11 @@ impl Cell {
 
     /// The arm stands and waits for the camera; the look's deadline decides when this has gone on for too long.
     fn no_picture(&mut self, now: Timestamp, trouble: CameraTrouble, out: &mut Vec<Action>) {
+        if self.job.as_ref().is_some_and(|job| job.cancel) {
+            // Nobody waits for this picture any more.
+            self.phase = Phase::Ready;
+            return;
+        }
         if trouble.lasting {
             return self.give_up_looking(now, &trouble, out);
         }
@@ -229,6 +248,9 @@ impl Cell {
             }
         };
         let trouble = self.judge(&observation);
+        if let Some(height) = foreign_height(&self.model, &observation) {
+            self.foreign_height = height;
+        }
         self.tell_obstacles(&observation, out);
         let Some(job) = &mut self.job else { return };
         for object in &observation.objects {
@@ -242,7 +264,6 @@ impl Cell {
                     let absent = observation.missing.join(", ");
                     alarm(out, format!("not to be seen, taken as not on the table: {absent}"));
                 }
-                self.foreign_height = foreign_height(&self.model, &observation);
                 self.seen = Some(observation);
                 self.seen_at = now;
             }

@@ -54,6 +54,8 @@ impl Cell {
             return alarm(out, format!("not armed: {reason}; end celld, `celld calibrate`, start it again"));
         }
         self.armed = true;
+        // Whoever arms has looked at the table; what stood on it may be gone, and only a look can tell.
+        self.foreign_height = 0.0;
         say(out, "armed");
     }
 

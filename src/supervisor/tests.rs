@@ -129,7 +129,14 @@ fn reference(count: u32, shift_m: f64) -> ReferenceCheck {
         residual_max_m: shift_m.abs(),
         shift_m: [shift_m, 0.0],
         turn_rad: 0.0,
-        looks: Vec::new(),
+        looks: vec![LookShift {
+            view: 0,
+            markers: count as usize,
+            // These tests are about the residual over all.
+            shift_m: [0.0; 2],
+            turn_rad: 0.0,
+            lift_m: 0.0,
+        }],
     }
 }
 
@@ -390,6 +397,12 @@ fn a_camera_that_was_lifted_shifted_or_turned_at_one_look_pose_stops_the_job() {
     bench.reference = ReferenceCheck { looks: vec![look], ..reference(4, 1e-4) };
     bench.job(false);
     assert!(bench.until_planning().iter().any(|action| matches!(action, Action::Plan(_))));
+}
+
+#[test]
+fn markers_that_no_look_shows_together_tell_nothing() {
+    let spread = ReferenceCheck { looks: Vec::new(), ..reference(4, 0.0) };
+    assert_eq!(ends_without_planning(spread), (JobEnd::Failed, "reference_hidden".into()));
 }
 
 #[test]

@@ -5,8 +5,8 @@
 
 use crate::device::gripper::{Channels, GripperCommand};
 use crate::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
-use crate::supervisor::cell::{Cell, Look, Phase, alarm, say};
-use crate::supervisor::input::{Action, Outside};
+use crate::supervisor::cell::{Cell, Look, LookStage, Phase, alarm, say};
+use crate::supervisor::input::{Action, CameraTrouble, Outside};
 use crate::supervisor::order::JobEnd;
 use crate::time::{Duration, Timestamp};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
@@ -46,6 +46,15 @@ impl Cell {
     fn on_deadline(&mut self, now: Timestamp, out: &mut Vec<Action>) {
         if let Phase::Look(Look { trouble: Some(trouble), .. }) = &self.phase {
             let trouble = trouble.clone();
+            return self.give_up_looking(now, &trouble, out);
+        }
+        if matches!(self.phase, Phase::Look(Look { stage: LookStage::Capturing { .. }, .. })) {
+            let trouble = CameraTrouble {
+                code: "camera_unplugged",
+                message: "the camera gave no picture in the time of a look".to_string(),
+                remedy: "look at the camera's cable and power, submit again",
+                lasting: false,
+            };
             return self.give_up_looking(now, &trouble, out);
         }
         let (code, message) = match &self.phase {

@@ -199,3 +199,36 @@ fn the_public_codes_rows_are_run_and_compared() {
     assert_eq!(run(&[]), 2);
     assert!(refused::<BenchPlanningArgs>(&["--baseline", "x.csv"]), "without --data");
 }
+
+#[test]
+fn the_parts_of_the_vision_benchmark_print_one_object() {
+    let words = [
+        "bench",
+        "vision",
+        "--part",
+        "drift,foreign,hand-eye",
+        "--trials",
+        "20",
+        "--looks",
+        "40",
+        "--rendered",
+        "0",
+        "--scenes",
+        "4",
+        "--rounds",
+        "2",
+        "--format",
+        "json",
+    ];
+    let run = std::process::Command::new(env!("CARGO_BIN_EXE_celld")).args(words).output().expect("it runs");
+    let told: serde_json::Value = serde_json::from_slice(&run.stdout).expect("one JSON object");
+    assert_eq!(
+        (&told["drift"]["noticed"], &told["drift"]["false_alarms"]),
+        (&20.into(), &0.into()),
+        "{told}"
+    );
+    assert_eq!(told["foreign"]["found_rate"], 1.0, "{told}");
+    assert_eq!(told["foreign"]["false_alarm_rate"], 0.0, "{told}");
+    assert_eq!(told["hand_eye"]["degenerate"].as_array().map(Vec::len), Some(3), "{told}");
+    assert!(told["detection_rate"].is_null(), "the markers were not asked for");
+}

@@ -178,17 +178,17 @@ impl Bench {
         random.set_stream(number as u64);
         let kind = (number % 2 == 1).then_some(number / 2 % KINDS.len());
         let mut things: Vec<Thing> = Vec::new();
+        // First, while there is room for it.
+        let foreign = kind.and_then(|kind| {
+            let thing = foreign(kind, &mut random);
+            place(thing, &mut things, &mut random).then(|| things[0].known.clone())
+        });
         for _ in 0..random.random_range(3..9) {
             let thing = object(&mut random);
             place(thing, &mut things, &mut random);
         }
-        let known: Vec<KnownBody> = things.iter().map(|thing| measured(&thing.known, &mut random)).collect();
-        let foreign = kind.and_then(|kind| {
-            let thing = foreign(kind, &mut random);
-            place(thing, &mut things, &mut random).then(|| things[things.len() - 1].known.clone())
-        });
-        // A table too full for it is a clean one.
-        let kind = kind.filter(|_| foreign.is_some());
+        let known = things.iter().skip(usize::from(foreign.is_some()));
+        let known: Vec<KnownBody> = known.map(|thing| measured(&thing.known, &mut random)).collect();
         let eye = eye(&mut random);
         let depth = self.depth(things, &eye, [task.seed, number as u64])?;
         let believed = eye * jitter(CAMERA_STD, &mut random);

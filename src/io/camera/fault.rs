@@ -203,6 +203,23 @@ pub enum CameraError {
         /// What it does not do, and what to change.
         what: String,
     },
+    /// Pictures come, but not all that were asked for.
+    #[error("{place}: {what}")]
+    Incomplete {
+        /// The camera.
+        place: String,
+        /// What is missing, and what may help.
+        what: String,
+    },
+    /// A recording that the RealSense SDK cannot play.
+    #[error("recording {} cannot be played: record it again", path.display())]
+    Recording {
+        /// Which.
+        path: PathBuf,
+        /// What the SDK says.
+        #[source]
+        source: SdkError,
+    },
     /// The RealSense SDK says no.
     #[error("{place}")]
     RealSense {
@@ -275,10 +292,16 @@ impl CameraError {
             | CameraError::Status { .. }
             | CameraError::NotConnected { .. }
             | CameraError::Silent { .. } => FaultKind::Unplugged,
-            CameraError::RealSense { source: SdkError::Call { .. }, .. } => FaultKind::Unplugged,
+            CameraError::RealSense { source: SdkError::Call { disconnected: true, .. }, .. } => {
+                FaultKind::Unplugged
+            }
+            CameraError::RealSense { source: SdkError::Call { .. } | SdkError::Nonsense { .. }, .. } => {
+                FaultKind::Broken
+            }
             CameraError::RepeatedSequence { .. } => FaultKind::Frozen,
             CameraError::RepeatedPicture { .. } => FaultKind::Repeated,
             CameraError::Header { .. }
+            | CameraError::Incomplete { .. }
             | CameraError::Picture { .. }
             | CameraError::Time { .. }
             | CameraError::Video { .. } => FaultKind::Broken,
@@ -293,6 +316,7 @@ impl CameraError {
             | CameraError::NoIntrinsics { .. }
             | CameraError::OtherSerial { .. }
             | CameraError::Setting { .. }
+            | CameraError::Recording { .. }
             | CameraError::RealSense { .. }
             | CameraError::File { .. }
             | CameraError::NoPictures { .. } => FaultKind::Misfit,

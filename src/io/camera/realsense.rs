@@ -12,7 +12,7 @@ use crate::io::camera::{CameraError, CameraSource, Exposure, Frame};
 use crate::vision::camera::{CameraModel, FactoryDistortion, FactoryLens};
 use crate::vision::image::{DepthImage, Image};
 use sdk::{Align, Context, Device, Frames, Pipeline, Sdk, SdkError, Stream};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// What is asked of the camera.
@@ -156,10 +156,10 @@ impl RealSenseCamera {
                     return Ok(set);
                 }
                 _ if over => {
-                    let what = "its sets of frames lack the colour or the depth picture: set both streams to the same \
-                                rate, or set `depth: false`"
+                    let what = "its sets of frames lack the colour or the depth picture; if that stays so, set both \
+                                streams to the same rate, or set `depth: false`"
                         .to_string();
-                    return Err(CameraError::Setting { place: place_of(&self.settings), what });
+                    return Err(CameraError::Incomplete { place: place_of(&self.settings), what });
                 }
                 _ => {}
             }
@@ -204,7 +204,7 @@ fn begin(sdk: &Sdk, settings: &RealSenseSettings) -> Result<Running, CameraError
     let context = sdk.context().map_err(refused)?;
     let config = sdk.config().map_err(refused)?;
     match &settings.file {
-        Some(file) => config.file(file).map_err(refused)?,
+        Some(file) => config.file(file).map_err(|source| unplayable(file, source))?,
         None => {
             let serial = connected(&context, settings)?;
             config.device(&serial).map_err(refused)?;
@@ -216,7 +216,7 @@ fn begin(sdk: &Sdk, settings: &RealSenseSettings) -> Result<Running, CameraError
         }
     }
     let pipeline = context.pipeline().map_err(refused)?;
-    let profile = pipeline.start(&config).map_err(refused)?;
+    let profile = pipeline.start(&config).map_err(|source| not_started(settings, source))?;
     let device = profile.device().map_err(refused)?;
     if settings.file.is_some() {
         device.play_every_frame().map_err(refused)?;
@@ -236,6 +236,27 @@ fn begin(sdk: &Sdk, settings: &RealSenseSettings) -> Result<Running, CameraError
     let align = settings.depth.then(|| sdk.align_to_colour()).transpose().map_err(refused)?;
     let warming = if settings.file.is_some() { 0 } else { AFTER_START };
     Ok(Running { align, device, unit_m, colour, serial, pipeline, warming, last: None, _context: context })
+}
+
+fn unplayable(file: &Path, source: SdkError) -> CameraError {
+    CameraError::Recording { path: file.to_owned(), source }
+}
+
+/// Why the streams do not start: a recording that is none, a camera that has gone, or sizes and rates it does not have.
+fn not_started(settings: &RealSenseSettings, source: SdkError) -> CameraError {
+    let place = place_of(settings);
+    match (&settings.file, source) {
+        (Some(file), source) => unplayable(file, source),
+        (None, SdkError::Call { message, disconnected: false, .. }) => {
+            let ([width, height], rate) = (settings.size, settings.rate);
+            let what = format!(
+                "it does not start streams of {width} x {height} at {rate} a second ({message}): see that no other program \
+                 uses it, and that it has that size and rate (rs-enumerate-devices lists them)"
+            );
+            CameraError::Incomplete { place, what }
+        }
+        (None, source) => CameraError::RealSense { place, source },
+    }
 }
 
 /// Serial number of the camera to use, when it is connected.
@@ -395,7 +416,17 @@ impl CameraSource for RealSenseCamera {
         let refused = self.refused();
         // A camera that has gone away altogether cannot be told to restart; waiting for it is all that is left.
         if let Some(running) = self.running.take() {
-            running.device.reset().map_err(refused)?;
+            running.device.reset().map_err(&refused)?;
+        } else {
+            let context = self.sdk.context().map_err(&refused)?;
+            let serial = self.lens.as_ref().map(|lens| &lens.serial).or(self.settings.serial.as_ref());
+            for device in context.devices().map_err(&refused)? {
+                let own = device.info(sdk::INFO_SERIAL).map_err(&refused)?;
+                // The one that is meant, or the only one that there is to mean.
+                if serial.is_none() || own.as_ref() == serial {
+                    device.reset().map_err(&refused)?;
+                }
+            }
         }
         let begun = Instant::now();
         loop {

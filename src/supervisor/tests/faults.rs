@@ -353,3 +353,12 @@ fn another_camera_than_the_calibrated_one_is_not_waited_for() {
     let told = bench.feed(camera_trouble("camera_misfit", true));
     assert_eq!(ended(&told), Some((JobEnd::Failed, "camera_misfit".into())));
 }
+
+#[test]
+fn a_camera_that_says_nothing_at_all_fails_the_job_and_leaves_the_cell_armed() {
+    let mut bench = looking();
+    // The look's deadline is 20 s; a tick here is 20 ms.
+    let all = bench.ticks(1_100);
+    assert_eq!(ended(&all), Some((JobEnd::Failed, "camera_unplugged".into())));
+    assert!(bench.cell.status().armed);
+}

@@ -122,3 +122,25 @@ fn the_gripper_does_not_come_down_beside_a_tall_foreign_obstacle() {
     goes(&mut bench).unwrap();
     assert_eq!(ended(&bench.plan()), None, "a low one is no matter");
 }
+
+#[test]
+fn nothing_moves_below_what_is_taller_than_the_way_until_a_person_has_taken_it_away() {
+    for rule in [REFUSE, ForeignRule::Obstacle { margin_m: 0.01 }] {
+        let mut bench = with(rule, report(vec![thing(0.2, 0.1, 0.9)], 0.99));
+        bench.job(false);
+        let mut all = bench.until_planning();
+        all.extend(bench.ticks(20));
+        let looks =
+            all.iter().filter(|action| matches!(action, Action::Robot(RobotCommand::Stream(_)))).count();
+        // With the obstacle rule the plan is asked for: its cycle cannot be driven, nor can the next look.
+        assert_eq!(looks, 0, "{rule:?}: {all:?}");
+        if rule == REFUSE {
+            assert_eq!(ended(&all), Some((JobEnd::Failed, "foreign_object".into())), "{all:?}");
+            assert!(!bench.cell.status().armed);
+        }
+        // Taken away and armed: the cell looks again and goes on.
+        bench.foreign = report(Vec::new(), 0.99);
+        bench.feed(Input::Operator(OperatorCommand::Abort));
+        assert!(goes(&mut bench).is_ok(), "{rule:?}");
+    }
+}

@@ -179,20 +179,32 @@ impl HeightMap {
                 points.push((cell as u32, p.z as f32));
             }
         }
-        map.take_medians(points);
+        map.take_medians(&points);
         Ok(map)
     }
 
     /// Sets each cell to the median of its points.
-    fn take_medians(&mut self, mut points: Vec<(u32, f32)>) {
-        points.sort_unstable_by_key(|(cell, _)| *cell);
-        for of_cell in points.chunk_by_mut(|a, b| a.0 == b.0) {
-            if of_cell.len() < POINTS_MIN {
-                continue;
+    fn take_medians(&mut self, points: &[(u32, f32)]) {
+        // Sorted by cell in one pass: how many each has, where each begins, then every height to its place.
+        let mut ends = vec![0usize; self.heights_m.len()];
+        points.iter().for_each(|(cell, _)| ends[*cell as usize] += 1);
+        let mut begin = 0;
+        for end in &mut ends {
+            begin += std::mem::replace(end, begin);
+        }
+        let mut heights = vec![0.0_f32; points.len()];
+        for (cell, height) in points {
+            let place = &mut ends[*cell as usize];
+            heights[*place] = *height;
+            *place += 1;
+        }
+        let mut begin = 0;
+        for (cell, end) in ends.into_iter().enumerate() {
+            let of_cell = &mut heights[std::mem::replace(&mut begin, end)..end];
+            if of_cell.len() >= POINTS_MIN {
+                let middle = of_cell.len() / 2;
+                self.heights_m[cell] = *of_cell.select_nth_unstable_by(middle, f32::total_cmp).1;
             }
-            let middle = of_cell.len() / 2;
-            let (_, (cell, height), _) = of_cell.select_nth_unstable_by(middle, |a, b| a.1.total_cmp(&b.1));
-            self.heights_m[*cell as usize] = *height;
         }
     }
 
@@ -234,7 +246,7 @@ impl Field {
         let eye_m = table_from_camera.translation.z;
         let samples: Vec<(Vector4<f64>, f64)> = lens
             .points(depth)
-            .step_by(5)
+            .step_by(11)
             .filter_map(|(ray, metres)| {
                 let falls = -(table_from_camera.rotation * Vector3::new(ray[0], ray[1], 1.0)).z;
                 let table_m = eye_m / falls;

@@ -208,7 +208,9 @@ mod tests {
         for (row, line) in one.data.chunks_exact(320).enumerate() {
             empty.data[(200 + row) * 1280 + 300..][..320].copy_from_slice(line);
         }
+        let begun = std::time::Instant::now();
         assert_eq!(fault(&empty), None);
+        println!("1280 x 720 pixels judged in {:?}", begun.elapsed());
     }
 
     #[test]

@@ -68,7 +68,7 @@ pub struct ReferenceCheck {
 }
 
 /// Fewest markers that tell shift, turn and lift apart with one to spare.
-const MARKERS_MIN: usize = 3;
+pub const MARKERS_MIN: usize = 3;
 
 impl ReferenceCheck {
     /// The place whose shift, turn or lift exceeds its limit the most, with that excess (1 is the limit); NaN counts as
