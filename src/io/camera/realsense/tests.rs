@@ -190,7 +190,7 @@ fn cut_and_foreign_files_are_errors_that_name_the_file() {
     std::fs::write(path("text.bag"), b"no recording").unwrap();
     let told = RealSenseCamera::open(settings(&library, &path("text.bag")), LIMIT, None).err().unwrap();
     assert!(
-        matches!(told, CameraError::RealSense { .. }) && told.to_string().contains("text.bag"),
+        matches!(told, CameraError::Recording { .. }) && told.to_string().contains("text.bag"),
         "{told:?}"
     );
     let gone = RealSenseCamera::open(settings(&library, &path("gone.bag")), LIMIT, None).err().unwrap();
