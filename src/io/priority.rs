@@ -6,8 +6,8 @@
 //! little and is judged by when it does it: the system runs it before anything ordinary.
 
 use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy,
-    thread_native_id,
+    NormalThreadSchedulePolicy, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
 };
 
 /// Above ordinary threads, below those of the system itself, which sit at half of the range.
@@ -23,15 +23,27 @@ pub fn raise() {
     change(-10);
 }
 
-/// Goes before all ordinary threads, where that is allowed; else as far up as it may. Threads it starts inherit it.
+/// Goes before all ordinary threads, where that is allowed; else as far up as it may. Threads it starts inherit it, and
+/// whoever holds a lock it waits for does not. It has to sleep: nothing ordinary runs on its core before it does.
 pub fn real_time() {
-    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-    let set = ThreadPriority::try_from(REAL_TIME)
-        .map(|priority| set_thread_priority_and_policy(thread_native_id(), priority, policy));
-    if !matches!(set, Ok(Ok(()))) {
+    if !schedule(ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo)) {
         tracing::debug!("no real-time scheduling for this thread");
         raise();
     }
+}
+
+/// Back among ordinary threads, as they are by default.
+pub fn ordinary() {
+    if !schedule(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other)) {
+        tracing::debug!("thread keeps its scheduling");
+    }
+    change(0);
+}
+
+fn schedule(policy: ThreadSchedulePolicy) -> bool {
+    let set = ThreadPriority::try_from(REAL_TIME)
+        .map(|priority| set_thread_priority_and_policy(thread_native_id(), priority, policy));
+    matches!(set, Ok(Ok(())))
 }
 
 /// Process 0 is the calling thread here.

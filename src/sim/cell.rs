@@ -43,6 +43,9 @@ const HOLD_POLL: Duration = Duration::from_micros(200);
 /// frames are pushed back. At factor 20 this is a burst of five frames at most.
 const TOLERATED_LATENESS: Duration = Duration::from_micros(500);
 
+/// Frames in a row after none of which there was time to sleep, at which real-time priority is given up.
+const MOST_SLEEPLESS: u32 = 50;
+
 /// Depth of a contact at which the arm's safety system stops it, m: cups and flange give way by some mm first.
 const STOP_DEPTH_M: f64 = 0.006;
 
@@ -312,7 +315,7 @@ fn run_frames(
     // The default slack of 50 us is half a frame at factor 20. Without it the pace is merely less even.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1000));
     let mut schedule = Schedule::new(factor, Instant::now());
-    let mut frames: u64 = 0;
+    let (mut frames, mut sleepless): (u64, u32) = (0, 0);
     while !*stopped.borrow() && stopped.has_changed().is_ok() {
         if factor > 1.0 {
             let held = hold(robot, stopped);
@@ -325,6 +328,13 @@ fn run_frames(
         frames += 1;
         pace.reached(Duration::from_secs_f64(frames as f64 * FRAME_SECONDS));
         let wait = schedule.wait(Instant::now());
+        sleepless = if wait.is_zero() { sleepless + 1 } else { 0 };
+        if sleepless == MOST_SLEEPLESS && factor <= 1.0 {
+            // Frames that take longer than they last would leave nothing to ordinary threads.
+            tracing::warn!("this computer is too slow for real time: the simulation gives up its priority");
+            priority::ordinary();
+            priority::raise();
+        }
         if !wait.is_zero() {
             std::thread::sleep(wait);
         }

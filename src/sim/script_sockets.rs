@@ -5,6 +5,7 @@
 //! the latest, reading and writing are non-blocking. What a script does not read stays with the operating
 //! system once [`MAX_BUFFER`] bytes are here, so a flood slows its sender down instead of filling memory.
 
+use crate::io::priority;
 use crate::sim::controller::sockets::{MAX_BUFFER, ScriptSockets, SocketState};
 use socket2::{Domain, Socket as Socket2, Type};
 use std::collections::HashMap;
@@ -157,6 +158,8 @@ fn connect(
     let (found, answer) = sync_channel(1);
     let (host, counter) = (host.to_owned(), connecting.clone());
     let thread = std::thread::Builder::new().name("script-socket".to_owned()).spawn(move || {
+        // It is started by the thread of the frames, and would go before everything else like that one.
+        priority::ordinary();
         if let Some(stream) = stream_to(&host, port, source) {
             // The program may have gone meanwhile; the stream then closes with it.
             let _ = found.send(stream);

@@ -22,7 +22,7 @@ pub fn call(call: &Call<'_>) -> Option<Result<Value, String>> {
         "sum" => sum(call),
         "make_list" => make_list(call),
         "inv" => inverse(call),
-        "transpose" => matrix(call).map(|m| rows(&m.transpose())),
+        "transpose" => transpose(call),
         "integer_to_binary_list" => call
             .required(0)
             .and_then(Value::integer)
@@ -112,6 +112,19 @@ fn matrix(call: &Call<'_>) -> Result<DMatrix<f64>, String> {
 
 fn rows(matrix: &DMatrix<f64>) -> Value {
     Value::list(matrix.row_iter().map(|row| Value::numbers(row.iter().copied())).collect())
+}
+
+/// A vector is a row: it becomes a column of rows of one element, and such a column a vector.
+fn transpose(call: &Call<'_>) -> Result<Value, String> {
+    let elements = call.required(0)?.elements()?;
+    if elements.iter().all(|element| element.as_number().is_some()) {
+        return Ok(Value::list(elements.iter().map(|element| Value::list(vec![element.clone()])).collect()));
+    }
+    let turned = matrix(call)?.transpose();
+    Ok(match turned.nrows() {
+        1 => Value::numbers(turned.iter().copied()),
+        _ => rows(&turned),
+    })
 }
 
 fn inverse(call: &Call<'_>) -> Result<Value, String> {

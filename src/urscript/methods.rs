@@ -4,6 +4,7 @@
 //! methods that [`change`] their value work on it in place. Source: script manual, chapter 4.3. The manual gives no return
 //! value to `pop` and `remove`; deployed scripts use that of `pop`, so both return the element they take out.
 
+use crate::urscript::string_library;
 use crate::urscript::value::{List, Value};
 use std::sync::Arc;
 
@@ -46,7 +47,7 @@ pub fn call(of: &Value, name: &str, arguments: &[Value]) -> Result<Value, String
         Value::List(list) => of_list(list, name, arguments),
         Value::Struct(members) => match name {
             "length" => none(name, arguments).and_then(|()| count(members.len())),
-            "to_string" => none(name, arguments).map(|()| Value::text(of.to_string())),
+            "to_string" => none(name, arguments).map(|()| Value::text(string_library::cut_short(of))),
             _ => Err(unknown(of, name)),
         },
         _ => Err(unknown(of, name)),
@@ -58,7 +59,9 @@ fn of_list(list: &Arc<List>, name: &str, arguments: &[Value]) -> Result<Value, S
         "length" => none(name, arguments).and_then(|()| count(list.len())),
         "capacity" => none(name, arguments).and_then(|()| count(list.capacity())),
         "excess_capacity" => none(name, arguments).and_then(|()| count(list.capacity() - list.len())),
-        "to_string" => none(name, arguments).map(|()| Value::text(Value::List(list.clone()).to_string())),
+        "to_string" => {
+            none(name, arguments).map(|()| Value::text(string_library::cut_short(&Value::List(list.clone()))))
+        }
         "slice" => {
             let [begin, end] = exactly(name, arguments)?;
             let (begin, end) = (position(begin)?, position(end)?);

@@ -5,7 +5,7 @@
 //! arithmetic wraps at 32 bits, `%` has the sign of the dividend, dividing by zero is an exception.
 
 use crate::urscript::ast::{Binary, Unary};
-use crate::urscript::value::Value;
+use crate::urscript::value::{List, Value};
 use std::sync::Arc;
 
 /// `operator value`.
@@ -243,26 +243,42 @@ pub fn part<'a>(target: &'a mut Value, path: &[Step]) -> Result<&'a mut Value, S
 }
 
 /// Gives a variable that has a value a new one. A list keeps its capacity, which the new elements must fit into; a
-/// struct becomes a list where one was (script manual, 4.1.1 and 4.2).
+/// struct of members of one type becomes a list where one of that type was (script manual, 4.1.1 and 4.2).
 ///
 /// # Errors
-/// When a list is longer than the capacity of the one it replaces.
+/// When a list is longer than the capacity of the one it replaces, or a struct is no list.
 pub fn assign(target: &mut Value, value: Value) -> Result<(), String> {
-    let elements = match (&*target, value) {
-        (Value::List(_), Value::List(list)) => list.to_vec(),
-        (Value::List(_), Value::Struct(members)) => {
-            members.iter().map(|(_, member)| member.clone()).collect()
+    let Value::List(old) = &*target else {
+        *target = value;
+        return Ok(());
+    };
+    let capacity = old.capacity();
+    let mut new = match value {
+        Value::List(list) => list,
+        Value::Struct(members) => {
+            let first = old.first().or(members.first().map(|(_, member)| member));
+            if !members.iter().all(|(_, member)| first.is_none_or(|first| same_type(first, member))) {
+                return Err("only a struct whose members have the list's type becomes a list".to_owned());
+            }
+            Arc::new(List::from(members.iter().map(|(_, member)| member.clone()).collect::<Vec<_>>()))
         }
-        (_, value) => {
-            *target = value;
+        other => {
+            *target = other;
             return Ok(());
         }
     };
-    let Value::List(list) = &*target else { return Ok(()) };
-    let (capacity, length) = (list.capacity(), elements.len());
-    if length > capacity {
+    if new.len() > capacity {
+        let length = new.len();
         return Err(format!("a list of {length} elements does not fit into one of capacity {capacity}"));
     }
-    *target = Value::list_of_capacity(elements, capacity);
+    // Elements are only copied where the two differ: a list of the same capacity is shared until one is changed.
+    if new.capacity() != capacity {
+        Arc::make_mut(&mut new).set_capacity(capacity);
+    }
+    *target = Value::List(new);
     Ok(())
+}
+
+fn same_type(a: &Value, b: &Value) -> bool {
+    a.as_number().is_some() && b.as_number().is_some() || a.type_name() == b.type_name()
 }

@@ -118,6 +118,16 @@ impl Parser {
         Ok(name)
     }
 
+    /// Takes the name of a member, which may be spelt like a keyword: `time().sec`.
+    fn member_name(&mut self) -> Result<Arc<str>, CompileError> {
+        if let Token::Keyword(keyword) = self.peek(0) {
+            let name = keyword.text().into();
+            self.next += 1;
+            return Ok(name);
+        }
+        self.expect_name("the name of a member")
+    }
+
     /// Runs `inner` one level deeper.
     pub(crate) fn nested<T>(
         &mut self,
@@ -180,7 +190,7 @@ impl Parser {
                 }
                 expression = self.build(ExpressionKind::Index(Box::new(expression), indices), at)?;
             } else if self.accept(Symbol::Dot) {
-                let name = self.expect_name("the name of a member")?;
+                let name = self.member_name()?;
                 let of = Box::new(expression);
                 let kind = if self.accept(Symbol::Open) {
                     ExpressionKind::Method { of, name, arguments: self.list_after_open(Symbol::Close)? }
@@ -381,6 +391,7 @@ pub(crate) mod tests {
         check("p_a[0] + p[1]", "(p_a[0] Add p[1])");
         check("a.b[1].append(c, 2).length() + 1", "(a.b[1].append(c, 2).length() Add 1)");
         check("! a.b() == c", "((Not a.b()) Equal c)");
+        check("time().sec + t.end", "(time().sec Add t.end)");
     }
 
     #[test]

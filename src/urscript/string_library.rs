@@ -6,6 +6,7 @@
 
 use crate::urscript::host::Call;
 use crate::urscript::value::Value;
+use std::fmt::Write;
 
 /// Longest string, in bytes.
 const MAX_LENGTH: usize = 65_536;
@@ -19,7 +20,7 @@ pub fn call(call: &Call<'_>) -> Option<Result<Value, String>> {
         "str_at" => at(call),
         "str_sub" => part(call),
         "str_find" => find(call),
-        "to_str" => call.required(0).map(|value| Value::text(value.to_string())),
+        "to_str" => call.required(0).and_then(|value| shown(&[value])).map(Value::text),
         "to_num" => number(call),
         "assert" => assertion(call),
         _ => return None,
@@ -27,11 +28,51 @@ pub fn call(call: &Call<'_>) -> Option<Result<Value, String>> {
 }
 
 fn concatenate(call: &Call<'_>) -> Result<Value, String> {
-    let text = format!("{}{}", call.required(0)?, call.required(1)?);
-    if text.len() > MAX_LENGTH {
-        return Err(format!("a string of {} bytes is too long", text.len()));
+    let both = [call.required(0)?, call.required(1)?];
+    if both.iter().any(|value| matches!(value, Value::Struct(_))) {
+        return Err("str_cat: a struct is no part of a string".to_owned());
     }
-    Ok(Value::text(text))
+    shown(&both).map(Value::text)
+}
+
+/// Values as one string, floats with 6 decimals at most.
+fn shown(values: &[&Value]) -> Result<String, String> {
+    let mut text = Bounded::default();
+    for value in values {
+        // What is written is bounded, so that a list of long strings does not become a longer one first.
+        let written = match value {
+            Value::Float(number) if number.is_finite() => {
+                let digits = format!("{number:.6}");
+                text.write_str(digits.trim_end_matches('0').trim_end_matches('.'))
+            }
+            value => write!(text, "{value}"),
+        };
+        written.map_err(|_| format!("a string of more than {MAX_LENGTH} bytes is too long"))?;
+    }
+    Ok(text.0)
+}
+
+/// A value as its method `to_string` writes it: cut short, with dots before its closing bracket, when it is too long.
+pub fn cut_short(value: &Value) -> String {
+    let mut text = Bounded::default();
+    if write!(text, "{value}").is_err() {
+        text.0.push_str(if matches!(value, Value::Struct(_)) { "...}" } else { "...]" });
+    }
+    text.0
+}
+
+/// Text up to [`MAX_LENGTH`] bytes.
+#[derive(Default)]
+struct Bounded(String);
+
+impl Write for Bounded {
+    fn write_str(&mut self, part: &str) -> std::fmt::Result {
+        if self.0.len() + part.len() > MAX_LENGTH {
+            return Err(std::fmt::Error);
+        }
+        self.0.push_str(part);
+        Ok(())
+    }
 }
 
 fn at(call: &Call<'_>) -> Result<Value, String> {
@@ -48,8 +89,13 @@ fn part(call: &Call<'_>) -> Result<Value, String> {
     if start > text.chars().count() {
         return Err(format!("index {index} is outside the string"));
     }
-    let length = call.argument(2).map_or(Ok(-1), Value::integer)?;
-    let length = usize::try_from(length).unwrap_or(usize::MAX);
+    let length = match call.argument(2) {
+        None => usize::MAX,
+        Some(length) => {
+            let length = length.integer()?;
+            usize::try_from(length).map_err(|_| format!("str_sub: a length of {length} is not possible"))?
+        }
+    };
     Ok(Value::text(text.chars().skip(start).take(length).collect::<String>()))
 }
 
@@ -64,19 +110,27 @@ fn find(call: &Call<'_>) -> Result<Value, String> {
     Ok(Value::Int(before.chars().count() as i32))
 }
 
-/// A whole number, hexadecimal too, stays one; anything else is a float, infinities and "NAN" among them.
+/// A whole number, hexadecimal too, stays one; anything else is a float, infinities and "NAN" by name among them.
 fn number(call: &Call<'_>) -> Result<Value, String> {
     let text = call.required(0)?.string()?;
+    let refused = || format!("\"{text}\" is not a number, or out of range");
     let trimmed = text.trim();
-    if let Ok(whole) = trimmed.parse::<i32>() {
-        return Ok(Value::Int(whole));
+    let digits = trimmed.strip_prefix(['-', '+']).unwrap_or(trimmed);
+    if let Some(hexadecimal) = digits.strip_prefix("0x").or_else(|| digits.strip_prefix("0X")) {
+        let plain = hexadecimal.bytes().all(|digit| digit.is_ascii_hexdigit());
+        let bits = u32::from_str_radix(hexadecimal, 16).ok().filter(|_| plain).ok_or_else(refused)?;
+        let whole = bits as i32;
+        return Ok(Value::Int(if trimmed.starts_with('-') { whole.wrapping_neg() } else { whole }));
     }
-    if let Some(digits) = trimmed.strip_prefix("0x").or_else(|| trimmed.strip_prefix("0X"))
-        && let Ok(bits) = u32::from_str_radix(digits, 16)
-    {
-        return Ok(Value::Int(bits as i32));
+    if !digits.is_empty() && digits.bytes().all(|digit| digit.is_ascii_digit()) {
+        return trimmed.parse().map(Value::Int).map_err(|_| refused());
     }
-    trimmed.parse::<f64>().map(Value::Float).map_err(|_| format!("\"{text}\" is not a number"))
+    let number: f64 = trimmed.parse().map_err(|_| refused())?;
+    // A number that is too large is out of range; one that is called infinite is meant.
+    if number.is_infinite() && digits.starts_with(|first: char| first.is_ascii_digit() || first == '.') {
+        return Err(refused());
+    }
+    Ok(Value::Float(number))
 }
 
 fn assertion(call: &Call<'_>) -> Result<Value, String> {

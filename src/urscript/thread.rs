@@ -185,8 +185,9 @@ impl Thread {
             Instruction::Store(variable, qualifier) => {
                 let value = self.stored_value()?;
                 match self.place(variable, *qualifier, shared)? {
-                    Some(target) => operators::assign(target, value)?,
-                    empty => *empty = Some(value),
+                    // `local` declares anew, whatever had the name before.
+                    Some(target) if *qualifier != Qualifier::Local => operators::assign(target, value)?,
+                    place => *place = Some(value),
                 }
             }
             Instruction::StoreInto(variable, qualifier, path) => {

@@ -46,9 +46,20 @@ impl List {
         self.capacity
     }
 
+    /// Makes it hold as many, but not fewer than it has.
+    pub fn set_capacity(&mut self, capacity: usize) {
+        self.capacity = capacity.max(self.elements.len());
+    }
+
     /// The elements, to add and to take away; what is added must fit.
     pub fn edit(&mut self) -> &mut Vec<Value> {
         &mut self.elements
+    }
+}
+
+impl From<Vec<Value>> for List {
+    fn from(elements: Vec<Value>) -> List {
+        List { capacity: elements.len(), elements }
     }
 }
 

@@ -79,7 +79,7 @@ pub const TABLE: &[Entry] = entries![
     Modelled encoder_enable_set_tick_count(encoder_index, range_id) "accepted; no encoder is wired";
     Modelled encoder_set_tick_count(encoder_index, count) "the count stays as scripts set it";
     Modelled encoder_get_tick_count(encoder_index; opt) "the count that scripts have set, raw or not";
-    Real encoder_unwind_delta_tick_count(encoder_index, delta_tick_count) "16 bit counters";
+    Modelled encoder_unwind_delta_tick_count(encoder_index, delta_tick_count) "16 bit counters, whatever range was set";
     // Force.
     Modelled force_mode(task_frame, selection_vector, wrench, type, limits) "speed in proportion to the missing force";
     Modelled end_force_mode() "";
@@ -160,7 +160,7 @@ pub const TABLE: &[Entry] = entries![
     Real textmsg(s1; s2) "";
     Real popup(s; title, warning, error, blocking) "blocking: until the popup is closed";
     Real protective_stop() "";
-    Real powerdown() "";
+    Modelled powerdown() "the arm only; the servers go on";
     Real rtde_set_watchdog(variable_name, min_frequency; action) "";
     Absent interpreter_mode(; clearQueueOnEnter, clearOnEnd) "";
     Absent end_interpreter() "";

@@ -10,7 +10,7 @@ use crate::sim::controller::Controller;
 use crate::sim::controller::Core;
 use crate::sim::motion::dynamics::{self, Link, Masses, UR5E_LINKS};
 use crate::units::Joints;
-use nalgebra::{Point3, Vector3, Vector6};
+use nalgebra::{Isometry3, Point3, Vector3, Vector6};
 
 /// Joint moment per ampere, Nm/A: larger drives carry base to elbow, smaller ones the wrist.
 const TORQUE_PER_AMPERE: [f64; 6] = [13.0, 13.0, 13.0, 9.0, 9.0, 9.0];
@@ -47,23 +47,34 @@ impl Core {
         if !self.modes.brakes_open() {
             return [0.0; 6];
         }
-        let (own, added) = (self.target_moments(), self.contact_torques());
+        // A drive feels the world itself, not what a sensor makes of it.
+        let (own, added) = (self.target_moments(), self.torques_against(self.sensing.contact()));
         std::array::from_fn(|i| own[i] + added[i])
     }
 
-    /// What forces at the tool ask of the joints, Nm.
+    /// What the measured forces at the tool ask of the joints, Nm.
     pub fn contact_torques(&self) -> [f64; 6] {
+        self.torques_against(self.tcp_force())
+    }
+
+    /// Moments that hold against a force and torque (N, Nm) on the TCP in the base frame.
+    fn torques_against(&self, wrench: [f64; 6]) -> [f64; 6] {
         let arm = &self.mover.arm;
         let jacobian = dynamics::tool_jacobian(&arm.dh, &arm.flange_from_tcp, &self.mover.q());
-        (-(jacobian.transpose() * Vector6::from(self.tcp_force()))).into()
+        (-(jacobian.transpose() * Vector6::from(wrench))).into()
     }
 
     /// Acceleration of the tool in the base frame, m/s2 and rad/s2.
     pub fn tcp_acceleration(&self) -> [f64; 6] {
+        self.acceleration_of(&self.mover.arm.flange_from_tcp)
+    }
+
+    /// Acceleration of a frame that is fixed to the flange, in the base frame, m/s2 and rad/s2.
+    fn acceleration_of(&self, flange_from_it: &Isometry3<f64>) -> [f64; 6] {
         let mover = &self.mover;
         let (arm, q, qd) = (&mover.arm, mover.q(), mover.qd());
-        let jacobian = dynamics::tool_jacobian(&arm.dh, &arm.flange_from_tcp, &q);
-        let change = dynamics::tool_jacobian_derivative(&arm.dh, &arm.flange_from_tcp, &q, &qd);
+        let jacobian = dynamics::tool_jacobian(&arm.dh, flange_from_it, &q);
+        let change = dynamics::tool_jacobian_derivative(&arm.dh, flange_from_it, &q, &qd);
         (jacobian * Vector6::from(mover.qdd()) + change * Vector6::from(qd)).into()
     }
 
@@ -71,7 +82,7 @@ impl Core {
     pub fn tool_accelerometer(&self) -> [f64; 3] {
         let mover = &self.mover;
         let flange = link_frames(&mover.arm.dh, &mover.q())[5];
-        let [x, y, z, ..] = self.tcp_acceleration();
+        let [x, y, z, ..] = self.acceleration_of(&Isometry3::identity());
         let felt = Vector3::new(x, y, z) + self.felt_gravity();
         (flange.rotation.inverse() * felt).into()
     }
@@ -146,23 +157,36 @@ mod tests {
         let jacobian = dynamics::tool_jacobian(&arm.dh, &arm.flange_from_tcp, &controller.core.mover.q());
         assert!((pressed[1] - loaded[1] + 10.0 * jacobian[(2, 1)]).abs() < 1e-6, "{pressed:?}");
         assert_eq!(actual_currents(&controller)[1] * TORQUE_PER_AMPERE[1], pressed[1]);
+        // The sensor forgets what presses when it is zeroed; the drives hold against it all the same.
+        let raw = controller.core.raw_wrench();
+        controller.core.sensing.zero(raw);
+        assert_eq!(controller.core.joint_moments(), pressed);
         controller.power_off();
         assert_eq!(actual_currents(&controller), [0.0; 6]);
     }
 
     #[test]
     fn accelerations_and_momentum_are_those_of_a_turn_about_the_base() {
-        let controller = running("def m():\n speedj([0.5,0,0,0,0,0], 40, 10)\nend\n", 200);
+        let mut controller = running("def m():\n speedj([0.5,0,0,0,0,0], 40, 10)\nend\n", 200);
         let core = &controller.core;
         let (omega, [x, y, z, ..]) = (core.mover.qd()[0], core.tcp_pose());
         let [ax, ay, az, ..] = core.tcp_acceleration();
         assert!((omega - 0.5).abs() < 1e-6);
         assert!((ax + omega * omega * x).abs() < 1e-5 && (ay + omega * omega * y).abs() < 1e-5, "{ax} {ay}");
         assert!(az.abs() < 1e-6, "{az} at {z}");
-        let moment = core.mass_moment(&core.mover.q());
-        assert!((core.momentum() - omega * moment.x.hypot(moment.y)).abs() < 1e-3);
         let felt = Vector3::from(core.tool_accelerometer()).norm();
         let expected = Vector3::new(ax, ay, az + core.payload.gravity[2]).norm();
         assert!((felt - expected).abs() < 1e-9);
+        // A payload in the flange adds its mass times the flange's speed, in the direction the links move in.
+        let empty = core.momentum();
+        controller.core.payload.mass = 1000.0;
+        let added = controller.core.momentum() - empty;
+        let speed = omega * x.hypot(y);
+        assert!((added / 1000.0 / speed - 1.0).abs() < 0.02, "{added} at {speed}");
+        // The accelerometer sits in the flange wherever the TCP is.
+        controller.core.payload.mass = 0.0;
+        let before = controller.core.tool_accelerometer();
+        controller.core.mover.arm.flange_from_tcp = Isometry3::translation(0.0, 0.1, 0.2);
+        assert_eq!(controller.core.tool_accelerometer(), before);
     }
 }

@@ -182,6 +182,7 @@ fn tool(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         "set_payload_cog" => finite(call, 0).map(|centre| {
             core.payload.centre = centre;
             core.payload.inertia = [0.0; 6];
+            zero_sensor(core);
         }),
         "set_gravity" => finite(call, 0).map(|gravity| core.payload.gravity = gravity),
         "get_tcp_offset" => return Some(Ok(Value::Pose(core.tcp_offset))),
@@ -192,6 +193,12 @@ fn tool(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         _ => return None,
     };
     Some(done.map(|()| Value::Nothing))
+}
+
+/// Another payload makes what the sensor measured before worthless: the controller zeroes it (script manual, set_payload).
+fn zero_sensor(core: &mut Core) {
+    let raw = core.raw_wrench();
+    core.sensing.zero(raw);
 }
 
 /// Largest element of a payload's inertia, kg m2 (script manual, set_target_payload).
@@ -211,8 +218,14 @@ fn set_payload(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     {
         return Err(format!("{}: an inertia of {inertia:?} kg m2 is not possible", call.name));
     }
-    core.payload.centre = centre.unwrap_or(core.payload.centre);
+    let [x, y, z, ..] = core.tcp_offset;
+    core.payload.centre = match (centre, call.name) {
+        (Some(centre), _) => centre,
+        (None, "set_payload") => [x, y, z],
+        (None, _) => core.payload.centre,
+    };
     (core.payload.mass, core.payload.inertia) = (mass, inertia);
+    zero_sensor(core);
     Ok(())
 }
 

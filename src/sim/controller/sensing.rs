@@ -59,6 +59,11 @@ impl Sensing {
         [force.x, force.y, force.z, torque.x, torque.y, torque.z]
     }
 
+    /// What the world does to the tool, whatever a sensor says of it: N, Nm, at the TCP in the base frame.
+    pub fn contact(&self) -> [f64; 6] {
+        self.contact
+    }
+
     /// Takes the present force for none.
     pub fn zero(&mut self, raw: [f64; 6]) {
         self.zero = raw;

@@ -15,7 +15,7 @@ use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll, Waker, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
@@ -275,6 +275,8 @@ pub struct LinkStream {
     delayed: VecDeque<(Instant, Vec<u8>)>,
     delayed_bytes: usize,
     timer: Pin<Box<Sleep>>,
+    /// Whoever waits to read, who sends what is held back when its time has come.
+    reader: Option<Waker>,
 }
 
 impl LinkStream {
@@ -293,6 +295,7 @@ impl LinkStream {
             delayed: VecDeque::new(),
             delayed_bytes: 0,
             timer: Box::pin(tokio::time::sleep(Duration::ZERO)),
+            reader: None,
         }
     }
 
@@ -333,6 +336,7 @@ impl AsyncRead for LinkStream {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<std::io::Result<()>> {
         let this = self.get_mut();
+        this.reader = Some(context.waker().clone());
         let state = this.reading.poll(context);
         let (resets, silent) = (state.resets, state.silent);
         if resets != this.resets {
@@ -341,7 +345,7 @@ impl AsyncRead for LinkStream {
         if silent {
             return Poll::Pending;
         }
-        // Whoever reads is always waiting, so what was held back is sent from here, too.
+        // Who writes may have nothing more to write; who reads is always waiting, so what is held back is sent from here.
         if let Poll::Ready(Err(error)) = this.send_delayed(context) {
             return Poll::Ready(Err(error));
         }
@@ -381,11 +385,18 @@ impl AsyncWrite for LinkStream {
             this.lane.holds_back.store(true, Ordering::Release);
             this.delayed.push_back((Instant::now() + latency, piece.to_vec()));
             this.delayed_bytes += piece.len();
-            match this.send_delayed(context) {
-                Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
-                Poll::Pending if this.delayed_bytes > MOST_DELAYED => return Poll::Ready(Err(this.die())),
-                _ => piece.len(),
+            if this.delayed_bytes > MOST_DELAYED {
+                return Poll::Ready(Err(this.die()));
             }
+            match this.reader.take() {
+                Some(reader) => reader.wake(),
+                None => {
+                    if let Poll::Ready(Err(error)) = this.send_delayed(context) {
+                        return Poll::Ready(Err(error));
+                    }
+                }
+            }
+            piece.len()
         };
         this.lane.written.fetch_add(count as u64, Ordering::Relaxed);
         Poll::Ready(Ok(count))

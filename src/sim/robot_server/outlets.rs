@@ -222,6 +222,8 @@ pub struct Outlets {
     switches: u64,
     sent: u64,
     skipped: u64,
+    /// Of the sent ones, those that needed no queue.
+    at_once: u64,
     /// Frames between RTDE packages whatever was agreed (a fault).
     forced_interval: Option<u64>,
     /// The popup of the last frame.
@@ -323,6 +325,11 @@ impl Outlets {
         (self.sent, self.skipped)
     }
 
+    /// RTDE packages that the system took at once, without the connection's queue.
+    pub fn sent_at_once(&self) -> u64 {
+        self.at_once
+    }
+
     fn find(&mut self, id: ClientId) -> Option<&mut Outlet> {
         self.outlets.iter_mut().find(|outlet| outlet.id == id)
     }
@@ -369,7 +376,9 @@ impl Outlets {
                 Some((_, bytes)) => bytes.clone(),
                 None => plan.encode(controller),
             };
-            if let (Passed::Written, Some(due)) = (outlet.send(&bytes, due), due) {
+            let at_once = matches!(outlet.send(&bytes, due), Passed::Written);
+            self.at_once += u64::from(at_once);
+            if let Some(due) = due.filter(|_| at_once) {
                 punctuality.record(due.elapsed());
             }
             self.sent += u64::from(outlet.behind == 0);

@@ -123,11 +123,13 @@ impl World {
     pub fn set_foreign(&mut self, wanted: &[ForeignBody]) {
         let known = std::mem::take(&mut self.foreign);
         for (thing, index) in known {
-            let stays = wanted.contains(&thing) || !self.bodies[index].is_resting();
-            if stays {
+            let fallen = self.bodies[index].state == BodyState::Fallen;
+            let held = !fallen && !self.bodies[index].is_resting();
+            if held || (wanted.contains(&thing) && !fallen) {
                 self.foreign.push((thing, index));
             } else {
                 self.bodies[index].state = BodyState::Fallen;
+                self.drop_what_lay_on(index);
             }
         }
         for thing in wanted {

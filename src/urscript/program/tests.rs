@@ -328,3 +328,34 @@ fn methods_work_on_lists_structs_and_matrices() {
         "[1, 2, 3]|3|[1.5, 2.5]",
     );
 }
+
+#[test]
+fn a_pause_is_told_once_and_the_program_goes_on_behind_it() {
+    let mut host = Recorder::default();
+    let code = compile("say(1) pause say(2)", &find).unwrap();
+    let mut program = Program::new(Arc::new(code), 7);
+    assert_eq!(program.frame(&mut host), Progress::Paused);
+    assert_eq!(host.said, ["1"]);
+    assert_eq!(program.frame(&mut host), Progress::Finished);
+    assert_eq!(host.said, ["1", "2"]);
+}
+
+#[test]
+fn strings_stay_within_their_bounds_and_numbers_within_theirs() {
+    check("s = 'x' i = 0 while i < 16: s = str_cat(s, s) i = i + 1 end say(str_len(s))", "65536");
+    let long = "s = 'x' i = 0 while i < 16: s = str_cat(s, s) i = i + 1 end l = make_list(1000, s) ";
+    check(&format!("{long}say(str_len(l.to_string()) < 70000)"), "True");
+    check_fails(&format!("{long}x = to_str(l)"), 1, 95, "too long");
+    check_fails("x = str_cat('a', struct(b = 1))", 1, 5, "no part of a string");
+    check("say(to_num('-0x10')) say(to_num('7')) say(to_num('inf'))", "-16|7|inf");
+    check_fails("x = to_num('1e999')", 1, 5, "out of range");
+    check_fails("x = to_num('99999999999')", 1, 5, "out of range");
+    check_fails("x = to_num('0x+F')", 1, 5, "not a number");
+}
+
+#[test]
+fn a_local_list_is_declared_anew_and_structs_become_lists_of_one_type() {
+    check("def f(): local x = [1] local x = [1, 2] say(x) end f()", "[1, 2]");
+    check("a = [1, 2] a = struct(x = 1.5, y = 2) say(a)", "[1.5, 2]");
+    check_fails("a = [1, 2] a = struct(x = 1, y = 's')", 1, 12, "members have the list's type");
+}

@@ -42,6 +42,19 @@ async fn packages_arrive_whole_and_in_order_whether_the_queue_is_used_or_not() {
         replies
     };
     assert_eq!(bench.during(reading).await, 1);
+    // Both ways were taken.
+    let outlets = bench.shared.outlets();
+    let (sent, at_once) = (outlets.counts().0, outlets.sent_at_once());
+    assert!(at_once > 100 && sent - at_once > 100, "{at_once} of {sent}");
+}
+
+#[tokio::test]
+async fn an_answer_that_is_held_back_comes_without_anything_behind_it() {
+    let bench = bench(17, running()).await;
+    let late = LinkState { latency: Duration::from_millis(30), ..LinkState::default() };
+    bench.shared.links.get(LinkName::Rtde).set(late);
+    let mut rtde = Rtde::connect(&bench, Version::V2).await;
+    assert!(matches!(rtde.ask(Request::ControllerVersion).await, Reply::ControllerVersion(_)));
 }
 
 #[tokio::test]
