@@ -3,7 +3,6 @@
 //! In: the cell's configuration and the state folder. Out: work on job files until Ctrl-C or SIGTERM. Bad configuration
 //! or calibration files are exit 2, before any device is touched; a second daemon on one state folder is 1.
 
-use crate::cli::demo::run::chain;
 use crate::cli::recorder::Recorder;
 use crate::cli::task::complain;
 use crate::config::cell::{CellConfig, RecordingConfig};
@@ -17,6 +16,7 @@ use crate::daemon::run::{Event, Observer, Shell, Workers, run as run_shell};
 use crate::daemon::setup::{cell_model, cell_objects, eye_parameters, gripper_parameters};
 use crate::daemon::workers::spawn_eye;
 use crate::device::robot_types::RobotParameters;
+use crate::document::chain::chain;
 use crate::io::camera::supervised::Supervised;
 use crate::io::clock::{Clock, unix_now_s};
 use crate::io::priority;

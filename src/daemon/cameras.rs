@@ -4,6 +4,7 @@
 //! says what is wrong; and what the supervisor is told about that.
 
 use crate::config::cell::{CameraDevice, Devices};
+use crate::document::chain::chain;
 use crate::io::camera::folder::FolderCamera;
 use crate::io::camera::http::HttpCamera;
 use crate::io::camera::realsense::RealSenseCamera;
@@ -14,7 +15,6 @@ use crate::io::camera::video::VideoCamera;
 use crate::io::camera::{CameraError, CameraSource, FaultKind};
 use crate::supervisor::input::CameraTrouble;
 use crate::vision::camera::CameraModel;
-use std::error::Error;
 use std::time::Duration;
 
 /// How long a frame of the simulator may take, wall time: it may have to be rendered on a busy computer.
@@ -56,21 +56,10 @@ pub fn trouble_of(error: &CameraError) -> CameraTrouble {
     let kind = error.kind();
     CameraTrouble {
         code: kind.code(),
-        message: sentence(error),
+        message: chain(error),
         remedy: kind.remedy(),
         lasting: matches!(kind, FaultKind::Misfit | FaultKind::Ended),
     }
-}
-
-/// An error with its causes on one line.
-fn sentence(error: &CameraError) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(inner) = cause {
-        text.push_str(&format!(": {inner}"));
-        cause = inner.source();
-    }
-    text
 }
 
 #[cfg(test)]
