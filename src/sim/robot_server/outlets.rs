@@ -281,11 +281,23 @@ impl Outlets {
         self.forced_interval = hz.map(|hz| (FRAMES_PER_SECOND as f64 / hz).round().max(1.0) as u64);
     }
 
-    /// Starts or pauses a connection's data; false without a recipe.
-    pub fn start(&mut self, id: ClientId, started: bool) -> bool {
-        let Some(outlet) = self.find(id) else { return false };
-        outlet.started = started && outlet.subscription.is_some();
-        outlet.started == started
+    /// True if it is agreed what the connection's data are.
+    pub fn has_recipe(&self, id: ClientId) -> bool {
+        self.outlets.iter().any(|outlet| outlet.id == id && outlet.subscription.is_some())
+    }
+
+    /// Starts a connection's data.
+    pub fn start(&mut self, id: ClientId) {
+        if let Some(outlet) = self.find(id) {
+            outlet.started = outlet.subscription.is_some();
+        }
+    }
+
+    /// Pauses a connection's data.
+    pub fn pause(&mut self, id: ClientId) {
+        if let Some(outlet) = self.find(id) {
+            outlet.started = false;
+        }
     }
 
     /// Notes that a client wrote inputs in the frame `step`.
