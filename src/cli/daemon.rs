@@ -171,7 +171,11 @@ async fn daemon(
     let measured = calibration.measured(&arm);
     let model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     let (answers_in, answers) = tokio::sync::mpsc::channel(16);
-    let camera = open_camera(&config, Some(measured.camera.clone()))?;
+    let camera = cameras::open_when_there(&config.devices, &measured.camera);
+    let (camera, away) = camera.map_err(|error| chain(&error))?;
+    if let Some(error) = away {
+        complain(&format!("{}; looks wait for it ({})", chain(&error), error.kind().remedy()));
+    }
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let mut eye_parameters = eye_parameters(&config, &measured).map_err(|error| chain(&error))?;
     eye_parameters.doubts = Some(doubts);

@@ -361,6 +361,21 @@ mod tests {
     }
 
     #[test]
+    fn markers_of_other_families_are_not_the_cell_s_though_their_numbers_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let (colour, _) = drawn_table(folder.path());
+        let mut detector = Detector::new(DetectSettings::default()).unwrap();
+        let mut seen = detector.detect(&read_picture(&colour).unwrap().gray()).unwrap();
+        let block = seen.iter().find(|detection| detection.id == 2).unwrap();
+        let mut other = Detection { family: Family::Tag25h9.name().into(), ..block.clone() };
+        other.corners.iter_mut().for_each(|corner| corner[0] += 100.0);
+        seen.push(other);
+        let table = table::Cell::read(&example()).unwrap().look(&seen, None).unwrap();
+        let block = table.seen.objects.iter().find(|object| object.id == "block");
+        assert!(block.is_some_and(|block| (block.pose.x - 0.15).abs() < 0.002), "{:?}", table.seen.objects);
+    }
+
+    #[test]
     fn depth_of_another_kind_or_size_is_bad_input() {
         let folder = tempfile::tempdir().unwrap();
         let (colour, _) = drawn_table(folder.path());

@@ -13,6 +13,7 @@ use crate::time::Timestamp;
 use crate::vision::annotate::{self, BAD, GOOD, Overlay};
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::Detection;
+use crate::vision::detect::family::Family;
 use crate::vision::foreign::ForeignLimits;
 use crate::vision::foreign::search::ForeignSearch;
 use crate::vision::image::depth::UNIT_M;
@@ -53,7 +54,10 @@ impl Cell {
     pub fn look(self, detections: &[Detection], depth: Option<&Path>) -> Result<Table, String> {
         let Cell { config, lens } = self;
         let reference = reference_markers(&config);
-        let table_from_camera = where_taken(&lens, &reference, detections)?;
+        // Markers of the cell are of one family; in others the same numbers mean nothing to it.
+        let own = detections.iter().filter(|detection| detection.family == Family::Tag36h11.name());
+        let detections: Vec<Detection> = own.cloned().collect();
+        let table_from_camera = where_taken(&lens, &reference, &detections)?;
         let depth = depth.map(read_depth).transpose()?;
         let search = depth.as_ref().map(|_| search(&config, &lens)).transpose()?;
         let heights = match (&search, &depth) {
@@ -62,7 +66,6 @@ impl Cell {
             }
             _ => None,
         };
-        let detections = detections.to_vec();
         let views = [View { table_from_camera, detections, time: Timestamp::ZERO, heights }];
         let marked = objects(&config);
         let mut seen = observe(&marked, &reference, &lens, &views, &ObserveLimits::default())
