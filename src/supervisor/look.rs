@@ -252,6 +252,9 @@ impl Cell {
             self.foreign_height = height;
         }
         self.tell_obstacles(&observation, out);
+        if trouble.is_none() {
+            self.tell_drift(&observation, out);
+        }
         let Some(job) = &mut self.job else { return };
         for object in &observation.objects {
             job.last_seen.retain(|(id, _)| *id != object.id);
