@@ -126,7 +126,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let outline = vec![[-0.03, -0.03], [0.03, -0.03], [0.03, 0.03], [-0.03, 0.03]];
         let object = ForeignObject { outline, centre: [0.0; 2], area_m2: 0.0036, height_m: 0.05 };
-        let report = ForeignReport { objects: vec![object], measured_share: 1.0, largest_hole: None };
+        let report = ForeignReport { objects: vec![object], measured_share: 1.0, ..ForeignReport::default() };
         let seen = Observation { foreign: Some(report), ..Observation::default() };
         write(&parameters(), &[shot(0.0), shot(0.02)], &[], &seen, folder.path());
         for name in ["doubt-1.png", "doubt-2.png"] {

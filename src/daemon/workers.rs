@@ -167,6 +167,9 @@ fn capture(
                 let map = search.map(depth, &table_from_camera).map_err(|error| misfit(&error))?;
                 Some(Arc::new(map))
             }
+            (Some(search), None) if left == 0 => {
+                search.changed(&frame.image, &table_from_camera).map(Arc::new)
+            }
             _ => None,
         };
         views.push(View { table_from_camera, detections, time: clock.now(), heights });

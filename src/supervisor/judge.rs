@@ -158,6 +158,10 @@ impl Cell {
                 "the look came without depth, which `foreign` in the configuration asks for".to_owned();
             return needed.then(|| Doubt { code: "depth_missing".into(), message, remedy });
         };
+        if let Some(message) = unmeasured(report).filter(|_| report.by_colour) {
+            let remedy = "clear the table and run `celld calibrate empty` for these look poses";
+            return Some(Doubt { code: "table_not_compared".into(), message, remedy });
+        }
         if let Some(message) = unmeasured(report) {
             let remedy = "light the table, clean the lens, see that the look poses show all of it from within the camera's range";
             return Some(Doubt { code: "depth_poor".into(), message, remedy });
@@ -240,15 +244,17 @@ impl Cell {
 
 /// What of the table depth says too little about.
 fn unmeasured(report: &ForeignReport) -> Option<String> {
+    let what = match report.by_colour {
+        true => "the picture was compared with the empty table",
+        false => "depth was measured",
+    };
     // A share that is no number proves nothing.
     if report.measured_share.is_nan() || report.measured_share < MEASURED_SHARE {
         let share = report.measured_share * 100.0;
-        return Some(format!(
-            "depth was measured on {share:.0} % of the table only, too little to see what lies there"
-        ));
+        return Some(format!("{what} on {share:.0} % only, too little to see what lies there"));
     }
     let hole = report.largest_hole.filter(|hole| hole.area_m2.is_nan() || hole.area_m2 > HOLE_M2)?;
-    Some(format!("depth measured nothing on {hole}, where something may lie unseen"))
+    Some(format!("{what} nowhere on {hole}, where something may lie unseen"))
 }
 
 /// What might lie there unseen.

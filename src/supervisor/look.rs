@@ -64,10 +64,15 @@ impl Cell {
                 let (code, message, remedy) = match self.foreign_height > self.model.cycle.tallest {
                     true => (
                         "foreign_object",
-                        format!(
-                            "{message}; something without a marker reaches up to {:.0} mm over the table",
-                            self.foreign_height * 1e3
-                        ),
+                        match self.foreign_height.is_finite() {
+                            true => format!(
+                                "{message}; something without a marker reaches up to {:.0} mm over the table",
+                                self.foreign_height * 1e3
+                            ),
+                            false => "something without a marker is on the table, and how high it is a camera without \
+                                      depth cannot tell"
+                                .to_string(),
+                        },
                         "take it away, then `celld arm`",
                     ),
                     false => (

@@ -46,9 +46,13 @@ pub fn foreign_overlays(objects: &[ForeignObject]) -> Vec<Overlay> {
     let overlay = |object: &ForeignObject| {
         let [x, y] = object.centre;
         Overlay {
-            label: format!("foreign {:.0} mm", object.height_m * 1e3),
+            label: match object.height_m.is_finite() {
+                true => format!("foreign {:.0} mm", object.height_m * 1e3),
+                false => "foreign".to_string(),
+            },
             pose: Pose2::new(x, y, 0.0),
-            height_m: object.height_m,
+            // What is known by its colour alone was placed as if it lay flat.
+            height_m: if object.height_m.is_finite() { object.height_m } else { 0.0 },
             outline: object.outline.iter().map(|p| [p[0] - x, p[1] - y]).collect(),
             colour: BAD,
         }

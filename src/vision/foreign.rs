@@ -6,6 +6,7 @@
 //! explains nothing: it is found like any stranger. What is flat, thinner than the limit, smaller than the limit, or of
 //! a kind that the camera cannot measure (clear glass, black velvet, mirrors) is not found. Pure.
 
+pub mod change;
 pub mod field;
 pub mod height_map;
 pub mod holes;
@@ -59,7 +60,7 @@ pub struct ForeignObject {
     pub centre: [f64; 2],
     /// The area of the table over which it was measured, m2.
     pub area_m2: f64,
-    /// Height of its highest point over the table, m.
+    /// Height of its highest point over the table, m; infinite where only colour tells of it.
     pub height_m: f64,
 }
 
@@ -72,14 +73,19 @@ pub struct ForeignReport {
     pub measured_share: f64,
     /// The largest piece of the table in which it was not, outside known objects and their shadows.
     pub largest_hole: Option<Hole>,
+    /// Told by comparing colours with those of the empty table; "measured" then means compared.
+    pub by_colour: bool,
 }
 
 impl std::fmt::Display for ForeignObject {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let high = match self.height_m.is_finite() {
+            true => format!("{:.0} mm high", self.height_m * 1e3),
+            false => "of unknown height".to_string(),
+        };
         write!(
             f,
-            "something {:.0} mm high over {:.0} cm2 at x = {:.0} mm, y = {:.0} mm",
-            self.height_m * 1e3,
+            "something {high} over {:.0} cm2 at x = {:.0} mm, y = {:.0} mm",
             self.area_m2 * 1e4,
             self.centre[0] * 1e3,
             self.centre[1] * 1e3
@@ -121,7 +127,20 @@ pub fn find(
     let expected = Expected::of(first, known, ignored, limits);
     let cells = first.heights_m.len();
     let (mut tallest, mut measured) = (vec![f32::NEG_INFINITY; cells], vec![false; cells]);
-    for map in &maps {
+    for map in maps.iter().filter(|map| map.by_colour) {
+        let shaded = Shaded::of(known, map.eye_m, limits);
+        for (cell, height) in map.heights_m.iter().enumerate() {
+            if shaded.covers(map.centre(cell)) {
+                measured[cell] = true;
+            } else if !height.is_nan() {
+                measured[cell] = true;
+                if *height > expected.highest_m[cell] {
+                    tallest[cell] = f32::INFINITY;
+                }
+            }
+        }
+    }
+    for map in maps.iter().filter(|map| !map.by_colour) {
         let heights = map.levelled(&expected.surface_m);
         for (cell, height) in heights.into_iter().enumerate().filter(|(_, height)| height.is_finite()) {
             measured[cell] = true;
@@ -141,7 +160,7 @@ pub fn find(
     let unmeasured: Vec<bool> =
         measured.iter().zip(&expected.surface_m).map(|(seen, surface)| !seen && *surface == 0.0).collect();
     let largest_hole = holes::largest(&maps, unmeasured, known);
-    ForeignReport { objects, measured_share: share, largest_hole }
+    ForeignReport { objects, measured_share: share, largest_hole, by_colour: first.by_colour }
 }
 
 /// What is expected of each cell.
@@ -191,6 +210,33 @@ impl Expected {
             let on_top = !at_edge && height_m.is_finite() && self.surface_m[cell] == 0.0;
             self.surface_m[cell] = if on_top { height_m as f32 } else { f32::NAN };
         }
+    }
+}
+
+/// What known objects change on the table's picture: where they stand, what they hide from the camera, and their shadows.
+struct Shaded<'a> {
+    known: Vec<(&'a KnownBody, Vec<[f64; 2]>)>,
+    eye_m: [f64; 3],
+    edge_m: f64,
+}
+
+/// A shadow reaches as far from an object as the object is high: light from 45 degrees up and steeper.
+const SHADOW: f64 = 1.0;
+
+impl Shaded<'_> {
+    fn of<'a>(known: &'a [KnownBody], eye_m: [f64; 3], limits: &ForeignLimits) -> Shaded<'a> {
+        let known = known.iter().map(|body| (body, body.footprint.outline(64))).collect();
+        Shaded { known, eye_m, edge_m: limits.edge_m }
+    }
+
+    fn covers(&self, at: [f64; 2]) -> bool {
+        self.known.iter().any(|(body, outline)| {
+            let p = body.pose.inverse_transform(at);
+            let near = self.edge_m + SHADOW * body.height_m;
+            contains(outline, p)
+                || distance_to_outline(outline, p) <= near
+                || holes::hides(body, outline, at, self.eye_m)
+        })
     }
 }
 

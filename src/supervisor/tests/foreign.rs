@@ -52,6 +52,22 @@ fn a_foreign_object_is_refused_with_where_it_is_and_how_high() {
 }
 
 #[test]
+fn what_only_its_colour_tells_of_may_be_of_any_height_so_nothing_moves_over_it() {
+    let thing = thing(0.212, 0.105, f64::INFINITY);
+    let seen =
+        ForeignReport { objects: vec![thing], measured_share: 0.99, largest_hole: None, by_colour: true };
+    let mut bench = with(REFUSE, Some(seen));
+    bench.job(false);
+    let mut all = bench.until_planning();
+    all.extend(bench.ticks(20));
+    assert_eq!(streams(&all), 0, "{all:?}");
+    assert_eq!(ended(&all), Some((JobEnd::Failed, "foreign_object".into())), "{all:?}");
+    assert!(!bench.cell.status().armed, "a person has to look");
+    bench.foreign = report(Vec::new(), 0.99);
+    assert!(goes(&mut bench).is_ok(), "taken away and armed");
+}
+
+#[test]
 fn taken_away_before_the_last_look_it_is_forgotten() {
     let mut bench = with(REFUSE, report(vec![thing(0.2, 0.1, 0.09)], 0.99));
     bench.job(false);
@@ -78,10 +94,19 @@ fn depth_that_is_asked_for_has_to_come_and_to_cover_the_table() {
     );
     assert_eq!(goes(&mut with(REFUSE, report(Vec::new(), 0.4))).unwrap_err().0, "depth_poor");
     assert_eq!(goes(&mut with(REFUSE, report(Vec::new(), f64::NAN))).unwrap_err().0, "depth_poor");
+    // Colours that were compared with nothing are named as such.
+    let elsewhere = ForeignReport { measured_share: 0.0, by_colour: true, ..ForeignReport::default() };
+    let (code, message, remedy) = goes(&mut with(REFUSE, Some(elsewhere))).unwrap_err();
+    assert_eq!(code, "table_not_compared");
+    assert!(
+        message.contains("empty table on 0 %") && remedy.contains("celld calibrate empty"),
+        "{message} {remedy}"
+    );
     // Much of the table was measured, but not where something large may stand.
     for (area_m2, refused) in [(12e-4, false), (30e-4, true), (f64::NAN, true)] {
         let hole = Some(Hole { area_m2, centre: [0.31, 0.12] });
-        let seen = ForeignReport { objects: Vec::new(), measured_share: 0.97, largest_hole: hole };
+        let seen =
+            ForeignReport { objects: Vec::new(), measured_share: 0.97, largest_hole: hole, by_colour: false };
         let told = goes(&mut with(REFUSE, Some(seen)));
         let Err((code, message, _)) = told else {
             assert!(!refused, "{area_m2}");

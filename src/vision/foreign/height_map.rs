@@ -102,6 +102,11 @@ impl DepthLens {
         Ok(DepthLens { width: camera.width, height: camera.height, rays })
     }
 
+    /// The pixels that are used, with their directions.
+    pub(crate) fn pixels(&self) -> impl Iterator<Item = ((u32, u32), [f64; 2])> + '_ {
+        sampled(self.width, self.height).zip(self.rays.iter().copied())
+    }
+
     /// The points that were measured, as direction and depth.
     fn points<'a>(&'a self, depth: &'a DepthImage) -> impl Iterator<Item = ([f64; 2], f64)> + 'a {
         sampled(self.width, self.height)
@@ -126,6 +131,8 @@ pub struct HeightMap {
     pub rows: usize,
     /// Where the camera was, m, table frame.
     pub eye_m: [f64; 3],
+    /// Heights are none but 0 and infinite: what is there was told by its colour.
+    pub by_colour: bool,
     /// Median height of the points over each cell, m, NaN where too few were measured; x runs fastest.
     pub heights_m: Vec<f32>,
 }
@@ -143,7 +150,7 @@ impl HeightMap {
             let cells = ((area.high[axis] - area.low[axis]) / CELL_M).ceil();
             if cells.is_finite() { (cells.max(0.0) as usize).min(EDGE_MAX) } else { 0 }
         });
-        HeightMap { area, columns, rows, eye_m, heights_m: vec![f32::NAN; columns * rows] }
+        HeightMap { area, columns, rows, eye_m, by_colour: false, heights_m: vec![f32::NAN; columns * rows] }
     }
 
     /// What a depth picture taken from `table_from_camera` says about `area`, without the points on `own`.
@@ -233,7 +240,7 @@ impl HeightMap {
     }
 
     /// The cell over which a point of the table lies.
-    fn cell(&self, p: [f64; 2]) -> Option<usize> {
+    pub(crate) fn cell(&self, p: [f64; 2]) -> Option<usize> {
         let [column, row] = [0, 1].map(|axis| ((p[axis] - self.area.low[axis]) / CELL_M).floor());
         let inside = column >= 0.0 && row >= 0.0 && column < self.columns as f64 && row < self.rows as f64;
         inside.then(|| row as usize * self.columns + column as usize)

@@ -55,7 +55,7 @@ pub(crate) fn largest(maps: &[&HeightMap], unmeasured: Vec<bool>, known: &[Known
 }
 
 /// True when a body stands between a place on the table and the camera.
-fn hides(body: &KnownBody, outline: &[[f64; 2]], at: [f64; 2], eye_m: [f64; 3]) -> bool {
+pub(crate) fn hides(body: &KnownBody, outline: &[[f64; 2]], at: [f64; 2], eye_m: [f64; 3]) -> bool {
     TRIED.iter().any(|share| {
         let up = share * body.height_m / eye_m[2];
         let on_line = [0, 1].map(|axis| at[axis] + (eye_m[axis] - at[axis]) * up);
