@@ -9,7 +9,6 @@ mod empty;
 mod take;
 
 use crate::cli::daemon::{open_camera, open_hardware, with_runtime};
-use crate::cli::demo::run::chain;
 use crate::cli::detect::{read_camera, read_picture};
 use crate::cli::task::complain;
 use crate::config::cell::CellConfig;
@@ -18,6 +17,7 @@ use crate::daemon::calibrate::{Arm, Eye, Look, Setting, measure, solve};
 use crate::daemon::calibration_files::{CalibrationSet, provenance};
 use crate::daemon::setup::reference_markers;
 use crate::device::program::Nonce;
+use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
 use crate::io::camera::supervised::Supervised;
 use crate::io::clock::unix_now_s;
