@@ -5,6 +5,7 @@
 //! word at all) mount and table together, `table` the table alone after it was moved. Exit codes as everywhere.
 
 pub mod camera;
+mod empty;
 mod take;
 
 use crate::cli::daemon::{open_camera, open_hardware, with_runtime};
@@ -53,6 +54,8 @@ enum What {
     HandEye(RoundArgs),
     /// The table alone, after it was moved: the camera's place on the flange is kept
     Table(RoundArgs),
+    /// Pictures of the empty table from the look poses, for cameras without depth to compare with
+    Empty(empty::EmptyArgs),
 }
 
 /// A round over the reference markers.
@@ -85,6 +88,7 @@ pub fn run(args: &CalibrateArgs, stop: Arc<AtomicBool>) -> u8 {
         None => round(&args.round, Wanted::MountAndTable, stop),
         Some(What::HandEye(args)) => round(args, Wanted::MountAndTable, stop),
         Some(What::Table(args)) => round(args, Wanted::Table, stop),
+        Some(What::Empty(args)) => empty::run(args, stop),
         Some(What::Camera(args)) => camera::run(args),
     }
 }

@@ -288,10 +288,14 @@ fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
 }
 
 fn calibration(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CalibrationFiles> {
-    let fields = decoder.map(at, &["camera", "hand_eye", "table"])?;
+    let fields = decoder.map(at, &["camera", "hand_eye", "table", "empty"])?;
     let mut file = |key: &str| fields.required(key, decoder).and_then(|at| path(decoder, &at, folder));
     let (camera, hand_eye, table) = (file("camera"), file("hand_eye"), file("table"));
-    Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table? })
+    let empty = match fields.optional("empty") {
+        Some(at) => Some(path(decoder, &at, folder)?),
+        None => None,
+    };
+    Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table?, empty })
 }
 
 /// The joints' ranges, which the taught poses are compared with, and all limits together.

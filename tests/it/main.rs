@@ -6,6 +6,7 @@ mod bench_command;
 mod camera_faults;
 mod cell;
 mod faults;
+mod foreign;
 mod on_robot_program;
 mod plan_command;
 mod program_protocol;
