@@ -31,12 +31,15 @@ use crate::vision::calibration::hand_eye::Provenance;
 use crate::vision::calibration::round::{RecordedSample, Round};
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detector};
+use crate::vision::image::Image;
 use clap::{Args, Subcommand};
 use finish::finish;
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::thread::JoinHandle;
 
 /// `celld calibrate`
 #[derive(Args, Clone, Debug)]
@@ -239,7 +242,7 @@ async fn live(
     let eye = Eye { camera: Box::new(camera), detector };
     let samples = visit(&mut hardware, &arm, &poses, eye, &setting).await.map_err(|error| chain(&error))?;
     let provenance = of_arm(&lens.model, &arm);
-    if let Some(record) = &record {
+    if let Some(record) = record {
         record.close(&lens, &provenance)?;
     }
     Ok(Taken { lens, provenance, samples })
@@ -336,41 +339,46 @@ fn recorded(config: &CellConfig, args: &RoundArgs) -> Result<Taken, Fault> {
     Ok(Taken { lens, provenance: round.provenance, samples })
 }
 
-/// A round being kept in a folder.
-struct Recording<'a> {
-    folder: &'a Path,
-    /// What was kept so far, and the first thing that went wrong.
-    kept: RefCell<(Vec<RecordedSample>, Option<String>)>,
+/// A round being kept in a folder. Pictures are written by a thread of their own: the robot must not be left unheard for
+/// as long as a picture takes to pack.
+struct Recording {
+    folder: PathBuf,
+    kept: RefCell<Vec<RecordedSample>>,
+    pictures: Sender<(PathBuf, Image)>,
+    writer: JoinHandle<Result<(), String>>,
 }
 
-impl Recording<'_> {
-    fn new(folder: &Path) -> Result<Recording<'_>, String> {
+impl Recording {
+    fn new(folder: &Path) -> Result<Recording, String> {
         files::create_folder(folder).map_err(|error| error.to_string())?;
-        Ok(Recording { folder, kept: RefCell::default() })
+        let (pictures, taken) = channel::<(PathBuf, Image)>();
+        let write = move || {
+            let mut outcome = Ok(());
+            for (path, image) in taken {
+                let bytes = image.encode_png().map_err(|error| format!("{}: {error}", path.display()));
+                let written = bytes
+                    .and_then(|bytes| files::write_atomic(&path, &bytes).map_err(|error| error.to_string()));
+                // The first fault is the one to tell.
+                outcome = outcome.and(written);
+            }
+            outcome
+        };
+        let writer = std::thread::spawn(write);
+        Ok(Recording { folder: folder.to_path_buf(), kept: RefCell::default(), pictures, writer })
     }
 
     fn keep(&self, look: &Look) {
         let image = format!("{:02}.png", look.pose);
-        let bytes = look.image.encode_png().map_err(|error| error.to_string());
-        let path = self.folder.join(&image);
-        let written =
-            bytes.and_then(|bytes| files::write_atomic(&path, &bytes).map_err(|error| error.to_string()));
-        let mut kept = self.kept.borrow_mut();
-        match written {
-            Ok(()) => {
-                kept.0.push(RecordedSample { image, base_from_flange: look.sample.base_from_flange });
-            }
-            Err(error) => kept.1 = kept.1.take().or(Some(error)),
-        }
+        // It only hangs up when it has panicked, and then `close` says so.
+        let _ = self.pictures.send((self.folder.join(&image), look.image.clone()));
+        self.kept.borrow_mut().push(RecordedSample { image, base_from_flange: look.sample.base_from_flange });
     }
 
-    /// Writes the poses and the lens beside the pictures.
-    fn close(&self, lens: &CameraCalibration, provenance: &Provenance) -> Result<(), String> {
-        let (samples, fault) = self.kept.take();
-        if let Some(fault) = fault {
-            return Err(fault);
-        }
-        let round = Round { provenance: provenance.clone(), samples };
+    /// Waits for the pictures and writes the poses and the lens beside them.
+    fn close(self, lens: &CameraCalibration, provenance: &Provenance) -> Result<(), String> {
+        drop(self.pictures);
+        self.writer.join().map_err(|_| "a picture of the round could not be written".to_string())??;
+        let round = Round { provenance: provenance.clone(), samples: self.kept.take() };
         let put = |name: &str, text: String| {
             files::write_atomic(&self.folder.join(name), text.as_bytes()).map_err(|error| error.to_string())
         };

@@ -97,6 +97,9 @@ const FLOOR: f64 = 0.05;
 const STILL_RAD_S: f64 = 5e-4;
 const SETTLE: Duration = Duration::from_millis(500);
 
+/// For a state before a move, s.
+const STATE_WITHIN: u64 = 5;
+
 /// Between the order to end the program and its end.
 const END_WITHIN: u64 = 10;
 
@@ -313,7 +316,13 @@ fn between(from: &Joints, to: &Joints, share: f64) -> Joints {
 /// The path's fault, or what interrupted the motion.
 async fn move_to(round: &mut Round<'_>, pose: usize, target: Joints) -> Result<Joints, DriveError> {
     let started = round.hardware.now();
-    any_motion(true, &round.hardware.outside(started), Some(round.nonce))?;
+    // Whoever heard of the last picture may have taken a moment in which no state was read.
+    while !round.hardware.robot().fresh(round.hardware.now()) {
+        guard(round.hardware, started, STATE_WITHIN, "the robot did not say where it is", round.stop)?;
+        round.hardware.next().await;
+    }
+    let now = round.hardware.now();
+    any_motion(true, &round.hardware.outside(now), Some(round.nonce))?;
     let Some(q) = round.hardware.robot().state().map(|robot| robot.q) else {
         return Err(Closed::Stale.into());
     };

@@ -58,7 +58,7 @@ fn jog(sim: &RunningSim, secondary: SocketAddr, q: &Joints) {
 #[test]
 fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim_path) = configuration(folder.path(), ADDRESS, 6);
+    let (cell, sim_path) = configuration(folder.path(), ADDRESS, 4);
     let cell = cell.display().to_string();
     let file = load_sim(&sim_path).expect("the simulation");
     let config = sim_config(&file, ADDRESS.parse().expect("an address"), RobotPorts::REAL);
@@ -136,5 +136,22 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     let said = text(&refused.stderr);
     assert!(refused.status.code() == Some(1) && said.contains("touch and camera disagree"), "{said}");
     assert_eq!(read("table.yaml"), before);
+
+    // Ctrl-C while it waits for the person ends it, with nothing written.
+    let mut waiting = Command::new(CELLD)
+        .args(["calibrate", "touches", "--config", &cell, "--points", "500,501,502", "--save", "none.yaml"])
+        .current_dir(folder.path())
+        .stdin(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary runs");
+    let mut told = BufReader::new(waiting.stderr.take().expect("piped"));
+    told.read_line(&mut line).expect("text");
+    let interrupt = format!("kill -INT {}", waiting.id());
+    assert!(Command::new("sh").args(["-c", &interrupt]).status().expect("sh").success());
+    let mut rest = String::new();
+    told.read_to_string(&mut rest).expect("text");
+    assert_eq!(waiting.wait().expect("it ends").code(), Some(1), "{rest}");
+    assert!(!folder.path().join("none.yaml").exists());
     runtime.block_on(sim.shutdown());
 }

@@ -27,6 +27,7 @@ use nalgebra::{Isometry3, Point3};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tokio::sync::oneshot::error::TryRecvError;
 
 /// Shown under `celld calibrate touches --help`.
 pub(super) const HELP: &str = "\
@@ -170,20 +171,25 @@ const STILL_RAD_S: f64 = 0.01;
 async fn read_pose(
     hardware: &mut Hardware,
     dh: &DhParameters,
-    told: &str,
+    prompt: &str,
     stopped: &dyn Fn() -> bool,
 ) -> Result<Isometry3<f64>, String> {
     loop {
-        complain(told);
-        let pressed = tokio::task::spawn_blocking(enter);
-        while !pressed.is_finished() {
-            hardware.next().await;
+        complain(prompt);
+        // A thread of its own and not the runtime's, which would wait for the line at Ctrl-C.
+        let (tell, mut told) = tokio::sync::oneshot::channel();
+        std::thread::spawn(move || tell.send(enter()));
+        let pressed = loop {
+            match told.try_recv() {
+                Ok(pressed) => break pressed,
+                Err(TryRecvError::Closed) => break false,
+                Err(TryRecvError::Empty) => hardware.next().await,
+            };
             if stopped() {
-                // The thread still waits for a line; the process is about to end.
                 return Err("stopped; nothing was written".into());
             }
-        }
-        if !pressed.await.unwrap_or(false) {
+        };
+        if !pressed {
             return Err("no more input; nothing was written".into());
         }
         // What was sent before the press is old.
