@@ -102,6 +102,7 @@ pub fn rtde(data: &[u8]) {
     for piece in pieces(data) {
         let Ok(answers) = session.receive(&shared, piece) else { break };
         answers.iter().for_each(|answer| must_be_readable(answer));
+        session.answered(&shared);
         shared.frame(None);
         let mut splitter = Splitter::default();
         splitter.push(&sent(&mut inlet));

@@ -6,8 +6,8 @@
 use crate::bench::figures::{FIGURES, Spec, figure};
 use crate::bench::table::{Row, Table};
 use crate::cli::bench_planning::{figure_parser, figures};
-use crate::cli::demo::run::chain;
 use crate::cli::task::{complain, outln, read_text};
+use crate::document::chain::chain;
 use crate::io::files::{create_folder, write_atomic};
 use crate::report::chart::figure_svg;
 use crate::report::raster::png;

@@ -12,7 +12,6 @@ mod take;
 pub mod touch;
 
 use crate::cli::daemon::{open_camera, open_hardware, with_runtime};
-use crate::cli::demo::run::chain;
 use crate::cli::detect::{read_camera, read_picture};
 use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
@@ -20,6 +19,7 @@ use crate::config::load::load_cell;
 use crate::daemon::calibrate::{Arm, Eye, Look, Setting, kinematics, visit};
 use crate::daemon::calibration_files::provenance;
 use crate::device::program::Nonce;
+use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
 use crate::io::camera::supervised::Supervised;
 use crate::io::clock::unix_now_s;

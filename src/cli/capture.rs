@@ -5,12 +5,12 @@
 //! codes: 0 every object was seen and written, 1 some were not (with `--partial` the others are written), 2 bad input.
 
 use crate::cli::daemon::open_camera;
-use crate::cli::demo::run::chain;
 use crate::cli::detect::{read_camera, read_picture};
 use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::daemon::setup::reference_markers;
+use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
 use crate::io::files;
 use crate::jobs::job_file::goal_yaml;

@@ -3,7 +3,6 @@
 //! In: the cell's configuration and the state folder. Out: work on job files until Ctrl-C or SIGTERM. Bad configuration
 //! or calibration files are exit 2, before any device is touched; a second daemon on one state folder is 1.
 
-use crate::cli::demo::run::chain;
 use crate::cli::recorder::Recorder;
 use crate::cli::task::complain;
 use crate::config::cell::{CellConfig, RecordingConfig};
@@ -17,6 +16,7 @@ use crate::daemon::run::{Event, Observer, Shell, Workers, run as run_shell};
 use crate::daemon::setup::{cell_model, cell_objects, eye_parameters, gripper_parameters};
 use crate::daemon::workers::spawn_eye;
 use crate::device::robot_types::RobotParameters;
+use crate::document::chain::chain;
 use crate::io::camera::supervised::Supervised;
 use crate::io::clock::{Clock, unix_now_s};
 use crate::io::priority;
@@ -171,7 +171,11 @@ async fn daemon(
     let measured = calibration.measured(&arm);
     let model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     let (answers_in, answers) = tokio::sync::mpsc::channel(16);
-    let camera = open_camera(&config, Some(measured.camera.clone()))?;
+    let camera = cameras::open_when_there(&config.devices, &measured.camera);
+    let (camera, away) = camera.map_err(|error| chain(&error))?;
+    if let Some(error) = away {
+        complain(&format!("{}; looks wait for it ({})", chain(&error), error.kind().remedy()));
+    }
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let mut eye_parameters = eye_parameters(&config, &measured).map_err(|error| chain(&error))?;
     eye_parameters.doubts = Some(doubts);

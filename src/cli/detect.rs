@@ -6,6 +6,7 @@
 
 mod table;
 
+use crate::document::chain::chain;
 use crate::io::files;
 use crate::units::{deg_from_rad, mm_from_m};
 use crate::vision::annotate;
@@ -117,10 +118,10 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
         fits.map_err(|error| format!("{}: {error}", args.image.display()))?;
     }
     let settings = DetectSettings { decimate: args.decimate, ..DetectSettings::default() };
-    let mut detector = Detector::of(&args.family, settings).map_err(chain)?;
+    let mut detector = Detector::of(&args.family, settings).map_err(|error| chain(&error))?;
     let detections = detector
         .detect(&image.gray())
-        .map_err(|error| format!("{}: {}", args.image.display(), chain(error)))?;
+        .map_err(|error| format!("{}: {}", args.image.display(), chain(&error)))?;
     let on_table = cell.map(|cell| cell.look(&detections, args.depth.as_deref())).transpose();
     let on_table = on_table.map_err(|error| format!("{}: {error}", args.image.display()))?;
     if let Some(out) = &args.out {
@@ -129,8 +130,8 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
         if let Some(on_table) = &on_table {
             on_table.draw(&mut drawn)?;
         }
-        let bytes = drawn.encode_png().map_err(chain)?;
-        files::write_atomic(out, &bytes).map_err(chain)?;
+        let bytes = drawn.encode_png().map_err(|error| chain(&error))?;
+        files::write_atomic(out, &bytes).map_err(|error| chain(&error))?;
     }
     let found: Vec<Found> = detections
         .into_iter()
@@ -151,7 +152,7 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
 }
 
 pub(super) fn read_picture(path: &Path) -> Result<Image, String> {
-    Image::decode(&read_bytes(path)?).map_err(|error| format!("{}: {}", path.display(), chain(error)))
+    Image::decode(&read_bytes(path)?).map_err(|error| format!("{}: {}", path.display(), chain(&error)))
 }
 
 fn read_bytes(path: &Path) -> Result<Vec<u8>, String> {
@@ -164,7 +165,7 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, String> {
 }
 
 pub(super) fn read_camera(path: &Path) -> Result<CameraModel, String> {
-    let (text, _) = files::read_regular(path, 1 << 20).map_err(chain)?;
+    let (text, _) = files::read_regular(path, 1 << 20).map_err(|error| chain(&error))?;
     let calibration = CameraCalibration::parse(&text, &path.display().to_string());
     calibration.map(|calibration| calibration.model).map_err(|complaints| complaints.to_string())
 }
@@ -214,20 +215,9 @@ fn json(path: &Path, image: &Image, found: &[Found], seen: Option<&Observation>)
         "detections": found,
     });
     if let Some(seen) = seen {
-        report["table"] = serde_json::to_value(seen).map_err(chain)?;
+        report["table"] = serde_json::to_value(seen).map_err(|error| chain(&error))?;
     }
-    serde_json::to_string(&report).map(|text| text + "\n").map_err(chain)
-}
-
-/// An error with its causes on one line.
-pub(super) fn chain(error: impl std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(inner) = cause {
-        let _ = write!(text, ": {inner}");
-        cause = inner.source();
-    }
-    text
+    serde_json::to_string(&report).map(|text| text + "\n").map_err(|error| chain(&error))
 }
 
 #[cfg(test)]
@@ -368,6 +358,21 @@ mod tests {
         let mug = &report["table"]["foreign"]["objects"][0];
         assert!((mug["height_m"].as_f64().unwrap() - 0.09).abs() < 0.01, "{mug}");
         assert!((mug["centre"][0].as_f64().unwrap() - 0.35).abs() < 0.01, "{mug}");
+    }
+
+    #[test]
+    fn markers_of_other_families_are_not_the_cell_s_though_their_numbers_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let (colour, _) = drawn_table(folder.path());
+        let mut detector = Detector::new(DetectSettings::default()).unwrap();
+        let mut seen = detector.detect(&read_picture(&colour).unwrap().gray()).unwrap();
+        let block = seen.iter().find(|detection| detection.id == 2).unwrap();
+        let mut other = Detection { family: Family::Tag25h9.name().into(), ..block.clone() };
+        other.corners.iter_mut().for_each(|corner| corner[0] += 100.0);
+        seen.push(other);
+        let table = table::Cell::read(&example()).unwrap().look(&seen, None).unwrap();
+        let block = table.seen.objects.iter().find(|object| object.id == "block");
+        assert!(block.is_some_and(|block| (block.pose.x - 0.15).abs() < 0.002), "{:?}", table.seen.objects);
     }
 
     #[test]

@@ -3,9 +3,9 @@
 //! In: scenario, number of objects, density, seed. Out: one YAML file a case in a folder, whose first line says
 //! how it was made; the paths on standard output. Exit code 0, or 2 with what is wrong.
 
-use crate::cli::demo::run::chain;
 use crate::cli::plan::seconds;
 use crate::cli::task::{complain, outln};
+use crate::document::chain::chain;
 use crate::io::files::{create_folder, write_atomic};
 use crate::planning::generate::{RatioLaw, Recipe, Scenario, generate};
 use crate::tabletop::write::to_yaml;

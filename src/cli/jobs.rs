@@ -5,6 +5,7 @@
 
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
+use crate::document::chain::chain;
 use crate::io::clock::unix_now_s;
 use crate::io::files::FileError;
 use crate::jobs::command::{Command, RecoverHow, ReleaseChannel, Reply, Sent};
@@ -184,13 +185,7 @@ pub fn run(command: ClientCommand) -> u8 {
 
 /// The error with its causes on stderr; exit code 1.
 pub(super) fn complain(error: &ClientError) -> u8 {
-    let mut text = error.to_string();
-    let mut cause = std::error::Error::source(error);
-    while let Some(error) = cause {
-        text.push_str(&format!(": {error}"));
-        cause = error.source();
-    }
-    eprintln!("{text}");
+    eprintln!("{}", chain(error));
     1
 }
 

@@ -47,7 +47,7 @@ impl Recorder {
     pub fn create(path: &Path, pictures: bool) -> Recorder {
         let (recording, fault) = match Recording::create(path, unix_now_s()) {
             Ok(recording) => (Some(recording), None),
-            Err(error) => (None, Some(crate::cli::demo::run::chain(&error))),
+            Err(error) => (None, Some(crate::document::chain::chain(&error))),
         };
         Recorder {
             recording,
@@ -138,7 +138,7 @@ impl Recorder {
     }
 
     fn keep_fault(&mut self, error: &RecordingError) {
-        self.fault.get_or_insert_with(|| crate::cli::demo::run::chain(error));
+        self.fault.get_or_insert_with(|| crate::document::chain::chain(error));
     }
 }
 

@@ -145,11 +145,11 @@ async fn serve(config: SimConfig) -> u8 {
     let sim = match start(config).await {
         Ok(sim) => sim,
         Err(error @ SimError::Fault(_)) => {
-            complain(&crate::cli::demo::run::chain(&error));
+            complain(&crate::document::chain::chain(&error));
             return 2;
         }
         Err(error) => {
-            complain(&crate::cli::demo::run::chain(&error));
+            complain(&crate::document::chain::chain(&error));
             return 1;
         }
     };

@@ -4,8 +4,10 @@
 //! says what is wrong; and what the supervisor is told about that.
 
 use crate::config::cell::{CameraDevice, Devices};
+use crate::document::chain::chain;
 use crate::io::camera::folder::FolderCamera;
 use crate::io::camera::http::HttpCamera;
+use crate::io::camera::late::LateCamera;
 use crate::io::camera::realsense::RealSenseCamera;
 use crate::io::camera::snapshot::SnapshotCamera;
 use crate::io::camera::supervised::Supervised;
@@ -14,7 +16,6 @@ use crate::io::camera::video::VideoCamera;
 use crate::io::camera::{CameraError, CameraSource, FaultKind};
 use crate::supervisor::input::CameraTrouble;
 use crate::vision::camera::CameraModel;
-use std::error::Error;
 use std::time::Duration;
 
 /// How long a frame of the simulator may take, wall time: it may have to be rendered on a busy computer.
@@ -27,7 +28,27 @@ const CAMERA_LIMIT: Duration = Duration::from_secs(4);
 /// # Errors
 /// Why it cannot be opened.
 pub fn open_camera(devices: &Devices, lens: Option<CameraModel>) -> Result<Supervised, CameraError> {
-    let source: Box<dyn CameraSource> = match &devices.camera {
+    Ok(Supervised::new(open_source(&devices.camera, lens)?, devices.picture_limits))
+}
+
+/// The same, but a camera that is away may come later; with it, why it is away.
+///
+/// # Errors
+/// What waiting does not mend.
+pub fn open_when_there(
+    devices: &Devices,
+    lens: &CameraModel,
+) -> Result<(Supervised, Option<CameraError>), CameraError> {
+    let (device, lens) = (devices.camera.clone(), lens.clone());
+    let (camera, away) = LateCamera::open(Box::new(move || open_source(&device, Some(lens.clone()))))?;
+    Ok((Supervised::new(Box::new(camera), devices.picture_limits), away))
+}
+
+fn open_source(
+    device: &CameraDevice,
+    lens: Option<CameraModel>,
+) -> Result<Box<dyn CameraSource>, CameraError> {
+    Ok(match device {
         CameraDevice::Simulator { host, port, depth } => {
             let mut camera = HttpCamera::new(&format!("http://{host}:{port}"), SIMULATOR_LIMIT);
             if *depth {
@@ -47,8 +68,7 @@ pub fn open_camera(devices: &Devices, lens: Option<CameraModel>) -> Result<Super
         CameraDevice::Uvc(settings) => Box::new(UvcCamera::open(settings.clone(), lens)?),
         CameraDevice::Folder { path } => Box::new(FolderCamera::open(path, lens)?),
         CameraDevice::Video { path } => Box::new(VideoCamera::open(path, lens)?),
-    };
-    Ok(Supervised::new(source, devices.picture_limits))
+    })
 }
 
 /// What the supervisor is told of a camera that gives no picture.
@@ -56,21 +76,10 @@ pub fn trouble_of(error: &CameraError) -> CameraTrouble {
     let kind = error.kind();
     CameraTrouble {
         code: kind.code(),
-        message: sentence(error),
+        message: chain(error),
         remedy: kind.remedy(),
         lasting: matches!(kind, FaultKind::Misfit | FaultKind::Ended),
     }
-}
-
-/// An error with its causes on one line.
-fn sentence(error: &CameraError) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(inner) = cause {
-        text.push_str(&format!(": {inner}"));
-        cause = inner.source();
-    }
-    text
 }
 
 #[cfg(test)]

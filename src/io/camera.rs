@@ -9,6 +9,7 @@ pub mod fault;
 pub mod folder;
 pub mod http;
 pub mod ladder;
+pub mod late;
 mod mat;
 pub mod realsense;
 pub mod snapshot;

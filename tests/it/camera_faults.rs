@@ -37,9 +37,18 @@ fn truth() -> (f64, usize) {
     (lid["pose"][0].as_f64().expect("a number"), grips)
 }
 
-/// The example cell with its calibration, and the simulator with a control server.
-fn start(folder: &Path) -> (Running, Running) {
-    let (cell, sim) = configuration(folder, ADDRESS, 2);
+/// The example cell with its calibration, and the simulator with a control server; `camera` is a line instead of the
+/// configured one, of a camera without depth.
+fn start(folder: &Path, address: &str, camera: Option<&str>) -> (Running, Running) {
+    let (cell, sim) = configuration(folder, address, 2);
+    if let Some(camera) = camera {
+        let text = std::fs::read_to_string(&cell).expect("text");
+        let line =
+            text.lines().find(|line| line.starts_with("  camera: {kind: simulator")).expect("a camera");
+        let foreign = text.lines().find(|line| line.starts_with("foreign:")).expect("what to do about mugs");
+        let text = text.replace(line, camera).replace(foreign, "foreign: {mode: off}");
+        std::fs::write(&cell, text).expect("written");
+    }
     let calibration = folder.join("calibration/sim");
     std::fs::create_dir_all(&calibration).expect("created");
     let made = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim");
@@ -72,8 +81,10 @@ struct Desk<'a> {
     state: PathBuf,
 }
 
-/// How often a job is handed in again that was stopped because a busy machine kept the robot's states from coming.
+/// How often a job is handed in again that a busy machine stopped.
 const HANDED_IN: usize = 6;
+/// What such a job says: one side was not served in time. No fault of the camera stops the robot.
+const BUSY: [&str; 2] = ["robot's state stopped coming", "code: \"robot_stopped\""];
 
 impl Desk<'_> {
     fn status(&self) -> String {
@@ -96,9 +107,17 @@ impl Desk<'_> {
             let file = self.state.join("jobs/incoming").join(format!("{id}.yaml"));
             std::fs::write(file, format!("version: 1\nid: {id}\n{goal}")).expect("written");
             meanwhile(&id);
-            wait_until("the job ends", || self.ended(&id).is_some());
+            wait_until("the job ends", || {
+                let disarmed = self.status().contains("disarmed");
+                let ended = self.ended(&id).is_some();
+                if disarmed && !ended {
+                    // A busy machine stopped the cell between two jobs.
+                    self.arm();
+                }
+                ended
+            });
             let result = self.ended(&id).expect("a result");
-            if !result.contains("robot's state stopped coming") {
+            if !BUSY.iter().any(|words| result.contains(words)) {
                 return result;
             }
             self.arm();
@@ -110,7 +129,7 @@ impl Desk<'_> {
 #[test]
 fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
     let folder = tempfile::tempdir().expect("a folder");
-    let _running = start(folder.path());
+    let _running = start(folder.path(), ADDRESS, None);
     let desk = Desk { folder: folder.path(), state: folder.path().join("state") };
     wait_until("the daemon opens its folders", || desk.state.join("jobs/incoming").is_dir());
     desk.arm();
@@ -126,8 +145,8 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
         ("{do: camera.blur, args: {sigma_px: 6}}", "camera_blurred"),
     ];
     for (number, (order, code)) in cases.into_iter().enumerate() {
-        // The first one has something to move, so that standing still means something.
-        let x = if number == 0 { 0.30 } else { truth().0 };
+        // There is always something to move, so that standing still means something.
+        let x = if number % 2 == 0 { 0.30 } else { 0.36 };
         let named = Cell::new(false);
         let result = desk.job(code, x, |id| {
             fault(order);
@@ -138,8 +157,8 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
             fault("{do: clear}");
         });
         assert!(named.get() && result.contains("status: done"), "{code}: {result}");
+        assert!((truth().0 - x).abs() < 0.003, "{code}: the lid was carried after all");
     }
-    assert!((truth().0 - 0.30).abs() < 0.003, "the lid was carried after all");
 
     let result = desk.job("blind", 0.40, |_| fault("{do: camera.off}"));
     assert!(result.contains("code: \"camera_unplugged\""), "{result}");
@@ -149,4 +168,19 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
     fault("{do: clear}");
     let result = desk.job("again", 0.40, |_| {});
     assert!(result.contains("status: done"), "{result}");
+}
+
+#[test]
+fn cell_starts_without_its_camera_and_waits_for_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let camera = "  camera: {kind: uvc, device: /dev/v4l/by-id/usb-away-video-index0, serial: sim-d405, width: 1280, \
+                  height: 720, fps: 30}";
+    let _running = start(folder.path(), "127.7.5.3", Some(camera));
+    let desk = Desk { folder: folder.path(), state: folder.path().join("state") };
+    wait_until("the daemon opens its folders", || desk.state.join("jobs/incoming").is_dir());
+    desk.arm();
+    let file = desk.state.join("jobs/incoming/away.yaml");
+    let goal = "goal:\n  objects:\n    - {id: lid, pose: [0.36, 0.38, 0]}\n";
+    std::fs::write(file, format!("version: 1\nid: away\n{goal}")).expect("written");
+    wait_until("the look waits for the camera", || desk.status().contains("waiting: camera_unplugged"));
 }

@@ -6,11 +6,11 @@
 use crate::cli::calibrate::take::take;
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::daemon::open_camera;
-use crate::cli::demo::run::chain;
 use crate::cli::detect::read_picture;
 use crate::cli::markers::{grid, millimetres};
 use crate::cli::task::complain;
 use crate::config::load::load_cell;
+use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
 use crate::io::clock::unix_now_s;
 use crate::io::files;

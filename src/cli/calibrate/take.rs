@@ -4,8 +4,8 @@
 //! measured is told and not kept, so that nobody finds out after the last one.
 
 use crate::cli::calibrate::{Fault, bad_input};
-use crate::cli::demo::run::chain;
 use crate::cli::task::complain;
+use crate::document::chain::chain;
 use crate::io::camera::{CameraSource, FaultKind};
 use crate::io::files;
 use crate::vision::board::Board;

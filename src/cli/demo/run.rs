@@ -17,6 +17,7 @@ use crate::daemon::setup::{Measured, cell_model, eye_parameters, gripper_paramet
 use crate::daemon::workers::spawn_eye;
 use crate::device::program::Nonce;
 use crate::device::robot_types::RobotParameters;
+use crate::document::chain::chain;
 use crate::geometry::pose::Pose2;
 use crate::io::camera::CameraSource;
 use crate::io::clock::Clock;
@@ -212,16 +213,4 @@ impl Office for OneJob {
     }
 
     fn status(&mut self, _status: &Status) {}
-}
-
-/// An error with all its causes, in one line.
-pub fn chain(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text.push_str(": ");
-        text.push_str(&error.to_string());
-        cause = error.source();
-    }
-    text
 }

@@ -4,14 +4,16 @@
 //! outlines to draw. Where the picture was taken is told by the reference markers in it.
 
 use crate::cli::capture::{objects, told, where_taken};
-use crate::cli::detect::{chain, read_bytes, read_camera};
+use crate::cli::detect::{read_bytes, read_camera};
 use crate::config::cell::{CameraMount, CellConfig};
 use crate::config::load::load_cell;
 use crate::daemon::setup::{inventory, reference_markers};
+use crate::document::chain::chain;
 use crate::time::Timestamp;
 use crate::vision::annotate::{self, BAD, GOOD, Overlay};
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::Detection;
+use crate::vision::detect::family::Family;
 use crate::vision::foreign::ForeignLimits;
 use crate::vision::foreign::search::ForeignSearch;
 use crate::vision::image::depth::UNIT_M;
@@ -52,20 +54,22 @@ impl Cell {
     pub fn look(self, detections: &[Detection], depth: Option<&Path>) -> Result<Table, String> {
         let Cell { config, lens } = self;
         let reference = reference_markers(&config);
-        let table_from_camera = where_taken(&lens, &reference, detections)?;
+        // Markers of the cell are of one family; in others the same numbers mean nothing to it.
+        let own = detections.iter().filter(|detection| detection.family == Family::Tag36h11.name());
+        let detections: Vec<Detection> = own.cloned().collect();
+        let table_from_camera = where_taken(&lens, &reference, &detections)?;
         let depth = depth.map(read_depth).transpose()?;
         let search = depth.as_ref().map(|_| search(&config, &lens)).transpose()?;
         let heights = match (&search, &depth) {
             (Some(search), Some(depth)) => {
-                Some(Arc::new(search.map(depth, &table_from_camera).map_err(chain)?))
+                Some(Arc::new(search.map(depth, &table_from_camera).map_err(|error| chain(&error))?))
             }
             _ => None,
         };
-        let detections = detections.to_vec();
         let views = [View { table_from_camera, detections, time: Timestamp::ZERO, heights }];
         let marked = objects(&config);
-        let mut seen =
-            observe(&marked, &reference, &lens, &views, &ObserveLimits::default()).map_err(chain)?;
+        let mut seen = observe(&marked, &reference, &lens, &views, &ObserveLimits::default())
+            .map_err(|error| chain(&error))?;
         seen.foreign = search.and_then(|search| search.report(&views, &seen));
         Ok(Table { seen, config, lens, table_from_camera })
     }
@@ -79,12 +83,12 @@ fn search(config: &CellConfig, lens: &CameraModel) -> Result<ForeignSearch, Stri
         }
         CameraMount::Fixed { .. } => None,
     };
-    ForeignSearch::new(lens, inventory(config, own), ForeignLimits::default()).map_err(chain)
+    ForeignSearch::new(lens, inventory(config, own), ForeignLimits::default()).map_err(|error| chain(&error))
 }
 
 fn read_depth(path: &Path) -> Result<DepthImage, String> {
     let bytes = read_bytes(path)?;
-    DepthImage::decode(&bytes, UNIT_M).map_err(|error| format!("{}: {}", path.display(), chain(error)))
+    DepthImage::decode(&bytes, UNIT_M).map_err(|error| format!("{}: {}", path.display(), chain(&error)))
 }
 
 impl Table {
@@ -121,6 +125,7 @@ impl Table {
         if let Some(report) = &self.seen.foreign {
             overlays.extend(annotate::foreign_overlays(&report.objects));
         }
-        annotate::draw_overlays(image, &overlays, &self.lens, &self.table_from_camera).map_err(chain)
+        annotate::draw_overlays(image, &overlays, &self.lens, &self.table_from_camera)
+            .map_err(|error| chain(&error))
     }
 }

@@ -167,6 +167,14 @@ pub enum CameraError {
         /// Number of the frame it repeats.
         last: u64,
     },
+    /// An address whose picture stayed the same.
+    #[error("{address} went on giving the same picture for {:.1} s: the camera is frozen, or the address renews too seldom", .within.as_secs_f64())]
+    NotRenewed {
+        /// The address.
+        address: String,
+        /// How long it was asked.
+        within: Duration,
+    },
     /// The time is no number, or runs backwards.
     #[error("{place} gave frame {sequence} with time {time_s} s after {last_s} s")]
     Time {
@@ -299,7 +307,7 @@ impl CameraError {
                 FaultKind::Broken
             }
             CameraError::RepeatedSequence { .. } => FaultKind::Frozen,
-            CameraError::RepeatedPicture { .. } => FaultKind::Repeated,
+            CameraError::RepeatedPicture { .. } | CameraError::NotRenewed { .. } => FaultKind::Repeated,
             CameraError::Header { .. }
             | CameraError::Incomplete { .. }
             | CameraError::Picture { .. }

@@ -24,6 +24,8 @@ pub struct HttpCamera {
     wanted: bool,
     /// Number of the last depth picture.
     last_depth: Option<u64>,
+    /// Connected to anew since: its count may begin again.
+    depth_restarted: bool,
     watch: Watch,
 }
 
@@ -80,6 +82,7 @@ impl HttpCamera {
             depth: false,
             wanted: true,
             last_depth: None,
+            depth_restarted: false,
             watch: Watch::default(),
         }
     }
@@ -100,10 +103,14 @@ impl HttpCamera {
         let address = format!("{}/depth.png", self.base);
         let (headers, bytes) = self.client.get(&address)?;
         let sequence = header(&headers, &address, "X-Sequence", "whole number")?;
-        if let Some(last) = self.last_depth.replace(sequence).filter(|last| *last >= sequence) {
+        let counts_on = |last: u64| sequence > last || self.depth_restarted && sequence != last;
+        if let Some(last) = self.last_depth.filter(|last| !counts_on(*last)) {
             return Err(CameraError::RepeatedSequence { place: address, sequence, last });
         }
-        DepthImage::decode(&bytes, UNIT_M).map_err(|source| CameraError::Picture { place: address, source })
+        let depth = DepthImage::decode(&bytes, UNIT_M);
+        let depth = depth.map_err(|source| CameraError::Picture { place: address, source })?;
+        (self.last_depth, self.depth_restarted) = (Some(sequence), false);
+        Ok(depth)
     }
 }
 
@@ -153,7 +160,7 @@ impl CameraSource for HttpCamera {
 
     fn reopen(&mut self) -> Result<(), CameraError> {
         self.client = self.client.anew();
-        self.last_depth = None;
+        self.depth_restarted = true;
         self.watch.restarted();
         Ok(())
     }
@@ -268,6 +275,10 @@ pub(super) mod tests {
             depth(1),
             picture(5, 12),
             (head, colour),
+            picture(6, 13),
+            depth(1),
+            picture(7, 14),
+            depth(0),
         ];
         let mut camera = camera(answers).with_depth();
         camera.want_depth(false);
@@ -285,6 +296,10 @@ pub(super) mod tests {
             matches!(&told, CameraError::Picture { place, .. } if place.ends_with("/depth.png")),
             "{told}"
         );
+        camera.reopen().unwrap();
+        let told = camera.grab().unwrap_err();
+        assert!(matches!(told, CameraError::RepeatedSequence { .. }), "frozen before and after: {told}");
+        assert!(camera.grab().unwrap().depth.is_some(), "it began to count again");
     }
 
     #[test]

@@ -36,7 +36,7 @@ pub struct RealSenseSettings {
 
 /// How long the SDK is waited for at a time.
 const WAIT: Duration = Duration::from_millis(200);
-/// Sets of frames passed over before the one that counts: one that was waiting, one whose exposure had begun.
+/// Colour pictures passed over before the one that counts: one that was waiting, one whose exposure had begun.
 const BEFORE_ASKED: u32 = 2;
 /// And after the start: exposure control settles within half a second.
 const AFTER_START: u32 = 15;
@@ -63,7 +63,7 @@ struct Running {
     colour: Stream,
     serial: String,
     pipeline: Pipeline,
-    /// Sets still to be passed over because the stream has just begun.
+    /// Pictures still to be passed over because the stream has just begun.
     warming: u32,
     /// Number of the colour picture handed out last.
     last: Option<u64>,
@@ -372,7 +372,7 @@ impl CameraSource for RealSenseCamera {
             _ => 0,
         };
         for _ in 0..stale {
-            self.next_set()?;
+            self.whole_set()?;
         }
         let set = self.whole_set()?;
         let refused = self.refused();

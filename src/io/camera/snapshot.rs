@@ -2,20 +2,27 @@
 //!
 //! In: the address of a PNG or JPEG, the camera's serial number as the configuration tells it, the lens from a calibration.
 //! Out: frames with a count and a time of our own, for such an answer carries neither: seconds since the camera was
-//! opened, at the moment the answer was there. Nothing tells an old picture from a new one but its content.
+//! opened, at the moment the answer was there. Nothing tells an old picture from a new one but its content, and many such
+//! cameras keep their last picture for whoever asks. So each frame is the first picture that differs from the one that was
+//! kept when it was asked for.
 
 use crate::io::camera::http::Client;
-use crate::io::camera::watch::Watch;
+use crate::io::camera::watch::{Watch, content};
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use crate::vision::camera::CameraModel;
 use crate::vision::image::Image;
 use std::time::{Duration, Instant};
+
+/// Between two requests for a picture that is not renewed yet.
+const PAUSE: Duration = Duration::from_millis(20);
 
 /// The camera at an address.
 pub struct SnapshotCamera {
     address: String,
     serial: String,
     client: Client,
+    /// How long a picture may stay the same.
+    renewal: Duration,
     lens: Option<CameraModel>,
     opened: Instant,
     taken: u64,
@@ -23,7 +30,8 @@ pub struct SnapshotCamera {
 }
 
 impl SnapshotCamera {
-    /// The camera at `address`; every request may take up to `limit`. Connects to nothing yet.
+    /// The camera at `address`; every request, and the renewal of the picture, may take up to `limit`. Connects to
+    /// nothing yet.
     ///
     /// # Errors
     /// `OtherSerial` when the lens is another camera's.
@@ -38,11 +46,36 @@ impl SnapshotCamera {
             address: address.to_string(),
             serial: serial.to_string(),
             client: Client::new(limit),
+            renewal: limit,
             lens,
             opened: Instant::now(),
             taken: 0,
             watch: Watch::default(),
         })
+    }
+
+    fn picture(&self) -> Result<Image, CameraError> {
+        let (_, bytes) = self.client.get(&self.address)?;
+        Image::decode(&bytes).map_err(|source| CameraError::Picture { place: self.address.clone(), source })
+    }
+
+    /// The first picture after the one that the camera holds now.
+    fn new_picture(&self) -> Result<Image, CameraError> {
+        let asked = Instant::now();
+        let kept = content(&self.picture()?);
+        loop {
+            let picture = self.picture()?;
+            // One without noise tells nothing; what is wrong with its light is for others to say.
+            let told = content(&picture);
+            if told.is_none() || told != kept {
+                return Ok(picture);
+            }
+            if asked.elapsed() >= self.renewal {
+                let (address, within) = (self.address.clone(), self.renewal);
+                return Err(CameraError::NotRenewed { address, within });
+            }
+            std::thread::sleep(PAUSE);
+        }
     }
 }
 
@@ -53,10 +86,8 @@ impl CameraSource for SnapshotCamera {
     }
 
     fn grab(&mut self) -> Result<Frame, CameraError> {
-        let (_, bytes) = self.client.get(&self.address)?;
+        let image = self.new_picture()?;
         let source = self.address.clone();
-        let image = Image::decode(&bytes)
-            .map_err(|error| CameraError::Picture { place: source.clone(), source: error })?;
         let time_s = self.opened.elapsed().as_secs_f64();
         let frame = Frame { image, sequence: self.taken, time_s, source, depth: None };
         self.taken += 1;
@@ -82,6 +113,7 @@ impl CameraSource for SnapshotCamera {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::camera::FaultKind;
     use crate::io::camera::http::tests::serve;
 
     fn answer(body: Vec<u8>) -> (String, Vec<u8>) {
@@ -97,9 +129,11 @@ mod tests {
     }
 
     #[test]
-    fn jpeg_snapshots_are_counted_and_the_same_one_is_told() {
+    fn jpeg_snapshots_are_counted_and_what_the_camera_held_before_is_not_taken() {
         let cut = jpeg(70)[..60].to_vec();
-        let address = serve([jpeg(50), jpeg(60), jpeg(60), cut].map(answer).to_vec());
+        // What the camera held at the first question, twice; then each new picture once.
+        let answers = [jpeg(40), jpeg(40), jpeg(50), jpeg(50), jpeg(60), jpeg(60), jpeg(60), cut];
+        let address = serve(answers.map(answer).to_vec());
         let address = format!("{address}/snapshot.jpg");
         let mut camera = SnapshotCamera::open(&address, "door-7", Duration::from_secs(20), None).unwrap();
         let frame = camera.grab().unwrap();
@@ -107,7 +141,10 @@ mod tests {
         assert!(frame.image.rgb[0].abs_diff(50) < 3);
         let second = camera.grab().unwrap();
         assert!(second.sequence == 1 && second.time_s >= frame.time_s);
-        assert!(matches!(camera.grab(), Err(CameraError::RepeatedPicture { .. })));
+        assert!(second.image.rgb[0].abs_diff(60) < 3);
+        camera.renewal = Duration::ZERO;
+        let told = camera.grab().unwrap_err();
+        assert_eq!(told.kind(), FaultKind::Repeated, "{told}");
         assert!(matches!(camera.grab(), Err(CameraError::Picture { .. })));
         assert!(matches!(camera.grab(), Err(CameraError::Unreachable { .. })));
         assert_eq!(camera.serial().unwrap(), "door-7");
@@ -129,7 +166,7 @@ mod tests {
         let limit = Duration::from_secs(20);
         let other = SnapshotCamera::open("http://127.0.0.1:9/", "door-8", limit, Some(lens.clone()));
         assert!(matches!(other, Err(CameraError::OtherSerial { .. })));
-        let address = serve(vec![answer(jpeg(50))]);
+        let address = serve([jpeg(50), jpeg(60)].map(answer).to_vec());
         let mut camera = SnapshotCamera::open(&address, "door-7", limit, Some(lens)).unwrap();
         assert!(matches!(camera.grab(), Err(CameraError::Model(_))));
     }

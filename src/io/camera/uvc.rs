@@ -16,7 +16,7 @@ use opencv::videoio::{
 };
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// What is asked of the camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -167,10 +167,15 @@ fn driver_now_ms() -> f64 {
     now.tv_sec as f64 * 1e3 + now.tv_nsec as f64 / 1e6
 }
 
+/// The driver's time of a picture, ms, where it is one of that clock: some drivers give none, some that of the day.
+fn stamp_of(told_ms: f64, now_ms: f64) -> Option<f64> {
+    (told_ms > 0.0 && told_ms <= now_ms).then_some(told_ms)
+}
+
 /// True for a picture whose exposure began after it was asked for; without a time of the driver's only the count tells.
-fn is_fresh(stamp_ms: f64, asked_ms: f64, exposure: Duration, passed: u32) -> bool {
-    let began_ms = stamp_ms - exposure.as_secs_f64() * 1e3;
-    passed >= KEPT_MAX || (stamp_ms > 0.0 && began_ms >= asked_ms)
+fn is_fresh(stamp_ms: Option<f64>, asked_ms: f64, exposure: Duration, passed: u32) -> bool {
+    let exposure_ms = exposure.as_secs_f64() * 1e3;
+    passed >= KEPT_MAX || stamp_ms.is_some_and(|stamp_ms| stamp_ms - exposure_ms >= asked_ms)
 }
 
 impl CameraSource for UvcCamera {
@@ -186,7 +191,7 @@ impl CameraSource for UvcCamera {
         let place = self.settings.device.display().to_string();
         // Exposure fits between two pictures; stamps are of its end at the latest.
         let exposure = Duration::from_secs(1) / self.settings.rate.max(1);
-        let asked_ms = driver_now_ms();
+        let (asked, asked_ms) = (Instant::now(), driver_now_ms());
         let mut mat = Mat::default();
         let mut passed = 0;
         let stamp_ms = loop {
@@ -197,9 +202,9 @@ impl CameraSource for UvcCamera {
             if !matches!(read, Ok(true)) || mat.empty() {
                 // OpenCV waits ten seconds for a driver; a camera that was pulled out fails at once.
                 self.capture = None;
-                return Err(CameraError::Silent { place, limit: Duration::from_secs(10) });
+                return Err(CameraError::Silent { place, limit: asked.elapsed() });
             }
-            let stamp_ms = capture.get(CAP_PROP_POS_MSEC).unwrap_or(0.0);
+            let stamp_ms = stamp_of(capture.get(CAP_PROP_POS_MSEC).unwrap_or(0.0), driver_now_ms());
             if is_fresh(stamp_ms, asked_ms, exposure, passed) {
                 break stamp_ms;
             }
@@ -211,7 +216,7 @@ impl CameraSource for UvcCamera {
             what: "a frame is not 8 bit colour",
             source,
         })?;
-        let time_s = if stamp_ms > 0.0 { stamp_ms } else { asked_ms } / 1e3;
+        let time_s = stamp_ms.unwrap_or(asked_ms) / 1e3;
         let frame = Frame { image, sequence: self.taken, time_s, source: place, depth: None };
         self.taken += 1;
         self.watch.check(&frame, self.lens.as_ref())?;
@@ -288,10 +293,12 @@ mod tests {
     #[test]
     fn pictures_from_before_the_question_are_passed_over() {
         let exposure = Duration::from_millis(33);
-        assert!(!is_fresh(1000.0, 1010.0, exposure, 0), "kept by the driver");
-        assert!(!is_fresh(1030.0, 1010.0, exposure, 1), "its exposure had begun");
-        assert!(is_fresh(1050.0, 1010.0, exposure, 2));
-        assert!(!is_fresh(0.0, 1010.0, exposure, 3) && is_fresh(0.0, 1010.0, exposure, KEPT_MAX));
+        let fresh = |told_ms, passed| is_fresh(stamp_of(told_ms, 1060.0), 1010.0, exposure, passed);
+        assert!(!fresh(1000.0, 0), "kept by the driver");
+        assert!(!fresh(1030.0, 1), "its exposure had begun");
+        assert!(fresh(1050.0, 2));
+        assert!(!fresh(0.0, 3) && fresh(0.0, KEPT_MAX), "no stamp");
+        assert!(!fresh(1.7e12, 3) && fresh(1.7e12, KEPT_MAX), "the time of the day says nothing");
         let [before, after] = [driver_now_ms(), driver_now_ms()];
         assert!(before > 0.0 && after >= before);
     }

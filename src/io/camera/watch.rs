@@ -75,7 +75,7 @@ const NOISY: std::ops::RangeInclusive<u8> = 6..=249;
 const NOISY_SHARE: f64 = 1e-3;
 
 /// A picture in one number; nothing for one that is black or white all over.
-fn content(image: &Image) -> Option<u64> {
+pub(super) fn content(image: &Image) -> Option<u64> {
     let noisy = image.rgb.iter().filter(|&&level| NOISY.contains(&level)).count();
     if (noisy as f64) < NOISY_SHARE * image.rgb.len() as f64 {
         return None;

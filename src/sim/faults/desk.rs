@@ -164,10 +164,8 @@ impl FaultDesk {
             Fault::Clear { fault } => {
                 self.end(state, |active| fault.as_ref().is_none_or(|name| active.order.name == name));
             }
-            Fault::World(WorldFault::Foreign(_))
-            | Fault::Vacuum(_)
-            | Fault::Camera(_)
-            | Fault::Net { .. } => {}
+            Fault::World(WorldFault::Foreign(thing)) => lock(&self.world.0).put_foreign(thing),
+            Fault::Vacuum(_) | Fault::Camera(_) | Fault::Net { .. } => {}
         }
         lock(&self.world.0).note_fault(order.name);
         if order.fault.lasts() {
@@ -214,10 +212,10 @@ impl FaultDesk {
             let mut world = lock(&self.world.0);
             world.set_sticky(state.has(|fault| *fault == Fault::Vacuum(VacuumFault::Stick)));
             let foreign = faults().filter_map(|fault| match fault {
-                Fault::World(WorldFault::Foreign(thing)) => Some(thing.clone()),
+                Fault::World(WorldFault::Foreign(thing)) => Some(thing),
                 _ => None,
             });
-            world.set_foreign(&foreign.collect::<Vec<_>>());
+            world.keep_foreign(&foreign.collect::<Vec<_>>());
             for channel in Channel::ALL {
                 world.set_channel_faults(channel, channel_faults(channel, faults()));
             }

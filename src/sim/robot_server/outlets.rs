@@ -140,23 +140,29 @@ pub struct Inlet {
 #[derive(Clone, Debug)]
 pub struct Line {
     queue: mpsc::Sender<Parcel>,
-    backlog: Arc<Mutex<usize>>,
+    backlog: Backlog,
+}
+
+/// How many parcels are queued and not written yet.
+#[derive(Clone, Debug, Default)]
+struct Backlog(Arc<Mutex<usize>>);
+
+impl Backlog {
+    fn lock(&self) -> MutexGuard<'_, usize> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Line {
-    fn backlog(&self) -> MutexGuard<'_, usize> {
-        self.backlog.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Queues a parcel when there is room; false when the connection is over.
     pub async fn send(&self, parcel: Parcel) -> bool {
-        *self.backlog() += 1;
+        *self.backlog.lock() += 1;
         self.queue.send(parcel).await.is_ok()
     }
 
     /// Queues a parcel; false when there is no room.
     pub fn try_send(&self, parcel: Parcel) -> bool {
-        let mut backlog = self.backlog();
+        let mut backlog = self.backlog.lock();
         let queued = self.queue.try_send(parcel).is_ok();
         *backlog += usize::from(queued);
         queued
@@ -164,7 +170,7 @@ impl Line {
 
     /// Writes to the socket at once if nothing is queued, and queues what it does not take.
     fn pass(&self, shortcut: Option<&Shortcut>, bytes: &Bytes, due: Option<Instant>) -> Passed {
-        let mut backlog = self.backlog();
+        let mut backlog = self.backlog.lock();
         let written = match shortcut {
             Some(shortcut) if *backlog == 0 => shortcut.try_write(bytes),
             _ => 0,
@@ -237,7 +243,7 @@ impl Outlets {
         self.last_id += 1;
         let id = ClientId(self.last_id);
         let (sender, queue) = mpsc::channel(QUEUE);
-        let line = Line { queue: sender, backlog: Arc::default() };
+        let line = Line { queue: sender, backlog: Backlog::default() };
         let dropped = Arc::new(Notify::new());
         self.outlets.push(Outlet {
             id,
@@ -275,11 +281,23 @@ impl Outlets {
         self.forced_interval = hz.map(|hz| (FRAMES_PER_SECOND as f64 / hz).round().max(1.0) as u64);
     }
 
-    /// Starts or pauses a connection's data; false without a recipe.
-    pub fn start(&mut self, id: ClientId, started: bool) -> bool {
-        let Some(outlet) = self.find(id) else { return false };
-        outlet.started = started && outlet.subscription.is_some();
-        outlet.started == started
+    /// True if it is agreed what the connection's data are.
+    pub fn has_recipe(&self, id: ClientId) -> bool {
+        self.outlets.iter().any(|outlet| outlet.id == id && outlet.subscription.is_some())
+    }
+
+    /// Starts a connection's data.
+    pub fn start(&mut self, id: ClientId) {
+        if let Some(outlet) = self.find(id) {
+            outlet.started = outlet.subscription.is_some();
+        }
+    }
+
+    /// Pauses a connection's data.
+    pub fn pause(&mut self, id: ClientId) {
+        if let Some(outlet) = self.find(id) {
+            outlet.started = false;
+        }
     }
 
     /// Notes that a client wrote inputs in the frame `step`.
@@ -469,7 +487,7 @@ pub async fn write_all(mut inlet: Inlet, mut writer: WriteHalf<LinkStream>, shar
         if let Some(due) = parcel.due {
             shared.punctuality.record(due.elapsed());
         }
-        *backlog.lock().unwrap_or_else(PoisonError::into_inner) -= 1;
+        *backlog.lock() -= 1;
     }
 }
 

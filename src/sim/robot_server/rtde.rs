@@ -47,6 +47,7 @@ pub async fn connection(shared: Arc<RobotShared>, stream: LinkStream) {
                     return;
                 }
             }
+            session.answered(&shared);
         }
     };
     tokio::select! {
@@ -70,12 +71,14 @@ pub struct Session {
     version: Version,
     inputs: Vec<InputRecipe>,
     splitter: Splitter,
+    /// A start was promised, and its reply is not on its way yet.
+    starts: bool,
 }
 
 impl Session {
     /// A connection that has just been opened as an outlet.
     pub fn new(id: ClientId) -> Session {
-        Session { id, version: Version::V1, inputs: Vec::new(), splitter: Splitter::default() }
+        Session { id, version: Version::V1, inputs: Vec::new(), splitter: Splitter::default(), starts: false }
     }
 
     /// Carries out what arrived; the answers, one package each.
@@ -93,6 +96,13 @@ impl Session {
             answers.extend(reply.map(|(reply, version)| reply.encode(version)));
         }
         Ok(answers)
+    }
+
+    /// The answers of [`Session::receive`] are on their way: data follow, never ahead of the reply that announced them.
+    pub fn answered(&mut self, shared: &RobotShared) {
+        if std::mem::take(&mut self.starts) {
+            shared.outlets().start(self.id);
+        }
     }
 
     /// Gives back what the connection has claimed.
@@ -125,9 +135,13 @@ impl Session {
                 self.set_up_outputs(shared, frequency_hz, &names)
             }
             Request::SetupInputs { names } => self.set_up_inputs(&mut shared.controller(), &names),
-            Request::Start => Reply::Start(shared.outlets().start(self.id, true)),
+            Request::Start => {
+                self.starts = shared.outlets().has_recipe(self.id);
+                Reply::Start(self.starts)
+            }
             Request::Pause => {
-                shared.outlets().start(self.id, false);
+                self.starts = false;
+                shared.outlets().pause(self.id);
                 Reply::Pause(true)
             }
             Request::Data { recipe, payload } => return self.write(shared, recipe, &payload),

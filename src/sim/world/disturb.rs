@@ -117,26 +117,39 @@ impl World {
         Ok(())
     }
 
-    /// Puts these things on the table, and takes away those put there before that are no longer among them.
-    ///
-    /// A thing that hangs on the gripper is left there.
-    pub fn set_foreign(&mut self, wanted: &[ForeignBody]) {
-        let known = std::mem::take(&mut self.foreign);
-        for (thing, index) in known {
-            let fallen = self.bodies[index].state == BodyState::Fallen;
-            let held = !fallen && !self.bodies[index].is_resting();
-            if held || (wanted.contains(&thing) && !fallen) {
-                self.foreign.push((thing, index));
-            } else {
-                self.bodies[index].state = BodyState::Fallen;
-                self.drop_what_lay_on(index);
+    /// Puts a thing on the table; one that is there already stays as it is, one that fell is put back.
+    pub fn put_foreign(&mut self, thing: &ForeignBody) {
+        let is_there = |&index: &usize| self.bodies[index].state != BodyState::Fallen;
+        if self.foreign.iter().any(|(known, index)| known == thing && is_there(index)) {
+            return;
+        }
+        // What fell is gone for good, so its place in the list serves the next thing.
+        let vacant = self.foreign.iter().position(|(_, index)| !is_there(index));
+        let (slot, index) = match vacant {
+            Some(slot) => (slot, self.foreign[slot].1),
+            None => (self.foreign.len(), self.bodies.len()),
+        };
+        let body = foreign_body(index, thing);
+        match vacant {
+            Some(_) => {
+                self.bodies[index] = body;
+                self.foreign[slot].0 = thing.clone();
+            }
+            None => {
+                self.bodies.push(body);
+                self.foreign.push((thing.clone(), index));
             }
         }
-        for thing in wanted {
-            if !self.foreign.iter().any(|(there, _)| there == thing) {
-                let index = self.bodies.len();
-                self.bodies.push(foreign_body(index, thing));
-                self.foreign.push((thing.clone(), index));
+    }
+
+    /// Takes away every foreign thing that is not among `wanted`. One that hangs on the gripper is left there.
+    pub fn keep_foreign(&mut self, wanted: &[&ForeignBody]) {
+        for slot in 0..self.foreign.len() {
+            let (thing, index) = &self.foreign[slot];
+            let index = *index;
+            if self.bodies[index].is_resting() && !wanted.contains(&thing) {
+                self.bodies[index].state = BodyState::Fallen;
+                self.drop_what_lay_on(index);
             }
         }
     }

@@ -5,7 +5,7 @@ use crate::geometry::footprint::Footprint;
 use crate::sim::faults::FaultError;
 use crate::sim::world::disturb::Leak;
 use crate::sim::world::grip::YIELD_M;
-use crate::sim::world::spec::Cup;
+use crate::sim::world::spec::{Cup, ForeignBody};
 use nalgebra::{Translation3, UnitQuaternion};
 use rand::RngExt;
 
@@ -344,6 +344,33 @@ fn what_leaves_the_board_has_fallen() {
     assert_eq!(cell.happened(|kind| matches!(kind, EventKind::Fallen { .. })), 1);
     let refused = cell.world.nudge("a", &Pose2::default());
     assert!(matches!(refused, Err(FaultError::NotFree(_))));
+}
+
+#[test]
+fn a_foreign_thing_that_fell_stays_away_until_it_is_put_there_again() {
+    let mut cell = Cell::new(vec![block("a", 0.4, 0.4)], no_errors(), 8);
+    let mug = ForeignBody {
+        footprint: Footprint::rectangle(0.05, 0.05).unwrap(),
+        height_m: 0.02,
+        pose: Pose2::new(0.1, 0.1, 0.0),
+    };
+    let ids = |cell: &Cell| -> Vec<String> {
+        let lying = cell.world.objects().iter().filter(|body| !body.is_fallen());
+        lying.map(|body| body.id.clone()).collect()
+    };
+    cell.world.put_foreign(&mug);
+    assert_eq!(ids(&cell), ["a", "foreign-1"]);
+    cell.move_object([0.1, 0.1], [0.65, 0.1], 0.001);
+    assert_eq!(ids(&cell), ["a"], "it was carried over the edge");
+    cell.world.keep_foreign(&[&mug]);
+    assert_eq!(ids(&cell), ["a"], "another fault that comes or goes does not bring it back");
+    cell.world.put_foreign(&mug);
+    assert_eq!(ids(&cell), ["a", "foreign-1"]);
+    assert_eq!(cell.world.object("foreign-1").unwrap().pose(), mug.pose);
+    cell.world.keep_foreign(&[]);
+    assert_eq!(ids(&cell), ["a"]);
+    cell.world.put_foreign(&ForeignBody { height_m: 0.05, ..mug });
+    assert_eq!(cell.world.objects().len(), 2, "what is gone takes no place");
 }
 
 #[test]

@@ -49,6 +49,33 @@ async fn packages_arrive_whole_and_in_order_whether_the_queue_is_used_or_not() {
 }
 
 #[tokio::test]
+async fn data_follow_the_reply_to_their_start() {
+    let bench = bench(18, running()).await;
+    let mut inlet = bench.shared.outlets().open(Feed::Rtde, false, None);
+    let mut session = rtde::Session::new(inlet.id);
+    let names = vec!["timestamp".to_owned()];
+    let requests = [Request::ProtocolVersion(2), Request::SetupOutputs { frequency_hz: Some(500.0), names }];
+    let bytes = [requests[0].encode(Version::V1), requests[1].encode(Version::V2)].concat();
+    assert_eq!(session.receive(&bench.shared, &bytes).unwrap().len(), 2);
+    session.answered(&bench.shared);
+    let start = Request::Start.encode(Version::V2);
+    assert_eq!(session.receive(&bench.shared, &start).unwrap(), [Reply::Start(true).encode(Version::V2)]);
+    // Frames go on between the reply and the moment it is on its way.
+    bench.shared.frame(None);
+    assert!(inlet.queue.try_recv().is_err());
+    session.answered(&bench.shared);
+    bench.shared.frame(None);
+    assert!(inlet.queue.try_recv().is_ok());
+    // A pause in the same packet as the start wins.
+    let both = [start, Request::Pause.encode(Version::V2)].concat();
+    assert_eq!(session.receive(&bench.shared, &both).unwrap().len(), 2);
+    session.answered(&bench.shared);
+    bench.shared.frame(None);
+    assert!(inlet.queue.try_recv().is_err());
+    session.close(&bench.shared);
+}
+
+#[tokio::test]
 async fn an_answer_that_is_held_back_comes_without_anything_behind_it() {
     let bench = bench(17, running()).await;
     let late = LinkState { latency: Duration::from_millis(30), ..LinkState::default() };
