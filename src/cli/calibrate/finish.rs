@@ -4,12 +4,12 @@
 //! Whether the camera sits on the flange or stands decides the solver, never the report.
 
 use crate::cli::calibrate::{Fault, RoundArgs, Taken, Wanted, bad_input, touch};
-use crate::cli::demo::run::chain;
 use crate::cli::task::complain;
 use crate::config::cell::{CameraMount, CellConfig};
 use crate::daemon::calibrate::solve;
 use crate::daemon::calibration_files::CalibrationSet;
 use crate::daemon::setup::reference_markers;
+use crate::document::chain::chain;
 use crate::io::files;
 use crate::units::mm_from_m;
 use crate::vision::calibrate::fixed::{FixedGuess, solve_fixed, table_before};
@@ -67,7 +67,7 @@ struct Round<'a> {
     samples: &'a [Sample],
 }
 
-fn unsolved(error: &dyn std::error::Error) -> Fault {
+fn unsolved(error: &(dyn std::error::Error + 'static)) -> Fault {
     Fault { message: chain(error), code: 1 }
 }
 

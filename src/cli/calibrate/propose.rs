@@ -7,12 +7,12 @@
 //! the real calibration would refuse is refused here, with the same sentence.
 
 use crate::cli::calibrate::camera_and_lens;
-use crate::cli::demo::run::chain;
 use crate::cli::task::complain;
 use crate::config::cell::{CalibrationBox, CameraMount, CellConfig};
 use crate::daemon::calibrate::{Arm, checked_move};
 use crate::daemon::hardware::Hardware;
 use crate::daemon::setup::{arm_model, reference_markers};
+use crate::document::chain::chain;
 use crate::io::files;
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::motion::path::ArmModel;

@@ -6,13 +6,13 @@
 
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::daemon::{open_hardware, with_runtime};
-use crate::cli::demo::run::chain;
 use crate::cli::task::complain;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::daemon::calibrate::kinematics;
 use crate::daemon::hardware::Hardware;
 use crate::daemon::setup::reference_markers;
+use crate::document::chain::chain;
 use crate::io::clock::unix_now_s;
 use crate::io::files;
 use crate::jobs::utc;
@@ -183,7 +183,9 @@ async fn read_pose(
             match told.try_recv() {
                 Ok(pressed) => break pressed,
                 Err(TryRecvError::Closed) => break false,
-                Err(TryRecvError::Empty) => hardware.next().await,
+                Err(TryRecvError::Empty) => {
+                    hardware.next().await;
+                }
             };
             if stopped() {
                 return Err("stopped; nothing was written".into());
@@ -260,8 +262,10 @@ pub(super) fn tied(
     }
     let used: Vec<usize> = (0..all.len()).filter(|index| !args.drop_touch.contains(&(index + 1))).collect();
     let chosen: Vec<_> = used.iter().map(|&index| all[index]).collect();
-    let failed =
-        |error: &dyn std::error::Error| Fault { message: format!("{name}: {}", chain(error)), code: 1 };
+    let failed = |error: &(dyn std::error::Error + 'static)| Fault {
+        message: format!("{name}: {}", chain(error)),
+        code: 1,
+    };
     let fit = fit_touches(&chosen, &TouchSettings::default()).map_err(|error| failed(&error))?;
     report(&touches, &used, &fit);
     let limits = TieLimits { shift_m: args.tie_mm / 1e3, turn_rad: rad_from_deg(args.tie_deg) };
