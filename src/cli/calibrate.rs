@@ -36,6 +36,7 @@ use crate::vision::image::Image;
 use clap::{Args, Subcommand};
 use finish::finish;
 use std::cell::RefCell;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -74,7 +75,8 @@ With `camera: {mount: flange}` the camera looks at the reference markers from th
 With `camera: {mount: fixed, base_from_camera, board}` the hand carries the board through the picture of a camera that
 stands; the reference markers seen meanwhile place the table.
 
-Poses need not be taught: give a `calibration_box` (free of people and things) in the configuration, then
+Poses need not be taught: give a `calibration_box` in the configuration, which the flange does not leave; gripper and
+camera reach beyond it and the elbow goes anywhere, so keep the arm's whole reach free of people and things. Then
   celld calibrate hand-eye --propose              # prints poses in the box, as calibration_poses_deg
   celld calibrate hand-eye --visit --yes          # proposes, moves there slowly, looks, calibrates
 Poses that leave a rotation out are refused with its name. Expect under 0.3 px, and under 0.5 mm for held-out samples.";
@@ -118,7 +120,7 @@ pub struct HandEyeArgs {
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "15", conflicts_with = "from",
           value_parser = clap::value_parser!(u16).range(8..=60))]
     visit: Option<u16>,
-    /// The box is free of people and things: let the arm move to the proposed poses.
+    /// The arm's reach is free of people and things: let it move to the proposed poses.
     #[arg(long, requires = "visit")]
     yes: bool,
 }
@@ -158,7 +160,8 @@ fn hand_eye(args: &HandEyeArgs, stop: Arc<AtomicBool>) -> u8 {
                 return 0;
             }
             complain(
-                "the arm would move to these poses; when the box is free of people and things, add --yes",
+                "the arm would move to poses like these, chosen from where it then stands; the flange stays in the box, gripper and \
+                 elbow do not: when the arm's whole reach is free of people and things, add --yes",
             );
             2
         }
@@ -355,14 +358,22 @@ struct Recording {
 
 impl Recording {
     fn new(folder: &Path) -> Result<Recording, String> {
-        files::create_folder(folder).map_err(|error| error.to_string())?;
+        files::create_folder(folder).map_err(|error| chain(&error))?;
+        // The poses of an earlier round there must not be taken for those of the new pictures, should this one break off.
+        let poses = folder.join("samples.yaml");
+        match std::fs::remove_file(&poses) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(format!("{}: {error}", poses.display()));
+            }
+            _ => {}
+        }
         let (pictures, taken) = channel::<(PathBuf, Image)>();
         let write = move || {
             let mut outcome = Ok(());
             for (path, image) in taken {
                 let bytes = image.encode_png().map_err(|error| format!("{}: {error}", path.display()));
-                let written = bytes
-                    .and_then(|bytes| files::write_atomic(&path, &bytes).map_err(|error| error.to_string()));
+                let written =
+                    bytes.and_then(|bytes| files::write_atomic(&path, &bytes).map_err(|error| chain(&error)));
                 // The first fault is the one to tell.
                 outcome = outcome.and(written);
             }
@@ -385,7 +396,7 @@ impl Recording {
         self.writer.join().map_err(|_| "a picture of the round could not be written".to_string())??;
         let round = Round { provenance: provenance.clone(), samples: self.kept.take() };
         let put = |name: &str, text: String| {
-            files::write_atomic(&self.folder.join(name), text.as_bytes()).map_err(|error| error.to_string())
+            files::write_atomic(&self.folder.join(name), text.as_bytes()).map_err(|error| chain(&error))
         };
         put("camera.yaml", lens.to_yaml())?;
         put("samples.yaml", round.to_yaml())?;

@@ -84,7 +84,7 @@ fn refuse_recorded_camera(config: &CellConfig) -> Result<(), String> {
     Ok(())
 }
 
-/// Runs a future with Ctrl-C and SIGTERM raising `stop`; an error is one sentence and exit 1.
+/// Runs a future with Ctrl-C and SIGTERM raising `stop`; an error is one sentence and exit 1, or 130 when it was stopped.
 pub(super) fn with_runtime<F>(stop: Arc<AtomicBool>, work: impl FnOnce(Arc<AtomicBool>) -> F) -> u8
 where
     F: Future<Output = Result<(), String>>,
@@ -104,11 +104,11 @@ where
         told_to_end().await;
         raise.store(true, Ordering::Relaxed);
     });
-    match runtime.block_on(work(stop)) {
+    match runtime.block_on(work(stop.clone())) {
         Ok(()) => 0,
         Err(message) => {
             complain(&message);
-            1
+            if stop.load(Ordering::Relaxed) { 130 } else { 1 }
         }
     }
 }

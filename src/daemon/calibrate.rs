@@ -49,8 +49,8 @@ pub enum DriveError {
     FixedCamera,
     /// The arm would leave the taught box, or stands outside of it.
     #[error(
-        "{what} {outside_mm:.0} mm outside the calibration box: jog the arm into it, or widen `calibration_box` to what is free \
-         of people and things"
+        "{what} {outside_mm:.0} mm outside the calibration box: jog the arm into it, or widen `calibration_box` as far as the \
+         arm's reach is free of people and things"
     )]
     OutsideBox {
         /// Who is outside.
@@ -327,6 +327,10 @@ async fn move_to(round: &mut Round<'_>, pose: usize, target: Joints) -> Result<J
         return Err(Closed::Stale.into());
     };
     let path = checked_move(round.model, round.room.as_ref(), pose, &q, target)?;
+    // Who pressed Ctrl-C while the arm stood for a picture wants it to go on standing.
+    if (round.stop)() {
+        return Err(DriveError::Stopped);
+    }
     order(round.hardware, RobotCommand::Stream(path))?;
     let mut finished = false;
     let mut still_since: Option<Timestamp> = None;
@@ -391,15 +395,18 @@ async fn collect(
 ) -> Result<Vec<Sample>, DriveError> {
     let mut samples = Vec::with_capacity(poses.len());
     for (index, pose) in poses.iter().enumerate() {
-        let q = match move_to(round, index + 1, *pose).await {
-            Ok(q) => q,
+        let looked = match move_to(round, index + 1, *pose).await {
+            Ok(q) => detect(round, eye).await.map(|seen| (q, seen)),
+            Err(error) => Err(error),
+        };
+        let (q, (returned, image, detections)) = match looked {
+            Ok(looked) => looked,
             Err(error) => {
                 round.hardware.command_robot(RobotCommand::Stop);
                 round.hardware.next().await;
                 return Err(error);
             }
         };
-        let (returned, image, detections) = detect(round.hardware, eye).await?;
         eye = returned;
         let sample = Sample { base_from_flange: forward(&round.model.dh, &q), detections };
         progress(&Look { pose: index + 1, image: &image, sample: &sample });
@@ -408,8 +415,9 @@ async fn collect(
     Ok(samples)
 }
 
-/// One new frame and its markers. The frame is taken on another thread, so that the robot's heartbeat goes on.
-async fn detect(hardware: &mut Hardware, mut eye: Eye) -> Result<(Eye, Image, Vec<Detection>), DriveError> {
+/// One new frame and its markers. The frame is taken on another thread, so that the robot's heartbeat goes on. How long that
+/// may take is the camera's to bound, which gives up by itself (`io::camera::supervised`).
+async fn detect(round: &mut Round<'_>, mut eye: Eye) -> Result<(Eye, Image, Vec<Detection>), DriveError> {
     let task = tokio::task::spawn_blocking(move || {
         eye.camera.want_depth(false);
         let frame = eye.camera.grab().map_err(|error| trouble_of(&error).message);
@@ -420,7 +428,10 @@ async fn detect(hardware: &mut Hardware, mut eye: Eye) -> Result<(Eye, Image, Ve
         (eye, found)
     });
     while !task.is_finished() {
-        trouble(&hardware.next().await)?;
+        trouble(&round.hardware.next().await)?;
+        if (round.stop)() {
+            return Err(DriveError::Stopped);
+        }
     }
     let (eye, found) = task.await.map_err(|error| DriveError::Camera(error.to_string()))?;
     let (image, detections) = found.map_err(DriveError::Camera)?;

@@ -95,12 +95,13 @@ pub(super) fn from_here(
     checked_move(&model, Some(room(config)?), 1, &q, q).map_err(|error| chain(&error))?;
     let proposal = proposal(config, lens, &model, Some(q), count)?;
     tell(&proposal);
+    complain(text(&proposal.poses).trim_end());
     Ok(proposal.poses)
 }
 
 fn room(config: &CellConfig) -> Result<&CalibrationBox, String> {
     config.calibration_box.as_ref().ok_or_else(|| {
-        "calibration_box is missing: poses are proposed within a box that is free of people and things; add \
+        "calibration_box is missing: poses are proposed within a box that the flange does not leave; add \
          calibration_box: {low: [x, y, z], high: [x, y, z]} (m, base frame), or {corners_deg: [[6 joints], [6 joints]]} as taught"
             .to_string()
     })

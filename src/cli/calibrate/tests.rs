@@ -316,3 +316,58 @@ fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
     std::fs::write(&path, touches.to_yaml().replace("robot_serial: ", "robot_serial: other")).unwrap();
     assert!(solve(&args).unwrap_err().message.contains("touched with robot"));
 }
+
+/// A round over simulated devices in which Ctrl-C is pressed with the first picture.
+#[test]
+fn after_ctrl_c_during_a_picture_the_arm_goes_on_standing() {
+    use crate::sim::robot_server::RobotPorts;
+    const ADDRESS: &str = "127.7.1.12";
+    let folder = tempfile::tempdir().unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let file = crate::config::load::load_sim(&root.join("config/sim.yaml")).unwrap();
+    let mut config = cell(folder.path());
+    let devices = &mut config.devices;
+    (devices.robot_host, devices.gripper_host) = (ADDRESS.into(), ADDRESS.into());
+    let crate::config::cell::CameraDevice::Simulator { host, .. } = &mut devices.camera else { panic!() };
+    *host = ADDRESS.into();
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let sim = crate::cli::sim::sim_config(&file, ADDRESS.parse().unwrap(), RobotPorts::REAL);
+        let sim = crate::sim::cell::start(sim).await.unwrap();
+        let (mut hardware, _) = open_hardware(&config).unwrap();
+        let arm = kinematics(&mut hardware, &|| false).await.unwrap();
+        let camera = tokio::task::block_in_place(|| open_camera(&config, None)).unwrap();
+        let eye =
+            Eye { camera: Box::new(camera), detector: Detector::new(DetectSettings::default()).unwrap() };
+        let (pressed, seen) = (AtomicBool::new(false), RefCell::new(Vec::new()));
+        let setting = Setting {
+            config: &config,
+            nonce: Nonce::new(7),
+            stop: &|| pressed.load(Ordering::Relaxed),
+            progress: &|look| {
+                seen.borrow_mut().push(look.sample.base_from_flange);
+                pressed.store(true, Ordering::Relaxed);
+            },
+        };
+        let ended = visit(&mut hardware, &arm, &config.calibration_poses, eye, &setting).await;
+        assert!(
+            matches!(ended, Err(crate::daemon::calibrate::DriveError::Stopped)),
+            "{:?}",
+            ended.map(|_| ())
+        );
+        let stood = seen.borrow()[0];
+        let stands = sim.robot().controller().core.base_from_flange();
+        let moved = (stood.inverse() * stands).translation.vector.norm();
+        assert!(seen.borrow().len() == 1 && moved < 1e-4, "moved {moved} m");
+        sim.shutdown().await;
+    });
+}
+
+#[test]
+fn a_round_that_breaks_off_leaves_no_old_poses_with_its_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let poses = folder.path().join("samples.yaml");
+    std::fs::write(&poses, "of another round").unwrap();
+    drop(Recording::new(folder.path()).unwrap());
+    assert!(!poses.exists());
+}
