@@ -6,6 +6,7 @@
 //! tool's tip touched, which `table` ties to what the camera sees. Exit codes as everywhere.
 
 pub mod camera;
+mod empty;
 mod finish;
 mod propose;
 mod take;
@@ -61,6 +62,8 @@ enum What {
     /// The table alone, after it was moved: the camera's place is kept; with --touches, tied to what the tool's tip touched
     #[command(after_help = TABLE_HELP)]
     Table(RoundArgs),
+    /// Pictures of the empty table from the look poses, for cameras without depth to compare with
+    Empty(empty::EmptyArgs),
     /// Record points of the table that the tool's tip touches; the arm is moved by hand, celld only reads it
     #[command(after_help = touch::HELP)]
     Touches(touch::TouchArgs),
@@ -133,6 +136,7 @@ pub fn run(args: &CalibrateArgs, stop: Arc<AtomicBool>) -> u8 {
         None => round(&args.round, Wanted::MountAndTable, None, stop),
         Some(What::HandEye(args)) => hand_eye(args, stop),
         Some(What::Table(args)) => round(args, Wanted::Table, None, stop),
+        Some(What::Empty(args)) => empty::run(args, stop),
         Some(What::Camera(args)) => camera::run(args),
         Some(What::Touches(args)) => touch::run(args, stop),
     }
@@ -186,7 +190,7 @@ fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<At
     }
     let args = args.clone();
     with_runtime(stop, move |stop| async move {
-        let taken = live(&config, &args, proposed, stop).await?;
+        let taken = live(&config, args.record.as_deref(), proposed, stop).await?;
         finish(&config, taken, &args, wanted).map_err(|fault| fault.message)
     })
 }
@@ -210,10 +214,11 @@ struct Taken {
     samples: Vec<Sample>,
 }
 
-/// Moves the arm round: to the taught poses, or to so many proposed ones.
+/// Moves the arm round: to the taught poses, or to so many proposed ones. Pictures and poses are kept in the folder
+/// `record`.
 async fn live(
     config: &CellConfig,
-    args: &RoundArgs,
+    record: Option<&Path>,
     proposed: Option<usize>,
     stop: Arc<AtomicBool>,
 ) -> Result<Taken, String> {
@@ -227,7 +232,7 @@ async fn live(
         Some(count) => propose::from_here(config, &lens.model, &arm, &hardware, count)?,
     };
     let count = poses.len();
-    let record = args.record.as_deref().map(Recording::new).transpose()?;
+    let record = record.map(Recording::new).transpose()?;
     let setting = Setting {
         config,
         nonce: Nonce::new((unix_now_s() * 1e3) as u64),

@@ -10,6 +10,7 @@ use crate::config::load::load_cell;
 use crate::daemon::calibrate::kinematics;
 use crate::daemon::calibration_files::CalibrationSet;
 use crate::daemon::cameras;
+use crate::daemon::empty_table::compare_with_empty;
 use crate::daemon::hardware::{Addresses, Hardware};
 use crate::daemon::office::StateOffice;
 use crate::daemon::run::{Event, Observer, Shell, Workers, run as run_shell};
@@ -179,6 +180,7 @@ async fn daemon(
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let mut eye_parameters = eye_parameters(&config, &measured).map_err(|error| chain(&error))?;
     eye_parameters.doubts = Some(doubts);
+    compare_with_empty(eye_parameters.foreign.as_mut(), &config, &measured)?;
     let eye = spawn_eye(Box::new(camera), detector, eye_parameters, clock, answers_in.clone());
     let mut cell = Cell::new(model, seed);
     if config.arm_at_start {

@@ -82,10 +82,14 @@ pub(super) fn check_board(decoder: &mut Decoder, parts: &CellParts, places: &Pla
 }
 
 pub(super) fn files(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CalibrationFiles> {
-    let fields = decoder.map(at, &["camera", "hand_eye", "table"])?;
+    let fields = decoder.map(at, &["camera", "hand_eye", "table", "empty"])?;
     let mut file = |key: &str| fields.required(key, decoder).and_then(|at| path(decoder, &at, folder));
     let (camera, hand_eye, table) = (file("camera"), file("hand_eye"), file("table"));
-    Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table? })
+    let empty = match fields.optional("empty") {
+        Some(at) => Some(path(decoder, &at, folder)?),
+        None => None,
+    };
+    Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table?, empty })
 }
 
 /// `{low: [x, y, z], high: [x, y, z]}` in the base frame (m), or `{corners_deg: [[6 joints], ...]}` as taught.

@@ -241,6 +241,8 @@ pub struct CalibrationFiles {
     pub hand_eye: PathBuf,
     /// Table in base with residuals.
     pub table: PathBuf,
+    /// Folder with pictures of the empty table, for cameras without depth.
+    pub empty: Option<PathBuf>,
 }
 
 /// What the arm may do at most, and the heights of a pick-n-place.

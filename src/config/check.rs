@@ -103,9 +103,13 @@ fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
         Some(ForeignRule::Refuse { depth_needed: true } | ForeignRule::Obstacle { .. })
     );
     let measured = parts.devices.as_ref().is_none_or(|devices| devices.camera.measures_depth());
-    if needed && !measured {
+    let obstacle = matches!(parts.foreign, Some(ForeignRule::Obstacle { .. }));
+    let compared = parts.calibration.as_ref().is_some_and(|files| files.empty.is_some());
+    // How high a thing is, colour does not tell: refused it can be, driven over it cannot.
+    if needed && !measured && (obstacle || !compared) {
         let message = "the search for what carries no marker needs depth, and the camera is not asked for it";
-        let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: {mode: off}`";
+        let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: {mode: off}`; \
+                    `mode: refuse` also works with pictures of the empty table (`empty` under `calibration`)";
         decoder.complain(places.at(&["devices", "camera"]), "devices.camera", message, help);
     }
 }

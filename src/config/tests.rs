@@ -85,6 +85,13 @@ fn a_search_by_depth_needs_a_camera_that_is_asked_for_it() {
         told.contains("devices.camera: the search") && told.contains("set `depth: true` in `devices.camera`"),
         "{told}"
     );
+    let compared = blind.replace("table.yaml}", "table.yaml, empty: ../calibration/sim/empty}");
+    assert_ne!(compared, blind);
+    let config = cell(&compared).expect("refused by colour");
+    assert!(config.calibration.empty.is_some_and(|folder| folder.ends_with("calibration/sim/empty")));
+    let driven_over =
+        compared.replace("foreign: {mode: refuse}", "foreign: {mode: obstacle, margin_m: 0.01}");
+    assert!(cell(&driven_over).is_err(), "colour does not tell how high a thing is");
     for rule in ["", "foreign: {mode: off}"] {
         assert!(cell(&blind.replace("foreign: {mode: refuse}", rule)).is_ok(), "{rule}");
     }

@@ -1,13 +1,14 @@
 //! Pictures of a look that could not be trusted: foreign objects outlined, and arrows where the reference markers went.
 //!
-//! In: the pictures of a look, what was observed in them, the eye's parameters. Out: `doubt-1.png` and so on, one for each look pose, in
+//! In: the pictures of a look, its views, what was observed in them, the eye's parameters. Out: `doubt-1.png` and so on, one for each look pose, in
 //! the folder that is named; a look that is fine leaves nothing behind, not even the pictures of an earlier one.
 
 use crate::daemon::workers::EyeParameters;
 use crate::io::files;
 use crate::vision::annotate::{draw_drift, draw_overlays, foreign_overlays};
 use crate::vision::image::Image;
-use crate::vision::observe::Observation;
+use crate::vision::observe::reference::LookShift;
+use crate::vision::observe::{Observation, View};
 use nalgebra::Isometry3;
 use std::path::Path;
 
@@ -32,7 +33,7 @@ pub fn keep(shots: &mut Vec<Shot>, shot: Shot) {
 }
 
 /// Draws the look's doubts; what cannot be written is logged, for a picture is no reason to stop.
-pub fn write(parameters: &EyeParameters, shots: &[Shot], seen: &Observation, folder: &Path) {
+pub fn write(parameters: &EyeParameters, shots: &[Shot], views: &[View], seen: &Observation, folder: &Path) {
     let path = |number: usize| folder.join(format!("doubt-{number}.png"));
     for number in 1..=SHOTS_MAX {
         // Most often there is none.
@@ -44,7 +45,7 @@ pub fn write(parameters: &EyeParameters, shots: &[Shot], seen: &Observation, fol
         return;
     }
     for (number, shot) in (1..).zip(shots) {
-        let bytes = draw(parameters, shot, seen);
+        let bytes = draw(parameters, shot, look_of(shot, views, seen), seen);
         let written = bytes
             .and_then(|bytes| files::write_atomic(&path(number), &bytes).map_err(|error| error.to_string()));
         match written {
@@ -54,16 +55,29 @@ pub fn write(parameters: &EyeParameters, shots: &[Shot], seen: &Observation, fol
     }
 }
 
-fn draw(parameters: &EyeParameters, shot: &Shot, seen: &Observation) -> Result<Vec<u8>, String> {
+/// What the reference markers said from where this picture was taken; from another side they say something else.
+fn look_of<'a>(shot: &Shot, views: &[View], seen: &'a Observation) -> Option<&'a LookShift> {
+    let from_here = |look: &&LookShift| {
+        views.get(look.view).is_some_and(|view| view.table_from_camera == shot.table_from_camera)
+    };
+    seen.reference.as_ref()?.looks.iter().find(from_here)
+}
+
+fn draw(
+    parameters: &EyeParameters,
+    shot: &Shot,
+    look: Option<&LookShift>,
+    seen: &Observation,
+) -> Result<Vec<u8>, String> {
     let (camera, eye) = (&parameters.camera, &shot.table_from_camera);
     let mut image = shot.image.clone();
     if let Some(report) = &seen.foreign {
         let overlays = foreign_overlays(&report.objects);
         draw_overlays(&mut image, &overlays, camera, eye).map_err(|error| error.to_string())?;
     }
-    if let Some(check) = &seen.reference {
+    if let Some(look) = look {
         let limit_m = parameters.drift.shift_m;
-        draw_drift(&mut image, check, &parameters.reference, limit_m, camera, eye)
+        draw_drift(&mut image, look, &parameters.reference, limit_m, camera, eye)
             .map_err(|error| error.to_string())?;
     }
     image.encode_png().map_err(|error| error.to_string())
@@ -73,9 +87,10 @@ fn draw(parameters: &EyeParameters, shot: &Shot, seen: &Observation) -> Result<V
 mod tests {
     use super::*;
     use crate::geometry::pose::Pose2;
+    use crate::time::Timestamp;
     use crate::vision::camera::CameraModel;
     use crate::vision::foreign::{ForeignObject, ForeignReport};
-    use crate::vision::observe::reference::DriftLimits;
+    use crate::vision::observe::reference::{DriftLimits, ReferenceCheck, ReferenceError};
     use crate::vision::observe::{ObserveLimits, ReferenceMarker};
     use nalgebra::Vector3;
 
@@ -111,16 +126,56 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let outline = vec![[-0.03, -0.03], [0.03, -0.03], [0.03, 0.03], [-0.03, 0.03]];
         let object = ForeignObject { outline, centre: [0.0; 2], area_m2: 0.0036, height_m: 0.05 };
-        let report = ForeignReport { objects: vec![object], measured_share: 1.0 };
+        let report = ForeignReport { objects: vec![object], measured_share: 1.0, ..ForeignReport::default() };
         let seen = Observation { foreign: Some(report), ..Observation::default() };
-        write(&parameters(), &[shot(0.0), shot(0.02)], &seen, folder.path());
+        write(&parameters(), &[shot(0.0), shot(0.02)], &[], &seen, folder.path());
         for name in ["doubt-1.png", "doubt-2.png"] {
             let bytes = std::fs::read(folder.path().join(name)).unwrap();
             let drawn = Image::decode(&bytes).unwrap();
             assert!(drawn.rgb.chunks_exact(3).filter(|p| p[0] > 200).count() > 100, "{name}");
         }
-        write(&parameters(), &[shot(0.0)], &Observation::default(), folder.path());
+        write(&parameters(), &[shot(0.0)], &[], &Observation::default(), folder.path());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn each_picture_shows_the_shift_from_its_own_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let view = |x: f64| View {
+            table_from_camera: shot(x).table_from_camera,
+            detections: Vec::new(),
+            time: Timestamp::ZERO,
+            heights: None,
+        };
+        // What a bump shifts from one side it shifts back from the other: in the mean there is nothing to be seen.
+        let error = |dx: f64| ReferenceError { id: 500, error_m: [dx, 0.0], error_rad: 0.0, views: 1 };
+        let look = |view: usize, dx: f64| LookShift {
+            view,
+            markers: 3,
+            shift_m: [dx, 0.0],
+            turn_rad: 0.0,
+            lift_m: 0.0,
+            errors: vec![error(dx)],
+        };
+        let check = ReferenceCheck {
+            markers: vec![error(0.0)],
+            residual_rms_m: 0.0,
+            residual_max_m: 0.0,
+            shift_m: [0.0; 2],
+            turn_rad: 0.0,
+            looks: vec![look(0, 3e-3), look(1, -3e-3)],
+        };
+        let seen = Observation { reference: Some(check), ..Observation::default() };
+        let (shots, views) = ([shot(0.0), shot(0.02)], [view(0.0), view(0.02)]);
+        write(&parameters(), &shots, &views, &seen, folder.path());
+        let lengths = ["doubt-1.png", "doubt-2.png"].map(|name| {
+            let drawn = Image::decode(&std::fs::read(folder.path().join(name)).unwrap()).unwrap();
+            // The marker is at x = 50 mm; the picture's middle at 0 and 20 mm, 0.6 px to a mm.
+            let start = if name == "doubt-1.png" { 190 } else { 178 };
+            let red = |u: u32| (116..=124).any(|v| drawn.pixel(u, v) == Some(crate::vision::annotate::BAD));
+            [red(start + 25), red(start - 25)]
+        });
+        assert_eq!(lengths, [[true, false], [false, true]]);
     }
 
     #[test]

@@ -9,6 +9,7 @@ pub mod calibrate;
 pub mod calibration_files;
 pub mod cameras;
 pub mod doubts;
+pub mod empty_table;
 pub mod hardware;
 pub mod links;
 pub mod office;

@@ -5,7 +5,7 @@
 
 use crate::daemon::cameras::trouble_of;
 use crate::daemon::doubts::{self, Shot};
-use crate::io::camera::CameraSource;
+use crate::io::camera::{CameraSource, FaultKind};
 use crate::io::clock::Clock;
 use crate::io::priority;
 use crate::planning::plan::{Action, Status};
@@ -14,6 +14,7 @@ use crate::planning::solver::{Control, solve};
 use crate::supervisor::input::{CameraTrouble, PlanAnswer, PlanRequest};
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::Detector;
+use crate::vision::foreign::HeightMapError;
 use crate::vision::foreign::search::ForeignSearch;
 use crate::vision::image::Image;
 use crate::vision::observe::reference::DriftLimits;
@@ -105,7 +106,7 @@ pub fn spawn_eye(
                     };
                     shots.retain(of_it);
                     if let (Ok(seen), Some(folder)) = (&seen, &parameters.doubts) {
-                        doubts::write(&parameters, &shots, seen, folder);
+                        doubts::write(&parameters, &shots, &views, seen, folder);
                     }
                     shots.clear();
                     Answer::Observed(seen)
@@ -143,6 +144,12 @@ fn capture(
         remedy: "start the daemon again; if it stays so, this is a fault of celld",
         lasting: true,
     };
+    let misfit = |error: &HeightMapError| CameraTrouble {
+        code: FaultKind::Misfit.code(),
+        message: error.to_string(),
+        remedy: FaultKind::Misfit.remedy(),
+        lasting: true,
+    };
     let mut views = Vec::with_capacity(frames);
     let mut last = None;
     for left in (0..frames).rev() {
@@ -157,8 +164,11 @@ fn capture(
         let detections = found.map_err(|error| failed(error.to_string()))?;
         let heights = match (search, &frame.depth) {
             (Some(search), Some(depth)) => {
-                let map = search.map(depth, &table_from_camera).map_err(|error| failed(error.to_string()))?;
+                let map = search.map(depth, &table_from_camera).map_err(|error| misfit(&error))?;
                 Some(Arc::new(map))
+            }
+            (Some(search), None) if left == 0 => {
+                search.changed(&frame.image, &table_from_camera).map(Arc::new)
             }
             _ => None,
         };

@@ -141,6 +141,8 @@ pub struct Cell {
     pub(crate) seen_at: Timestamp,
     /// Height of what was last seen without a marker and counts as an obstacle, with its margin, m.
     pub(crate) foreign_height: f64,
+    /// A look near the limits of drift was told of since the cell was armed.
+    pub(crate) drift_told: bool,
     /// Since when the arm has been held in the middle of a motion.
     pub(crate) held_since: Option<Timestamp>,
     /// Why the cell cannot be armed until the daemon is started anew.
@@ -189,6 +191,7 @@ impl Cell {
             seen: None,
             seen_at: Timestamp::ZERO,
             foreign_height: 0.0,
+            drift_told: false,
             held_since: None,
             locked: None,
             nonce: None,

@@ -11,12 +11,18 @@ use crate::supervisor::cell::{Cell, say};
 use crate::supervisor::input::Action;
 use crate::supervisor::model::{CellModel, ForeignRule};
 use crate::tabletop::instance::KeepOut;
-use crate::vision::foreign::ForeignObject;
+use crate::vision::foreign::{ForeignObject, ForeignReport};
 use crate::vision::observe::Observation;
 use crate::vision::observe::reference::MARKERS_MIN;
 
 /// Share of the table in which depth has to be measured for a look to say that nothing foreign is there.
-const MEASURED_SHARE: f64 = 0.7;
+const MEASURED_SHARE: f64 = 0.9;
+
+/// Largest piece of the table in which depth may have measured nothing, m2; known objects and their shadows do not count.
+const HOLE_M2: f64 = 20e-4;
+
+/// Share of the limits of drift from which on a look that is still within them is told of.
+const DRIFT_TOLD: f64 = 0.5;
 
 /// Why an observation is of no use.
 pub(crate) struct Doubt {
@@ -152,12 +158,11 @@ impl Cell {
                 "the look came without depth, which `foreign` in the configuration asks for".to_owned();
             return needed.then(|| Doubt { code: "depth_missing".into(), message, remedy });
         };
-        // A share that is no number proves nothing.
-        if report.measured_share.is_nan() || report.measured_share < MEASURED_SHARE {
-            let share = report.measured_share * 100.0;
-            let message = format!(
-                "depth was measured on {share:.0} % of the table only, too little to see what lies there"
-            );
+        if let Some(message) = unmeasured(report).filter(|_| report.by_colour) {
+            let remedy = "clear the table and run `celld calibrate empty` for these look poses";
+            return Some(Doubt { code: "table_not_compared".into(), message, remedy });
+        }
+        if let Some(message) = unmeasured(report) {
             let remedy = "light the table, clean the lens, see that the look poses show all of it from within the camera's range";
             return Some(Doubt { code: "depth_poor".into(), message, remedy });
         }
@@ -173,6 +178,24 @@ impl Cell {
             format!("{largest} belongs to nothing the cell knows{more}{}", perhaps(&observation.missing));
         let remedy = "take it away, or put the object back with its marker up, then submit again";
         Some(Doubt { code: "foreign_object".into(), message, remedy })
+    }
+
+    /// Says once that a look, although within its limits, comes near to those of drift: a calibration that starts there
+    /// leaves little room for what it should notice.
+    pub(crate) fn tell_drift(&mut self, observation: &Observation, out: &mut Vec<Action>) {
+        let limits = &self.model.tolerances.reference;
+        let worst = observation.reference.as_ref().and_then(|check| check.worst_look(limits));
+        let Some((_, share)) = worst.filter(|(_, share)| *share > DRIFT_TOLD) else { return };
+        if !std::mem::replace(&mut self.drift_told, true) {
+            let share = share * 100.0;
+            say(
+                out,
+                format!(
+                    "the reference markers are off by {share:.0} % of what is allowed; if that is so right after a \
+                     calibration, survey them anew or take more poses, else calibrate before it stops a job"
+                ),
+            );
+        }
     }
 
     /// Says where the obstacles are that nobody put into the configuration.
@@ -217,6 +240,21 @@ impl Cell {
         let mut near = tall.filter(|object| object.keep_out(margin_m).as_ref().is_some_and(meets));
         near.next().map(ToString::to_string)
     }
+}
+
+/// What of the table depth says too little about.
+fn unmeasured(report: &ForeignReport) -> Option<String> {
+    let what = match report.by_colour {
+        true => "the picture was compared with the empty table",
+        false => "depth was measured",
+    };
+    // A share that is no number proves nothing.
+    if report.measured_share.is_nan() || report.measured_share < MEASURED_SHARE {
+        let share = report.measured_share * 100.0;
+        return Some(format!("{what} on {share:.0} % only, too little to see what lies there"));
+    }
+    let hole = report.largest_hole.filter(|hole| hole.area_m2.is_nan() || hole.area_m2 > HOLE_M2)?;
+    Some(format!("{what} nowhere on {hole}, where something may lie unseen"))
 }
 
 /// What might lie there unseen.

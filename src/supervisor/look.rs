@@ -64,10 +64,15 @@ impl Cell {
                 let (code, message, remedy) = match self.foreign_height > self.model.cycle.tallest {
                     true => (
                         "foreign_object",
-                        format!(
-                            "{message}; something without a marker reaches up to {:.0} mm over the table",
-                            self.foreign_height * 1e3
-                        ),
+                        match self.foreign_height.is_finite() {
+                            true => format!(
+                                "{message}; something without a marker reaches up to {:.0} mm over the table",
+                                self.foreign_height * 1e3
+                            ),
+                            false => "something without a marker is on the table, and how high it is a camera without \
+                                      depth cannot tell"
+                                .to_string(),
+                        },
                         "take it away, then `celld arm`",
                     ),
                     false => (
@@ -252,6 +257,9 @@ impl Cell {
             self.foreign_height = height;
         }
         self.tell_obstacles(&observation, out);
+        if trouble.is_none() {
+            self.tell_drift(&observation, out);
+        }
         let Some(job) = &mut self.job else { return };
         for object in &observation.objects {
             job.last_seen.retain(|(id, _)| *id != object.id);

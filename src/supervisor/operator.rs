@@ -56,6 +56,7 @@ impl Cell {
         self.armed = true;
         // Whoever arms has looked at the table; what stood on it may be gone, and only a look can tell.
         self.foreign_height = 0.0;
+        self.drift_told = false;
         say(out, "armed");
     }
 

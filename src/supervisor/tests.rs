@@ -20,7 +20,7 @@ use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
 use crate::vision::calibration::hand_eye::Mount;
-use crate::vision::foreign::{ForeignObject, ForeignReport};
+use crate::vision::foreign::{ForeignObject, ForeignReport, Hole};
 use crate::vision::observe::reference::{DriftLimits, LookShift, ReferenceCheck, ReferenceError};
 use crate::vision::observe::{ObjectEstimate, Observation};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
@@ -137,6 +137,7 @@ fn reference(count: u32, shift_m: f64) -> ReferenceCheck {
             shift_m: [0.0; 2],
             turn_rad: 0.0,
             lift_m: 0.0,
+            errors: Vec::new(),
         }],
     }
 }
@@ -382,22 +383,41 @@ fn a_bumped_camera_stops_the_job_before_anything_is_picked() {
 
 #[test]
 fn a_camera_that_was_lifted_shifted_or_turned_at_one_look_pose_stops_the_job() {
-    let look = LookShift { view: 0, markers: 4, shift_m: [0.0; 2], turn_rad: 0.0, lift_m: 0.0 };
+    let [look] = &reference(4, 0.0).looks[..] else { panic!("one look") };
     let bumps = [
-        LookShift { lift_m: -8e-4, ..look },
-        LookShift { shift_m: [4e-4, -4e-4], ..look },
-        LookShift { turn_rad: 2e-3, ..look },
-        LookShift { lift_m: f64::NAN, ..look },
+        LookShift { lift_m: -8e-4, ..look.clone() },
+        LookShift { shift_m: [4e-4, -4e-4], ..look.clone() },
+        LookShift { turn_rad: 2e-3, ..look.clone() },
+        LookShift { lift_m: f64::NAN, ..look.clone() },
     ];
     for bump in bumps {
-        let (_, code) =
-            ends_without_planning(ReferenceCheck { looks: vec![look, bump], ..reference(4, 1e-4) });
-        assert_eq!(code, "calibration_invalid", "{bump:?}");
+        let looks = vec![look.clone(), bump];
+        let (_, code) = ends_without_planning(ReferenceCheck { looks: looks.clone(), ..reference(4, 1e-4) });
+        assert_eq!(code, "calibration_invalid", "{looks:?}");
     }
     let mut bench = Bench::new();
-    bench.reference = ReferenceCheck { looks: vec![look], ..reference(4, 1e-4) };
+    bench.reference = ReferenceCheck { looks: vec![look.clone()], ..reference(4, 1e-4) };
     bench.job(false);
     assert!(bench.until_planning().iter().any(|action| matches!(action, Action::Plan(_))));
+}
+
+#[test]
+fn a_look_near_its_limits_is_worked_on_and_told_of_once() {
+    let mut bench = Bench::new();
+    let limit = bench.cell.model().tolerances.reference.shift_m;
+    let told = |all: &[Action]| {
+        let says = |action: &&Action| matches!(action, Action::Say(notice) if notice.text.contains("of what is allowed"));
+        all.iter().filter(says).count()
+    };
+    bench.job(false);
+    bench.reference.looks[0].shift_m = [0.4 * limit, 0.0];
+    let all = bench.until_planning();
+    assert_eq!(told(&all), 0, "{all:?}");
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.reference.looks[0].shift_m = [0.6 * limit, 0.0];
+    let all = bench.until_planning();
+    assert!(told(&all) == 1 && all.iter().any(|action| matches!(action, Action::Plan(_))), "{all:?}");
 }
 
 #[test]

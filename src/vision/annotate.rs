@@ -13,7 +13,7 @@ use crate::vision::detect::Detection;
 use crate::vision::foreign::ForeignObject;
 use crate::vision::image::Image;
 use crate::vision::observe::ReferenceMarker;
-use crate::vision::observe::reference::ReferenceCheck;
+use crate::vision::observe::reference::LookShift;
 use nalgebra::{Isometry3, Point3};
 
 /// Green: fine.
@@ -46,9 +46,13 @@ pub fn foreign_overlays(objects: &[ForeignObject]) -> Vec<Overlay> {
     let overlay = |object: &ForeignObject| {
         let [x, y] = object.centre;
         Overlay {
-            label: format!("foreign {:.0} mm", object.height_m * 1e3),
+            label: match object.height_m.is_finite() {
+                true => format!("foreign {:.0} mm", object.height_m * 1e3),
+                false => "foreign".to_string(),
+            },
             pose: Pose2::new(x, y, 0.0),
-            height_m: object.height_m,
+            // What is known by its colour alone was placed as if it lay flat.
+            height_m: if object.height_m.is_finite() { object.height_m } else { 0.0 },
             outline: object.outline.iter().map(|p| [p[0] - x, p[1] - y]).collect(),
             colour: BAD,
         }
@@ -59,14 +63,14 @@ pub fn foreign_overlays(objects: &[ForeignObject]) -> Vec<Overlay> {
 /// How many times as long as it is a drift's arrow is drawn: a millimetre is hardly a pixel.
 const ARROW_SCALE: f64 = 20.0;
 
-/// Draws at each reference marker an arrow from where it was surveyed towards where it seems to have gone, twenty times as
-/// long as that, and the shift in words; red beyond the limit of the residual.
+/// Draws at each reference marker an arrow from where it was surveyed towards where it seems to have gone as seen from this
+/// picture's place, twenty times as long as that, red beyond `limit_m`; and in words how far the camera seems to be off there.
 ///
 /// # Errors
 /// What OpenCV reports.
 pub fn draw_drift(
     image: &mut Image,
-    check: &ReferenceCheck,
+    look: &LookShift,
     reference: &[ReferenceMarker],
     limit_m: f64,
     camera: &CameraModel,
@@ -79,7 +83,7 @@ pub fn draw_drift(
         let points = if seen { vec![[point.x, point.y, point.z]] } else { Vec::new() };
         cv::project(camera, &Isometry3::identity(), &points).map(|pixels| pixels.first().copied())
     };
-    for error in &check.markers {
+    for error in &look.errors {
         let Some(marker) = reference.iter().find(|marker| marker.id == error.id) else { continue };
         let [dx, dy] = error.error_m;
         let (x, y) = (marker.pose.x, marker.pose.y);
@@ -91,6 +95,10 @@ pub fn draw_drift(
         arrow(image, from, to, colour);
         raster::text(image, [from[0], from[1] + 12.0], &format!("{:.1} mm", dx.hypot(dy) * 1e3), colour, 2);
     }
+    let shift_mm = look.shift_m[0].hypot(look.shift_m[1]) * 1e3;
+    let (lift_mm, turn_deg) = (look.lift_m * 1e3, look.turn_rad.to_degrees());
+    let words = format!("shift {shift_mm:.1} mm lift {lift_mm:.1} mm turn {turn_deg:.2} deg");
+    raster::text(image, [f64::from(image.width) / 2.0, 14.0], &words, HINT, 2);
     Ok(())
 }
 
@@ -202,17 +210,17 @@ mod tests {
         let camera = testing::camera(640, 480);
         let table_from_camera = testing::looking_down(0.0, 0.0, 0.4, [0.0, 0.0], 0.0);
         let reference = [ReferenceMarker { id: 7, size: 0.03, pose: Pose2::new(0.02, 0.01, 0.4) }];
-        let check = |error_m: [f64; 2]| ReferenceCheck {
-            markers: vec![ReferenceError { id: 7, error_m, error_rad: 0.0, views: 1 }],
-            residual_rms_m: 2e-3,
-            residual_max_m: 2e-3,
+        let look = |error_m: [f64; 2]| LookShift {
+            view: 0,
+            markers: 1,
             shift_m: error_m,
             turn_rad: 0.0,
-            looks: Vec::new(),
+            lift_m: 0.0,
+            errors: vec![ReferenceError { id: 7, error_m, error_rad: 0.0, views: 1 }],
         };
         let drawn = |error_m: [f64; 2]| {
             let mut image = Image::filled(640, 480, [0; 3]);
-            draw_drift(&mut image, &check(error_m), &reference, 1e-3, &camera, &table_from_camera).unwrap();
+            draw_drift(&mut image, &look(error_m), &reference, 1e-3, &camera, &table_from_camera).unwrap();
             image
         };
         let seen = |x: f64, y: f64| {
@@ -227,6 +235,8 @@ mod tests {
         }
         let (u, v) = seen(0.07, 0.01);
         assert_eq!(image.pixel(u, v), Some([0; 3]));
+        let words = (0..640 * 24).filter(|at| image.pixel(at % 640, at / 640) == Some(HINT)).count();
+        assert!(words > 200, "the shift in words: {words}");
         let (u, v) = seen(0.03, 0.01);
         assert_eq!(drawn([9e-4, 0.0]).pixel(u, v), Some(GOOD));
         drawn([f64::NAN, 1e9]);

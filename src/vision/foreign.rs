@@ -2,16 +2,20 @@
 //!
 //! In: [`HeightMap`]s of one look, the objects whose place is known, [`ForeignLimits`]. Out: [`ForeignReport`]: everything that stands higher
 //! than the table and the known objects explain, over an area large enough, with its outline, area and height; and how much
-//! of the table was measured at all. A known object that is tipped, or lies on its marker, was not seen as itself and so
+//! of the table was measured at all, with the largest piece that was not. A known object that is tipped, or lies on its marker, was not seen as itself and so
 //! explains nothing: it is found like any stranger. What is flat, thinner than the limit, smaller than the limit, or of
 //! a kind that the camera cannot measure (clear glass, black velvet, mirrors) is not found. Pure.
 
+pub mod change;
+pub mod field;
 pub mod height_map;
+pub mod holes;
 pub mod search;
 #[cfg(test)]
 mod tests;
 
 pub use height_map::{Area, DepthLens, HeightMap, HeightMapError, OwnBody};
+pub use holes::Hole;
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::{centroid, contains, convex_hull, distance_to_outline};
@@ -56,7 +60,7 @@ pub struct ForeignObject {
     pub centre: [f64; 2],
     /// The area of the table over which it was measured, m2.
     pub area_m2: f64,
-    /// Height of its highest point over the table, m.
+    /// Height of its highest point over the table, m; infinite where only colour tells of it.
     pub height_m: f64,
 }
 
@@ -67,14 +71,21 @@ pub struct ForeignReport {
     pub objects: Vec<ForeignObject>,
     /// Share of the area in which depth was measured, 0 to 1.
     pub measured_share: f64,
+    /// The largest piece of the table in which it was not, outside known objects and their shadows.
+    pub largest_hole: Option<Hole>,
+    /// Told by comparing colours with those of the empty table; "measured" then means compared.
+    pub by_colour: bool,
 }
 
 impl std::fmt::Display for ForeignObject {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let high = match self.height_m.is_finite() {
+            true => format!("{:.0} mm high", self.height_m * 1e3),
+            false => "of unknown height".to_string(),
+        };
         write!(
             f,
-            "something {:.0} mm high over {:.0} cm2 at x = {:.0} mm, y = {:.0} mm",
-            self.height_m * 1e3,
+            "something {high} over {:.0} cm2 at x = {:.0} mm, y = {:.0} mm",
             self.area_m2 * 1e4,
             self.centre[0] * 1e3,
             self.centre[1] * 1e3
@@ -112,13 +123,29 @@ pub fn find(
     limits: &ForeignLimits,
 ) -> ForeignReport {
     let Some(first) = maps.first() else { return ForeignReport::default() };
-    let expected = expected(first, known, ignored, limits);
-    let (mut tallest, mut measured) = (vec![f32::NEG_INFINITY; expected.len()], vec![false; expected.len()]);
-    for map in maps.iter().filter(|map| map.area == first.area) {
-        for (cell, height) in map.heights_m.iter().enumerate().filter(|(_, height)| height.is_finite()) {
+    let maps: Vec<&HeightMap> = maps.iter().copied().filter(|map| map.area == first.area).collect();
+    let expected = Expected::of(first, known, ignored, limits);
+    let cells = first.heights_m.len();
+    let (mut tallest, mut measured) = (vec![f32::NEG_INFINITY; cells], vec![false; cells]);
+    for map in maps.iter().filter(|map| map.by_colour) {
+        let shaded = Shaded::of(known, map.eye_m, limits);
+        for (cell, height) in map.heights_m.iter().enumerate() {
+            if shaded.covers(map.centre(cell)) {
+                measured[cell] = true;
+            } else if !height.is_nan() {
+                measured[cell] = true;
+                if *height > expected.highest_m[cell] {
+                    tallest[cell] = f32::INFINITY;
+                }
+            }
+        }
+    }
+    for map in maps.iter().filter(|map| !map.by_colour) {
+        let heights = map.levelled(&expected.surface_m);
+        for (cell, height) in heights.into_iter().enumerate().filter(|(_, height)| height.is_finite()) {
             measured[cell] = true;
-            if *height > expected[cell] {
-                tallest[cell] = tallest[cell].max(*height);
+            if height > expected.highest_m[cell] {
+                tallest[cell] = tallest[cell].max(height);
             }
         }
     }
@@ -130,18 +157,44 @@ pub fn find(
         .filter(|object| object.area_m2 >= limits.area_m2)
         .collect();
     objects.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
-    ForeignReport { objects, measured_share: share }
+    let unmeasured: Vec<bool> =
+        measured.iter().zip(&expected.surface_m).map(|(seen, surface)| !seen && *surface == 0.0).collect();
+    let largest_hole = holes::largest(&maps, unmeasured, known);
+    ForeignReport { objects, measured_share: share, largest_hole, by_colour: first.by_colour }
 }
 
-/// Height up to which nothing is foreign, cell by cell.
-fn expected(map: &HeightMap, known: &[KnownBody], ignored: &[KeepOut], limits: &ForeignLimits) -> Vec<f32> {
-    let mut expected = vec![limits.height_m as f32; map.heights_m.len()];
-    let fixed = ignored.iter().map(|place| (&place.footprint, &place.pose, f64::INFINITY));
-    let known = known.iter().map(|body| (&body.footprint, &body.pose, body.height_m + limits.height_m));
-    for (footprint, pose, height_m) in known.chain(fixed) {
+/// What is expected of each cell.
+struct Expected {
+    /// Height up to which nothing is foreign, m.
+    highest_m: Vec<f32>,
+    /// Height of the surface that is seen when nothing is, m; NaN at the edges of known objects and where anything may stand.
+    surface_m: Vec<f32>,
+}
+
+impl Expected {
+    fn of(map: &HeightMap, known: &[KnownBody], ignored: &[KeepOut], limits: &ForeignLimits) -> Expected {
+        let cells = map.heights_m.len();
+        let mut expected =
+            Expected { highest_m: vec![limits.height_m as f32; cells], surface_m: vec![0.0; cells] };
+        let fixed = ignored.iter().map(|place| (&place.footprint, &place.pose, f64::INFINITY));
+        let known = known.iter().map(|body| (&body.footprint, &body.pose, body.height_m));
+        for (footprint, pose, height_m) in known.chain(fixed) {
+            expected.add(map, footprint, pose, height_m, limits);
+        }
+        expected
+    }
+
+    fn add(
+        &mut self,
+        map: &HeightMap,
+        footprint: &Footprint,
+        pose: &Pose2,
+        height_m: f64,
+        limits: &ForeignLimits,
+    ) {
         let outline = footprint.outline(64);
         let (low, high) = footprint.bounds(pose);
-        for (cell, expected) in expected.iter_mut().enumerate() {
+        for cell in 0..self.highest_m.len() {
             let at = map.centre(cell);
             let far =
                 |axis: usize| at[axis] < low[axis] - limits.edge_m || at[axis] > high[axis] + limits.edge_m;
@@ -149,12 +202,42 @@ fn expected(map: &HeightMap, known: &[KnownBody], ignored: &[KeepOut], limits: &
                 continue;
             }
             let p = pose.inverse_transform(at);
-            if contains(&outline, p) || distance_to_outline(&outline, p) <= limits.edge_m {
-                *expected = expected.max(height_m as f32);
+            let at_edge = distance_to_outline(&outline, p) <= limits.edge_m;
+            if !at_edge && !contains(&outline, p) {
+                continue;
             }
+            self.highest_m[cell] = self.highest_m[cell].max((height_m + limits.height_m) as f32);
+            let on_top = !at_edge && height_m.is_finite() && self.surface_m[cell] == 0.0;
+            self.surface_m[cell] = if on_top { height_m as f32 } else { f32::NAN };
         }
     }
-    expected
+}
+
+/// What known objects change on the table's picture: where they stand, what they hide from the camera, and their shadows.
+struct Shaded<'a> {
+    known: Vec<(&'a KnownBody, Vec<[f64; 2]>)>,
+    eye_m: [f64; 3],
+    edge_m: f64,
+}
+
+/// A shadow reaches as far from an object as the object is high: light from 45 degrees up and steeper.
+const SHADOW: f64 = 1.0;
+
+impl Shaded<'_> {
+    fn of<'a>(known: &'a [KnownBody], eye_m: [f64; 3], limits: &ForeignLimits) -> Shaded<'a> {
+        let known = known.iter().map(|body| (body, body.footprint.outline(64))).collect();
+        Shaded { known, eye_m, edge_m: limits.edge_m }
+    }
+
+    fn covers(&self, at: [f64; 2]) -> bool {
+        self.known.iter().any(|(body, outline)| {
+            let p = body.pose.inverse_transform(at);
+            let near = self.edge_m + SHADOW * body.height_m;
+            contains(outline, p)
+                || distance_to_outline(outline, p) <= near
+                || holes::hides(body, outline, at, self.eye_m)
+        })
+    }
 }
 
 /// The cells that stick out, with unmeasured ones among them: holes in depth must not cut a thing into pieces.
@@ -168,7 +251,7 @@ fn closed(map: &HeightMap, tallest: &[f32], measured: &[bool]) -> Vec<bool> {
 }
 
 /// Groups of cells that touch.
-fn components(map: &HeightMap, excess: &[bool]) -> Vec<Vec<usize>> {
+pub(crate) fn components(map: &HeightMap, excess: &[bool]) -> Vec<Vec<usize>> {
     let mut open = excess.to_vec();
     let mut groups = Vec::new();
     for start in 0..open.len() {

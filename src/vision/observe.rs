@@ -475,7 +475,7 @@ mod tests {
         let (worst, excess) = lifted.worst_look(&limits).unwrap();
         assert!((worst.lift_m - 2e-3).abs() < 2e-4 && (excess - 2.0).abs() < 0.2, "{worst:?}");
         let broken = reference::ReferenceCheck {
-            looks: vec![reference::LookShift { lift_m: f64::NAN, ..worst }],
+            looks: vec![reference::LookShift { lift_m: f64::NAN, ..worst.clone() }],
             ..fine
         };
         assert!(broken.drifted(&limits));

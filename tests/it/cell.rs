@@ -104,7 +104,7 @@ pub(crate) fn configuration(folder: &Path, address: &str, factor: u32) -> (PathB
     (config.join("cell.yaml"), config.join("sim.yaml"))
 }
 
-fn start_sim(config: &Path) -> Running {
+pub(crate) fn start_sim(config: &Path) -> Running {
     let mut sim = Command::new(CELLD)
         .args(["sim", "--control", "--config"])
         .arg(config)
@@ -213,7 +213,7 @@ fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
 }
 
 /// Tells the simulator's control server of a fault, in JSON.
-fn fault(address: &str, text: &str) {
+pub(crate) fn fault(address: &str, text: &str) {
     let answer = ureq::post(format!("http://{address}:8091/fault")).send(text);
     assert_eq!(answer.expect("the control server").status().as_u16(), 200);
 }

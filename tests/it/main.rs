@@ -7,6 +7,7 @@ mod calibration;
 mod camera_faults;
 mod cell;
 mod faults;
+mod foreign;
 mod on_robot_program;
 mod plan_command;
 mod program_protocol;

@@ -8,7 +8,9 @@ use crate::bench::vision::render::{Lens, Print};
 use crate::bench::vision::scene::{bench_camera, looking_down};
 use crate::bench::vision::tally::quantile;
 use crate::geometry::pose::Pose2;
-use crate::vision::calibrate::{CalibrateError, HandEyeGuess, HandEyeSettings, Sample, solve_hand_eye};
+use crate::vision::calibrate::{
+    CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample, solve_hand_eye,
+};
 use crate::vision::detect::{Detection, Family};
 use crate::vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Vector3};
@@ -97,6 +99,33 @@ fn error(
     poses: &[Isometry3<f64>],
     random: &mut ChaCha8Rng,
 ) -> Result<(f64, f64), CalibrateError> {
+    let found = found(lens, poses, random)?;
+    let off = found.flange_from_camera.inverse() * truth().flange_from_camera;
+    Ok((off.translation.vector.norm(), off.rotation.angle()))
+}
+
+/// A mount and a table as a round of varied poses finds them.
+pub(super) struct Calibration(HandEye);
+
+impl Calibration {
+    /// A round of its own.
+    ///
+    /// # Errors
+    /// What the solver says.
+    pub fn found(lens: &Lens, random: &mut ChaCha8Rng) -> Result<Calibration, CalibrateError> {
+        let poses = varied(random);
+        found(lens, &poses, random).map(Calibration)
+    }
+
+    /// Where the camera is believed to be, in the table's frame, when it truly is at `table_from_camera`.
+    pub fn believed(&self, table_from_camera: &Isometry3<f64>) -> Isometry3<f64> {
+        let truth = truth();
+        let base_from_flange = truth.base_from_table * table_from_camera * truth.flange_from_camera.inverse();
+        self.0.base_from_table.inverse() * base_from_flange * self.0.flange_from_camera
+    }
+}
+
+fn found(lens: &Lens, poses: &[Isometry3<f64>], random: &mut ChaCha8Rng) -> Result<HandEye, CalibrateError> {
     let truth = truth();
     let nominal = HandEyeGuess {
         flange_from_camera: Isometry3::translation(0.0, -0.07, 0.03),
@@ -104,9 +133,7 @@ fn error(
     };
     let samples: Vec<Sample> = poses.iter().map(|pose| sample(lens, pose, &truth, random)).collect();
     let settings = HandEyeSettings { corner_std_px: CORNER_PX, ..HandEyeSettings::default() };
-    let found = solve_hand_eye(&samples, &reference(), &lens.camera, &nominal, &settings)?;
-    let off = found.flange_from_camera.inverse() * truth.flange_from_camera;
-    Ok((off.translation.vector.norm(), off.rotation.angle()))
+    solve_hand_eye(&samples, &reference(), &lens.camera, &nominal, &settings)
 }
 
 fn reference() -> Vec<ReferenceMarker> {

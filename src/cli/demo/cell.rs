@@ -108,6 +108,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             camera: out.join("calibration/camera.yaml"),
             hand_eye: out.join("calibration/hand_eye.yaml"),
             table: out.join("calibration/table.yaml"),
+            empty: None,
         },
         limits: MotionLimits {
             joint_speed: 1.5,

@@ -3,13 +3,15 @@
 //! In: a [`DepthImage`], the lens, the camera's pose, the part of the table that matters, what of the robot is in view. Out: a
 //! [`HeightMap`]: for each cell of the table the median height of the points measured over it. Medians, because single
 //! points near edges are wild. Stereo cameras read flat targets up to a per cent or two too far towards the corners, by an
-//! amount that differs from camera to camera: the table itself, whose place is known from its markers, tells how much,
-//! and the picture is corrected by that before it is mapped. Pure.
+//! amount that differs from camera to camera: the table itself, whose place is known from its markers, tells how much
+//! (`field`). The picture is corrected by that before it is mapped, and the map once more when it is known what lies where
+//! ([`HeightMap::levelled`]). Pure.
 
 use crate::vision::camera::CameraModel;
 use crate::vision::cv::{self, CvError};
+use crate::vision::foreign::field::{Field, Sample};
 use crate::vision::image::DepthImage;
-use nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 /// Edge of a cell, m: some ten points of a picture from half a metre, and 25 cells to the smallest thing looked for.
 pub const CELL_M: f64 = 0.004;
@@ -19,12 +21,8 @@ const STRIDE: u32 = 2;
 const POINTS_MIN: usize = 2;
 /// Cells along one edge at most: a workspace larger than 4 m is none.
 const EDGE_MAX: usize = 1100;
-/// A point within this distance of the table's plane may be the table's, m.
-const TABLE_M: f64 = 0.012;
-/// Most that the table's correction may change a depth, as a share: what covers the whole table must not pass for it.
-const CORRECTION_MAX: f64 = 0.015;
-/// Points on the table without which nothing is corrected.
-const TABLE_POINTS_MIN: usize = 500;
+/// Every so many of those points tell how far off the depth is.
+const SAMPLED: usize = 11;
 
 /// A rectangle of the table, m, table frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -104,6 +102,11 @@ impl DepthLens {
         Ok(DepthLens { width: camera.width, height: camera.height, rays })
     }
 
+    /// The pixels that are used, with their directions.
+    pub(crate) fn pixels(&self) -> impl Iterator<Item = ((u32, u32), [f64; 2])> + '_ {
+        sampled(self.width, self.height).zip(self.rays.iter().copied())
+    }
+
     /// The points that were measured, as direction and depth.
     fn points<'a>(&'a self, depth: &'a DepthImage) -> impl Iterator<Item = ([f64; 2], f64)> + 'a {
         sampled(self.width, self.height)
@@ -126,6 +129,10 @@ pub struct HeightMap {
     pub columns: usize,
     /// Cells in y.
     pub rows: usize,
+    /// Where the camera was, m, table frame.
+    pub eye_m: [f64; 3],
+    /// Heights are none but 0 and infinite: what is there was told by its colour.
+    pub by_colour: bool,
     /// Median height of the points over each cell, m, NaN where too few were measured; x runs fastest.
     pub heights_m: Vec<f32>,
 }
@@ -137,13 +144,13 @@ impl std::fmt::Debug for HeightMap {
 }
 
 impl HeightMap {
-    /// A map of `area` in which nothing was measured yet.
-    pub fn empty(area: Area) -> HeightMap {
+    /// A map of `area` in which nothing was measured yet, from this place.
+    pub fn empty(area: Area, eye_m: [f64; 3]) -> HeightMap {
         let [columns, rows] = [0, 1].map(|axis| {
             let cells = ((area.high[axis] - area.low[axis]) / CELL_M).ceil();
             if cells.is_finite() { (cells.max(0.0) as usize).min(EDGE_MAX) } else { 0 }
         });
-        HeightMap { area, columns, rows, heights_m: vec![f32::NAN; columns * rows] }
+        HeightMap { area, columns, rows, eye_m, by_colour: false, heights_m: vec![f32::NAN; columns * rows] }
     }
 
     /// What a depth picture taken from `table_from_camera` says about `area`, without the points on `own`.
@@ -165,8 +172,8 @@ impl HeightMap {
                 found_height: depth.height,
             });
         }
-        let mut map = HeightMap::empty(area);
-        let field = Field::of(depth, lens, table_from_camera);
+        let mut map = HeightMap::empty(area, table_from_camera.translation.vector.into());
+        let field = table_field(depth, lens, table_from_camera);
         let mut points: Vec<(u32, f32)> = Vec::new();
         for (ray, metres) in lens.points(depth) {
             let metres = metres / (1.0 + field.error(ray));
@@ -181,6 +188,30 @@ impl HeightMap {
         }
         map.take_medians(&points);
         Ok(map)
+    }
+
+    /// The heights, corrected by what the map says about surfaces whose height is known.
+    ///
+    /// `surface_m` is the height of the table or the known top in each cell, NaN where nobody knows it. The picture's own
+    /// correction took every surface near the table for the table; here known objects are told from it.
+    pub fn levelled(&self, surface_m: &[f32]) -> Vec<f32> {
+        let eye_m = self.eye_m[2];
+        let ray = |cell: usize| {
+            let [x, y] = self.centre(cell);
+            [(x - self.eye_m[0]) / eye_m, (y - self.eye_m[1]) / eye_m]
+        };
+        let sample = |(cell, (height, surface)): (usize, (&f32, &f32))| {
+            let below = eye_m - f64::from(*surface);
+            let share = (f64::from(*surface) - f64::from(*height)) / below;
+            (share.is_finite() && below > 0.0).then(|| Sample::new(ray(cell), share, eye_m))
+        };
+        let samples: Vec<Sample> =
+            self.heights_m.iter().zip(surface_m).enumerate().filter_map(sample).collect();
+        let field = Field::fitted(&samples);
+        let level = |(cell, height): (usize, &f32)| {
+            (eye_m - (eye_m - f64::from(*height)) / (1.0 + field.error(ray(cell)))) as f32
+        };
+        self.heights_m.iter().enumerate().map(level).collect()
     }
 
     /// Sets each cell to the median of its points.
@@ -209,7 +240,7 @@ impl HeightMap {
     }
 
     /// The cell over which a point of the table lies.
-    fn cell(&self, p: [f64; 2]) -> Option<usize> {
+    pub(crate) fn cell(&self, p: [f64; 2]) -> Option<usize> {
         let [column, row] = [0, 1].map(|axis| ((p[axis] - self.area.low[axis]) / CELL_M).floor());
         let inside = column >= 0.0 && row >= 0.0 && column < self.columns as f64 && row < self.rows as f64;
         inside.then(|| row as usize * self.columns + column as usize)
@@ -234,62 +265,14 @@ impl HeightMap {
     }
 }
 
-/// By what share depths read too far, as a smooth function of the direction.
-#[derive(Clone, Copy, Debug, Default)]
-struct Field {
-    weights: Vector4<f64>,
-}
-
-impl Field {
-    /// Learnt from the points that lie on the table.
-    fn of(depth: &DepthImage, lens: &DepthLens, table_from_camera: &Isometry3<f64>) -> Field {
-        let eye_m = table_from_camera.translation.z;
-        let samples: Vec<(Vector4<f64>, f64)> = lens
-            .points(depth)
-            .step_by(11)
-            .filter_map(|(ray, metres)| {
-                let falls = -(table_from_camera.rotation * Vector3::new(ray[0], ray[1], 1.0)).z;
-                let table_m = eye_m / falls;
-                let near = falls > 0.1 && ((metres - table_m) * falls).abs() < TABLE_M;
-                near.then(|| (terms(ray), metres / table_m - 1.0))
-            })
-            .collect();
-        let mut field = Field::default();
-        let mut kept = f64::INFINITY;
-        for _ in 0..4 {
-            let off = |(terms, share): &(Vector4<f64>, f64)| (share - field.weights.dot(terms)).abs();
-            let used: Vec<&(Vector4<f64>, f64)> =
-                samples.iter().filter(|sample| off(sample) < kept).collect();
-            let Some(fit) = least_squares(&used) else { return Field::default() };
-            let fitted = Field { weights: fit };
-            let mut residuals: Vec<f64> =
-                used.iter().map(|(terms, share)| (share - fit.dot(terms)).abs()).collect();
-            let middle = residuals.len() / 2;
-            let (_, median, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
-            // Three standard deviations of what is normally distributed.
-            kept = 3.0 * 1.4826 * *median;
-            field = fitted;
-        }
-        field
-    }
-
-    fn error(&self, ray: [f64; 2]) -> f64 {
-        self.weights.dot(&terms(ray)).clamp(-CORRECTION_MAX, CORRECTION_MAX)
-    }
-}
-
-fn terms([x, y]: [f64; 2]) -> Vector4<f64> {
-    Vector4::new(1.0, x, y, x * x + y * y)
-}
-
-fn least_squares(samples: &[&(Vector4<f64>, f64)]) -> Option<Vector4<f64>> {
-    if samples.len() < TABLE_POINTS_MIN {
-        return None;
-    }
-    let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
-    for (terms, share) in samples {
-        normal += terms * terms.transpose();
-        right += terms * *share;
-    }
-    Some(normal.cholesky()?.solve(&right))
+/// How far off the depth is, learnt from the points that lie on the table.
+fn table_field(depth: &DepthImage, lens: &DepthLens, table_from_camera: &Isometry3<f64>) -> Field {
+    let eye_m = table_from_camera.translation.z;
+    let sample = |(ray, metres): ([f64; 2], f64)| {
+        let falls = -(table_from_camera.rotation * Vector3::new(ray[0], ray[1], 1.0)).z;
+        let table_m = eye_m / falls;
+        (falls > 0.1).then(|| Sample::new(ray, metres / table_m - 1.0, table_m))
+    };
+    let samples: Vec<Sample> = lens.points(depth).step_by(SAMPLED).filter_map(sample).collect();
+    Field::fitted(&samples)
 }

@@ -1,15 +1,16 @@
 //! The search for foreign objects of one cell: everything it has to know, set up once.
 //!
-//! In: lens, workspace, catalogue, what never moves, what of the robot is in view; then depth pictures, and the observation of the same
-//! look. Out: [`HeightMap`]s and a [`ForeignReport`]. Pure.
+//! In: lens, workspace, catalogue, what never moves, what of the robot is in view, pictures of the empty table; then depth pictures (or
+//! pictures, where there is no depth), and the observation of the same look. Out: [`HeightMap`]s and a [`ForeignReport`]. Pure.
 
 use crate::geometry::footprint::Footprint;
 use crate::tabletop::instance::KeepOut;
 use crate::vision::camera::CameraModel;
+use crate::vision::foreign::change::EmptyTable;
 use crate::vision::foreign::{
     Area, DepthLens, ForeignLimits, ForeignReport, HeightMap, HeightMapError, KnownBody, OwnBody, find,
 };
-use crate::vision::image::DepthImage;
+use crate::vision::image::{DepthImage, Image};
 use crate::vision::observe::{Observation, View};
 use nalgebra::Isometry3;
 
@@ -34,6 +35,7 @@ pub struct ForeignSearch {
     lens: DepthLens,
     inventory: Inventory,
     limits: ForeignLimits,
+    empty: Option<EmptyTable>,
 }
 
 impl ForeignSearch {
@@ -46,7 +48,22 @@ impl ForeignSearch {
         inventory: Inventory,
         limits: ForeignLimits,
     ) -> Result<ForeignSearch, HeightMapError> {
-        Ok(ForeignSearch { lens: DepthLens::new(camera)?, inventory, limits })
+        Ok(ForeignSearch { lens: DepthLens::new(camera)?, inventory, limits, empty: None })
+    }
+
+    /// Compares colours with the empty table where there is no depth: its pictures, each with the camera's place.
+    pub fn compare_with<'a>(&mut self, empty: impl Iterator<Item = (&'a Image, Isometry3<f64>)>) {
+        let mut table = EmptyTable::default();
+        for (image, table_from_camera) in empty {
+            table.add(image, &self.lens, &table_from_camera, self.inventory.area);
+        }
+        self.empty = Some(table);
+    }
+
+    /// What a colour picture says about the table, if it is known how the table looks when it is empty.
+    pub fn changed(&self, image: &Image, table_from_camera: &Isometry3<f64>) -> Option<HeightMap> {
+        let empty = self.empty.as_ref()?;
+        Some(empty.changed(image, &self.lens, table_from_camera, self.inventory.area))
     }
 
     /// What a depth picture says about the table.

@@ -125,6 +125,88 @@ fn the_tables_own_depth_takes_the_curvature_out() {
 }
 
 #[test]
+fn a_flat_board_over_a_large_part_of_the_view_is_not_taken_for_the_table() {
+    for curved in [0.0, 0.01, -0.01] {
+        for (height, share) in [(0.011, 0.2), (0.0118, 0.2), (0.0125, 0.4), (0.0125, 0.6), (0.013, 0.9)] {
+            let board = [-0.5, -0.5, -0.2 + 0.4 * share, 0.5, height];
+            let seen = map(&[board], curved, 0.02);
+            let objects = find(&[&seen], &[], &[], &ForeignLimits::default()).objects;
+            let scene = format!("{height} m over {share} of the view, curved by {curved}: {objects:?}");
+            let [object] = &objects[..] else { panic!("{scene}") };
+            assert!((object.area_m2 / (share * 0.12) - 1.0).abs() < 0.05, "{scene}");
+            // The highest of many cells: noise makes it a little higher.
+            assert!((object.height_m - height - 1e-3).abs() < 1e-3, "{scene}");
+        }
+    }
+}
+
+#[test]
+fn known_flat_objects_all_over_the_table_do_not_hide_what_stands_between_them() {
+    for (share, tile_m) in [(0.5_f64, 0.01), (0.6, 0.01), (0.8, 0.01), (0.8, 0.004), (0.8, 0.006)] {
+        let (edge, mut blocks, mut tiles) = (0.05 * share.sqrt(), Vec::new(), Vec::new());
+        for place in 0..80 {
+            let (x, y) = (-0.225 + 0.05 * f64::from(place % 10), -0.175 + 0.05 * f64::from(place / 10));
+            // One tile is not there, a stranger stands in its place.
+            if place == 68 {
+                blocks.push(block(x, y, 0.03, 0.03, 0.0125));
+            } else {
+                blocks.push(block(x, y, edge, edge, tile_m));
+                tiles.push(known(x, y, edge, edge, tile_m));
+            }
+        }
+        let objects = found(&blocks, &tiles);
+        let scene = format!("{tile_m} m over {share} of the view: {objects:?}");
+        let [object] = &objects[..] else { panic!("{scene}") };
+        assert!((object.height_m - 0.013).abs() < 1.5e-3, "{scene}");
+        assert!((object.centre[0] - 0.175).hypot(object.centre[1] - 0.125) < 0.006, "{scene}");
+    }
+}
+
+#[test]
+fn a_piece_of_the_table_that_cannot_be_measured_is_reported_with_its_place() {
+    let (lens, eye) = (DepthLens::new(&testing::camera(640, 480)).unwrap(), eye(0.15));
+    let whole = picture(&eye, &[], 0.01, 0.02);
+    let report = |depth: &DepthImage, known: &[KnownBody]| {
+        let map = HeightMap::new(depth, &lens, &eye, AREA, None).unwrap();
+        find(&[&map], known, &[], &ForeignLimits::default())
+    };
+    assert_eq!(report(&whole, &[]).largest_hole, None, "specks are none");
+    // A black cloth of 6 x 5 cm.
+    let camera = testing::camera(640, 480);
+    let outline = [[0.03, 0.02], [0.09, 0.02], [0.09, 0.07], [0.03, 0.07]];
+    let pixels: Vec<[f64; 2]> = outline
+        .iter()
+        .map(|[x, y]| testing::project(&camera, &(eye.inverse() * Point3::new(*x, *y, 0.0))))
+        .collect();
+    let pixels = convex_hull(&pixels);
+    let metres = (0..640 * 480).map(|i| {
+        let (u, v) = (i % 640, i / 640);
+        let black = contains(&pixels, [f64::from(u), f64::from(v)]);
+        whole.at(u, v).filter(|_| !black).unwrap_or(0.0) as f32
+    });
+    let black = DepthImage::from_metres(640, 480, metres.collect()).unwrap();
+    let hole = report(&black, &[]).largest_hole.unwrap();
+    assert!((hole.area_m2 / 30e-4 - 1.0).abs() < 0.25, "{hole:?}");
+    assert!((hole.centre[0] - 0.06).hypot(hole.centre[1] - 0.045) < 0.005, "{hole}");
+    // A known object that is black explains it.
+    assert_eq!(report(&black, &[known(0.06, 0.045, 0.06, 0.05, 0.02)]).largest_hole, None);
+}
+
+#[test]
+fn what_a_known_object_hides_is_no_hole() {
+    // 12 cm high at the side of the picture: 3 cm of table lie in its shadow.
+    let tower = block(0.14, 0.0, 0.03, 0.1, 0.12);
+    let report = |known: &[KnownBody]| {
+        let map = map(&[tower], 0.0, 0.0);
+        find(&[&map], known, &[], &ForeignLimits::default()).largest_hole
+    };
+    let unexplained = report(&[]);
+    assert!(unexplained.is_some_and(|hole| hole.area_m2 > 8e-4), "{unexplained:?}");
+    let explained = report(&[known(0.14, 0.0, 0.03, 0.1, 0.12)]);
+    assert!(explained.is_none_or(|hole| hole.area_m2 < 3e-4), "{explained:?}");
+}
+
+#[test]
 fn what_is_the_robots_or_lies_where_nobody_looks_is_left_out() {
     let stranger = block(0.05, 0.05, 0.04, 0.04, 0.05);
     let place = KeepOut { footprint: Footprint::disc(0.06).unwrap(), pose: Pose2::new(0.05, 0.05, 0.0) };

@@ -25,7 +25,7 @@ pub struct ReferenceError {
 }
 
 /// How far the camera seems to be from where it should have been at one place, told by the markers it saw from there.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LookShift {
     /// The first of the views from there.
     pub view: usize,
@@ -37,6 +37,8 @@ pub struct LookShift {
     pub turn_rad: f64,
     /// How much nearer to the table the camera seems to be, m, by how much larger the layout looks.
     pub lift_m: f64,
+    /// Each marker's error as seen from there.
+    pub errors: Vec<ReferenceError>,
 }
 
 /// From where on the camera counts as moved.
@@ -85,7 +87,7 @@ impl ReferenceCheck {
                 .into_iter()
                 .fold(0.0, |worst: f64, share| if share.is_nan() { f64::INFINITY } else { worst.max(share) })
         };
-        let looks = self.looks.iter().map(|look| (*look, excess(look)));
+        let looks = self.looks.iter().map(|look| (look.clone(), excess(look)));
         looks.max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
@@ -160,7 +162,7 @@ fn looks(by_marker: &[(&ReferenceMarker, Vec<Placed>)], views: &[View]) -> Vec<L
         }
         let (shift_m, turn_rad) = rigid_shift(&errors, &surveyed);
         let lift_m = growth(&errors, &surveyed) * view.table_from_camera.translation.z;
-        looks.push(LookShift { view: first, markers: errors.len(), shift_m, turn_rad, lift_m });
+        looks.push(LookShift { view: first, markers: errors.len(), shift_m, turn_rad, lift_m, errors });
     }
     looks
 }
