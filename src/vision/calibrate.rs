@@ -18,7 +18,7 @@ use crate::vision::camera::{CameraModel, CameraModelError};
 use crate::vision::cv::{self, CvError};
 use crate::vision::detect::Detection;
 use crate::vision::observe::ReferenceMarker;
-use nalgebra::{Isometry3, Matrix3, Matrix6};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector6};
 use problem::{Fit, Problem};
 use serde::{Deserialize, Serialize};
 
@@ -114,6 +114,8 @@ pub struct HandEye {
     pub base_from_table: Isometry3<f64>,
     /// Standard deviation of `flange_from_camera`.
     pub flange_from_camera_std: TransformStd,
+    /// Covariance of small motions of the camera in its own frame: shift (m2) before turn (rad2).
+    pub flange_from_camera_covariance: Matrix6<f64>,
     /// Standard deviation of `base_from_table`.
     pub base_from_table_std: TransformStd,
     /// Covariance of small motions of the table in its own frame: shift (m2) before turn (rad2).
@@ -154,6 +156,13 @@ impl TransformStd {
     pub fn of(covariance: &Matrix6<f64>) -> TransformStd {
         let sum = |from: usize| (from..from + 3).map(|i| covariance[(i, i)]).sum::<f64>().sqrt();
         TransformStd { translation_m: sum(0), rotation_rad: sum(3) }
+    }
+
+    /// A covariance that has these, shared evenly by the axes: what is left of one in a file.
+    pub fn spread(&self) -> Matrix6<f64> {
+        let each = |std: f64| std.powi(2) / 3.0;
+        let (shift, turn) = (each(self.translation_m), each(self.rotation_rad));
+        Matrix6::from_diagonal(&Vector6::new(shift, shift, shift, turn, turn, turn))
     }
 }
 

@@ -106,7 +106,7 @@ impl Round<'_> {
         let (reference, settings) = (reference_markers(self.config), HandEyeSettings::default());
         let base_from_table = self.config.base_from_table;
         if let Some(known) = known {
-            let camera = (known.mount.base_from_camera(&nalgebra::Isometry3::identity()), known.std);
+            let camera = (known.mount.base_from_camera(&nalgebra::Isometry3::identity()), known.std.spread());
             let table =
                 table_before(self.samples, &reference, self.lens, camera, &base_from_table, &settings);
             let table = table.map_err(|error| unsolved(&error))?;

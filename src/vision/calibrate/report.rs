@@ -45,6 +45,7 @@ pub fn report(
         flange_from_camera: fit.guess.flange_from_camera,
         base_from_table: fit.guess.base_from_table,
         flange_from_camera_std: camera.as_ref().map_or(UNKNOWN, TransformStd::of),
+        flange_from_camera_covariance: camera.unwrap_or_else(Matrix6::identity),
         base_from_table_std: table.as_ref().map_or(UNKNOWN, TransformStd::of),
         // A metre and a radian: nothing is known.
         base_from_table_covariance: table.unwrap_or_else(Matrix6::identity),

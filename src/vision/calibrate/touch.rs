@@ -130,11 +130,14 @@ pub fn fit_touches(touches: &[Touch], settings: &TouchSettings) -> Result<TouchF
     let residuals_m: Vec<f64> = touches.iter().map(|touch| miss(&base_from_table, touch)).collect();
     let squares: f64 = residuals_m.iter().map(|miss| miss * miss).sum();
     let rms_m = (squares / touches.len() as f64).sqrt();
-    if rms_m > settings.residual_max_m {
+    let no_fit = || {
         let worst =
             (0..touches.len()).max_by(|&a, &b| residuals_m[a].total_cmp(&residuals_m[b])).unwrap_or(0);
         let worst_mm = mm_from_m(residuals_m[worst]);
-        return Err(TouchError::NoFit { rms_mm: mm_from_m(rms_m), worst: worst + 1, worst_mm });
+        TouchError::NoFit { rms_mm: mm_from_m(rms_m), worst: worst + 1, worst_mm }
+    };
+    if rms_m > settings.residual_max_m {
+        return Err(no_fit());
     }
     // Three coordinates each, six of them spent on the pose: three touches say too little about themselves alone.
     let freedom = (3 * touches.len() - 6) as f64;
@@ -142,7 +145,8 @@ pub fn fit_touches(touches: &[Touch], settings: &TouchSettings) -> Result<TouchF
     let touch_std_m = ((belief + squares) / (settings.hand_weight + freedom)).sqrt();
     let information = information(touches);
     let covariance = information.try_inverse().ok_or(TouchError::Broken)? * touch_std_m.powi(2);
-    check_spread(touches, &TouchSettings { hand_std_m: touch_std_m, ..*settings })?;
+    // Far enough apart for a careful hand, and not for these: it is the touches that are to be made better.
+    check_spread(touches, &TouchSettings { hand_std_m: touch_std_m, ..*settings }).map_err(|_| no_fit())?;
     let held_out_m = (0..touches.len()).map(|left_out| held_out(touches, left_out, settings)).collect();
     Ok(TouchFit { base_from_table, covariance, touch_std_m, residuals_m, held_out_m, rms_m })
 }
@@ -420,6 +424,16 @@ mod tests {
         touched[4].in_base.x += 0.012;
         let told = fit_touches(&touched, &Default::default()).unwrap_err();
         assert!(matches!(told, TouchError::NoFit { worst: 5, .. }), "{told}");
+        // Points near each other bear only small errors.
+        let mut near = touches(
+            &[[0.0, 0.0, 0.0], [0.12, 0.0, 0.0], [0.12, 0.1, 0.0], [0.0, 0.1, 0.0]],
+            1e-4,
+            &mut random,
+        );
+        assert!(fit_touches(&near, &Default::default()).is_ok());
+        near[1].in_base.z += 0.0035;
+        let told = fit_touches(&near, &Default::default()).unwrap_err();
+        assert!(matches!(told, TouchError::NoFit { .. }), "{told}");
         touched[4].in_base.x = f64::NAN;
         assert_eq!(fit_touches(&touched, &Default::default()).unwrap_err(), TouchError::Broken);
     }
