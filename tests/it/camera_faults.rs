@@ -69,7 +69,7 @@ fn start(folder: &Path, address: &str, camera: Option<&str>) -> (Running, Runnin
         .args(["run", "--config"])
         .arg(cell)
         .current_dir(folder)
-        .stderr(Stdio::null())
+        .stderr(std::fs::File::create(folder.join(LOG)).expect("a file"))
         .spawn()
         .expect("the binary runs");
     (Running(simulator), Running(daemon))
@@ -81,10 +81,13 @@ struct Desk<'a> {
     state: PathBuf,
 }
 
+/// What the daemon says, in the test's folder.
+const LOG: &str = "log.txt";
 /// How often a job is handed in again that a busy machine stopped.
 const HANDED_IN: usize = 6;
-/// What such a job says: one side was not served in time. No fault of the camera stops the robot.
-const BUSY: [&str; 2] = ["robot's state stopped coming", "code: \"robot_stopped\""];
+/// What such a job says: one side was not served in time.
+const BUSY: [&str; 3] =
+    ["robot's state stopped coming", "missed celld's heartbeat", "celld's program does not run on the robot"];
 
 impl Desk<'_> {
     fn status(&self) -> String {
@@ -123,6 +126,15 @@ impl Desk<'_> {
             self.arm();
         }
         panic!("{id}: the machine is too busy for a robot");
+    }
+
+    /// That nothing but a busy machine has disarmed the cell.
+    fn no_fault_disarmed_it(&self) {
+        let log = std::fs::read_to_string(self.folder.join(LOG)).expect("what the daemon said");
+        let disarmed = log.lines().filter(|line| line.contains("disarmed: "));
+        let other: Vec<&str> =
+            disarmed.filter(|line| !BUSY.iter().any(|words| line.contains(words))).collect();
+        assert!(other.is_empty(), "{other:?}");
     }
 }
 
@@ -168,6 +180,7 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
     fault("{do: clear}");
     let result = desk.job("again", 0.40, |_| {});
     assert!(result.contains("status: done"), "{result}");
+    desk.no_fault_disarmed_it();
 }
 
 #[test]
