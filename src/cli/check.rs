@@ -161,8 +161,14 @@ fn check_calibration(text: &str, source: &str) -> Result<(), String> {
         Some(calibration::Kind::Table) => {
             calibration::table::TableCalibration::parse(text, source).map(drop).map_err(told)
         }
+        Some(calibration::Kind::Touches) => {
+            calibration::touches::Touches::parse(text, source).map(drop).map_err(told)
+        }
+        Some(calibration::Kind::Round) => {
+            calibration::round::Round::parse(text, source).map(drop).map_err(told)
+        }
         None => Err(format!(
-            "{source}:1:1: no calibration file has these keys; it has `version`, `date` and one of `camera`, `hand_eye`, `table`"
+            "{source}:1:1: no calibration file has these keys; it has `version`, `date` and one of `camera`, `hand_eye`, `table`, `touches`, `samples`"
         )),
     }
 }

@@ -1,7 +1,7 @@
 //! Calibration files: what was measured, how well, with which devices, when.
 //!
-//! In: YAML (or JSON) text. Out: checked values, or every complaint with line and column; and the text of a new file. Three kinds, told by
-//! their top-level key: `camera` (the lens), `hand_eye` (where the camera sits), `table` (table under the robot). Lengths in
+//! In: YAML (or JSON) text. Out: checked values, or every complaint with line and column; and the text of a new file. Told by their
+//! top-level key: `camera` (the lens), `hand_eye` (where the camera sits), `table` (table under the robot). Lengths in
 //! m, angles in rad, rotations as unit quaternions [x, y, z, w]. Nothing measured has a default, and a rotation
 //! that is none, or a camera half a metre off the flange, is refused. Pure: files are opened by the caller.
 
@@ -28,11 +28,22 @@ pub enum Kind {
     HandEye,
     /// The table under the robot.
     Table,
+    /// Points of the table that the tool's tip touched.
+    Touches,
+    /// A recorded round.
+    Round,
 }
 
 /// Tells the kind by the top-level key, `None` if it is no calibration file.
 pub fn kind(top: &Node) -> Option<Kind> {
-    let kinds = [("camera", Kind::Camera), ("hand_eye", Kind::HandEye), ("table", Kind::Table)];
+    // The results come first: they keep what they were made of under the other keys.
+    let kinds = [
+        ("camera", Kind::Camera),
+        ("hand_eye", Kind::HandEye),
+        ("table", Kind::Table),
+        ("touches", Kind::Touches),
+        ("samples", Kind::Round),
+    ];
     let measured = top.get("version").is_some() && top.get("date").is_some();
     kinds.into_iter().find(|(key, _)| measured && top.get(key).is_some()).map(|(_, kind)| kind)
 }
@@ -195,6 +206,10 @@ mod tests {
         let told = |text: &str| kind(&parse(text, "f").unwrap());
         assert_eq!(told("version: 1\ndate: d\ntable: {}\n"), Some(Kind::Table));
         assert_eq!(told("version: 1\ndate: d\nhand_eye: {}\n"), Some(Kind::HandEye));
+        assert_eq!(told("version: 1\ndate: d\ntable: {}\ntouches: {}\n"), Some(Kind::Table));
+        assert_eq!(told("version: 1\ndate: d\ntouches: []\n"), Some(Kind::Touches));
+        assert_eq!(told("version: 1\ndate: d\nhand_eye: {}\nsamples: []\n"), Some(Kind::HandEye));
+        assert_eq!(told("version: 1\ndate: d\nsamples: []\n"), Some(Kind::Round));
         assert_eq!(told("version: 1\ncamera: {address: x}\n"), None);
         assert_eq!(told("objects: []\n"), None);
     }
