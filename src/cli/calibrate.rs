@@ -1,21 +1,24 @@
-//! `celld calibrate`: the lens, the camera on the hand, the table under the robot.
+//! `celld calibrate`: the lens, the camera on the hand or over the table, the table under the robot.
 //!
 //! In: the cell's configuration with its nominal mount, table and calibration poses, and live devices or a recorded round. Out: calibration
 //! files, and the error of every sample on stderr. `camera` measures the lens (its own file), `hand-eye` (and no
-//! word at all) mount and table together, `table` the table alone after it was moved. Exit codes as everywhere.
+//! word at all) mount and table together, `table` the table alone after it was moved, `touches` records points that the
+//! tool's tip touched, which `table` ties to what the camera sees. Exit codes as everywhere.
 
 pub mod camera;
 mod empty;
+mod finish;
+mod propose;
 mod take;
+pub mod touch;
 
 use crate::cli::daemon::{open_camera, open_hardware, with_runtime};
 use crate::cli::detect::{read_camera, read_picture};
-use crate::cli::task::complain;
+use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::daemon::calibrate::{Arm, Eye, Look, Setting, measure, solve};
-use crate::daemon::calibration_files::{CalibrationSet, provenance};
-use crate::daemon::setup::reference_markers;
+use crate::daemon::calibrate::{Arm, Eye, Look, Setting, kinematics, visit};
+use crate::daemon::calibration_files::provenance;
 use crate::device::program::Nonce;
 use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
@@ -23,18 +26,21 @@ use crate::io::camera::supervised::Supervised;
 use crate::io::clock::unix_now_s;
 use crate::io::files;
 use crate::jobs::utc;
-use crate::vision::calibrate::{HandEye, Sample};
+use crate::vision::calibrate::Sample;
 use crate::vision::calibration::camera::CameraCalibration;
-use crate::vision::calibration::hand_eye::{HandEyeCalibration, Provenance};
+use crate::vision::calibration::hand_eye::Provenance;
 use crate::vision::calibration::round::{RecordedSample, Round};
-use crate::vision::calibration::table::TableCalibration;
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detector};
+use crate::vision::image::Image;
 use clap::{Args, Subcommand};
+use finish::finish;
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::thread::JoinHandle;
 
 /// `celld calibrate`
 #[derive(Args, Clone, Debug)]
@@ -50,13 +56,35 @@ pub struct CalibrateArgs {
 enum What {
     /// The lens, from pictures of a printed board
     Camera(camera::CameraArgs),
-    /// Where the camera sits on the flange, and the table under the robot
-    HandEye(RoundArgs),
-    /// The table alone, after it was moved: the camera's place on the flange is kept
+    /// Where the camera sits (on the flange, or fixed over the table), and the table under the robot
+    #[command(after_help = HAND_EYE_HELP)]
+    HandEye(HandEyeArgs),
+    /// The table alone, after it was moved: the camera's place is kept; with --touches, tied to what the tool's tip touched
+    #[command(after_help = TABLE_HELP)]
     Table(RoundArgs),
     /// Pictures of the empty table from the look poses, for cameras without depth to compare with
     Empty(empty::EmptyArgs),
+    /// Record points of the table that the tool's tip touches; the arm is moved by hand, celld only reads it
+    #[command(after_help = touch::HELP)]
+    Touches(touch::TouchArgs),
 }
+
+const HAND_EYE_HELP: &str = "\
+With `camera: {mount: flange}` the camera looks at the reference markers from the taught `calibration_poses_deg`.
+With `camera: {mount: fixed, base_from_camera, board}` the hand carries the board through the picture of a camera that
+stands; the reference markers seen meanwhile place the table.
+
+Poses need not be taught: give a `calibration_box` (free of people and things) in the configuration, then
+  celld calibrate hand-eye --propose              # prints poses in the box, as calibration_poses_deg
+  celld calibrate hand-eye --visit --yes          # proposes, moves there slowly, looks, calibrates
+Poses that leave a rotation out are refused with its name. Expect under 0.3 px, and under 0.5 mm for held-out samples.";
+
+const TABLE_HELP: &str = "\
+Tie the table to the tool as well: touch at least three marked points far apart, not on one line, then
+  celld calibrate touches --points 500,501,502,503 --tip-mm 0,0,150 --save touches.yaml
+  celld calibrate table --touches touches.yaml
+Touch knows nothing of lens and mount. Expect touches within 0.5 mm, and touch and camera to agree within 1 mm and
+0.2 degrees; above --tie-mm or --tie-deg nothing is written.";
 
 /// A round over the reference markers.
 #[derive(Args, Clone, Debug)]
@@ -73,6 +101,26 @@ pub struct RoundArgs {
     /// Leave these samples out, by their numbers in the report: 3,7
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     drop: Vec<usize>,
+    #[command(flatten)]
+    tie: touch::TieArgs,
+}
+
+/// A round for camera and table, from taught or proposed poses.
+#[derive(Args, Clone, Debug)]
+pub struct HandEyeArgs {
+    #[command(flatten)]
+    round: RoundArgs,
+    /// Print this many poses within the configuration's `calibration_box` and stop; nothing moves.
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "15", conflicts_with_all = ["from", "record", "visit"],
+          value_parser = clap::value_parser!(u16).range(8..=60))]
+    propose: Option<u16>,
+    /// Propose this many poses within `calibration_box` and move the arm to them instead of the taught ones.
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "15", conflicts_with = "from",
+          value_parser = clap::value_parser!(u16).range(8..=60))]
+    visit: Option<u16>,
+    /// The box is free of people and things: let the arm move to the proposed poses.
+    #[arg(long, requires = "visit")]
+    yes: bool,
 }
 
 /// What is asked of a round.
@@ -85,15 +133,40 @@ enum Wanted {
 /// Calibrates; returns the exit code.
 pub fn run(args: &CalibrateArgs, stop: Arc<AtomicBool>) -> u8 {
     match &args.what {
-        None => round(&args.round, Wanted::MountAndTable, stop),
-        Some(What::HandEye(args)) => round(args, Wanted::MountAndTable, stop),
-        Some(What::Table(args)) => round(args, Wanted::Table, stop),
+        None => round(&args.round, Wanted::MountAndTable, None, stop),
+        Some(What::HandEye(args)) => hand_eye(args, stop),
+        Some(What::Table(args)) => round(args, Wanted::Table, None, stop),
         Some(What::Empty(args)) => empty::run(args, stop),
         Some(What::Camera(args)) => camera::run(args),
+        Some(What::Touches(args)) => touch::run(args, stop),
     }
 }
 
-fn round(args: &RoundArgs, wanted: Wanted, stop: Arc<AtomicBool>) -> u8 {
+fn hand_eye(args: &HandEyeArgs, stop: Arc<AtomicBool>) -> u8 {
+    let count = args.propose.or(args.visit).map(usize::from);
+    match count {
+        Some(count) if !args.yes => {
+            let told = load_cell(&args.round.config).map_err(|error| error.to_string());
+            match told.and_then(|config| propose::on_paper(&config, count)) {
+                Ok(text) => print(&text),
+                Err(message) => {
+                    complain(&message);
+                    return 2;
+                }
+            }
+            if args.visit.is_none() {
+                return 0;
+            }
+            complain(
+                "the arm would move to these poses; when the box is free of people and things, add --yes",
+            );
+            2
+        }
+        count => round(&args.round, Wanted::MountAndTable, count, stop),
+    }
+}
+
+fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<AtomicBool>) -> u8 {
     let config = match load_cell(&args.config) {
         Ok(config) => config,
         Err(error) => {
@@ -101,6 +174,11 @@ fn round(args: &RoundArgs, wanted: Wanted, stop: Arc<AtomicBool>) -> u8 {
             return 2;
         }
     };
+    // Before the arm moves for nothing.
+    if let Err(message) = args.tie.check() {
+        complain(&message);
+        return 2;
+    }
     if args.from.is_some() {
         return match recorded(&config, args).and_then(|taken| finish(&config, taken, args, wanted)) {
             Ok(()) => 0,
@@ -112,7 +190,7 @@ fn round(args: &RoundArgs, wanted: Wanted, stop: Arc<AtomicBool>) -> u8 {
     }
     let args = args.clone();
     with_runtime(stop, move |stop| async move {
-        let taken = live(&config, &args, stop).await?;
+        let taken = live(&config, args.record.as_deref(), proposed, stop).await?;
         finish(&config, taken, &args, wanted).map_err(|fault| fault.message)
     })
 }
@@ -136,17 +214,29 @@ struct Taken {
     samples: Vec<Sample>,
 }
 
-/// Moves the arm round.
-async fn live(config: &CellConfig, args: &RoundArgs, stop: Arc<AtomicBool>) -> Result<Taken, String> {
+/// Moves the arm round: to the taught poses, or to so many proposed ones. Pictures and poses are kept in the folder
+/// `record`.
+async fn live(
+    config: &CellConfig,
+    record: Option<&Path>,
+    proposed: Option<usize>,
+    stop: Arc<AtomicBool>,
+) -> Result<Taken, String> {
     let (mut hardware, _) = open_hardware(config)?;
     let (camera, lens) = tokio::task::block_in_place(|| camera_and_lens(config))?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let count = config.calibration_poses.len();
-    let record = args.record.as_deref().map(Recording::new).transpose()?;
+    let stopped = || stop.load(Ordering::Relaxed);
+    let arm = kinematics(&mut hardware, &stopped).await.map_err(|error| chain(&error))?;
+    let poses = match proposed {
+        None => config.calibration_poses.clone(),
+        Some(count) => propose::from_here(config, &lens.model, &arm, &hardware, count)?,
+    };
+    let count = poses.len();
+    let record = record.map(Recording::new).transpose()?;
     let setting = Setting {
         config,
         nonce: Nonce::new((unix_now_s() * 1e3) as u64),
-        stop: &|| stop.load(Ordering::Relaxed),
+        stop: &stopped,
         progress: &|look| {
             complain(&format!("pose {}/{count}: {} markers", look.pose, look.sample.detections.len()));
             if let Some(record) = &record {
@@ -155,9 +245,9 @@ async fn live(config: &CellConfig, args: &RoundArgs, stop: Arc<AtomicBool>) -> R
         },
     };
     let eye = Eye { camera: Box::new(camera), detector };
-    let (arm, samples) = measure(&mut hardware, eye, &setting).await.map_err(|error| chain(&error))?;
+    let samples = visit(&mut hardware, &arm, &poses, eye, &setting).await.map_err(|error| chain(&error))?;
     let provenance = of_arm(&lens.model, &arm);
-    if let Some(record) = &record {
+    if let Some(record) = record {
         record.close(&lens, &provenance)?;
     }
     Ok(Taken { lens, provenance, samples })
@@ -254,108 +344,46 @@ fn recorded(config: &CellConfig, args: &RoundArgs) -> Result<Taken, Fault> {
     Ok(Taken { lens, provenance: round.provenance, samples })
 }
 
-/// Solves, reports, writes.
-fn finish(config: &CellConfig, taken: Taken, args: &RoundArgs, wanted: Wanted) -> Result<(), Fault> {
-    let mut samples = taken.samples;
-    for number in &args.drop {
-        let Some(sample) = number.checked_sub(1).and_then(|index| samples.get_mut(index)) else {
-            return Err(bad_input(format!("--drop {number}: there are samples 1 to {}", samples.len())));
-        };
-        sample.detections.clear();
-    }
-    let known = match wanted {
-        Wanted::MountAndTable => None,
-        Wanted::Table => Some(known_mount(config, &taken.provenance).map_err(bad_input)?),
-    };
-    let mount = known.as_ref().map(|known| known.flange_from_camera);
-    let solved = solve(config, &taken.lens.model, &samples, mount);
-    let solved = solved.map_err(|error| Fault { message: chain(&error), code: 1 })?;
-    report(&solved);
-    let hand_eye =
-        known.unwrap_or_else(|| HandEyeCalibration::from_solution(&solved, taken.provenance.clone()));
-    let table = TableCalibration::from_solution(&solved, &reference_markers(config), taken.provenance);
-    let set = CalibrationSet { camera: taken.lens, hand_eye, table };
-    let paths = set.write(&config.calibration).map_err(|error| Fault { message: chain(&error), code: 1 })?;
-    for path in paths {
-        complain(&format!("wrote {}", path.display()));
-    }
-    Ok(())
+/// A round being kept in a folder. Pictures are written by a thread of their own: the robot must not be left unheard for
+/// as long as a picture takes to pack.
+struct Recording {
+    folder: PathBuf,
+    kept: RefCell<Vec<RecordedSample>>,
+    pictures: Sender<(PathBuf, Image)>,
+    writer: JoinHandle<Result<(), String>>,
 }
 
-/// The mount measured before, if it is this camera's on this robot.
-fn known_mount(config: &CellConfig, now: &Provenance) -> Result<HandEyeCalibration, String> {
-    let path = &config.calibration.hand_eye;
-    let text = files::read_named(path, 1 << 20)
-        .map_err(|error| format!("{}; run `celld calibrate hand-eye` first", chain(&error)))?;
-    let known = HandEyeCalibration::parse(&text, &path.display().to_string());
-    let known = known.map_err(|complaints| complaints.to_string())?;
-    let same = known.provenance.camera_serial == now.camera_serial
-        && known.provenance.robot_serial == now.robot_serial
-        && known.provenance.kinematics_checksum == now.kinematics_checksum;
-    if same {
-        return Ok(known);
-    }
-    Err(format!(
-        "{}: made with camera {} on robot {}, but this is {} on {}; run `celld calibrate hand-eye`",
-        path.display(),
-        known.provenance.camera_serial,
-        known.provenance.robot_serial,
-        now.camera_serial,
-        now.robot_serial
-    ))
-}
-
-fn report(solved: &HandEye) {
-    let mm = |value: Option<f64>| value.map_or("-".to_string(), |m| format!("{:.2} mm", m * 1e3));
-    complain(&format!("reprojection {:.3} px rms", solved.reprojection_px_rms));
-    complain(&format!("held out {} rms, {} at most", mm(solved.held_out_rms_m), mm(solved.held_out_max_m)));
-    for sample in &solved.samples {
-        let mark = if sample.rejected { "  rejected" } else { "" };
-        complain(&format!(
-            "  sample {:2}: {:2} markers, {:.3} px, {:.2} mm{mark}",
-            sample.sample + 1,
-            sample.markers,
-            sample.residual_px,
-            sample.residual_m * 1e3
-        ));
-    }
-}
-
-/// A round being kept in a folder.
-struct Recording<'a> {
-    folder: &'a Path,
-    /// What was kept so far, and the first thing that went wrong.
-    kept: RefCell<(Vec<RecordedSample>, Option<String>)>,
-}
-
-impl Recording<'_> {
-    fn new(folder: &Path) -> Result<Recording<'_>, String> {
+impl Recording {
+    fn new(folder: &Path) -> Result<Recording, String> {
         files::create_folder(folder).map_err(|error| error.to_string())?;
-        Ok(Recording { folder, kept: RefCell::default() })
+        let (pictures, taken) = channel::<(PathBuf, Image)>();
+        let write = move || {
+            let mut outcome = Ok(());
+            for (path, image) in taken {
+                let bytes = image.encode_png().map_err(|error| format!("{}: {error}", path.display()));
+                let written = bytes
+                    .and_then(|bytes| files::write_atomic(&path, &bytes).map_err(|error| error.to_string()));
+                // The first fault is the one to tell.
+                outcome = outcome.and(written);
+            }
+            outcome
+        };
+        let writer = std::thread::spawn(write);
+        Ok(Recording { folder: folder.to_path_buf(), kept: RefCell::default(), pictures, writer })
     }
 
     fn keep(&self, look: &Look) {
         let image = format!("{:02}.png", look.pose);
-        let bytes = look.image.encode_png().map_err(|error| error.to_string());
-        let path = self.folder.join(&image);
-        let written =
-            bytes.and_then(|bytes| files::write_atomic(&path, &bytes).map_err(|error| error.to_string()));
-        let mut kept = self.kept.borrow_mut();
-        match written {
-            Ok(()) => {
-                kept.0.push(RecordedSample { image, base_from_flange: look.sample.base_from_flange });
-            }
-            Err(error) => kept.1 = kept.1.take().or(Some(error)),
-        }
+        // It only hangs up when it has panicked, and then `close` says so.
+        let _ = self.pictures.send((self.folder.join(&image), look.image.clone()));
+        self.kept.borrow_mut().push(RecordedSample { image, base_from_flange: look.sample.base_from_flange });
     }
 
-    /// Writes the poses and the lens beside the pictures.
-    fn close(&self, lens: &CameraCalibration, provenance: &Provenance) -> Result<(), String> {
-        let (samples, fault) = self.kept.take();
-        if let Some(fault) = fault {
-            return Err(fault);
-        }
-        let round = Round { provenance: provenance.clone(), samples };
+    /// Waits for the pictures and writes the poses and the lens beside them.
+    fn close(self, lens: &CameraCalibration, provenance: &Provenance) -> Result<(), String> {
+        drop(self.pictures);
+        self.writer.join().map_err(|_| "a picture of the round could not be written".to_string())??;
+        let round = Round { provenance: provenance.clone(), samples: self.kept.take() };
         let put = |name: &str, text: String| {
             files::write_atomic(&self.folder.join(name), text.as_bytes()).map_err(|error| error.to_string())
         };

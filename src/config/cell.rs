@@ -12,9 +12,10 @@ use crate::jobs::policy::{Approval, JobObjective};
 use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
 use crate::units::{ATMOSPHERE_PA, Joints};
+use crate::vision::board::Board;
 use crate::vision::image::quality::PictureLimits;
 use crate::vision::observe::ObserveLimits;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use std::path::PathBuf;
 
 /// One robot cell, as `celld run` needs it.
@@ -45,6 +46,8 @@ pub struct CellConfig {
     pub work_pose: Joints,
     /// Taught joint poses for `celld calibrate`.
     pub calibration_poses: Vec<Joints>,
+    /// Where the flange stays while calibrating; poses are proposed in it.
+    pub calibration_box: Option<CalibrationBox>,
     /// Files that `celld calibrate` writes and `celld run` reads.
     pub calibration: CalibrationFiles,
     /// What the arm may do at most.
@@ -192,11 +195,41 @@ pub enum CameraMount {
         /// Nominal mount.
         flange_from_camera: Isometry3<f64>,
     },
-    /// Beside the table; the arm parks before a look.
+    /// Over the table; the look poses keep the arm out of its picture.
     Fixed {
         /// Nominal mount.
         base_from_camera: Isometry3<f64>,
+        /// What the hand carries before it to calibrate it.
+        board: Board,
     },
+}
+
+/// A box in the robot's base frame, edges along its axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CalibrationBox {
+    /// The corner with the smallest coordinates, m.
+    pub low_m: [f64; 3],
+    /// The opposite corner, m.
+    pub high_m: [f64; 3],
+}
+
+impl CalibrationBox {
+    /// The smallest box round some places; `None` round none.
+    pub fn around(places: impl Iterator<Item = [f64; 3]>) -> Option<CalibrationBox> {
+        places.fold(None, |found: Option<CalibrationBox>, place| {
+            let found = found.unwrap_or(CalibrationBox { low_m: place, high_m: place });
+            Some(CalibrationBox {
+                low_m: std::array::from_fn(|i| found.low_m[i].min(place[i])),
+                high_m: std::array::from_fn(|i| found.high_m[i].max(place[i])),
+            })
+        })
+    }
+
+    /// How far a place lies outside, m; 0 inside.
+    pub fn outside_m(&self, place: &Vector3<f64>) -> f64 {
+        let beyond = |i: usize| (self.low_m[i] - place[i]).max(place[i] - self.high_m[i]).max(0.0);
+        beyond(0).hypot(beyond(1)).hypot(beyond(2))
+    }
 }
 
 /// Paths of the calibration files, absolute.

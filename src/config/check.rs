@@ -3,6 +3,7 @@
 //! In: the parts that could be read, and where the keys stand. Out: complaints in the decoder. Each check takes
 //! the parts it needs and is left out when one of them is missing, so that one wrong key hides no other fault. Pure.
 
+use crate::config::calibration::check_board;
 use crate::config::cell::{CupConfig, Devices, GripperConfig, MotionLimits};
 use crate::config::parts::CellParts;
 use crate::document::Location;
@@ -38,7 +39,7 @@ impl<'n> Places<'n> {
     }
 
     /// Place of `keys` inside each other; of the innermost that is there.
-    fn at(&self, keys: &[&str]) -> Location {
+    pub(super) fn at(&self, keys: &[&str]) -> Location {
         let mut node = self.top;
         for key in keys {
             let inner = match key.parse::<usize>() {
@@ -64,6 +65,7 @@ pub(super) fn check_cell(decoder: &mut Decoder, parts: &CellParts, places: &Plac
     check_simulation(decoder, parts, places);
     check_depth(decoder, parts, places);
     check_poses(decoder, parts, places);
+    check_board(decoder, parts, places);
     if let Some(limits) = &parts.limits {
         check_limits(decoder, limits, places);
     }

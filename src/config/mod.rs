@@ -1,5 +1,6 @@
 //! Checked configuration of the cell and of the simulator.
 
+mod calibration;
 pub mod camera;
 pub mod cell;
 pub mod check;

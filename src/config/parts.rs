@@ -4,8 +4,8 @@
 //! run on this, so that a wrong unit in one place does not hide a marker used twice in another. Pure.
 
 use crate::config::cell::{
-    CalibrationFiles, CameraMount, CellConfig, Devices, GripperConfig, MotionLimits, PlannerConfig,
-    RecordingConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
+    CalibrationBox, CalibrationFiles, CameraMount, CellConfig, Devices, GripperConfig, MotionLimits,
+    PlannerConfig, RecordingConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
 };
 use crate::jobs::policy::Approval;
 use crate::supervisor::model::ForeignRule;
@@ -31,6 +31,8 @@ pub(super) struct CellParts {
     pub park_pose: Option<Joints>,
     pub work_pose: Option<Joints>,
     pub calibration_poses: Option<Vec<Option<Joints>>>,
+    /// `Some(None)` when the key is absent.
+    pub calibration_box: Option<Option<CalibrationBox>>,
     pub calibration: Option<CalibrationFiles>,
     /// Also there when another limit is wrong.
     pub joint_range: Option<[(f64, f64); 6]>,
@@ -76,6 +78,7 @@ impl CellParts {
             park_pose: self.park_pose?,
             work_pose: self.work_pose?,
             calibration_poses: all(self.calibration_poses)?,
+            calibration_box: self.calibration_box?,
             calibration: self.calibration?,
             limits: self.limits?,
             tolerances: self.tolerances?,

@@ -4,10 +4,10 @@
 //! checked configuration, or every complaint at once. Nothing measured and no limit has a default; what may
 //! be left out are the keys that only switch something on.
 
+use crate::config::calibration;
 use crate::config::camera::camera_device;
 use crate::config::cell::{
-    CalibrationFiles, CameraMount, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig,
-    SimulationConfig, Tolerances,
+    CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig, Tolerances,
 };
 use crate::config::check::{Places, check_cell};
 use crate::config::fields::{
@@ -42,6 +42,7 @@ pub const CELL_KEYS: &[&str] = &[
     "park_pose_deg",
     "work_pose_deg",
     "calibration_poses_deg",
+    "calibration_box",
     "calibration",
     "limits",
     "tolerances",
@@ -113,13 +114,16 @@ fn parts(
     let gripper = fields.required("gripper", decoder).and_then(|at| gripper(decoder, &at));
     let flange_from_tool = transform(decoder, fields, "flange_from_tool");
     let base_from_table = transform(decoder, fields, "base_from_table");
-    let camera = fields.required("camera", decoder).and_then(|at| camera(decoder, &at));
+    let camera = fields.required("camera", decoder).and_then(|at| calibration::camera(decoder, &at));
     let look_poses = required_each(decoder, fields, "look_poses_deg", joints_deg);
     let calibration_poses = required_each(decoder, fields, "calibration_poses_deg", joints_deg);
     let park_pose = required_joints(decoder, fields, "park_pose_deg");
     let work_pose = required_joints(decoder, fields, "work_pose_deg");
+    let calibration_box = optional(decoder, fields, "calibration_box", None, |decoder, at| {
+        calibration::calibration_box(decoder, at).map(Some)
+    });
     let calibration =
-        fields.required("calibration", decoder).and_then(|at| calibration(decoder, &at, folder));
+        fields.required("calibration", decoder).and_then(|at| calibration::files(decoder, &at, folder));
     let (joint_range, limits) =
         fields.required("limits", decoder).map_or((None, None), |at| limits(decoder, &at));
     let tolerances = fields.required("tolerances", decoder).and_then(|at| tolerances(decoder, &at));
@@ -150,6 +154,7 @@ fn parts(
         park_pose,
         work_pose,
         calibration_poses,
+        calibration_box,
         calibration,
         joint_range,
         limits,
@@ -266,36 +271,6 @@ fn object_list(decoder: &mut Decoder, at: &At) -> Catalogue {
         Some(object)
     });
     Catalogue { objects, markers: items.iter().filter_map(MarkerUse::of).collect() }
-}
-
-fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
-    let mount_at = decoder.open_map(at)?.required("mount", decoder)?;
-    match decoder.choice(&mount_at, &[("flange", "flange"), ("fixed", "fixed")])? {
-        "flange" => {
-            let fields = decoder.map(at, &["mount", "flange_from_camera"])?;
-            let flange_from_camera = transform(decoder, &fields, "flange_from_camera")?;
-            Some(CameraMount::Flange { flange_from_camera })
-        }
-        _ => {
-            // The word stays known, so that the complaint is about what is missing in celld and not in the file.
-            let help = "use `mount: flange` with flange_from_camera";
-            decoder.complain_at(&mount_at, "a fixed camera is not built yet", help);
-            let fields = decoder.map(at, &["mount", "base_from_camera"])?;
-            let base_from_camera = transform(decoder, &fields, "base_from_camera")?;
-            Some(CameraMount::Fixed { base_from_camera })
-        }
-    }
-}
-
-fn calibration(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CalibrationFiles> {
-    let fields = decoder.map(at, &["camera", "hand_eye", "table", "empty"])?;
-    let mut file = |key: &str| fields.required(key, decoder).and_then(|at| path(decoder, &at, folder));
-    let (camera, hand_eye, table) = (file("camera"), file("hand_eye"), file("table"));
-    let empty = match fields.optional("empty") {
-        Some(at) => Some(path(decoder, &at, folder)?),
-        None => None,
-    };
-    Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table?, empty })
 }
 
 /// The joints' ranges, which the taught poses are compared with, and all limits together.

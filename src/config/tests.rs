@@ -119,11 +119,9 @@ fn a_unit_or_type_is_told() {
     check("host: 127.0.0.2}", "host: 'http://127.0.0.2:80'}", "not a host name");
     check("solver: auto", "solver: best", "one of: tbm");
     check("objective: pp", "objective: fast", "one of: pp, ti, time");
-    check(
-        "mount: flange\n  flange_from",
-        "mount: fixed\n  base_from",
-        "a fixed camera is not built yet; use `mount: flange`",
-    );
+    check("mount: flange\n  flange_from", "mount: fixed\n  base_from", "key \"board\" is missing");
+    check("low: [-0.40, 0.12, 0.25]", "low: [0.40, 0.12, 0.25]", "no box with edges of 0.05 to 4 m");
+    check("{low: [-0.40, 0.12, 0.25], ", "{", "key \"low\" is missing");
     check("foreign: {mode: refuse}", "foreign: {mode: obstacle}", "key \"margin_m\" is missing");
     check("foreign: {mode: refuse}", "foreign: {mode: refuse, margin_m: 0.01}", "unknown key");
     check("foreign: {mode: refuse}", "foreign: {mode: ignore}", "one of: refuse, obstacle, off");
@@ -212,6 +210,42 @@ fn a_wrong_key_hides_no_fault_elsewhere() {
         assert!(told.to_string().contains(wanted), "{wanted}:\n{told}");
     }
     assert_eq!(told.0.len(), 7, "{told}");
+}
+
+#[test]
+fn a_fixed_camera_names_the_board_on_the_hand() {
+    let with = |board: &str| {
+        let fixed = format!("mount: fixed\n  board: {{{board}}}\n  base_from");
+        cell(&CELL.replace("mount: flange\n  flange_from", &fixed))
+    };
+    let fixed = with("columns: 5, rows: 4, size: 0.02, first_id: 100").unwrap();
+    let CameraMount::Fixed { board, .. } = fixed.camera else { panic!("{:?}", fixed.camera) };
+    assert_eq!((board.count(), board.first_id), (20, 100));
+    assert!((board.gap_m - 0.006).abs() < 1e-12, "as celld markers prints it");
+    let told = |board: &str| with(board).unwrap_err().to_string();
+    assert!(told("columns: 5, rows: 4, size: 0.02, first_id: 495").contains("marker 500 of the board"));
+    assert!(told("columns: 5, rows: 4, size: 0.02").contains("marker 0 of the board is also on the table"));
+    assert!(told("columns: 5, rows: 4, size: 20, first_id: 100").contains("20 m is out of range"));
+    assert!(told("columns: 5, rows: 4, size: 0.02, first_id: 570").contains("not in the family"));
+}
+
+#[test]
+fn a_box_may_be_taught_by_its_corners() {
+    let corners = "{corners_deg: [[-121.6, -128.7, 116.1, -77.4, -90, -31.6], [-77.4, -70.1, 64.8, -55.1, -109.6, 40.8], \
+                   [-91.7, -91.7, 108.9, -108.9, -90, 0]]}";
+    let text = CELL.replace("{low: [-0.40, 0.12, 0.25], high: [0.40, 0.70, 0.75]}", corners);
+    let found = cell(&text).unwrap().calibration_box.unwrap();
+    // Where the drawing's arm has its flange in those poses.
+    for (found, wanted) in
+        found.low_m.iter().chain(&found.high_m).zip([-0.223, 0.254, 0.375, 0.0, 0.540, 0.480])
+    {
+        assert!((found - wanted).abs() < 1e-3, "{found} {wanted}");
+    }
+    let one = CELL.replace(
+        "{low: [-0.40, 0.12, 0.25], high: [0.40, 0.70, 0.75]}",
+        "{corners_deg: [[-121.6, -128.7, 116.1, -77.4, -90, -31.6]]}",
+    );
+    assert!(cell(&one).unwrap_err().to_string().contains("at least two opposite corners"));
 }
 
 /// The daemon grips with all cups at once, so a second channel that reaches over the objects is no help.

@@ -5,7 +5,7 @@
 //! the operator's order only, through checked joint paths, at a speed that keeps the tool under 0.1 m/s
 //! (design, section 7, rule 1, class *calibrate*).
 
-use crate::config::cell::{CameraMount, CellConfig};
+use crate::config::cell::{CalibrationBox, CameraMount, CellConfig};
 use crate::daemon::cameras::trouble_of;
 use crate::daemon::hardware::{Happening, Hardware};
 use crate::daemon::setup::{arm_model, reference_markers};
@@ -17,7 +17,7 @@ use crate::motion::kinematics::{DhParameters, forward};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
 use crate::supervisor::gates::{Closed, any_motion};
 use crate::time::Timestamp;
-use crate::units::Joints;
+use crate::units::{Joints, mm_from_m};
 use crate::vision::calibrate::{
     CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample, solve_hand_eye,
 };
@@ -44,9 +44,20 @@ pub enum DriveError {
         /// Which links are down, and why.
         links: String,
     },
-    /// Hand-eye calibration needs a camera that moves with the hand.
-    #[error("a fixed camera cannot be calibrated yet: `camera: {{mount: flange}}` only")]
+    /// The camera does not sit where this solver looks for it.
+    #[error("the configuration's camera is not mounted on the flange")]
     FixedCamera,
+    /// The arm would leave the taught box, or stands outside of it.
+    #[error(
+        "{what} {outside_mm:.0} mm outside the calibration box: jog the arm into it, or widen `calibration_box` to what is free \
+         of people and things"
+    )]
+    OutsideBox {
+        /// Who is outside.
+        what: String,
+        /// How far, mm.
+        outside_mm: f64,
+    },
     /// The samples do not give a solution.
     #[error("calibration")]
     Solve(#[from] CalibrateError),
@@ -85,6 +96,9 @@ const FLOOR: f64 = 0.05;
 /// The arm counts as still below this joint speed, rad/s, for this long.
 const STILL_RAD_S: f64 = 5e-4;
 const SETTLE: Duration = Duration::from_millis(500);
+
+/// For a state before a move, s.
+const STATE_WITHIN: u64 = 5;
 
 /// Between the order to end the program and its end.
 const END_WITHIN: u64 = 10;
@@ -159,13 +173,29 @@ pub async fn measure(
     setting: &Setting<'_>,
 ) -> Result<(Arm, Vec<Sample>), DriveError> {
     let arm = kinematics(hardware, setting.stop).await?;
+    let samples = visit(hardware, &arm, &setting.config.calibration_poses, eye, setting).await?;
+    Ok((arm, samples))
+}
+
+/// The same through given poses, with an arm whose kinematics are known.
+///
+/// # Errors
+/// What kept the robot from coming up or interrupted the round.
+pub async fn visit(
+    hardware: &mut Hardware,
+    arm: &Arm,
+    poses: &[Joints],
+    eye: Eye,
+    setting: &Setting<'_>,
+) -> Result<Vec<Sample>, DriveError> {
     bring_up(hardware, setting).await?;
     let model = arm_model(setting.config, arm.dh, setting.config.base_from_table);
-    let mut round = Round { hardware, model: &model, nonce: setting.nonce, stop: setting.stop };
-    let samples = collect(&mut round, &setting.config.calibration_poses, eye, setting.progress).await;
+    let room = setting.config.calibration_box;
+    let mut round = Round { hardware, model: &model, room, nonce: setting.nonce, stop: setting.stop };
+    let samples = collect(&mut round, poses, eye, setting.progress).await;
     let ended = end_program(hardware).await;
     let samples = samples?;
-    ended.map(|()| (arm, samples))
+    ended.map(|()| samples)
 }
 
 /// Camera mount and table from the samples, starting at the configuration's nominal values.
@@ -243,21 +273,60 @@ async fn end_program(hardware: &mut Hardware) -> Result<(), DriveError> {
     }
 }
 
+/// The check that every move of a calibration passes: reach, limits and heights of the arm, and that the flange stays
+/// in the taught box where there is one.
+///
+/// # Errors
+/// `Path` or `OutsideBox`; `pose` is the number that they name.
+pub fn checked_move(
+    model: &ArmModel,
+    room: Option<&CalibrationBox>,
+    pose: usize,
+    from: &Joints,
+    target: Joints,
+) -> Result<CheckedPath, DriveError> {
+    let speed = slow_enough(model, from, &target);
+    let segment = Segment::Joint { target, speed, acceleration: model.limits.joint_acceleration, blend: 0.0 };
+    let path = CheckedPath::new(model, from, &[Leg { segment, floor: FLOOR }])
+        .map_err(|fault| DriveError::Path { pose, fault })?;
+    let Some(room) = room else { return Ok(path) };
+    for k in 0..=TRAVEL_SAMPLES {
+        let q = between(from, &target, k as f64 / TRAVEL_SAMPLES as f64);
+        let outside_m = room.outside_m(&forward(&model.dh, &q).translation.vector);
+        if outside_m > 0.0 {
+            let what = match k {
+                0 => "the flange is".to_string(),
+                TRAVEL_SAMPLES => format!("calibration pose {pose} is"),
+                _ => format!("on the way to calibration pose {pose} the flange would be"),
+            };
+            return Err(DriveError::OutsideBox { what, outside_mm: mm_from_m(outside_m) });
+        }
+    }
+    Ok(path)
+}
+
+/// The joints a share of the way along a joint move.
+fn between(from: &Joints, to: &Joints, share: f64) -> Joints {
+    Joints(std::array::from_fn(|i| from.0[i] + share * (to.0[i] - from.0[i])))
+}
+
 /// Moves to `target` on a checked joint path and waits until the arm stands still there.
 ///
 /// # Errors
 /// The path's fault, or what interrupted the motion.
 async fn move_to(round: &mut Round<'_>, pose: usize, target: Joints) -> Result<Joints, DriveError> {
     let started = round.hardware.now();
-    any_motion(true, &round.hardware.outside(started), Some(round.nonce))?;
+    // Whoever heard of the last picture may have taken a moment in which no state was read.
+    while !round.hardware.robot().fresh(round.hardware.now()) {
+        guard(round.hardware, started, STATE_WITHIN, "the robot did not say where it is", round.stop)?;
+        round.hardware.next().await;
+    }
+    let now = round.hardware.now();
+    any_motion(true, &round.hardware.outside(now), Some(round.nonce))?;
     let Some(q) = round.hardware.robot().state().map(|robot| robot.q) else {
         return Err(Closed::Stale.into());
     };
-    let limits = &round.model.limits;
-    let speed = slow_enough(round.model, &q, &target);
-    let segment = Segment::Joint { target, speed, acceleration: limits.joint_acceleration, blend: 0.0 };
-    let path = CheckedPath::new(round.model, &q, &[Leg { segment, floor: FLOOR }])
-        .map_err(|fault| DriveError::Path { pose, fault })?;
+    let path = checked_move(round.model, round.room.as_ref(), pose, &q, target)?;
     order(round.hardware, RobotCommand::Stream(path))?;
     let mut finished = false;
     let mut still_since: Option<Timestamp> = None;
@@ -281,12 +350,8 @@ async fn move_to(round: &mut Round<'_>, pose: usize, target: Joints) -> Result<J
 /// Speed of the leading joint (rad/s) at which the tool stays below [`TOOL_SPEED`] all along the move.
 fn slow_enough(model: &ArmModel, from: &Joints, to: &Joints) -> f64 {
     let travel = from.max_difference(to);
-    let at = |k: usize| {
-        let share = k as f64 / TRAVEL_SAMPLES as f64;
-        let mut q = *from;
-        q.0.iter_mut().zip(&to.0).for_each(|(q, end)| *q += share * (end - *q));
-        model.tool_at(&q).translation.vector
-    };
+    let at =
+        |k: usize| model.tool_at(&between(from, to, k as f64 / TRAVEL_SAMPLES as f64)).translation.vector;
     let steps = (0..TRAVEL_SAMPLES).map(|k| (at(k + 1) - at(k)).norm());
     let metres_per_rad = steps.fold(0.0, f64::max) * TRAVEL_SAMPLES as f64 / travel.max(1e-9);
     // A move that hardly moves the tool needs no limit of ours.
@@ -306,6 +371,8 @@ struct Round<'a> {
     hardware: &'a mut Hardware,
     /// With the nominal table.
     model: &'a ArmModel,
+    /// Where the flange has to stay.
+    room: Option<CalibrationBox>,
     /// Of the running program.
     nonce: Nonce,
     /// The operator's.

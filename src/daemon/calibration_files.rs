@@ -4,7 +4,7 @@
 //! calibration is only as good as the agreement of camera, hand and table: files of different rounds, of another camera
 //! or arm, or of markers that have been moved since are refused.
 
-use crate::config::cell::{CalibrationFiles, CellConfig};
+use crate::config::cell::{CalibrationFiles, CameraMount, CellConfig};
 use crate::daemon::calibrate::Arm;
 use crate::daemon::setup::{Measured, reference_markers};
 use crate::document::Complaints;
@@ -23,7 +23,7 @@ const SAME_PLACE: (f64, f64) = (1e-6, 1e-6);
 pub struct CalibrationSet {
     /// The lens.
     pub camera: CameraCalibration,
-    /// The camera on the flange.
+    /// Where the camera sits.
     pub hand_eye: HandEyeCalibration,
     /// The table under the robot.
     pub table: TableCalibration,
@@ -64,6 +64,11 @@ impl CalibrationSet {
                 ));
             }
         };
+        let now = match &config.camera {
+            CameraMount::Flange { .. } => "flange",
+            CameraMount::Fixed { .. } => "fixed",
+        };
+        differ(hand_eye, "mount", self.hand_eye.mount.word(), now);
         let (hand, flat) = (&self.hand_eye.provenance, &self.table.provenance);
         differ(hand_eye, "camera", &hand.camera_serial, &self.camera.model.serial);
         differ(table, "camera", &flat.camera_serial, &self.camera.model.serial);
@@ -103,7 +108,7 @@ impl CalibrationSet {
         Measured {
             dh: arm.dh,
             base_from_table: self.table.base_from_table,
-            flange_from_camera: self.hand_eye.flange_from_camera,
+            mount: self.hand_eye.mount,
             camera: self.camera.model.clone(),
         }
     }

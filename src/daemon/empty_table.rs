@@ -49,7 +49,7 @@ fn read(folder: &Path, measured: &Measured) -> Result<Vec<(Image, Isometry3<f64>
         let fits = measured.camera.check_picture(image.width, image.height);
         fits.map_err(|error| format!("{}: {error}; {again}", file.display()))?;
         let table_from_camera =
-            measured.base_from_table.inverse() * sample.base_from_flange * measured.flange_from_camera;
+            measured.base_from_table.inverse() * measured.mount.base_from_camera(&sample.base_from_flange);
         pictures.push((image, table_from_camera));
     }
     Ok(pictures)

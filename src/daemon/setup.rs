@@ -17,6 +17,7 @@ use crate::supervisor::model::{
 use crate::tabletop::instance::{ObjectSpec, Workspace};
 use crate::tabletop::room::{Cup, Grip, place_for_cups};
 use crate::time::Duration;
+use crate::vision::calibration::hand_eye::Mount;
 use crate::vision::camera::CameraModel;
 use crate::vision::foreign::search::{ForeignSearch, Inventory};
 use crate::vision::foreign::{Area, ForeignLimits, HeightMapError, KnownBody, OwnBody};
@@ -31,8 +32,8 @@ pub struct Measured {
     pub dh: DhParameters,
     /// Where the table is.
     pub base_from_table: Isometry3<f64>,
-    /// Where the camera sits on the flange.
-    pub flange_from_camera: Isometry3<f64>,
+    /// Where the camera sits.
+    pub mount: Mount,
     /// The camera's lens.
     pub camera: CameraModel,
 }
@@ -100,7 +101,7 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
         },
         arm: arm_model(config, measured.dh, measured.base_from_table),
         cycle: cycle_parameters(config),
-        flange_from_camera: measured.flange_from_camera,
+        mount: measured.mount,
         look_poses: config.look_poses.clone(),
         frames_per_view: 2,
         park: config.park_pose,
@@ -284,8 +285,14 @@ pub fn eye_parameters(config: &CellConfig, measured: &Measured) -> Result<EyePar
     let foreign = match config.foreign {
         ForeignRule::Off => None,
         ForeignRule::Refuse { .. } | ForeignRule::Obstacle { .. } => {
-            let own = measured.flange_from_camera.inverse() * config.flange_from_tool;
-            Some(ForeignSearch::new(&camera, inventory(config, Some(own)), ForeignLimits::default())?)
+            // Before a fixed camera the look poses keep the arm out of the picture; what of it is in there is in the way.
+            let own = match &measured.mount {
+                Mount::Flange { flange_from_camera } => {
+                    Some(flange_from_camera.inverse() * config.flange_from_tool)
+                }
+                Mount::Fixed { .. } => None,
+            };
+            Some(ForeignSearch::new(&camera, inventory(config, own), ForeignLimits::default())?)
         }
     };
     let (reference, limits) = (reference_markers(config), ObserveLimits::default());

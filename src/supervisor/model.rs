@@ -11,6 +11,7 @@ use crate::motion::pick_n_place::CycleParameters;
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::Duration;
 use crate::units::Joints;
+use crate::vision::calibration::hand_eye::Mount;
 use crate::vision::observe::reference::DriftLimits;
 use nalgebra::{Isometry3, Vector3};
 
@@ -118,8 +119,8 @@ pub struct CellModel {
     pub arm: ArmModel,
     /// Heights and speeds of a cycle; `tallest` covers every object of the catalogue.
     pub cycle: CycleParameters,
-    /// The camera in the flange frame, from calibration.
-    pub flange_from_camera: Isometry3<f64>,
+    /// Where the camera sits, from calibration.
+    pub mount: Mount,
     /// Joint poses that together see the whole table.
     pub look_poses: Vec<Joints>,
     /// Frames taken at each look pose.
@@ -152,9 +153,8 @@ impl CellModel {
 
     /// `table_from_camera` with the arm at `q`.
     pub fn camera_at(&self, q: &Joints) -> Isometry3<f64> {
-        self.arm.base_from_table.inverse()
-            * crate::motion::kinematics::forward(&self.arm.dh, q)
-            * self.flange_from_camera
+        let base_from_flange = crate::motion::kinematics::forward(&self.arm.dh, q);
+        self.arm.base_from_table.inverse() * self.mount.base_from_camera(&base_from_flange)
     }
 
     /// True when `pose` counts as being at `goal`.

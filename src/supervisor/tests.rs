@@ -19,6 +19,7 @@ use crate::supervisor::order::{ApprovalRule, JobEnd, JobOrder};
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
+use crate::vision::calibration::hand_eye::Mount;
 use crate::vision::foreign::{ForeignObject, ForeignReport, Hole};
 use crate::vision::observe::reference::{DriftLimits, LookShift, ReferenceCheck, ReferenceError};
 use crate::vision::observe::{ObjectEstimate, Observation};
@@ -67,7 +68,7 @@ fn model() -> CellModel {
             tool_speed: 0.25,
             tool_acceleration: 1.2,
         },
-        flange_from_camera: Isometry3::translation(0.0, -0.07, 0.03),
+        mount: Mount::Flange { flange_from_camera: Isometry3::translation(0.0, -0.07, 0.03) },
         look_poses: vec![HOME],
         frames_per_view: 1,
         park: HOME,

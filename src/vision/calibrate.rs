@@ -7,16 +7,18 @@
 //!
 //! Honest errors: `held_out_*` predicts samples that were not used, `halves_*` compares two independent halves.
 
+pub mod fixed;
 pub mod lens;
 pub mod observability;
 pub mod problem;
 pub mod report;
+pub mod touch;
 
 use crate::vision::camera::{CameraModel, CameraModelError};
 use crate::vision::cv::{self, CvError};
 use crate::vision::detect::Detection;
 use crate::vision::observe::ReferenceMarker;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix3, Matrix6};
 use problem::{Fit, Problem};
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +57,8 @@ pub struct HandEyeSettings {
     pub folds: usize,
     /// The camera's place on the flange is known (it is the start's), only the table is looked for.
     pub keep_mount: bool,
+    /// The camera stands and the hand carries what it looks at: changes the words of a refusal, not the mathematics.
+    pub target_on_hand: bool,
 }
 
 impl Default for HandEyeSettings {
@@ -67,6 +71,7 @@ impl Default for HandEyeSettings {
             outlier_ratio: 4.0,
             folds: 5,
             keep_mount: false,
+            target_on_hand: false,
         }
     }
 }
@@ -111,6 +116,8 @@ pub struct HandEye {
     pub flange_from_camera_std: TransformStd,
     /// Standard deviation of `base_from_table`.
     pub base_from_table_std: TransformStd,
+    /// Covariance of small motions of the table in its own frame: shift (m2) before turn (rad2).
+    pub base_from_table_covariance: Matrix6<f64>,
     /// Root mean square corner error of the samples used, pixels.
     pub reprojection_px_rms: f64,
     /// Root mean square error on the table of samples predicted without having been used, m.
@@ -125,6 +132,31 @@ pub struct HandEye {
     pub samples: Vec<SampleResidual>,
 }
 
+impl HandEye {
+    /// Adds what a mount that was taken as known leaves open, with the table `lever_m` (m) from the camera.
+    ///
+    /// How its error moves the table depends on the poses; the full error counts, shared evenly by the axes.
+    pub fn widen_by_mount(&mut self, mount: &TransformStd, lever_m: f64) {
+        let turn = mount.rotation_rad.powi(2);
+        // A lever moves its end along two of three axes.
+        let shift = mount.translation_m.powi(2) + 2.0 / 3.0 * turn * lever_m.powi(2);
+        let axes = |each: f64| Matrix3::from_diagonal_element(each / 3.0);
+        let mut added = Matrix6::zeros();
+        added.fixed_view_mut::<3, 3>(0, 0).copy_from(&axes(shift));
+        added.fixed_view_mut::<3, 3>(3, 3).copy_from(&axes(turn));
+        self.base_from_table_covariance += added;
+        self.base_from_table_std = TransformStd::of(&self.base_from_table_covariance);
+    }
+}
+
+impl TransformStd {
+    /// Of a covariance of shift (m2) before turn (rad2).
+    pub fn of(covariance: &Matrix6<f64>) -> TransformStd {
+        let sum = |from: usize| (from..from + 3).map(|i| covariance[(i, i)]).sum::<f64>().sqrt();
+        TransformStd { translation_m: sum(0), rotation_rad: sum(3) }
+    }
+}
+
 /// Why there is no calibration.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrateError {
@@ -135,6 +167,19 @@ pub enum CalibrateError {
     )]
     TooFewSamples {
         /// Samples with a reference marker.
+        found: usize,
+        /// Samples given.
+        given: usize,
+        /// Samples needed.
+        wanted: usize,
+    },
+    /// Too few samples show the board on the hand.
+    #[error(
+        "only {found} of {given} samples show the board on the hand, {wanted} are needed: check `camera.board` in the config \
+         against the print, the light, and that the camera sees the hand"
+    )]
+    BoardUnseen {
+        /// Samples with a marker of the board.
         found: usize,
         /// Samples given.
         given: usize,

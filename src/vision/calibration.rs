@@ -1,7 +1,7 @@
 //! Calibration files: what was measured, how well, with which devices, when.
 //!
 //! In: YAML (or JSON) text. Out: checked values, or every complaint with line and column; and the text of a new file. Three kinds, told by
-//! their top-level key: `camera` (the lens), `hand_eye` (camera on the flange), `table` (table under the robot). Lengths in
+//! their top-level key: `camera` (the lens), `hand_eye` (where the camera sits), `table` (table under the robot). Lengths in
 //! m, angles in rad, rotations as unit quaternions [x, y, z, w]. Nothing measured has a default, and a rotation
 //! that is none, or a camera half a metre off the flange, is refused. Pure: files are opened by the caller.
 
@@ -9,6 +9,7 @@ pub mod camera;
 pub mod hand_eye;
 pub mod round;
 pub mod table;
+pub mod touches;
 
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::tree::Node;
@@ -23,7 +24,7 @@ pub const VERSION: i64 = 1;
 pub enum Kind {
     /// The lens.
     Camera,
-    /// The camera on the flange.
+    /// Where the camera sits.
     HandEye,
     /// The table under the robot.
     Table,

@@ -39,7 +39,7 @@ const CASES: &[Case] = &[
     (CONFIG, "{id: 501,", "{id: 3,", "3,", &["marker 3 is also that of object \"lid\""]),
     (CONFIG, "solver: auto", "solver: best", "best", &["one of: tbm, rbm, etbm, erbm, mcts, emcts, auto"]),
     (CONFIG, "objective: pp", "objective: speed", "speed", &["not known here", "one of: pp, ti, time"]),
-    (CONFIG, "mount: flange\n", "mount: fixed\n", "fixed", &["not built yet", "use `mount: flange`"]),
+    (CONFIG, "mount: flange\n", "mount: wall\n", "wall", &["one of: flange, fixed"]),
     (SIM, "\nseed: 1", "\nsed: 1", "sed", &["unknown key", "did you mean \"seed\""]),
     (SIM, "start_deg: [0.12,", "start_deg: [12 cm,", "12 cm", &["without \"cm\""]),
     (SIM, "mass: 0.12", "mass: [0.12]", "[0.12]", &["a list where a number"]),

@@ -3,7 +3,7 @@
 //! In: the cell's configuration, live devices, a table with nothing on it. Out: a recorded round in the folder that the configuration names
 //! under `calibration: {empty: ...}`. Nothing is solved: the daemon compares its looks with these pictures.
 
-use crate::cli::calibrate::{RoundArgs, live};
+use crate::cli::calibrate::live;
 use crate::cli::daemon::with_runtime;
 use crate::cli::task::complain;
 use crate::config::load::load_cell;
@@ -34,6 +34,5 @@ pub fn run(args: &EmptyArgs, stop: Arc<AtomicBool>) -> u8 {
         return 2;
     };
     config.calibration_poses.clone_from(&config.look_poses);
-    let round = RoundArgs { config: args.config.clone(), from: None, record: Some(folder), drop: Vec::new() };
-    with_runtime(stop, move |stop| async move { live(&config, &round, stop).await.map(|_| ()) })
+    with_runtime(stop, move |stop| async move { live(&config, Some(&folder), None, stop).await.map(|_| ()) })
 }

@@ -4,6 +4,8 @@ use super::*;
 use crate::bench::vision::calibrated::{bench_board, board_picture};
 use crate::bench::vision::render::Lens;
 use crate::bench::vision::scene::bench_camera;
+use crate::daemon::calibration_files::CalibrationSet;
+use crate::daemon::setup::reference_markers;
 use camera::{CameraArgs, calibrate};
 use nalgebra::Isometry3;
 use rand::SeedableRng;
@@ -85,13 +87,22 @@ fn cell(folder: &Path) -> CellConfig {
     config
 }
 
+fn flange_from_camera(set: &CalibrationSet) -> Isometry3<f64> {
+    set.hand_eye.mount.base_from_camera(&Isometry3::identity())
+}
+
+fn args_of(round: &Path, drop: Vec<usize>) -> RoundArgs {
+    let tie = touch::TieArgs { touches: None, drop_touch: vec![], tie_mm: 1.0, tie_deg: 0.2 };
+    RoundArgs { config: PathBuf::new(), from: Some(round.to_path_buf()), record: None, drop, tie }
+}
+
 /// A round over the example cell's reference markers, rendered through its own lens; returns the mount and table it was taken with.
 fn record(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::bench::vision::render::{Ground, Print, render};
     use crate::bench::vision::scene::{DEGRADE, looking_down};
     use crate::vision::detect::Family;
     let set = CalibrationSet::read(config).unwrap();
-    let [mount, table] = [set.hand_eye.flange_from_camera, set.table.base_from_table];
+    let [mount, table] = [flange_from_camera(&set), set.table.base_from_table];
     let mut random = ChaCha8Rng::seed_from_u64(2);
     let lens = Lens::new(set.camera.model.clone(), &mut random);
     let prints: Vec<Print> = reference_markers(config)
@@ -126,13 +137,13 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
     let config = cell(folder.path());
     let round = folder.path().join("round");
     let [mount, table] = record(&config, &round);
-    let args = RoundArgs { config: PathBuf::new(), from: Some(round.clone()), record: None, drop: vec![2] };
+    let args = args_of(&round, vec![2]);
     let solve = |args: &RoundArgs, wanted| {
         recorded(&config, args).and_then(|taken| finish(&config, taken, args, wanted))
     };
     solve(&args, Wanted::MountAndTable).unwrap();
     let found = CalibrationSet::read(&config).unwrap();
-    let off = found.hand_eye.flange_from_camera.inverse() * mount;
+    let off = flange_from_camera(&found).inverse() * mount;
     assert!(off.translation.vector.norm() < 5e-4 && off.rotation.angle() < 1.7e-3, "{off}");
     assert!((found.table.base_from_table.inverse() * table).translation.vector.norm() < 5e-4);
     assert_eq!(found.hand_eye.samples.len(), 9, "one was dropped");
@@ -156,4 +167,152 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
     std::fs::write(round.join("camera.yaml"), small).unwrap();
     std::fs::remove_file(&config.calibration.camera).unwrap();
     assert!(told(&args).message.contains("01.png: the picture is 1280 x 720"));
+}
+
+/// A round before a camera that stands over the example cell's table: the hand carries the board through its picture.
+fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
+    use crate::bench::vision::render::{Ground, Print, render};
+    use crate::bench::vision::scene::DEGRADE;
+    use crate::config::cell::CameraMount;
+    use crate::vision::calibrate::fixed::board_markers;
+    use crate::vision::detect::Family;
+    use nalgebra::{Translation3, UnitQuaternion, Vector3};
+    let CameraMount::Fixed { base_from_camera, board } = config.camera else { panic!("fixed") };
+    let text = std::fs::read_to_string(&config.calibration.camera).unwrap();
+    let camera = CameraCalibration::parse(&text, "camera.yaml").unwrap();
+    let text = std::fs::read_to_string(&config.calibration.table).unwrap();
+    let flat = crate::vision::calibration::table::TableCalibration::parse(&text, "table.yaml").unwrap();
+    let (table, provenance) = (flat.base_from_table, flat.provenance);
+    let base_from_camera =
+        base_from_camera * Isometry3::new(Vector3::new(0.004, -0.006, 0.01), Vector3::new(0.02, -0.01, 0.03));
+    let table_from_camera = table.inverse() * base_from_camera;
+    let flange_from_board =
+        Isometry3::new(Vector3::new(-0.05, 0.04, -0.02), Vector3::new(std::f64::consts::PI, 0.02, 0.0));
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    let lens = Lens::new(camera.model.clone(), &mut random);
+    let print = |id, size_m, table_from_marker| Print {
+        pattern: Family::Tag36h11.pattern(id).unwrap(),
+        size_m,
+        table_from_marker,
+        greys: [35.0, 215.0],
+        rim: (0.0005, 215.0),
+    };
+    let recording = Recording::new(folder).unwrap();
+    for pose in 1..=12 {
+        let t = f64::from(pose as u32);
+        let turn = Vector3::new(0.35 * (1.7 * t).sin(), 0.35 * (2.3 * t + 0.5).cos(), 0.4 * (0.7 * t).sin());
+        let facing = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let at = Vector3::new(-0.06 + 0.04 * t.sin(), 0.05 + 0.03 * (1.3 * t).cos(), 0.55 + 0.04 * t.cos());
+        let camera_from_board =
+            Isometry3::from_parts(Translation3::from(at), UnitQuaternion::from_scaled_axis(turn) * facing);
+        let table_from_board = table_from_camera * camera_from_board;
+        let flat = reference_markers(config);
+        let flat = flat.iter().map(|m| print(m.id, m.size, m.pose.at_height(0.0)));
+        let held = board_markers(&board);
+        let held = held.iter().map(|m| print(m.id, m.size, table_from_board * m.pose.at_height(0.0)));
+        let prints: Vec<Print> = flat.chain(held).collect();
+        let picture = render(&lens, &table_from_camera, &Ground::Plain(140.0), &prints, DEGRADE, &mut random);
+        let base_from_flange = base_from_camera * camera_from_board * flange_from_board.inverse();
+        let sample = Sample { base_from_flange, detections: vec![] };
+        recording.keep(&Look { pose, image: &picture.to_image(), sample: &sample });
+    }
+    recording.close(&camera, &provenance).unwrap();
+    [base_from_camera, table]
+}
+
+#[test]
+fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
+    use crate::config::cell::CameraMount;
+    use crate::vision::board::Board;
+    use crate::vision::detect::Family;
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = cell(folder.path());
+    let over = crate::bench::vision::scene::looking_down([0.25, 0.25], 0.95, [0.03, -0.02], 0.0);
+    let board = Board::new(Family::Tag36h11, 4, 3, 0.03, 100);
+    config.camera = CameraMount::Fixed { base_from_camera: config.base_from_table * over, board };
+    assert!(
+        CalibrationSet::read(&config).unwrap_err().contains("made with mount flange, now it is fixed"),
+        "the files of the camera on the hand are not this one's"
+    );
+    let round = folder.path().join("round");
+    let [camera, table] = record_fixed(&config, &round);
+    let solve = |args: &RoundArgs, wanted| {
+        recorded(&config, args).and_then(|taken| finish(&config, taken, args, wanted))
+    };
+    let told = solve(&args_of(&round, vec![]), Wanted::Table).unwrap_err();
+    assert!(told.message.contains("made with `mount: flange`"), "{told:?}");
+    solve(&args_of(&round, vec![3]), Wanted::MountAndTable).unwrap();
+    let found = CalibrationSet::read(&config).unwrap();
+    let text = std::fs::read_to_string(&config.calibration.hand_eye).unwrap();
+    assert!(text.contains("mount: fixed") && text.contains("base_from_camera"), "{text}");
+    let anywhere = Isometry3::translation(1.0, 2.0, 3.0);
+    let off = found.hand_eye.mount.base_from_camera(&anywhere).inverse() * camera;
+    println!("camera off by {off}");
+    assert!(off.translation.vector.norm() < 1e-3 && off.rotation.angle() < 2e-3, "{off}");
+    let off = found.table.base_from_table.inverse() * table;
+    assert!(off.translation.vector.norm() < 1e-3 && off.rotation.angle() < 2e-3, "{off}");
+    assert_eq!(found.hand_eye.samples.len(), 11, "one was dropped");
+    solve(&args_of(&round, vec![]), Wanted::Table).unwrap();
+    let kept = CalibrationSet::read(&config).unwrap();
+    assert_eq!(kept.hand_eye, found.hand_eye, "the camera's place is kept");
+    // The board is not there, or another one.
+    if let CameraMount::Fixed { board, .. } = &mut config.camera {
+        board.first_id = 200;
+    }
+    let told = recorded(&config, &args_of(&round, vec![]))
+        .and_then(|taken| finish(&config, taken, &args_of(&round, vec![]), Wanted::MountAndTable))
+        .unwrap_err();
+    assert!(told.code == 1 && told.message.contains("show the board on the hand"), "{told:?}");
+}
+
+#[test]
+fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
+    use crate::vision::calibration::touches::{Place, RecordedTouch, Spot, Target, Touches};
+    let folder = tempfile::tempdir().unwrap();
+    let config = cell(folder.path());
+    let round = folder.path().join("round");
+    let [_, table] = record(&config, &round);
+    let provenance = CalibrationSet::read(&config).unwrap().hand_eye.provenance;
+    let survey = reference_markers(&config);
+    let touch = |id: u32, at: Spot, off_m: f64| {
+        let target = Target::Marker { id, at };
+        let tip = table * target.on_table(&survey).unwrap() + nalgebra::Vector3::new(off_m, 0.0, -off_m);
+        RecordedTouch { target, place: Place::Tip([tip.x, tip.y, tip.z]) }
+    };
+    let touches = Touches {
+        robot_serial: provenance.robot_serial,
+        kinematics_checksum: provenance.kinematics_checksum,
+        date: "2026-11-21".into(),
+        flange_from_tip_m: None,
+        touches: vec![
+            touch(500, Spot::Centre, 1e-4),
+            touch(501, Spot::LowerLeft, -1e-4),
+            touch(503, Spot::UpperRight, 0.0),
+            touch(502, Spot::Centre, 1e-4),
+            touch(505, Spot::Centre, 0.009),
+        ],
+    };
+    let path = folder.path().join("touches.yaml");
+    std::fs::write(&path, touches.to_yaml()).unwrap();
+    let mut args = args_of(&round, vec![]);
+    args.tie.touches = Some(path.clone());
+    let solve = |args: &RoundArgs| {
+        recorded(&config, args).and_then(|taken| finish(&config, taken, args, Wanted::MountAndTable))
+    };
+    let before = std::fs::read_to_string(&config.calibration.table).unwrap();
+    let told = solve(&args).unwrap_err();
+    assert!(told.code == 1 && told.message.contains("touch 5 by"), "{told:?}");
+    args.tie.drop_touch = vec![5];
+    let told = solve(&RoundArgs { tie: touch::TieArgs { tie_mm: 1e-3, ..args.tie.clone() }, ..args.clone() });
+    assert!(told.unwrap_err().message.contains("touch and camera disagree"));
+    let told =
+        solve(&RoundArgs { tie: touch::TieArgs { drop_touch: vec![6], ..args.tie.clone() }, ..args.clone() });
+    assert!(told.unwrap_err().message.contains("touches 1 to 5"));
+    assert_eq!(std::fs::read_to_string(&config.calibration.table).unwrap(), before, "nothing was written");
+    solve(&args).unwrap();
+    let found = CalibrationSet::read(&config).unwrap();
+    assert_eq!(found.table.touches.unwrap().residuals_m.len(), 4);
+    assert!((found.table.base_from_table.inverse() * table).translation.vector.norm() < 5e-4);
+    std::fs::write(&path, touches.to_yaml().replace("robot_serial: ", "robot_serial: other")).unwrap();
+    assert!(solve(&args).unwrap_err().message.contains("touched with robot"));
 }

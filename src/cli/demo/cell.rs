@@ -103,6 +103,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         park_pose: HOME,
         work_pose: HOME,
         calibration_poses: Vec::new(),
+        calibration_box: None,
         calibration: CalibrationFiles {
             camera: out.join("calibration/camera.yaml"),
             hand_eye: out.join("calibration/hand_eye.yaml"),

@@ -32,6 +32,7 @@ use crate::supervisor::order::{ApprovalRule, JobOrder, JobReport};
 use crate::tabletop::instance::Instance;
 use crate::time::{Duration, Timestamp};
 use crate::vision::calibrate::HandEye;
+use crate::vision::calibration::hand_eye::Mount;
 use crate::vision::detect::{DetectSettings, Detector};
 use std::path::Path;
 use std::sync::Arc;
@@ -151,7 +152,7 @@ async fn with_sim(
     let measured = Measured {
         dh: arm.dh,
         base_from_table: calibration.base_from_table,
-        flange_from_camera: calibration.flange_from_camera,
+        mount: Mount::Flange { flange_from_camera: calibration.flange_from_camera },
         camera: lens.clone(),
     };
     let model = cell_model(config, &measured).map_err(|error| error.to_string())?;

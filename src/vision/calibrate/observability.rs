@@ -33,7 +33,7 @@ pub fn check(
         return Ok(());
     }
     Err(CalibrateError::NotObservable {
-        sentence: sentence(&turns(problem, used, fit)),
+        sentence: sentence(&turns(problem, used, fit), settings.target_on_hand),
         std_mm: mm_from_m(std_m),
         limit_mm: mm_from_m(settings.std_max_m),
     })
@@ -63,15 +63,17 @@ fn turns(problem: &Problem, used: &[usize], fit: &Fit) -> Matrix3<f64> {
 }
 
 /// The motion that is missing, for the operator.
-fn sentence(scatter: &Matrix3<f64>) -> String {
+fn sentence(scatter: &Matrix3<f64>, target_on_hand: bool) -> String {
+    let moved = if target_on_hand { "the hand" } else { "the camera" };
     let eigen = scatter.symmetric_eigen();
     let turning: Vec<usize> =
         (0..3).filter(|&i| eigen.eigenvalues[i].max(0.0).sqrt() >= TURN_MIN_RAD).collect();
     let names = ["x", "y", "z"];
     match turning.as_slice() {
-        [] => "the camera hardly rotates between the samples: rotate it by 20 degrees and more about the camera's x axis \
-               and about the camera's y axis (image right and image down)"
-            .to_owned(),
+        [] => format!(
+            "{moved} hardly rotates between the samples: rotate it by 20 degrees and more about the camera's x axis and \
+             about the camera's y axis (image right and image down)"
+        ),
         &[only] => {
             let axis = eigen.eigenvectors.column(only).into_owned();
             let mut by_share = [0, 1, 2];
@@ -82,8 +84,8 @@ fn sentence(scatter: &Matrix3<f64>) -> String {
                 [a, b, _] => format!("{} axis and about the camera's {}", names[a.min(b)], names[a.max(b)]),
             };
             format!(
-                "all rotations are about one axis, nearest the camera's {}: also rotate by 20 degrees and more about the \
-                 camera's {missing} axis",
+                "all rotations are about one axis, nearest the camera's {}: also rotate {moved} by 20 degrees and more about \
+                 the camera's {missing} axis",
                 names[by_share[2]]
             )
         }

@@ -6,7 +6,7 @@
 
 use crate::vision::calibrate::problem::{Fit, Problem, Stop};
 use crate::vision::calibrate::{HandEye, HandEyeGuess, HandEyeSettings, SampleResidual, TransformStd};
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
 
 /// Everything a person needs to believe or doubt the fit.
 pub fn report(
@@ -36,15 +36,18 @@ pub fn report(
     let halves = halves(problem, used, fit, settings);
     let noise_px = reprojection_px_rms.max(settings.corner_std_px) / std::f64::consts::SQRT_2;
     let covariance = fit.information.try_inverse().map(|inverse| inverse * noise_px.powi(2));
-    let std = |from: usize, of: fn(&HandEyeGuess) -> Isometry3<f64>| {
-        let by_corners = covariance.map(|c| c.diagonal().fixed_rows::<6>(from).into_owned());
-        transform_std(by_corners, jackknife(&folds, of))
+    let part = |from: usize, of: fn(&HandEyeGuess) -> Isometry3<f64>| {
+        let by_corners = covariance.map(|c| c.fixed_view::<6, 6>(from, from).into_owned());
+        by_corners.map(|c| widened(c, jackknife(&folds, of)))
     };
+    let (camera, table) = (part(0, |guess| guess.flange_from_camera), part(6, |guess| guess.base_from_table));
     HandEye {
         flange_from_camera: fit.guess.flange_from_camera,
         base_from_table: fit.guess.base_from_table,
-        flange_from_camera_std: std(0, |guess| guess.flange_from_camera),
-        base_from_table_std: std(6, |guess| guess.base_from_table),
+        flange_from_camera_std: camera.as_ref().map_or(UNKNOWN, TransformStd::of),
+        base_from_table_std: table.as_ref().map_or(UNKNOWN, TransformStd::of),
+        // A metre and a radian: nothing is known.
+        base_from_table_covariance: table.unwrap_or_else(Matrix6::identity),
         reprojection_px_rms,
         held_out_rms_m: known.then(|| (squares / predicted.len() as f64).sqrt()),
         held_out_max_m: known.then(|| predicted.iter().copied().fold(0.0, f64::max)),
@@ -89,12 +92,16 @@ fn jackknife(folds: &[Fold], of: fn(&HandEyeGuess) -> Isometry3<f64>) -> (f64, f
     (factor * shifts, factor * turns)
 }
 
-fn transform_std(by_corners: Option<Vector6<f64>>, by_folds: (f64, f64)) -> TransformStd {
-    let Some(variances) = by_corners else {
-        return TransformStd { translation_m: f64::INFINITY, rotation_rad: f64::INFINITY };
-    };
-    let sum = |from: usize| (from..from + 3).map(|i| variances[i]).sum::<f64>();
-    TransformStd { translation_m: sum(0).max(by_folds.0).sqrt(), rotation_rad: sum(3).max(by_folds.1).sqrt() }
+/// Of what no number of samples would determine.
+const UNKNOWN: TransformStd = TransformStd { translation_m: f64::INFINITY, rotation_rad: f64::INFINITY };
+
+/// The covariance by corner noise, stretched where leaving samples out showed more (variances of shift and turn).
+fn widened(by_corners: Matrix6<f64>, by_folds: (f64, f64)) -> Matrix6<f64> {
+    let std = TransformStd::of(&by_corners);
+    let factor = |own: f64, other: f64| if own > 0.0 { (other.sqrt() / own).max(1.0) } else { 1.0 };
+    let (shift, turn) = (factor(std.translation_m, by_folds.0), factor(std.rotation_rad, by_folds.1));
+    let scale = |i: usize| if i < 3 { shift } else { turn };
+    Matrix6::from_fn(|i, j| by_corners[(i, j)] * scale(i) * scale(j))
 }
 
 /// Distance and angle between the cameras of two fits to every other sample.

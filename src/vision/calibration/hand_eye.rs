@@ -1,11 +1,12 @@
-//! `hand_eye.yaml`: where the camera sits on the flange, with every sample's error.
+//! `hand_eye.yaml`: where the camera sits, on the flange or fixed over the table, with every sample's error.
 //!
-//! In: text, or a [`HandEye`] solution and the devices it was made with. Out: [`HandEyeCalibration`], or complaints; and the text of a new
+//! In: text, or a [`HandEye`] or [`FixedCamera`] solution and the devices it was made with. Out: [`HandEyeCalibration`], or complaints; and the text of a new
 //! file. Camera and robot serial numbers and the checksum of the robot's kinematics tell when it no longer holds. Pure.
 
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::write::Out;
 use crate::document::{Complaints, parse};
+use crate::vision::calibrate::fixed::FixedCamera;
 use crate::vision::calibrate::{HandEye, SampleResidual, TransformStd};
 use crate::vision::calibration;
 use crate::vision::calibration::{FIT_M, FIT_PX, FIT_RAD, SAMPLE_M, SAMPLE_PX};
@@ -39,11 +40,51 @@ pub struct Residuals {
     pub halves_rad: Option<f64>,
 }
 
-/// The camera on the flange.
+/// Where a camera sits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mount {
+    /// On the wrist.
+    Flange {
+        /// The camera in the flange frame.
+        flange_from_camera: Isometry3<f64>,
+    },
+    /// Over the table; it never moves.
+    Fixed {
+        /// The camera in the robot's base frame.
+        base_from_camera: Isometry3<f64>,
+    },
+}
+
+impl Mount {
+    /// The word for it in files.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Mount::Flange { .. } => "flange",
+            Mount::Fixed { .. } => "fixed",
+        }
+    }
+
+    /// The camera in the base with the flange at `base_from_flange`.
+    pub fn base_from_camera(&self, base_from_flange: &Isometry3<f64>) -> Isometry3<f64> {
+        match self {
+            Mount::Flange { flange_from_camera } => base_from_flange * flange_from_camera,
+            Mount::Fixed { base_from_camera } => *base_from_camera,
+        }
+    }
+
+    fn transform(&self) -> (&'static str, &Isometry3<f64>) {
+        match self {
+            Mount::Flange { flange_from_camera } => ("flange_from_camera", flange_from_camera),
+            Mount::Fixed { base_from_camera } => ("base_from_camera", base_from_camera),
+        }
+    }
+}
+
+/// The camera's place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandEyeCalibration {
-    /// The camera in the flange frame.
-    pub flange_from_camera: Isometry3<f64>,
+    /// Where the camera sits.
+    pub mount: Mount,
     /// How uncertain that is.
     pub std: TransformStd,
     /// Whose it is and when.
@@ -57,15 +98,29 @@ pub struct HandEyeCalibration {
 /// Furthest plausible camera from the flange, m.
 const REACH_M: f64 = 0.5;
 
+/// Furthest plausible fixed camera from the robot's base, m.
+const FIXED_REACH_M: f64 = 5.0;
+
 impl HandEyeCalibration {
     /// The file's content from a solution.
     pub fn from_solution(solution: &HandEye, provenance: Provenance) -> HandEyeCalibration {
         HandEyeCalibration {
-            flange_from_camera: solution.flange_from_camera,
+            mount: Mount::Flange { flange_from_camera: solution.flange_from_camera },
             std: solution.flange_from_camera_std,
             provenance,
             residuals: Residuals::of(solution),
             samples: solution.samples.clone(),
+        }
+    }
+
+    /// The file's content for a camera that stands.
+    pub fn from_fixed(solution: &FixedCamera, provenance: Provenance) -> HandEyeCalibration {
+        HandEyeCalibration {
+            mount: Mount::Fixed { base_from_camera: solution.base_from_camera() },
+            std: solution.base_from_camera_std(),
+            provenance,
+            residuals: Residuals::of(&solution.hand),
+            samples: solution.hand.samples.clone(),
         }
     }
 
@@ -82,12 +137,14 @@ impl HandEyeCalibration {
 
     /// The text of the file.
     pub fn to_yaml(&self) -> String {
+        let (key, transform) = self.mount.transform();
         let mut pairs = vec![
             ("version", Out::Integer(calibration::VERSION)),
             (
                 "hand_eye",
                 Out::map(vec![
-                    ("flange_from_camera", calibration::transform_out(&self.flange_from_camera)),
+                    ("mount", Out::Text(self.mount.word().to_owned())),
+                    (key, calibration::transform_out(transform)),
                     ("std_m", calibration::finite(self.std.translation_m)),
                     ("std_rad", calibration::finite(self.std.rotation_rad)),
                 ]),
@@ -96,7 +153,7 @@ impl HandEyeCalibration {
         self.provenance.write(&mut pairs);
         pairs.push(("residuals", self.residuals.to_out()));
         pairs.push(("samples", Out::List(self.samples.iter().map(sample_out).collect())));
-        let header = "# Camera on the flange, by celld calibrate: lengths m, angles rad, rotations as quaternions x, y, z, w.\n";
+        let header = "# Where the camera sits, by celld calibrate: lengths m, angles rad, rotations as quaternions x, y, z, w.\n";
         format!("{header}{}", Out::map(pairs).to_yaml(2))
     }
 }
@@ -177,9 +234,9 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<HandEyeCalibration> {
         None => vec![None],
     };
     version?;
-    let (flange_from_camera, std) = placed?;
+    let (mount, std) = placed?;
     Some(HandEyeCalibration {
-        flange_from_camera,
+        mount,
         std,
         provenance: provenance?,
         residuals: residuals?,
@@ -187,13 +244,24 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<HandEyeCalibration> {
     })
 }
 
-fn placed(at: &At, decoder: &mut Decoder) -> Option<(Isometry3<f64>, TransformStd)> {
-    let fields = decoder.map(at, &["flange_from_camera", "std_m", "std_rad"])?;
-    let camera = fields.required("flange_from_camera", decoder);
-    let camera = camera.and_then(|at| calibration::transform(&at, REACH_M, decoder));
+fn placed(at: &At, decoder: &mut Decoder) -> Option<(Mount, TransformStd)> {
+    // Files from before there were fixed cameras do not say; then the transform's name does.
+    let fixed = match decoder.open_map(at)?.optional("mount") {
+        Some(at) => decoder.choice(&at, &[("flange", false), ("fixed", true)])?,
+        None => false,
+    };
+    let key = if fixed { "base_from_camera" } else { "flange_from_camera" };
+    let fields = decoder.map(at, &["mount", key, "std_m", "std_rad"])?;
+    let camera = fields.required(key, decoder);
+    let reach = if fixed { FIXED_REACH_M } else { REACH_M };
+    let camera = camera.and_then(|at| calibration::transform(&at, reach, decoder));
     let std_m = calibration::size(&fields, "std_m", calibration::FIT_M, decoder);
     let std_rad = calibration::size(&fields, "std_rad", calibration::FIT_RAD, decoder);
-    Some((camera?, TransformStd { translation_m: std_m?, rotation_rad: std_rad? }))
+    let mount = match (camera?, fixed) {
+        (base_from_camera, true) => Mount::Fixed { base_from_camera },
+        (flange_from_camera, false) => Mount::Flange { flange_from_camera },
+    };
+    Some((mount, TransformStd { translation_m: std_m?, rotation_rad: std_rad? }))
 }
 
 fn sample(at: &At, decoder: &mut Decoder) -> Option<SampleResidual> {
@@ -245,10 +313,12 @@ mod tests {
             rejected: index == 1,
         };
         HandEyeCalibration {
-            flange_from_camera: Isometry3::new(
-                Vector3::new(0.001, -0.07, 0.03),
-                Vector3::new(0.01, 0.02, 0.03),
-            ),
+            mount: Mount::Flange {
+                flange_from_camera: Isometry3::new(
+                    Vector3::new(0.001, -0.07, 0.03),
+                    Vector3::new(0.01, 0.02, 0.03),
+                ),
+            },
             std: TransformStd { translation_m: 1e-4, rotation_rad: 2e-4 },
             provenance: Provenance {
                 camera_serial: "405".into(),
@@ -269,11 +339,30 @@ mod tests {
 
     #[test]
     fn a_file_is_read_back_as_it_was_written() {
+        let fixed = Mount::Fixed {
+            base_from_camera: Isometry3::new(Vector3::new(0.1, 0.6, 1.3), Vector3::new(3.0, 0.02, 0.1)),
+        };
+        for file in [measured(), HandEyeCalibration { mount: fixed, ..measured() }] {
+            let text = file.to_yaml();
+            let back = HandEyeCalibration::parse(&text, "hand_eye.yaml").unwrap();
+            let (there, here) = (back.mount.transform(), file.mount.transform());
+            assert!(there.0 == here.0 && there.1.rotation.angle_to(&here.1.rotation) < 1e-12);
+            assert!((there.1.translation.vector - here.1.translation.vector).norm() == 0.0);
+            assert_eq!(HandEyeCalibration { mount: file.mount, ..back }, file, "{text}");
+            assert!(text.contains(&format!("mount: {}", file.mount.word())), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_mount_and_a_transform_that_do_not_fit_are_refused() {
         let text = measured().to_yaml();
-        let back = HandEyeCalibration::parse(&text, "hand_eye.yaml").unwrap();
-        assert!(back.flange_from_camera.rotation.angle_to(&measured().flange_from_camera.rotation) < 1e-12);
-        let same_rotation = HandEyeCalibration { flange_from_camera: measured().flange_from_camera, ..back };
-        assert_eq!(same_rotation, measured(), "{text}");
+        let told = |text: &str| HandEyeCalibration::parse(text, "h.yaml").unwrap_err().to_string();
+        assert!(told(&text.replace("mount: flange", "mount: fixed")).contains("base_from_camera"));
+        assert!(told(&text.replace("mount: flange", "mount: wall")).contains("wall"));
+        let old = text.replace("  mount: flange\n", "");
+        assert_ne!(old, text);
+        let old = HandEyeCalibration::parse(&old, "h.yaml").unwrap();
+        assert!(matches!(old.mount, Mount::Flange { .. }), "a file from before there were fixed cameras");
     }
 
     #[test]

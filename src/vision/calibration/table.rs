@@ -7,6 +7,7 @@ use crate::document::decode::{At, Decoder};
 use crate::document::write::Out;
 use crate::document::{Complaints, parse};
 use crate::geometry::pose::Pose2;
+use crate::vision::calibrate::touch::{Tie, TouchFit};
 use crate::vision::calibrate::{HandEye, TransformStd};
 use crate::vision::calibration;
 use crate::vision::calibration::hand_eye::{Provenance, Residuals};
@@ -26,6 +27,21 @@ pub struct TableCalibration {
     pub provenance: Provenance,
     /// How well the samples fit.
     pub residuals: Residuals,
+    /// Present when the tool's tip touched the table too.
+    pub touches: Option<Touched>,
+}
+
+/// What touching the table added.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Touched {
+    /// Distance of each touch used from its point, m.
+    pub residuals_m: Vec<f64>,
+    /// How far touches miss along each axis, m.
+    pub touch_std_m: f64,
+    /// Where touch puts the table's middle less where the camera puts it, table axes, m.
+    pub shift_m: [f64; 3],
+    /// Angle between the two, rad.
+    pub turn_rad: f64,
 }
 
 /// Furthest plausible table origin from the robot's base, m.
@@ -44,6 +60,23 @@ impl TableCalibration {
             reference_markers: reference_markers.to_vec(),
             provenance,
             residuals: Residuals::of(solution),
+            touches: None,
+        }
+    }
+
+    /// The same tied to touches: both answers, weighted.
+    pub fn tied(self, touch: &TouchFit, tie: &Tie) -> TableCalibration {
+        let touched = Touched {
+            residuals_m: touch.residuals_m.clone(),
+            touch_std_m: touch.touch_std_m,
+            shift_m: tie.shift_m.into(),
+            turn_rad: tie.turn_rad,
+        };
+        TableCalibration {
+            base_from_table: tie.base_from_table,
+            std: tie.std,
+            touches: Some(touched),
+            ..self
         }
     }
 
@@ -75,13 +108,16 @@ impl TableCalibration {
         ];
         self.provenance.write(&mut pairs);
         pairs.push(("residuals", self.residuals.to_out()));
+        if let Some(touched) = &self.touches {
+            pairs.push(("touches", touched.to_out()));
+        }
         let header = "# Table under the robot, by celld calibrate: lengths m, angles rad, rotations as quaternions x, y, z, w.\n";
         format!("{header}{}", Out::map(pairs).to_yaml(2))
     }
 }
 
 fn decode(top: &At, decoder: &mut Decoder) -> Option<TableCalibration> {
-    let mut known = vec!["version", "table", "reference_markers", "residuals"];
+    let mut known = vec!["version", "table", "reference_markers", "residuals", "touches"];
     known.extend(Provenance::KEYS);
     let fields = decoder.map(top, &known)?;
     let version = calibration::check_version(&fields, decoder);
@@ -89,6 +125,10 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<TableCalibration> {
     let markers = fields.required("reference_markers", decoder).and_then(|at| markers(&at, decoder));
     let provenance = Provenance::decode(&fields, decoder);
     let residuals = fields.required("residuals", decoder).and_then(|at| Residuals::decode(&at, decoder));
+    let touches = match fields.optional("touches") {
+        Some(at) => touched(&at, decoder).map(Some),
+        None => Some(None),
+    };
     version?;
     let (base_from_table, std) = placed?;
     Some(TableCalibration {
@@ -97,6 +137,37 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<TableCalibration> {
         reference_markers: markers?,
         provenance: provenance?,
         residuals: residuals?,
+        touches: touches?,
+    })
+}
+
+impl Touched {
+    fn to_out(&self) -> Out {
+        Out::map(vec![
+            ("residuals_m", Out::numbers(&self.residuals_m)),
+            ("touch_std_m", calibration::finite(self.touch_std_m)),
+            ("touch_less_camera_m", Out::numbers(&self.shift_m)),
+            ("touch_less_camera_rad", calibration::finite(self.turn_rad)),
+        ])
+    }
+}
+
+fn touched(at: &At, decoder: &mut Decoder) -> Option<Touched> {
+    let known = ["residuals_m", "touch_std_m", "touch_less_camera_m", "touch_less_camera_rad"];
+    let fields = decoder.map(at, &known)?;
+    let residuals = fields.required(known[0], decoder).and_then(|at| decoder.sequence(&at));
+    let residuals = residuals.map(|items| {
+        let size = |item| calibration::at_most(item, calibration::SAMPLE_M, decoder);
+        items.iter().map(size).collect::<Vec<_>>()
+    });
+    let touch_std_m = calibration::size(&fields, known[1], calibration::FIT_M, decoder);
+    let shift_m = fields.required(known[2], decoder).and_then(|at| decoder.numbers::<3>(&at));
+    let turn_rad = calibration::size(&fields, known[3], calibration::FIT_RAD, decoder);
+    Some(Touched {
+        residuals_m: residuals?.into_iter().collect::<Option<_>>()?,
+        touch_std_m: touch_std_m?,
+        shift_m: shift_m?,
+        turn_rad: turn_rad?,
     })
 }
 
@@ -169,13 +240,22 @@ mod tests {
                 halves_m: Some(1e-4),
                 halves_rad: Some(1e-4),
             },
+            touches: None,
         }
     }
 
     #[test]
     fn a_file_is_read_back_as_it_was_written() {
-        let text = measured().to_yaml();
-        assert_eq!(TableCalibration::parse(&text, "table.yaml").unwrap(), measured(), "{text}");
+        let touched = Touched {
+            residuals_m: vec![1e-4, 2.5e-4, 0.0],
+            touch_std_m: 3e-4,
+            shift_m: [1e-4, -2e-4, 5e-4],
+            turn_rad: 1e-3,
+        };
+        for file in [measured(), TableCalibration { touches: Some(touched), ..measured() }] {
+            let text = file.to_yaml();
+            assert_eq!(TableCalibration::parse(&text, "table.yaml").unwrap(), file, "{text}");
+        }
     }
 
     #[test]

@@ -1,0 +1,121 @@
+//! What the configuration says about calibration: where the camera sits, the files, the box in which poses are proposed.
+//!
+//! In: located values and a decoder that collects complaints. Out: [`CameraMount`], [`CalibrationFiles`], [`CalibrationBox`], or `None` with a
+//! complaint kept. Only what the printed board's maker (`celld markers`) decides by itself has a default.
+
+use crate::config::cell::{CalibrationBox, CalibrationFiles, CameraMount};
+use crate::config::check::Places;
+use crate::config::fields::{joints_deg, list, optional, path, required_number, transform};
+use crate::config::parts::CellParts;
+use crate::document::decode::{At, Decoder};
+use crate::motion::kinematics::{DhParameters, forward};
+use crate::vision::board::{Board, GAP};
+use crate::vision::detect::Family;
+use std::path::Path;
+
+/// Least edge of a box in which poses are proposed, m: less leaves no room to turn in.
+const LEAST_EDGE_M: f64 = 0.05;
+
+pub(super) fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
+    let mount_at = decoder.open_map(at)?.required("mount", decoder)?;
+    match decoder.choice(&mount_at, &[("flange", "flange"), ("fixed", "fixed")])? {
+        "flange" => {
+            let fields = decoder.map(at, &["mount", "flange_from_camera"])?;
+            let flange_from_camera = transform(decoder, &fields, "flange_from_camera")?;
+            Some(CameraMount::Flange { flange_from_camera })
+        }
+        _ => {
+            let fields = decoder.map(at, &["mount", "base_from_camera", "board"])?;
+            let base_from_camera = transform(decoder, &fields, "base_from_camera");
+            let board = fields.required("board", decoder).and_then(|at| board(decoder, &at));
+            Some(CameraMount::Fixed { base_from_camera: base_from_camera?, board: board? })
+        }
+    }
+}
+
+/// The board that the hand carries before a fixed camera. Of the family that the table's markers are of, so that one
+/// detector finds both.
+fn board(decoder: &mut Decoder, at: &At) -> Option<Board> {
+    let fields = decoder.map(at, &["columns", "rows", "size", "gap", "first_id"])?;
+    let mut count = |key: &str| {
+        let at = fields.required(key, decoder)?;
+        decoder.integer(&at, 1..=24).and_then(|count| u32::try_from(count).ok())
+    };
+    let (columns, rows) = (count("columns"), count("rows"));
+    let size_m = required_number(decoder, &fields, "size", 0.003..=0.5, "m");
+    let printed = size_m.map_or(0.0, |size| GAP * size);
+    let gap_m = optional(decoder, &fields, "gap", printed, |d, at| d.number_in(at, 0.0..=0.5, "m"));
+    let last = i64::from(crate::vision::image::tag36h11::COUNT) - 1;
+    let first_id = optional(decoder, &fields, "first_id", 0, |d, at| d.integer(at, 0..=last));
+    let board = Board {
+        family: Family::Tag36h11,
+        columns: columns?,
+        rows: rows?,
+        size_m: size_m?,
+        gap_m: gap_m?,
+        first_id: u32::try_from(first_id?).ok()?,
+    };
+    if i64::from(board.first_id + board.count()) > last + 1 {
+        decoder.complain_at(
+            at,
+            format!("markers {} and on are not in the family", last + 1),
+            "lower first_id, or take a smaller board",
+        );
+        return None;
+    }
+    Some(board)
+}
+
+/// Complains about markers of the hand's board that also lie on the table.
+pub(super) fn check_board(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
+    let Some(CameraMount::Fixed { board, .. }) = &parts.camera else { return };
+    let on_board = |number: i64| {
+        (i64::from(board.first_id)..i64::from(board.first_id + board.count())).contains(&number)
+    };
+    let reference = parts.reference_markers.iter().flatten().map(|marker| i64::from(marker.id));
+    let objects = parts.object_markers.iter().map(|marker| marker.number);
+    if let Some(number) = reference.chain(objects).find(|number| on_board(*number)) {
+        let message = format!("marker {number} of the board is also on the table");
+        let help = "print the board with other numbers: celld markers --board 5x4 --first-id 100";
+        decoder.complain(places.at(&["camera", "board"]), "camera.board", message, help);
+    }
+}
+
+pub(super) fn files(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CalibrationFiles> {
+    let fields = decoder.map(at, &["camera", "hand_eye", "table", "empty"])?;
+    let mut file = |key: &str| fields.required(key, decoder).and_then(|at| path(decoder, &at, folder));
+    let (camera, hand_eye, table) = (file("camera"), file("hand_eye"), file("table"));
+    let empty = match fields.optional("empty") {
+        Some(at) => Some(path(decoder, &at, folder)?),
+        None => None,
+    };
+    Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table?, empty })
+}
+
+/// `{low: [x, y, z], high: [x, y, z]}` in the base frame (m), or `{corners_deg: [[6 joints], ...]}` as taught.
+pub(super) fn calibration_box(decoder: &mut Decoder, at: &At) -> Option<CalibrationBox> {
+    let found = if at.node.get("corners_deg").is_some() {
+        let fields = decoder.map(at, &["corners_deg"])?;
+        let corners = fields.required("corners_deg", decoder)?;
+        let taught = list(decoder, &corners, joints_deg)?;
+        // The drawing's arm: a real one differs by a millimetre or two, which a box does not mind.
+        let places = taught.iter().map(|q| forward(&DhParameters::UR5E, q).translation.vector);
+        CalibrationBox::around(places.map(|place| [place.x, place.y, place.z]))
+    } else {
+        let fields = decoder.map(at, &["low", "high"])?;
+        let low = fields.required("low", decoder).and_then(|at| decoder.numbers::<3>(&at));
+        let high = fields.required("high", decoder).and_then(|at| decoder.numbers::<3>(&at));
+        Some(CalibrationBox { low_m: low?, high_m: high? })
+    };
+    let large = |found: &CalibrationBox| {
+        let edges = found.low_m.iter().zip(&found.high_m).map(|(low, high)| high - low);
+        edges.into_iter().all(|edge| (LEAST_EDGE_M..=4.0).contains(&edge))
+    };
+    if found.as_ref().is_some_and(large) {
+        return found;
+    }
+    let help = "low is its corner with the smallest x, y and z (m, base frame); or teach at least two opposite corners, \
+                also of different height";
+    decoder.complain_at(at, format!("no box with edges of {LEAST_EDGE_M} to 4 m"), help);
+    None
+}
