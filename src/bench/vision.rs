@@ -7,6 +7,7 @@
 //! and of the camera's mount (`hand_eye`).
 
 pub mod calibrated;
+pub mod change;
 pub mod drift;
 pub mod foreign;
 pub mod hand_eye;

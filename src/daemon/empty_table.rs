@@ -5,6 +5,7 @@
 
 use crate::config::cell::CellConfig;
 use crate::daemon::setup::Measured;
+use crate::document::chain::chain;
 use crate::io::files;
 use crate::vision::calibration::round::Round;
 use crate::vision::foreign::search::ForeignSearch;
@@ -34,7 +35,7 @@ fn read(folder: &Path, measured: &Measured) -> Result<Vec<(Image, Isometry3<f64>
     let path = folder.join("samples.yaml");
     let name = path.display().to_string();
     let again = "clear the table and run `celld calibrate empty`";
-    let text = files::read_named(&path, 1 << 20).map_err(|error| format!("{error}; {again}"))?;
+    let text = files::read_named(&path, 1 << 20).map_err(|error| format!("{}; {again}", chain(&error)))?;
     let round = Round::parse(&text, &name).map_err(|complaints| complaints.to_string())?;
     if round.provenance.camera_serial != measured.camera.serial {
         let (then, now) = (&round.provenance.camera_serial, &measured.camera.serial);

@@ -3,7 +3,7 @@
 //! In: [`HeightMap`]s of one look, the objects whose place is known, [`ForeignLimits`]. Out: [`ForeignReport`]: everything that stands higher
 //! than the table and the known objects explain, over an area large enough, with its outline, area and height; and how much
 //! of the table was measured at all, with the largest piece that was not. A known object that is tipped, or lies on its marker, was not seen as itself and so
-//! explains nothing: it is found like any stranger. What is flat, thinner than the limit, smaller than the limit, or of
+//! explains nothing: it is found like any stranger. Where there is no depth, `change` tells by colour. What is flat, thinner than the limit, smaller than the limit, or of
 //! a kind that the camera cannot measure (clear glass, black velvet, mirrors) is not found. Pure.
 
 pub mod change;

@@ -229,6 +229,7 @@ fn the_parts_of_the_vision_benchmark_print_one_object() {
     );
     assert_eq!(told["foreign"]["found_rate"], 1.0, "{told}");
     assert_eq!(told["foreign"]["false_alarm_rate"], 0.0, "{told}");
+    assert_eq!(told["foreign"]["by_colour"]["false_alarm_rate"], 0.0, "{told}");
     assert_eq!(told["hand_eye"]["degenerate"].as_array().map(Vec::len), Some(3), "{told}");
     assert!(told["detection_rate"].is_null(), "the markers were not asked for");
 }

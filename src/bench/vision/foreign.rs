@@ -33,12 +33,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// The workspace, m.
-const WIDTH_M: f64 = 0.5;
+pub(super) const WIDTH_M: f64 = 0.5;
 const HEIGHT_M: f64 = 0.4;
 /// Height of the camera, m.
 const EYE_M: [f64; 2] = [0.45, 0.55];
 /// Where it is in y for the looks of a table, m.
-const EYES_Y_M: [f64; 2] = [0.14, HEIGHT_M - 0.14];
+pub(super) const EYES_Y_M: [f64; 2] = [0.14, HEIGHT_M - 0.14];
+/// Height of the camera where it is always the same, m.
+pub(super) const CAMERA_HEIGHT_M: f64 = 0.5;
+/// What is searched: the workspace and a margin.
+pub(super) const AREA: Area = Area { low: [-0.02; 2], high: [WIDTH_M + 0.02, HEIGHT_M + 0.02] };
 /// Standard deviations of what the cell knows: object (m, rad), camera (m, rad).
 const OBJECT_STD: (f64, f64) = (2e-4, 1e-3);
 const CAMERA_STD: (f64, f64) = (3e-4, 5e-4);
@@ -98,16 +102,16 @@ pub struct Report {
 const KINDS: [&str; 4] = ["box", "mug", "tipped on its side", "on its marker"];
 
 /// Depth camera and lens of the bench.
-struct Bench {
-    renderer: Renderer,
+pub(super) struct Bench {
+    pub(super) renderer: Renderer,
     camera: CameraModel,
-    lens: DepthLens,
+    pub(super) lens: DepthLens,
 }
 
 /// A body of a scene: outline on the table, height, and how it is drawn.
-struct Thing {
+pub(super) struct Thing {
     known: KnownBody,
-    prism: Prism,
+    pub(super) prism: Prism,
 }
 
 /// What one scene gave.
@@ -170,7 +174,7 @@ fn report(task: Task, outcomes: &[Outcome]) -> Report {
 }
 
 impl Bench {
-    fn new() -> Result<Bench, String> {
+    pub(super) fn new() -> Result<Bench, String> {
         let camera = bench_camera();
         let truth = CameraTruth {
             fx: camera.fx,
@@ -189,30 +193,21 @@ impl Bench {
         let mut random = ChaCha8Rng::seed_from_u64(task.seed);
         random.set_stream(number as u64);
         let kind = (number % 2 == 1).then_some(number / 2 % KINDS.len());
-        let mut things: Vec<Thing> = Vec::new();
-        // First, while there is room for it.
-        let foreign = kind.and_then(|kind| {
-            let thing = foreign(kind, &mut random);
-            place(thing, &mut things, &mut random).then(|| things[0].known.clone())
-        });
-        for _ in 0..random.random_range(3..9) {
-            let thing = object(&mut random);
-            place(thing, &mut things, &mut random);
-        }
-        let known = things.iter().skip(usize::from(foreign.is_some()));
-        let known: Vec<KnownBody> = known.map(|thing| measured(&thing.known, &mut random)).collect();
-        let mut scene = scene(things);
+        let (things, foreign, known) = tables(kind, &mut random);
+        let prisms: Vec<Prism> = things.into_iter().map(|thing| thing.prism).collect();
         let mut taken = Vec::with_capacity(EYES_Y_M.len());
         for (look, y) in (0..).zip(EYES_Y_M) {
             let eye = eye(y, &mut random);
-            scene.table_from_flange = eye;
-            let depth = self.depth(&scene, &eye, [task.seed, 2 * number as u64 + look])?;
+            let depth = self.depth(
+                &self.scene_of(prisms.clone(), &eye),
+                &eye,
+                [task.seed, 2 * number as u64 + look],
+            )?;
             taken.push((depth, eye * jitter(CAMERA_STD, &mut random)));
         }
         let started = Instant::now();
-        let area = Area::around(WIDTH_M, HEIGHT_M, 0.02);
         let map = |(depth, believed): &(DepthImage, Isometry3<f64>)| {
-            HeightMap::new(depth, &self.lens, believed, area, None).map_err(|error| error.to_string())
+            HeightMap::new(depth, &self.lens, believed, AREA, None).map_err(|error| error.to_string())
         };
         let maps: Vec<HeightMap> = taken.iter().map(map).collect::<Result<_, String>>()?;
         let maps: Vec<&HeightMap> = maps.iter().collect();
@@ -229,6 +224,11 @@ impl Bench {
         Ok(Outcome { kind, found, others, measured_share: seen.measured_share, hole_m2, ms })
     }
 
+    pub(super) fn scene_of(&self, prisms: Vec<Prism>, table_from_camera: &Isometry3<f64>) -> Scene {
+        let board = [-0.2, -0.2, WIDTH_M + 0.2, HEIGHT_M + 0.2];
+        Scene { board, table_from_flange: *table_from_camera, prisms, prints: Vec::new() }
+    }
+
     fn depth(
         &self,
         scene: &Scene,
@@ -241,17 +241,28 @@ impl Bench {
     }
 }
 
-fn scene(things: Vec<Thing>) -> Scene {
-    Scene {
-        board: [-0.2, -0.2, WIDTH_M + 0.2, HEIGHT_M + 0.2],
-        table_from_flange: Isometry3::identity(),
-        prisms: things.into_iter().map(|thing| thing.prism).collect(),
-        prints: Vec::new(),
+/// A table, with something foreign of that kind on it: all that stands there, the foreign thing, and what is known of the rest.
+pub(super) fn tables(
+    kind: Option<usize>,
+    random: &mut ChaCha8Rng,
+) -> (Vec<Thing>, Option<KnownBody>, Vec<KnownBody>) {
+    let mut things: Vec<Thing> = Vec::new();
+    // First, while there is room for it.
+    let foreign = kind.and_then(|kind| {
+        let thing = foreign(kind, random);
+        place(thing, &mut things, random).then(|| things[0].known.clone())
+    });
+    for _ in 0..random.random_range(3..9) {
+        let thing = object(random);
+        place(thing, &mut things, random);
     }
+    let known = things.iter().skip(usize::from(foreign.is_some()));
+    let known = known.map(|thing| measured(&thing.known, random)).collect();
+    (things, foreign, known)
 }
 
 /// True when an outline that was found is that of the thing that is there.
-fn same(found: &ForeignObject, truth: &KnownBody) -> bool {
+pub(super) fn same(found: &ForeignObject, truth: &KnownBody) -> bool {
     contains(&found.outline, [truth.pose.x, truth.pose.y])
         || (found.centre[0] - truth.pose.x).hypot(found.centre[1] - truth.pose.y) < LEAST_M
 }
@@ -343,7 +354,7 @@ fn normal(random: &mut ChaCha8Rng) -> f64 {
     (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0
 }
 
-fn jitter((std_m, std_rad): (f64, f64), random: &mut ChaCha8Rng) -> Isometry3<f64> {
+pub(super) fn jitter((std_m, std_rad): (f64, f64), random: &mut ChaCha8Rng) -> Isometry3<f64> {
     let mut three = |std: f64| Vector3::new(normal(random), normal(random), normal(random)) * std;
     Isometry3::new(three(std_m), three(std_rad))
 }

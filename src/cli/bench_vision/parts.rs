@@ -2,13 +2,16 @@
 //!
 //! In: the arguments. Out: each part's table for people and its figures as JSON; `None` after Ctrl-C.
 
-use crate::bench::vision::{drift, foreign, hand_eye};
+use crate::bench::vision::{change, drift, foreign, hand_eye};
 use crate::cli::bench_vision::{BenchVisionArgs, Figures};
 use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::vision::observe::reference::DriftLimits;
 use indicatif::ProgressBar;
 use std::fmt::Write;
 use std::sync::atomic::AtomicBool;
+
+/// One in so many tables is also searched by colour.
+const COLOUR_SHARE: usize = 5;
 
 /// The mean residual that the example configuration allows, m.
 const RESIDUAL_M: f64 = 2e-3;
@@ -87,7 +90,23 @@ pub(super) fn foreign(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Optio
     for row in &report.kinds {
         let _ = writeln!(text, "  {:<22} {:>4} of {:>4}", row.kind, row.found, row.scenes);
     }
-    Ok(Some((text, json(&report)?)))
+    // Colour pictures take longer to draw, and no figure is asked for.
+    let scenes = (args.scenes as usize).div_ceil(COLOUR_SHARE);
+    let Some(colour) = change::run(scenes, args.seed, usize::from(args.threads), stop)? else {
+        return Ok(None);
+    };
+    let _ = writeln!(
+        text,
+        "by colour alone   {:.1} % of {} found; false alarms on {:.1} % of {} clean tables; {:.1} ms a look",
+        100.0 * colour.found_rate,
+        colour.scenes,
+        100.0 * colour.false_alarm_rate,
+        colour.scenes,
+        colour.ms_per_look
+    );
+    let mut told = json(&report)?;
+    told["by_colour"] = json(&colour)?;
+    Ok(Some((text, told)))
 }
 
 /// How exact the camera's mount is.

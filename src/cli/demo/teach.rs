@@ -19,6 +19,12 @@ pub const BASE_BEHIND_M: f64 = 0.18;
 /// Share of the picture that neighbouring looks rely on; the rest overlaps.
 const USED_SHARE: f64 = 0.88;
 
+/// Share of the lower half of the picture that the gripper leaves free; it hangs at that side of the camera.
+const FREE_SHARE: f64 = 0.5;
+
+/// How far round the table the looks have to see it at that side, m: what carries no marker is searched for so far.
+const NEAR_M: f64 = 0.02;
+
 /// A camera for teaching: half picture size over focal length, horizontally and vertically.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewAngle {
@@ -56,10 +62,8 @@ pub fn look_poses(
     distance: f64,
 ) -> Result<Vec<Joints>, String> {
     let rim = REFERENCE_OUTSIDE_M + REFERENCE_SIZE_M;
-    let (span_x, span_y) =
-        (2.0 * angle.half_x * distance * USED_SHARE, 2.0 * angle.half_y * distance * USED_SHARE);
-    let columns = centres(width + 2.0 * rim, span_x);
-    let rows = centres(height + 2.0 * rim, span_y);
+    let columns = centres(width + 2.0 * rim, 2.0 * angle.half_x * distance * USED_SHARE);
+    let rows = rows(height + rim, angle.half_y * distance);
     let mut poses = Vec::new();
     for (row, y) in rows.iter().enumerate() {
         // Back and forth, so that the arm does not fly back at the end of each row.
@@ -68,7 +72,7 @@ pub fn look_poses(
             line.reverse();
         }
         for x in line {
-            let at = [x - rim, y - rim, distance];
+            let at = [x - rim, *y, distance];
             let joints =
                 camera_joints(model, flange_from_camera, at, [at[0], at[1], 0.0]).ok_or_else(|| {
                     format!("the camera cannot look at ({:.2}, {:.2}) m from {distance:.2} m", at[0], at[1])
@@ -77,6 +81,16 @@ pub fn look_poses(
         }
     }
     Ok(poses)
+}
+
+/// Where pictures that reach `half` up and down have their middles, table frame, so that none of the table up to `far` is seen
+/// through the gripper alone.
+fn rows(far: f64, half: f64) -> Vec<f64> {
+    let (below, above) = (FREE_SHARE * half, USED_SHARE * half);
+    let count = ((far + NEAR_M) / (below + above)).ceil().max(1.0) as usize;
+    let first = below - NEAR_M;
+    let step = (far - above - first) / (count.max(2) - 1) as f64;
+    (0..count).map(|k| first + step * k as f64).collect()
 }
 
 /// Centres of as few spans as cover `length`, evenly spread.
@@ -207,6 +221,17 @@ mod tests {
                 });
                 assert!(seen, "({x}, {y}) of a {size} m table");
             }
+        }
+    }
+
+    #[test]
+    fn no_part_of_the_table_is_behind_the_gripper_in_every_look() {
+        for height in [0.25, 0.4, 0.5, 0.6, 0.7, 1.0] {
+            let (far, half) = (height + 0.075, 0.25);
+            let rows = rows(far, half);
+            let seen = |y: f64| rows.iter().any(|row| y >= row - 0.53 * half && y <= row + half);
+            let missed = (-20..=(1e3 * far) as i32).find(|mm| !seen(f64::from(*mm) / 1e3));
+            assert_eq!(missed, None, "mm of a table of {height} m: {rows:?}");
         }
     }
 

@@ -24,6 +24,7 @@ pub struct Scene {
 }
 
 /// An upright prism in its own frame, z from 0 to `height_m`.
+#[derive(Clone)]
 pub struct Prism {
     /// Where it is.
     pub table_from_prism: Isometry3<f64>,

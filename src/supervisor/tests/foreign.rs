@@ -64,6 +64,7 @@ fn what_only_its_colour_tells_of_may_be_of_any_height_so_nothing_moves_over_it()
     assert_eq!(ended(&all), Some((JobEnd::Failed, "foreign_object".into())), "{all:?}");
     assert!(!bench.cell.status().armed, "a person has to look");
     bench.foreign = report(Vec::new(), 0.99);
+    bench.feed(Input::Operator(OperatorCommand::Abort));
     assert!(goes(&mut bench).is_ok(), "taken away and armed");
 }
 
