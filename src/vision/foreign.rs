@@ -150,17 +150,22 @@ pub fn find(
         }
     }
     let excess = closed(first, &tallest, &measured);
-    let share = measured.iter().filter(|measured| **measured).count() as f64 / measured.len().max(1) as f64;
     let mut objects: Vec<ForeignObject> = components(first, &excess)
         .into_iter()
         .map(|cells| object(first, &cells, &tallest))
         .filter(|object| object.area_m2 >= limits.area_m2)
         .collect();
     objects.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
-    let unmeasured: Vec<bool> =
-        measured.iter().zip(&expected.surface_m).map(|(seen, surface)| !seen && *surface == 0.0).collect();
-    let largest_hole = holes::largest(&maps, unmeasured, known);
-    ForeignReport { objects, measured_share: share, largest_hole, by_colour: first.by_colour }
+    // Known objects, their shadows and keep-outs are not asked about.
+    let bare: Vec<bool> = expected.surface_m.iter().map(|surface| *surface == 0.0).collect();
+    let unmeasured = holes::unmeasured(&maps, &bare, &measured, known);
+    let count = |cells: &[bool]| cells.iter().filter(|cell| **cell).count() as f64;
+    let bare_measured =
+        bare.iter().zip(&measured).filter(|(bare, measured)| **bare && **measured).count() as f64;
+    let asked = bare_measured + count(&unmeasured);
+    let measured_share = if asked > 0.0 { bare_measured / asked } else { 1.0 };
+    let largest_hole = holes::largest(first, &unmeasured);
+    ForeignReport { objects, measured_share, largest_hole, by_colour: first.by_colour }
 }
 
 /// What is expected of each cell.

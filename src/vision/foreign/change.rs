@@ -17,6 +17,9 @@ const DARK: f64 = 10.0;
 /// A cell changed if a colour's logarithm is off by more than this, and by more than this many deviations of all cells.
 const CHANGED: f64 = 0.12;
 const CHANGED_SIGMAS: f64 = 6.0;
+/// Above this deviation of all cells nothing is said: a picture that is poor, or covered by something with a pattern, would
+/// hide every change in its own scatter.
+const SIGMA_MAX: f64 = 2.0 * CHANGED / CHANGED_SIGMAS;
 /// Pixels without which a cell has no colour.
 const PIXELS_MIN: u32 = 2;
 /// Cells without which the light cannot be told.
@@ -71,8 +74,9 @@ impl EmptyTable {
             Point3::new((x - eye[0]) / eye[2], (y - eye[1]) / eye[2], 1.0)
         };
         let directions: Vec<Point3<f64>> = (0..map.heights_m.len()).map(at).collect();
-        for channel in 0..3 {
-            let Some(changed) = departures(then, &now, &directions, channel) else { continue };
+        let by_channel: Option<Vec<_>> =
+            (0..3).map(|channel| departures(then, &now, &directions, channel)).collect();
+        for changed in by_channel.unwrap_or_default() {
             for (height, changed) in map.heights_m.iter_mut().zip(changed) {
                 match changed {
                     Some(true) => *height = f32::INFINITY,
@@ -110,7 +114,7 @@ impl Colours {
 }
 
 /// Which cells do not follow the change of the light; `None` for a cell that one of the pictures does not show, and for all
-/// when too few are left.
+/// when too few are left or they scatter too much.
 fn departures(
     then: &Colours,
     now: &Colours,
@@ -124,7 +128,7 @@ fn departures(
     let ratios: Vec<Option<f64>> = then.cells.iter().zip(&now.cells).map(ratio).collect();
     let samples: Vec<(Vector4<f64>, f64)> =
         directions.iter().zip(&ratios).filter_map(|(at, ratio)| Some((terms(at), (*ratio)?))).collect();
-    let (light, sigma) = light(&samples)?;
+    let (light, sigma) = light(&samples).filter(|(_, sigma)| *sigma <= SIGMA_MAX)?;
     let limit = CHANGED.max(CHANGED_SIGMAS * sigma);
     let departs = |(at, ratio): (&Point3<f64>, &Option<f64>)| {
         ratio.map(|ratio| (ratio - light.dot(&terms(at))).abs() > limit)
@@ -255,6 +259,24 @@ mod tests {
         let seen = report(&now, &eye(), &[known]);
         assert!(seen.objects.len() == 1 && seen.objects[0].centre[0] > 0.0, "{seen:?}");
         assert!(seen.measured_share > 0.95 && seen.largest_hole.is_none(), "{seen:?}");
+    }
+
+    #[test]
+    fn a_cover_with_a_pattern_and_a_poor_picture_are_not_compared() {
+        let mut random = ChaCha8Rng::seed_from_u64(6);
+        let mut patches = Vec::new();
+        for (column, row) in (0..26).flat_map(|column| (0..30).map(move |row| (column, row))) {
+            let [x, y] = [-0.2 + 0.01 * f64::from(column), -0.15 + 0.01 * f64::from(row)];
+            patches.push(([x, y, x + 0.01, y + 0.01], [random.random_range(20.0..250.0); 3]));
+        }
+        let seen = report(&picture(&patches, 1.0, 0.0, 6), &eye(), &[]);
+        assert!(seen.measured_share == 0.0, "a patterned cloth over two thirds: {seen:?}");
+        let mut dim = picture(&[MUG], 1.0, 0.0, 7);
+        dim.rgb.iter_mut().for_each(|level| {
+            *level = (f64::from(*level) * random.random_range(0.4..1.6)).min(255.0) as u8;
+        });
+        let seen = report(&dim, &eye(), &[]);
+        assert!(seen.objects.len() == 1 || seen.measured_share == 0.0, "{seen:?}");
     }
 
     #[test]

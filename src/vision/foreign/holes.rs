@@ -28,19 +28,24 @@ impl std::fmt::Display for Hole {
     }
 }
 
-/// The largest group of `unmeasured` cells into which a square of three cells fits, and what of it lies round such squares.
-pub(crate) fn largest(maps: &[&HeightMap], unmeasured: Vec<bool>, known: &[KnownBody]) -> Option<Hole> {
-    let map = *maps.first()?;
+/// The cells of the `bare` table in which nothing was `measured` though no known object hides them from every look pose.
+pub(crate) fn unmeasured(
+    maps: &[&HeightMap],
+    bare: &[bool],
+    measured: &[bool],
+    known: &[KnownBody],
+) -> Vec<bool> {
     let outlines: Vec<Vec<[f64; 2]>> = known.iter().map(|body| body.footprint.outline(64)).collect();
-    let hidden = |cell: usize| {
-        let at = map.centre(cell);
-        maps.iter()
-            .all(|map| known.iter().zip(&outlines).any(|(body, outline)| hides(body, outline, at, map.eye_m)))
+    let hidden = |map: &HeightMap, at: [f64; 2]| {
+        known.iter().zip(&outlines).any(|(body, outline)| hides(body, outline, at, map.eye_m))
     };
-    let mut open = unmeasured;
-    for (cell, open) in open.iter_mut().enumerate().filter(|(_, open)| **open) {
-        *open = !hidden(cell);
-    }
+    let open =
+        |cell: usize| bare[cell] && !measured[cell] && !maps.iter().all(|map| hidden(map, map.centre(cell)));
+    (0..bare.len()).map(open).collect()
+}
+
+/// The largest group of `open` cells into which a square of three cells fits, and what of it lies round such squares.
+pub(crate) fn largest(map: &HeightMap, open: &[bool]) -> Option<Hole> {
     let wide: Vec<bool> =
         (0..open.len()).map(|cell| open[cell] && map.neighbours(cell).all(|near| open[near])).collect();
     let mut piece = vec![false; open.len()];

@@ -116,6 +116,22 @@ fn half_the_pixels_missing_change_nothing_and_a_blind_camera_measures_nothing() 
 }
 
 #[test]
+fn where_nothing_is_looked_for_nothing_has_to_be_measured() {
+    let mut map = map(&[], 0.01, 0.02);
+    for cell in 0..map.heights_m.len() {
+        if map.centre(cell)[0] > 0.05 {
+            map.heights_m[cell] = f32::NAN;
+        }
+    }
+    let footprint = Footprint::rectangle(0.16, 0.32).unwrap();
+    let bin = KeepOut { footprint, pose: Pose2::new(0.13, 0.0, 0.0) };
+    let report = find(&[&map], &[], &[bin], &ForeignLimits::default());
+    assert!(report.measured_share > 0.9 && report.largest_hole.is_none(), "{report:?}");
+    let report = find(&[&map], &[], &[], &ForeignLimits::default());
+    assert!(report.measured_share < 0.7 && report.largest_hole.is_some(), "{report:?}");
+}
+
+#[test]
 fn the_tables_own_depth_takes_the_curvature_out() {
     // A per cent at 0.5 m is 5 mm: without the correction the corner's 14 mm read as 9.
     let corner = block(-0.16, 0.11, 0.05, 0.05, 0.014);
