@@ -36,7 +36,6 @@ use crate::vision::image::Image;
 use clap::{Args, Subcommand};
 use finish::finish;
 use std::cell::RefCell;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -360,13 +359,7 @@ impl Recording {
     fn new(folder: &Path) -> Result<Recording, String> {
         files::create_folder(folder).map_err(|error| chain(&error))?;
         // The poses of an earlier round there must not be taken for those of the new pictures, should this one break off.
-        let poses = folder.join("samples.yaml");
-        match std::fs::remove_file(&poses) {
-            Err(error) if error.kind() != ErrorKind::NotFound => {
-                return Err(format!("{}: {error}", poses.display()));
-            }
-            _ => {}
-        }
+        files::remove(&folder.join("samples.yaml")).map_err(|error| chain(&error))?;
         let (pictures, taken) = channel::<(PathBuf, Image)>();
         let write = move || {
             let mut outcome = Ok(());

@@ -180,7 +180,7 @@ async fn daemon(
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let mut eye_parameters = eye_parameters(&config, &measured).map_err(|error| chain(&error))?;
     eye_parameters.doubts = Some(doubts);
-    compare_with_empty(eye_parameters.foreign.as_mut(), &config, &measured)?;
+    compare_with_empty(eye_parameters.foreign.as_mut(), &config, &measured, &arm)?;
     let eye = spawn_eye(Box::new(camera), detector, eye_parameters, clock, answers_in.clone());
     let mut cell = Cell::new(model, seed);
     if config.arm_at_start {

@@ -156,12 +156,7 @@ pub(super) fn read_picture(path: &Path) -> Result<Image, String> {
 }
 
 fn read_bytes(path: &Path) -> Result<Vec<u8>, String> {
-    let failed = |error: std::io::Error| format!("{} cannot be read: {error}", path.display());
-    let size = std::fs::metadata(path).map_err(failed)?.len();
-    if size > PICTURE_MAX {
-        return Err(format!("{} has {size} bytes, more than any picture", path.display()));
-    }
-    std::fs::read(path).map_err(failed)
+    files::read_bytes(path, PICTURE_MAX).map_err(|error| chain(&error))
 }
 
 pub(super) fn read_camera(path: &Path) -> Result<CameraModel, String> {

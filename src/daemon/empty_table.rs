@@ -4,6 +4,7 @@
 //! poses; or a sentence that names the file.
 
 use crate::config::cell::CellConfig;
+use crate::daemon::calibrate::Arm;
 use crate::daemon::setup::Measured;
 use crate::document::chain::chain;
 use crate::io::files;
@@ -13,6 +14,9 @@ use crate::vision::image::Image;
 use nalgebra::Isometry3;
 use std::path::Path;
 
+/// Largest picture that is read, bytes.
+const PICTURE_MAX: u64 = 64 << 20;
+
 /// Where there is no depth and the configuration names a folder, looks are compared with its pictures.
 ///
 /// # Errors
@@ -21,30 +25,35 @@ pub fn compare_with_empty(
     search: Option<&mut ForeignSearch>,
     config: &CellConfig,
     measured: &Measured,
+    arm: &Arm,
 ) -> Result<(), String> {
     let Some((search, folder)) = search.zip(config.calibration.empty.as_deref()) else { return Ok(()) };
     if config.devices.camera.measures_depth() {
         return Ok(());
     }
-    let pictures = read(folder, measured)?;
+    let pictures = read(folder, measured, arm)?;
     search.compare_with(pictures.iter().map(|(image, from)| (image, *from)));
     Ok(())
 }
 
-fn read(folder: &Path, measured: &Measured) -> Result<Vec<(Image, Isometry3<f64>)>, String> {
+fn read(folder: &Path, measured: &Measured, arm: &Arm) -> Result<Vec<(Image, Isometry3<f64>)>, String> {
     let path = folder.join("samples.yaml");
     let name = path.display().to_string();
     let again = "clear the table and run `celld calibrate empty`";
     let text = files::read_named(&path, 1 << 20).map_err(|error| format!("{}; {again}", chain(&error)))?;
     let round = Round::parse(&text, &name).map_err(|complaints| complaints.to_string())?;
-    if round.provenance.camera_serial != measured.camera.serial {
-        let (then, now) = (&round.provenance.camera_serial, &measured.camera.serial);
-        return Err(format!("{name}: taken with camera {then}, now it is {now}; {again}"));
+    let made = &round.provenance;
+    let then = [&made.camera_serial, &made.robot_serial, &made.kinematics_checksum];
+    let now = [&measured.camera.serial, &arm.serial, &arm.checksum];
+    if let Some(k) = (0..3).find(|&k| then[k] != now[k]) {
+        let what = ["camera", "robot", "kinematics"][k];
+        return Err(format!("{name}: taken with {what} {}, now it is {}; {again}", then[k], now[k]));
     }
     let mut pictures = Vec::with_capacity(round.samples.len());
     for sample in &round.samples {
         let file = folder.join(&sample.image);
-        let bytes = std::fs::read(&file).map_err(|error| format!("{}: {error}; {again}", file.display()))?;
+        let bytes =
+            files::read_bytes(&file, PICTURE_MAX).map_err(|error| format!("{}; {again}", chain(&error)))?;
         let image = Image::decode(&bytes).map_err(|error| format!("{}: {error}; {again}", file.display()))?;
         let fits = measured.camera.check_picture(image.width, image.height);
         fits.map_err(|error| format!("{}: {error}; {again}", file.display()))?;

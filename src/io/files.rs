@@ -116,7 +116,7 @@ pub fn read_regular(path: &Path, max_bytes: u64) -> Result<(String, FileIdentity
     if metadata.nlink() != 1 {
         return Err(unfit(path, Unfit::HardLinked(metadata.nlink())));
     }
-    Ok((bounded_text(path, file, max_bytes)?, identity_of(&metadata)))
+    Ok((text(path, bounded(path, file, max_bytes)?)?, identity_of(&metadata)))
 }
 
 /// Text of a regular file of at most `max_bytes` that a person named: links are followed, and nothing else than
@@ -125,12 +125,20 @@ pub fn read_regular(path: &Path, max_bytes: u64) -> Result<(String, FileIdentity
 /// # Errors
 /// As [`read_regular`].
 pub fn read_named(path: &Path, max_bytes: u64) -> Result<String, FileError> {
+    text(path, read_bytes(path, max_bytes)?)
+}
+
+/// The same for any bytes: pictures.
+///
+/// # Errors
+/// As [`read_regular`].
+pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>, FileError> {
     let metadata = path.metadata().map_err(|e| FileError::io("look at", path, e))?;
     if !metadata.is_file() {
         return Err(unfit(path, Unfit::NotRegular));
     }
     let (file, _) = open_regular(path, OFlags::empty())?;
-    bounded_text(path, file, max_bytes)
+    bounded(path, file, max_bytes)
 }
 
 fn unfit(path: &Path, problem: Unfit) -> FileError {
@@ -149,7 +157,7 @@ fn open_regular(path: &Path, further: OFlags) -> Result<(File, std::fs::Metadata
     if metadata.is_file() { Ok((file, metadata)) } else { Err(unfit(path, Unfit::NotRegular)) }
 }
 
-fn bounded_text(path: &Path, file: File, max_bytes: u64) -> Result<String, FileError> {
+fn bounded(path: &Path, file: File, max_bytes: u64) -> Result<Vec<u8>, FileError> {
     let mut bytes = Vec::new();
     file.take(max_bytes.saturating_add(1))
         .read_to_end(&mut bytes)
@@ -157,6 +165,10 @@ fn bounded_text(path: &Path, file: File, max_bytes: u64) -> Result<String, FileE
     if bytes.len() as u64 > max_bytes {
         return Err(unfit(path, Unfit::TooLarge(max_bytes)));
     }
+    Ok(bytes)
+}
+
+fn text(path: &Path, bytes: Vec<u8>) -> Result<String, FileError> {
     String::from_utf8(bytes).map_err(|_| unfit(path, Unfit::NotText))
 }
 

@@ -55,7 +55,7 @@ fn jog(sim: &RunningSim, secondary: SocketAddr, q: &Joints) {
 #[test]
 fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim_path) = configuration(folder.path(), ADDRESS, 4);
+    let (cell, sim_path) = configuration(folder.path(), ADDRESS, 2);
     let cell = cell.display().to_string();
     let file = load_sim(&sim_path).expect("the simulation");
     let config = sim_config(&file, ADDRESS.parse().expect("an address"), RobotPorts::REAL);
@@ -158,7 +158,7 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
 fn cell_works_from_a_camera_that_stands() {
     let folder = tempfile::tempdir().expect("a folder");
     let address = "127.7.1.10";
-    let (cell, sim_path) = configuration(folder.path(), address, 4);
+    let (cell, sim_path) = configuration(folder.path(), address, 1);
     let file = load_sim(&sim_path).expect("the simulation");
     let mut config = sim_config(&file, address.parse().expect("an address"), RobotPorts::REAL);
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 3.12);

@@ -40,7 +40,7 @@ fn truth() -> (f64, usize) {
 /// The example cell with its calibration, and the simulator with a control server; `camera` is a line instead of the
 /// configured one, of a camera without depth.
 fn start(folder: &Path, address: &str, camera: Option<&str>) -> (Running, Running) {
-    let (cell, sim) = configuration(folder, address, 2);
+    let (cell, sim) = configuration(folder, address, 1);
     if let Some(camera) = camera {
         let text = std::fs::read_to_string(&cell).expect("text");
         let line =

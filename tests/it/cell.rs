@@ -146,7 +146,7 @@ pub(crate) fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
 #[test]
 fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim) = configuration(folder.path(), "127.7.1.2", 4);
+    let (cell, sim) = configuration(folder.path(), "127.7.1.2", 1);
     let _sim = start_sim(&sim);
     let cell_text = cell.display().to_string();
     let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());
@@ -223,7 +223,7 @@ pub(crate) fn fault(address: &str, text: &str) {
 fn cell_moves_nothing_while_something_without_a_marker_stands_on_the_table() {
     let folder = tempfile::tempdir().expect("a folder");
     let address = "127.7.1.4";
-    let (cell, sim) = configuration(folder.path(), address, 2);
+    let (cell, sim) = configuration(folder.path(), address, 1);
     let _sim = start_sim(&sim);
     let cell_text = cell.display().to_string();
     let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());

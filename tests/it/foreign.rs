@@ -21,7 +21,7 @@ const HANDED_IN: usize = 6;
 
 /// The example cell with its calibration and `changes` to its text.
 fn cell_with(folder: &Path, address: &str, changes: &[(&str, &str)]) -> (PathBuf, PathBuf) {
-    let (cell, sim) = configuration(folder, address, 2);
+    let (cell, sim) = configuration(folder, address, 1);
     let mut yaml = std::fs::read_to_string(&cell).expect("the configuration");
     for (from, to) in changes {
         assert!(yaml.contains(from), "{from}");

@@ -161,7 +161,7 @@ fn openings_lengths_marks_and_paths_are_flagged() {
     assert!(rules::opening_breach(&File::planted("a.rs", "//! Says what it does.")).is_none());
     assert!(rules::length_breach(&File::planted("a.rs", "x\nx\nx\n"), 2).is_some());
     assert!(rules::length_breach(&File::planted("a.rs", "x\nx\n"), 2).is_none());
-    for halves in [["// TO", "DO: later"], ["todo", "!()"], ["#[ig", "nore]"]] {
+    for halves in [["// TO", "DO: later"], ["todo", "!()"], ["#[ig", "nore]"], ["@", "@FIGURES@@"]] {
         flagged(rules::unfinished_marks(&File::planted("a.rs", &halves.concat())), &["a.rs:1"]);
     }
     flagged(rules::unfinished_marks(&File::planted("a.rs", "// a mastodon, to do good")), &[]);

@@ -245,7 +245,7 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<HandEyeCalibration> {
 }
 
 fn placed(at: &At, decoder: &mut Decoder) -> Option<(Mount, TransformStd)> {
-    // Files from before there were fixed cameras do not say; then the transform's name does.
+    // Files from before there were fixed cameras do not say: they are of the flange.
     let fixed = match decoder.open_map(at)?.optional("mount") {
         Some(at) => decoder.choice(&at, &[("flange", false), ("fixed", true)])?,
         None => false,
