@@ -270,25 +270,25 @@ fn camera_and_lens(config: &CellConfig) -> Result<(Supervised, CameraCalibration
             Err(error) => return Err(chain(&error)),
         }
     }
-    let path = &config.calibration.camera;
-    let text = files::read_named(path, 1 << 20).map_err(|error| {
-        let error = chain(&error);
+    let lens = lens_file(&config.calibration.camera).map_err(|error| {
         format!("{error}; this camera does not tell its lens: measure it with `celld calibrate camera`")
     })?;
-    let lens = CameraCalibration::parse(&text, &path.display().to_string());
-    let lens = lens.map_err(|complaints| complaints.to_string())?;
     Ok((open_camera(config, Some(lens.model.clone()))?, lens))
+}
+
+fn lens_file(path: &Path) -> Result<CameraCalibration, String> {
+    let text = files::read_named(path, 1 << 20).map_err(|error| chain(&error))?;
+    let lens = CameraCalibration::parse(&text, &path.display().to_string());
+    lens.map_err(|complaints| complaints.to_string())
 }
 
 /// The lens to work with: the one `celld calibrate camera` measured for this camera at this size, or the camera's own.
 fn lens(config: &CellConfig, own: CameraModel) -> Result<CameraCalibration, String> {
     let path = &config.calibration.camera;
     if path.exists() {
-        let text = files::read_named(path, 1 << 20).map_err(|error| error.to_string())?;
-        let known = CameraCalibration::parse(&text, &path.display().to_string());
-        if let Ok(known) = known.map_err(|complaints| complain(&complaints.to_string()))
-            && known.measured.is_some()
-        {
+        // A broken file is for its owner to mend: it would be written over in the end.
+        let known = lens_file(path)?;
+        if known.measured.is_some() {
             let fits = (known.model.serial.as_str(), known.model.width, known.model.height);
             if fits == (own.serial.as_str(), own.width, own.height) {
                 return Ok(known);

@@ -1,7 +1,9 @@
 //! Calibration as a user does it, against simulated devices over sockets: poses proposed in a taught box and visited, points of
 //! the table touched, the table tied to both; and a cell that works from a camera that stands. What comes out is held against the world's truth, which only the test reads.
 
-use crate::cell::{CELLD, Running, celld, configuration, result_of, text, wait_until};
+use crate::cell::{
+    CELLD, LOG, celld, configuration, copy_calibration, result_of, start_daemon, text, wait_until,
+};
 use celld::cli::sim::sim_config;
 use celld::config::load::load_sim;
 use celld::motion::kinematics::forward;
@@ -15,7 +17,6 @@ use celld::vision::calibration::table::TableCalibration;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::path::Path;
 use std::process::{Command, Stdio};
 
 const ADDRESS: &str = "127.7.1.9";
@@ -169,12 +170,8 @@ fn cell_works_from_a_camera_that_stands() {
     let sim = runtime.block_on(start(config)).expect("the simulation starts");
 
     // The files that a calibration of this cell wrote, the camera's place apart; the table's real small error stays.
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim");
+    copy_calibration(folder.path());
     let files = folder.path().join("calibration/sim");
-    std::fs::create_dir_all(&files).expect("a folder");
-    for name in ["camera.yaml", "hand_eye.yaml", "table.yaml"] {
-        std::fs::copy(shipped.join(name), files.join(name)).expect("copied");
-    }
     let text = std::fs::read_to_string(files.join("hand_eye.yaml")).expect("text");
     let on_hand = HandEyeCalibration::parse(&text, "hand_eye.yaml").expect("sound");
     let stands = HandEyeCalibration { mount: Mount::Fixed { base_from_camera }, ..on_hand };
@@ -192,22 +189,12 @@ fn cell_works_from_a_camera_that_stands() {
     std::fs::write(&cell, format!("{}{camera_key}{}", &text[..camera], &text[after..])).expect("written");
 
     let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let cell = cell.display().to_string();
-    let checked = celld(&["check", &cell], folder.path());
+    let checked = celld(&["check", &cell.display().to_string()], folder.path());
     assert_eq!(checked.status.code(), Some(0), "{}", said(&checked.stderr));
-    let log = folder.path().join("log.txt");
-    let _daemon = Running(
-        Command::new(CELLD)
-            .args(["run", "--config", &cell])
-            .current_dir(folder.path())
-            .stderr(std::fs::File::create(&log).expect("a file"))
-            .spawn()
-            .expect("the binary runs"),
-    );
+    let _daemon = start_daemon(folder.path(), &cell);
     let state = folder.path().join("state");
     let incoming = state.join("jobs/incoming");
-    let log = || std::fs::read_to_string(&log).unwrap_or_default();
-    wait_until("the daemon opens its folders", || incoming.is_dir());
+    let log = || std::fs::read_to_string(folder.path().join(LOG)).unwrap_or_default();
     let job = "version: 1\nid: one\ngoal:\n  objects:\n    - {id: lid, pose: [0.30, 0.38, 0]}\n";
     std::fs::write(incoming.join("one.yaml"), job).expect("written");
     wait_until("the cell is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));

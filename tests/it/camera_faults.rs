@@ -3,11 +3,12 @@
 //! Each fault is named while the arm stands and waits, and when it ends the job goes on by itself; one that does not end
 //! fails the job under that name, and the next job is worked on as if nothing had been.
 
-use crate::cell::{CELLD, PATIENCE, Running, celld, configuration, result_of, text, wait_until};
+use crate::cell::{
+    LOG, PATIENCE, Running, celld, configuration, copy_calibration, result_of, start_daemon, start_sim, text,
+    wait_until,
+};
 use std::cell::Cell;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 
 const ADDRESS: &str = "127.7.5.2";
 
@@ -49,30 +50,9 @@ fn start(folder: &Path, address: &str, camera: Option<&str>) -> (Running, Runnin
         let text = text.replace(line, camera).replace(foreign, "foreign: {mode: off}");
         std::fs::write(&cell, text).expect("written");
     }
-    let calibration = folder.join("calibration/sim");
-    std::fs::create_dir_all(&calibration).expect("created");
-    let made = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim");
-    for name in ["camera.yaml", "hand_eye.yaml", "table.yaml"] {
-        std::fs::copy(made.join(name), calibration.join(name)).expect("the simulated cell's calibration");
-    }
-    let mut simulator = Command::new(CELLD)
-        .args(["sim", "--control", "--config"])
-        .arg(sim)
-        .stdout(Stdio::piped())
-        .spawn()
-        .expect("the binary runs");
-    let mut line = String::new();
-    let stdout = simulator.stdout.take().expect("piped");
-    BufReader::new(stdout).read_line(&mut line).expect("a line");
-    assert!(line.contains("\"ready\":true"), "{line}");
-    let daemon = Command::new(CELLD)
-        .args(["run", "--config"])
-        .arg(cell)
-        .current_dir(folder)
-        .stderr(std::fs::File::create(folder.join(LOG)).expect("a file"))
-        .spawn()
-        .expect("the binary runs");
-    (Running(simulator), Running(daemon))
+    copy_calibration(folder);
+    let simulator = start_sim(&sim);
+    (simulator, start_daemon(folder, &cell))
 }
 
 /// The running cell as a person sees it.
@@ -81,8 +61,6 @@ struct Desk<'a> {
     state: PathBuf,
 }
 
-/// What the daemon says, in the test's folder.
-const LOG: &str = "log.txt";
 /// How often a job is handed in again that a busy machine stopped.
 const HANDED_IN: usize = 6;
 /// What such a job says: one side was not served in time.
@@ -145,7 +123,6 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
     let folder = tempfile::tempdir().expect("a folder");
     let _running = start(folder.path(), ADDRESS, None);
     let desk = Desk { folder: folder.path(), state: folder.path().join("state") };
-    wait_until("the daemon opens its folders", || desk.state.join("jobs/incoming").is_dir());
     desk.arm();
     let result = desk.job("good", 0.36, |_| {});
     assert!(result.contains("status: done"), "{result}");
@@ -192,7 +169,6 @@ fn cell_starts_without_its_camera_and_waits_for_it() {
                   height: 720, fps: 30}";
     let _running = start(folder.path(), "127.7.5.3", Some(camera));
     let desk = Desk { folder: folder.path(), state: folder.path().join("state") };
-    wait_until("the daemon opens its folders", || desk.state.join("jobs/incoming").is_dir());
     desk.arm();
     let file = desk.state.join("jobs/incoming/away.yaml");
     let goal = "goal:\n  objects:\n    - {id: lid, pose: [0.36, 0.38, 0]}\n";

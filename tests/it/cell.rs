@@ -118,6 +118,32 @@ pub(crate) fn start_sim(config: &Path) -> Running {
     Running(sim)
 }
 
+/// The files that a calibration of the example cell wrote, where its configuration in `folder` looks for them.
+pub(crate) fn copy_calibration(folder: &Path) {
+    let files = folder.join("calibration/sim");
+    std::fs::create_dir_all(&files).expect("created");
+    let made = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim");
+    for name in ["camera.yaml", "hand_eye.yaml", "table.yaml"] {
+        std::fs::copy(made.join(name), files.join(name)).expect("the simulated cell's calibration");
+    }
+}
+
+/// What a daemon says, in its folder.
+pub(crate) const LOG: &str = "log.txt";
+
+/// The daemon, working in `folder` and ready for jobs in its `state/jobs/incoming`.
+pub(crate) fn start_daemon(folder: &Path, cell: &Path) -> Running {
+    let process = Command::new(CELLD)
+        .args(["run", "--config"])
+        .arg(cell)
+        .current_dir(folder)
+        .stderr(std::fs::File::create(folder.join(LOG)).expect("a file"))
+        .spawn();
+    let running = Running(process.expect("the binary runs"));
+    wait_until("the daemon opens its folders", || folder.join("state/jobs/incoming").is_dir());
+    running
+}
+
 fn interrupt(process: &Running) {
     let id = process.0.id().to_string();
     // The shell's own: a bare Debian has no such program.
@@ -153,16 +179,8 @@ fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     assert_eq!(calibrated.status.code(), Some(0), "{}", text(&calibrated.stderr));
 
     let state = folder.path().join("state");
-    let mut daemon = Running(
-        Command::new(CELLD)
-            .args(["run", "--config", &cell_text])
-            .current_dir(folder.path())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("the binary runs"),
-    );
+    let mut daemon = start_daemon(folder.path(), &cell);
     let incoming = state.join("jobs/incoming");
-    wait_until("the daemon opens its folders", || incoming.is_dir());
     let job = |id: &str, x: f64| {
         format!("version: 1\nid: {id}\ngoal:\n  objects:\n    - {{id: lid, pose: [{x}, 0.38, 0]}}\n")
     };
@@ -229,17 +247,9 @@ fn cell_moves_nothing_while_something_without_a_marker_stands_on_the_table() {
     let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());
     assert_eq!(calibrated.status.code(), Some(0), "{}", text(&calibrated.stderr));
     let state = folder.path().join("state");
-    let log = folder.path().join("log.txt");
-    let _daemon = Running(
-        Command::new(CELLD)
-            .args(["run", "--config", &cell_text])
-            .current_dir(folder.path())
-            .stderr(std::fs::File::create(&log).expect("a file"))
-            .spawn()
-            .expect("the binary runs"),
-    );
+    let log = folder.path().join(LOG);
+    let _daemon = start_daemon(folder.path(), &cell);
     let incoming = state.join("jobs/incoming");
-    wait_until("the daemon opens its folders", || incoming.is_dir());
     let submit = |id: &str, x: f64| {
         let goal = format!("goal:\n  objects:\n    - {{id: lid, pose: [{x}, 0.38, 0]}}\n");
         std::fs::write(incoming.join(format!("{id}.yaml")), format!("version: 1\nid: {id}\n{goal}"))

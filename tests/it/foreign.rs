@@ -3,11 +3,11 @@
 //! The real daemon against the simulator that puts them on the table. That nothing is moved while depth shows one is tested in `cell`.
 
 use crate::cell::{
-    CELLD, PATIENCE, Running, celld, configuration, fault, result_of, start_sim, text, wait_until,
+    LOG, PATIENCE, Running, celld, configuration, copy_calibration, fault, result_of, start_daemon,
+    start_sim, text, wait_until,
 };
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 
 /// Middle, half an edge and height of the box that stands between the lid's start and its goal, m.
 const BOX: [f64; 2] = [0.285, 0.295];
@@ -28,12 +28,7 @@ fn cell_with(folder: &Path, address: &str, changes: &[(&str, &str)]) -> (PathBuf
         yaml = yaml.replace(from, to);
     }
     std::fs::write(&cell, yaml).expect("written");
-    let calibration = folder.join("calibration/sim");
-    std::fs::create_dir_all(&calibration).expect("created");
-    let made = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim");
-    for name in ["camera.yaml", "hand_eye.yaml", "table.yaml"] {
-        std::fs::copy(made.join(name), calibration.join(name)).expect("the simulated cell's calibration");
-    }
+    copy_calibration(folder);
     (cell, sim)
 }
 
@@ -47,17 +42,8 @@ struct Daemon<'a> {
 
 impl Daemon<'_> {
     fn start<'a>(folder: &'a Path, cell: &Path) -> Daemon<'a> {
-        let (state, log) = (folder.join("state"), folder.join("log.txt"));
-        let process = Command::new(CELLD)
-            .args(["run", "--config"])
-            .arg(cell)
-            .current_dir(folder)
-            .stdout(Stdio::null())
-            .stderr(std::fs::File::create(&log).expect("a file"))
-            .spawn();
-        let daemon = Daemon { folder, state, log, _process: Running(process.expect("the binary runs")) };
-        wait_until("the daemon opens its folders", || daemon.state.join("jobs/incoming").is_dir());
-        daemon
+        let (state, log) = (folder.join("state"), folder.join(LOG));
+        Daemon { folder, state, log, _process: start_daemon(folder, cell) }
     }
 
     fn said(&self) -> String {

@@ -6,19 +6,17 @@
 //! the rotations are about many axes. Before they are given out, the round is played through on paper: what the gate of
 //! the real calibration would refuse is refused here, with the same sentence.
 
-use crate::cli::calibrate::camera_and_lens;
+use crate::cli::calibrate::{camera_and_lens, lens_file};
 use crate::cli::task::complain;
 use crate::config::cell::{CalibrationBox, CameraMount, CellConfig};
 use crate::daemon::calibrate::{Arm, checked_move};
 use crate::daemon::hardware::Hardware;
 use crate::daemon::setup::{arm_model, reference_markers};
 use crate::document::chain::chain;
-use crate::io::files;
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::motion::path::ArmModel;
 use crate::units::{Joints, deg_from_rad, mm_from_m};
 use crate::vision::calibrate::{HandEyeGuess, HandEyeSettings, Sample, TransformStd, solve_hand_eye};
-use crate::vision::calibration::camera::CameraCalibration;
 use crate::vision::camera::CameraModel;
 use crate::vision::cv;
 use crate::vision::detect::Detection;
@@ -112,9 +110,7 @@ fn known_lens(config: &CellConfig) -> Result<CameraModel, String> {
     if !path.exists() {
         return camera_and_lens(config).map(|(_, lens)| lens.model);
     }
-    let text = files::read_named(path, 1 << 20).map_err(|error| chain(&error))?;
-    let known = CameraCalibration::parse(&text, &path.display().to_string());
-    known.map(|known| known.model).map_err(|complaints| complaints.to_string())
+    lens_file(path).map(|known| known.model)
 }
 
 fn tell(proposal: &Proposal) {
@@ -156,7 +152,7 @@ fn proposal(
         table_m: [config.workspace.width_m, config.workspace.height_m],
     };
     let poses = poses(&scene, start, count);
-    if poses.len() < POSES_MIN.min(count) {
+    if poses.len() < POSES_MIN {
         return Err(format!(
             "calibration_box has room for {} of {count} poses that see {SEEN_MIN} reference markers and that the arm reaches in \
              its work posture without leaving the box; widen it, above all upwards",

@@ -371,3 +371,14 @@ fn a_round_that_breaks_off_leaves_no_old_poses_with_its_pictures() {
     drop(Recording::new(folder.path()).unwrap());
     assert!(!poses.exists());
 }
+
+#[test]
+fn a_broken_lens_file_is_refused_and_not_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = cell(folder.path());
+    let own = read_camera(&config.calibration.camera).unwrap();
+    assert!(lens(&config, own.clone()).is_ok());
+    std::fs::write(&config.calibration.camera, "serial: [").unwrap();
+    let told = lens(&config, own).unwrap_err();
+    assert!(told.contains("camera.yaml:1"), "{told}");
+}
