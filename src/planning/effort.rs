@@ -49,6 +49,18 @@ impl<'a> Effort<'a> {
         self.stopped |= part.stopped && part.done <= part.limit;
     }
 
+    /// A meter for the rest of the search in another one, of whose steps `steps` take as long as one of these; tell
+    /// with [`Effort::spend_cheap`] what it took.
+    pub fn cheap_part(&self, steps: u64) -> Effort<'a> {
+        Effort::new(Some(self.left().saturating_mul(steps)), self.stop)
+    }
+
+    /// Counts the steps of a part of cheap steps.
+    pub fn spend_cheap(&mut self, part: &Effort, steps: u64) {
+        self.done += part.done.min(part.limit).div_ceil(steps);
+        self.stopped |= part.stopped && part.done <= part.limit;
+    }
+
     /// Steps that may still be made.
     pub fn left(&self) -> u64 {
         self.limit.saturating_sub(self.done)
@@ -91,6 +103,21 @@ mod tests {
         assert!(!part.step());
         stopped.spend(&part);
         assert!(stopped.is_over());
+    }
+
+    #[test]
+    fn cheap_steps_count_a_part_of_one() {
+        let mut effort = Effort::new(Some(100), &|| false);
+        let mut part = effort.cheap_part(12);
+        assert_eq!((0..500).filter(|_| part.step()).count(), 500);
+        effort.spend_cheap(&part, 12);
+        assert!(!effort.is_over());
+        assert_eq!(effort.left(), 100 - 42);
+        let mut rest = effort.cheap_part(12);
+        assert_eq!((0..5000).filter(|_| rest.step()).count(), 58 * 12);
+        effort.spend_cheap(&rest, 12);
+        assert_eq!((effort.left(), effort.is_over()), (0, false));
+        assert!(!effort.step());
     }
 
     #[test]

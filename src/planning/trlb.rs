@@ -67,6 +67,26 @@ struct Node {
     moves: Vec<Move>,
 }
 
+/// The trees from both ends: a search can be left with them and gone on with later.
+pub struct Trees {
+    trees: [Vec<Node>; 2],
+    /// The tree that grows next.
+    side: usize,
+}
+
+impl Trees {
+    /// Two roots.
+    pub fn new(start: Arrangement, goal: Arrangement) -> Trees {
+        let root = |arrangement| vec![Node { arrangement, parent: None, moves: Vec::new() }];
+        Trees { trees: [root(start), root(goal)], side: 0 }
+    }
+
+    /// Nothing grows any more.
+    pub fn are_full(&self) -> bool {
+        self.trees.iter().any(|tree| tree.len() >= TREE_LIMIT)
+    }
+}
+
 impl Trlb<'_> {
     /// The first plan from `start` to `goal`; None when the effort is spent or the trees have grown to their limit.
     pub fn search(
@@ -76,15 +96,17 @@ impl Trlb<'_> {
         rng: &mut ChaCha8Rng,
         effort: &mut Effort,
     ) -> Option<Vec<Move>> {
-        let root = |arrangement| vec![Node { arrangement, parent: None, moves: Vec::new() }];
-        let mut trees = [root(start), root(goal)];
-        let mut side = 0;
-        while !effort.is_over() && trees.iter().all(|tree| tree.len() < TREE_LIMIT) {
-            let [near, far] = if side == 0 { [0, 1] } else { [1, 0] };
-            if let Some(plan) = self.grow(&mut trees, near, far, rng, effort) {
+        self.go_on(&mut Trees::new(start, goal), rng, effort)
+    }
+
+    /// Lets the trees grow until they meet, are full, or the effort is spent.
+    pub fn go_on(&self, both: &mut Trees, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Option<Vec<Move>> {
+        while !effort.is_over() && !both.are_full() {
+            let [near, far] = if both.side == 0 { [0, 1] } else { [1, 0] };
+            if let Some(plan) = self.grow(&mut both.trees, near, far, rng, effort) {
                 return Some(tidy(plan));
             }
-            side = 1 - side;
+            both.side = 1 - both.side;
             // A loop that samples nothing (no move possible at all) has to come to its limit too.
             effort.step();
         }

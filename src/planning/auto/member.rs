@@ -2,9 +2,10 @@
 //!
 //! In: a task that all members share, a seed. Out: after each round a plan no dearer than before. A first plan comes
 //! from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from the goal; where none of
-//! them arrives, from pressing everything out of the way (`squeeze`), or from the paper's solvers. From then on a piece of the plan, its tail, its head (backwards) or a window,
-//! is replaced by a roll-out between the same two arrangements whenever that costs no more; equal cost counts as
-//! progress, so that the plan drifts until a better one is near. Under the objective `time` the roll-outs count moves,
+//! them arrives, from pressing everything out of the way (`squeeze`); one member asks the paper's ETBM instead, from its
+//! second round on. From then on a piece of the plan, its tail, its head (backwards) or a window, is replaced by a
+//! roll-out between the same two arrangements whenever that costs no more; equal cost counts as progress, so that the
+//! plan drifts until a better one is near. Under the objective `time` the roll-outs count moves,
 //! the caller's cost function judges what they find, and `polish` tries what no count of moves can tell apart. Ideas:
 //! feedback vertex set as bound and guide (Gao et al., TRLB), plan shortening by large-neighbourhood search.
 
@@ -30,6 +31,15 @@ use std::sync::Arc;
 /// Rounds without a plan after which everything is tried side by side.
 const PATIENCE: u64 = 8;
 
+/// Times the bound from which on a plan is so poor that the paper's solver is asked all the same.
+const POOR: f64 = 1.5;
+
+/// Rounds after which nothing is hoped for from the paper's solver any more.
+const HOPE: u64 = 100;
+
+/// Steps of the paper's solver that take as long as one of the roll-outs.
+const RESCUE_STEPS: u64 = 12;
+
 /// Share of the ways over a crowded table that go over the sites of a packing, if they can.
 const SITES: f64 = 0.3;
 
@@ -47,8 +57,8 @@ pub struct Quest<'a> {
     pub judge: Option<&'a Judge<'a>>,
     /// What a unit of these costs is worth at least in the objective.
     pub worth: f64,
-    /// Another way to a first plan.
-    pub rescue: &'a Rescue<'a>,
+    /// Makes a search of another kind for a first plan, from a seed.
+    pub rescuer: &'a (dyn Fn(u64) -> Box<Rescue<'a>> + Sync + 'a),
     /// A plan made before, perhaps for objects that lie elsewhere now: who was to go where.
     pub known: &'a [(usize, Pose2)],
 }
@@ -56,8 +66,8 @@ pub struct Quest<'a> {
 /// Cost of a whole plan.
 pub type Judge<'a> = dyn Fn(&[Move]) -> f64 + Sync + 'a;
 
-/// Another way to a plan: the number of the try, the effort.
-pub type Rescue<'a> = dyn Fn(u64, &mut Effort) -> Option<Vec<Move>> + Sync + 'a;
+/// Another way to a plan, unchecked; it goes on where it was left when the effort was spent.
+pub type Rescue<'a> = dyn FnMut(&mut Effort) -> Option<Vec<Move>> + Send + 'a;
 
 /// A search of one thread.
 pub struct Member<'a> {
@@ -72,7 +82,8 @@ pub struct Member<'a> {
     rng: ChaCha8Rng,
     rounds: u64,
     tries: u64,
-    rescues: u64,
+    /// The paper's solver, where this member asks it.
+    rescue: Option<Box<Rescue<'a>>>,
     /// A way over a crowded table that is under way, and whether it leads from the goal to the start.
     squeeze: Option<(Squeeze<'a>, bool)>,
 }
@@ -94,8 +105,8 @@ struct Leg {
 }
 
 impl<'a> Member<'a> {
-    /// A member without a plan.
-    pub fn new(quest: &'a Quest<'a>, seed: u64) -> Member<'a> {
+    /// A member without a plan, which asks the paper's solver if `rescue` says so.
+    pub fn new(quest: &'a Quest<'a>, seed: u64, rescue: bool) -> Member<'a> {
         let scene = quest.scene;
         Member {
             quest,
@@ -108,7 +119,7 @@ impl<'a> Member<'a> {
             rng: ChaCha8Rng::seed_from_u64(seed),
             rounds: 0,
             tries: 0,
-            rescues: 0,
+            rescue: rescue.then(|| (quest.rescuer)(seed)),
             squeeze: None,
         }
     }
@@ -117,18 +128,18 @@ impl<'a> Member<'a> {
     pub fn search(&mut self, enough: f64, effort: &mut Effort) {
         self.rounds += 1;
         if self.plan.is_none() {
-            self.first_plan(3, effort, |member, effort| match member.tries {
+            self.rescued(f64::INFINITY, effort);
+            self.first_plan(2, effort, |member, effort| match member.tries {
                 1..=3 if !member.quest.known.is_empty() => member.resumed(effort),
                 _ => member.whole_plan(f64::INFINITY, effort),
             });
-            self.first_plan(2, effort, Self::squeezed);
-            self.first_plan(1, effort, |member, effort| {
-                member.rescues += 1;
-                (member.quest.rescue)(member.rescues, effort)
-            });
+            self.first_plan(1, effort, Self::squeezed);
             return;
         }
         let mut cost = self.plan_cost();
+        if cost > POOR * enough {
+            cost = self.rescued(cost, effort);
+        }
         // A step each time: a search that samples nothing has to come to its limit too.
         while effort.step() && cost > enough + self.slack {
             let Some(plan) = self.plan.take() else { return };
@@ -139,6 +150,28 @@ impl<'a> Member<'a> {
             cost = kept_cost;
             self.plan = Some(kept);
         }
+    }
+
+    /// Asks for a plan that costs less than `cost`, if this is the member that may, and says what the best one costs.
+    fn rescued(&mut self, cost: f64, effort: &mut Effort) -> f64 {
+        let Some(mut rescue) = self.rescue.take().filter(|_| self.rounds <= HOPE) else { return cost };
+        let mut found = None;
+        if self.rounds > 1 {
+            let mut part = effort.cheap_part(RESCUE_STEPS);
+            found = rescue(&mut part);
+            effort.spend_cheap(&part, RESCUE_STEPS);
+        }
+        let Some(plan) = found else {
+            self.rescue = Some(rescue);
+            return cost;
+        };
+        // The first one is the last one: what is still to gain, changes of pieces find sooner.
+        let plan = shortened(self.quest.scene, &self.start, plan);
+        let new = self.judged(&plan);
+        if new < cost {
+            self.plan = Some(plan);
+        }
+        cost.min(new)
     }
 
     /// Tries to find a plan in one of `parts` of the effort; in all of it while there is hope for an easy one.

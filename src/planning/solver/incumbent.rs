@@ -1,7 +1,7 @@
 //! Between the solvers and the caller: the best checked plan, and how `auto` is set up.
 //!
 //! In: a scene whose goal arrangement stands, solver, objective, control, seed. Out: the best checked plan and its
-//! cost, left in [`Incumbent`]. `auto` gets the costs of moves by objective, and the paper's solvers to fall back on.
+//! cost, left in [`Incumbent`]. `auto` gets the costs of moves by objective, and one of the paper's solvers to fall back on.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::member::Quest;
@@ -78,18 +78,12 @@ pub(super) fn run(
     search::run(scene, solver, seed, setting, &mut |moves| incumbent.offer(moves), effort);
 }
 
-/// Solvers that `auto` asks where it finds no plan itself, in turn.
-const RESCUERS: [SolverKind; 4] = [SolverKind::Erbm, SolverKind::Etbm, SolverKind::Emcts, SolverKind::Rbm];
-
-/// Steps of the first call for help; each further one may take a half more.
-const FIRST_RESCUE: f64 = 2000.0;
-
 /// Our own solver. It counts moves, weighted by impedance under TI; under `time` the caller judges whole plans.
 fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
     let (problem, objective, control) = (scene.problem, incumbent.objective, incumbent.control);
     let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
     let costs: Vec<f64> = problem.objects.iter().map(weigh).collect();
-    let rescue = |turn: u64, effort: &mut Effort| first_plan(scene, objective, seed, turn, effort);
+    let rescuer = |seed| search::first_plan(scene, objective, seed);
     let judge = |moves: &[Move]| cost(problem, objective, control, &actions(problem, moves));
     let is_known = |action: &&Action| {
         problem.objects.get(action.object).is_some_and(|o| !o.fixed) && action.to.is_finite()
@@ -100,32 +94,11 @@ fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort
         costs: &costs,
         judge: if objective == Objective::Time { Some(&judge) } else { None },
         worth: if objective == Objective::Time { control.least_move_seconds } else { 1.0 },
-        rescue: &rescue,
+        rescuer: &rescuer,
         known: &known.collect::<Vec<_>>(),
     };
     let search = auto::Search { quest: &quest, pool: control.pool, seed };
     search.run(incumbent, effort);
-}
-
-/// The first plan of one of the paper's solvers, unchecked, in a part of the effort that grows with `turn`.
-fn first_plan(
-    scene: &Scene,
-    objective: Objective,
-    seed: u64,
-    turn: u64,
-    effort: &mut Effort,
-) -> Option<Vec<Move>> {
-    let solver = RESCUERS[(turn % RESCUERS.len() as u64) as usize];
-    let mut found = None;
-    let mut offer = |moves: &[Move]| {
-        found = Some(moves.to_vec());
-        Verdict::Enough
-    };
-    let mut part = effort.part((FIRST_RESCUE * 1.5f64.powf(turn as f64)) as u64);
-    let setting = Setting { objective, strict_paper: false };
-    search::run(scene, solver, seed.wrapping_add(turn), setting, &mut offer, &mut part);
-    effort.spend(&part);
-    found
 }
 
 fn actions(problem: &Problem, moves: &[Move]) -> Vec<Action> {

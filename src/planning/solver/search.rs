@@ -4,6 +4,7 @@
 //! HeTI under TI. TRLB ends with its first plan that is accepted, as the paper does; the tree searches go on for better
 //! ones until the limit, or until the caller has enough.
 
+use crate::planning::auto::member::Rescue;
 use crate::planning::buffers::Arrangement;
 use crate::planning::completion;
 use crate::planning::effort::Effort;
@@ -14,7 +15,7 @@ use crate::planning::primitive::{Preference, RunningBuffer};
 use crate::planning::scene::Scene;
 use crate::planning::solver::SolverKind;
 use crate::planning::total_buffers::TotalBuffers;
-use crate::planning::trlb::{Move, Planner, Trlb};
+use crate::planning::trlb::{Move, Planner, Trees, Trlb};
 use crate::planning::weights;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -88,6 +89,34 @@ fn rounded(scene: &Scene, objective: Objective) -> Vec<u32> {
         all[object] = value;
     }
     all
+}
+
+/// ETBM, which finds plans most often where it is crowded, as a search that can be left and gone on with.
+pub(super) fn first_plan<'a>(scene: &'a Scene<'a>, objective: Objective, seed: u64) -> Box<Rescue<'a>> {
+    let weights = heuristic(scene, objective);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let goals = completion::assigned_goals(scene);
+    let start: Arrangement = (0..scene.problem.objects.len()).map(|i| scene.start(i).clone()).collect();
+    let mut trees: Option<Trees> = None;
+    Box::new(move |effort| {
+        let planner = |graph: &DependencyGraph, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
+            let weights: Vec<f64> = objects.iter().map(|&o| weights[o]).collect();
+            TotalBuffers { graph, weights: &weights }.plan(rng, effort)
+        };
+        let trlb = Trlb { scene, planner: &planner, detours: true };
+        while effort.step() {
+            let mut both = match trees.take() {
+                Some(both) if !both.are_full() => both,
+                _ => Trees::new(start.clone(), completion::complete(scene, &goals, &mut rng, effort)?),
+            };
+            let plan = trlb.go_on(&mut both, &mut rng, effort);
+            if plan.is_some() {
+                return plan;
+            }
+            trees = Some(both);
+        }
+        None
+    })
 }
 
 /// TBM and ETBM.
