@@ -14,6 +14,7 @@ use crate::planning::problem::{Problem, ProblemObject, Witness};
 use crate::planning::scene::Scene;
 use crate::planning::solver::incumbent::Incumbent;
 
+mod aid;
 mod incumbent;
 mod search;
 

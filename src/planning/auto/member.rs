@@ -2,8 +2,8 @@
 //!
 //! In: a task that all members share, a seed. Out: after each round a plan no dearer than before. A first plan comes
 //! from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from the goal; where none of
-//! them arrives, from pressing everything out of the way (`squeeze`); one member asks the paper's ETBM instead, from its
-//! second round on. From then on a piece of the plan, its tail, its head (backwards) or a window, is replaced by a
+//! them arrives, from pressing everything out of the way (`squeeze`); two members
+//! ask the paper's solvers instead. From then on a piece of the plan, its tail, its head (backwards) or a window, is replaced by a
 //! roll-out between the same two arrangements whenever that costs no more; equal cost counts as progress, so that the
 //! plan drifts until a better one is near. Under the objective `time` the roll-outs count moves,
 //! the caller's cost function judges what they find, and `polish` tries what no count of moves can tell apart. Ideas:
@@ -31,14 +31,11 @@ use std::sync::Arc;
 /// Rounds without a plan after which everything is tried side by side.
 const PATIENCE: u64 = 8;
 
-/// Times the bound from which on a plan is so poor that the paper's solver is asked all the same.
+/// Times the bound from which on a plan is so poor that an aid is asked all the same.
 const POOR: f64 = 1.5;
 
-/// Rounds after which nothing is hoped for from the paper's solver any more.
+/// Rounds after which nothing better is hoped for from an aid any more.
 const HOPE: u64 = 100;
-
-/// Steps of the paper's solver that take as long as one of the roll-outs.
-const RESCUE_STEPS: u64 = 12;
 
 /// Share of the ways over a crowded table that go over the sites of a packing, if they can.
 const SITES: f64 = 0.3;
@@ -57,8 +54,8 @@ pub struct Quest<'a> {
     pub judge: Option<&'a Judge<'a>>,
     /// What a unit of these costs is worth at least in the objective.
     pub worth: f64,
-    /// Makes a search of another kind for a first plan, from a seed.
-    pub rescuer: &'a (dyn Fn(u64) -> Box<Rescue<'a>> + Sync + 'a),
+    /// What a member asks for help, if anything: its number, a seed.
+    pub aid: &'a (dyn Fn(u64, u64) -> Option<Aid<'a>> + Sync + 'a),
     /// A plan made before, perhaps for objects that lie elsewhere now: who was to go where.
     pub known: &'a [(usize, Pose2)],
 }
@@ -67,7 +64,19 @@ pub struct Quest<'a> {
 pub type Judge<'a> = dyn Fn(&[Move]) -> f64 + Sync + 'a;
 
 /// Another way to a plan, unchecked; it goes on where it was left when the effort was spent.
-pub type Rescue<'a> = dyn FnMut(&mut Effort) -> Option<Vec<Move>> + Send + 'a;
+pub type Search<'a> = dyn FnMut(&mut Effort) -> Option<Vec<Move>> + Send + 'a;
+
+/// A search of another kind, for a first plan.
+pub struct Aid<'a> {
+    /// The search.
+    pub search: Box<Search<'a>>,
+    /// The first round of its member in which it is asked.
+    pub from_round: u64,
+    /// Its steps that count one of the roll-outs.
+    pub steps: u64,
+    /// It may find what betters a poor plan.
+    pub betters: bool,
+}
 
 /// A search of one thread.
 pub struct Member<'a> {
@@ -82,8 +91,7 @@ pub struct Member<'a> {
     rng: ChaCha8Rng,
     rounds: u64,
     tries: u64,
-    /// The paper's solver, where this member asks it.
-    rescue: Option<Box<Rescue<'a>>>,
+    aid: Option<Aid<'a>>,
     /// A way over a crowded table that is under way, and whether it leads from the goal to the start.
     squeeze: Option<(Squeeze<'a>, bool)>,
 }
@@ -105,8 +113,8 @@ struct Leg {
 }
 
 impl<'a> Member<'a> {
-    /// A member without a plan, which asks the paper's solver if `rescue` says so.
-    pub fn new(quest: &'a Quest<'a>, seed: u64, rescue: bool) -> Member<'a> {
+    /// The member of this number, without a plan.
+    pub fn new(quest: &'a Quest<'a>, number: u64, seed: u64) -> Member<'a> {
         let scene = quest.scene;
         Member {
             quest,
@@ -119,7 +127,7 @@ impl<'a> Member<'a> {
             rng: ChaCha8Rng::seed_from_u64(seed),
             rounds: 0,
             tries: 0,
-            rescue: rescue.then(|| (quest.rescuer)(seed)),
+            aid: (quest.aid)(number, seed),
             squeeze: None,
         }
     }
@@ -128,7 +136,7 @@ impl<'a> Member<'a> {
     pub fn search(&mut self, enough: f64, effort: &mut Effort) {
         self.rounds += 1;
         if self.plan.is_none() {
-            self.rescued(f64::INFINITY, effort);
+            self.aided(f64::INFINITY, effort);
             self.first_plan(2, effort, |member, effort| match member.tries {
                 1..=3 if !member.quest.known.is_empty() => member.resumed(effort),
                 _ => member.whole_plan(f64::INFINITY, effort),
@@ -137,8 +145,8 @@ impl<'a> Member<'a> {
             return;
         }
         let mut cost = self.plan_cost();
-        if cost > POOR * enough {
-            cost = self.rescued(cost, effort);
+        if self.is_poor(cost, enough) {
+            cost = self.aided(cost, effort);
         }
         // A step each time: a search that samples nothing has to come to its limit too.
         while effort.step() && cost > enough + self.slack {
@@ -152,17 +160,18 @@ impl<'a> Member<'a> {
         }
     }
 
-    /// Asks for a plan that costs less than `cost`, if this is the member that may, and says what the best one costs.
-    fn rescued(&mut self, cost: f64, effort: &mut Effort) -> f64 {
-        let Some(mut rescue) = self.rescue.take().filter(|_| self.rounds <= HOPE) else { return cost };
-        let mut found = None;
-        if self.rounds > 1 {
-            let mut part = effort.cheap_part(RESCUE_STEPS);
-            found = rescue(&mut part);
-            effort.spend_cheap(&part, RESCUE_STEPS);
+    /// Asks this member's aid, if it has one, for a plan that costs less than `cost`; what the best one costs then.
+    fn aided(&mut self, cost: f64, effort: &mut Effort) -> f64 {
+        let Some(mut aid) = self.aid.take() else { return cost };
+        if self.rounds < aid.from_round {
+            self.aid = Some(aid);
+            return cost;
         }
+        let mut part = effort.cheap_part(aid.steps);
+        let found = (aid.search)(&mut part);
+        effort.spend_cheap(&part, aid.steps);
         let Some(plan) = found else {
-            self.rescue = Some(rescue);
+            self.aid = Some(aid);
             return cost;
         };
         // The first one is the last one: what is still to gain, changes of pieces find sooner.
@@ -172,6 +181,13 @@ impl<'a> Member<'a> {
             self.plan = Some(plan);
         }
         cost.min(new)
+    }
+
+    /// Does the aid promise more than changes of pieces of a plan of this cost?
+    fn is_poor(&self, cost: f64, enough: f64) -> bool {
+        // Bounds say little where the caller judges.
+        let far = self.quest.judge.is_none() && cost > POOR * enough;
+        far && self.rounds <= HOPE && self.aid.as_ref().is_some_and(|aid| aid.betters)
     }
 
     /// Tries to find a plan in one of `parts` of the effort; in all of it while there is hope for an easy one.

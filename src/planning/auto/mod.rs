@@ -1,6 +1,6 @@
 //! `auto`, our own anytime solver: a portfolio of randomised searches that share their best plan.
 //!
-//! In: a [`Quest`]: a scene, costs, one of the paper's solvers as a way out; a seed. Out: plans, each offered as it is found.
+//! In: a [`Quest`]: a scene, costs, two of the paper's solvers to ask; a seed. Out: plans, each offered as it is found.
 //! Members (`member`) search beside each other, on the caller's threads if there are any; after a
 //! fixed number of steps they meet, in the order of their numbers, and those that have a worse plan take over the best.
 //! Between the rounds the lower bound is raised (`bound::room`), as long as that can end the search.
@@ -57,7 +57,7 @@ impl Search<'_> {
     /// Searches until the plan is good enough or the effort is spent.
     pub fn run(&self, audience: &mut dyn Audience, effort: &mut Effort) {
         let seed = |k: u64| self.seed.wrapping_mul(MEMBERS).wrapping_add(k);
-        let member = |k| Member::new(self.quest, seed(k), k + 1 == MEMBERS);
+        let member = |k| Member::new(self.quest, k, seed(k));
         let mut members: Vec<Member> = (0..MEMBERS).map(member).collect();
         let mut proof = RoomBound::new(self.quest.scene, self.quest.costs);
         let mut best: Option<(f64, Vec<Move>)> = None;

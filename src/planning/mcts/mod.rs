@@ -24,6 +24,7 @@ use crate::planning::scene::Scene;
 use crate::planning::trlb::{Move, tidy};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
 
 /// The constant C of MCTS, for rewards between 0 and 1. Chosen on the public instances of density 0.4 with 20 to 40
 /// objects: 0.1 finds plans 5 % shorter in five times the time, 0.01 longer ones faster.
@@ -95,42 +96,55 @@ pub enum Verdict {
 /// Takes the plans a search finds.
 pub type Offer<'a> = dyn FnMut(Vec<Move>) -> Verdict + 'a;
 
-/// One problem for the tree search.
+/// A tree over one problem: a search that can be left and gone on with.
 pub struct TreeSearch<'a> {
-    /// The table.
-    pub scene: &'a Scene<'a>,
-    /// Who counts how much.
-    pub rule: &'a Rule,
-    /// Every object's start.
-    pub start: &'a Arrangement,
-    /// Every object's goal.
-    pub goal: &'a Arrangement,
+    rule: Arc<Rule>,
+    goal: Arrangement,
+    table: Table<'a>,
+    tree: Tree,
+    most: usize,
+    exhausted: bool,
 }
 
-impl TreeSearch<'_> {
-    /// Grows one tree until `offer` has enough, the effort is spent, or the tree is exhausted or has `most` nodes.
+impl<'a> TreeSearch<'a> {
+    /// A root. `rule` says who counts how much; start and goal are of every object; the tree is full at `most` nodes.
+    pub fn new(
+        scene: &'a Scene<'a>,
+        rule: Arc<Rule>,
+        start: &Arrangement,
+        goal: Arrangement,
+        most: usize,
+    ) -> TreeSearch<'a> {
+        let table = Table::new(scene, start, &goal);
+        let root = table.start();
+        let tree = Tree::new(rule.clone(), &root, table.home(&root));
+        TreeSearch { rule, goal, table, tree, most, exhausted: false }
+    }
+
+    /// Nothing grows any more.
+    pub fn is_over(&self) -> bool {
+        self.exhausted || self.tree.len() >= self.most
+    }
+
+    /// Grows the tree until `offer` has enough, the effort is spent, or the tree is exhausted or full.
     /// Only plans whose sum of the rule's costs is below `ceiling` are offered; accepted ones lower it.
     /// True if the caller has enough.
     pub fn grow(
-        &self,
-        most: usize,
+        &mut self,
         ceiling: &mut f64,
         rng: &mut ChaCha8Rng,
         effort: &mut Effort,
         offer: &mut Offer,
     ) -> bool {
-        let mut table = Table::new(self.scene, self.start, self.goal);
-        let root = table.start();
-        let mut tree = Tree::new(self.rule, &root, table.home(&root));
-        if tree.is_goal(0) {
+        if self.tree.is_goal(0) {
             return offer(Vec::new()) == Verdict::Enough;
         }
-        while tree.len() < most && effort.step() {
-            match self.visit(&mut tree, &mut table, *ceiling, rng, effort) {
-                Visit::Exhausted => return false,
+        while !self.is_over() && effort.step() {
+            match self.visit(*ceiling, rng, effort) {
+                Visit::Exhausted => self.exhausted = true,
                 Visit::Grown => {}
                 Visit::Goal(at) => {
-                    let moves = tidy(self.moves(&tree, &table, at));
+                    let moves = tidy(self.moves(at));
                     let cost: f64 = moves.iter().map(|m| self.rule.costs[m.object]).sum();
                     match offer(moves) {
                         Verdict::Enough => return true,
@@ -144,67 +158,59 @@ impl TreeSearch<'_> {
     }
 
     /// One iteration: down by the upper confidence bound, one new state, its reward back up the path.
-    fn visit(
-        &self,
-        tree: &mut Tree,
-        table: &mut Table,
-        ceiling: f64,
-        rng: &mut ChaCha8Rng,
-        effort: &mut Effort,
-    ) -> Visit {
+    fn visit(&mut self, ceiling: f64, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Visit {
         let mut path = vec![0];
         loop {
             let at = path[path.len() - 1];
-            let untried = tree.node(at).untried;
+            let untried = self.tree.node(at).untried;
             if untried.is_empty() {
-                match tree.best_child(at, ceiling) {
+                match self.tree.best_child(at, ceiling) {
                     Some(child) => path.push(child),
                     None if at == 0 => return Visit::Exhausted,
                     None => {
-                        tree.close(at);
+                        self.tree.close(at);
                         return Visit::Grown;
                     }
                 }
                 continue;
             }
             let object = untried.iter().nth(rng.random_range(0..untried.len())).unwrap_or_default();
-            tree.mark_tried(at, object);
-            let Some(reached) = self.expand(tree, table, at, object, rng, effort) else {
+            self.tree.mark_tried(at, object);
+            let Some(reached) = self.expand(at, object, rng, effort) else {
                 if effort.is_over() {
                     return Visit::Grown;
                 }
                 continue;
             };
             path.push(reached.node);
-            let home = tree.node(reached.node).home;
-            tree.reward(&path, home.weight(&self.rule.rewards));
-            if !tree.is_goal(reached.node) {
+            let home = self.tree.node(reached.node).home;
+            self.tree.reward(&path, home.weight(&self.rule.rewards));
+            if !self.tree.is_goal(reached.node) {
                 return Visit::Grown;
             }
-            tree.close(reached.node);
+            self.tree.close(reached.node);
             return if reached.improved { Visit::Goal(reached.node) } else { Visit::Grown };
         }
     }
 
     fn expand(
-        &self,
-        tree: &mut Tree,
-        table: &mut Table,
+        &mut self,
         at: usize,
         object: usize,
         rng: &mut ChaCha8Rng,
         effort: &mut Effort,
     ) -> Option<tree::Reached> {
-        let state = tree.node(at).state.clone();
-        let (moved, place) = table.act(&state, object, self.goal, rng, effort)?;
+        let state = self.tree.node(at).state.clone();
+        let (moved, place) = self.table.act(&state, object, &self.goal, rng, effort)?;
         let mut next = state.to_vec();
         next[moved] = place;
-        let home: ObjectSet =
-            if moved == object { tree.node(at).home.with(object) } else { tree.node(at).home };
-        Some(tree.link(at, object, moved, &next, home))
+        let home = self.tree.node(at).home;
+        let home: ObjectSet = if moved == object { home.with(object) } else { home };
+        Some(self.tree.link(at, object, moved, &next, home))
     }
 
-    fn moves(&self, tree: &Tree, table: &Table, at: usize) -> Vec<Move> {
+    fn moves(&self, at: usize) -> Vec<Move> {
+        let (tree, table) = (&self.tree, &self.table);
         let way = tree.way_to(at);
         let step = |pair: &[usize]| {
             let (before, after) = (&tree.node(pair[0]).state, &tree.node(pair[1]).state);

@@ -7,6 +7,7 @@ use crate::planning::problem::Problem;
 use crate::planning::random_tables::table;
 use crate::tabletop::instance::ObjectSpec;
 use rand::SeedableRng;
+use std::sync::Arc;
 
 type Place = (f64, f64, f64);
 
@@ -31,7 +32,7 @@ fn ends(scene: &Scene) -> (Arrangement, Arrangement) {
 fn plans(problem: &Problem, rule: &Rule, work: u64, seed: u64) -> Vec<Vec<Move>> {
     let scene = Scene::new(problem);
     let (start, goal) = ends(&scene);
-    let search = TreeSearch { scene: &scene, rule, start: &start, goal: &goal };
+    let mut search = TreeSearch::new(&scene, Arc::new(rule.clone()), &start, goal, usize::MAX);
     let mut found = Vec::new();
     let mut effort = Effort::new(Some(work), &|| false);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -39,7 +40,7 @@ fn plans(problem: &Problem, rule: &Rule, work: u64, seed: u64) -> Vec<Vec<Move>>
         found.push(plan);
         Verdict::Accepted
     };
-    search.grow(usize::MAX, &mut f64::INFINITY.clone(), &mut rng, &mut effort, &mut offer);
+    search.grow(&mut f64::INFINITY.clone(), &mut rng, &mut effort, &mut offer);
     found
 }
 
@@ -94,7 +95,7 @@ fn who_is_home_stays_there() {
 #[test]
 fn two_orders_of_the_same_moves_share_a_state() {
     let rule = Rule::plain(2);
-    let mut tree = Tree::new(&rule, &[0, 1], ObjectSet::EMPTY);
+    let mut tree = Tree::new(Arc::new(rule.clone()), &[0, 1], ObjectSet::EMPTY);
     let home = |objects: &[usize]| objects.iter().copied().collect::<ObjectSet>();
     let a = tree.link(0, 0, 0, &[2, 1], home(&[0])).node;
     let b = tree.link(0, 1, 1, &[0, 3], home(&[1])).node;
@@ -114,11 +115,12 @@ fn a_full_table_exhausts_the_tree() {
     ]);
     let scene = Scene::new(&problem);
     let (start, goal) = ends(&scene);
-    let search = TreeSearch { scene: &scene, rule: &Rule::plain(2), start: &start, goal: &goal };
+    let mut search = TreeSearch::new(&scene, Arc::new(Rule::plain(2)), &start, goal, 100);
     let mut effort = Effort::new(Some(10_000), &|| false);
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut ceiling = f64::INFINITY;
-    assert!(!search.grow(100, &mut ceiling, &mut rng, &mut effort, &mut |_| Verdict::Enough));
+    assert!(!search.grow(&mut ceiling, &mut rng, &mut effort, &mut |_| Verdict::Enough));
+    assert!(search.is_over());
     assert!(effort.done() < 1000, "{} steps", effort.done());
 }
 
@@ -126,7 +128,7 @@ fn a_full_table_exhausts_the_tree() {
 fn the_bound_prefers_reward_then_the_unvisited() {
     let mut rule = Rule::plain(2);
     let child = |rule: &Rule, rewards: [f64; 2], visits: [usize; 2]| {
-        let mut tree = Tree::new(rule, &[0, 1], ObjectSet::EMPTY);
+        let mut tree = Tree::new(Arc::new(rule.clone()), &[0, 1], ObjectSet::EMPTY);
         let a = tree.link(0, 0, 0, &[2, 1], ObjectSet::EMPTY.with(0)).node;
         let b = tree.link(0, 1, 1, &[0, 3], ObjectSet::EMPTY.with(1)).node;
         for (node, (reward, visits)) in [a, b].into_iter().zip(rewards.into_iter().zip(visits)) {

@@ -7,7 +7,7 @@
 use crate::planning::mcts::Rule;
 use crate::planning::object_set::ObjectSet;
 use std::collections::HashMap;
-use std::rc::Rc;
+use std::sync::Arc;
 
 /// An edge: serving `object` leads to `node`.
 struct Child {
@@ -18,7 +18,7 @@ struct Child {
 /// A state in the tree.
 pub(super) struct Node {
     /// Place of every object.
-    pub(super) state: Rc<[u32]>,
+    pub(super) state: Arc<[u32]>,
     /// Objects at their goals.
     pub(super) home: ObjectSet,
     /// Objects whose action has not been tried here.
@@ -35,10 +35,10 @@ pub(super) struct Node {
 }
 
 /// The nodes, the root first.
-pub(super) struct Tree<'a> {
-    rule: &'a Rule,
+pub(super) struct Tree {
+    rule: Arc<Rule>,
     nodes: Vec<Node>,
-    by_state: HashMap<Rc<[u32]>, u32>,
+    by_state: HashMap<Arc<[u32]>, u32>,
 }
 
 /// A node reached by an action.
@@ -49,9 +49,9 @@ pub(super) struct Reached {
     pub(super) improved: bool,
 }
 
-impl<'a> Tree<'a> {
+impl Tree {
     /// A tree of the root alone. `home`: objects at their goals there.
-    pub(super) fn new(rule: &'a Rule, state: &[u32], home: ObjectSet) -> Tree<'a> {
+    pub(super) fn new(rule: Arc<Rule>, state: &[u32], home: ObjectSet) -> Tree {
         let mut tree = Tree { rule, nodes: Vec::new(), by_state: HashMap::new() };
         tree.push(state, home, 0, 0.0);
         tree
@@ -73,7 +73,7 @@ impl<'a> Tree<'a> {
     }
 
     fn push(&mut self, state: &[u32], home: ObjectSet, parent: usize, cost: f64) -> usize {
-        let state: Rc<[u32]> = state.into();
+        let state: Arc<[u32]> = state.into();
         let away = ObjectSet::first(state.len()) - home;
         let at = self.nodes.len();
         self.by_state.insert(state.clone(), at as u32);

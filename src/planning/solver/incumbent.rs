@@ -1,7 +1,7 @@
 //! Between the solvers and the caller: the best checked plan, and how `auto` is set up.
 //!
 //! In: a scene whose goal arrangement stands, solver, objective, control, seed. Out: the best checked plan and its
-//! cost, left in [`Incumbent`]. `auto` gets the costs of moves by objective, and one of the paper's solvers to fall back on.
+//! cost, left in [`Incumbent`]. `auto` gets the costs of moves by objective, and two of the paper's solvers to ask.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::member::Quest;
@@ -12,6 +12,7 @@ use crate::planning::mcts::Verdict;
 use crate::planning::plan::{Action, ActionKind, Objective};
 use crate::planning::problem::{Problem, ProblemObject};
 use crate::planning::scene::Scene;
+use crate::planning::solver::aid;
 use crate::planning::solver::search::{self, Setting};
 use crate::planning::solver::{Control, SolverKind, cost, reaches};
 use crate::planning::trlb::Move;
@@ -83,7 +84,7 @@ fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort
     let (problem, objective, control) = (scene.problem, incumbent.objective, incumbent.control);
     let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
     let costs: Vec<f64> = problem.objects.iter().map(weigh).collect();
-    let rescuer = |seed| search::first_plan(scene, objective, seed);
+    let aid = |member, seed| aid::aid(scene, objective, member, seed);
     let judge = |moves: &[Move]| cost(problem, objective, control, &actions(problem, moves));
     let is_known = |action: &&Action| {
         problem.objects.get(action.object).is_some_and(|o| !o.fixed) && action.to.is_finite()
@@ -94,7 +95,7 @@ fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort
         costs: &costs,
         judge: if objective == Objective::Time { Some(&judge) } else { None },
         worth: if objective == Objective::Time { control.least_move_seconds } else { 1.0 },
-        rescuer: &rescuer,
+        aid: &aid,
         known: &known.collect::<Vec<_>>(),
     };
     let search = auto::Search { quest: &quest, pool: control.pool, seed };

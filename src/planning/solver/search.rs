@@ -4,7 +4,6 @@
 //! HeTI under TI. TRLB ends with its first plan that is accepted, as the paper does; the tree searches go on for better
 //! ones until the limit, or until the caller has enough.
 
-use crate::planning::auto::member::Rescue;
 use crate::planning::buffers::Arrangement;
 use crate::planning::completion;
 use crate::planning::effort::Effort;
@@ -15,10 +14,11 @@ use crate::planning::primitive::{Preference, RunningBuffer};
 use crate::planning::scene::Scene;
 use crate::planning::solver::SolverKind;
 use crate::planning::total_buffers::TotalBuffers;
-use crate::planning::trlb::{Move, Planner, Trees, Trlb};
+use crate::planning::trlb::{Move, Planner, Trlb};
 use crate::planning::weights;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
 
 /// Takes plans, unchecked, and says whether the search goes on.
 pub(super) type Offer<'a> = dyn FnMut(&[Move]) -> Verdict + 'a;
@@ -54,21 +54,21 @@ pub(super) fn run(
             let weights = rounded(scene, objective);
             running_buffer(scene, &weights, setting, seed, offer, effort);
         }
-        SolverKind::Mcts => tree_search(scene, &Rule::plain(count), seed, offer, effort),
+        SolverKind::Mcts => tree_search(scene, Rule::plain(count), seed, offer, effort),
         SolverKind::Emcts => {
             let weights = heuristic(scene, objective);
             let rule = match objective {
                 Objective::Ti => Rule::rewarding(&weights),
                 Objective::Pp | Objective::Time => Rule::exploring(&weights),
             };
-            tree_search(scene, &rule, seed, offer, effort);
+            tree_search(scene, rule, seed, offer, effort);
         }
         SolverKind::Auto => {}
     }
 }
 
 /// HeTI under TI, else HeCP, for every object of the problem; 0 for those that never move.
-fn heuristic(scene: &Scene, objective: Objective) -> Vec<f64> {
+pub(super) fn heuristic(scene: &Scene, objective: Objective) -> Vec<f64> {
     let values = match objective {
         Objective::Ti => weights::task_impedance(scene.problem, &scene.movable),
         Objective::Pp | Objective::Time => weights::collision_probability(scene.problem, &scene.movable),
@@ -89,34 +89,6 @@ fn rounded(scene: &Scene, objective: Objective) -> Vec<u32> {
         all[object] = value;
     }
     all
-}
-
-/// ETBM, which finds plans most often where it is crowded, as a search that can be left and gone on with.
-pub(super) fn first_plan<'a>(scene: &'a Scene<'a>, objective: Objective, seed: u64) -> Box<Rescue<'a>> {
-    let weights = heuristic(scene, objective);
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let goals = completion::assigned_goals(scene);
-    let start: Arrangement = (0..scene.problem.objects.len()).map(|i| scene.start(i).clone()).collect();
-    let mut trees: Option<Trees> = None;
-    Box::new(move |effort| {
-        let planner = |graph: &DependencyGraph, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
-            let weights: Vec<f64> = objects.iter().map(|&o| weights[o]).collect();
-            TotalBuffers { graph, weights: &weights }.plan(rng, effort)
-        };
-        let trlb = Trlb { scene, planner: &planner, detours: true };
-        while effort.step() {
-            let mut both = match trees.take() {
-                Some(both) if !both.are_full() => both,
-                _ => Trees::new(start.clone(), completion::complete(scene, &goals, &mut rng, effort)?),
-            };
-            let plan = trlb.go_on(&mut both, &mut rng, effort);
-            if plan.is_some() {
-                return plan;
-            }
-            trees = Some(both);
-        }
-        None
-    })
 }
 
 /// TBM and ETBM.
@@ -192,12 +164,12 @@ fn trlb(
 }
 
 /// MCTS and EMCTS: trees that keep the best plan.
-fn tree_search(scene: &Scene, rule: &Rule, seed: u64, offer: &mut Offer, effort: &mut Effort) {
-    let mut ceiling = f64::INFINITY;
+fn tree_search(scene: &Scene, rule: Rule, seed: u64, offer: &mut Offer, effort: &mut Effort) {
+    let (rule, mut ceiling) = (Arc::new(rule), f64::INFINITY);
     let mut most = FIRST_TREE;
     repeat(scene, seed, effort, |start, goal, rng, effort| {
-        let search = TreeSearch { scene, rule, start, goal: &goal };
-        let enough = search.grow(most, &mut ceiling, rng, effort, &mut |moves| offer(&moves));
+        let mut search = TreeSearch::new(scene, rule.clone(), start, goal, most);
+        let enough = search.grow(&mut ceiling, rng, effort, &mut |moves| offer(&moves));
         most = LARGEST_TREE.min(2 * most);
         enough
     });

@@ -1,0 +1,97 @@
+//! The paper's solvers as aids of `auto`: first plans where it is crowded, in searches that can be left and gone on with.
+//!
+//! In: a scene whose goal arrangement stands, the number of a member of the portfolio, a seed. Out: an [`Aid`] for some
+//! members. On the public instances of density 0.6, ETBM comes to short plans of discs in a fraction of a second, and
+//! MCTS to plans of shapes that nothing else finds in seconds, long ones, but a plan to shorten.
+
+use crate::planning::auto::member::{Aid, Search};
+use crate::planning::buffers::Arrangement;
+use crate::planning::completion;
+use crate::planning::effort::Effort;
+use crate::planning::graph::DependencyGraph;
+use crate::planning::mcts::{FIRST_TREE, LARGEST_TREE, Rule, TreeSearch, Verdict};
+use crate::planning::plan::Objective;
+use crate::planning::scene::Scene;
+use crate::planning::solver::search::heuristic;
+use crate::planning::total_buffers::TotalBuffers;
+use crate::planning::trlb::{Trees, Trlb};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
+
+/// What the member of this number asks for help.
+pub(super) fn aid<'a>(scene: &'a Scene<'a>, objective: Objective, member: u64, seed: u64) -> Option<Aid<'a>> {
+    match member {
+        // It finds in the first rounds what it finds at all, and its plans are worth a look where ours are long.
+        3 => Some(Aid {
+            search: total_buffers(scene, objective, seed),
+            from_round: 2,
+            steps: 8,
+            betters: true,
+        }),
+        // Long plans, late: only where there is none.
+        2 => Some(Aid { search: tree_search(scene, seed), from_round: 9, steps: 16, betters: false }),
+        _ => None,
+    }
+}
+
+fn start(scene: &Scene) -> Arrangement {
+    (0..scene.problem.objects.len()).map(|i| scene.start(i).clone()).collect()
+}
+
+/// ETBM.
+fn total_buffers<'a>(scene: &'a Scene<'a>, objective: Objective, seed: u64) -> Box<Search<'a>> {
+    let weights = heuristic(scene, objective);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (start, goals) = (start(scene), completion::assigned_goals(scene));
+    let mut trees: Option<Trees> = None;
+    Box::new(move |effort| {
+        let planner =
+            |graph: &DependencyGraph, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
+                let weights: Vec<f64> = objects.iter().map(|&o| weights[o]).collect();
+                TotalBuffers { graph, weights: &weights }.plan(rng, effort)
+            };
+        let trlb = Trlb { scene, planner: &planner, detours: true };
+        while effort.step() {
+            let mut both = match trees.take().filter(|both| !both.are_full()) {
+                Some(both) => both,
+                None => Trees::new(start.clone(), completion::complete(scene, &goals, &mut rng, effort)?),
+            };
+            let plan = trlb.go_on(&mut both, &mut rng, effort);
+            if plan.is_some() {
+                return plan;
+            }
+            trees = Some(both);
+        }
+        None
+    })
+}
+
+/// MCTS, whose trees grow as those of the solver do.
+fn tree_search<'a>(scene: &'a Scene<'a>, seed: u64) -> Box<Search<'a>> {
+    let rule = Arc::new(Rule::plain(scene.problem.objects.len()));
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (start, goals) = (start(scene), completion::assigned_goals(scene));
+    let mut most = FIRST_TREE;
+    let mut tree: Option<TreeSearch> = None;
+    Box::new(move |effort| {
+        let mut found = None;
+        while found.is_none() && effort.step() {
+            let mut growing = match tree.take().filter(|tree| !tree.is_over()) {
+                Some(growing) => growing,
+                None => {
+                    let goal = completion::complete(scene, &goals, &mut rng, effort)?;
+                    let new = TreeSearch::new(scene, rule.clone(), &start, goal, most);
+                    most = LARGEST_TREE.min(2 * most);
+                    new
+                }
+            };
+            growing.grow(&mut f64::INFINITY.clone(), &mut rng, effort, &mut |moves| {
+                found = Some(moves);
+                Verdict::Enough
+            });
+            tree = Some(growing);
+        }
+        found
+    })
+}
