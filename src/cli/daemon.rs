@@ -189,7 +189,7 @@ async fn daemon(
     complain("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     let mut lines = Lines { recorder: config.recording.as_ref().map(start_recording).transpose()? };
     let workers = Workers { eye, answers, answers_in };
-    let shell = Shell::new(cell, hardware, workers, &mut office, &mut lines);
+    let shell = Shell::new(cell, hardware, workers, Box::new(office), &mut lines);
     let ended = run_shell(shell, &stop).await.map_err(|error| error.to_string());
     if let Some(fault) = lines.recorder.as_mut().and_then(Recorder::close) {
         complain(&format!("recording: {fault}"));

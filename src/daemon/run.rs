@@ -2,8 +2,12 @@
 //!
 //! In: the cell's model, open devices, an [`Office`] (jobs, commands, journal) and an [`Observer`] (whoever
 //! shows or records what happens). Out: nothing but effects; it returns when it was told to stop and the arm
-//! stands. One loop, in this order: devices first, then workers, then the office, then time.
+//! stands. One loop, in this order: devices first, then workers, then the office, then time. It waits for nothing but
+//! the devices: the office has a thread of its own (`desk`), and what must not be done before it has written
+//! something is kept back (`agenda`).
 
+use crate::daemon::agenda::{Agenda, Next};
+use crate::daemon::desk::{Desk, Reply};
 use crate::daemon::hardware::{Happening, Hardware};
 use crate::daemon::workers::{Answer, EyeRequest, Numbered, spawn_plan};
 use crate::device::robot_types::{RobotCommand, RobotEvent, RobotState};
@@ -16,10 +20,11 @@ use crate::vision::image::Image;
 use crate::vision::observe::{Observation, View};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 use tokio::sync::mpsc;
 
 /// Where jobs and operators' commands come from, and where what is done is written down.
-pub trait Office {
+pub trait Office: Send + 'static {
     /// What came in since the last call: a job if one is wanted, commands in any case.
     fn poll(&mut self, now: Timestamp, wants_job: bool) -> Vec<Input>;
 
@@ -35,7 +40,7 @@ pub trait Office {
     /// The cause.
     fn finished(&mut self, report: &JobReport) -> Result<(), String>;
 
-    /// Publishes the cell's status.
+    /// Publishes the cell's status; called when nothing else is asked for.
     fn status(&mut self, status: &Status);
 }
 
@@ -82,6 +87,10 @@ pub struct Workers {
 /// How often the office is asked, in the cell's time.
 const OFFICE_EVERY: Duration = Duration::from_millis(200);
 
+/// How long the office may take for an answer, by the wall's clock: no motion begins before an entry is written, and
+/// for so long no command is heard.
+const OFFICE_LIMIT: std::time::Duration = std::time::Duration::from_secs(15);
+
 /// How long the arm may take to stand still after the order to end.
 const STOP_LIMIT: Duration = Duration::from_secs(3);
 
@@ -91,6 +100,17 @@ pub enum RunError {
     /// The journal could not be written: without it no motion may be ordered.
     #[error("the journal cannot be written: {0}; the arm was stopped")]
     Journal(String),
+    /// The state folder is not answered for: no entry is written, no command heard.
+    #[error(
+        "the state folder has not answered for {} s; the arm was stopped: see what ails its disk",
+        OFFICE_LIMIT.as_secs()
+    )]
+    Disk,
+    /// A defect of this program.
+    #[error(
+        "the thread of the state folder broke down; the arm was stopped: please report what was printed above"
+    )]
+    BrokeDown,
 }
 
 /// Everything the loop works with.
@@ -98,57 +118,54 @@ pub struct Shell<'a> {
     cell: Cell,
     hardware: Hardware,
     workers: Workers,
-    office: &'a mut dyn Office,
+    desk: Desk,
     observer: &'a mut dyn Observer,
     requests: Requests,
+    agenda: Agenda,
+    /// When the office was asked last, in the cell's time, and since when an answer is due.
+    polled: Timestamp,
+    polling: Option<Instant>,
+    /// Since when an entry or a result is being written.
+    writing: Option<Instant>,
+    /// The robot has said that it stopped, since it was last told to.
+    stands: bool,
+    last_status: Option<Status>,
+    last_route: Vec<(String, Pose2, Pose2, bool)>,
 }
 
 /// Runs until `shutdown` is raised and the arm stands.
 ///
 /// # Errors
-/// [`RunError::Journal`]; the arm has been told to stop.
+/// [`RunError`]; the arm has been told to stop.
 pub async fn run(mut shell: Shell<'_>, shutdown: &AtomicBool) -> Result<(), RunError> {
     let ended = turns(&mut shell, shutdown).await;
     shell.requests.stop_planning();
     if ended.is_err() {
-        shell.hardware.command_robot(RobotCommand::Stop);
+        shell.command_robot(RobotCommand::Stop);
     }
     shell.await_stop().await;
+    // A disk that does not answer would keep this from ending too.
+    if !matches!(ended, Err(RunError::Disk)) {
+        shell.desk.close();
+    }
     ended
 }
 
 /// Turn after turn, until the order to end or the journal's fault.
 async fn turns(shell: &mut Shell<'_>, shutdown: &AtomicBool) -> Result<(), RunError> {
-    let mut last_office = Timestamp::ZERO;
-    let mut last_status = None;
-    let mut last_route = Vec::new();
+    let mut ending = false;
     loop {
-        for happening in shell.hardware.next().await {
-            shell.feed(match happening {
-                Happening::Robot(event) => Input::Robot(event),
-                Happening::Gripper(event) => Input::Gripper(event),
-            })?;
+        shell.take_in().await?;
+        shell.observe_robot();
+        if ending && shell.agenda.is_empty() {
+            return Ok(());
         }
-        while let Ok((number, answer)) = shell.workers.answers.try_recv() {
-            if let Some(input) = shell.worker_answer(number, answer) {
-                shell.feed(input)?;
-            }
+        // While something is written, things wait in line; only time would make that line grow.
+        if shell.agenda.is_empty() && !ending {
+            ending = shutdown.load(Ordering::Relaxed);
+            shell.feed(if ending { Input::Shutdown } else { Input::Tick });
         }
-        let now = shell.hardware.now();
-        if let Some(state) = shell.hardware.robot().state() {
-            shell.observer.on(now, Event::Robot(state));
-        }
-        if now.since(last_office) >= OFFICE_EVERY {
-            last_office = now;
-            for input in shell.office.poll(now, shell.cell.wants_job()) {
-                shell.feed(input)?;
-            }
-        }
-        shell.feed(Input::Tick)?;
-        shell.publish(now, &mut last_status, &mut last_route);
-        if shutdown.load(Ordering::Relaxed) {
-            return shell.feed(Input::Shutdown);
-        }
+        shell.publish();
     }
 }
 
@@ -180,42 +197,124 @@ impl<'a> Shell<'a> {
         cell: Cell,
         hardware: Hardware,
         workers: Workers,
-        office: &'a mut dyn Office,
+        office: Box<dyn Office>,
         observer: &'a mut dyn Observer,
     ) -> Shell<'a> {
-        Shell { cell, hardware, workers, office, observer, requests: Requests::default() }
-    }
-
-    /// Waits until the robot says that it has stopped, so that the order has left this computer; not for ever.
-    async fn await_stop(&mut self) {
-        let since = self.hardware.now();
-        while self.hardware.robot().state().is_some() && self.hardware.now().since(since) < STOP_LIMIT {
-            let stopped = |h: &Happening| matches!(h, Happening::Robot(RobotEvent::Stopped));
-            if self.hardware.next().await.iter().any(stopped) {
-                return;
-            }
+        Shell {
+            cell,
+            hardware,
+            workers,
+            desk: Desk::open(office),
+            observer,
+            requests: Requests::default(),
+            agenda: Agenda::default(),
+            polled: Timestamp::ZERO,
+            polling: None,
+            writing: None,
+            stands: false,
+            last_status: None,
+            last_route: Vec::new(),
         }
     }
 
-    /// One input through the supervisor; its actions are carried out in order.
-    fn feed(&mut self, input: Input) -> Result<(), RunError> {
-        let mut inputs = vec![input];
-        while let Some(input) = inputs.pop() {
-            let now = self.hardware.now();
-            let outside = self.hardware.outside(now);
-            for action in self.cell.step(now, &outside, input) {
-                if let Some(next) = self.carry_out(now, action)? {
-                    inputs.push(next);
-                }
+    /// Everything that happened by now: devices, workers, office.
+    async fn take_in(&mut self) -> Result<(), RunError> {
+        for happening in self.hardware.next().await {
+            self.stands |= matches!(happening, Happening::Robot(RobotEvent::Stopped));
+            self.feed(match happening {
+                Happening::Robot(event) => Input::Robot(event),
+                Happening::Gripper(event) => Input::Gripper(event),
+            });
+        }
+        while let Ok((number, answer)) = self.workers.answers.try_recv() {
+            if let Some(input) = self.worker_answer(number, answer) {
+                self.feed(input);
+            }
+        }
+        while let Some(reply) = self.desk.reply().map_err(|_| RunError::BrokeDown)? {
+            self.office_reply(reply)?;
+        }
+        let late = |since: Option<Instant>| since.is_some_and(|since| since.elapsed() > OFFICE_LIMIT);
+        if late(self.polling) || late(self.writing) {
+            return Err(RunError::Disk);
+        }
+        let now = self.hardware.now();
+        if self.polling.is_none() && now.since(self.polled) >= OFFICE_EVERY {
+            (self.polled, self.polling) = (now, Some(Instant::now()));
+            self.desk.poll(now, self.agenda.is_empty() && self.cell.wants_job());
+        }
+        Ok(())
+    }
+
+    fn office_reply(&mut self, reply: Reply) -> Result<(), RunError> {
+        match reply {
+            Reply::Inputs(inputs) => {
+                self.polling = None;
+                inputs.into_iter().for_each(|input| self.feed(input));
+            }
+            Reply::Written(written) => {
+                written.map_err(RunError::Journal)?;
+                self.writing = None;
+                self.agenda.written();
+                self.work_off();
             }
         }
         Ok(())
     }
 
+    fn observe_robot(&mut self) {
+        let now = self.hardware.now();
+        if let Some(state) = self.hardware.robot().state() {
+            self.observer.on(now, Event::Robot(state));
+        }
+    }
+
+    /// Waits until the robot says that it has stopped, so that the order has left this computer; not for ever.
+    async fn await_stop(&mut self) {
+        let since = self.hardware.now();
+        let waits = |hardware: &Hardware| {
+            hardware.robot().state().is_some() && hardware.now().since(since) < STOP_LIMIT
+        };
+        while !self.stands && waits(&self.hardware) {
+            let stopped = |h: &Happening| matches!(h, Happening::Robot(RobotEvent::Stopped));
+            self.stands = self.hardware.next().await.iter().any(stopped);
+        }
+    }
+
+    fn command_robot(&mut self, command: RobotCommand) -> Option<RobotEvent> {
+        self.stands &= !matches!(command, RobotCommand::Stop);
+        self.hardware.command_robot(command)
+    }
+
+    /// One input through the supervisor; its actions are carried out in order, as far as they may be by now.
+    fn feed(&mut self, input: Input) {
+        self.agenda.add(input);
+        self.work_off();
+    }
+
+    /// Everything that is to be done, up to what has to be written first.
+    fn work_off(&mut self) {
+        while let Some(next) = self.agenda.due() {
+            let now = self.hardware.now();
+            match next {
+                Next::Feed(input) => {
+                    let outside = self.hardware.outside(now);
+                    let actions = self.cell.step(now, &outside, input);
+                    self.agenda.extend(actions);
+                }
+                Next::Act(action) => {
+                    if let Some(input) = self.carry_out(now, action) {
+                        self.agenda.add_first(input);
+                    }
+                }
+            }
+        }
+    }
+
     /// Carries out one action; what comes of it at once is the next input.
-    fn carry_out(&mut self, now: Timestamp, action: Action) -> Result<Option<Input>, RunError> {
+    fn carry_out(&mut self, now: Timestamp, action: Action) -> Option<Input> {
         match action {
-            Action::Robot(command) => return Ok(self.hardware.command_robot(command).map(Input::Robot)),
+            Action::Robot(command) => return self.command_robot(command).map(Input::Robot),
             Action::Gripper(command) => self.hardware.command_gripper(command),
             Action::Capture { frames, table_from_camera } => {
                 if !self.ask_eye(EyeRequest::Capture { frames, table_from_camera }) {
@@ -225,12 +324,12 @@ impl<'a> Shell<'a> {
                         remedy: "see what the camera says in the log",
                         lasting: false,
                     };
-                    return Ok(Some(Input::Captured(Err(trouble))));
+                    return Some(Input::Captured(Err(trouble)));
                 }
             }
             Action::Observe(views) => {
                 if !self.ask_eye(EyeRequest::Observe(views)) {
-                    return Ok(Some(Input::Observed(Err("the camera thread does not answer".to_string()))));
+                    return Some(Input::Observed(Err("the camera thread does not answer".to_string())));
                 }
             }
             Action::Plan(request) => {
@@ -239,11 +338,15 @@ impl<'a> Shell<'a> {
                 self.requests.planning = Some(stop.clone());
                 spawn_plan(number, *request, stop, self.workers.answers_in.clone());
             }
-            Action::Journal(entry) => self.office.journal(&entry).map_err(RunError::Journal)?,
+            Action::Journal(entry) => {
+                self.writing = Some(Instant::now());
+                self.desk.journal(entry);
+            }
             Action::Finish(report) => {
                 self.requests.stop_planning();
                 self.observer.on(now, Event::Finished(&report));
-                self.office.finished(&report).map_err(RunError::Journal)?;
+                self.writing = Some(Instant::now());
+                self.desk.finished(report);
             }
             Action::Say(notice) => {
                 if notice.alarm {
@@ -254,7 +357,7 @@ impl<'a> Shell<'a> {
                 self.observer.on(now, Event::Notice(&notice));
             }
         }
-        Ok(None)
+        None
     }
 
     /// False when the eye has more to do than it can.
@@ -290,22 +393,19 @@ impl<'a> Shell<'a> {
         }
     }
 
-    fn publish(
-        &mut self,
-        now: Timestamp,
-        last_status: &mut Option<Status>,
-        last_route: &mut Vec<(String, Pose2, Pose2, bool)>,
-    ) {
+    fn publish(&mut self) {
+        let now = self.hardware.now();
         let status = self.cell.status();
-        if last_status.as_ref() != Some(&status) {
-            self.office.status(&status);
-            self.observer.on(now, Event::Status(&status));
-            *last_status = Some(status);
-            let route = self.cell.route();
-            if *last_route != route {
-                self.observer.on(now, Event::Route(&route));
-                *last_route = route;
-            }
+        if self.last_status.as_ref() == Some(&status) {
+            return;
+        }
+        self.desk.status(status.clone());
+        self.observer.on(now, Event::Status(&status));
+        self.last_status = Some(status);
+        let route = self.cell.route();
+        if self.last_route != route {
+            self.observer.on(now, Event::Route(&route));
+            self.last_route = route;
         }
     }
 }

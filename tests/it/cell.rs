@@ -133,9 +133,15 @@ pub(crate) const LOG: &str = "log.txt";
 
 /// The daemon, working in `folder` and ready for jobs in its `state/jobs/incoming`.
 pub(crate) fn start_daemon(folder: &Path, cell: &Path) -> Running {
+    start_daemon_with(folder, cell, &[])
+}
+
+/// The daemon in an environment of its own.
+pub(crate) fn start_daemon_with(folder: &Path, cell: &Path, environment: &[(&str, &Path)]) -> Running {
     let process = Command::new(CELLD)
         .args(["run", "--config"])
         .arg(cell)
+        .envs(environment.iter().copied())
         .current_dir(folder)
         .stderr(std::fs::File::create(folder.join(LOG)).expect("a file"))
         .spawn();

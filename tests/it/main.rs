@@ -14,4 +14,5 @@ mod program_protocol;
 mod public_bounds;
 mod render;
 mod robot_session;
+mod slow_disk;
 mod third_party;

@@ -162,9 +162,10 @@ async fn with_sim(
     let eye_parameters = eye_parameters(config, &measured).map_err(|error| chain(&error))?;
     let eye = spawn_eye(Box::new(camera), detector, eye_parameters, clock, answers_in.clone());
     let mut watch = Watch::new(Recorder::create(&out.join("run.mcap"), true));
-    let mut office = OneJob { order: Some(order(instance, choice)?), armed: false, over: stop.clone() };
+    let office = OneJob { order: Some(order(instance, choice)?), armed: false, over: stop.clone() };
     let cell = Cell::new(model, choice.seed.wrapping_add(1000));
-    let shell = Shell::new(cell, hardware, Workers { eye, answers, answers_in }, &mut office, &mut watch);
+    let shell =
+        Shell::new(cell, hardware, Workers { eye, answers, answers_in }, Box::new(office), &mut watch);
     run(shell, stop).await.map_err(|error| error.to_string())?;
     Ok((calibration, watch))
 }

@@ -1,0 +1,124 @@
+//! What the loop has to do next, in which order, and what has to wait for the disk.
+//!
+//! In: inputs for the supervisor, the actions it answers with, word that something is on disk. Out: one [`Next`] at a
+//! time. All actions of one input come before the next input, and after an entry of the journal or a result nothing
+//! comes before it is written: that nothing moves which the journal does not know is decided here and nowhere else.
+//! Meanwhile inputs collect; whoever keeps the heartbeats does not have to wait. Pure.
+
+use crate::supervisor::input::{Action, Input};
+use std::collections::VecDeque;
+
+/// Inputs and actions that are not done yet.
+#[derive(Debug, Default)]
+pub struct Agenda {
+    actions: VecDeque<Action>,
+    inputs: VecDeque<Input>,
+    writing: bool,
+}
+
+/// What is to be done now.
+#[derive(Debug)]
+pub enum Next {
+    /// Carry this out.
+    Act(Action),
+    /// Ask the supervisor about this.
+    Feed(Input),
+}
+
+impl Agenda {
+    /// Something happened; its turn comes after what happened before.
+    pub fn add(&mut self, input: Input) {
+        self.inputs.push_back(input);
+    }
+
+    /// Something came of an action at once; it is looked at before everything else that happened.
+    pub fn add_first(&mut self, input: Input) {
+        self.inputs.push_front(input);
+    }
+
+    /// What the supervisor answered, in this order.
+    pub fn extend(&mut self, actions: Vec<Action>) {
+        self.actions.extend(actions);
+    }
+
+    /// The entry handed out last is on disk.
+    pub fn written(&mut self) {
+        self.writing = false;
+    }
+
+    /// Something handed out has to be on disk before anything else is done.
+    pub fn is_writing(&self) -> bool {
+        self.writing
+    }
+
+    /// There is nothing left to do, nor to wait for.
+    pub fn is_empty(&self) -> bool {
+        !self.writing && self.actions.is_empty() && self.inputs.is_empty()
+    }
+
+    /// What to do now; None when there is nothing, or while something is being written.
+    pub fn due(&mut self) -> Option<Next> {
+        if self.writing {
+            return None;
+        }
+        let Some(action) = self.actions.pop_front() else { return self.inputs.pop_front().map(Next::Feed) };
+        self.writing = matches!(action, Action::Journal(_) | Action::Finish(_));
+        Some(Next::Act(action))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::robot_types::RobotCommand;
+    use crate::supervisor::input::{JournalEntry, OperatorCommand};
+
+    fn step(number: usize) -> Action {
+        Action::Journal(JournalEntry::Done { step: number })
+    }
+
+    #[test]
+    fn nothing_is_done_before_the_journal_knows_of_it() {
+        let mut agenda = Agenda::default();
+        agenda.extend(vec![step(1), Action::Robot(RobotCommand::Stop)]);
+        assert!(matches!(agenda.due(), Some(Next::Act(Action::Journal(_)))));
+        agenda.add(Input::Tick);
+        assert!(agenda.due().is_none() && agenda.is_writing() && !agenda.is_empty());
+        agenda.written();
+        assert!(matches!(agenda.due(), Some(Next::Act(Action::Robot(_)))));
+        assert!(matches!(agenda.due(), Some(Next::Feed(Input::Tick))));
+        assert!(agenda.due().is_none() && agenda.is_empty());
+    }
+
+    #[test]
+    fn two_entries_wait_one_after_the_other() {
+        let mut agenda = Agenda::default();
+        agenda.extend(vec![step(1), step(2)]);
+        for number in 1..=2 {
+            let Some(Next::Act(Action::Journal(JournalEntry::Done { step }))) = agenda.due() else {
+                panic!("entry {number} is due")
+            };
+            assert_eq!(step, number);
+            assert!(agenda.due().is_none());
+            agenda.written();
+        }
+        assert!(agenda.is_empty());
+    }
+
+    #[test]
+    fn what_comes_of_an_action_is_looked_at_first_but_after_the_other_actions() {
+        let mut agenda = Agenda::default();
+        agenda.add(Input::Tick);
+        agenda.extend(vec![
+            Action::Robot(RobotCommand::Stop),
+            Action::Gripper(crate::device::gripper::GripperCommand::Release {
+                channels: crate::device::gripper::Channels::A,
+            }),
+        ]);
+        assert!(matches!(agenda.due(), Some(Next::Act(Action::Robot(_)))));
+        agenda.add_first(Input::Operator(OperatorCommand::Abort));
+        assert!(matches!(agenda.due(), Some(Next::Act(Action::Gripper(_)))));
+        assert!(matches!(agenda.due(), Some(Next::Feed(Input::Operator(_)))));
+        assert!(matches!(agenda.due(), Some(Next::Feed(Input::Tick))));
+    }
+}
