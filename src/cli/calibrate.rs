@@ -72,7 +72,8 @@ enum What {
 const HAND_EYE_HELP: &str = "\
 With `camera: {mount: flange}` the camera looks at the reference markers from the taught `calibration_poses_deg`.
 With `camera: {mount: fixed, base_from_camera, board}` the hand carries the board through the picture of a camera that
-stands; the reference markers seen meanwhile place the table.
+stands; the reference markers seen meanwhile place the table. `celld sim` draws such a cell: base_from_camera and hand_board
+in its configuration (docs/simulator.md).
 
 Poses need not be taught: give a `calibration_box` in the configuration, which the flange does not leave; gripper and
 camera reach beyond it and the elbow goes anywhere, so keep the arm's whole reach free of people and things. Then

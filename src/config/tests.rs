@@ -291,3 +291,27 @@ fn parts_of_a_simulation_that_do_not_fit_are_told() {
     check_sim("bind: 127.0.0.2", "bind: localhost", "bind: \"localhost\" is not an IP address");
     check_sim("noise_levels: 2.0", "noise_levels: 0", "noise_levels: 0 grey levels is out of range");
 }
+
+#[test]
+fn the_simulated_camera_may_stand_and_the_hand_carry_a_board() {
+    use crate::config::simulated::SimMount;
+    let place = "{translation: [0, 0.43, 0.75], quaternion: [1, 0, 0, 0]}";
+    let with = |camera: &str, board: &str| {
+        let flange = "flange_from_camera: {translation: [0, -0.07, 0.03], quaternion: [0, 0, 0, 1]}";
+        assert!(SIM.contains(flange));
+        let held = format!("hand_board: {{board: {{{board}}}, flange_from_board: {place}}}");
+        read_sim(&SIM.replace(flange, &format!("{camera}\n{held}")), "sim.yaml")
+    };
+    let (stands, grid) = (format!("base_from_camera: {place}"), "columns: 5, rows: 4, size: 0.02");
+    let read = with(&stands, &format!("{grid}, first_id: 100")).unwrap();
+    let held = read.hand_board.unwrap();
+    assert_eq!((held.board.count(), held.board.first_id), (20, 100));
+    let SimMount::Fixed(base_from_camera) = read.camera else { panic!("{:?}", read.camera) };
+    assert_eq!(base_from_camera, held.flange_from_board);
+    let told = |camera: &str, board: &str| with(camera, board).unwrap_err().to_string();
+    assert!(told(&stands, grid).contains("hand_board.board: marker 0 of the board is also on the table"));
+    assert!(told(&stands, "columns: 5, rows: 4, size: 0.02, first_id: 495").contains("marker 500"));
+    let both = format!("{stands}\nflange_from_camera: {place}");
+    assert!(told(&both, &format!("{grid}, first_id: 100")).contains("on the flange or stands, not both"));
+    assert!(told("", &format!("{grid}, first_id: 100")).contains("flange_from_camera"));
+}

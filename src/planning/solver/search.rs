@@ -99,10 +99,11 @@ pub(super) fn first_plan<'a>(scene: &'a Scene<'a>, objective: Objective, seed: u
     let start: Arrangement = (0..scene.problem.objects.len()).map(|i| scene.start(i).clone()).collect();
     let mut trees: Option<Trees> = None;
     Box::new(move |effort| {
-        let planner = |graph: &DependencyGraph, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
-            let weights: Vec<f64> = objects.iter().map(|&o| weights[o]).collect();
-            TotalBuffers { graph, weights: &weights }.plan(rng, effort)
-        };
+        let planner =
+            |graph: &DependencyGraph, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
+                let weights: Vec<f64> = objects.iter().map(|&o| weights[o]).collect();
+                TotalBuffers { graph, weights: &weights }.plan(rng, effort)
+            };
         let trlb = Trlb { scene, planner: &planner, detours: true };
         while effort.step() {
             let mut both = match trees.take() {
