@@ -14,12 +14,15 @@ use celld::sim::world::lock;
 use celld::sim::world::spec::CameraMount;
 use celld::units::Joints;
 use celld::vision::calibration::hand_eye::{HandEyeCalibration, Mount};
+use celld::vision::calibration::round::Round;
 use celld::vision::calibration::table::TableCalibration;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 const ADDRESS: &str = "127.7.1.9";
 
@@ -55,6 +58,24 @@ fn jog(sim: &RunningSim, secondary: SocketAddr, q: &Joints) {
     });
 }
 
+/// Does `work`, and notes where the flange is meanwhile, base frame, m.
+fn while_watched<T>(sim: &RunningSim, work: impl FnOnce() -> T) -> (T, Vec<Vector3<f64>>) {
+    let done = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let watch = scope.spawn(|| {
+            let mut way = Vec::new();
+            while !done.load(Ordering::Relaxed) {
+                way.push(sim.robot().controller().core.base_from_flange().translation.vector);
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            way
+        });
+        let worked = work();
+        done.store(true, Ordering::Relaxed);
+        (worked, watch.join().expect("it only looks"))
+    })
+}
+
 #[test]
 fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -76,9 +97,25 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     assert!(text(&unsure.stderr).contains("add --yes"), "{}", text(&unsure.stderr));
 
     let visit = ["calibrate", "hand-eye", "--config", &cell, "--visit", "--yes", "--record", "round"];
-    let visited = celld(&visit, folder.path());
+    let room = load_cell(Path::new(&cell)).expect("a configuration").calibration_box.expect("a box");
+    let (visited, way) = while_watched(&sim, || celld(&visit, folder.path()));
     let said = text(&visited.stderr);
     assert_eq!(visited.status.code(), Some(0), "{said}");
+    // Where the flange truly was, all the way and at the poses that were kept; a controller's path is within a millimetre.
+    let seen = std::fs::read_to_string(folder.path().join("round/samples.yaml")).expect("recorded");
+    let poses = Round::parse(&seen, "samples.yaml").expect("sound").samples;
+    assert!(
+        poses.len() == 15 && way.len() > 100,
+        "{} poses, seen {} times on the way",
+        poses.len(),
+        way.len()
+    );
+    let stood = poses.iter().map(|sample| sample.base_from_flange.translation.vector);
+    for flange in way.iter().copied().chain(stood) {
+        assert!(room.outside_m(&flange) < 1e-3, "{flange} is outside");
+    }
+    let far = way.iter().map(|flange| (flange - way[0]).norm()).fold(0.0, f64::max);
+    assert!(far > 0.1, "it moved {far} m");
     let read = |name: &str| {
         std::fs::read_to_string(folder.path().join("calibration/sim").join(name)).expect("written")
     };
@@ -126,9 +163,21 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     let by_touch = table.touches.expect("it says that it was touched");
     assert!(by_touch.residuals_m.len() == 4 && by_touch.residuals_m.iter().all(|m| *m < 5e-4));
 
+    // Touches of another robot are told as soon as this one has said which it is; nothing moves for them.
+    let touched = std::fs::read_to_string(folder.path().join("touches.yaml")).expect("written");
+    let other = touched.replace("robot_serial: ", "robot_serial: other-");
+    assert_ne!(other, touched);
+    std::fs::write(folder.path().join("other.yaml"), other).expect("written");
+    let stands = sim.robot().controller().core.base_from_flange();
+    let tie_live = ["calibrate", "table", "--config", &cell, "--touches", "other.yaml"];
+    let refused = celld(&tie_live, folder.path());
+    let said = text(&refused.stderr);
+    assert!(refused.status.code() == Some(1) && said.contains("touched with robot other-"), "{said}");
+    assert!(!said.contains("pose 1/"), "{said}");
+    assert_eq!(sim.robot().controller().core.base_from_flange(), stands);
+
     // A tip that is 3 mm longer than was said, which hands turned differently bring to light: nothing is written.
     let before = read("table.yaml");
-    let touched = std::fs::read_to_string(folder.path().join("touches.yaml")).expect("written");
     let longer = touched.replace("0.15]", "0.153]");
     assert_ne!(longer, touched);
     std::fs::write(folder.path().join("touches.yaml"), longer).expect("written");
