@@ -34,7 +34,7 @@ use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detector};
 use crate::vision::image::Image;
 use clap::{Args, Subcommand};
-use finish::finish;
+use finish::{finish, known_mount};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -63,6 +63,7 @@ enum What {
     #[command(after_help = TABLE_HELP)]
     Table(RoundArgs),
     /// Pictures of the empty table from the look poses, for cameras without depth to compare with
+    #[command(after_help = empty::HELP)]
     Empty(empty::EmptyArgs),
     /// Record points of the table that the tool's tip touches; the arm is moved by hand, celld only reads it
     #[command(after_help = touch::HELP)]
@@ -72,7 +73,8 @@ enum What {
 const HAND_EYE_HELP: &str = "\
 With `camera: {mount: flange}` the camera looks at the reference markers from the taught `calibration_poses_deg`.
 With `camera: {mount: fixed, base_from_camera, board}` the hand carries the board through the picture of a camera that
-stands; the reference markers seen meanwhile place the table.
+stands; the reference markers seen meanwhile place the table. `celld sim` draws such a cell: base_from_camera and hand_board
+in its configuration (docs/simulator.md).
 
 Poses need not be taught: give a `calibration_box` in the configuration, which the flange does not leave; gripper and
 camera reach beyond it and the elbow goes anywhere, so keep the arm's whole reach free of people and things. Then
@@ -123,6 +125,9 @@ pub struct HandEyeArgs {
     #[arg(long, requires = "visit")]
     yes: bool,
 }
+
+/// Poses and names of a recorded round's pictures, in its folder.
+const SAMPLES: &str = "samples.yaml";
 
 /// What is asked of a round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -177,9 +182,9 @@ fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<At
         }
     };
     // Before the arm moves for nothing.
-    if let Err(message) = args.tie.check() {
-        complain(&message);
-        return 2;
+    if let Err(fault) = args.tie.fitted(&config) {
+        complain(&fault.message);
+        return fault.code;
     }
     if args.from.is_some() {
         return match recorded(&config, args).and_then(|taken| finish(&config, taken, args, wanted)) {
@@ -192,9 +197,18 @@ fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<At
     }
     let args = args.clone();
     with_runtime(stop, move |stop| async move {
-        let taken = live(&config, args.record.as_deref(), proposed, stop).await?;
+        let ready = |arm: &Provenance| fits_arm(&config, &args, wanted, arm).map_err(|fault| fault.message);
+        let taken = live(&config, args.record.as_deref(), proposed, &ready, stop).await?;
         finish(&config, taken, &args, wanted).map_err(|fault| fault.message)
     })
+}
+
+/// What a round rests on that was made before: the touches and the mount have to be this arm's.
+fn fits_arm(config: &CellConfig, args: &RoundArgs, wanted: Wanted, arm: &Provenance) -> Result<(), Fault> {
+    if wanted == Wanted::Table {
+        known_mount(config, arm).map_err(bad_input)?;
+    }
+    args.tie.fitted(config)?.map_or(Ok(()), |touched| touched.check_robot(arm))
 }
 
 /// Why there is no calibration, and the exit code that says so.
@@ -217,11 +231,12 @@ struct Taken {
 }
 
 /// Moves the arm round: to the taught poses, or to so many proposed ones. Pictures and poses are kept in the folder
-/// `record`.
+/// `record`. Nothing moves before `ready` has agreed with camera and arm.
 async fn live(
     config: &CellConfig,
     record: Option<&Path>,
     proposed: Option<usize>,
+    ready: &dyn Fn(&Provenance) -> Result<(), String>,
     stop: Arc<AtomicBool>,
 ) -> Result<Taken, String> {
     let (mut hardware, _) = open_hardware(config)?;
@@ -229,6 +244,8 @@ async fn live(
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let stopped = || stop.load(Ordering::Relaxed);
     let arm = kinematics(&mut hardware, &stopped).await.map_err(|error| chain(&error))?;
+    let provenance = of_arm(&lens.model, &arm);
+    ready(&provenance)?;
     let poses = match proposed {
         None => config.calibration_poses.clone(),
         Some(count) => propose::from_here(config, &lens.model, &arm, &hardware, count)?,
@@ -248,7 +265,6 @@ async fn live(
     };
     let eye = Eye { camera: Box::new(camera), detector };
     let samples = visit(&mut hardware, &arm, &poses, eye, &setting).await.map_err(|error| chain(&error))?;
-    let provenance = of_arm(&lens.model, &arm);
     if let Some(record) = record {
         record.close(&lens, &provenance)?;
     }
@@ -313,7 +329,7 @@ fn lens(config: &CellConfig, own: CameraModel) -> Result<CameraCalibration, Stri
 /// Reads a recorded round and finds its markers.
 fn recorded(config: &CellConfig, args: &RoundArgs) -> Result<Taken, Fault> {
     let folder = args.from.as_deref().unwrap_or(Path::new("."));
-    let path = folder.join("samples.yaml");
+    let path = folder.join(SAMPLES);
     let name = path.display().to_string();
     let text = files::read_named(&path, 16 << 20).map_err(|error| {
         bad_input(format!(
@@ -359,7 +375,7 @@ impl Recording {
     fn new(folder: &Path) -> Result<Recording, String> {
         files::create_folder(folder).map_err(|error| chain(&error))?;
         // The poses of an earlier round there must not be taken for those of the new pictures, should this one break off.
-        files::remove(&folder.join("samples.yaml")).map_err(|error| chain(&error))?;
+        files::remove(&folder.join(SAMPLES)).map_err(|error| chain(&error))?;
         let (pictures, taken) = channel::<(PathBuf, Image)>();
         let write = move || {
             let mut outcome = Ok(());
@@ -392,7 +408,7 @@ impl Recording {
             files::write_atomic(&self.folder.join(name), text.as_bytes()).map_err(|error| chain(&error))
         };
         put("camera.yaml", lens.to_yaml())?;
-        put("samples.yaml", round.to_yaml())?;
+        put(SAMPLES, round.to_yaml())?;
         complain(&format!("recorded {} samples in {}", round.samples.len(), self.folder.display()));
         Ok(())
     }

@@ -297,7 +297,7 @@ mod tests {
             section: Arc::new(section),
             height_m,
             colour: [130; 3],
-            print,
+            prints: print.into_iter().collect(),
         };
         let on_block = print(2, 0.05, Pose2::default());
         let scene = Scene {

@@ -9,7 +9,7 @@ use crate::cli::values;
 use crate::config::cell::CupChannel;
 use crate::config::load::load_sim;
 use crate::config::read_sim::read_sim;
-use crate::config::simulated::SimFile;
+use crate::config::simulated::{SimFile, SimHandBoard, SimMount};
 use crate::geometry::footprint::Footprint;
 use crate::io::priority;
 use crate::sim::camera_server::CameraSetup;
@@ -177,7 +177,12 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
     camera.noise_sigma = errors.noise_levels;
     let nominal = spec::NominalCell {
         base_from_table: file.base_from_table,
-        mount: spec::CameraMount::Flange(file.flange_from_camera),
+        mount: match file.camera {
+            SimMount::Flange(flange_from_camera) => spec::CameraMount::Flange(flange_from_camera),
+            SimMount::Fixed(base_from_camera) => {
+                spec::CameraMount::Fixed(file.base_from_table.inverse() * base_from_camera)
+            }
+        },
         camera,
     };
     let limits = spec::TruthLimits {
@@ -214,6 +219,7 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
                 ..spec::PlacementErrors::default()
             },
             gripper: gripper_spec(file),
+            hand_board: file.hand_board.as_ref().map(hand_board),
         },
         camera: CameraSetup { truth: truth.camera, reported: truth.reported, mount: truth.mount },
         seed: file.seed,
@@ -237,6 +243,16 @@ fn world_object(object: &ObjectSpec) -> Option<spec::WorldObject> {
         fixed: object.fixed,
         colour: None,
     })
+}
+
+fn hand_board(held: &SimHandBoard) -> spec::HandBoard {
+    spec::HandBoard {
+        flange_from_board: held.flange_from_board,
+        grid: [held.board.columns, held.board.rows],
+        size_m: held.board.size_m,
+        gap_m: held.board.gap_m,
+        first_id: held.board.first_id,
+    }
 }
 
 fn gripper_spec(file: &SimFile) -> spec::GripperSpec {

@@ -7,6 +7,7 @@ use crate::config::cell::{CalibrationBox, CalibrationFiles, CameraMount};
 use crate::config::check::Places;
 use crate::config::fields::{joints_deg, list, optional, path, required_number, transform};
 use crate::config::parts::CellParts;
+use crate::document::Location;
 use crate::document::decode::{At, Decoder};
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::vision::board::{Board, GAP};
@@ -35,7 +36,7 @@ pub(super) fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
 
 /// The board that the hand carries before a fixed camera. Of the family that the table's markers are of, so that one
 /// detector finds both.
-fn board(decoder: &mut Decoder, at: &At) -> Option<Board> {
+pub(super) fn board(decoder: &mut Decoder, at: &At) -> Option<Board> {
     let fields = decoder.map(at, &["columns", "rows", "size", "gap", "first_id"])?;
     let mut count = |key: &str| {
         let at = fields.required(key, decoder)?;
@@ -69,15 +70,25 @@ fn board(decoder: &mut Decoder, at: &At) -> Option<Board> {
 /// Complains about markers of the hand's board that also lie on the table.
 pub(super) fn check_board(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     let Some(CameraMount::Fixed { board, .. }) = &parts.camera else { return };
+    let reference = parts.reference_markers.iter().flatten().map(|marker| i64::from(marker.id));
+    let objects = parts.object_markers.iter().map(|marker| marker.number);
+    board_apart(decoder, board, reference.chain(objects), (places.at(&["camera", "board"]), "camera.board"));
+}
+
+/// Complains at `place` (where it stands, its keys) about a board of whose markers one also lies on the table.
+pub(super) fn board_apart(
+    decoder: &mut Decoder,
+    board: &Board,
+    mut on_table: impl Iterator<Item = i64>,
+    (at, path): (Location, &str),
+) {
     let on_board = |number: i64| {
         (i64::from(board.first_id)..i64::from(board.first_id + board.count())).contains(&number)
     };
-    let reference = parts.reference_markers.iter().flatten().map(|marker| i64::from(marker.id));
-    let objects = parts.object_markers.iter().map(|marker| marker.number);
-    if let Some(number) = reference.chain(objects).find(|number| on_board(*number)) {
+    if let Some(number) = on_table.find(|number| on_board(*number)) {
         let message = format!("marker {number} of the board is also on the table");
         let help = "print the board with other numbers: celld markers --board 5x4 --first-id 100";
-        decoder.complain(places.at(&["camera", "board"]), "camera.board", message, help);
+        decoder.complain(at, path, message, help);
     }
 }
 

@@ -4,7 +4,7 @@
 //! the parts it needs and is left out when one of them is missing, so that one wrong key hides no other fault. Pure.
 
 use crate::config::calibration::check_board;
-use crate::config::cell::{CupConfig, Devices, GripperConfig, MotionLimits};
+use crate::config::cell::{CameraMount, CupConfig, Devices, GripperConfig, MotionLimits};
 use crate::config::parts::CellParts;
 use crate::document::Location;
 use crate::document::decode::Decoder;
@@ -66,6 +66,7 @@ pub(super) fn check_cell(decoder: &mut Decoder, parts: &CellParts, places: &Plac
     check_depth(decoder, parts, places);
     check_poses(decoder, parts, places);
     check_board(decoder, parts, places);
+    check_empty(decoder, parts, places);
     if let Some(limits) = &parts.limits {
         check_limits(decoder, limits, places);
     }
@@ -111,6 +112,21 @@ fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
         let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: {mode: off}`; \
                     `mode: refuse` also works with pictures of the empty table (`empty` under `calibration`)";
         decoder.complain(places.at(&["devices", "camera"]), "devices.camera", message, help);
+    }
+}
+
+/// A camera that stands sees the same table in every look, and the arm in another place: its pictures of the empty table
+/// cannot be told apart by where they were taken from.
+fn check_empty(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
+    let stands = matches!(parts.camera, Some(CameraMount::Fixed { .. }));
+    let compared = parts.calibration.as_ref().is_some_and(|files| files.empty.is_some());
+    let looks = parts.look_poses.as_ref().map_or(0, Vec::len);
+    if stands && compared && looks > 1 {
+        let message =
+            format!("{looks} look poses before a camera that stands, whose looks are compared with `empty`");
+        let help =
+            "teach one look pose with the arm out of the picture; or leave out `empty` under `calibration`";
+        decoder.complain(places.at(&["look_poses_deg"]), "look_poses_deg", message, help);
     }
 }
 

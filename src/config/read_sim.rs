@@ -3,11 +3,12 @@
 //! In: the text and its name. Out: the checked configuration of the simulated cell, or every complaint at
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
+use crate::config::calibration::{board, board_apart};
 use crate::config::check::{Places, check_reference_markers};
 use crate::config::fields::{
     each, gripper, joints_deg, optional, port, reference_markers, required_number, transform,
 };
-use crate::config::simulated::{SimErrors, SimFile, SimPorts};
+use crate::config::simulated::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
 use crate::motion::kinematics::ARM_MODELS;
@@ -33,6 +34,8 @@ pub const SIM_KEYS: &[&str] = &[
     "flange_from_tool",
     "base_from_table",
     "flange_from_camera",
+    "base_from_camera",
+    "hand_board",
     "model",
     "start_pose_deg",
     "programs",
@@ -82,7 +85,15 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let gripper = fields.required("gripper", decoder).and_then(|at| gripper(decoder, &at));
     let flange_from_tool = transform(decoder, fields, "flange_from_tool");
     let base_from_table = transform(decoder, fields, "base_from_table");
-    let flange_from_camera = transform(decoder, fields, "flange_from_camera");
+    let camera = mount(decoder, fields);
+    let hand_board =
+        optional(decoder, fields, "hand_board", None, |decoder, at| hand_board(decoder, at).map(Some));
+    if let Some(Some(SimHandBoard { board, .. })) = &hand_board {
+        let reference = markers.iter().flatten().map(|marker| marker.id);
+        let on_objects = objects.iter().flatten().filter_map(|object| object.marker.as_ref());
+        let on_table = reference.chain(on_objects.map(|marker| marker.id)).map(i64::from);
+        board_apart(decoder, board, on_table, (places.at(&["hand_board", "board"]), "hand_board.board"));
+    }
     let start_pose = fields.required("start_pose_deg", decoder).and_then(|at| joints_deg(decoder, &at));
     let model = optional(decoder, fields, "model", ARM_MODELS[0], |decoder, at| {
         let choices: Vec<_> = ARM_MODELS.iter().map(|model| (model.name, *model)).collect();
@@ -103,7 +114,8 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         height_m: size.height,
         base_from_table: base_from_table?,
         flange_from_tool: flange_from_tool?,
-        flange_from_camera: flange_from_camera?,
+        camera: camera?,
+        hand_board: hand_board?,
         gripper: gripper?,
         objects: objects?,
         reference_markers: markers?,
@@ -113,6 +125,26 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         programs: BTreeMap::new(),
         errors: errors?,
     })
+}
+
+/// The camera on the hand or on a stand.
+fn mount(decoder: &mut Decoder, fields: &Fields) -> Option<SimMount> {
+    let Some(at) = fields.optional("base_from_camera") else {
+        return transform(decoder, fields, "flange_from_camera").map(SimMount::Flange);
+    };
+    if fields.optional("flange_from_camera").is_some() {
+        let message = "the camera sits on the flange or stands, not both";
+        decoder.complain_at(&at, message, "leave out flange_from_camera or base_from_camera");
+        return None;
+    }
+    transform(decoder, fields, "base_from_camera").map(SimMount::Fixed)
+}
+
+fn hand_board(decoder: &mut Decoder, at: &At) -> Option<SimHandBoard> {
+    let fields = decoder.map(at, &["board", "flange_from_board"])?;
+    let board = fields.required("board", decoder).and_then(|at| board(decoder, &at));
+    let flange_from_board = transform(decoder, &fields, "flange_from_board");
+    Some(SimHandBoard { board: board?, flange_from_board: flange_from_board? })
 }
 
 fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {

@@ -9,6 +9,7 @@ use crate::geometry::pose::Pose2;
 use crate::motion::kinematics::ArmModel;
 use crate::tabletop::instance::ObjectSpec;
 use crate::units::Joints;
+use crate::vision::board::Board;
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
 
@@ -31,8 +32,10 @@ pub struct SimFile {
     pub base_from_table: Isometry3<f64>,
     /// Nominal pose of the tool.
     pub flange_from_tool: Isometry3<f64>,
-    /// Nominal pose of the camera.
-    pub flange_from_camera: Isometry3<f64>,
+    /// Nominal place of the camera.
+    pub camera: SimMount,
+    /// A calibration board on the hand.
+    pub hand_board: Option<SimHandBoard>,
     /// Cups, body and mass.
     pub gripper: GripperConfig,
     /// Objects with their start poses.
@@ -49,6 +52,24 @@ pub struct SimFile {
     pub programs: BTreeMap<String, String>,
     /// How far the truth is off.
     pub errors: SimErrors,
+}
+
+/// Where the simulated camera sits, nominal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SimMount {
+    /// On the flange: `flange_from_camera`.
+    Flange(Isometry3<f64>),
+    /// On a stand: `base_from_camera`.
+    Fixed(Isometry3<f64>),
+}
+
+/// What the hand carries before a camera on a stand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimHandBoard {
+    /// What is printed on it.
+    pub board: Board,
+    /// The board's frame (lower left corner of the lower left marker, z out of the print) in the flange frame.
+    pub flange_from_board: Isometry3<f64>,
 }
 
 /// Ports of the simulated gripper, camera and control server.

@@ -72,7 +72,9 @@ fn the_example_simulation_is_sound_and_fits_the_cell() {
 fn examples_show_and_comment_every_key() {
     for (text, keys) in [(CELL, CELL_KEYS), (SIM, SIM_KEYS)] {
         for key in keys {
-            assert!(text.lines().any(|line| line.starts_with(&format!("{key}:"))), "{key} is not shown");
+            // One that excludes another is shown as a comment.
+            let shown = |line: &str| line.strip_prefix("# ").unwrap_or(line).starts_with(&format!("{key}:"));
+            assert!(text.lines().any(shown), "{key} is not shown");
         }
     }
 }
@@ -230,6 +232,20 @@ fn a_fixed_camera_names_the_board_on_the_hand() {
 }
 
 #[test]
+fn a_camera_that_stands_is_compared_with_the_empty_table_from_one_look_pose() {
+    let stands = "mount: fixed\n  board: {columns: 5, rows: 4, size: 0.02, first_id: 100}\n  base_from";
+    let fixed = CELL.replace("mount: flange\n  flange_from", stands);
+    let compared = |text: &str| text.replace("sim/table.yaml}", "sim/table.yaml, empty: ../empty}");
+    assert_ne!(compared(CELL), CELL);
+    assert!(cell(&compared(CELL)).is_ok() && cell(&fixed).is_ok());
+    let told = cell(&compared(&fixed)).unwrap_err();
+    assert_eq!(told.0.len(), 1, "{told}");
+    assert!(told.to_string().contains("look_poses_deg: 2 look poses before a camera that stands"), "{told}");
+    let second = "  - [-106.6, -96.2, 97.0, -90.8, -90.0, -16.6]\n";
+    assert!(fixed.contains(second) && cell(&compared(&fixed.replace(second, ""))).is_ok());
+}
+
+#[test]
 fn a_box_may_be_taught_by_its_corners() {
     let corners = "{corners_deg: [[-121.6, -128.7, 116.1, -77.4, -90, -31.6], [-77.4, -70.1, 64.8, -55.1, -109.6, 40.8], \
                    [-91.7, -91.7, 108.9, -108.9, -90, 0]]}";
@@ -290,4 +306,32 @@ fn parts_of_a_simulation_that_do_not_fit_are_told() {
     check_sim("[0.36, 0.38, 0]", "[0.36, 0.48, 0]", "\"lid\" reaches over the table's edge by 25.000 mm");
     check_sim("bind: 127.0.0.2", "bind: localhost", "bind: \"localhost\" is not an IP address");
     check_sim("noise_levels: 2.0", "noise_levels: 0", "noise_levels: 0 grey levels is out of range");
+}
+
+#[test]
+fn the_simulated_camera_may_stand_and_the_hand_carry_a_board() {
+    use crate::config::simulated::SimMount;
+    let place = "{translation: [0, 0.43, 0.75], quaternion: [1, 0, 0, 0]}";
+    let with = |camera: &str, board: &str| {
+        let flange = "flange_from_camera: {translation: [0, -0.07, 0.03], quaternion: [0, 0, 0, 1]}";
+        assert!(SIM.contains(flange));
+        let held = format!("hand_board: {{board: {{{board}}}, flange_from_board: {place}}}");
+        read_sim(&SIM.replace(flange, &format!("{camera}\n{held}")), "sim.yaml")
+    };
+    let (stands, grid) = (format!("base_from_camera: {place}"), "columns: 5, rows: 4, size: 0.02");
+    // As the example has it in its comments.
+    let shown =
+        SIM.replace("flange_from_camera:", "# flange:").replace("# base_from_camera:", "base_from_camera:");
+    let read = read_sim(&shown.replace("# hand_board:", "hand_board:"), "sim.yaml").unwrap();
+    let held = read.hand_board.unwrap();
+    assert_eq!((held.board.count(), held.board.first_id), (20, 100));
+    let SimMount::Fixed(base_from_camera) = read.camera else { panic!("{:?}", read.camera) };
+    assert_eq!(base_from_camera.translation.z, 0.75);
+    assert_eq!(with(&stands, &format!("{grid}, first_id: 100")).unwrap().camera, read.camera);
+    let told = |camera: &str, board: &str| with(camera, board).unwrap_err().to_string();
+    assert!(told(&stands, grid).contains("hand_board.board: marker 0 of the board is also on the table"));
+    assert!(told(&stands, "columns: 5, rows: 4, size: 0.02, first_id: 495").contains("marker 500"));
+    let both = format!("{stands}\nflange_from_camera: {place}");
+    assert!(told(&both, &format!("{grid}, first_id: 100")).contains("on the flange or stands, not both"));
+    assert!(told("", &format!("{grid}, first_id: 100")).contains("flange_from_camera"));
 }

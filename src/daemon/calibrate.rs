@@ -227,7 +227,9 @@ async fn bring_up(hardware: &mut Hardware, setting: &Setting<'_>) -> Result<(), 
     loop {
         guard(hardware, started, 60, "the robot did not come up", setting.stop)?;
         trouble(&hardware.next().await)?;
-        let Some(robot) = hardware.robot().state() else { continue };
+        // Whether remote control is on is asked after the first state has come; until then every command would be refused.
+        let told = |robot: &&RobotState| robot.remote_control.is_some();
+        let Some(robot) = hardware.robot().state().filter(told) else { continue };
         let (mode, running_ours) = (robot.robot_mode, robot.nonce == setting.nonce.number() && program_asked);
         let command = match mode {
             RobotMode::PowerOff if asked != Some(mode) => RobotCommand::PowerOn,
@@ -478,8 +480,7 @@ mod tests {
     use nalgebra::Isometry3;
     use std::f64::consts::TAU;
 
-    #[test]
-    fn the_tool_stays_slow_with_all_joints_moving_and_the_arm_stretched() {
+    fn model() -> ArmModel {
         let limits = ArmLimits {
             joint_range: [(-TAU, TAU); 6],
             joint_speed: 2.0,
@@ -488,13 +489,51 @@ mod tests {
             tool_acceleration: 2.0,
             link_floor: 0.03,
         };
-        let model = ArmModel {
+        ArmModel {
             dh: DhParameters::UR5E,
             base_from_table: Isometry3::identity(),
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
             home: Joints([0.0, -1.5, 1.5, -1.5, -1.5, 0.0]),
             limits,
+        }
+    }
+
+    #[test]
+    fn no_move_leaves_the_box_at_its_ends_or_on_its_way() {
+        let model = model();
+        // The base turns: the way swings out beyond the line between its ends.
+        let turned = |turn: f64| Joints([turn, -1.4, 1.2, -1.4, -1.5, 0.0]);
+        let (from, to) = (turned(-0.8), turned(0.8));
+        let at = |q: &Joints| -> [f64; 3] { forward(&model.dh, q).translation.vector.into() };
+        let around = |places: &[Joints]| {
+            let wide = CalibrationBox::around(places.iter().map(at)).unwrap();
+            CalibrationBox { low_m: wide.low_m.map(|v| v - 0.01), high_m: wide.high_m.map(|v| v + 0.01) }
         };
+        let move_in = |room: &CalibrationBox, from: &Joints, to: Joints| {
+            checked_move(&model, Some(room), 7, from, to).map(|_| ()).map_err(|error| error.to_string())
+        };
+        let steps: Vec<Joints> = (-8..=8).map(|k| turned(0.1 * f64::from(k))).collect();
+        move_in(&around(&steps), &from, to).unwrap();
+        let ends = around(&[from, to]);
+        let told = move_in(&ends, &from, to).unwrap_err();
+        assert!(told.contains("on the way to calibration pose 7"), "{told}");
+        let near = around(&[from, turned(-0.7)]);
+        let told = move_in(&near, &to, from).unwrap_err();
+        assert!(told.starts_with("the flange is") && told.contains("outside the calibration box"), "{told}");
+        // All of the way is in this one, but for its last half step.
+        let (before, end) = (between(&from, &to, 1.0 - 0.5 / TRAVEL_SAMPLES as f64), at(&to));
+        let mut short = CalibrationBox { low_m: [-2.0; 3], high_m: [2.0; 3] };
+        let axis = usize::from((end[1] - at(&from)[1]).abs() > (end[0] - at(&from)[0]).abs());
+        let bound = if end[axis] > at(&from)[axis] { &mut short.high_m } else { &mut short.low_m };
+        bound[axis] = at(&before)[axis];
+        let told = move_in(&short, &from, to).unwrap_err();
+        assert!(told.starts_with("calibration pose 7 is"), "{told}");
+        checked_move(&model, None, 7, &from, to).unwrap();
+    }
+
+    #[test]
+    fn the_tool_stays_slow_with_all_joints_moving_and_the_arm_stretched() {
+        let model = model();
         let (from, to) =
             (Joints([0.0, -0.9, 0.2, -0.7, -1.5, 0.0]), Joints([0.6, -0.4, 0.1, -0.9, -1.2, 0.3]));
         let speed = slow_enough(&model, &from, &to);

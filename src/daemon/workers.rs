@@ -218,3 +218,89 @@ fn plan(request: &PlanRequest, stop: &AtomicBool) -> PlanAnswer {
         _ => PlanAnswer::Timeout,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::camera::{CameraError, Frame};
+    use crate::vision::detect::DetectSettings;
+    use crate::vision::foreign::search::Inventory;
+    use crate::vision::foreign::{Area, ForeignLimits};
+    use crate::vision::image::DepthImage;
+
+    /// A camera whose depth pictures have a size of their own.
+    struct Camera {
+        depth: (u32, u32),
+        wanted: bool,
+        taken: u64,
+    }
+
+    impl CameraSource for Camera {
+        fn intrinsics(&mut self) -> Result<CameraModel, CameraError> {
+            Err(CameraError::NoIntrinsics { place: "made up".into() })
+        }
+
+        fn grab(&mut self) -> Result<Frame, CameraError> {
+            self.taken += 1;
+            let (width, height) = self.depth;
+            let metres = vec![0.5; width as usize * height as usize];
+            Ok(Frame {
+                image: Image::filled(64, 48, [180; 3]),
+                sequence: self.taken,
+                time_s: self.taken as f64,
+                source: "made up".into(),
+                depth: self.wanted.then(|| DepthImage::from_metres(width, height, metres).unwrap()),
+            })
+        }
+
+        fn want_depth(&mut self, wanted: bool) {
+            self.wanted = wanted;
+        }
+
+        fn is_live(&self) -> bool {
+            true
+        }
+
+        fn reopen(&mut self) -> Result<(), CameraError> {
+            Ok(())
+        }
+    }
+
+    /// Two frames of a camera with such depth pictures, for a lens of 64 x 48.
+    fn looked(depth: (u32, u32)) -> Result<(Vec<View>, Image), CameraTrouble> {
+        let lens = CameraModel {
+            serial: "made up".into(),
+            width: 64,
+            height: 48,
+            fx: 60.0,
+            fy: 60.0,
+            cx: 31.5,
+            cy: 23.5,
+            distortion: [0.0; 5],
+        };
+        let inventory = Inventory {
+            area: Area { low: [0.0, 0.0], high: [0.2, 0.2] },
+            objects: Vec::new(),
+            fixed: Vec::new(),
+            ignored: Vec::new(),
+            own: None,
+        };
+        let search = ForeignSearch::new(&lens, inventory, ForeignLimits::default()).unwrap();
+        let mut detector = Detector::new(DetectSettings::default()).unwrap();
+        let mut camera = Camera { depth, wanted: true, taken: 0 };
+        let down = nalgebra::UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
+        let over = Isometry3::from_parts(nalgebra::Translation3::new(0.1, 0.1, 0.5), down);
+        capture((&mut camera, &mut detector), 2, over, &Clock::new(1.0), Some(&search))
+    }
+
+    #[test]
+    fn depth_of_another_size_than_the_lens_is_a_misfit_and_lasts() {
+        let (views, _) = looked((64, 48)).unwrap();
+        let mapped: Vec<bool> = views.iter().map(|view| view.heights.is_some()).collect();
+        assert_eq!(mapped, [false, true], "the last frame comes with depth");
+        let told = looked((32, 24)).unwrap_err();
+        assert_eq!((told.code, told.lasting), ("camera_misfit", true));
+        assert!(told.message.contains("32 x 24") && told.message.contains("64 x 48"), "{told:?}");
+        assert!(told.remedy.contains("devices.camera"), "{told:?}");
+    }
+}

@@ -5,19 +5,24 @@ use crate::cell::{
     CELLD, LOG, celld, configuration, copy_calibration, result_of, start_daemon, text, wait_until,
 };
 use celld::cli::sim::sim_config;
-use celld::config::load::load_sim;
-use celld::motion::kinematics::forward;
+use celld::config::load::{load_cell, load_sim};
+use celld::daemon::setup::arm_model;
+use celld::motion::kinematics::{DhParameters, forward};
 use celld::sim::cell::{RunningSim, start};
 use celld::sim::robot_server::RobotPorts;
 use celld::sim::world::lock;
 use celld::sim::world::spec::CameraMount;
 use celld::units::Joints;
 use celld::vision::calibration::hand_eye::{HandEyeCalibration, Mount};
+use celld::vision::calibration::round::Round;
 use celld::vision::calibration::table::TableCalibration;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 const ADDRESS: &str = "127.7.1.9";
 
@@ -53,6 +58,24 @@ fn jog(sim: &RunningSim, secondary: SocketAddr, q: &Joints) {
     });
 }
 
+/// Does `work`, and notes where the flange is meanwhile, base frame, m.
+fn while_watched<T>(sim: &RunningSim, work: impl FnOnce() -> T) -> (T, Vec<Vector3<f64>>) {
+    let done = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let watch = scope.spawn(|| {
+            let mut way = Vec::new();
+            while !done.load(Ordering::Relaxed) {
+                way.push(sim.robot().controller().core.base_from_flange().translation.vector);
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            way
+        });
+        let worked = work();
+        done.store(true, Ordering::Relaxed);
+        (worked, watch.join().expect("it only looks"))
+    })
+}
+
 #[test]
 fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -74,9 +97,25 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     assert!(text(&unsure.stderr).contains("add --yes"), "{}", text(&unsure.stderr));
 
     let visit = ["calibrate", "hand-eye", "--config", &cell, "--visit", "--yes", "--record", "round"];
-    let visited = celld(&visit, folder.path());
+    let room = load_cell(Path::new(&cell)).expect("a configuration").calibration_box.expect("a box");
+    let (visited, way) = while_watched(&sim, || celld(&visit, folder.path()));
     let said = text(&visited.stderr);
     assert_eq!(visited.status.code(), Some(0), "{said}");
+    // Where the flange truly was, all the way and at the poses that were kept; a controller's path is within a millimetre.
+    let seen = std::fs::read_to_string(folder.path().join("round/samples.yaml")).expect("recorded");
+    let poses = Round::parse(&seen, "samples.yaml").expect("sound").samples;
+    assert!(
+        poses.len() == 15 && way.len() > 100,
+        "{} poses, seen {} times on the way",
+        poses.len(),
+        way.len()
+    );
+    let stood = poses.iter().map(|sample| sample.base_from_flange.translation.vector);
+    for flange in way.iter().copied().chain(stood) {
+        assert!(room.outside_m(&flange) < 1e-3, "{flange} is outside");
+    }
+    let far = way.iter().map(|flange| (flange - way[0]).norm()).fold(0.0, f64::max);
+    assert!(far > 0.1, "it moved {far} m");
     let read = |name: &str| {
         std::fs::read_to_string(folder.path().join("calibration/sim").join(name)).expect("written")
     };
@@ -124,9 +163,21 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     let by_touch = table.touches.expect("it says that it was touched");
     assert!(by_touch.residuals_m.len() == 4 && by_touch.residuals_m.iter().all(|m| *m < 5e-4));
 
+    // Touches of another robot are told as soon as this one has said which it is; nothing moves for them.
+    let touched = std::fs::read_to_string(folder.path().join("touches.yaml")).expect("written");
+    let other = touched.replace("robot_serial: ", "robot_serial: other-");
+    assert_ne!(other, touched);
+    std::fs::write(folder.path().join("other.yaml"), other).expect("written");
+    let stands = sim.robot().controller().core.base_from_flange();
+    let tie_live = ["calibrate", "table", "--config", &cell, "--touches", "other.yaml"];
+    let refused = celld(&tie_live, folder.path());
+    let said = text(&refused.stderr);
+    assert!(refused.status.code() == Some(1) && said.contains("touched with robot other-"), "{said}");
+    assert!(!said.contains("pose 1/"), "{said}");
+    assert_eq!(sim.robot().controller().core.base_from_flange(), stands);
+
     // A tip that is 3 mm longer than was said, which hands turned differently bring to light: nothing is written.
     let before = read("table.yaml");
-    let touched = std::fs::read_to_string(folder.path().join("touches.yaml")).expect("written");
     let longer = touched.replace("0.15]", "0.153]");
     assert_ne!(longer, touched);
     std::fs::write(folder.path().join("touches.yaml"), longer).expect("written");
@@ -209,5 +260,114 @@ fn cell_works_from_a_camera_that_stands() {
     let off_mm = (lid.x - 0.30).hypot(lid.y - 0.38) * 1e3;
     println!("the lid lies {off_mm:.2} mm off");
     assert!(off_mm < 2.0, "{lid:?}");
+    runtime.block_on(sim.shutdown());
+}
+
+/// Where the hand carries the board to, table frame, m: its middle, and how it is turned about x, y and z, rad.
+const CARRIED_TO: [([f64; 3], [f64; 3]); 14] = [
+    ([0.25, 0.25, 0.30], [0.0, 0.0, 0.0]),
+    ([0.20, 0.28, 0.34], [0.40, 0.0, 0.2]),
+    ([0.30, 0.22, 0.30], [-0.40, 0.0, -0.2]),
+    ([0.28, 0.24, 0.36], [0.0, 0.40, 0.3]),
+    ([0.22, 0.27, 0.32], [0.0, -0.40, -0.3]),
+    ([0.18, 0.22, 0.31], [0.30, 0.30, 0.0]),
+    ([0.32, 0.28, 0.38], [-0.30, -0.30, 0.4]),
+    ([0.26, 0.20, 0.33], [0.30, -0.30, -0.4]),
+    ([0.24, 0.29, 0.30], [-0.30, 0.30, 0.5]),
+    ([0.15, 0.25, 0.33], [0.42, 0.1, -0.5]),
+    ([0.34, 0.24, 0.31], [-0.42, -0.1, 0.1]),
+    ([0.25, 0.26, 0.40], [0.1, 0.42, -0.1]),
+    ([0.27, 0.23, 0.30], [-0.1, -0.42, 0.6]),
+    ([0.21, 0.24, 0.36], [0.2, -0.2, -0.6]),
+];
+
+/// The configuration of a cell whose camera stands, taught to carry a board through its picture; and its simulation.
+fn standing_camera(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
+    let (cell, sim) = configuration(folder, address, 2);
+    let edit = |path: &Path, key: &str, next: &str, new: &str| {
+        let text = std::fs::read_to_string(path).expect("text");
+        let from = text.find(key).expect("the key");
+        let to = from + text[from..].find(next).expect("what follows it");
+        std::fs::write(path, format!("{}{new}{}", &text[..from], &text[to..])).expect("written");
+    };
+    let board = "{columns: 5, rows: 4, size: 0.02, first_id: 100}";
+    let stands = "{translation: [0, 0.43, 0.75], quaternion: [1, 0, 0, 0]}";
+    let clamped = Isometry3::from_parts(
+        Translation3::new(0.05, 0.049, 0.03),
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI),
+    );
+    let held = "{translation: [0.05, 0.049, 0.03], quaternion: [1, 0, 0, 0]}";
+    edit(
+        &sim,
+        "flange_from_camera:",
+        "\n\n# Optional. Which arm",
+        &format!("base_from_camera: {stands}\nhand_board: {{board: {board}, flange_from_board: {held}}}"),
+    );
+    // The cell knows nothing of the clamp, and of the camera what a person measures with a tape.
+    let roughly = "{translation: [0.03, 0.40, 0.78], quaternion: [1, 0, 0, 0]}";
+    edit(
+        &cell,
+        "camera:\n  mount: flange",
+        "\n# Taught joint poses",
+        &format!("camera: {{mount: fixed, base_from_camera: {roughly}, board: {board}}}\n"),
+    );
+    let config = load_cell(&cell).expect("a configuration");
+    let arm = arm_model(&config, DhParameters::UR5E, config.base_from_table);
+    let taught = CARRIED_TO.map(|(at, turn)| {
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let flange = UnitQuaternion::from_scaled_axis(Vector3::from(turn)) * down;
+        let middle = clamped * Point3::new(0.062, 0.049, 0.0);
+        let flange =
+            Isometry3::from_parts(Translation3::from(Vector3::from(at) - flange * middle.coords), flange);
+        let q = arm.joints_in_work_posture(&(flange * arm.flange_from_tool), &arm.home).expect("in reach");
+        format!("\n  - [{}]", q.0.map(|q| format!("{:.1}", q.to_degrees())).join(", "))
+    });
+    let taught = format!("calibration_poses_deg:{}\n", taught.concat());
+    edit(&cell, "calibration_poses_deg:", "# Optional. Free of people", &taught);
+    (cell, sim)
+}
+
+#[test]
+fn cell_with_a_camera_that_stands_is_calibrated_by_the_board_that_the_hand_carries() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let address = "127.7.1.13";
+    let (cell, sim_path) = standing_camera(folder.path(), address);
+    let cell = cell.display().to_string();
+    let file = load_sim(&sim_path).expect("the simulation");
+    let config = sim_config(&file, address.parse().expect("an address"), RobotPorts::REAL);
+    let CameraMount::Fixed(table_from_camera) = config.camera.mount else { panic!("it stands") };
+    let base_from_table = config.world.base_from_table;
+    let base_from_camera = base_from_table * table_from_camera;
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
+    let sim = runtime.block_on(start(config)).expect("the simulation starts");
+
+    let measure = ["calibrate", "hand-eye", "--config", &cell, "--record", "round"];
+    let measured = celld(&measure, folder.path());
+    let said = text(&measured.stderr);
+    assert_eq!(measured.status.code(), Some(0), "{said}");
+    let read = |name: &str| {
+        std::fs::read_to_string(folder.path().join("calibration/sim").join(name)).expect("written")
+    };
+    let hand_eye = HandEyeCalibration::parse(&read("hand_eye.yaml"), "hand_eye.yaml").expect("sound");
+    let Mount::Fixed { base_from_camera: found } = hand_eye.mount else { panic!("it stands") };
+    let (mm, deg) = off(&found, &base_from_camera);
+    println!("camera off by {mm:.3} mm, {deg:.4} degrees\n{said}");
+    assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
+    assert_eq!(hand_eye.samples.len(), CARRIED_TO.len(), "{said}");
+    let table = TableCalibration::parse(&read("table.yaml"), "table.yaml").expect("sound");
+    let (mm, deg) = off(&table.base_from_table, &base_from_table);
+    println!("table off by {mm:.3} mm, {deg:.4} degrees");
+    assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
+
+    // The same round from its pictures; and with another board in the configuration nothing is believed.
+    let again = ["calibrate", "hand-eye", "--config", &cell, "--from", "round"];
+    assert_eq!(celld(&again, folder.path()).status.code(), Some(0));
+    let before = read("hand_eye.yaml");
+    let yaml = std::fs::read_to_string(&cell).expect("text");
+    std::fs::write(&cell, yaml.replace("first_id: 100", "first_id: 200")).expect("written");
+    let refused = celld(&again, folder.path());
+    assert_eq!(refused.status.code(), Some(1), "{}", text(&refused.stderr));
+    assert!(text(&refused.stderr).contains("show the board on the hand"), "{}", text(&refused.stderr));
+    assert_eq!(read("hand_eye.yaml"), before);
     runtime.block_on(sim.shutdown());
 }

@@ -36,6 +36,7 @@ fn world() -> World {
         reference_markers: vec![ReferenceMarker { id: 500, size_m: 0.04, pose: Pose2::new(0.25, 0.3, 0.0) }],
         errors: PlacementErrors::default(),
         gripper: GripperSpec::one_cup(0.2),
+        hand_board: None,
     };
     World::new(spec, 1).unwrap()
 }

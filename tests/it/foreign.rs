@@ -162,7 +162,24 @@ fn cell_finds_what_was_not_on_the_empty_table_by_its_colour() {
         assert_eq!(taken.status.code(), Some(0), "{}", text(&taken.stderr));
         assert!(folder.path().join("empty/samples.yaml").is_file());
     }
+    let samples = folder.path().join("empty/samples.yaml");
+    let taken = std::fs::read_to_string(&samples).expect("written");
+    assert_eq!(taken.matches(".png").count(), 2, "one for each look pose: {taken}");
     let _sim = start_sim(&sim);
+    // Pictures of another camera or robot, or cut short, are none of this table.
+    for (from, to, wanted) in [
+        ("camera_serial: ", "camera_serial: other-", "taken with camera"),
+        ("robot_serial: ", "robot_serial: other-", "taken with robot"),
+        ("01.png", "03.png", "03.png"),
+    ] {
+        assert!(taken.contains(from), "{taken}");
+        std::fs::write(&samples, taken.replace(from, to)).expect("written");
+        let refused = celld(&["run", "--config", &cell_text], folder.path());
+        let said = text(&refused.stderr);
+        assert!(said.contains(wanted) && said.contains("celld calibrate empty"), "{said}");
+        assert_ne!(refused.status.code(), Some(0));
+    }
+    std::fs::write(&samples, &taken).expect("written");
     let daemon = Daemon::start(folder.path(), &cell);
     let result = daemon.job("clean", [0.30, 0.38], || {});
     assert!(result.contains("status: done") && result.contains("moves: 1"), "{result} {}", daemon.said());
@@ -180,4 +197,11 @@ fn cell_finds_what_was_not_on_the_empty_table_by_its_colour() {
     fault(address, r#"{"do": "clear"}"#);
     let result = daemon.job("again", [0.40, 0.38], || {});
     assert!(result.contains("status: done"), "{result} {}", daemon.said());
+
+    // With the objects on it the table is not empty; then there is nothing left to compare with.
+    drop(daemon);
+    let taken = celld(&["calibrate", "empty", "--config", &cell_text], folder.path());
+    let said = text(&taken.stderr);
+    assert!(taken.status.code() == Some(1) && said.contains("the table is not empty"), "{said}");
+    assert!(said.contains("\"lid\"") && !samples.exists(), "{said}");
 }

@@ -9,12 +9,15 @@ use celld::sim::render::Renderer;
 use celld::sim::render::lens::CameraTruth;
 use celld::sim::render::scene::look_at;
 use celld::sim::world::World;
-use celld::sim::world::spec::{CameraMount, Cup, GripperSpec, NominalCell, ObjectMarker, PlacementErrors};
-use celld::sim::world::spec::{ReferenceMarker, TableSpec, TruthLimits, TruthSpec, WorldObject, WorldSpec};
+use celld::sim::world::spec::{CameraMount, Cup, GripperSpec, HandBoard, NominalCell, ObjectMarker};
+use celld::sim::world::spec::{
+    PlacementErrors, ReferenceMarker, TableSpec, TruthLimits, TruthSpec, WorldObject, WorldSpec,
+};
 use celld::sim::world::vacuum::{Channel, VacuumMode};
+use celld::vision::board::Board;
 use celld::vision::camera::CameraModel;
 use celld::vision::cv;
-use celld::vision::detect::{DetectSettings, Detector};
+use celld::vision::detect::{DetectSettings, Detector, Family};
 use celld::vision::image::Image;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -107,6 +110,7 @@ fn marked_table(seed: u64) -> WorldSpec {
         ],
         errors: PlacementErrors::default(),
         gripper: gripper(),
+        hand_board: None,
     }
 }
 
@@ -139,6 +143,56 @@ fn markers_in_drawn_pictures_have_their_corners_where_the_lens_puts_them() {
     println!("{found} of {wanted} markers, corner error median {median:.3} px, 95 % below {worst:.3} px");
     assert_eq!(found, wanted);
     assert!(median < 0.1 && worst < 0.3, "{median} {worst}");
+}
+
+#[test]
+fn the_board_on_the_hand_is_seen_where_it_is_carried_and_hides_what_lies_under_it() {
+    use celld::sim::render::sensor::Exposure;
+    let camera = truth(2).camera;
+    let mut spec = marked_table(2);
+    let facing_up = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let flange_from_board = Isometry3::from_parts(Translation3::new(0.05, 0.05, 0.03), facing_up);
+    spec.hand_board =
+        Some(HandBoard { flange_from_board, grid: [5, 4], size_m: 0.02, gap_m: 0.006, first_id: 100 });
+    let mut world = World::new(spec, 2).unwrap();
+    let turned = UnitQuaternion::from_scaled_axis(Vector3::new(0.2, -0.25, 0.3)) * facing_up;
+    let flange = Isometry3::from_parts(Translation3::new(0.14, 0.18, 0.3), turned);
+    world.step(0.002, 0.002, &flange);
+    let eye = look_at([0.25, 0.18, 0.75], [0.25, 0.18, 0.0], [1.0, 0.0, 0.0]);
+    let scene = world.scene();
+    let renderer = Renderer::new(camera.clone());
+    let picture = renderer.render(&scene, &eye, 2, 1);
+    keep(&picture, "board");
+    let detections = Detector::new(DetectSettings::default()).unwrap().detect(&picture.gray()).unwrap();
+    // The print as `celld markers` lays it out and calibration takes it.
+    let board = Board::new(Family::Tag36h11, 5, 4, 0.02, 100);
+    let (on_board, in_picture) = board.seen(&detections);
+    assert_eq!(on_board.len(), 80, "all twenty markers");
+    let points: Vec<[f64; 3]> = on_board.iter().map(|[x, y]| [*x, *y, 0.0]).collect();
+    let camera_from_board = eye.inverse() * flange * flange_from_board;
+    let wanted = cv::project(&model(&camera), &camera_from_board, &points).unwrap();
+    let errors = in_picture.iter().zip(&wanted).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
+    assert!(errors.fold(0.0, f64::max) < 0.3);
+    let covers = |id: u32| {
+        let (_, _, marker) = markers(&world, &marked_table(2)).into_iter().find(|m| m.0 == id).unwrap();
+        let ray = marker.translation.vector - eye.translation.vector;
+        let [normal, at] =
+            [flange * flange_from_board * Vector3::z(), (flange * flange_from_board).translation.vector];
+        let hit =
+            eye.translation.vector + ray * ((at - eye.translation.vector).dot(&normal) / ray.dot(&normal));
+        let [x, y] =
+            [0, 1].map(|i| ((flange * flange_from_board).inverse() * nalgebra::Point3::from(hit))[i]);
+        (0.0..0.124).contains(&x) && (0.0..0.098).contains(&y)
+    };
+    let hidden: Vec<u32> = (0..12).filter(|id| covers(*id)).collect();
+    assert!(!hidden.is_empty(), "something lies under it");
+    assert!(detections.iter().all(|detection| !hidden.contains(&detection.id)));
+    let depth = renderer.expose_depth(&scene, &eye, &Exposure::default(), [2, 1]);
+    let middle = camera_from_board * nalgebra::Point3::new(0.062, 0.049, 0.0);
+    let [u, v] = camera.project([middle.x, middle.y, middle.z]).unwrap();
+    let measured = f64::from(depth.units[v.round() as usize * 1280 + u.round() as usize])
+        * celld::sim::render::depth::UNIT_M;
+    assert!((measured - middle.z).abs() < 5e-3, "{measured} {}", middle.z);
 }
 
 fn markers(world: &World, spec: &WorldSpec) -> Vec<(u32, f64, Isometry3<f64>)> {

@@ -287,7 +287,7 @@ fn upright(footprint: Footprint, height_m: f64) -> Thing {
         section: Arc::new(Section::from_footprint(&footprint)),
         height_m,
         colour: [120; 3],
-        print: None,
+        prints: Vec::new(),
     };
     Thing { known: KnownBody { footprint, pose: Pose2::default(), height_m }, prism }
 }

@@ -139,7 +139,7 @@ fn placed(solved: Solved) -> Solved {
 }
 
 /// The mount measured before, if it is this camera's on this robot.
-fn known_mount(config: &CellConfig, now: &Provenance) -> Result<HandEyeCalibration, String> {
+pub(super) fn known_mount(config: &CellConfig, now: &Provenance) -> Result<HandEyeCalibration, String> {
     let path = &config.calibration.hand_eye;
     let text = files::read_named(path, 1 << 20)
         .map_err(|error| format!("{}; run `celld calibrate hand-eye` first", chain(&error)))?;

@@ -217,13 +217,55 @@ fn enter() -> bool {
     std::io::stdin().read_line(&mut line).is_ok_and(|count| count > 0)
 }
 
+/// Touches that by themselves place the table of this survey.
+#[derive(Debug)]
+pub(super) struct Fitted {
+    name: String,
+    touches: Touches,
+    /// Which of them count, from 0.
+    used: Vec<usize>,
+    fit: TouchFit,
+}
+
 impl TieArgs {
-    /// Reads the file, so that a wrong one is told before the arm moves for it.
+    /// The touches, if any were given, and the table by them alone. What is wrong with them is to be told before the arm moves
+    /// for them.
     ///
     /// # Errors
-    /// Everything that is wrong with it.
-    pub(super) fn check(&self) -> Result<(), String> {
-        self.touches.as_deref().map_or(Ok(()), |path| read(path).map(|_| ()))
+    /// A file that is missing, broken or of another survey, a number that is not in it, touches that fix no table.
+    pub(super) fn fitted(&self, config: &CellConfig) -> Result<Option<Fitted>, Fault> {
+        let Some(path) = &self.touches else { return Ok(None) };
+        let name = path.display().to_string();
+        let touches = read(path).map_err(bad_input)?;
+        let all = touches
+            .resolve(&reference_markers(config))
+            .map_err(|error| bad_input(format!("{name}: {error}")))?;
+        if let Some(number) = self.drop_touch.iter().find(|number| !(1..=all.len()).contains(*number)) {
+            return Err(bad_input(format!("--drop-touch {number}: there are touches 1 to {}", all.len())));
+        }
+        let used: Vec<usize> =
+            (0..all.len()).filter(|index| !self.drop_touch.contains(&(index + 1))).collect();
+        let chosen: Vec<_> = used.iter().map(|&index| all[index]).collect();
+        let fit = fit_touches(&chosen, &TouchSettings::default())
+            .map_err(|error| Fault { message: format!("{name}: {}", chain(&error)), code: 1 })?;
+        Ok(Some(Fitted { name, touches, used, fit }))
+    }
+}
+
+impl Fitted {
+    /// Compares the robot that touched with the one of the pictures.
+    ///
+    /// # Errors
+    /// It is another one, or its kinematics were measured anew.
+    pub(super) fn check_robot(&self, taken: &Provenance) -> Result<(), Fault> {
+        let Touches { robot_serial, kinematics_checksum, .. } = &self.touches;
+        if (robot_serial, kinematics_checksum) == (&taken.robot_serial, &taken.kinematics_checksum) {
+            return Ok(());
+        }
+        Err(bad_input(format!(
+            "{}: touched with robot {robot_serial} (kinematics {kinematics_checksum}), but the pictures are of {} ({})",
+            self.name, taken.robot_serial, taken.kinematics_checksum
+        )))
     }
 }
 
@@ -237,41 +279,22 @@ fn read(path: &Path) -> Result<Touches, String> {
 /// The table by touch and the table by both, if touches were given.
 ///
 /// # Errors
-/// A file that does not belong to this robot or survey, touches that fix no table, a disagreement.
+/// As [`TieArgs::fitted`] and [`Fitted::check_robot`], or a disagreement.
 pub(super) fn tied(
     config: &CellConfig,
     args: &TieArgs,
     taken: &Provenance,
     camera: &HandEye,
 ) -> Result<Option<(TouchFit, Tie)>, Fault> {
-    let Some(path) = &args.touches else { return Ok(None) };
-    let name = path.display();
-    let touches = read(path).map_err(bad_input)?;
-    if (&touches.robot_serial, &touches.kinematics_checksum)
-        != (&taken.robot_serial, &taken.kinematics_checksum)
-    {
-        return Err(bad_input(format!(
-            "{name}: touched with robot {} (kinematics {}), but the pictures are of {} ({})",
-            touches.robot_serial, touches.kinematics_checksum, taken.robot_serial, taken.kinematics_checksum
-        )));
-    }
-    let all =
-        touches.resolve(&reference_markers(config)).map_err(|error| bad_input(format!("{name}: {error}")))?;
-    if let Some(number) = args.drop_touch.iter().find(|number| !(1..=all.len()).contains(*number)) {
-        return Err(bad_input(format!("--drop-touch {number}: there are touches 1 to {}", all.len())));
-    }
-    let used: Vec<usize> = (0..all.len()).filter(|index| !args.drop_touch.contains(&(index + 1))).collect();
-    let chosen: Vec<_> = used.iter().map(|&index| all[index]).collect();
-    let failed = |error: &(dyn std::error::Error + 'static)| Fault {
-        message: format!("{name}: {}", chain(error)),
-        code: 1,
-    };
-    let fit = fit_touches(&chosen, &TouchSettings::default()).map_err(|error| failed(&error))?;
+    let Some(fitted) = args.fitted(config)? else { return Ok(None) };
+    fitted.check_robot(taken)?;
+    let Fitted { name, touches, used, fit } = fitted;
     report(&touches, &used, &fit);
     let limits = TieLimits { shift_m: args.tie_mm / 1e3, turn_rad: rad_from_deg(args.tie_deg) };
     let middle = Point3::new(config.workspace.width_m / 2.0, config.workspace.height_m / 2.0, 0.0);
     let by_camera = (&camera.base_from_table, &camera.base_from_table_covariance);
-    let tie = tie(by_camera, &fit, &middle, &limits).map_err(|error| failed(&error))?;
+    let tie = tie(by_camera, &fit, &middle, &limits)
+        .map_err(|error| Fault { message: format!("{name}: {}", chain(&error)), code: 1 })?;
     let [x, y, z] = [tie.shift_m.x, tie.shift_m.y, tie.shift_m.z].map(mm_from_m);
     complain(&format!(
         "touch less camera: {x:+.2}, {y:+.2}, {z:+.2} mm at the table's middle, {:.3} degrees; {:.1} standard deviations",

@@ -14,7 +14,7 @@ use crate::config::cell::{
 };
 use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::config::read_sim::DEFAULT_ERRORS;
-use crate::config::simulated::{SimFile, SimPorts};
+use crate::config::simulated::{SimFile, SimMount, SimPorts};
 use crate::daemon::setup::arm_model;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::kinematics::{ARM_MODELS, DhParameters};
@@ -168,7 +168,8 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         height_m: instance.workspace.height,
         base_from_table: config.base_from_table,
         flange_from_tool: config.flange_from_tool,
-        flange_from_camera,
+        camera: SimMount::Flange(flange_from_camera),
+        hand_board: None,
         gripper: config.gripper.clone(),
         objects: instance.objects.clone(),
         reference_markers: config.reference_markers.clone(),

@@ -71,6 +71,7 @@ pub(super) fn config() -> SimConfig {
             }],
             errors: PlacementErrors::default(),
             gripper: GripperSpec::one_cup(0.1),
+            hand_board: None,
         },
         camera: CameraSetup {
             truth: camera.clone(),

@@ -66,7 +66,7 @@ struct Target<'a> {
     top: Colour,
     wall: Colour,
     light: Vector3<f64>,
-    sheet: Option<Sheet>,
+    sheets: Vec<Sheet>,
 }
 
 struct Edge {
@@ -153,7 +153,7 @@ impl<'a> Target<'a> {
             top: prism.colour.map(|c| f32::from(c) * (0.75 + 0.3 * light.z.max(0.0) as f32)),
             wall: prism.colour.map(f32::from),
             light,
-            sheet: prism.print.as_ref().map(Sheet::new),
+            sheets: prism.prints.iter().map(Sheet::new).collect(),
         }
     }
 
@@ -195,7 +195,9 @@ impl<'a> Target<'a> {
 
     #[inline]
     fn top_at(&self, [x, y]: [f64; 2]) -> (u32, Colour) {
-        match self.sheet.as_ref().and_then(|sheet| sheet.cell(x, y)) {
+        // Ink shows wherever it is: a neighbour's white ring is the same paper.
+        let seen = self.sheets.iter().filter_map(|sheet| sheet.cell(x, y)).min();
+        match seen {
             Some(true) => (2, PAPER),
             Some(false) => (3, INK),
             None => (0, self.top),

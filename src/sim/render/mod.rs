@@ -156,7 +156,7 @@ mod tests {
             section: Arc::new(section),
             height_m,
             colour: [0; 3],
-            print: None,
+            prints: Vec::new(),
         }
     }
 

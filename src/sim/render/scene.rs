@@ -34,8 +34,8 @@ pub struct Prism {
     pub height_m: f64,
     /// Colour of its top; walls are darker.
     pub colour: [u8; 3],
-    /// Marker on its top.
-    pub print: Option<Print>,
+    /// Markers on its top.
+    pub prints: Vec<Print>,
 }
 
 /// A printed marker: black square of 8 x 8 cells with a white ring of one cell.

@@ -19,6 +19,7 @@
 pub mod disturb;
 pub mod event;
 mod grip;
+mod hand_board;
 mod placing;
 mod push;
 pub mod section;
@@ -32,6 +33,7 @@ use crate::sim::faults::camera::CameraFaults;
 use crate::sim::render::scene::Cells;
 use crate::sim::world::disturb::ChannelFaults;
 use crate::sim::world::event::{Contact, Event, EventKind};
+use crate::sim::world::hand_board::Plate;
 use crate::sim::world::section::Section;
 use crate::sim::world::spec::{
     ForeignBody, GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec,
@@ -91,6 +93,7 @@ pub struct World {
     sticky: bool,
     /// Things without a marker that stand on the table, with their places among the bodies.
     foreign: Vec<(ForeignBody, usize)>,
+    hand_board: Option<Plate>,
 }
 
 /// An object as it is now.
@@ -256,6 +259,7 @@ impl World {
             camera: CameraFaults::default(),
             sticky: false,
             foreign: Vec::new(),
+            hand_board: spec.hand_board.as_ref().map(Plate::new).transpose()?,
         })
     }
 
@@ -446,6 +450,13 @@ fn check(spec: &WorldSpec) -> Result<(), WorldError> {
         finite(format!("reference marker {}", marker.id), marker.pose.is_finite())?;
         marker_used(marker.id)?;
     }
+    if let Some(board) = &spec.hand_board {
+        positive("hand board: size".into(), board.size_m)?;
+        finite("hand board: gap".into(), board.gap_m.is_finite())?;
+        let place = board.flange_from_board.to_homogeneous();
+        finite("hand board".into(), place.iter().all(|v| v.is_finite()))?;
+        hand_board::numbers(board).try_for_each(marker_used)?;
+    }
     Ok(())
 }
 
@@ -462,6 +473,7 @@ pub(crate) fn empty_world(seed: u64) -> World {
         reference_markers: Vec::new(),
         errors: PlacementErrors::default(),
         gripper: tests::gripper(),
+        hand_board: None,
     };
     World::new(spec, seed).expect("an empty table is a valid world")
 }

@@ -27,6 +27,8 @@ pub struct WorldSpec {
     pub errors: PlacementErrors,
     /// The gripper.
     pub gripper: GripperSpec,
+    /// A calibration board on the hand.
+    pub hand_board: Option<HandBoard>,
 }
 
 impl WorldSpec {
@@ -39,6 +41,7 @@ impl WorldSpec {
             reference_markers: Vec::new(),
             errors: PlacementErrors::default(),
             gripper,
+            hand_board: None,
         }
     }
 }
@@ -178,6 +181,22 @@ impl Cup {
     pub fn area_m2(&self) -> f64 {
         std::f64::consts::PI * self.diameter_m * self.diameter_m / 4.0
     }
+}
+
+/// A plate with a grid of tag36h11 markers on the hand, for calibrating a camera that stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandBoard {
+    /// The board in the flange frame: origin in the lower left corner of the lower left marker, x right, y up, z out of
+    /// the print.
+    pub flange_from_board: Isometry3<f64>,
+    /// Markers across and up.
+    pub grid: [u32; 2],
+    /// Edge of a marker's black square, m.
+    pub size_m: f64,
+    /// White between two neighbours' squares, m.
+    pub gap_m: f64,
+    /// Number of the lower left marker; they run on to the right, then up.
+    pub first_id: u32,
 }
 
 /// Where the camera sits.

@@ -57,6 +57,7 @@ impl Cell {
             reference_markers: Vec::new(),
             errors,
             gripper: gripper(),
+            hand_board: None,
         };
         let mut cell = Cell { world: World::new(spec, seed).unwrap(), now_s: 0.0, at: [0.25, 0.25, 0.2] };
         cell.wait(0.01);
@@ -406,6 +407,7 @@ fn bad_specs_are_refused_by_name() {
         reference_markers: Vec::new(),
         errors: no_errors(),
         gripper: gripper(),
+        hand_board: None,
     };
     assert!(matches!(
         World::new(spec(vec![block("a", 0.1, 0.1), block("a", 0.3, 0.1)]), 0),

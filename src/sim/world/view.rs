@@ -1,9 +1,10 @@
 //! What can be seen of the world: the scene the camera draws.
 //!
 //! In: the world. Out: a [`Scene`] in the table frame, with what faults add to it or cover; the gripper is drawn as its housing (from the flange down) and
-//! its cups. The arm itself is not drawn: from the wrist nothing of it is in view.
+//! its cups, and the board on the hand where there is one. The arm itself is not drawn: from the wrist nothing of it is in view.
 
-use crate::sim::render::scene::{Print, Prism, Scene};
+use crate::sim::render::scene::{Cells, Print, Prism, Scene};
+use crate::sim::world::spec::ObjectMarker;
 use crate::sim::world::{Body, World};
 use crate::vision::image::tag36h11_bitmap;
 use nalgebra::Isometry3;
@@ -23,6 +24,7 @@ impl World {
             self.bodies.iter().filter(|body| !body.is_fallen()).map(object).collect();
         if self.tool.is_some() {
             prisms.extend(self.gripper_prisms(&table_from_flange));
+            prisms.extend(self.hand_board.iter().map(|plate| plate.carried(&table_from_flange)));
         }
         let mut scene = Scene {
             board: [-margin, -margin, self.table.width_m + margin, self.table.height_m + margin],
@@ -37,7 +39,7 @@ impl World {
     /// Covers prints and adds others, as the camera's faults say.
     fn disturb_prints(&self, scene: &mut Scene) {
         for cells in self.camera.covered.iter().filter_map(|id| tag36h11_bitmap(*id)) {
-            let on_objects = scene.prisms.iter_mut().filter_map(|prism| prism.print.as_mut());
+            let on_objects = scene.prisms.iter_mut().flat_map(|prism| &mut prism.prints);
             for print in scene.prints.iter_mut().chain(on_objects).filter(|print| print.cells == cells) {
                 // A strip of white paper over the left half.
                 print.cells.iter_mut().for_each(|row| row[..5].fill(true));
@@ -66,7 +68,7 @@ impl World {
                 section: self.housing.clone(),
                 height_m: reach_m - under_m,
                 colour: [70, 72, 78],
-                print: None,
+                prints: Vec::new(),
             });
         }
         for (cup, lip) in gripper.cups.iter().zip(&self.cup_sections) {
@@ -75,7 +77,7 @@ impl World {
                 section: lip.clone(),
                 height_m: under_m,
                 colour: [40, 40, 44],
-                print: None,
+                prints: Vec::new(),
             });
         }
         prisms
@@ -83,16 +85,16 @@ impl World {
 }
 
 fn object(body: &Body) -> Prism {
-    let print = body.marker.as_ref().map(|(marker, cells)| Print {
+    let print = |(marker, cells): &(ObjectMarker, Cells)| Print {
         cells: *cells,
         size_m: marker.size_m,
         pose: marker.offset,
-    });
+    };
     Prism {
         table_from_prism: body.table_from_object,
         section: body.section.clone(),
         height_m: body.height_m,
         colour: body.colour,
-        print,
+        prints: body.marker.iter().map(print).collect(),
     }
 }
