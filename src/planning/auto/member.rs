@@ -70,6 +70,8 @@ pub type Search<'a> = dyn FnMut(&mut Effort) -> Option<Vec<Move>> + Send + 'a;
 pub struct Aid<'a> {
     /// The search.
     pub search: Box<Search<'a>>,
+    /// The first round of its member in which it is asked.
+    pub from_round: u64,
     /// Its steps that count one of the roll-outs.
     pub steps: u64,
     /// It may find what betters a poor plan.
@@ -161,7 +163,7 @@ impl<'a> Member<'a> {
     /// Asks this member's aid, if it has one, for a plan that costs less than `cost`; what the best one costs then.
     fn aided(&mut self, cost: f64, effort: &mut Effort) -> f64 {
         let Some(mut aid) = self.aid.take() else { return cost };
-        if self.rounds <= PATIENCE {
+        if self.rounds < aid.from_round {
             self.aid = Some(aid);
             return cost;
         }

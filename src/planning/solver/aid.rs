@@ -24,9 +24,14 @@ use std::sync::Arc;
 pub(super) fn aid<'a>(scene: &'a Scene<'a>, objective: Objective, member: u64, seed: u64) -> Option<Aid<'a>> {
     match member {
         // Its plans are worth a look where ours are long.
-        3 => Some(Aid { search: total_buffers(scene, objective, seed), steps: 12, betters: true }),
-        // Long plans, late: only where there is none.
-        2 => Some(Aid { search: tree_search(scene, seed), steps: 16, betters: false }),
+        3 => Some(Aid {
+            search: total_buffers(scene, objective, seed),
+            from_round: 9,
+            steps: 8,
+            betters: true,
+        }),
+        // Long plans, late: where nothing else has come to one in half a second.
+        2 => Some(Aid { search: tree_search(scene, seed), from_round: 13, steps: 16, betters: false }),
         _ => None,
     }
 }
