@@ -3,9 +3,12 @@
 //! In: inputs for the supervisor, the actions it answers with, word that something is on disk. Out: one [`Next`] at a
 //! time. All actions of one input come before the next input, and after an entry of the journal or a result nothing
 //! comes before it is written: that nothing moves which the journal does not know is decided here and nowhere else.
-//! Meanwhile inputs collect; whoever keeps the heartbeats does not have to wait. Pure.
+//! Meanwhile inputs collect; whoever keeps the heartbeats does not have to wait. An order to stand that comes meanwhile takes
+//! back what has not begun: nobody is told "disarmed" and then sees the arm start. Pure.
 
-use crate::supervisor::input::{Action, Input};
+use crate::device::gripper::GripperCommand;
+use crate::device::robot_types::RobotCommand;
+use crate::supervisor::input::{Action, Input, OperatorCommand};
 use std::collections::VecDeque;
 
 /// Inputs and actions that are not done yet.
@@ -26,9 +29,28 @@ pub enum Next {
 }
 
 impl Agenda {
-    /// Something happened; its turn comes after what happened before.
-    pub fn add(&mut self, input: Input) {
-        self.inputs.push_back(input);
+    /// Something happened; its turn comes after what happened before. True if the arm is to be stopped without waiting
+    /// for that turn.
+    pub fn add(&mut self, input: Input) -> bool {
+        let stops = matches!(input, Input::Shutdown | Input::Operator(OperatorCommand::Abort));
+        let disarms = matches!(input, Input::Operator(OperatorCommand::Disarm));
+        let taken_back = self.writing && (stops || disarms) && self.take_motion_back();
+        // Disarming lets a motion under way end; of this one nothing has begun, and nothing will.
+        let instead = taken_back && disarms;
+        self.inputs.push_back(if instead { Input::Operator(OperatorCommand::Abort) } else { input });
+        self.writing && stops
+    }
+
+    /// Drops what would begin to move or grip once the entry is written; true if there was anything.
+    fn take_motion_back(&mut self) -> bool {
+        let before = self.actions.len();
+        self.actions.retain(|action| {
+            !matches!(
+                action,
+                Action::Robot(RobotCommand::Stream(_)) | Action::Gripper(GripperCommand::Grip { .. })
+            )
+        });
+        self.actions.len() < before
     }
 
     /// Something came of an action at once; it is looked at before everything else that happened.
@@ -70,8 +92,8 @@ impl Agenda {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::robot_types::RobotCommand;
-    use crate::supervisor::input::{JournalEntry, OperatorCommand};
+    use crate::device::gripper::Channels;
+    use crate::supervisor::input::{JournalEntry, Notice};
 
     fn step(number: usize) -> Action {
         Action::Journal(JournalEntry::Done { step: number })
@@ -111,14 +133,60 @@ mod tests {
         agenda.add(Input::Tick);
         agenda.extend(vec![
             Action::Robot(RobotCommand::Stop),
-            Action::Gripper(crate::device::gripper::GripperCommand::Release {
-                channels: crate::device::gripper::Channels::A,
-            }),
+            Action::Gripper(GripperCommand::Release { channels: Channels::A }),
         ]);
         assert!(matches!(agenda.due(), Some(Next::Act(Action::Robot(_)))));
         agenda.add_first(Input::Operator(OperatorCommand::Abort));
         assert!(matches!(agenda.due(), Some(Next::Act(Action::Gripper(_)))));
         assert!(matches!(agenda.due(), Some(Next::Feed(Input::Operator(_)))));
         assert!(matches!(agenda.due(), Some(Next::Feed(Input::Tick))));
+    }
+
+    /// An agenda that writes, with a grip to follow and a sentence after it.
+    fn writing() -> Agenda {
+        let mut agenda = Agenda::default();
+        let grip = GripperCommand::Grip { channels: Channels::A, target: 0.6 };
+        let said = Notice { alarm: false, text: "so far".to_string() };
+        agenda.extend(vec![step(1), Action::Gripper(grip), Action::Say(said)]);
+        assert!(agenda.due().is_some());
+        agenda
+    }
+
+    #[test]
+    fn an_order_to_stand_takes_back_what_waits_for_the_disk() {
+        let orders = [
+            (Input::Operator(OperatorCommand::Disarm), false),
+            (Input::Operator(OperatorCommand::Abort), true),
+            (Input::Shutdown, true),
+        ];
+        for (order, at_once) in orders {
+            let mut agenda = writing();
+            assert_eq!(agenda.add(order.clone()), at_once, "{order:?}");
+            agenda.written();
+            assert!(matches!(agenda.due(), Some(Next::Act(Action::Say(_)))), "{order:?}");
+            let fed = agenda.due();
+            let stands = match order {
+                Input::Shutdown => matches!(fed, Some(Next::Feed(Input::Shutdown))),
+                _ => matches!(fed, Some(Next::Feed(Input::Operator(OperatorCommand::Abort)))),
+            };
+            assert!(stands, "{order:?}: {fed:?}");
+        }
+    }
+
+    #[test]
+    fn other_orders_and_calm_hours_take_nothing_back() {
+        let mut agenda = writing();
+        assert!(!agenda.add(Input::Operator(OperatorCommand::Pause)));
+        agenda.written();
+        assert!(matches!(agenda.due(), Some(Next::Act(Action::Gripper(_)))));
+        // Nothing is written: the order has its turn at once.
+        assert!(!Agenda::default().add(Input::Operator(OperatorCommand::Abort)));
+        // Nothing would move: disarming is disarming.
+        let mut agenda = Agenda::default();
+        agenda.extend(vec![step(1)]);
+        assert!(agenda.due().is_some());
+        assert!(!agenda.add(Input::Operator(OperatorCommand::Disarm)));
+        agenda.written();
+        assert!(matches!(agenda.due(), Some(Next::Feed(Input::Operator(OperatorCommand::Disarm)))));
     }
 }

@@ -4,13 +4,14 @@
 //! milliseconds at best and half a second on a busy one; the robot stops when it hears nothing for a fraction of
 //! that. The status, which nobody's safety hangs on, is written when no entry waits, and of several only the last.
 
-use crate::daemon::run::Office;
+use crate::daemon::run::{Office, RunError};
 use crate::supervisor::cell::Status;
 use crate::supervisor::input::{Input, JournalEntry};
 use crate::supervisor::order::JobReport;
 use crate::time::Timestamp;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 /// What the office is asked.
 #[derive(Debug)]
@@ -24,8 +25,10 @@ enum Request {
 /// What the office answers.
 #[derive(Debug)]
 pub enum Reply {
-    /// What came in, to [`Desk::poll`].
-    Inputs(Vec<Input>),
+    /// Operators' commands, the first answer to [`Desk::poll`].
+    Commands(Vec<Input>),
+    /// What else came in, the second and last answer to [`Desk::poll`].
+    Polled(Vec<Input>),
     /// It is on disk, or why not, to [`Desk::journal`] and [`Desk::finished`].
     Written(Result<(), String>),
 }
@@ -50,7 +53,7 @@ impl Desk {
         Desk { requests, replies, thread }
     }
 
-    /// Asks for what came in; see [`Office::poll`].
+    /// Asks for what came in; see [`Office::commands`] and [`Office::jobs`].
     pub fn poll(&self, now: Timestamp, wants_job: bool) {
         self.send(Request::Poll { now, wants_job });
     }
@@ -82,11 +85,20 @@ impl Desk {
         }
     }
 
-    /// Waits until everything asked is done.
-    pub fn close(self) {
+    /// Waits until everything asked is done, but not longer than `limit`.
+    ///
+    /// # Errors
+    /// It is not; the thread is left to itself.
+    pub async fn close(self, limit: Duration) -> Result<(), RunError> {
         drop(self.requests);
-        // The panic has been printed, and `reply` has told of it.
-        let _ = self.thread.join();
+        let since = Instant::now();
+        while !self.thread.is_finished() {
+            if since.elapsed() > limit {
+                return Err(RunError::Disk);
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        Ok(())
     }
 
     /// That an office broke down is told by `reply`.
@@ -117,7 +129,9 @@ fn work(mut office: Box<dyn Office>, asked: &Receiver<Request>, answers: &Sender
                 if let Some(status) = status.take() {
                     office.status(&status);
                 }
-                Reply::Inputs(office.poll(now, wants_job))
+                // An abort does not wait for job files.
+                let _ = answers.send(Reply::Commands(office.commands()));
+                Reply::Polled(office.jobs(now, wants_job))
             }
             Request::Journal(entry) => Reply::Written(office.journal(&entry)),
             Request::Finished(report) => Reply::Written(office.finished(&report)),
@@ -136,7 +150,6 @@ mod tests {
     use super::*;
     use crate::supervisor::input::OperatorCommand;
     use std::sync::{Arc, Mutex};
-    use std::time::{Duration, Instant};
 
     /// Writes into a list; its first entry waits for a sign.
     struct Slow {
@@ -145,9 +158,13 @@ mod tests {
     }
 
     impl Office for Slow {
-        fn poll(&mut self, _now: Timestamp, wants_job: bool) -> Vec<Input> {
-            self.lines.lock().unwrap().push(format!("poll {wants_job}"));
+        fn commands(&mut self) -> Vec<Input> {
             vec![Input::Operator(OperatorCommand::Arm)]
+        }
+
+        fn jobs(&mut self, _now: Timestamp, wants_job: bool) -> Vec<Input> {
+            self.lines.lock().unwrap().push(format!("jobs {wants_job}"));
+            Vec::new()
         }
 
         fn journal(&mut self, entry: &JournalEntry) -> Result<(), String> {
@@ -179,6 +196,19 @@ mod tests {
         panic!("no reply in 30 s")
     }
 
+    fn closed(desk: Desk, seconds: u64) -> Result<(), RunError> {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        runtime.block_on(desk.close(Duration::from_secs(seconds)))
+    }
+
+    #[test]
+    fn an_office_that_hangs_does_not_keep_the_daemon_from_ending() {
+        let (_sign, waiting) = channel();
+        let desk = Desk::open(Box::new(Slow { lines: Arc::default(), sign: Some(waiting) }));
+        desk.journal(JournalEntry::Done { step: 7 });
+        assert!(matches!(closed(desk, 0), Err(RunError::Disk)));
+    }
+
     fn status(phase: &str) -> Status {
         let phase = phase.to_string();
         Status { armed: false, paused: false, phase, job: None, moves: 0, remaining_moves: 0 }
@@ -199,18 +229,22 @@ mod tests {
         sign.send(()).unwrap();
         let Reply::Written(Err(why)) = reply(&desk) else { panic!("the entry comes first") };
         assert_eq!(why, "full");
-        assert!(matches!(reply(&desk), Reply::Inputs(inputs) if inputs.len() == 1));
-        desk.close();
+        assert!(matches!(reply(&desk), Reply::Commands(inputs) if inputs.len() == 1));
+        assert!(matches!(reply(&desk), Reply::Polled(inputs) if inputs.is_empty()));
+        closed(desk, 30).unwrap();
         // Of the three, the last is written, after the entry that everybody waits for.
-        assert_eq!(*lines.lock().unwrap(), ["Done { step: 7 }", "three", "poll true"]);
+        assert_eq!(*lines.lock().unwrap(), ["Done { step: 7 }", "three", "jobs true"]);
     }
 
     #[test]
     fn an_office_that_breaks_down_is_told_and_takes_nobody_along() {
         struct Broken;
         impl Office for Broken {
-            fn poll(&mut self, _now: Timestamp, _wants_job: bool) -> Vec<Input> {
+            fn commands(&mut self) -> Vec<Input> {
                 panic!("as asked")
+            }
+            fn jobs(&mut self, _now: Timestamp, _wants_job: bool) -> Vec<Input> {
+                Vec::new()
             }
             fn journal(&mut self, _entry: &JournalEntry) -> Result<(), String> {
                 Ok(())
@@ -228,6 +262,6 @@ mod tests {
         }
         desk.journal(JournalEntry::Done { step: 1 });
         assert_eq!(desk.reply().unwrap_err(), BrokeDown);
-        desk.close();
+        closed(desk, 30).unwrap();
     }
 }

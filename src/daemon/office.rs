@@ -8,7 +8,7 @@ use crate::config::cell::CellConfig;
 use crate::daemon::run::Office;
 use crate::device::gripper::Channels;
 use crate::io::clock::unix_now_s;
-use crate::jobs::command::{Command, Inbox, ReleaseChannel, Reply};
+use crate::jobs::command::{Command, Inbox, ReleaseChannel, Reply, Taken};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
@@ -51,6 +51,8 @@ pub struct StateOffice {
     active: Option<(String, Option<u32>)>,
     last: Status,
     notices: Vec<String>,
+    /// Commands that the loop has heard of, and what is to be said of them.
+    unanswered: Vec<(Taken, Reply)>,
 }
 
 impl StateOffice {
@@ -98,6 +100,7 @@ impl StateOffice {
             active: None,
             last,
             notices,
+            unanswered: Vec::new(),
         })
     }
 
@@ -153,14 +156,8 @@ impl StateOffice {
         }
     }
 
-    fn commands(&mut self, inputs: &mut Vec<Input>) {
-        let taken = match self.inbox.take() {
-            Ok(taken) => taken,
-            Err(error) => return tracing::error!(%error, "command folder"),
-        };
-        for command in taken {
-            let (input, reply) = self.translate(&command.command);
-            inputs.extend(input.map(Input::Operator));
+    fn answer(&mut self) {
+        for (command, reply) in std::mem::take(&mut self.unanswered) {
             if let Err(error) = self.inbox.reply(&command, &reply) {
                 tracing::warn!(%error, "a command could not be answered");
             }
@@ -307,9 +304,23 @@ impl StateOffice {
 }
 
 impl Office for StateOffice {
-    fn poll(&mut self, now: Timestamp, wants_job: bool) -> Vec<Input> {
+    fn commands(&mut self) -> Vec<Input> {
+        let taken = self.inbox.take().unwrap_or_else(|error| {
+            tracing::error!(%error, "command folder");
+            Vec::new()
+        });
         let mut inputs = Vec::new();
-        self.commands(&mut inputs);
+        for command in taken {
+            let (input, reply) = self.translate(&command.command);
+            inputs.extend(input.map(Input::Operator));
+            self.unanswered.push((command, reply));
+        }
+        inputs
+    }
+
+    fn jobs(&mut self, now: Timestamp, wants_job: bool) -> Vec<Input> {
+        self.answer();
+        let mut inputs = Vec::new();
         self.scan(now, &mut inputs);
         if wants_job && self.active.is_none() {
             inputs.extend(self.next_job());

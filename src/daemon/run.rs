@@ -25,8 +25,11 @@ use tokio::sync::mpsc;
 
 /// Where jobs and operators' commands come from, and where what is done is written down.
 pub trait Office: Send + 'static {
-    /// What came in since the last call: a job if one is wanted, commands in any case.
-    fn poll(&mut self, now: Timestamp, wants_job: bool) -> Vec<Input>;
+    /// Operators' commands since the last call. They are heard of before anything slow is done.
+    fn commands(&mut self) -> Vec<Input>;
+
+    /// Answers those commands and looks after the job files; a job if one is wanted.
+    fn jobs(&mut self, now: Timestamp, wants_job: bool) -> Vec<Input>;
 
     /// Writes a line of the active job's journal; it is on disk when this returns.
     ///
@@ -144,11 +147,10 @@ pub async fn run(mut shell: Shell<'_>, shutdown: &AtomicBool) -> Result<(), RunE
         shell.command_robot(RobotCommand::Stop);
     }
     shell.await_stop().await;
-    // A disk that does not answer would keep this from ending too.
-    if !matches!(ended, Err(RunError::Disk)) {
-        shell.desk.close();
-    }
-    ended
+    let Err(error) = shell.desk.close(OFFICE_LIMIT).await else { return ended };
+    // A disk that does not answer must not keep this from ending.
+    tracing::error!(%error, "the last status may be missing");
+    ended.and(Err(error))
 }
 
 /// Turn after turn, until the order to end or the journal's fault.
@@ -157,15 +159,22 @@ async fn turns(shell: &mut Shell<'_>, shutdown: &AtomicBool) -> Result<(), RunEr
     loop {
         shell.take_in().await?;
         shell.observe_robot();
-        if ending && shell.agenda.is_empty() {
+        // Commands that were accepted are heard before the end.
+        if ending && shell.agenda.is_empty() && shell.polling.is_none() {
             return Ok(());
         }
-        // While something is written, things wait in line; only time would make that line grow.
-        if shell.agenda.is_empty() && !ending {
-            ending = shutdown.load(Ordering::Relaxed);
-            shell.feed(if ending { Input::Shutdown } else { Input::Tick });
+        if !ending && shutdown.load(Ordering::Relaxed) {
+            ending = true;
+            shell.feed(Input::Shutdown);
+        } else if !ending && shell.agenda.is_empty() {
+            // While something is written, things wait in line; time would only make that line grow.
+            shell.feed(Input::Tick);
         }
         shell.publish();
+        if !ending {
+            // After the status, on which it hangs what is refused.
+            shell.poll();
+        }
     }
 }
 
@@ -238,17 +247,25 @@ impl<'a> Shell<'a> {
         if late(self.polling) || late(self.writing) {
             return Err(RunError::Disk);
         }
+        Ok(())
+    }
+
+    /// Asks the office for what came in, from time to time.
+    fn poll(&mut self) {
         let now = self.hardware.now();
         if self.polling.is_none() && now.since(self.polled) >= OFFICE_EVERY {
             (self.polled, self.polling) = (now, Some(Instant::now()));
             self.desk.poll(now, self.agenda.is_empty() && self.cell.wants_job());
         }
-        Ok(())
     }
 
     fn office_reply(&mut self, reply: Reply) -> Result<(), RunError> {
         match reply {
-            Reply::Inputs(inputs) => {
+            Reply::Commands(inputs) => {
+                self.polling = Some(Instant::now());
+                inputs.into_iter().for_each(|input| self.feed(input));
+            }
+            Reply::Polled(inputs) => {
                 self.polling = None;
                 inputs.into_iter().for_each(|input| self.feed(input));
             }
@@ -288,7 +305,10 @@ impl<'a> Shell<'a> {
 
     /// One input through the supervisor; its actions are carried out in order, as far as they may be by now.
     fn feed(&mut self, input: Input) {
-        self.agenda.add(input);
+        if self.agenda.add(input) {
+            // Its turn comes when the disk is done; the arm does not move until then.
+            self.command_robot(RobotCommand::Stop);
+        }
         self.work_off();
     }
 

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 const MAX_BYTES: u64 = 64 * 1024;
 
 /// Most commands taken in one turn; the rest waits for the next.
-const MAX_AT_ONCE: usize = 32;
+const MAX_AT_ONCE: usize = 4;
 
 /// What an operator may ask of the daemon.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

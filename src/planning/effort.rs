@@ -49,7 +49,7 @@ impl<'a> Effort<'a> {
         self.stopped |= part.stopped && part.done <= part.limit;
     }
 
-    /// A meter for the rest of the search in another one, of whose steps `steps` take as long as one of these; tell
+    /// A meter for the rest of the search in another one, of whose steps `steps` count as one of these; tell
     /// with [`Effort::spend_cheap`] what it took.
     pub fn cheap_part(&self, steps: u64) -> Effort<'a> {
         Effort::new(Some(self.left().saturating_mul(steps)), self.stop)

@@ -192,16 +192,14 @@ struct OneJob {
 }
 
 impl Office for OneJob {
-    fn poll(&mut self, _now: Timestamp, wants_job: bool) -> Vec<Input> {
-        let mut inputs = Vec::new();
-        if !self.armed {
-            self.armed = true;
-            inputs.push(Input::Operator(OperatorCommand::Arm));
-        }
-        if wants_job {
-            inputs.extend(self.order.take().map(|order| Input::Job(Box::new(order))));
-        }
-        inputs
+    fn commands(&mut self) -> Vec<Input> {
+        let armed = std::mem::replace(&mut self.armed, true);
+        if armed { Vec::new() } else { vec![Input::Operator(OperatorCommand::Arm)] }
+    }
+
+    fn jobs(&mut self, _now: Timestamp, wants_job: bool) -> Vec<Input> {
+        let order = if wants_job { self.order.take() } else { None };
+        order.map(|order| Input::Job(Box::new(order))).into_iter().collect()
     }
 
     fn journal(&mut self, _entry: &JournalEntry) -> Result<(), String> {

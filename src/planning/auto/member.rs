@@ -3,7 +3,7 @@
 //! In: a task that all members share, a seed. Out: after each round a plan no dearer than before. A first plan comes
 //! from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from the goal; where none of
 //! them arrives, from pressing everything out of the way (`squeeze`); two members
-//! ask the paper's solvers instead. From then on a piece of the plan, its tail, its head (backwards) or a window, is replaced by a
+//! ask the paper's solvers and nothing else, once a few rounds have found none. From then on a piece of the plan, its tail, its head (backwards) or a window, is replaced by a
 //! roll-out between the same two arrangements whenever that costs no more; equal cost counts as progress, so that the
 //! plan drifts until a better one is near. Under the objective `time` the roll-outs count moves,
 //! the caller's cost function judges what they find, and `polish` tries what no count of moves can tell apart. Ideas:
@@ -144,6 +144,7 @@ impl<'a> Member<'a> {
             self.first_plan(1, effort, Self::squeezed);
             return;
         }
+        self.aid = self.aid.take().filter(|aid| aid.betters);
         let mut cost = self.plan_cost();
         if self.is_poor(cost, enough) {
             cost = self.aided(cost, effort);

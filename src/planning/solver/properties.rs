@@ -3,6 +3,7 @@
 use super::*;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
+use crate::planning::generate::{RatioLaw, Recipe, Scenario, generate};
 use crate::planning::plan::ActionKind;
 use crate::planning::random_tables::{random_instance, table};
 use crate::tabletop::instance::{Instance, KeepOut, ObjectSpec};
@@ -304,6 +305,21 @@ fn auto_finds_the_same_on_any_number_of_threads() {
         };
         assert_eq!(outcome(None), outcome(Some(&pool)));
     }
+}
+
+#[test]
+fn auto_finds_the_same_on_any_number_of_threads_where_it_asks_others() {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().expect("threads");
+    let recipe = Recipe { scenario: Scenario::Rand, objects: 20, density: 0.6, ratios: RatioLaw::Paper };
+    let problem = Problem::new(&generate(&recipe, 777, 0).expect("made").instance).expect("starts stand");
+    let outcome = |pool, work| {
+        let control = Control { work_limit: Some(work), pool, ..Control::until(&|| false) };
+        let outcome = solve(&problem, SolverKind::Auto, Objective::Pp, &control, 2).expect("built");
+        (actions(&outcome), outcome.work)
+    };
+    // Its own first rounds take 40,000 steps; ETBM and MCTS are asked after them.
+    assert!(outcome(None, 200_000).0.is_empty(), "where a plan is easy nobody is asked");
+    assert_eq!(outcome(None, 500_000), outcome(Some(&pool), 500_000));
 }
 
 #[test]
