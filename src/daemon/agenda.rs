@@ -29,16 +29,22 @@ pub enum Next {
 }
 
 impl Agenda {
-    /// Something happened; its turn comes after what happened before. True if the arm is to be stopped without waiting
-    /// for that turn.
+    /// Something happened; its turn comes after what happened before, but while something is written an order to stand
+    /// overtakes everything, or what is in line before it would begin a motion. True if the arm is to be stopped without
+    /// waiting for that turn.
     pub fn add(&mut self, input: Input) -> bool {
         let stops = matches!(input, Input::Shutdown | Input::Operator(OperatorCommand::Abort));
         let disarms = matches!(input, Input::Operator(OperatorCommand::Disarm));
-        let taken_back = self.writing && (stops || disarms) && self.take_motion_back();
-        // Disarming lets a motion under way end; of this one nothing has begun, and nothing will.
-        let instead = taken_back && disarms;
-        self.inputs.push_back(if instead { Input::Operator(OperatorCommand::Abort) } else { input });
-        self.writing && stops
+        if !self.writing || !(stops || disarms) {
+            self.inputs.push_back(input);
+            return false;
+        }
+        // Whoever armed before disarming wants it disarmed.
+        self.inputs.retain(|earlier| !matches!(earlier, Input::Operator(OperatorCommand::Arm)));
+        // Disarming lets a motion under way end; of one taken back nothing has begun, and nothing will.
+        let instead = self.take_motion_back() && disarms;
+        self.inputs.push_front(if instead { Input::Operator(OperatorCommand::Abort) } else { input });
+        stops
     }
 
     /// Drops what would begin to move or grip once the entry is written; true if there was anything.
@@ -188,5 +194,19 @@ mod tests {
         assert!(!agenda.add(Input::Operator(OperatorCommand::Disarm)));
         agenda.written();
         assert!(matches!(agenda.due(), Some(Next::Feed(Input::Operator(OperatorCommand::Disarm)))));
+    }
+
+    #[test]
+    fn an_order_to_stand_overtakes_what_could_begin_a_motion() {
+        let mut agenda = Agenda::default();
+        agenda.extend(vec![step(1)]);
+        assert!(agenda.due().is_some());
+        for order in [OperatorCommand::Arm, OperatorCommand::Approve, OperatorCommand::Disarm] {
+            agenda.add(Input::Operator(order));
+        }
+        agenda.written();
+        assert!(matches!(agenda.due(), Some(Next::Feed(Input::Operator(OperatorCommand::Disarm)))));
+        assert!(matches!(agenda.due(), Some(Next::Feed(Input::Operator(OperatorCommand::Approve)))));
+        assert!(agenda.due().is_none(), "armed before it was disarmed");
     }
 }

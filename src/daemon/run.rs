@@ -147,8 +147,10 @@ pub async fn run(mut shell: Shell<'_>, shutdown: &AtomicBool) -> Result<(), RunE
         shell.command_robot(RobotCommand::Stop);
     }
     shell.await_stop().await;
-    let Err(error) = shell.desk.close(OFFICE_LIMIT).await else { return ended };
-    // A disk that does not answer must not keep this from ending.
+    // A disk that does not answer must not keep this from ending; who has waited for it once does not wait again.
+    let hangs = matches!(ended, Err(RunError::Disk));
+    let limit = if hangs { std::time::Duration::ZERO } else { OFFICE_LIMIT };
+    let Err(error) = shell.desk.close(limit).await else { return ended };
     tracing::error!(%error, "the last status may be missing");
     ended.and(Err(error))
 }
