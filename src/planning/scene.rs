@@ -72,6 +72,11 @@ impl<'a> Scene<'a> {
         &self.starts[object]
     }
 
+    /// Where every object of the problem starts.
+    pub fn starts(&self) -> &[Arc<Spot>] {
+        &self.starts
+    }
+
     /// The object's own goal, if it has one.
     pub fn goal(&self, object: usize) -> Option<&Arc<Spot>> {
         self.goals[object].as_ref()

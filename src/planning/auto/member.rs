@@ -120,7 +120,7 @@ impl<'a> Member<'a> {
             quest,
             shapes: Shapes::new(scene),
             groups: Groups::new(scene),
-            start: (0..quest.costs.len()).map(|i| scene.start(i).clone()).collect(),
+            start: scene.starts().to_vec(),
             goals: completion::assigned_goals(scene),
             plan: None,
             slack: 1e-6 * quest.costs.iter().sum::<f64>(),

@@ -6,15 +6,11 @@
 //! an eighth of one of the roll-outs'; MCTS has twice as many, for what it finds it finds in seconds of its own.
 
 use crate::planning::auto::member::{Aid, Search};
-use crate::planning::buffers::Arrangement;
 use crate::planning::completion;
-use crate::planning::effort::Effort;
-use crate::planning::graph::DependencyGraph;
 use crate::planning::mcts::{FIRST_TREE, LARGEST_TREE, Rule, TreeSearch, Verdict};
 use crate::planning::plan::Objective;
 use crate::planning::scene::Scene;
-use crate::planning::solver::search::heuristic;
-use crate::planning::total_buffers::TotalBuffers;
+use crate::planning::solver::search::{heuristic, total_buffers_planner};
 use crate::planning::trlb::{Trees, Trlb};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -36,22 +32,14 @@ pub(super) fn aid<'a>(scene: &'a Scene<'a>, objective: Objective, member: u64, s
     }
 }
 
-fn start(scene: &Scene) -> Arrangement {
-    (0..scene.problem.objects.len()).map(|i| scene.start(i).clone()).collect()
-}
-
 /// ETBM.
 fn total_buffers<'a>(scene: &'a Scene<'a>, objective: Objective, seed: u64) -> Box<Search<'a>> {
     let weights = heuristic(scene, objective);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let (start, goals) = (start(scene), completion::assigned_goals(scene));
+    let (start, goals) = (scene.starts().to_vec(), completion::assigned_goals(scene));
     let mut trees: Option<Trees> = None;
     Box::new(move |effort| {
-        let planner =
-            |graph: &DependencyGraph, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
-                let weights: Vec<f64> = objects.iter().map(|&o| weights[o]).collect();
-                TotalBuffers { graph, weights: &weights }.plan(rng, effort)
-            };
+        let planner = total_buffers_planner(&weights);
         let trlb = Trlb { scene, planner: &planner, detours: true };
         while effort.step() {
             let growing = trees.take().filter(|both| !both.are_full());
@@ -72,7 +60,7 @@ fn total_buffers<'a>(scene: &'a Scene<'a>, objective: Objective, seed: u64) -> B
 fn tree_search<'a>(scene: &'a Scene<'a>, seed: u64) -> Box<Search<'a>> {
     let rule = Arc::new(Rule::plain(scene.problem.objects.len()));
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let (start, goals) = (start(scene), completion::assigned_goals(scene));
+    let (start, goals) = (scene.starts().to_vec(), completion::assigned_goals(scene));
     let mut most = FIRST_TREE;
     let mut tree: Option<TreeSearch> = None;
     Box::new(move |effort| {

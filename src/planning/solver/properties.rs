@@ -310,16 +310,22 @@ fn auto_finds_the_same_on_any_number_of_threads() {
 #[test]
 fn auto_finds_the_same_on_any_number_of_threads_where_it_asks_others() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().expect("threads");
-    let recipe = Recipe { scenario: Scenario::Rand, objects: 20, density: 0.6, ratios: RatioLaw::Paper };
-    let problem = Problem::new(&generate(&recipe, 777, 0).expect("made").instance).expect("starts stand");
-    let outcome = |pool, work| {
-        let control = Control { work_limit: Some(work), pool, ..Control::until(&|| false) };
-        let outcome = solve(&problem, SolverKind::Auto, Objective::Pp, &control, 2).expect("built");
-        (actions(&outcome), outcome.work)
-    };
-    // Its own first rounds take 40,000 steps; ETBM and MCTS are asked after them.
-    assert!(outcome(None, 200_000).0.is_empty(), "where a plan is easy nobody is asked");
-    assert_eq!(outcome(None, 500_000), outcome(Some(&pool), 500_000));
+    // The first plan is found by MCTS, and by ETBM.
+    for (objects, seed) in [(10, 5), (26, 20)] {
+        let recipe = Recipe { scenario: Scenario::Rand, objects, density: 0.55, ratios: RatioLaw::Paper };
+        let made = generate(&recipe, seed, 0).expect("made");
+        let problem = Problem::new(&made.instance).expect("starts stand");
+        let outcome = |pool| {
+            let control =
+                Control { work_limit: Some(500_000), pool, first: true, ..Control::until(&|| false) };
+            let outcome = solve(&problem, SolverKind::Auto, Objective::Pp, &control, 0).expect("built");
+            (actions(&outcome), outcome.work)
+        };
+        let alone = outcome(None);
+        // Its own first rounds take 40,000 steps; the others are asked after them.
+        assert!(!alone.0.is_empty() && alone.1 > 40_000, "{} moves, {} steps", alone.0.len(), alone.1);
+        assert_eq!(alone, outcome(Some(&pool)));
+    }
 }
 
 #[test]

@@ -10,6 +10,7 @@ use crate::planning::effort::Effort;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::mcts::{FIRST_TREE, LARGEST_TREE, Rule, TreeSearch, Verdict};
 use crate::planning::plan::Objective;
+use crate::planning::primitive::Step;
 use crate::planning::primitive::{Preference, RunningBuffer};
 use crate::planning::scene::Scene;
 use crate::planning::solver::SolverKind;
@@ -100,11 +101,17 @@ fn total_buffers(
     offer: &mut Offer,
     effort: &mut Effort,
 ) {
-    let planner = |graph: &DependencyGraph, objects: &[usize], rng: &mut ChaCha8Rng, effort: &mut Effort| {
+    trlb(scene, &total_buffers_planner(weights), setting, seed, offer, effort);
+}
+
+/// Primitive plans of least total buffer weight; one weight for every object of the problem.
+pub(super) fn total_buffers_planner(
+    weights: &[f64],
+) -> impl Fn(&DependencyGraph, &[usize], &mut ChaCha8Rng, &mut Effort) -> Option<Vec<Step>> {
+    |graph, objects, rng, effort| {
         let weights: Vec<f64> = objects.iter().map(|&o| weights[o]).collect();
         TotalBuffers { graph, weights: &weights }.plan(rng, effort)
-    };
-    trlb(scene, &planner, setting, seed, offer, effort);
+    }
 }
 
 /// RBM and ERBM. Under TI the cost of a buffered object is its impedance, else 1.
@@ -136,7 +143,7 @@ fn repeat(
 ) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let goals = completion::assigned_goals(scene);
-    let start: Arrangement = (0..scene.problem.objects.len()).map(|i| scene.start(i).clone()).collect();
+    let start = scene.starts().to_vec();
     while !effort.is_over() {
         // Found anew each time: where an object without a goal ends may decide whether there is a plan.
         let goal = completion::complete(scene, &goals, &mut rng, effort);
