@@ -77,7 +77,8 @@ stands; the reference markers seen meanwhile place the table. `celld sim` draws 
 in its configuration (docs/simulator.md).
 
 Poses need not be taught: give a `calibration_box` in the configuration, which the flange does not leave; gripper and
-camera reach beyond it and the elbow goes anywhere, so keep the arm's whole reach free of people and things. Then
+camera reach beyond it and the elbow goes anywhere, so keep the arm's whole reach free of people and things. For a camera that
+stands, tell roughly how the board is clamped: flange_from_board in `camera`. Then
   celld calibrate hand-eye --propose              # prints poses in the box, as calibration_poses_deg
   celld calibrate hand-eye --visit --yes          # proposes, moves there slowly, looks, calibrates
 Poses that leave a rotation out are refused with its name. Expect under 0.3 px, and under 0.5 mm for held-out samples.";
@@ -182,7 +183,8 @@ fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<At
         }
     };
     // Before the arm moves for nothing.
-    if let Err(fault) = args.tie.fitted(&config) {
+    let proposing = proposed.map_or(Ok(()), |_| propose::check(&config).map_err(bad_input));
+    if let Err(fault) = proposing.and_then(|()| args.tie.fitted(&config)) {
         complain(&fault.message);
         return fault.code;
     }

@@ -26,10 +26,13 @@ pub(super) fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
             Some(CameraMount::Flange { flange_from_camera })
         }
         _ => {
-            let fields = decoder.map(at, &["mount", "base_from_camera", "board"])?;
+            let fields = decoder.map(at, &["mount", "base_from_camera", "board", "flange_from_board"])?;
             let base_from_camera = transform(decoder, &fields, "base_from_camera");
             let board = fields.required("board", decoder).and_then(|at| board(decoder, &at));
-            Some(CameraMount::Fixed { base_from_camera: base_from_camera?, board: board? })
+            let clamped = fields.optional("flange_from_board").is_some();
+            let flange_from_board =
+                if clamped { Some(transform(decoder, &fields, "flange_from_board")?) } else { None };
+            Some(CameraMount::Fixed { base_from_camera: base_from_camera?, board: board?, flange_from_board })
         }
     }
 }

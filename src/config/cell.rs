@@ -201,6 +201,8 @@ pub enum CameraMount {
         base_from_camera: Isometry3<f64>,
         /// What the hand carries before it to calibrate it.
         board: Board,
+        /// Roughly how it is clamped, if poses are to be proposed; calibration finds it by itself.
+        flange_from_board: Option<Isometry3<f64>>,
     },
 }
 

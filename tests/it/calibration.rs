@@ -42,6 +42,55 @@ fn off(found: &Isometry3<f64>, truth: &Isometry3<f64>) -> (f64, f64) {
     (off.translation.vector.norm() * 1e3, off.rotation.angle().to_degrees())
 }
 
+/// A calibration file's text.
+fn written(folder: &Path, name: &str) -> String {
+    std::fs::read_to_string(folder.join("calibration/sim").join(name)).expect("written")
+}
+
+fn hand_eye_of(folder: &Path) -> HandEyeCalibration {
+    HandEyeCalibration::parse(&written(folder, "hand_eye.yaml"), "hand_eye.yaml").expect("sound")
+}
+
+fn table_of(folder: &Path) -> TableCalibration {
+    TableCalibration::parse(&written(folder, "table.yaml"), "table.yaml").expect("sound")
+}
+
+/// Holds what was written about a standing camera and the table against the truth.
+fn assert_stands(
+    folder: &Path,
+    base_from_camera: &Isometry3<f64>,
+    base_from_table: &Isometry3<f64>,
+    said: &str,
+) {
+    let Mount::Fixed { base_from_camera: found } = hand_eye_of(folder).mount else { panic!("it stands") };
+    let (mm, deg) = off(&found, base_from_camera);
+    println!("camera off by {mm:.3} mm, {deg:.4} degrees\n{said}");
+    assert!(mm < 0.5 && deg < 0.1, "camera: {mm} mm, {deg} degrees\n{said}");
+    let (mm, deg) = off(&table_of(folder).base_from_table, base_from_table);
+    println!("table off by {mm:.3} mm, {deg:.4} degrees");
+    assert!(mm < 0.5 && deg < 0.1, "table: {mm} mm, {deg} degrees\n{said}");
+}
+
+/// The flange stayed in the box, on the way and where it stood, and it went somewhere. A controller's path is within a
+/// millimetre.
+fn assert_stayed_in(cell: &Path, recorded: &Path, way: &[Vector3<f64>]) {
+    let room = load_cell(cell).expect("a configuration").calibration_box.expect("a box");
+    let seen = std::fs::read_to_string(recorded.join("samples.yaml")).expect("recorded");
+    let poses = Round::parse(&seen, "samples.yaml").expect("sound").samples;
+    assert!(
+        poses.len() == 15 && way.len() > 100,
+        "{} poses, seen {} times on the way",
+        poses.len(),
+        way.len()
+    );
+    let stood = poses.iter().map(|sample| sample.base_from_flange.translation.vector);
+    for flange in way.iter().copied().chain(stood) {
+        assert!(room.outside_m(&flange) < 1e-3, "{flange} is outside");
+    }
+    let far = way.iter().map(|flange| (flange - way[0]).norm()).fold(0.0, f64::max);
+    assert!(far > 0.1, "it moved {far} m");
+}
+
 /// Jogs the arm as the pendant would, and returns when it stands there.
 fn jog(sim: &RunningSim, secondary: SocketAddr, q: &Joints) {
     let joints = q.0.map(|q| format!("{q:.9}")).join(", ");
@@ -97,30 +146,13 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     assert!(text(&unsure.stderr).contains("add --yes"), "{}", text(&unsure.stderr));
 
     let visit = ["calibrate", "hand-eye", "--config", &cell, "--visit", "--yes", "--record", "round"];
-    let room = load_cell(Path::new(&cell)).expect("a configuration").calibration_box.expect("a box");
     let (visited, way) = while_watched(&sim, || celld(&visit, folder.path()));
     let said = text(&visited.stderr);
     assert_eq!(visited.status.code(), Some(0), "{said}");
-    // Where the flange truly was, all the way and at the poses that were kept; a controller's path is within a millimetre.
-    let seen = std::fs::read_to_string(folder.path().join("round/samples.yaml")).expect("recorded");
-    let poses = Round::parse(&seen, "samples.yaml").expect("sound").samples;
-    assert!(
-        poses.len() == 15 && way.len() > 100,
-        "{} poses, seen {} times on the way",
-        poses.len(),
-        way.len()
-    );
-    let stood = poses.iter().map(|sample| sample.base_from_flange.translation.vector);
-    for flange in way.iter().copied().chain(stood) {
-        assert!(room.outside_m(&flange) < 1e-3, "{flange} is outside");
-    }
-    let far = way.iter().map(|flange| (flange - way[0]).norm()).fold(0.0, f64::max);
-    assert!(far > 0.1, "it moved {far} m");
-    let read = |name: &str| {
-        std::fs::read_to_string(folder.path().join("calibration/sim").join(name)).expect("written")
+    assert_stayed_in(Path::new(&cell), &folder.path().join("round"), &way);
+    let Mount::Flange { flange_from_camera: found } = hand_eye_of(folder.path()).mount else {
+        panic!("on the flange")
     };
-    let hand_eye = HandEyeCalibration::parse(&read("hand_eye.yaml"), "hand_eye.yaml").expect("sound");
-    let Mount::Flange { flange_from_camera: found } = hand_eye.mount else { panic!("on the flange") };
     let (mm, deg) = off(&found, &flange_from_camera);
     println!("camera off by {mm:.3} mm, {deg:.4} degrees\n{said}");
     assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
@@ -156,7 +188,7 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     let tied = celld(&tie, folder.path());
     let said = text(&tied.stderr);
     assert_eq!(tied.status.code(), Some(0), "{rest}\n{said}");
-    let table = TableCalibration::parse(&read("table.yaml"), "table.yaml").expect("sound");
+    let table = table_of(folder.path());
     let (mm, deg) = off(&table.base_from_table, &base_from_table);
     println!("table off by {mm:.3} mm, {deg:.4} degrees\n{rest}\n{said}");
     assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
@@ -177,14 +209,14 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     assert_eq!(sim.robot().controller().core.base_from_flange(), stands);
 
     // A tip that is 3 mm longer than was said, which hands turned differently bring to light: nothing is written.
-    let before = read("table.yaml");
+    let before = written(folder.path(), "table.yaml");
     let longer = touched.replace("0.15]", "0.153]");
     assert_ne!(longer, touched);
     std::fs::write(folder.path().join("touches.yaml"), longer).expect("written");
     let refused = celld(&tie, folder.path());
     let said = text(&refused.stderr);
     assert!(refused.status.code() == Some(1) && said.contains("the tip's"), "{said}");
-    assert_eq!(read("table.yaml"), before);
+    assert_eq!(written(folder.path(), "table.yaml"), before);
 
     // Ctrl-C while it waits for the person ends it, with nothing written.
     let mut waiting = Command::new(CELLD)
@@ -327,12 +359,17 @@ fn standing_camera(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
     (cell, sim)
 }
 
-#[test]
-fn cell_with_a_camera_that_stands_is_calibrated_by_the_board_that_the_hand_carries() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let address = "127.7.1.13";
-    let (cell, sim_path) = standing_camera(folder.path(), address);
-    let cell = cell.display().to_string();
+/// A cell whose camera stands, running, and the truth about it.
+struct Standing {
+    runtime: tokio::runtime::Runtime,
+    sim: RunningSim,
+    cell: PathBuf,
+    base_from_camera: Isometry3<f64>,
+    base_from_table: Isometry3<f64>,
+}
+
+fn start_standing(folder: &Path, address: &str) -> Standing {
+    let (cell, sim_path) = standing_camera(folder, address);
     let file = load_sim(&sim_path).expect("the simulation");
     let config = sim_config(&file, address.parse().expect("an address"), RobotPorts::REAL);
     let CameraMount::Fixed(table_from_camera) = config.camera.mount else { panic!("it stands") };
@@ -340,34 +377,67 @@ fn cell_with_a_camera_that_stands_is_calibrated_by_the_board_that_the_hand_carri
     let base_from_camera = base_from_table * table_from_camera;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
     let sim = runtime.block_on(start(config)).expect("the simulation starts");
+    Standing { runtime, sim, cell, base_from_camera, base_from_table }
+}
+
+#[test]
+fn cell_with_a_camera_that_stands_is_calibrated_by_the_board_that_the_hand_carries() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Standing { runtime, sim, cell, base_from_camera, base_from_table } =
+        start_standing(folder.path(), "127.7.1.13");
+    let cell = cell.display().to_string();
 
     let measure = ["calibrate", "hand-eye", "--config", &cell, "--record", "round"];
     let measured = celld(&measure, folder.path());
     let said = text(&measured.stderr);
     assert_eq!(measured.status.code(), Some(0), "{said}");
-    let read = |name: &str| {
-        std::fs::read_to_string(folder.path().join("calibration/sim").join(name)).expect("written")
-    };
-    let hand_eye = HandEyeCalibration::parse(&read("hand_eye.yaml"), "hand_eye.yaml").expect("sound");
-    let Mount::Fixed { base_from_camera: found } = hand_eye.mount else { panic!("it stands") };
-    let (mm, deg) = off(&found, &base_from_camera);
-    println!("camera off by {mm:.3} mm, {deg:.4} degrees\n{said}");
-    assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
-    assert_eq!(hand_eye.samples.len(), CARRIED_TO.len(), "{said}");
-    let table = TableCalibration::parse(&read("table.yaml"), "table.yaml").expect("sound");
-    let (mm, deg) = off(&table.base_from_table, &base_from_table);
-    println!("table off by {mm:.3} mm, {deg:.4} degrees");
-    assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
+    assert_stands(folder.path(), &base_from_camera, &base_from_table, &said);
+    assert_eq!(hand_eye_of(folder.path()).samples.len(), CARRIED_TO.len(), "{said}");
 
     // The same round from its pictures; and with another board in the configuration nothing is believed.
     let again = ["calibrate", "hand-eye", "--config", &cell, "--from", "round"];
     assert_eq!(celld(&again, folder.path()).status.code(), Some(0));
-    let before = read("hand_eye.yaml");
+    let before = written(folder.path(), "hand_eye.yaml");
     let yaml = std::fs::read_to_string(&cell).expect("text");
     std::fs::write(&cell, yaml.replace("first_id: 100", "first_id: 200")).expect("written");
     let refused = celld(&again, folder.path());
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused.stderr));
     assert!(text(&refused.stderr).contains("show the board on the hand"), "{}", text(&refused.stderr));
-    assert_eq!(read("hand_eye.yaml"), before);
+    assert_eq!(written(folder.path(), "hand_eye.yaml"), before);
+    runtime.block_on(sim.shutdown());
+}
+
+#[test]
+fn cell_with_a_camera_that_stands_is_shown_the_board_from_poses_of_its_own() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Standing { runtime, sim, cell, base_from_camera, base_from_table } =
+        start_standing(folder.path(), "127.7.1.14");
+    let edit = |from: &str, to: &str| {
+        let yaml = std::fs::read_to_string(&cell).expect("text");
+        assert_eq!(yaml.matches(from).count(), 1, "{from}");
+        std::fs::write(&cell, yaml.replace(from, to)).expect("written");
+    };
+    let config = cell.display().to_string();
+    let visit = ["calibrate", "hand-eye", "--config", &config, "--visit", "--yes", "--record", "round"];
+    let refused = celld(&visit, folder.path());
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+    assert!(
+        text(&refused.stderr).contains("camera.flange_from_board is missing"),
+        "{}",
+        text(&refused.stderr)
+    );
+
+    // As a person would measure the clamp: a centimetre and six degrees off.
+    let roughly = "{translation: [0.06, 0.043, 0.025], quaternion: [0.9986, 0.0523, 0, 0]}";
+    edit("first_id: 100}}\n\n", &format!("first_id: 100}}, flange_from_board: {roughly}}}\n\n"));
+    edit(
+        "calibration_box: {low: [-0.40, 0.12, 0.25], high: [0.40, 0.70, 0.75]}",
+        "calibration_box: {low: [-0.25, 0.2, 0.25], high: [0.25, 0.65, 0.55]}",
+    );
+    let (visited, way) = while_watched(&sim, || celld(&visit, folder.path()));
+    let said = text(&visited.stderr);
+    assert_eq!(visited.status.code(), Some(0), "{said}");
+    assert_stayed_in(&cell, &folder.path().join("round"), &way);
+    assert_stands(folder.path(), &base_from_camera, &base_from_table, &said);
     runtime.block_on(sim.shutdown());
 }

@@ -100,7 +100,7 @@ impl Round<'_> {
     }
 
     fn fixed(&self, known: Option<HandEyeCalibration>, provenance: &Provenance) -> Result<Solved, Fault> {
-        let CameraMount::Fixed { base_from_camera, board } = self.config.camera else {
+        let CameraMount::Fixed { base_from_camera, board, .. } = self.config.camera else {
             return Err(bad_input("the configuration's camera is not fixed".into()));
         };
         let (reference, settings) = (reference_markers(self.config), HandEyeSettings::default());

@@ -2,9 +2,12 @@
 //!
 //! In: the configuration (nominal mount and table, survey, `calibration_box`), a lens, the arm's kinematics, where it stands. Out: joint poses in
 //! an order in which the arm can go from each to the next without leaving the box, or what keeps the box from being large enough.
-//! Every pose looks at four reference markers or more; the directions in which the camera is tilted go round, so that
-//! the rotations are about many axes. Before they are given out, the round is played through on paper: what the gate of
-//! the real calibration would refuse is refused here, with the same sentence.
+//! Every pose shows four reference markers or more to a camera on the hand, or as many of the board on the hand to one that
+//! stands; the directions of tilt go round, so that the rotations are about many axes. Before they are given out, the
+//! round is played through on paper: what the gate of the real calibration would refuse is refused here, with the same
+//! sentence.
+
+mod scene;
 
 use crate::cli::calibrate::{camera_and_lens, lens_file};
 use crate::cli::task::complain;
@@ -16,46 +19,21 @@ use crate::document::chain::chain;
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::motion::path::ArmModel;
 use crate::units::{Joints, deg_from_rad, mm_from_m};
-use crate::vision::calibrate::{HandEyeGuess, HandEyeSettings, Sample, TransformStd, solve_hand_eye};
+use crate::vision::calibrate::fixed::{FixedGuess, board_markers, solve_fixed};
+use crate::vision::calibrate::{
+    CalibrateError, HandEyeGuess, HandEyeSettings, Sample, TransformStd, solve_hand_eye,
+};
 use crate::vision::camera::CameraModel;
-use crate::vision::cv;
-use crate::vision::detect::Detection;
-use crate::vision::marker;
-use crate::vision::observe::ReferenceMarker;
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use std::f64::consts::PI;
+use scene::{Carried, SEEN_MIN, Scene};
 
 /// Tilts tried, largest first, rad: what the perspective of a marker is told by.
 const TILTS: [f64; 3] = [0.45, 0.35, 0.25];
-/// The golden angle: directions of tilt that never bunch up, rad.
-const AZIMUTH_STEP: f64 = 2.399_963;
-/// Turns about the optical axis, rad; the wrist has room for them.
-const ROLLS: [f64; 5] = [0.0, 0.6, -0.6, 0.3, -0.3];
-/// Distances of the camera from where it looks, m.
-const DISTANCES: std::ops::Range<u32> = 0..14;
-/// Reference markers that every pose shows.
-const SEEN_MIN: usize = 4;
-/// Rim of the picture that is not relied on, as a share: the nominal mount is a few millimetres and degrees off.
-const RIM: f64 = 0.05;
-/// Least edge of a marker in the picture, px.
-const EDGE_PX: f64 = 18.0;
 /// Most postures tried for one direction of tilt.
 const TRIES: usize = 60;
 /// Fewest poses worth going for.
 const POSES_MIN: usize = 8;
 /// Corner noise that the poses have to do with, px: three times what the detector leaves.
 const NOISE_PX: f64 = 0.3;
-
-/// What poses are proposed for.
-struct Scene<'a> {
-    model: &'a ArmModel,
-    room: &'a CalibrationBox,
-    flange_from_camera: Isometry3<f64>,
-    lens: &'a CameraModel,
-    reference: &'a [ReferenceMarker],
-    /// Size of the table, m.
-    table_m: [f64; 2],
-}
 
 /// Poses, and how well a calibration from them would know the camera's place.
 struct Proposal {
@@ -95,6 +73,15 @@ pub(super) fn from_here(
     tell(&proposal);
     complain(text(&proposal.poses).trim_end());
     Ok(proposal.poses)
+}
+
+/// What poses are proposed by is in the configuration.
+///
+/// # Errors
+/// What is missing.
+pub(super) fn check(config: &CellConfig) -> Result<(), String> {
+    room(config)?;
+    carried(config).map(|_| ())
 }
 
 fn room(config: &CellConfig) -> Result<&CalibrationBox, String> {
@@ -138,30 +125,56 @@ fn proposal(
     start: Option<Joints>,
     count: usize,
 ) -> Result<Proposal, String> {
-    let CameraMount::Flange { flange_from_camera } = config.camera else {
-        return Err("poses are proposed for a camera on the flange; before a fixed camera, teach calibration_poses_deg that \
-                    carry the board through its picture, turned about at least two axes"
-            .to_string());
-    };
-    let scene = Scene {
-        model,
-        room: room(config)?,
-        flange_from_camera,
-        lens,
-        reference: &reference_markers(config),
-        table_m: [config.workspace.width_m, config.workspace.height_m],
-    };
+    let scene = scene(config, lens, model)?;
     let poses = poses(&scene, start, count);
     if poses.len() < POSES_MIN {
+        let markers = match scene.carried {
+            Carried::Camera { .. } => "reference markers",
+            Carried::Board { .. } => "markers of the board",
+        };
         return Err(format!(
-            "calibration_box has room for {} of {count} poses that see {SEEN_MIN} reference markers and that the arm reaches in \
+            "calibration_box has room for {} of {count} poses that see {SEEN_MIN} {markers} and that the arm reaches in \
              its work posture without leaving the box; widen it, above all upwards",
             poses.len()
         ));
     }
-    let std = play_through(&scene, &poses)
-        .map_err(|error| format!("calibration_box is too small to turn the camera in: {}", chain(&error)))?;
+    let std = play_through(config, &scene, &poses)
+        .map_err(|error| format!("calibration_box is too small to turn the hand in: {}", chain(&error)))?;
     Ok(Proposal { poses, std })
+}
+
+/// What the configuration draws.
+fn scene<'a>(
+    config: &'a CellConfig,
+    lens: &'a CameraModel,
+    model: &'a ArmModel,
+) -> Result<Scene<'a>, String> {
+    let room = room(config)?;
+    let carried = carried(config)?;
+    let (target, target_m) = match config.camera {
+        CameraMount::Flange { .. } => {
+            (reference_markers(config), [config.workspace.width_m, config.workspace.height_m])
+        }
+        CameraMount::Fixed { board, .. } => (board_markers(&board), board.extent_m()),
+    };
+    Ok(Scene { model, room, lens, carried, target, target_m })
+}
+
+fn carried(config: &CellConfig) -> Result<Carried, String> {
+    match config.camera {
+        CameraMount::Flange { flange_from_camera } => {
+            Ok(Carried::Camera { flange_from_camera, base_from_table: config.base_from_table })
+        }
+        CameraMount::Fixed { base_from_camera, flange_from_board: Some(flange_from_board), .. } => {
+            Ok(Carried::Board { flange_from_board, base_from_camera })
+        }
+        CameraMount::Fixed { flange_from_board: None, .. } => Err(
+            "camera.flange_from_board is missing: to propose poses before a fixed camera celld has to know roughly (within 2 cm and \
+             10 degrees) how the board is clamped, its lower left corner in the flange frame; or teach calibration_poses_deg \
+             that carry the board through the picture, turned about at least two axes"
+                .into(),
+        ),
+    }
 }
 
 /// As many poses as there are, at most `count`.
@@ -185,110 +198,55 @@ fn poses(scene: &Scene, start: Option<Joints>, count: usize) -> Vec<Joints> {
 
 /// A pose tilted by `tilt` in the direction of `turn` that the arm can move to.
 fn pose(scene: &Scene, from: Option<&Joints>, tilt: f64, turn: usize, number: usize) -> Option<Joints> {
-    let look = direction(tilt, turn);
-    let base_from_table = scene.model.base_from_table;
-    let mut places: Vec<(usize, Isometry3<f64>)> = Vec::new();
-    for k in DISTANCES {
-        // Another height first each time.
-        let step = (k as usize + 5 * turn) % DISTANCES.len();
-        let distance = 0.25 + 0.05 * step as f64;
-        for [x, y] in targets(scene.table_m) {
-            let eye = Vector3::new(x, y, 0.0) - look * Vector3::new(0.0, 0.0, distance);
-            let table_from_camera = Isometry3::from_parts(Translation3::from(eye), look);
-            let flange = base_from_table * table_from_camera * scene.flange_from_camera.inverse();
-            if scene.room.outside_m(&flange.translation.vector) > 0.0 {
-                continue;
-            }
-            let seen = seen(scene, &table_from_camera).len();
-            if seen >= SEEN_MIN {
-                places.push((seen, base_from_table.inverse() * flange));
-            }
-        }
-    }
-    // The sort is stable: of equally good ones the first tried.
-    places.sort_by_key(|(seen, _)| std::cmp::Reverse(*seen));
-    places.into_iter().take(TRIES).find_map(|(_, table_from_flange)| {
+    let table_from_base = scene.model.base_from_table.inverse();
+    scene.flanges(tilt, turn).into_iter().take(TRIES).find_map(|flange| {
         let near = from.unwrap_or(&scene.model.home);
-        let tool = table_from_flange * scene.model.flange_from_tool;
+        let tool = table_from_base * flange * scene.model.flange_from_tool;
         let q = scene.model.joints_in_work_posture(&tool, near)?;
         checked_move(scene.model, Some(scene.room), number, from.unwrap_or(&q), q).is_ok().then_some(q)
     })
 }
 
-/// The camera's attitude over the table: looking down, turned about its axis, tilted.
-fn direction(tilt: f64, turn: usize) -> UnitQuaternion<f64> {
-    let azimuth = AZIMUTH_STEP * turn as f64;
-    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
-    let rolled = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), ROLLS[turn % ROLLS.len()]);
-    let axis = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0);
-    UnitQuaternion::from_scaled_axis(axis * tilt) * rolled * down
-}
-
-/// Points of the table to look at, the middle first.
-fn targets([width, height]: [f64; 2]) -> Vec<[f64; 2]> {
-    let shares = [0.5, 0.35, 0.65, 0.2, 0.8];
-    let mut targets: Vec<[f64; 2]> =
-        shares.iter().flat_map(|x| shares.map(|y| [width * x, height * y])).collect();
-    let off = |p: &[f64; 2]| (p[0] - width / 2.0).hypot(p[1] - height / 2.0);
-    targets.sort_by(|a, b| off(a).total_cmp(&off(b)));
-    targets
-}
-
-/// The reference markers well inside the picture, where they would appear.
-fn seen(scene: &Scene, table_from_camera: &Isometry3<f64>) -> Vec<Detection> {
-    let camera_from_table = table_from_camera.inverse();
-    let lens = scene.lens;
-    let (width, height) = (f64::from(lens.width), f64::from(lens.height));
-    // Far outside the picture a lens model folds back into it.
-    let widest = 1.1 * (width / lens.fx).hypot(height / lens.fy) / 2.0;
-    let inside = |&[x, y]: &[f64; 2]| {
-        (RIM * width..=(1.0 - RIM) * width).contains(&x) && (RIM * height..=(1.0 - RIM) * height).contains(&y)
-    };
-    let detection = |marker: &ReferenceMarker| {
-        let corners = marker::corners_m(marker.size).map(|corner| marker.pose.transform(corner));
-        let points = corners.map(|[x, y]| [x, y, 0.0]);
-        let before = |[x, y, z]: &[f64; 3]| {
-            let p = camera_from_table * Point3::new(*x, *y, *z);
-            p.z > 0.05 && p.x.hypot(p.y) < widest * p.z
-        };
-        if !points.iter().all(before) {
-            return None;
-        }
-        let pixels = cv::project(lens, &camera_from_table, &points).ok()?;
-        let corners = <[[f64; 2]; 4]>::try_from(pixels).ok()?;
-        let edge = |i: usize| {
-            let (a, b) = (corners[i], corners[(i + 1) % 4]);
-            (a[0] - b[0]).hypot(a[1] - b[1])
-        };
-        let sound = corners.iter().all(inside) && (0..4).all(|i| edge(i) >= EDGE_PX);
-        let family = marker::FAMILY.to_owned();
-        sound.then_some(Detection { family, id: marker.id, corners, decision_margin: 100.0, hamming: 0 })
-    };
-    scene.reference.iter().filter_map(detection).collect()
-}
-
-/// The calibration that these poses would give, with the cell as drawn.
+/// How well the calibration from these poses would know the camera's place, with the cell as drawn.
 fn play_through(
+    config: &CellConfig,
     scene: &Scene,
     poses: &[Joints],
-) -> Result<TransformStd, crate::vision::calibrate::CalibrateError> {
-    let base_from_table = scene.model.base_from_table;
+) -> Result<TransformStd, CalibrateError> {
+    let reference = reference_markers(config);
+    let base_from_table = config.base_from_table;
+    let settings = HandEyeSettings { corner_std_px: NOISE_PX, ..HandEyeSettings::default() };
     let sample = |q: &Joints| {
         let base_from_flange = forward(&scene.model.dh, q);
-        let table_from_camera = base_from_table.inverse() * base_from_flange * scene.flange_from_camera;
-        Sample { base_from_flange, detections: seen(scene, &table_from_camera) }
+        let mut detections = scene.seen(&scene.target, &scene.target_from_camera(&base_from_flange));
+        if let Carried::Board { base_from_camera, .. } = scene.carried {
+            // The table lies behind the board; the arm is taken to hide none of it.
+            detections.extend(scene.seen(&reference, &(base_from_table.inverse() * base_from_camera)));
+        }
+        Sample { base_from_flange, detections }
     };
     let samples: Vec<Sample> = poses.iter().map(sample).collect();
-    let guess = HandEyeGuess { flange_from_camera: scene.flange_from_camera, base_from_table };
-    let settings = HandEyeSettings { corner_std_px: NOISE_PX, ..HandEyeSettings::default() };
-    solve_hand_eye(&samples, scene.reference, scene.lens, &guess, &settings)
-        .map(|found| found.flange_from_camera_std)
+    match config.camera {
+        CameraMount::Flange { flange_from_camera } => {
+            let guess = HandEyeGuess { flange_from_camera, base_from_table };
+            let found = solve_hand_eye(&samples, &reference, scene.lens, &guess, &settings)?;
+            Ok(found.flange_from_camera_std)
+        }
+        CameraMount::Fixed { base_from_camera, board, .. } => {
+            let guess = FixedGuess { base_from_camera, base_from_table };
+            let found = solve_fixed(&samples, &board, &reference, scene.lens, &guess, &settings)?;
+            Ok(found.base_from_camera_std())
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::load::load_cell;
+    use crate::vision::board::Board;
+    use crate::vision::detect::Family;
+    use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
     use std::path::Path;
 
     fn example() -> CellConfig {
@@ -329,6 +287,49 @@ mod tests {
         assert!(found.std.translation_m < 1e-3 && found.std.rotation_rad < 3e-3, "{:?}", found.std);
         // What is printed is what the configuration takes.
         assert_eq!(text(&found.poses).lines().count(), 16);
+    }
+
+    /// The example's cell with a camera 0.75 m over the table, and a board clamped to the flange, its print up.
+    fn standing(flange_from_board: Option<Isometry3<f64>>) -> CellConfig {
+        let mut config = example();
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        config.camera = CameraMount::Fixed {
+            base_from_camera: Isometry3::from_parts(Translation3::new(0.0, 0.43, 0.75), down),
+            board: Board::new(Family::Tag36h11, 5, 4, 0.02, 100),
+            flange_from_board,
+        };
+        config.calibration_box = Some(CalibrationBox { low_m: [-0.2, 0.2, 0.25], high_m: [0.2, 0.6, 0.45] });
+        config
+    }
+
+    #[test]
+    fn a_board_is_carried_through_the_picture_of_a_camera_that_stands_however_it_is_clamped() {
+        for turned in [0.0, 1.2, 3.0] {
+            let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned);
+            let clamped = Isometry3::from_parts(Translation3::new(0.05, 0.049, 0.03), turn * down);
+            let config = standing(Some(clamped));
+            let found = proposed(&config, None).unwrap();
+            assert_eq!(found.poses.len(), 15);
+            assert!(found.std.translation_m < 1e-3 && found.std.rotation_rad < 3e-3, "{:?}", found.std);
+            let lens = known_lens(&config).unwrap();
+            let model = arm_model(&config, DhParameters::UR5E, config.base_from_table);
+            let scene = scene(&config, &lens, &model).unwrap();
+            let mut parts = [false; 4];
+            for q in &found.poses {
+                let flange = forward(&model.dh, q);
+                assert!(scene.room.outside_m(&flange.translation.vector) < 1e-9, "{flange}");
+                let seen = scene.seen(&scene.target, &scene.target_from_camera(&flange));
+                assert!(seen.len() >= SEEN_MIN);
+                for [x, y] in seen.iter().map(|marker| marker.centre()) {
+                    let part = usize::from(2.0 * x > f64::from(lens.width));
+                    parts[part + 2 * usize::from(2.0 * y > f64::from(lens.height))] = true;
+                }
+            }
+            assert_eq!(parts, [true; 4], "the board is seen in every quarter of the picture");
+        }
+        let told = proposed(&standing(None), None).err().unwrap();
+        assert!(told.contains("camera.flange_from_board is missing"), "{told}");
     }
 
     #[test]

@@ -177,7 +177,7 @@ fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::vision::calibrate::fixed::board_markers;
     use crate::vision::detect::Family;
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
-    let CameraMount::Fixed { base_from_camera, board } = config.camera else { panic!("fixed") };
+    let CameraMount::Fixed { base_from_camera, board, .. } = config.camera else { panic!("fixed") };
     let text = std::fs::read_to_string(&config.calibration.camera).unwrap();
     let camera = CameraCalibration::parse(&text, "camera.yaml").unwrap();
     let text = std::fs::read_to_string(&config.calibration.table).unwrap();
@@ -229,7 +229,11 @@ fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
     let mut config = cell(folder.path());
     let over = crate::bench::vision::scene::looking_down([0.25, 0.25], 0.95, [0.03, -0.02], 0.0);
     let board = Board::new(Family::Tag36h11, 4, 3, 0.03, 100);
-    config.camera = CameraMount::Fixed { base_from_camera: config.base_from_table * over, board };
+    config.camera = CameraMount::Fixed {
+        base_from_camera: config.base_from_table * over,
+        board,
+        flange_from_board: None,
+    };
     assert!(
         CalibrationSet::read(&config).unwrap_err().contains("made with mount flange, now it is fixed"),
         "the files of the camera on the hand are not this one's"
