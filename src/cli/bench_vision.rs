@@ -35,6 +35,9 @@ pub struct BenchVisionArgs {
     /// Sharpen that picture by so many pixels
     #[arg(long, value_name = "PX", default_value_t = DetectSettings::default().sharpen_px)]
     sharpen: f32,
+    /// Exponent of the curve over the grey levels before squares are searched; below 1 it lifts the dark ones
+    #[arg(long, value_name = "G", default_value_t = DetectSettings::default().tone)]
+    tone: f32,
     /// Take the library's corners instead of our own fit
     #[arg(long)]
     library_corners: bool,
@@ -140,6 +143,7 @@ fn markers(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<Figures>,
     let settings = DetectSettings {
         decimate: args.decimate,
         sharpen_px: args.sharpen,
+        tone: args.tone,
         sub_pixel: !args.library_corners,
         ..DetectSettings::default()
     };

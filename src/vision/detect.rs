@@ -24,14 +24,19 @@ pub struct DetectSettings {
     /// Unsharp mask before quads are searched, standard deviation, pixels of the smaller picture; 0 for none. It keeps a
     /// marker's white ring apart from its black square where something bright or dark lies close by.
     pub sharpen_px: f32,
+    /// Exponent of a curve over the grey levels before anything is searched, 0.25 to 2; below 1 it lifts the dark ones. The
+    /// library parts black from white half-way between the darkest and the brightest pixel near by. Where a sheet of
+    /// paper brighter than the marker's white lies at its ring, half-way is above the ring; it is not on a curve that
+    /// tells dark greys better apart than bright ones, as the eye does.
+    pub tone: f32,
     /// Threads of the library, 1 to 16.
     pub threads: u8,
     /// Wrong bits repaired, 0 to 2; 2 brings false ids.
     pub bits_corrected: u8,
-    /// Places where brightest and darkest differ less than this are not searched, grey levels: above the noise's range (5
+    /// Places where brightest and darkest differ less than this are not searched, grey levels on the curve: above the noise's range (5
     /// standard deviations) and below the contrast of any marker worth reading. Five times as fast as searching noise.
     pub contrast_min: u8,
-    /// Detections with less contrast between their bits and the threshold are dropped (grey levels).
+    /// Detections with less contrast between their bits and the threshold are dropped (grey levels on the curve).
     pub decision_margin_min: f64,
     /// Detections with shorter edges are dropped, pixels: 3 px a module and less is guesswork.
     pub edge_min_px: f64,
@@ -44,6 +49,7 @@ impl Default for DetectSettings {
         DetectSettings {
             decimate: 1.5,
             sharpen_px: 1.1,
+            tone: 0.75,
             threads: 2,
             bits_corrected: 1,
             contrast_min: 24,
@@ -67,7 +73,7 @@ pub struct Detection {
     /// Corners of the black square, pixels (column, row; (0, 0) is the centre of the first pixel), in the marker frame
     /// (x right, y up as one reads the print): (-,-), (+,-), (+,+), (-,+).
     pub corners: [[f64; 2]; 4],
-    /// Mean contrast of the bits against the decision threshold, grey levels.
+    /// Mean contrast of the bits against the decision threshold, grey levels on the detector's tone curve.
     pub decision_margin: f64,
     /// Bits that had to be repaired.
     pub hamming: u8,
@@ -137,6 +143,8 @@ pub enum DetectError {
 pub struct Detector {
     settings: DetectSettings,
     families: Vec<Family>,
+    /// What each grey level becomes before the library sees it.
+    curve: [u8; 256],
     library: apriltag::Detector,
 }
 
@@ -175,7 +183,7 @@ impl Detector {
         library.set_refine_edges(true);
         // A negative blur is the library's word for sharpening.
         library.set_sigma(-settings.sharpen_px);
-        Ok(Detector { settings, families, library })
+        Ok(Detector { settings, families, curve: curve(settings.tone), library })
     }
 
     /// The settings it was made with.
@@ -188,7 +196,7 @@ impl Detector {
     /// # Errors
     /// `Picture` if there is nothing to search, `Library` when the library has no memory.
     pub fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>, DetectError> {
-        let image = library_image(picture)?;
+        let image = library_image(picture, &self.curve)?;
         let found = self.library.detect(&image).into_iter();
         let mut found: Vec<(Detection, Family)> =
             found.filter_map(|found| convert(found, &self.families)).collect();
@@ -204,7 +212,7 @@ impl Detector {
     /// # Errors
     /// As [`Detector::detect`].
     pub fn library_alone(&mut self, picture: &GrayImage) -> Result<usize, DetectError> {
-        Ok(self.library.detect(&library_image(picture)?).len())
+        Ok(self.library.detect(&library_image(picture, &self.curve)?).len())
     }
 
     /// The detection with our own corners, where its sides show a clear step.
@@ -249,6 +257,7 @@ fn check(settings: DetectSettings) -> Result<(), DetectError> {
     let checks = [
         ("decimate", f64::from(settings.decimate), 1.0, 4.0, "1 to 4"),
         ("sharpen_px", f64::from(settings.sharpen_px), 0.0, 3.0, "0 to 3"),
+        ("tone", f64::from(settings.tone), 0.25, 2.0, "0.25 to 2"),
         ("threads", f64::from(settings.threads), 1.0, 16.0, "1 to 16"),
         ("bits_corrected", f64::from(settings.bits_corrected), 0.0, 2.0, "0 to 2"),
         ("decision_margin_min", settings.decision_margin_min, 0.0, 255.0, "0 to 255"),
@@ -262,8 +271,13 @@ fn check(settings: DetectSettings) -> Result<(), DetectError> {
     Ok(())
 }
 
-/// The picture in the library's own buffer, whose rows are padded.
-fn library_image(picture: &GrayImage) -> Result<apriltag::Image, DetectError> {
+/// What each grey level becomes; black and white stay.
+fn curve(tone: f32) -> [u8; 256] {
+    std::array::from_fn(|level| (255.0 * (level as f32 / 255.0).powf(tone)).round() as u8)
+}
+
+/// The picture on the curve, in the library's own buffer, whose rows are padded.
+fn library_image(picture: &GrayImage, curve: &[u8; 256]) -> Result<apriltag::Image, DetectError> {
     let (width, height) = (picture.width as usize, picture.height as usize);
     let edges = 32..=MAX_EDGE;
     let whole = picture.data.len() == width * height;
@@ -280,7 +294,9 @@ fn library_image(picture: &GrayImage) -> Result<apriltag::Image, DetectError> {
     let stride = image.stride();
     let rows = image.as_slice_mut().chunks_exact_mut(stride);
     for (row, pixels) in rows.zip(picture.data.chunks_exact(width)) {
-        row[..width].copy_from_slice(pixels);
+        for (on_curve, &level) in row.iter_mut().zip(pixels) {
+            *on_curve = curve[usize::from(level)];
+        }
     }
     Ok(image)
 }
@@ -368,6 +384,38 @@ mod tests {
         let centre = found[0].centre();
         // Edges along the pixel grid are the library's own worst case: up to 0.2 px.
         assert!((centre[0] - camera.cx).hypot(centre[1] - camera.cy) < 0.08, "{centre:?}");
+    }
+
+    /// A dark print on ground as grey as its ring, 5 pixels a module, with white paper from `column` on.
+    fn beside_paper(column: usize) -> GrayImage {
+        let drawn = marker::draw(137, 5).unwrap();
+        let (edge, at, width) = (drawn.width as usize, 40, 130);
+        let mut data: Vec<u8> =
+            (0..width * width).map(|i| if i % width >= column { 255 } else { 110 }).collect();
+        for (row, pixels) in drawn.data.chunks_exact(edge).enumerate() {
+            let from = (at + row) * width + at;
+            for (pixel, &white) in data[from..from + edge].iter_mut().zip(pixels) {
+                *pixel = if white > 0 { 110 } else { 30 };
+            }
+        }
+        GrayImage { width: 130, height: 130, data }
+    }
+
+    #[test]
+    fn bright_paper_at_a_dark_markers_ring_does_not_hide_it() {
+        // Where the black square ends: 40 px, the ring and the eight modules of the square, to the middle of a pixel.
+        let is_read = |tone: f32, column: usize| {
+            let settings = DetectSettings { tone, ..DetectSettings::default() };
+            let found = Detector::new(settings).unwrap().detect(&beside_paper(column)).unwrap();
+            let right = found.iter().flat_map(|one| one.corners).map(|[x, _]| x).fold(0.0, f64::max);
+            found.len() == 1 && (right - 84.5).abs() < 1.0
+        };
+        for column in 88..98 {
+            assert!(is_read(DetectSettings::default().tone, column), "paper from column {column} on");
+        }
+        let hidden: Vec<usize> = (88..98).filter(|&column| !is_read(1.0, column)).collect();
+        println!("without the curve it is not read with paper from columns {hidden:?}");
+        assert!(!hidden.is_empty(), "without the curve it is read as well: nothing is shown here");
     }
 
     #[test]
