@@ -94,6 +94,9 @@ const OFFICE_EVERY: Duration = Duration::from_millis(200);
 /// for so long no command is heard.
 const OFFICE_LIMIT: std::time::Duration = std::time::Duration::from_secs(15);
 
+/// An entry that takes longer than this is told: the arm waits for it, and who stands by should know why.
+const DISK_SLOW: std::time::Duration = std::time::Duration::from_secs(1);
+
 /// How long the arm may take to stand still after the order to end.
 const STOP_LIMIT: Duration = Duration::from_secs(3);
 
@@ -128,8 +131,9 @@ pub struct Shell<'a> {
     /// When the office was asked last, in the cell's time, and since when an answer is due.
     polled: Timestamp,
     polling: Option<Instant>,
-    /// Since when an entry or a result is being written.
+    /// Since when an entry or a result is being written, and whether it was told that it takes long.
     writing: Option<Instant>,
+    told_slow: bool,
     /// The robot has said that it stopped, since it was last told to.
     stands: bool,
     last_status: Option<Status>,
@@ -222,6 +226,7 @@ impl<'a> Shell<'a> {
             polled: Timestamp::ZERO,
             polling: None,
             writing: None,
+            told_slow: false,
             stands: false,
             last_status: None,
             last_route: Vec::new(),
@@ -249,7 +254,21 @@ impl<'a> Shell<'a> {
         if late(self.polling) || late(self.writing) {
             return Err(RunError::Disk);
         }
+        self.tell_slow();
         Ok(())
+    }
+
+    /// Says once that an entry takes long to be written.
+    fn tell_slow(&mut self) {
+        let slow = self.writing.is_some_and(|since| since.elapsed() > DISK_SLOW);
+        if slow && !self.told_slow {
+            let text = format!(
+                "the state folder's disk has been writing an entry for {} s; no motion begins before it is written",
+                DISK_SLOW.as_secs()
+            );
+            self.observer.on(self.hardware.now(), Event::Notice(&Notice { alarm: true, text }));
+        }
+        self.told_slow = slow;
     }
 
     /// Asks the office for what came in, from time to time.
