@@ -35,7 +35,7 @@ pub struct BenchVisionArgs {
     /// Sharpen that picture by so many pixels
     #[arg(long, value_name = "PX", default_value_t = DetectSettings::default().sharpen_px)]
     sharpen: f32,
-    /// Exponent of the curve over the grey levels before squares are searched; below 1 it lifts the dark ones
+    /// Exponent of the curve over the grey levels before squares are searched, 0.25 to 2; below 1 lifts the dark ones
     #[arg(long, value_name = "G", default_value_t = DetectSettings::default().tone)]
     tone: f32,
     /// Take the library's corners instead of our own fit

@@ -78,7 +78,8 @@ in its configuration (docs/simulator.md).
 
 Poses need not be taught: give a `calibration_box` in the configuration, which the flange does not leave; gripper and
 camera reach beyond it and the elbow goes anywhere, so keep the arm's whole reach free of people and things. For a camera that
-stands, tell roughly how the board is clamped: flange_from_board in `camera`. Then
+stands, tell how the board is clamped, within 2 cm and 10 degrees: flange_from_board in `camera`; the poses keep arm and
+board 0.2 m clear of where the configuration has the camera, its stand is yours to keep clear. Then
   celld calibrate hand-eye --propose              # prints poses in the box, as calibration_poses_deg
   celld calibrate hand-eye --visit --yes          # proposes, moves there slowly, looks, calibrates
 Poses that leave a rotation out are refused with its name. Expect under 0.3 px, and under 0.5 mm for held-out samples.";
@@ -166,7 +167,7 @@ fn hand_eye(args: &HandEyeArgs, stop: Arc<AtomicBool>) -> u8 {
             }
             complain(
                 "the arm would move to poses like these, chosen from where it then stands; the flange stays in the box, gripper and \
-                 elbow do not: when the arm's whole reach is free of people and things, add --yes",
+                 elbow do not: when the arm's whole reach is free of people and things (a fixed camera's stand too), add --yes",
             );
             2
         }

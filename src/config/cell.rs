@@ -201,7 +201,8 @@ pub enum CameraMount {
         base_from_camera: Isometry3<f64>,
         /// What the hand carries before it to calibrate it.
         board: Board,
-        /// Roughly how it is clamped, if poses are to be proposed; calibration finds it by itself.
+        /// The board's frame (lower left corner of its lower left square, x along the lower edge, z out of the print) in the
+        /// flange frame, m, within 2 cm and 10 degrees: for poses to be proposed by. Calibration finds it by itself.
         flange_from_board: Option<Isometry3<f64>>,
     },
 }

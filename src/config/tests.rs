@@ -221,14 +221,30 @@ fn a_fixed_camera_names_the_board_on_the_hand() {
         cell(&CELL.replace("mount: flange\n  flange_from", &fixed))
     };
     let fixed = with("columns: 5, rows: 4, size: 0.02, first_id: 100").unwrap();
-    let CameraMount::Fixed { board, .. } = fixed.camera else { panic!("{:?}", fixed.camera) };
-    assert_eq!((board.count(), board.first_id), (20, 100));
+    let CameraMount::Fixed { board, flange_from_board, .. } = fixed.camera else {
+        panic!("{:?}", fixed.camera)
+    };
+    assert_eq!((board.count(), board.first_id, flange_from_board), (20, 100, None));
     assert!((board.gap_m - 0.006).abs() < 1e-12, "as celld markers prints it");
     let told = |board: &str| with(board).unwrap_err().to_string();
     assert!(told("columns: 5, rows: 4, size: 0.02, first_id: 495").contains("marker 500 of the board"));
     assert!(told("columns: 5, rows: 4, size: 0.02").contains("marker 0 of the board is also on the table"));
     assert!(told("columns: 5, rows: 4, size: 20, first_id: 100").contains("20 m is out of range"));
     assert!(told("columns: 5, rows: 4, size: 0.02, first_id: 570").contains("not in the family"));
+
+    let clamped = |how: &str| {
+        with(&format!("columns: 5, rows: 4, size: 0.02, first_id: 100}}\n  flange_from_board: {{{how}"))
+    };
+    let known = clamped("translation: [0.05, 0.04, 0.03], quaternion: [1, 0, 0, 0]").unwrap();
+    let CameraMount::Fixed { flange_from_board: Some(held), .. } = known.camera else {
+        panic!("{:?}", known.camera)
+    };
+    assert_eq!(held.translation.vector, nalgebra::Vector3::new(0.05, 0.04, 0.03));
+    let told = |how: &str| clamped(how).unwrap_err().to_string();
+    assert!(told("translation: [0, 0, 0], quaternion: [0, 0, 0, 2]").contains("camera.flange_from_board"));
+    assert!(told("translation: [0, 0], quaternion: [1, 0, 0, 0]").contains("2 values, 3 are wanted"));
+    let on_the_hand = CELL.replace("mount: flange\n", "mount: flange\n  flange_from_board: {}\n");
+    assert!(cell(&on_the_hand).unwrap_err().to_string().contains("flange_from_board"));
 }
 
 #[test]

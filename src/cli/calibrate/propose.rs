@@ -7,6 +7,7 @@
 //! round is played through on paper: what the gate of the real calibration would refuse is refused here, with the same
 //! sentence.
 
+mod body;
 mod scene;
 
 use crate::cli::calibrate::{camera_and_lens, lens_file};
@@ -46,7 +47,8 @@ struct Proposal {
 /// # Errors
 /// What is missing in the configuration, or why the box does not do.
 pub(super) fn on_paper(config: &CellConfig, count: usize) -> Result<String, String> {
-    room(config)?;
+    // Before a camera is waited for.
+    check(config)?;
     let lens = known_lens(config)?;
     let model = arm_model(config, DhParameters::UR5E, config.base_from_table);
     let proposal = proposal(config, &lens, &model, None, count)?;
@@ -75,7 +77,7 @@ pub(super) fn from_here(
     Ok(proposal.poses)
 }
 
-/// What poses are proposed by is in the configuration.
+/// Whether the configuration has what poses are proposed from.
 ///
 /// # Errors
 /// What is missing.
@@ -128,19 +130,29 @@ fn proposal(
     let scene = scene(config, lens, model)?;
     let poses = poses(&scene, start, count);
     if poses.len() < POSES_MIN {
-        let markers = match scene.carried {
-            Carried::Camera { .. } => "reference markers",
-            Carried::Board { .. } => "markers of the board",
-        };
-        return Err(format!(
-            "calibration_box has room for {} of {count} poses that see {SEEN_MIN} {markers} and that the arm reaches in \
-             its work posture without leaving the box; widen it, above all upwards",
-            poses.len()
-        ));
+        return Err(no_room(&scene, poses.len(), count));
     }
-    let std = play_through(config, &scene, &poses)
-        .map_err(|error| format!("calibration_box is too small to turn the hand in: {}", chain(&error)))?;
+    let std = play_through(config, &scene, &poses).map_err(|error| match error {
+        CalibrateError::NotObservable { .. } => {
+            format!("calibration_box is too small to turn the hand in: {}", chain(&error))
+        }
+        _ => format!("with the cell as drawn in the configuration: {}", chain(&error)),
+    })?;
     Ok(Proposal { poses, std })
+}
+
+fn no_room(scene: &Scene, found: usize, count: usize) -> String {
+    match scene.carried {
+        Carried::Camera { .. } => format!(
+            "calibration_box has room for {found} of {count} poses that see {SEEN_MIN} reference markers and that the arm reaches \
+             in its work posture without leaving the box; widen it, above all upwards"
+        ),
+        Carried::Board { .. } => format!(
+            "calibration_box has room for {found} of {count} poses that show {SEEN_MIN} markers of the board past the arm to the \
+             camera, well clear of it and the table, and that the arm reaches in its work posture without leaving the box; check \
+             base_from_camera and flange_from_board, clamp the board further from the wrist, or widen the box sideways"
+        ),
+    }
 }
 
 /// What the configuration draws.
@@ -157,7 +169,15 @@ fn scene<'a>(
         }
         CameraMount::Fixed { board, .. } => (board_markers(&board), board.extent_m()),
     };
-    Ok(Scene { model, room, lens, carried, target, target_m })
+    let mut scene = Scene { model, room, lens, carried, target, target_m, upright: 0.0 };
+    scene.stand_upright().map_err(|off| {
+        format!(
+            "to show the board the hand would hang {:.0} degrees away from work_pose_deg: in camera.flange_from_board x runs along \
+             the board's lower edge and z out of the print",
+            deg_from_rad(off)
+        )
+    })?;
+    Ok(scene)
 }
 
 fn carried(config: &CellConfig) -> Result<Carried, String> {
@@ -203,7 +223,11 @@ fn pose(scene: &Scene, from: Option<&Joints>, tilt: f64, turn: usize, number: us
         let near = from.unwrap_or(&scene.model.home);
         let tool = table_from_base * flange * scene.model.flange_from_tool;
         let q = scene.model.joints_in_work_posture(&tool, near)?;
-        checked_move(scene.model, Some(scene.room), number, from.unwrap_or(&q), q).is_ok().then_some(q)
+        let from = from.unwrap_or(&q);
+        let goes = scene.shown(&q).len() >= SEEN_MIN
+            && checked_move(scene.model, Some(scene.room), number, from, q).is_ok()
+            && scene.keeps_clear(from, &q);
+        goes.then_some(q)
     })
 }
 
@@ -218,10 +242,9 @@ fn play_through(
     let settings = HandEyeSettings { corner_std_px: NOISE_PX, ..HandEyeSettings::default() };
     let sample = |q: &Joints| {
         let base_from_flange = forward(&scene.model.dh, q);
-        let mut detections = scene.seen(&scene.target, &scene.target_from_camera(&base_from_flange));
-        if let Carried::Board { base_from_camera, .. } = scene.carried {
-            // The table lies behind the board; the arm is taken to hide none of it.
-            detections.extend(scene.seen(&reference, &(base_from_table.inverse() * base_from_camera)));
+        let mut detections = scene.shown(q);
+        if let Carried::Board { .. } = scene.carried {
+            detections.extend(scene.shown_of(&reference, &base_from_table, q));
         }
         Sample { base_from_flange, detections }
     };
@@ -246,7 +269,7 @@ mod tests {
     use crate::config::load::load_cell;
     use crate::vision::board::Board;
     use crate::vision::detect::Family;
-    use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+    use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
     use std::path::Path;
 
     fn example() -> CellConfig {
@@ -259,16 +282,15 @@ mod tests {
         proposal(config, &lens, &model, start, 15)
     }
 
-    #[test]
-    fn poses_stay_in_the_box_see_markers_and_turn_about_both_axes() {
-        let config = example();
-        let found = proposed(&config, Some(config.park_pose)).unwrap();
-        assert_eq!(found.poses.len(), 15);
-        let model = arm_model(&config, DhParameters::UR5E, config.base_from_table);
+    fn down() -> UnitQuaternion<f64> {
+        UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+    }
+
+    /// The flange stays in the box and the tool over the table: a finer look at the way than the proposal's own.
+    fn assert_stays_in(config: &CellConfig, model: &ArmModel, start: Option<Joints>, poses: &[Joints]) {
         let room = config.calibration_box.unwrap();
-        let mut at = config.park_pose;
-        for (index, q) in found.poses.iter().enumerate() {
-            // A finer look at the way than the proposal's own.
+        let mut at = start.unwrap_or(poses[0]);
+        for (index, q) in poses.iter().enumerate() {
             for k in 0..=1000 {
                 let share = f64::from(k) / 1000.0;
                 let on_way = Joints(std::array::from_fn(|i| at.0[i] + share * (q.0[i] - at.0[i])));
@@ -278,6 +300,15 @@ mod tests {
             }
             at = *q;
         }
+    }
+
+    #[test]
+    fn poses_stay_in_the_box_see_markers_and_turn_about_both_axes() {
+        let config = example();
+        let found = proposed(&config, Some(config.park_pose)).unwrap();
+        assert_eq!(found.poses.len(), 15);
+        let model = arm_model(&config, DhParameters::UR5E, config.base_from_table);
+        assert_stays_in(&config, &model, Some(config.park_pose), &found.poses);
         let tilt = |axis: usize| {
             let of = |q: &Joints| (forward(&model.dh, q).rotation * Vector3::z())[axis];
             let all: Vec<f64> = found.poses.iter().map(of).collect();
@@ -292,9 +323,8 @@ mod tests {
     /// The example's cell with a camera 0.75 m over the table, and a board clamped to the flange, its print up.
     fn standing(flange_from_board: Option<Isometry3<f64>>) -> CellConfig {
         let mut config = example();
-        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
         config.camera = CameraMount::Fixed {
-            base_from_camera: Isometry3::from_parts(Translation3::new(0.0, 0.43, 0.75), down),
+            base_from_camera: Isometry3::from_parts(Translation3::new(0.0, 0.43, 0.75), down()),
             board: Board::new(Family::Tag36h11, 5, 4, 0.02, 100),
             flange_from_board,
         };
@@ -305,22 +335,23 @@ mod tests {
     #[test]
     fn a_board_is_carried_through_the_picture_of_a_camera_that_stands_however_it_is_clamped() {
         for turned in [0.0, 1.2, 3.0] {
-            let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned);
-            let clamped = Isometry3::from_parts(Translation3::new(0.05, 0.049, 0.03), turn * down);
+            let clamped = Isometry3::from_parts(Translation3::new(0.05, 0.049, 0.03), turn * down());
             let config = standing(Some(clamped));
             let found = proposed(&config, None).unwrap();
-            assert_eq!(found.poses.len(), 15);
+            println!("{turned}: {} poses, {:?}", found.poses.len(), found.std);
             assert!(found.std.translation_m < 1e-3 && found.std.rotation_rad < 3e-3, "{:?}", found.std);
             let lens = known_lens(&config).unwrap();
             let model = arm_model(&config, DhParameters::UR5E, config.base_from_table);
+            assert_stays_in(&config, &model, None, &found.poses);
             let scene = scene(&config, &lens, &model).unwrap();
             let mut parts = [false; 4];
             for q in &found.poses {
-                let flange = forward(&model.dh, q);
-                assert!(scene.room.outside_m(&flange.translation.vector) < 1e-9, "{flange}");
-                let seen = scene.seen(&scene.target, &scene.target_from_camera(&flange));
+                let seen = scene.shown(q);
                 assert!(seen.len() >= SEEN_MIN);
+                // The camera is not where the elbow goes, nor does the wrist hide the board from it.
+                let near = body::Body::new(&model, q).clears_m(&Point3::new(0.0, 0.43, 0.75));
+                assert!(near > 0.2, "{near} m from the camera");
                 for [x, y] in seen.iter().map(|marker| marker.centre()) {
                     let part = usize::from(2.0 * x > f64::from(lens.width));
                     parts[part + 2 * usize::from(2.0 * y > f64::from(lens.height))] = true;
@@ -330,6 +361,13 @@ mod tests {
         }
         let told = proposed(&standing(None), None).err().unwrap();
         assert!(told.contains("camera.flange_from_board is missing"), "{told}");
+        // The print away from the camera: the hand would have to stand on its head.
+        let away = Isometry3::translation(0.05, 0.049, 0.03);
+        let told = proposed(&standing(Some(away)), None).err().unwrap();
+        assert!(told.contains("degrees away from work_pose_deg"), "{told}");
+        let far = Isometry3::from_parts(Translation3::new(6.0, 0.0, 0.0), down());
+        let told = proposed(&standing(Some(far)), None).err().unwrap();
+        assert!(told.contains("check base_from_camera and flange_from_board"), "{told}");
     }
 
     #[test]

@@ -4,9 +4,11 @@
 //! that appear well inside the picture. A camera on the hand before the table and a board on the hand before a camera
 //! that stands are one geometry: the camera looks at a flat target, and one of the two is on the flange. Pure.
 
+use crate::cli::calibrate::propose::body::Body;
 use crate::config::cell::CalibrationBox;
 use crate::motion::kinematics::forward;
 use crate::motion::path::ArmModel;
+use crate::units::Joints;
 use crate::vision::camera::CameraModel;
 use crate::vision::cv;
 use crate::vision::detect::Detection;
@@ -29,6 +31,15 @@ pub(super) const SEEN_MIN: usize = 4;
 const RIM: f64 = 0.05;
 /// Least edge of a marker in the picture, px.
 const EDGE_PX: f64 = 18.0;
+/// Least distance of the arm's and the board's middle from a camera that stands, m: half an arm, half a camera, and the 10 cm by
+/// which its place may be wrong.
+const CAMERA_CLEAR_M: f64 = 0.2;
+/// Least height of the board's corners over the table, m; plates are larger than the print.
+const BOARD_CLEAR_M: f64 = 0.08;
+/// The hand may hang so differently from home before a camera that stands, rad; more is a clamp told wrongly.
+const UPRIGHT_MAX: f64 = PI / 3.0;
+/// Places looked at on the way between two poses.
+const ON_THE_WAY: u32 = 25;
 
 /// Which of the two the hand carries.
 #[derive(Clone, Copy, Debug)]
@@ -53,10 +64,12 @@ pub(super) struct Scene<'a> {
     pub target: Vec<ReferenceMarker>,
     /// Its extent, m, from its frame's origin.
     pub target_m: [f64; 2],
+    /// Turn about the optical axis with which the hand hangs as at home, rad: see [`Scene::stand_upright`].
+    pub upright: f64,
 }
 
 impl Scene<'_> {
-    /// The flange in the base from which the camera is seen there by the target.
+    /// Where the flange is in the base when the camera is at `target_from_camera`.
     pub(super) fn base_from_flange(&self, target_from_camera: &Isometry3<f64>) -> Isometry3<f64> {
         match self.carried {
             Carried::Camera { flange_from_camera, base_from_table } => {
@@ -68,22 +81,68 @@ impl Scene<'_> {
         }
     }
 
-    /// The camera in the target's frame with the flange there.
-    pub(super) fn target_from_camera(&self, base_from_flange: &Isometry3<f64>) -> Isometry3<f64> {
+    /// Where target and camera are in the base with the flange there.
+    fn placed(&self, base_from_flange: &Isometry3<f64>) -> [Isometry3<f64>; 2] {
         match self.carried {
             Carried::Camera { flange_from_camera, base_from_table } => {
-                base_from_table.inverse() * base_from_flange * flange_from_camera
+                [base_from_table, base_from_flange * flange_from_camera]
             }
             Carried::Board { flange_from_board, base_from_camera } => {
-                (base_from_flange * flange_from_board).inverse() * base_from_camera
+                [base_from_flange * flange_from_board, base_from_camera]
             }
         }
+    }
+
+    /// The target's markers as the arm shows them with these joints: to a camera that stands, those that the arm does not
+    /// hide.
+    pub(super) fn shown(&self, q: &Joints) -> Vec<Detection> {
+        let [base_from_target, _] = self.placed(&forward(&self.model.dh, q));
+        self.shown_of(&self.target, &base_from_target, q)
+    }
+
+    /// The same of markers elsewhere.
+    pub(super) fn shown_of(
+        &self,
+        markers: &[ReferenceMarker],
+        base_from_markers: &Isometry3<f64>,
+        q: &Joints,
+    ) -> Vec<Detection> {
+        let [_, base_from_camera] = self.placed(&forward(&self.model.dh, q));
+        let mut seen = self.seen(markers, &(base_from_markers.inverse() * base_from_camera));
+        if let Carried::Board { .. } = self.carried {
+            let (body, eye) = (Body::new(self.model, q), Point3::from(base_from_camera.translation.vector));
+            let centre = |id: u32| markers.iter().find(|marker| marker.id == id).map(|marker| marker.pose);
+            seen.retain(|one| {
+                centre(one.id)
+                    .is_some_and(|at| !body.hides(&eye, &(base_from_markers * Point3::new(at.x, at.y, 0.0))))
+            });
+        }
+        seen
+    }
+
+    /// On the way between two postures arm and board stay clear of a camera that stands, and the board of the table.
+    pub(super) fn keeps_clear(&self, from: &Joints, to: &Joints) -> bool {
+        let Carried::Board { base_from_camera, .. } = self.carried else { return true };
+        let camera = Point3::from(base_from_camera.translation.vector);
+        let [width, height] = self.target_m;
+        (0..=ON_THE_WAY).all(|k| {
+            let share = f64::from(k) / f64::from(ON_THE_WAY);
+            let q = Joints(std::array::from_fn(|i| from.0[i] + share * (to.0[i] - from.0[i])));
+            let [base_from_board, _] = self.placed(&forward(&self.model.dh, &q));
+            let corners = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]
+                .map(|[x, y]| base_from_board * Point3::new(x, y, 0.0));
+            let over_table = |corner: &Point3<f64>| (self.model.base_from_table.inverse() * corner).z;
+            Body::new(self.model, &q).clears_m(&camera) > CAMERA_CLEAR_M
+                && corners.iter().all(|corner| {
+                    over_table(corner) > BOARD_CLEAR_M && (corner - camera).norm() > CAMERA_CLEAR_M
+                })
+        })
     }
 
     /// Flange poses (base frame) within the box from which enough of the target is seen, tilted by `tilt` rad in the direction
     /// of `turn`; those that show most come first.
     pub(super) fn flanges(&self, tilt: f64, turn: usize) -> Vec<Isometry3<f64>> {
-        let look = direction(tilt, turn, self.upright());
+        let look = direction(tilt, turn, self.upright);
         let aims = self.aims(turn);
         let mut places: Vec<(usize, Isometry3<f64>)> = Vec::new();
         for k in 0..DISTANCES {
@@ -108,17 +167,22 @@ impl Scene<'_> {
         places.into_iter().map(|(_, flange)| flange).collect()
     }
 
-    /// The turn about the optical axis, rad, with which the hand hangs as it does at home. A camera is mounted to look at the
+    /// Finds the turn about the optical axis with which the hand hangs as it does at home. A camera is mounted to look at the
     /// table that way; how a board is clamped is anybody's choice.
-    fn upright(&self) -> f64 {
-        let Carried::Board { .. } = self.carried else { return 0.0 };
+    ///
+    /// # Errors
+    /// With no turn the hand hangs as at home: how far it is off, rad.
+    pub(super) fn stand_upright(&mut self) -> Result<(), f64> {
+        let Carried::Board { .. } = self.carried else { return Ok(()) };
         let home = forward(&self.model.dh, &self.model.home).rotation;
-        let away = |roll: &f64| {
-            let look = Isometry3::from_parts(Translation3::identity(), direction(0.0, 0, *roll));
+        let off = |roll: f64| {
+            let look = Isometry3::from_parts(Translation3::identity(), direction(0.0, 0, roll));
             self.base_from_flange(&look).rotation.angle_to(&home)
         };
-        let rolls = (0..24).map(|k| f64::from(k) * PI / 12.0);
-        rolls.min_by(|a, b| away(a).total_cmp(&away(b))).unwrap_or(0.0)
+        let rolls = (0..24).map(|k| f64::from(k) * PI / 12.0).map(|roll| (off(roll), roll));
+        let (least, upright) = rolls.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((PI, 0.0));
+        self.upright = upright;
+        if least > UPRIGHT_MAX { Err(least) } else { Ok(()) }
     }
 
     /// Points of the target's plane to look at, m: on the table, the middle first. A board that the camera always looked at
@@ -141,11 +205,7 @@ impl Scene<'_> {
     }
 
     /// Those of the markers that are well inside the picture, where they would appear.
-    pub(super) fn seen(
-        &self,
-        markers: &[ReferenceMarker],
-        target_from_camera: &Isometry3<f64>,
-    ) -> Vec<Detection> {
+    fn seen(&self, markers: &[ReferenceMarker], target_from_camera: &Isometry3<f64>) -> Vec<Detection> {
         let camera_from_target = target_from_camera.inverse();
         markers.iter().filter_map(|marker| appears(self.lens, marker, &camera_from_target)).collect()
     }
