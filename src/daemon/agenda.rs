@@ -29,9 +29,9 @@ pub enum Next {
 }
 
 impl Agenda {
-    /// Something happened; its turn comes after what happened before, but while something is written an order to stand
-    /// overtakes everything, or what is in line before it would begin a motion. True if the arm is to be stopped without
-    /// waiting for that turn.
+    /// Something happened; its turn comes after what happened before. While something is written an order to stand comes
+    /// first instead: what is in line before it might begin a motion. True if the arm is to be stopped without waiting for
+    /// that turn.
     pub fn add(&mut self, input: Input) -> bool {
         let stops = matches!(input, Input::Shutdown | Input::Operator(OperatorCommand::Abort));
         let disarms = matches!(input, Input::Operator(OperatorCommand::Disarm));
@@ -39,8 +39,10 @@ impl Agenda {
             self.inputs.push_back(input);
             return false;
         }
-        // Whoever armed before disarming wants it disarmed.
-        self.inputs.retain(|earlier| !matches!(earlier, Input::Operator(OperatorCommand::Arm)));
+        // Whoever armed or parked before disarming wants it disarmed.
+        self.inputs.retain(|earlier| {
+            !matches!(earlier, Input::Operator(OperatorCommand::Arm | OperatorCommand::Park))
+        });
         // Disarming lets a motion under way end; of one taken back nothing has begun, and nothing will.
         let instead = self.take_motion_back() && disarms;
         self.inputs.push_front(if instead { Input::Operator(OperatorCommand::Abort) } else { input });
@@ -198,15 +200,24 @@ mod tests {
 
     #[test]
     fn an_order_to_stand_overtakes_what_could_begin_a_motion() {
-        let mut agenda = Agenda::default();
-        agenda.extend(vec![step(1)]);
-        assert!(agenda.due().is_some());
-        for order in [OperatorCommand::Arm, OperatorCommand::Approve, OperatorCommand::Disarm] {
-            agenda.add(Input::Operator(order));
+        let orders = [
+            Input::Operator(OperatorCommand::Disarm),
+            Input::Operator(OperatorCommand::Abort),
+            Input::Shutdown,
+        ];
+        for order in orders {
+            let mut agenda = Agenda::default();
+            agenda.extend(vec![step(1)]);
+            assert!(agenda.due().is_some());
+            for earlier in [OperatorCommand::Arm, OperatorCommand::Park, OperatorCommand::Approve] {
+                agenda.add(Input::Operator(earlier));
+            }
+            agenda.add(order.clone());
+            agenda.written();
+            let Some(Next::Feed(first)) = agenda.due() else { panic!("{order:?} was not heard") };
+            assert_eq!(format!("{first:?}"), format!("{order:?}"));
+            assert!(matches!(agenda.due(), Some(Next::Feed(Input::Operator(OperatorCommand::Approve)))));
+            assert!(agenda.due().is_none(), "armed and parked before {order:?}");
         }
-        agenda.written();
-        assert!(matches!(agenda.due(), Some(Next::Feed(Input::Operator(OperatorCommand::Disarm)))));
-        assert!(matches!(agenda.due(), Some(Next::Feed(Input::Operator(OperatorCommand::Approve)))));
-        assert!(agenda.due().is_none(), "armed before it was disarmed");
     }
 }

@@ -94,7 +94,8 @@ const OFFICE_EVERY: Duration = Duration::from_millis(200);
 /// for so long no command is heard.
 const OFFICE_LIMIT: std::time::Duration = std::time::Duration::from_secs(15);
 
-/// An entry that takes longer than this is told: the arm waits for it, and who stands by should know why.
+/// An entry that takes longer than this is told: the arm waits for it, and who stands by should know why. A disk that did not
+/// answer before has so long at the end.
 const DISK_SLOW: std::time::Duration = std::time::Duration::from_secs(1);
 
 /// How long the arm may take to stand still after the order to end.
@@ -151,9 +152,9 @@ pub async fn run(mut shell: Shell<'_>, shutdown: &AtomicBool) -> Result<(), RunE
         shell.command_robot(RobotCommand::Stop);
     }
     shell.await_stop().await;
-    // A disk that does not answer must not keep this from ending; who has waited for it once does not wait again.
+    // A disk that does not answer must not keep this from ending; who has waited for it once does not wait as long again.
     let hangs = matches!(ended, Err(RunError::Disk));
-    let limit = if hangs { std::time::Duration::ZERO } else { OFFICE_LIMIT };
+    let limit = if hangs { DISK_SLOW } else { OFFICE_LIMIT };
     let Err(error) = shell.desk.close(limit).await else { return ended };
     tracing::error!(%error, "the last status may be missing");
     ended.and(Err(error))
