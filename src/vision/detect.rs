@@ -27,7 +27,8 @@ pub struct DetectSettings {
     /// Exponent of a curve over the grey levels before anything is searched, 0.25 to 2; below 1 it lifts the dark ones. The
     /// library parts black from white half-way between the darkest and the brightest pixel near by. Where a sheet of
     /// paper brighter than the marker's white lies at its ring, half-way is above the ring; it is not on a curve that
-    /// tells dark greys better apart than bright ones, as the eye does.
+    /// tells dark greys better apart than bright ones, as the eye does. The library's own corners, which stand where ours find no
+    /// clear step, lie a fraction of a pixel inside the square's on it.
     pub tone: f32,
     /// Threads of the library, 1 to 16.
     pub threads: u8,
