@@ -19,4 +19,4 @@ pub mod observe;
 pub mod refine;
 
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;

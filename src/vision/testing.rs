@@ -179,7 +179,8 @@ fn shade(normalised: [f64; 2], table_from_camera: &Isometry3<f64>, prints: &[Pri
     grey
 }
 
-fn blur(light: &mut [f64], width: usize, height: usize, sigma: f64) {
+/// Blurs grey levels, rows of `width`, by a Gaussian of `sigma` pixels.
+pub fn blur(light: &mut [f64], width: usize, height: usize, sigma: f64) {
     if sigma <= 0.0 {
         return;
     }

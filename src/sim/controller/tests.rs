@@ -3,6 +3,7 @@
 use super::*;
 use crate::sim::controller::registers::{ClientId, Input};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use crate::wire::primary_message::{PROGRAM_STARTED, PROGRAM_STOPPED};
 use crate::wire::rtde_values::Value;
 
 mod built_ins;
@@ -34,9 +35,11 @@ fn stopped(controller: &Controller) -> bool {
 /// The messages since the last call, one word each.
 fn messages(controller: &mut Controller) -> Vec<String> {
     let one = |body: MessageBody| match body {
-        MessageBody::Key { title, text, .. } => {
-            format!("{}:{text}", title.trim_start_matches("PROGRAM_XXX_"))
-        }
+        MessageBody::Key { title, text, .. } => match title.as_str() {
+            PROGRAM_STARTED => format!("STARTED:{text}"),
+            PROGRAM_STOPPED => format!("STOPPED:{text}"),
+            _ => format!("{title}:{text}"),
+        },
         MessageBody::Text(text) => format!("text:{text}"),
         MessageBody::RuntimeException { line, column, text } => format!("exception {line}:{column} {text}"),
         MessageBody::Error { code, .. } => format!("C{code}"),

@@ -4,7 +4,7 @@ use super::*;
 use crate::sim::controller::ControllerConfig;
 use crate::wire::dashboard::GREETING;
 use crate::wire::primary::{Package, Splitter as PrimarySplitter};
-use crate::wire::primary_message::MessageBody;
+use crate::wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED};
 use crate::wire::primary_state::SubPackage;
 use crate::wire::rtde::{Reply, Request, Splitter as RtdeSplitter, Version};
 use crate::wire::rtde_values::{Leftover, Offer, Recipe, Value, VariableType};
@@ -250,7 +250,7 @@ async fn local_mode_refuses_until_the_connection_is_made_anew() {
     assert_eq!(bench.during(read_only.event()).await, "C210");
     let mut fresh = Primary::connect(bench.at.primary).await;
     fresh.0.write_all(b"def c():\nend\n").await.unwrap();
-    assert_eq!(bench.during(fresh.event()).await, "PROGRAM_XXX_STARTED:c");
+    assert_eq!(bench.during(fresh.event()).await, format!("{PROGRAM_STARTED}:c"));
     assert_eq!(dashboard(&bench).await.ask("power off").await, "Powering off");
 }
 
@@ -275,13 +275,13 @@ async fn scripts_run_from_all_three_ports() {
         for chunk in format!("def {name}():\n  sync()\nend\n").as_bytes().chunks(5) {
             sender.write_all(chunk).await.unwrap();
         }
-        assert_eq!(bench.during(watcher.event()).await, format!("PROGRAM_XXX_STARTED:{name}"));
-        assert_eq!(bench.during(watcher.event()).await, format!("PROGRAM_XXX_STOPPED:{name}"));
+        assert_eq!(bench.during(watcher.event()).await, format!("{PROGRAM_STARTED}:{name}"));
+        assert_eq!(bench.during(watcher.event()).await, format!("{PROGRAM_STOPPED}:{name}"));
     }
     watcher.0.write_all(b"def bad():\n x = 1 / 0\nend\n").await.unwrap();
-    assert_eq!(bench.during(watcher.event()).await, "PROGRAM_XXX_STARTED:bad");
+    assert_eq!(bench.during(watcher.event()).await, format!("{PROGRAM_STARTED}:bad"));
     assert_eq!(bench.during(watcher.event()).await, "2:8");
-    assert_eq!(bench.during(watcher.event()).await, "PROGRAM_XXX_STOPPED:bad");
+    assert_eq!(bench.during(watcher.event()).await, format!("{PROGRAM_STOPPED}:bad"));
 }
 
 #[tokio::test]
@@ -301,7 +301,7 @@ async fn read_only_ports_send_the_same_and_take_nothing() {
     let mut sender = TcpStream::connect(bench.at.primary).await.unwrap();
     sender.write_all(b"def yes():\nend\n").await.unwrap();
     let first = bench.during(watcher.event()).await;
-    assert_eq!(first, "PROGRAM_XXX_STARTED:yes", "going local leaves read-only connections open");
+    assert_eq!(first, format!("{PROGRAM_STARTED}:yes"), "going local leaves read-only connections open");
 }
 
 #[tokio::test]
