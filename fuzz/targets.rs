@@ -4,9 +4,9 @@
 //! a finding: our own of a broken promise, or one of the code under test. Both directions of every codec are read,
 //! and the simulator's sessions are talked to as if over a socket, with controller frames in between.
 
-use celld::device::dashboard_session::DashboardSession;
-use celld::device::primary_session::PrimarySession;
-use celld::device::rtde_session::RtdeSession;
+use celld::cell::device::dashboard_session::DashboardSession;
+use celld::cell::device::primary_session::PrimarySession;
+use celld::cell::device::rtde_session::RtdeSession;
 use celld::sim::controller::builtins::compile_program;
 use celld::sim::controller::{Controller, ControllerConfig};
 use celld::sim::faults::link::LinkState;

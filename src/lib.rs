@@ -24,9 +24,9 @@ pub mod vision;
 
 pub mod motion;
 
-pub mod device;
+pub mod cell;
 
-pub mod supervisor;
+pub mod perception;
 
 pub mod report;
 
@@ -39,6 +39,8 @@ pub mod config;
 pub mod sim;
 
 pub mod daemon;
+
+pub mod calibration;
 
 pub mod bench;
 

@@ -7,7 +7,7 @@
 
 use crate::bench::rtde_client::{Client, Seen, bring_up, play, watch};
 use crate::bench::rtde_process::Simulator;
-use crate::device::rtde_session::output_names;
+use crate::cell::device::rtde_session::output_names;
 use crate::io::priority;
 use crate::sim::robot_server::punctuality::{Delays, Punctuality};
 use crate::wire::rtde::{Reply, Splitter, Version};

@@ -8,18 +8,21 @@
 pub mod camera;
 mod empty;
 mod finish;
-mod propose;
 mod take;
 pub mod touch;
 
-use crate::cli::daemon::{open_camera, open_hardware, with_runtime};
+use crate::calibration::files::provenance;
+use crate::calibration::propose;
+use crate::calibration::visit::{Samples, Stop};
+use crate::cell::event::Arm;
+use crate::cell::supervisor::round::RoundOrder;
+use crate::cli::daemon::{open_camera, open_shell, with_runtime};
 use crate::cli::detect::{read_camera, read_picture};
 use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::daemon::calibrate::{Arm, Eye, Look, Setting, kinematics, visit};
-use crate::daemon::calibration_files::provenance;
-use crate::device::program::Nonce;
+use crate::config::setup::nominal_model;
+use crate::daemon::workers::{Eyes, Sight};
 use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
 use crate::io::camera::supervised::Supervised;
@@ -155,7 +158,7 @@ fn hand_eye(args: &HandEyeArgs, stop: Arc<AtomicBool>) -> u8 {
     match count {
         Some(count) if !args.yes => {
             let told = load_cell(&args.round.config).map_err(|error| error.to_string());
-            match told.and_then(|config| propose::on_paper(&config, count)) {
+            match told.and_then(|config| on_paper(&config, count)) {
                 Ok(text) => print(&text),
                 Err(message) => {
                     complain(&message);
@@ -173,6 +176,23 @@ fn hand_eye(args: &HandEyeArgs, stop: Arc<AtomicBool>) -> u8 {
         }
         count => round(&args.round, Wanted::MountAndTable, count, stop),
     }
+}
+
+/// Proposed poses as the text that goes into the configuration.
+fn on_paper(config: &CellConfig, count: usize) -> Result<String, String> {
+    // Before a camera is waited for.
+    propose::check(config)?;
+    let proposal = propose::on_paper(config, &known_lens(config)?, count)?;
+    complain(&proposal.sentence());
+    Ok(proposal.yaml())
+}
+
+fn known_lens(config: &CellConfig) -> Result<CameraModel, String> {
+    let path = &config.calibration.camera;
+    if !path.exists() {
+        return camera_and_lens(config).map(|(_, lens)| lens.model);
+    }
+    lens_file(path).map(|known| known.model)
 }
 
 fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<AtomicBool>) -> u8 {
@@ -242,32 +262,37 @@ async fn live(
     ready: &dyn Fn(&Provenance) -> Result<(), String>,
     stop: Arc<AtomicBool>,
 ) -> Result<Taken, String> {
-    let (mut hardware, _) = open_hardware(config)?;
+    let mut shell = open_shell(config, (unix_now_s() * 1e3) as u64)?;
     let (camera, lens) = tokio::task::block_in_place(|| camera_and_lens(config))?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let stopped = || stop.load(Ordering::Relaxed);
-    let arm = kinematics(&mut hardware, &stopped).await.map_err(|error| chain(&error))?;
+    let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;
     let provenance = of_arm(&lens.model, &arm);
     ready(&provenance)?;
     let poses = match proposed {
         None => config.calibration_poses.clone(),
-        Some(count) => propose::from_here(config, &lens.model, &arm, &hardware, count)?,
+        Some(count) => {
+            let state = shell.robot_state().ok_or("the robot does not say where it is")?;
+            let proposal = propose::from_here(config, &lens.model, &arm, state.q, count)?;
+            complain(&proposal.sentence());
+            complain(proposal.yaml().trim_end());
+            proposal.poses
+        }
     };
     let count = poses.len();
     let record = record.map(Recording::new).transpose()?;
-    let setting = Setting {
-        config,
-        nonce: Nonce::new((unix_now_s() * 1e3) as u64),
-        stop: &stopped,
-        progress: &|look| {
-            complain(&format!("pose {}/{count}: {} markers", look.pose, look.sample.detections.len()));
-            if let Some(record) = &record {
-                record.keep(look);
-            }
-        },
+    let progress = |stop: &Stop| {
+        complain(&format!("pose {}/{count}: {} markers", stop.pose, stop.sample.detections.len()));
+        if let Some(record) = &record {
+            record.keep(stop);
+        }
     };
-    let eye = Eye { camera: Box::new(camera), detector };
-    let samples = visit(&mut hardware, &arm, &poses, eye, &setting).await.map_err(|error| chain(&error))?;
+    shell.see_with(Eyes { camera: Box::new(camera), sight: Sight::Markers(detector), doubts: None });
+    shell.commission(nominal_model(config, &arm, &lens.model), false);
+    let mut samples = Samples::new(&progress);
+    let order = RoundOrder { poses, room: config.calibration_box };
+    shell.round(order, &mut samples, &stopped).await.map_err(|error| chain(&error))?;
+    let samples = samples.into_vec();
     if let Some(record) = record {
         record.close(&lens, &provenance)?;
     }
@@ -395,7 +420,7 @@ impl Recording {
         Ok(Recording { folder: folder.to_path_buf(), kept: RefCell::default(), pictures, writer })
     }
 
-    fn keep(&self, look: &Look) {
+    fn keep(&self, look: &Stop) {
         let image = format!("{:02}.png", look.pose);
         // It only hangs up when it has panicked, and then `close` says so.
         let _ = self.pictures.send((self.folder.join(&image), look.image.clone()));

@@ -9,19 +9,19 @@ use crate::cli::detect::{read_camera, read_picture};
 use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::daemon::setup::reference_markers;
+use crate::config::setup::{drift_limits, reference_markers};
 use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
 use crate::io::files;
 use crate::jobs::job_file::goal_yaml;
+use crate::perception::place::where_taken;
+use crate::perception::{Perception, Scene};
 use crate::time::Timestamp;
 use crate::vision::camera::CameraModel;
-use crate::vision::cv;
-use crate::vision::detect::{DetectSettings, Detection, Detector};
+use crate::vision::detect::DetectSettings;
+use crate::vision::foreign::search::ForeignSearch;
 use crate::vision::image::Image;
-use crate::vision::marker;
-use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
-use nalgebra::Isometry3;
+use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, View};
 use std::path::PathBuf;
 
 /// Arguments of `celld capture`.
@@ -40,11 +40,6 @@ pub struct CaptureArgs {
     #[arg(long)]
     partial: bool,
 }
-
-/// Fewest reference markers that say where a picture was taken: with these, a wrong one shows.
-const REFERENCES_MIN: usize = 3;
-/// Reference markers that fit worse than this are not where they were surveyed, pixels.
-const MISFIT_PX: f64 = 1.0;
 
 /// Runs the subcommand and returns the exit code.
 pub fn run(args: &CaptureArgs) -> u8 {
@@ -67,25 +62,20 @@ fn capture(args: &CaptureArgs) -> Result<(String, u8), String> {
         format!("{error}; `celld calibrate camera` or `celld calibrate hand-eye` makes it")
     })?;
     let pictures = pictures(args, &config, &lens)?;
-    let reference = reference_markers(&config);
-    let mut detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
+    let mut perception = perception(&config, lens, None)?;
     let mut views = Vec::with_capacity(pictures.len());
     for (index, (name, image)) in pictures.iter().enumerate() {
-        let fits = lens.check_picture(image.width, image.height);
+        let Scene { camera, reference, .. } = perception.scene();
+        let fits = camera.check_picture(image.width, image.height);
         fits.map_err(|error| format!("{name}: {error}"))?;
-        let detections = detector.detect(&image.gray()).map_err(|error| format!("{name}: {error}"))?;
+        let (camera, reference) = (camera.clone(), reference.clone());
+        let detections = perception.detect(image).map_err(|error| format!("{name}: {}", chain(&error)))?;
         let table_from_camera =
-            where_taken(&lens, &reference, &detections).map_err(|fault| format!("{name}: {fault}"))?;
-        views.push(View {
-            table_from_camera,
-            detections,
-            time: Timestamp::from_nanos(index as u64),
-            heights: None,
-        });
+            where_taken(&camera, &reference, &detections).map_err(|fault| format!("{name}: {fault}"))?;
+        let time = Timestamp::from_nanos(index as u64);
+        views.push(View { table_from_camera, detections, time, heights: None });
     }
-    let objects = objects(&config);
-    let seen = observe(&objects, &reference, &lens, &views, &ObserveLimits::default());
-    let seen = seen.map_err(|error| chain(&error))?;
+    let seen = perception.observe(&views).map_err(|error| chain(&error))?;
     let mut text = told(&seen);
     if !seen.complete() && !args.partial || seen.objects.is_empty() {
         text.push_str("nothing was written; look again from where all can be seen, or give --partial\n");
@@ -113,39 +103,25 @@ fn pictures(
     args.images.iter().map(|path| Ok((path.display().to_string(), read_picture(path)?))).collect()
 }
 
-/// Where a picture was taken, by the reference markers in it.
-pub(super) fn where_taken(
-    lens: &CameraModel,
-    reference: &[ReferenceMarker],
-    detections: &[Detection],
-) -> Result<Isometry3<f64>, String> {
-    let (mut on_table, mut in_picture) = (Vec::new(), Vec::new());
-    for marker in reference {
-        let seen: Vec<&Detection> = detections.iter().filter(|seen| seen.id == marker.id).collect();
-        let [once] = seen.as_slice() else { continue };
-        on_table.extend(marker::corners_m(marker.size).map(|corner| marker.pose.transform(corner)));
-        in_picture.extend(once.corners);
-    }
-    let count = on_table.len() / 4;
-    if count < REFERENCES_MIN {
-        return Err(format!(
-            "{count} of the {} reference markers are in it, {REFERENCES_MIN} are needed to tell where it was taken: \
-             uncover them or take the picture from higher up",
-            reference.len()
-        ));
-    }
-    let pose = cv::board_pose(lens, &on_table, &in_picture).map_err(|error| chain(&error))?;
-    if pose.reprojection_px > MISFIT_PX {
-        return Err(format!(
-            "its reference markers miss their surveyed places by {:.1} px: one was moved, or the lens is another one",
-            pose.reprojection_px
-        ));
-    }
-    Ok(pose.camera_from_target.inverse())
+/// Perception of the cell's movable objects; with a search where there is depth.
+pub(super) fn perception(
+    config: &CellConfig,
+    lens: CameraModel,
+    foreign: Option<ForeignSearch>,
+) -> Result<Perception, String> {
+    let scene = Scene {
+        camera: lens,
+        objects: objects(config),
+        reference: reference_markers(config),
+        limits: ObserveLimits::default(),
+        foreign,
+        drift: drift_limits(config),
+    };
+    Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))
 }
 
 /// The objects that can move, by their markers.
-pub(super) fn objects(config: &CellConfig) -> Vec<MarkedObject> {
+fn objects(config: &CellConfig) -> Vec<MarkedObject> {
     let movable = config.objects.iter().filter(|object| !object.fixed);
     let marked = movable.filter_map(|object| {
         let (marker, height) = (object.marker.as_ref()?, object.height?);

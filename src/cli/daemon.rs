@@ -3,30 +3,30 @@
 //! In: the cell's configuration and the state folder. Out: work on job files until Ctrl-C or SIGTERM. Bad configuration
 //! or calibration files are exit 2, before any device is touched; a second daemon on one state folder is 1.
 
+use crate::calibration::empty::compare_with_empty;
+use crate::calibration::files::CalibrationSet;
+use crate::cell::device::robot_types::RobotParameters;
+use crate::cell::machine::MachineParameters;
 use crate::cli::recorder::Recorder;
 use crate::cli::task::complain;
 use crate::config::cell::{CellConfig, RecordingConfig};
 use crate::config::load::load_cell;
-use crate::daemon::calibrate::kinematics;
-use crate::daemon::calibration_files::CalibrationSet;
+use crate::config::setup::{cell_model, cell_objects, gripper_parameters, scene};
 use crate::daemon::cameras;
-use crate::daemon::empty_table::compare_with_empty;
-use crate::daemon::hardware::{Addresses, Hardware};
-use crate::daemon::office::StateOffice;
-use crate::daemon::run::{Event, Observer, Shell, Workers, run as run_shell};
-use crate::daemon::setup::{cell_model, cell_objects, eye_parameters, gripper_parameters};
-use crate::daemon::workers::spawn_eye;
-use crate::device::robot_types::RobotParameters;
+use crate::daemon::keeper::{StateKeeper, StateOrders};
+use crate::daemon::shell::{Observer, Scene, Shell};
+use crate::daemon::sockets::Addresses;
+use crate::daemon::workers::{Eyes, Sight};
 use crate::document::chain::chain;
 use crate::io::camera::supervised::Supervised;
 use crate::io::clock::{Clock, unix_now_s};
 use crate::io::priority;
 use crate::jobs::state::StateFolder;
 use crate::jobs::utc;
-use crate::supervisor::cell::Cell;
+use crate::perception::Perception;
 use crate::time::Timestamp;
 use crate::vision::camera::CameraModel;
-use crate::vision::detect::{DetectSettings, Detector};
+use crate::vision::detect::DetectSettings;
 use clap::Args;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
@@ -132,7 +132,8 @@ fn resolve(host: &str, port: u16) -> Result<SocketAddr, String> {
     found.next().ok_or_else(|| fault("no address".to_string()))
 }
 
-pub(super) fn open_hardware(config: &CellConfig) -> Result<(Hardware, Clock), String> {
+/// The machine and its sockets, for the devices that the configuration names. `seed` differs from run to run.
+pub(super) fn open_shell(config: &CellConfig, seed: u64) -> Result<Shell, String> {
     let devices = &config.devices;
     let robot = |port| resolve(&devices.robot_host, port);
     let addresses = Addresses {
@@ -142,10 +143,13 @@ pub(super) fn open_hardware(config: &CellConfig) -> Result<(Hardware, Clock), St
         gripper: resolve(&devices.gripper_host, devices.gripper_port)?,
     };
     let clock = Clock::new(config.simulation.map_or(1.0, |simulation| simulation.clock_factor));
-    let mut parameters = RobotParameters::full_rate();
-    parameters.frequency_hz = RTDE_HZ;
-    let hardware = Hardware::open(&addresses, clock.clone(), parameters, gripper_parameters(config));
-    hardware.map(|hardware| (hardware, clock)).map_err(|error| chain(&error))
+    Shell::open(&addresses, clock, machine_parameters(config, seed)).map_err(|error| chain(&error))
+}
+
+/// What the machine is made with.
+pub(super) fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {
+    let robot = RobotParameters { frequency_hz: RTDE_HZ, ..RobotParameters::full_rate() };
+    MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }
 }
 
 pub(super) fn open_camera(config: &CellConfig, lens: Option<CameraModel>) -> Result<Supervised, String> {
@@ -158,39 +162,34 @@ async fn daemon(
     state: StateFolder,
     stop: Arc<AtomicBool>,
 ) -> Result<(), String> {
-    let (mut hardware, clock) = open_hardware(&config)?;
     let seed = (unix_now_s() * 1e3) as u64;
-    let doubts = state.root().to_path_buf();
-    let mut office =
-        StateOffice::open(config.clone(), state, format!("celld-{seed}")).map_err(|error| chain(&error))?;
-    for notice in office.notices() {
+    let mut shell = open_shell(&config, seed)?;
+    let (doubts, name) = (state.root().to_path_buf(), format!("celld-{seed}"));
+    let orders = StateOrders::open(&state, name.clone()).map_err(|error| chain(&error))?;
+    let mut keeper = StateKeeper::open(config.clone(), state, name).map_err(|error| chain(&error))?;
+    for notice in keeper.notices() {
         complain(&notice);
     }
     let stopped = || stop.load(Ordering::Relaxed);
-    let arm = kinematics(&mut hardware, &stopped).await.map_err(|error| chain(&error))?;
+    let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;
     calibration.check_arm(&config, &arm)?;
     let measured = calibration.measured(&arm);
     let model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
-    let (answers_in, answers) = tokio::sync::mpsc::channel(16);
     let camera = cameras::open_when_there(&config.devices, &measured.camera);
     let (camera, away) = camera.map_err(|error| chain(&error))?;
     if let Some(error) = away {
         complain(&format!("{}; looks wait for it ({})", chain(&error), error.kind().remedy()));
     }
-    let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let mut eye_parameters = eye_parameters(&config, &measured).map_err(|error| chain(&error))?;
-    eye_parameters.doubts = Some(doubts);
-    compare_with_empty(eye_parameters.foreign.as_mut(), &config, &measured, &arm)?;
-    let eye = spawn_eye(Box::new(camera), detector, eye_parameters, clock, answers_in.clone());
-    let mut cell = Cell::new(model, seed);
-    if config.arm_at_start {
-        cell.arm_at_start();
-    }
+    let mut scene = scene(&config, &measured).map_err(|error| chain(&error))?;
+    compare_with_empty(scene.foreign.as_mut(), &config, &measured, &arm)?;
+    let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
+    let sight = Sight::Cell(Box::new(perception));
+    shell.see_with(Eyes { camera: Box::new(camera), sight, doubts: Some(doubts) });
+    shell.commission(model, config.arm_at_start);
+    shell.keep_in(Box::new(keeper), Box::new(orders));
     complain("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     let mut lines = Lines { recorder: config.recording.as_ref().map(start_recording).transpose()? };
-    let workers = Workers { eye, answers, answers_in };
-    let shell = Shell::new(cell, hardware, workers, Box::new(office), &mut lines);
-    let ended = run_shell(shell, &stop).await.map_err(|error| error.to_string());
+    let ended = shell.run(&mut lines, &stop).await.map_err(|error| error.to_string());
     if let Some(fault) = lines.recorder.as_mut().and_then(Recorder::close) {
         complain(&format!("recording: {fault}"));
     }
@@ -218,11 +217,11 @@ struct Lines {
 }
 
 impl Observer for Lines {
-    fn on(&mut self, now: Timestamp, event: Event) {
+    fn on(&mut self, now: Timestamp, scene: Scene) {
         if let Some(recorder) = &mut self.recorder {
-            recorder.on(now, &event);
+            recorder.on(now, &scene);
         }
-        if let Event::Notice(notice) = event {
+        if let Scene::Notice(notice) = scene {
             let mark = if notice.alarm { "! " } else { "" };
             complain(&format!("{:9.1} s  {mark}{}", now.as_secs_f64(), notice.text));
         }

@@ -3,12 +3,13 @@
 //! In: arguments. Out: what came of it on stdout, exit code 0, 1 or 2. `submit`, `jobs` and `status` work with
 //! the daemon off; every other command is refused then, and never stored for a later daemon.
 
+use crate::cell::orders::Reply;
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
 use crate::document::chain::chain;
 use crate::io::clock::unix_now_s;
 use crate::io::files::FileError;
-use crate::jobs::command::{Command, RecoverHow, ReleaseChannel, Reply, Sent};
+use crate::jobs::command::{Command, RecoverHow, ReleaseChannel, Sent};
 use crate::jobs::journal::{Journal, JournalError};
 use crate::jobs::record::{JobRecord, quoted};
 use crate::jobs::state::{StateError, StateFolder};

@@ -4,7 +4,7 @@
 //! fails never stops a run, and never silently: the first fault is kept. Pictures are turned into PNG on a thread of
 //! their own, for it takes tens of milliseconds in which the robot would not hear from us.
 
-use crate::daemon::run::Event;
+use crate::daemon::shell::{Scene, Shown};
 use crate::io::clock::unix_now_s;
 use crate::io::priority;
 use crate::io::recording::{PictureFormat, RecordedObject, Recording, RecordingError, Severity};
@@ -64,34 +64,36 @@ impl Recorder {
     }
 
     /// Takes one event in.
-    pub fn on(&mut self, now: Timestamp, event: &Event) {
+    pub fn on(&mut self, now: Timestamp, scene: &Scene) {
         self.write_encoded();
-        match event {
-            Event::Notice(notice) => {
+        match scene {
+            Scene::Notice(notice) => {
                 let severity = if notice.alarm { Severity::Warning } else { Severity::Info };
                 self.write(|recording| recording.log(now, severity, "cell", &notice.text));
             }
-            Event::Picture { image, .. } => self.picture(now, image),
-            Event::Observed(observation) => {
+            Scene::Shown(Shown::Picture { image, .. } | Shown::Sample { image, .. }) => {
+                self.picture(now, image)
+            }
+            Scene::Shown(Shown::Observed(observation)) => {
                 let objects = recorded(observation);
                 self.write(|recording| recording.arrangement(now, "camera", &objects));
             }
-            Event::Route(route) => {
+            Scene::Route(route) => {
                 let steps: Vec<_> = route
                     .iter()
                     .map(|s| json!({"object": s.0, "from": s.1, "to": s.2, "goal": s.3}))
                     .collect();
                 self.write(|recording| recording.plan(now, &json!({ "actions": steps })));
             }
-            Event::Robot(state) if now.since(self.last_joints) >= JOINTS_EVERY => {
+            Scene::Robot(state) if now.since(self.last_joints) >= JOINTS_EVERY => {
                 self.last_joints = now;
                 self.write(|recording| recording.joints(now, &state.q, &state.qd));
             }
-            Event::Finished(report) => {
-                let text = format!("job {} ended: {}: {}", report.id, report.code, report.message);
+            Scene::Ended(report) => {
+                let text = format!("job {} ended: {}: {}", report.id, report.code_text(), report.message);
                 self.write(|recording| recording.log(now, Severity::Info, "cell", &text));
             }
-            Event::Robot(_) | Event::Status(_) => {}
+            Scene::Robot(_) | Scene::Status(_) => {}
         }
     }
 
@@ -174,7 +176,7 @@ fn encoder() -> Encoder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::supervisor::input::Notice;
+    use crate::cell::supervisor::input::Notice;
 
     fn pictures_in(path: &Path) -> usize {
         let bytes = std::fs::read(path).unwrap();
@@ -190,7 +192,8 @@ mod tests {
         let image = Image::filled(64, 48, [10, 20, 30]);
         for k in 0..5 {
             let now = Timestamp::from_secs_f64(f64::from(k));
-            recorder.on(now, &Event::Picture { image: &image, views: &[] });
+            let shown = Shown::Picture { image: image.clone(), views: Vec::new() };
+            recorder.on(now, &Scene::Shown(&shown));
         }
         assert_eq!(recorder.close(), None);
         assert_eq!(pictures_in(&path), 5);
@@ -201,7 +204,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut recorder = Recorder::create(&folder.path().join("missing/run.mcap"), false);
         let notice = Notice { alarm: true, text: "x".to_string() };
-        recorder.on(Timestamp::ZERO, &Event::Notice(&notice));
+        recorder.on(Timestamp::ZERO, &Scene::Notice(&notice));
         assert!(recorder.close().is_some_and(|fault| fault.contains("run.mcap")));
     }
 }

@@ -3,13 +3,14 @@
 //! In: located values and a decoder that collects complaints. Out: [`CameraMount`], [`CalibrationFiles`], [`CalibrationBox`], or `None` with a
 //! complaint kept. Only what the printed board's maker (`celld markers`) decides by itself has a default.
 
-use crate::config::cell::{CalibrationBox, CalibrationFiles, CameraMount};
+use crate::config::cell::{CalibrationFiles, CameraMount};
 use crate::config::check::Places;
 use crate::config::fields::{joints_deg, list, optional, path, required_number, transform};
 use crate::config::parts::CellParts;
 use crate::document::Location;
 use crate::document::decode::{At, Decoder};
 use crate::motion::kinematics::{DhParameters, forward};
+use crate::motion::slow::CalibrationBox;
 use crate::vision::board::{Board, GAP};
 use crate::vision::detect::Family;
 use std::path::Path;

@@ -5,17 +5,18 @@
 //! No field that is measured, and no speed or acceleration, has a `Default`: a cell that nobody measured
 //! must not start.
 
+use crate::cell::supervisor::model::ForeignRule;
 pub use crate::config::camera::CameraDevice;
 use crate::geometry::pose::Pose2;
 use crate::jobs::goal::GoalContext;
 use crate::jobs::policy::{Approval, JobObjective};
-use crate::supervisor::model::ForeignRule;
+use crate::motion::slow::CalibrationBox;
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
 use crate::units::{ATMOSPHERE_PA, Joints};
 use crate::vision::board::Board;
 use crate::vision::image::quality::PictureLimits;
 use crate::vision::observe::ObserveLimits;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::Isometry3;
 use std::path::PathBuf;
 
 /// One robot cell, as `celld run` needs it.
@@ -205,34 +206,6 @@ pub enum CameraMount {
         /// flange frame, m, within 2 cm and 10 degrees: for poses to be proposed by. Calibration finds it by itself.
         flange_from_board: Option<Isometry3<f64>>,
     },
-}
-
-/// A box in the robot's base frame, edges along its axes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CalibrationBox {
-    /// The corner with the smallest coordinates, m.
-    pub low_m: [f64; 3],
-    /// The opposite corner, m.
-    pub high_m: [f64; 3],
-}
-
-impl CalibrationBox {
-    /// The smallest box round some places; `None` round none.
-    pub fn around(places: impl Iterator<Item = [f64; 3]>) -> Option<CalibrationBox> {
-        places.fold(None, |found: Option<CalibrationBox>, place| {
-            let found = found.unwrap_or(CalibrationBox { low_m: place, high_m: place });
-            Some(CalibrationBox {
-                low_m: std::array::from_fn(|i| found.low_m[i].min(place[i])),
-                high_m: std::array::from_fn(|i| found.high_m[i].max(place[i])),
-            })
-        })
-    }
-
-    /// How far a place lies outside, m; 0 inside.
-    pub fn outside_m(&self, place: &Vector3<f64>) -> f64 {
-        let beyond = |i: usize| (self.low_m[i] - place[i]).max(place[i] - self.high_m[i]).max(0.0);
-        beyond(0).hypot(beyond(1)).hypot(beyond(2))
-    }
 }
 
 /// Paths of the calibration files, absolute.

@@ -3,6 +3,7 @@
 //! In: the parts that could be read, and where the keys stand. Out: complaints in the decoder. Each check takes
 //! the parts it needs and is left out when one of them is missing, so that one wrong key hides no other fault. Pure.
 
+use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration::check_board;
 use crate::config::cell::{CameraMount, CupConfig, Devices, GripperConfig, MotionLimits};
 use crate::config::parts::CellParts;
@@ -11,7 +12,6 @@ use crate::document::decode::Decoder;
 use crate::document::tree::{Node, Value};
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
-use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::{ObjectSpec, Workspace};
 use crate::tabletop::parse::MarkerUse;
 use crate::tabletop::room::{Cup, place_for_cups};

@@ -9,6 +9,7 @@ pub mod load;
 mod parts;
 pub mod read_cell;
 pub mod read_sim;
+pub mod setup;
 pub mod simulated;
 #[cfg(test)]
 mod tests;

@@ -3,12 +3,13 @@
 //! In: what the decoders of `read_cell` found. Out: [`CellConfig`] when nothing is missing. The checks across parts
 //! run on this, so that a wrong unit in one place does not hide a marker used twice in another. Pure.
 
+use crate::cell::supervisor::model::ForeignRule;
 use crate::config::cell::{
-    CalibrationBox, CalibrationFiles, CameraMount, CellConfig, Devices, GripperConfig, MotionLimits,
-    PlannerConfig, RecordingConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
+    CalibrationFiles, CameraMount, CellConfig, Devices, GripperConfig, MotionLimits, PlannerConfig,
+    RecordingConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
 };
 use crate::jobs::policy::Approval;
-use crate::supervisor::model::ForeignRule;
+use crate::motion::slow::CalibrationBox;
 use crate::tabletop::instance::{KeepOut, ObjectSpec, Workspace};
 use crate::tabletop::parse::MarkerUse;
 use crate::units::Joints;

@@ -4,6 +4,7 @@
 //! checked configuration, or every complaint at once. Nothing measured and no limit has a default; what may
 //! be left out are the keys that only switch something on.
 
+use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration;
 use crate::config::camera::camera_device;
 use crate::config::cell::{
@@ -18,7 +19,6 @@ use crate::config::parts::{CellParts, TableParts};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
 use crate::jobs::policy::{Approval, decode_objective, decode_solver};
-use crate::supervisor::model::ForeignRule;
 use crate::tabletop::decode;
 use crate::tabletop::instance::ObjectSpec;
 use crate::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};

@@ -3,6 +3,8 @@
 //! In: the configuration's devices, the lens where a calibration is to be used. Out: a source that gives usable pictures or
 //! says what is wrong; and what the supervisor is told about that.
 
+use crate::cell::code::Code;
+use crate::cell::supervisor::input::CameraTrouble;
 use crate::config::cell::{CameraDevice, Devices};
 use crate::document::chain::chain;
 use crate::io::camera::folder::FolderCamera;
@@ -14,7 +16,6 @@ use crate::io::camera::supervised::Supervised;
 use crate::io::camera::uvc::UvcCamera;
 use crate::io::camera::video::VideoCamera;
 use crate::io::camera::{CameraError, CameraSource, FaultKind};
-use crate::supervisor::input::CameraTrouble;
 use crate::vision::camera::CameraModel;
 use std::time::Duration;
 
@@ -71,11 +72,27 @@ fn open_source(
     })
 }
 
+/// The result code of a camera's fault.
+fn code_of(kind: FaultKind) -> Code {
+    match kind {
+        FaultKind::Unplugged => Code::CameraUnplugged,
+        FaultKind::Frozen => Code::CameraFrozen,
+        FaultKind::Repeated => Code::CameraRepeats,
+        FaultKind::Broken => Code::CameraBrokenPicture,
+        FaultKind::Dark => Code::CameraDark,
+        FaultKind::Overexposed => Code::CameraOverexposed,
+        FaultKind::Flat => Code::CameraSeesNothing,
+        FaultKind::Blurred => Code::CameraBlurred,
+        FaultKind::Misfit => Code::CameraMisfit,
+        FaultKind::Ended => Code::RecordingEnded,
+    }
+}
+
 /// What the supervisor is told of a camera that gives no picture.
 pub fn trouble_of(error: &CameraError) -> CameraTrouble {
     let kind = error.kind();
     CameraTrouble {
-        code: kind.code(),
+        code: code_of(kind),
         message: chain(error),
         remedy: kind.remedy(),
         lasting: matches!(kind, FaultKind::Misfit | FaultKind::Ended),
@@ -114,10 +131,10 @@ mod tests {
         let mut camera = open_camera(&devices, None).unwrap();
         assert_eq!(camera.grab().unwrap().sequence, 0);
         let trouble = trouble_of(&camera.grab().unwrap_err());
-        assert_eq!((trouble.code, trouble.lasting), ("camera_dark", false));
+        assert_eq!((trouble.code, trouble.lasting), (Code::CameraDark, false));
         assert!(trouble.message.contains("2.png") && trouble.remedy.contains("light"), "{trouble:?}");
         let trouble = trouble_of(&camera.grab().unwrap_err());
-        assert_eq!((trouble.code, trouble.lasting), ("recording_ended", true));
+        assert_eq!((trouble.code, trouble.lasting), (Code::RecordingEnded, true));
     }
 
     #[test]

@@ -1,49 +1,34 @@
 //! Slow work on threads of its own: frames and markers, planning.
 //!
-//! In: requests. Out: one [`Answer`] each over a bounded channel. Workers run at a lower priority than the
-//! loop that keeps the robot's heartbeat, and planning has a stop flag that the loop may raise.
+//! In: requests with numbers. Out: events with the same numbers, and pictures for whoever shows or records them. Workers run
+//! at a lower priority than the loop that keeps the robot's heartbeat, and planning has a stop flag that the loop raises.
 
+use crate::cell::code::Code;
+use crate::cell::event::Event;
+use crate::cell::planner::answer;
+use crate::cell::supervisor::input::{CameraTrouble, PlanRequest};
 use crate::daemon::cameras::trouble_of;
-use crate::daemon::doubts::{self, Shot};
-use crate::io::camera::{CameraSource, FaultKind};
+use crate::daemon::shell::{Heard, Shown};
+use crate::document::chain::chain;
+use crate::io::camera::{CameraSource, Frame};
 use crate::io::clock::Clock;
-use crate::io::priority;
-use crate::planning::plan::{Action, Status};
-use crate::planning::problem::Problem;
-use crate::planning::solver::{Control, solve};
-use crate::supervisor::input::{CameraTrouble, PlanAnswer, PlanRequest};
-use crate::vision::camera::CameraModel;
+use crate::io::{files, priority};
+use crate::perception::doubts::{self, SHOTS_MAX, Shot};
+use crate::perception::{Perception, PerceptionError, Picture};
+use crate::vision::calibrate::Sample;
 use crate::vision::detect::Detector;
-use crate::vision::foreign::HeightMapError;
-use crate::vision::foreign::search::ForeignSearch;
-use crate::vision::image::Image;
-use crate::vision::observe::reference::DriftLimits;
-use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
+use crate::vision::observe::{Observation, View};
 use nalgebra::Isometry3;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use tokio::sync::mpsc;
 
-/// An answer with the number of the request that it is for.
-pub type Numbered = (u64, Answer);
-
-/// What the workers answer.
-#[derive(Debug)]
-pub enum Answer {
-    /// Frames of one look pose with the markers found, and the last picture.
-    Captured(Result<(Vec<View>, Image), CameraTrouble>),
-    /// A look put together.
-    Observed(Result<Box<Observation>, String>),
-    /// A plan, or why not.
-    Planned(Box<PlanAnswer>),
-}
-
-/// What the eye is asked for.
-pub enum EyeRequest {
+/// What perception is asked for.
+pub enum SeeRequest {
     /// Take this many frames with the camera there.
-    Capture {
+    Look {
         /// Number of frames.
         frames: usize,
         /// Camera pose.
@@ -51,68 +36,42 @@ pub enum EyeRequest {
     },
     /// Put these views together.
     Observe(Vec<View>),
+    /// One picture of a calibration round.
+    Picture {
+        /// The pose, from 1.
+        pose: usize,
+        /// Where the flange is.
+        base_from_flange: Isometry3<f64>,
+    },
 }
 
-/// What the eye has to know.
-pub struct EyeParameters {
-    /// Calibrated camera.
-    pub camera: CameraModel,
-    /// Markers to look for.
-    pub objects: Vec<MarkedObject>,
-    /// Reference markers round the table.
-    pub reference: Vec<ReferenceMarker>,
-    /// Limits of plausibility.
-    pub limits: ObserveLimits,
-    /// The search for what carries no marker; `None` when it is switched off.
-    pub foreign: Option<ForeignSearch>,
-    /// From where on the camera counts as moved: such looks are drawn.
-    pub drift: DriftLimits,
+/// Camera and perception, on the way to their thread.
+pub struct Eyes {
+    /// Where frames come from.
+    pub camera: Box<dyn CameraSource + Send>,
+    /// What is seen in them.
+    pub sight: Sight,
     /// Folder for pictures of looks that are doubted.
     pub doubts: Option<PathBuf>,
 }
 
-/// Starts the thread that owns the camera and the detector.
-pub fn spawn_eye(
-    mut source: Box<dyn CameraSource + Send>,
-    mut detector: Detector,
-    parameters: EyeParameters,
-    clock: Clock,
-    answers: mpsc::Sender<Numbered>,
-) -> mpsc::Sender<(u64, EyeRequest)> {
+/// What is made of frames.
+pub enum Sight {
+    /// Views and observations.
+    Cell(Box<Perception>),
+    /// Markers only: a calibration round.
+    Markers(Detector),
+}
+
+/// Starts the thread that owns the camera.
+pub fn spawn_eyes(eyes: Eyes, clock: Clock, heard: mpsc::Sender<Heard>) -> mpsc::Sender<(u64, SeeRequest)> {
     let (requests_in, mut requests) = mpsc::channel(4);
     std::thread::spawn(move || {
         priority::lower();
-        let mut shots = Vec::new();
+        let mut seeing = Seeing { eyes, clock, heard, shots: Vec::new() };
         while let Some((number, request)) = requests.blocking_recv() {
-            let answer = match request {
-                EyeRequest::Capture { frames, table_from_camera } => {
-                    let search = parameters.foreign.as_ref();
-                    let eye = (&mut *source as &mut dyn CameraSource, &mut detector);
-                    let taken = capture(eye, frames, table_from_camera, &clock, search);
-                    if taken.is_err() {
-                        // The look may end here; the next one's pictures are other ones.
-                        shots.clear();
-                    }
-                    if let (Ok((_, image)), Some(_)) = (&taken, &parameters.doubts) {
-                        doubts::keep(&mut shots, Shot { image: image.clone(), table_from_camera });
-                    }
-                    Answer::Captured(taken)
-                }
-                EyeRequest::Observe(views) => {
-                    let seen = put_together(&parameters, &views);
-                    // A look that was broken off has left pictures of its own.
-                    let of_it = |shot: &Shot| {
-                        views.iter().any(|view| view.table_from_camera == shot.table_from_camera)
-                    };
-                    shots.retain(of_it);
-                    if let (Ok(seen), Some(folder)) = (&seen, &parameters.doubts) {
-                        doubts::write(&parameters, &shots, &views, seen, folder);
-                    }
-                    shots.clear();
-                    Answer::Observed(seen)
-                }
-            };
-            if answers.blocking_send((number, answer)).is_err() {
+            let event = seeing.answer(number, request);
+            if seeing.heard.blocking_send(Heard::Event(event)).is_err() {
                 return;
             }
         }
@@ -120,113 +79,185 @@ pub fn spawn_eye(
     requests_in
 }
 
-fn put_together(parameters: &EyeParameters, views: &[View]) -> Result<Box<Observation>, String> {
-    let EyeParameters { camera, objects, reference, limits, foreign, .. } = parameters;
-    let mut seen = observe(objects, reference, camera, views, limits).map_err(|error| error.to_string())?;
-    seen.foreign = foreign.as_ref().and_then(|search| search.report(views, &seen));
-    Ok(Box::new(seen))
+/// What a request that finds the thread busy comes to.
+pub fn busy(number: u64, request: &SeeRequest) -> Event {
+    let trouble = || CameraTrouble {
+        code: Code::CameraBusy,
+        message: "the camera thread still works on an earlier request".to_string(),
+        remedy: "see what the camera says in the log",
+        lasting: false,
+    };
+    match request {
+        SeeRequest::Look { .. } => Event::Looked(number, Err(trouble())),
+        SeeRequest::Observe(_) => Event::Observed(number, Err("the camera thread does not answer".into())),
+        SeeRequest::Picture { .. } => Event::Pictured(number, Err(trouble())),
+    }
+}
+
+struct Seeing {
+    eyes: Eyes,
+    clock: Clock,
+    heard: mpsc::Sender<Heard>,
+    shots: Vec<Shot>,
+}
+
+impl Seeing {
+    fn answer(&mut self, number: u64, request: SeeRequest) -> Event {
+        match request {
+            SeeRequest::Look { frames, table_from_camera } => {
+                let looked = self.look(frames, table_from_camera);
+                if looked.is_err() {
+                    // The look may end here; the next one's pictures are other ones.
+                    self.shots.clear();
+                }
+                Event::Looked(number, looked)
+            }
+            SeeRequest::Observe(views) => Event::Observed(number, self.observe(&views).map(Box::new)),
+            SeeRequest::Picture { pose, base_from_flange } => {
+                Event::Pictured(number, self.picture(pose, base_from_flange))
+            }
+        }
+    }
+
+    fn show(&self, shown: Shown) {
+        // The loop has ended if nobody listens.
+        let _ = self.heard.blocking_send(Heard::Shown(shown));
+    }
+
+    fn look(&mut self, frames: usize, table_from_camera: Isometry3<f64>) -> Result<Vec<View>, CameraTrouble> {
+        let Eyes { camera, sight: Sight::Cell(perception), doubts } = &mut self.eyes else {
+            return Err(no_perception());
+        };
+        let camera: &mut dyn CameraSource = &mut **camera;
+        let (views, frame) = look(camera, perception, frames, table_from_camera, &self.clock)?;
+        if doubts.is_some() {
+            doubts::keep(&mut self.shots, Shot { image: frame.image.clone(), table_from_camera });
+        }
+        self.show(Shown::Picture { image: frame.image, views: views.clone() });
+        Ok(views)
+    }
+
+    fn observe(&mut self, views: &[View]) -> Result<Observation, String> {
+        let Eyes { sight: Sight::Cell(perception), doubts, .. } = &self.eyes else {
+            return Err(no_perception().message);
+        };
+        let seen = perception.observe(views).map_err(|error| chain(&error));
+        // A look that was broken off has left pictures of its own.
+        let of_it = |shot: &Shot| views.iter().any(|view| view.table_from_camera == shot.table_from_camera);
+        self.shots.retain(of_it);
+        if let Ok(seen) = &seen {
+            if let Some(folder) = doubts {
+                write_doubts(doubts::pictures(perception.scene(), &self.shots, views, seen), folder);
+            }
+            self.show(Shown::Observed(Box::new(seen.clone())));
+        }
+        self.shots.clear();
+        seen
+    }
+
+    fn picture(&mut self, pose: usize, base_from_flange: Isometry3<f64>) -> Result<(), CameraTrouble> {
+        let Eyes { camera, sight, .. } = &mut self.eyes;
+        camera.want_depth(false);
+        let frame = camera.grab().map_err(|error| trouble_of(&error))?;
+        let found = match sight {
+            Sight::Cell(perception) => perception.detect(&frame.image),
+            Sight::Markers(detector) => {
+                detector.detect(&frame.image.gray()).map_err(PerceptionError::Detector)
+            }
+        };
+        let detections = found.map_err(|error| failed(&error))?;
+        let sample = Sample { base_from_flange, detections };
+        self.show(Shown::Sample { pose, image: frame.image, sample });
+        Ok(())
+    }
 }
 
 /// Takes `frames` new frames and finds the markers in each; the last one comes with depth if there is a search for it.
 ///
 /// # Errors
-/// The camera's own words, or that no frame was asked for.
-fn capture(
-    (source, detector): (&mut dyn CameraSource, &mut Detector),
+/// What the camera or the detector says, or that no frame was asked for.
+fn look(
+    camera: &mut dyn CameraSource,
+    perception: &mut Perception,
     frames: usize,
     table_from_camera: Isometry3<f64>,
     clock: &Clock,
-    search: Option<&ForeignSearch>,
-) -> Result<(Vec<View>, Image), CameraTrouble> {
-    let failed = |message: String| CameraTrouble {
-        code: "detection_failed",
-        message,
-        remedy: "start the daemon again; if it stays so, this is a fault of celld",
-        lasting: true,
-    };
-    let misfit = |error: &HeightMapError| CameraTrouble {
-        code: FaultKind::Misfit.code(),
-        message: error.to_string(),
-        remedy: FaultKind::Misfit.remedy(),
-        lasting: true,
-    };
-    let mut views = Vec::with_capacity(frames);
+) -> Result<(Vec<View>, Frame), CameraTrouble> {
+    let mut views: Vec<View> = Vec::with_capacity(frames);
     let mut last = None;
     for left in (0..frames).rev() {
-        source.want_depth(search.is_some() && left == 0);
-        let frame = source.grab().map_err(|error| trouble_of(&error))?;
-        let grey = frame.image.gray();
+        camera.want_depth(perception.wants_depth() && left == 0);
+        let frame = camera.grab().map_err(|error| trouble_of(&error))?;
+        let picture = Picture { image: &frame.image, depth: frame.depth.as_ref() };
         // The first picture is searched whole; the others are of the same place and the same moment.
-        let found = match views.last() {
-            Some(View { detections, .. }) => detector.detect_again(&grey, detections),
-            None => detector.detect(&grey),
-        };
-        let detections = found.map_err(|error| failed(error.to_string()))?;
-        let heights = match (search, &frame.depth) {
-            (Some(search), Some(depth)) => {
-                let map = search.map(depth, &table_from_camera).map_err(|error| misfit(&error))?;
-                Some(Arc::new(map))
-            }
-            (Some(search), None) if left == 0 => {
-                search.changed(&frame.image, &table_from_camera).map(Arc::new)
-            }
-            _ => None,
-        };
-        views.push(View { table_from_camera, detections, time: clock.now(), heights });
-        last = Some(frame.image);
+        let view = perception.view(picture, table_from_camera, clock.now(), views.last(), left == 0);
+        views.push(view.map_err(|error| failed(&error))?);
+        last = Some(frame);
     }
-    last.map(|image| (views, image)).ok_or_else(|| failed("no frame was asked for".to_string()))
+    let frame = last.ok_or_else(|| failed(&PerceptionError::Observe("no frame was asked for".into())))?;
+    Ok((views, frame))
+}
+
+fn no_perception() -> CameraTrouble {
+    failed(&PerceptionError::Observe("the cell has not been commissioned for looks".into()))
+}
+
+fn failed(error: &PerceptionError) -> CameraTrouble {
+    let (code, remedy) = match error {
+        PerceptionError::Depth(_) => (Code::CameraMisfit, crate::io::camera::FaultKind::Misfit.remedy()),
+        PerceptionError::Detector(_) | PerceptionError::Observe(_) => {
+            (Code::DetectionFailed, "start the daemon again; if it stays so, this is a fault of celld")
+        }
+    };
+    CameraTrouble { code, message: chain(error), remedy, lasting: true }
+}
+
+/// Keeps the pictures of a doubted look, and none of an earlier one; what cannot be written is logged, for a picture is no
+/// reason to stop.
+fn write_doubts(pictures: Result<Vec<Vec<u8>>, String>, folder: &Path) {
+    let path = |number: usize| folder.join(format!("doubt-{number}.png"));
+    for number in 1..=SHOTS_MAX {
+        // Most often there is none.
+        let _ = std::fs::remove_file(path(number));
+    }
+    let pictures = pictures.unwrap_or_else(|error| {
+        tracing::warn!(error, "what is doubted could not be drawn");
+        Vec::new()
+    });
+    for (number, bytes) in (1..).zip(pictures) {
+        match files::write_atomic(&path(number), &bytes) {
+            Ok(()) => tracing::warn!("what is doubted is drawn in {}", path(number).display()),
+            Err(error) => tracing::warn!("{}: {error}", path(number).display()),
+        }
+    }
 }
 
 /// Starts one planning run; `stop` ends it early with the best plan so far.
-pub fn spawn_plan(number: u64, request: PlanRequest, stop: Arc<AtomicBool>, answers: mpsc::Sender<Numbered>) {
+pub fn spawn_plan(number: u64, request: PlanRequest, stop: Arc<AtomicBool>, heard: mpsc::Sender<Heard>) {
     std::thread::spawn(move || {
         priority::lower();
-        let answer = plan(&request, &stop);
-        let _ = answers.blocking_send((number, Answer::Planned(Box::new(answer))));
+        // Planning is work of this computer, so its budget is real time even when the cell's time is scaled.
+        let started = Instant::now();
+        let over = || stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit;
+        let answer = answer(&request, None, &over, &|| started.elapsed().as_secs_f64());
+        let _ = heard.blocking_send(Heard::Event(Event::Planned(number, Box::new(answer))));
     });
-}
-
-fn plan(request: &PlanRequest, stop: &AtomicBool) -> PlanAnswer {
-    let problem = match Problem::new(&request.instance) {
-        Ok(problem) => problem,
-        Err(error) => return PlanAnswer::Refused(error.to_string()),
-    };
-    // Planning is work of this computer, so its budget is real time even when the cell's time is scaled.
-    let started = Instant::now();
-    let over = || stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit;
-    let seconds = |actions: &[Action]| request.times.seconds(actions.iter().map(|a| (a.from, a.to)));
-    let control = Control {
-        seconds: Some(&seconds),
-        least_move_seconds: request.times.least_move_seconds(),
-        ..Control::until(&over)
-    };
-    let outcome = match solve(&problem, request.solver, request.objective, &control, request.seed) {
-        Ok(outcome) => outcome,
-        Err(error) => return PlanAnswer::Unsolvable(error.to_string()),
-    };
-    match (outcome.status, outcome.plan, outcome.cost) {
-        (Status::Optimal | Status::Solved, Some(plan), Some(cost)) => PlanAnswer::Found {
-            actions: plan.actions().to_vec(),
-            cost,
-            lower_bound: outcome.lower_bound,
-            seconds: started.elapsed().as_secs_f64(),
-        },
-        (Status::Infeasible, ..) => {
-            PlanAnswer::Infeasible(outcome.witness.map(|w| w.to_string()).unwrap_or_default())
-        }
-        _ => PlanAnswer::Timeout,
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::io::camera::{CameraError, Frame};
+    use crate::io::camera::CameraError;
+    use crate::perception::Scene;
+    use crate::vision::camera::CameraModel;
     use crate::vision::detect::DetectSettings;
+    use crate::vision::foreign::search::ForeignSearch;
     use crate::vision::foreign::search::Inventory;
     use crate::vision::foreign::{Area, ForeignLimits};
     use crate::vision::image::DepthImage;
+    use crate::vision::image::Image;
+    use crate::vision::observe::ObserveLimits;
+    use crate::vision::observe::reference::DriftLimits;
 
     /// A camera whose depth pictures have a size of their own.
     struct Camera {
@@ -267,7 +298,7 @@ mod tests {
     }
 
     /// Two frames of a camera with such depth pictures, for a lens of 64 x 48.
-    fn looked(depth: (u32, u32)) -> Result<(Vec<View>, Image), CameraTrouble> {
+    fn looked(depth: (u32, u32)) -> Result<(Vec<View>, Frame), CameraTrouble> {
         let lens = CameraModel {
             serial: "made up".into(),
             width: 64,
@@ -286,11 +317,15 @@ mod tests {
             own: None,
         };
         let search = ForeignSearch::new(&lens, inventory, ForeignLimits::default()).unwrap();
-        let mut detector = Detector::new(DetectSettings::default()).unwrap();
+        let drift = DriftLimits { residual_m: 1e-3, shift_m: 1e-3, turn_rad: 1e-3 };
+        let limits = ObserveLimits::default();
+        let (objects, reference) = (Vec::new(), Vec::new());
+        let scene = Scene { camera: lens, objects, reference, limits, foreign: Some(search), drift };
+        let mut perception = Perception::new(scene, DetectSettings::default()).unwrap();
         let mut camera = Camera { depth, wanted: true, taken: 0 };
         let down = nalgebra::UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
         let over = Isometry3::from_parts(nalgebra::Translation3::new(0.1, 0.1, 0.5), down);
-        capture((&mut camera, &mut detector), 2, over, &Clock::new(1.0), Some(&search))
+        look(&mut camera, &mut perception, 2, over, &Clock::new(1.0))
     }
 
     #[test]
@@ -299,7 +334,7 @@ mod tests {
         let mapped: Vec<bool> = views.iter().map(|view| view.heights.is_some()).collect();
         assert_eq!(mapped, [false, true], "the last frame comes with depth");
         let told = looked((32, 24)).unwrap_err();
-        assert_eq!((told.code, told.lasting), ("camera_misfit", true));
+        assert_eq!((told.code, told.lasting), (Code::CameraMisfit, true));
         assert!(told.message.contains("32 x 24") && told.message.contains("64 x 48"), "{told:?}");
         assert!(told.remedy.contains("devices.camera"), "{told:?}");
     }

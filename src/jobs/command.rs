@@ -5,6 +5,7 @@
 //! that nobody took (the daemon had just ended) is never obeyed by the next daemon, so an old `arm` cannot
 //! move an arm. The daemon removes the file before it obeys: a command is carried out at most once.
 
+use crate::cell::orders::Reply;
 use crate::io::files::{FileError, create_folder, read_regular, remove, rename_new, write_atomic};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -81,15 +82,6 @@ pub enum RecoverHow {
     Hold,
     /// Vacuum off where it is.
     Release,
-}
-
-/// The daemon's answer.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Reply {
-    /// The daemon does it.
-    pub accepted: bool,
-    /// One sentence; why not, and what to do instead.
-    pub message: String,
 }
 
 #[derive(Serialize, Deserialize)]

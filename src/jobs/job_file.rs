@@ -5,6 +5,7 @@
 //! and column. A goal that overlaps itself, leaves the table or names an unknown object is a complaint here:
 //! such a job is rejected, it does not fail later.
 
+use crate::cell::code::Code;
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaint, Complaints, Location, parse};
 use crate::geometry::pose::Pose2;
@@ -221,7 +222,7 @@ fn refusal(text: &str, name: &str, complaints: &Complaints) -> Refusal {
     } else {
         "correct what the complaints name and submit the file again; `celld check` tells the same beforehand"
     };
-    let mut refusal = Refusal::new(if syntax { "E_SYNTAX" } else { "E_INVALID" }, message, hint);
+    let mut refusal = Refusal::new(if syntax { Code::Syntax } else { Code::Invalid }, message, hint);
     refusal.incomplete = incomplete;
     refusal.complaints = complaints.0.iter().map(detail).collect();
     refusal

@@ -145,8 +145,19 @@ pub struct StepIntent {
     pub from: Pose2,
     /// Where it is put.
     pub to: Pose2,
-    /// "goal" or "buffer".
-    pub kind: String,
+    /// What the place is.
+    pub kind: StepKind,
+}
+
+/// What a pick-n-place leads to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum StepKind {
+    /// The object's goal. Journals of earlier versions call every step a move.
+    #[serde(alias = "move")]
+    Goal,
+    /// A place where it waits.
+    Buffer,
 }
 
 /// How far a step got.
@@ -206,7 +217,7 @@ pub struct JobResult {
     pub id: String,
     /// How it ended.
     pub status: JobStatus,
-    /// Short constant for programs: `OK`, `E_...`.
+    /// For programs, see [`crate::cell::code::Code`].
     pub code: String,
     /// One sentence for people.
     pub message: String,

@@ -6,7 +6,7 @@ use crate::cell::{
 };
 use celld::cli::sim::sim_config;
 use celld::config::load::{load_cell, load_sim};
-use celld::daemon::setup::arm_model;
+use celld::config::setup::arm_model;
 use celld::motion::kinematics::{DhParameters, forward};
 use celld::sim::cell::{RunningSim, start};
 use celld::sim::robot_server::RobotPorts;

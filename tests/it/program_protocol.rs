@@ -6,8 +6,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 
-use celld::device::program::{Nonce, PROGRAM_TEXT, ProgramTemplate, WATCHDOG_FRAMES};
-use celld::device::registers::{CommandRegisters, Opcode};
+use celld::cell::device::program::{Nonce, PROGRAM_TEXT, ProgramTemplate, WATCHDOG_FRAMES};
+use celld::cell::device::registers::{CommandRegisters, Opcode};
 use celld::urscript::compile::compile;
 use celld::urscript::host::{Builtin, BuiltinParameter, Call, Host, Reply};
 use celld::urscript::program::{Program, Progress};

@@ -3,9 +3,9 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 
-use celld::device::program::Nonce;
-use celld::device::robot::Robot;
-use celld::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
+use celld::cell::device::program::Nonce;
+use celld::cell::device::robot::Robot;
+use celld::cell::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
 use celld::motion::kinematics::DhParameters;
 use celld::motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
 use celld::sim::camera_server::CameraSetup;

@@ -3,12 +3,12 @@
 //! In: the cell's configuration and a [`Taken`] round. Out: the three files, or why not; nothing is written unless all of it can be believed.
 //! Whether the camera sits on the flange or stands decides the solver, never the report.
 
+use crate::calibration::files::CalibrationSet;
+use crate::calibration::fit::solve;
 use crate::cli::calibrate::{Fault, RoundArgs, Taken, Wanted, bad_input, touch};
 use crate::cli::task::complain;
 use crate::config::cell::{CameraMount, CellConfig};
-use crate::daemon::calibrate::solve;
-use crate::daemon::calibration_files::CalibrationSet;
-use crate::daemon::setup::reference_markers;
+use crate::config::setup::reference_markers;
 use crate::document::chain::chain;
 use crate::io::files;
 use crate::units::mm_from_m;

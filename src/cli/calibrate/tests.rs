@@ -4,8 +4,8 @@ use super::*;
 use crate::bench::vision::calibrated::{bench_board, board_picture};
 use crate::bench::vision::render::Lens;
 use crate::bench::vision::scene::bench_camera;
-use crate::daemon::calibration_files::CalibrationSet;
-use crate::daemon::setup::reference_markers;
+use crate::calibration::files::CalibrationSet;
+use crate::config::setup::reference_markers;
 use camera::{CameraArgs, calibrate};
 use nalgebra::Isometry3;
 use rand::SeedableRng;
@@ -125,7 +125,7 @@ fn record(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
         let picture = render(&lens, &table_from_camera, &Ground::Plain(140.0), &prints, DEGRADE, &mut random);
         let base_from_flange = table * table_from_camera * mount.inverse();
         let sample = Sample { base_from_flange, detections: vec![] };
-        recording.keep(&Look { pose, image: &picture.to_image(), sample: &sample });
+        recording.keep(&Stop { pose, image: &picture.to_image(), sample: &sample });
     }
     recording.close(&set.camera, &set.hand_eye.provenance).unwrap();
     [mount, table]
@@ -214,7 +214,7 @@ fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
         let picture = render(&lens, &table_from_camera, &Ground::Plain(140.0), &prints, DEGRADE, &mut random);
         let base_from_flange = base_from_camera * camera_from_board * flange_from_board.inverse();
         let sample = Sample { base_from_flange, detections: vec![] };
-        recording.keep(&Look { pose, image: &picture.to_image(), sample: &sample });
+        recording.keep(&Stop { pose, image: &picture.to_image(), sample: &sample });
     }
     recording.close(&camera, &provenance).unwrap();
     [base_from_camera, table]
@@ -389,7 +389,7 @@ fn touches_that_cannot_place_the_table_are_told_before_anything_moves() {
 
 /// How a round through the taught poses over simulated devices ended, where the flange was seen, where it was first and last.
 struct Visited {
-    ended: Result<(), crate::daemon::calibrate::DriveError>,
+    ended: Result<(), crate::daemon::shell::StartError>,
     seen: Vec<Isometry3<f64>>,
     first: Isometry3<f64>,
     last: Isometry3<f64>,
@@ -413,22 +413,21 @@ fn visited(address: &str, change: impl FnOnce(&mut CellConfig, &Isometry3<f64>))
         let flange = || sim.robot().controller().core.base_from_flange();
         let first = flange();
         change(&mut config, &first);
-        let (mut hardware, _) = open_hardware(&config).unwrap();
-        let arm = kinematics(&mut hardware, &|| false).await.unwrap();
-        let camera = tokio::task::block_in_place(|| open_camera(&config, None)).unwrap();
-        let eye =
-            Eye { camera: Box::new(camera), detector: Detector::new(DetectSettings::default()).unwrap() };
+        let mut shell = open_shell(&config, 7).unwrap();
+        let arm = shell.identify(&|| false).await.unwrap();
+        let mut camera = tokio::task::block_in_place(|| open_camera(&config, None)).unwrap();
+        let lens = tokio::task::block_in_place(|| camera.intrinsics()).unwrap();
+        let sight = Sight::Markers(Detector::new(DetectSettings::default()).unwrap());
+        shell.see_with(Eyes { camera: Box::new(camera), sight, doubts: None });
+        shell.commission(nominal_model(&config, &arm, &lens), false);
         let (pressed, seen) = (AtomicBool::new(false), RefCell::new(Vec::new()));
-        let setting = Setting {
-            config: &config,
-            nonce: Nonce::new(7),
-            stop: &|| pressed.load(Ordering::Relaxed),
-            progress: &|look| {
-                seen.borrow_mut().push(look.sample.base_from_flange);
-                pressed.store(true, Ordering::Relaxed);
-            },
+        let progress = |stop: &Stop| {
+            seen.borrow_mut().push(stop.sample.base_from_flange);
+            pressed.store(true, Ordering::Relaxed);
         };
-        let ended = visit(&mut hardware, &arm, &config.calibration_poses, eye, &setting).await.map(|_| ());
+        let order = RoundOrder { poses: config.calibration_poses.clone(), room: config.calibration_box };
+        let stop = || pressed.load(Ordering::Relaxed);
+        let ended = shell.round(order, &mut Samples::new(&progress), &stop).await;
         let last = flange();
         sim.shutdown().await;
         Visited { ended, seen: seen.take(), first, last }
@@ -438,11 +437,7 @@ fn visited(address: &str, change: impl FnOnce(&mut CellConfig, &Isometry3<f64>))
 #[test]
 fn after_ctrl_c_during_a_picture_the_arm_goes_on_standing() {
     let visited = visited("127.7.1.12", |_, _| ());
-    assert!(
-        matches!(visited.ended, Err(crate::daemon::calibrate::DriveError::Stopped)),
-        "{:?}",
-        visited.ended
-    );
+    assert!(matches!(visited.ended, Err(crate::daemon::shell::StartError::Stopped)), "{:?}", visited.ended);
     let moved = (visited.seen[0].inverse() * visited.last).translation.vector.norm();
     assert!(visited.seen.len() == 1 && moved < 1e-4, "moved {moved} m");
 }
@@ -451,7 +446,7 @@ fn after_ctrl_c_during_a_picture_the_arm_goes_on_standing() {
 fn a_taught_pose_outside_the_box_is_refused_and_the_arm_goes_on_standing() {
     let visited = visited("127.7.1.15", |config, flange| {
         let at = flange.translation.vector;
-        config.calibration_box = Some(crate::config::cell::CalibrationBox {
+        config.calibration_box = Some(crate::motion::slow::CalibrationBox {
             low_m: [at.x - 0.01, at.y - 0.01, at.z - 0.01],
             high_m: [at.x + 0.01, at.y + 0.01, at.z + 0.01],
         });

@@ -5,13 +5,12 @@
 //! the file against the table that the camera sees; a disagreement above the limits is an error, and nothing is written.
 
 use crate::cli::calibrate::{Fault, bad_input};
-use crate::cli::daemon::{open_hardware, with_runtime};
+use crate::cli::daemon::{open_shell, with_runtime};
 use crate::cli::task::complain;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::daemon::calibrate::kinematics;
-use crate::daemon::hardware::Hardware;
-use crate::daemon::setup::reference_markers;
+use crate::config::setup::reference_markers;
+use crate::daemon::shell::Shell;
 use crate::document::chain::chain;
 use crate::io::clock::unix_now_s;
 use crate::io::files;
@@ -133,9 +132,9 @@ pub(super) fn run(args: &TouchArgs, stop: Arc<AtomicBool>) -> u8 {
 }
 
 async fn record(config: &CellConfig, args: &TouchArgs, stop: Arc<AtomicBool>) -> Result<(), String> {
-    let (mut hardware, _) = open_hardware(config)?;
+    let mut shell = open_shell(config, (unix_now_s() * 1e3) as u64)?;
     let stopped = || stop.load(Ordering::Relaxed);
-    let arm = kinematics(&mut hardware, &stopped).await.map_err(|error| chain(&error))?;
+    let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;
     let tip = args.tip_mm.map_or_else(|| config.flange_from_tool.translation.vector.into(), |tip| tip.0);
     let mut touches = Touches {
         robot_serial: arm.serial.clone(),
@@ -150,7 +149,7 @@ async fn record(config: &CellConfig, args: &TouchArgs, stop: Arc<AtomicBool>) ->
             index + 1,
             args.points.len()
         );
-        let base_from_flange = read_pose(&mut hardware, &arm.dh, &told, &stopped).await?;
+        let base_from_flange = read_pose(&mut shell, &arm.dh, &told, &stopped).await?;
         let at = base_from_flange * Point3::from(tip);
         complain(&format!("  tip at {:.4}, {:.4}, {:.4} m (base)", at.x, at.y, at.z));
         touches.touches.push(RecordedTouch { target: *target, place: Place::Flange(base_from_flange) });
@@ -169,7 +168,7 @@ const STILL_RAD_S: f64 = 0.01;
 
 /// Where the flange is when the person presses Enter and the arm is still; the robot's messages are taken in meanwhile.
 async fn read_pose(
-    hardware: &mut Hardware,
+    shell: &mut Shell,
     dh: &DhParameters,
     prompt: &str,
     stopped: &dyn Fn() -> bool,
@@ -184,7 +183,7 @@ async fn read_pose(
                 Ok(pressed) => break pressed,
                 Err(TryRecvError::Closed) => break false,
                 Err(TryRecvError::Empty) => {
-                    hardware.next().await;
+                    shell.listen().await;
                 }
             };
             if stopped() {
@@ -195,14 +194,14 @@ async fn read_pose(
             return Err("no more input; nothing was written".into());
         }
         // What was sent before the press is old.
-        hardware.next().await;
-        let now = hardware.now();
-        if !hardware.robot().fresh(now) {
-            let links = hardware.why_down().join("; ");
+        shell.listen().await;
+        let now = shell.now();
+        if !shell.robot_state().is_some_and(|state| state.fresh(now)) {
+            let links = shell.why_down().join("; ");
             complain(&format!("  the robot does not say where it is ({links}); again"));
             continue;
         }
-        match hardware.robot().state() {
+        match shell.robot_state() {
             Some(state) if state.qd.iter().all(|speed| speed.abs() <= STILL_RAD_S) => {
                 return Ok(forward(dh, &state.q));
             }

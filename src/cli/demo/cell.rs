@@ -4,6 +4,7 @@
 //! In: an instance whose objects fit the cell, addresses, a seed. Out: a [`CellConfig`] with nominal values
 //! and a [`SimFile`] whose truth deviates from them by the seed. Nothing measured passes between the two.
 
+use crate::cell::supervisor::model::ForeignRule;
 use crate::cli::demo::teach::{
     BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
 };
@@ -14,11 +15,10 @@ use crate::config::cell::{
 };
 use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::config::read_sim::DEFAULT_ERRORS;
+use crate::config::setup::arm_model;
 use crate::config::simulated::{SimFile, SimMount, SimPorts};
-use crate::daemon::setup::arm_model;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::kinematics::{ARM_MODELS, DhParameters};
-use crate::supervisor::model::ForeignRule;
 use crate::tabletop::instance::Instance;
 use crate::units::Joints;
 use crate::vision::image::quality::PictureLimits;

@@ -16,7 +16,7 @@ use crate::cli::task::TaskArgs;
 use crate::cli::task::outln;
 use crate::cli::values;
 use crate::config::cell::CellConfig;
-use crate::daemon::setup::{CUP_MARGIN_M, check_reach};
+use crate::config::setup::{CUP_MARGIN_M, check_reach};
 use crate::io::priority;
 use crate::jobs::policy::JobObjective;
 use crate::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};

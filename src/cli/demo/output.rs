@@ -4,6 +4,8 @@
 //! folder, the summary on stdout, and the exit code: 0 only if the simulated world itself
 //! says that every object is where the job wanted it.
 
+use crate::cell::supervisor::order::JobEnd;
+use crate::cell::supervisor::order::JobReport;
 use crate::cli::demo::cell::DemoChoice;
 use crate::cli::demo::run::DemoOutcome;
 use crate::cli::demo::watch::Watch;
@@ -16,7 +18,6 @@ use crate::report::plan_svg::plan_svg;
 use crate::report::run::{Drawing, Figures, MoveRow, ObjectRow, Picture, RunReport, deviation};
 use crate::report::summary::summary;
 use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
-use crate::supervisor::order::JobEnd;
 use crate::tabletop::instance::Instance;
 use crate::vision::image::Image;
 use serde_json::json;
@@ -225,7 +226,7 @@ fn result_json(outcome: &DemoOutcome, report: &RunReport, choice: &DemoChoice) -
     let (true_mm, true_deg) = worst(|o| o.truth);
     let (measured_mm, measured_deg) = worst(|o| o.measured);
     let value = json!({
-        "reached": report.reached, "headline": report.headline, "code": job.map(|job| job.code.clone()),
+        "reached": report.reached, "headline": report.headline, "code": job.map(JobReport::code_text),
         "seed": choice.seed, "solver": choice.solver, "objective": choice.objective.word(), "moves": report.figures.moves,
         "buffers": report.figures.buffers, "lower_bound": report.figures.lower_bound,
         "plans": report.figures.plans, "looks": report.figures.looks,

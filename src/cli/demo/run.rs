@@ -3,36 +3,42 @@
 //! In: an instance that fits the cell. Out: [`DemoOutcome`]; files are written by `output`. Calibration comes
 //! first, as in a real cell: the daemon's nominal numbers are off by millimetres.
 
+use crate::calibration::fit::solve;
+use crate::calibration::visit::Samples;
+use crate::cell::orders::Reply;
+use crate::cell::supervisor::input::Record;
+use crate::cell::supervisor::order::{ApprovalRule, JobOrder};
+use crate::cell::supervisor::round::RoundOrder;
+use crate::cell::supervisor::status::Status;
+use crate::cli::daemon::machine_parameters;
 use crate::cli::demo::cell::{DemoChoice, sim_file};
 use crate::cli::demo::watch::Watch;
 use crate::cli::recorder::Recorder;
 use crate::cli::sim::sim_config;
-use crate::config::cell::{CameraDevice, CellConfig};
-use crate::daemon::calibrate::{Eye, Setting, measure, solve};
+use crate::config::cell::{CameraDevice, CellConfig, Devices};
+use crate::config::setup::{Measured, cell_model, nominal_model, scene};
 use crate::daemon::cameras::open_camera;
-use crate::daemon::hardware::{Addresses, Hardware};
-use crate::daemon::office::objective_of;
-use crate::daemon::run::{Office, Shell, Workers, run};
-use crate::daemon::setup::{Measured, cell_model, eye_parameters, gripper_parameters};
-use crate::daemon::workers::spawn_eye;
-use crate::device::program::Nonce;
-use crate::device::robot_types::RobotParameters;
+use crate::daemon::keeper::objective_of;
+use crate::daemon::shell::Shell;
+use crate::daemon::sockets::Addresses;
+use crate::daemon::store::{Keeper, NoOrders};
+use crate::daemon::workers::{Eyes, Sight};
 use crate::document::chain::chain;
 use crate::geometry::pose::Pose2;
 use crate::io::camera::CameraSource;
+use crate::io::camera::supervised::Supervised;
 use crate::io::clock::Clock;
+use crate::perception::Perception;
 use crate::planning::solver::SolverKind;
 use crate::sim::cell::{RunningSim, SimError, start};
 use crate::sim::faults::{FaultError, Planned};
 use crate::sim::robot_server::RobotPorts;
 use crate::sim::world::lock;
-use crate::supervisor::cell::{Cell, Status};
-use crate::supervisor::input::{Input, JournalEntry, OperatorCommand};
-use crate::supervisor::order::{ApprovalRule, JobOrder, JobReport};
 use crate::tabletop::instance::Instance;
 use crate::time::{Duration, Timestamp};
 use crate::vision::calibrate::HandEye;
 use crate::vision::calibration::hand_eye::Mount;
+use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detector};
 use std::path::Path;
 use std::sync::Arc;
@@ -70,9 +76,6 @@ impl From<String> for DemoError {
         DemoError::Failed(sentence)
     }
 }
-
-/// The robot's session, 125 states a second: enough for 10 ms ticks, and a quarter of the work.
-const RTDE_HZ: f64 = 125.0;
 
 /// Runs the demo.
 ///
@@ -116,34 +119,52 @@ async fn with_sim(
     sim: &RunningSim,
     stop: &Arc<AtomicBool>,
 ) -> Result<(HandEye, Watch), String> {
-    let clock = Clock::paced(sim.pace(), choice.time_factor);
     let addresses = Addresses {
         rtde: sim.addresses.robot.rtde,
         dashboard: sim.addresses.robot.dashboard,
         primary: sim.addresses.robot.primary,
         gripper: sim.addresses.modbus,
     };
-    let mut devices = config.devices.clone();
-    let (host, port) = (sim.addresses.camera.ip().to_string(), sim.addresses.camera.port());
-    devices.camera = CameraDevice::Simulator { host, port, depth: true };
-    let mut parameters = RobotParameters::full_rate();
-    parameters.frequency_hz = RTDE_HZ;
-    let mut hardware = Hardware::open(&addresses, clock.clone(), parameters, gripper_parameters(config))
-        .map_err(|error| chain(&error))?;
-    let open = |lens| open_camera(&devices, lens).map_err(|error| chain(&error));
-    let mut camera = open(None)?;
+    let clock = Clock::paced(sim.pace(), choice.time_factor);
+    let parameters = machine_parameters(config, choice.seed.wrapping_add(1));
+    let mut shell = Shell::open(&addresses, clock, parameters).map_err(|error| chain(&error))?;
+    let (calibration, measured) = calibrate(&mut shell, config, sim, stop).await?;
+    let camera = camera_of(config, sim, Some(measured.camera.clone()))?;
+    let scene = scene(config, &measured).map_err(|error| chain(&error))?;
+    let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
+    let sight = Sight::Cell(Box::new(perception));
+    shell.see_with(Eyes { camera: Box::new(camera), sight, doubts: None });
+    let model = cell_model(config, &measured).map_err(|error| error.to_string())?;
+    // Nothing real moves: the cell arms itself.
+    shell.commission(model, true);
+    let job = OneJob { order: Some(order(instance, choice)?), over: stop.clone() };
+    shell.keep_in(Box::new(job), Box::new(NoOrders));
+    let mut watch = Watch::new(Recorder::create(&out.join("run.mcap"), true));
+    shell.run(&mut watch, stop).await.map_err(|error| error.to_string())?;
+    Ok((calibration, watch))
+}
+
+/// Camera and table measured, as on a real cell: the configuration's nominal numbers are off by millimetres.
+async fn calibrate(
+    shell: &mut Shell,
+    config: &CellConfig,
+    sim: &RunningSim,
+    stop: &Arc<AtomicBool>,
+) -> Result<(HandEye, Measured), String> {
+    let mut camera = camera_of(config, sim, None)?;
     let lens = tokio::task::block_in_place(|| camera.intrinsics()).map_err(|error| chain(&error))?;
+    let stopped = || stop.load(Ordering::Relaxed);
+    let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;
     eprintln!("calibrating the camera on the arm ({} poses)", config.calibration_poses.len());
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let setting = Setting {
-        config,
-        nonce: Nonce::new(choice.seed.wrapping_add(1)),
-        stop: &|| stop.load(Ordering::Relaxed),
-        progress: &|look| eprintln!("  pose {}: {} markers", look.pose, look.sample.detections.len()),
-    };
-    let eye = Eye { camera: Box::new(camera), detector };
-    let (arm, samples) = measure(&mut hardware, eye, &setting).await.map_err(|error| chain(&error))?;
-    let calibration = solve(config, &lens, &samples, None).map_err(|error| chain(&error))?;
+    shell.see_with(Eyes { camera: Box::new(camera), sight: Sight::Markers(detector), doubts: None });
+    shell.commission(nominal_model(config, &arm, &lens), false);
+    let round = RoundOrder { poses: config.calibration_poses.clone(), room: config.calibration_box };
+    let progress: &dyn Fn(&crate::calibration::visit::Stop) =
+        &|stop| eprintln!("  pose {}: {} markers", stop.pose, stop.sample.detections.len());
+    let mut samples = Samples::new(progress);
+    shell.round(round, &mut samples, &stopped).await.map_err(|error| chain(&error))?;
+    let calibration = solve(config, &lens, &samples.into_vec(), None).map_err(|error| chain(&error))?;
     eprintln!(
         "calibrated: {:.2} px, {:.2} mm held out",
         calibration.reprojection_px_rms,
@@ -153,21 +174,17 @@ async fn with_sim(
         dh: arm.dh,
         base_from_table: calibration.base_from_table,
         mount: Mount::Flange { flange_from_camera: calibration.flange_from_camera },
-        camera: lens.clone(),
+        camera: lens,
     };
-    let model = cell_model(config, &measured).map_err(|error| error.to_string())?;
-    let (answers_in, answers) = tokio::sync::mpsc::channel(16);
-    let camera = open(Some(lens))?;
-    let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let eye_parameters = eye_parameters(config, &measured).map_err(|error| chain(&error))?;
-    let eye = spawn_eye(Box::new(camera), detector, eye_parameters, clock, answers_in.clone());
-    let mut watch = Watch::new(Recorder::create(&out.join("run.mcap"), true));
-    let office = OneJob { order: Some(order(instance, choice)?), armed: false, over: stop.clone() };
-    let cell = Cell::new(model, choice.seed.wrapping_add(1000));
-    let shell =
-        Shell::new(cell, hardware, Workers { eye, answers, answers_in }, Box::new(office), &mut watch);
-    run(shell, stop).await.map_err(|error| error.to_string())?;
-    Ok((calibration, watch))
+    Ok((calibration, measured))
+}
+
+/// The simulated camera where it listens.
+fn camera_of(config: &CellConfig, sim: &RunningSim, lens: Option<CameraModel>) -> Result<Supervised, String> {
+    let (host, port) = (sim.addresses.camera.ip().to_string(), sim.addresses.camera.port());
+    let camera = CameraDevice::Simulator { host, port, depth: true };
+    let devices = Devices { camera, ..config.devices.clone() };
+    open_camera(&devices, lens).map_err(|error| chain(&error))
 }
 
 fn order(instance: &Instance, choice: &DemoChoice) -> Result<JobOrder, String> {
@@ -184,31 +201,30 @@ fn order(instance: &Instance, choice: &DemoChoice) -> Result<JobOrder, String> {
     })
 }
 
-/// The demo's office: one job, armed at once because nothing real moves, over when the job is.
+/// The demo's keeper: one job, over when the job is. Nothing is kept.
 struct OneJob {
     order: Option<JobOrder>,
-    armed: bool,
     over: Arc<AtomicBool>,
 }
 
-impl Office for OneJob {
-    fn commands(&mut self) -> Vec<Input> {
-        let armed = std::mem::replace(&mut self.armed, true);
-        if armed { Vec::new() } else { vec![Input::Operator(OperatorCommand::Arm)] }
-    }
-
-    fn jobs(&mut self, _now: Timestamp, wants_job: bool) -> Vec<Input> {
-        let order = if wants_job { self.order.take() } else { None };
-        order.map(|order| Input::Job(Box::new(order))).into_iter().collect()
-    }
-
-    fn journal(&mut self, _entry: &JournalEntry) -> Result<(), String> {
+impl Keeper for OneJob {
+    fn commit(&mut self, record: &Record) -> Result<(), String> {
+        if let Record::Ended(_) = record {
+            self.over.store(true, Ordering::Relaxed);
+        }
         Ok(())
     }
 
-    fn finished(&mut self, _report: &JobReport) -> Result<(), String> {
-        self.over.store(true, Ordering::Relaxed);
-        Ok(())
+    fn look_after(&mut self, _now: Timestamp) -> Vec<String> {
+        Vec::new()
+    }
+
+    fn claim(&mut self) -> Option<JobOrder> {
+        self.order.take()
+    }
+
+    fn cancel_waiting(&mut self, _id: &str) -> Option<Reply> {
+        None
     }
 
     fn status(&mut self, _status: &Status) {}

@@ -3,11 +3,11 @@
 //!
 //! In: the daemon's events. Out: [`Watch`], from which the report is made, a recording, and lines on stderr.
 
+use crate::cell::supervisor::order::JobReport;
 use crate::cli::recorder::Recorder;
-use crate::daemon::run::{Event, Observer};
+use crate::daemon::shell::{Observer, Scene, Shown};
 use crate::geometry::pose::Pose2;
 use crate::report::run::LogRow;
-use crate::supervisor::order::JobReport;
 use crate::time::Timestamp;
 use crate::vision::annotate::draw_detections;
 use crate::vision::image::Image;
@@ -122,26 +122,26 @@ impl Watch {
 }
 
 impl Observer for Watch {
-    fn on(&mut self, now: Timestamp, event: Event) {
-        self.recorder.on(now, &event);
-        match event {
-            Event::Status(status) => {
-                self.bar.set_message(status.phase.clone());
+    fn on(&mut self, now: Timestamp, scene: Scene) {
+        self.recorder.on(now, &scene);
+        match scene {
+            Scene::Status(status) => {
+                self.bar.set_message(status.text());
                 self.bar.tick();
             }
-            Event::Notice(notice) => {
+            Scene::Notice(notice) => {
                 let level = if notice.alarm { "warn" } else { "info" };
                 self.bar.println(format!("{:8.1} s  {}", now.as_secs_f64(), notice.text));
                 self.log.push(LogRow { seconds: now.as_secs_f64(), level, text: notice.text.clone() });
             }
-            Event::Picture { image, views } => {
+            Scene::Shown(Shown::Picture { image, views }) => {
                 let detections = views.last().map_or(&[][..], |view| &view.detections);
                 self.picture(image, detections);
             }
-            Event::Observed(observation) => self.observed(observation),
-            Event::Route(route) => self.routed(now, route),
-            Event::Robot(_) => {}
-            Event::Finished(report) => self.report = Some(report.clone()),
+            Scene::Shown(Shown::Observed(observation)) => self.observed(observation),
+            Scene::Shown(Shown::Sample { .. }) | Scene::Robot(_) => {}
+            Scene::Route(route) => self.routed(now, route),
+            Scene::Ended(report) => self.report = Some(report.clone()),
         }
     }
 }

@@ -3,12 +3,13 @@
 //! In: the cell's configuration and calibration, the markers of a picture, a depth picture aligned to it. Out: sentences, JSON and
 //! outlines to draw. Where the picture was taken is told by the reference markers in it.
 
-use crate::cli::capture::{objects, told, where_taken};
+use crate::cli::capture::{perception, told};
 use crate::cli::detect::{read_bytes, read_camera};
 use crate::config::cell::{CameraMount, CellConfig};
 use crate::config::load::load_cell;
-use crate::daemon::setup::{inventory, reference_markers};
+use crate::config::setup::{inventory, reference_markers};
 use crate::document::chain::chain;
+use crate::perception::place::where_taken;
 use crate::time::Timestamp;
 use crate::vision::annotate::{self, BAD, GOOD, Overlay};
 use crate::vision::camera::CameraModel;
@@ -18,7 +19,7 @@ use crate::vision::foreign::ForeignLimits;
 use crate::vision::foreign::search::ForeignSearch;
 use crate::vision::image::depth::UNIT_M;
 use crate::vision::image::{DepthImage, Image};
-use crate::vision::observe::{Observation, ObserveLimits, View, observe};
+use crate::vision::observe::{Observation, View};
 use nalgebra::Isometry3;
 use std::fmt::Write;
 use std::path::Path;
@@ -53,11 +54,10 @@ impl Cell {
     /// The table in a picture with these markers.
     pub fn look(self, detections: &[Detection], depth: Option<&Path>) -> Result<Table, String> {
         let Cell { config, lens } = self;
-        let reference = reference_markers(&config);
         // Markers of the cell are of one family; in others the same numbers mean nothing to it.
         let own = detections.iter().filter(|detection| detection.family == Family::Tag36h11.name());
         let detections: Vec<Detection> = own.cloned().collect();
-        let table_from_camera = where_taken(&lens, &reference, &detections)?;
+        let table_from_camera = where_taken(&lens, &reference_markers(&config), &detections)?;
         let depth = depth.map(read_depth).transpose()?;
         let search = depth.as_ref().map(|_| search(&config, &lens)).transpose()?;
         let heights = match (&search, &depth) {
@@ -66,11 +66,9 @@ impl Cell {
             }
             _ => None,
         };
-        let views = [View { table_from_camera, detections, time: Timestamp::ZERO, heights }];
-        let marked = objects(&config);
-        let mut seen = observe(&marked, &reference, &lens, &views, &ObserveLimits::default())
-            .map_err(|error| chain(&error))?;
-        seen.foreign = search.and_then(|search| search.report(&views, &seen));
+        let view = View { table_from_camera, detections, time: Timestamp::ZERO, heights };
+        let perception = perception(&config, lens.clone(), search)?;
+        let seen = perception.observe(&[view]).map_err(|error| chain(&error))?;
         Ok(Table { seen, config, lens, table_from_camera })
     }
 }

@@ -3,6 +3,7 @@
 //! In: rows, records. Out: records, JSON text. A job whose file is being moved is recognised by the file's
 //! identity (device, inode, size, time), so a crash between commit and rename is not a duplicate.
 
+use crate::cell::code::Code;
 use crate::io::files::FileIdentity;
 use crate::jobs::journal::{Claim, NewJob};
 use crate::jobs::record::{JobRecord, JobResult, JobStatus, ObjectResult, StepPhase, StepRecord};
@@ -123,7 +124,7 @@ pub(super) fn interrupted(
     JobResult {
         id: job.id.clone(),
         status: JobStatus::Interrupted,
-        code: if holding { "E_INTERRUPTED_CARRYING" } else { "E_INTERRUPTED" }.to_owned(),
+        code: if holding { Code::InterruptedCarrying } else { Code::Interrupted }.word().to_owned(),
         message: format!(
             "celld ended during step {} ({object:?}, {}); how far the motion got is not known",
             open.step,

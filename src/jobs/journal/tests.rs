@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::geometry::pose::Pose2;
-use crate::jobs::record::{JobStatus, StepIntent};
+use crate::jobs::record::{JobStatus, StepIntent, StepKind};
 
 const NOW: f64 = 1_795_248_000.0;
 
@@ -32,7 +32,7 @@ fn intent() -> StepIntent {
         object: "mug".into(),
         from: Pose2::default(),
         to: Pose2::new(0.1, 0.2, 0.3),
-        kind: "goal".into(),
+        kind: StepKind::Goal,
     }
 }
 
@@ -164,21 +164,21 @@ fn after_a_crash_only_a_job_at_rest_goes_on() {
         |journal| {
             intend(journal);
         },
-        "interrupted E_INTERRUPTED",
+        "interrupted interrupted",
     );
     check_recovery(
         |journal| {
             intend(journal);
             journal.step_gripped("a", 1, NOW).unwrap();
         },
-        "interrupted E_INTERRUPTED_CARRYING",
+        "interrupted interrupted_carrying",
     );
     check_recovery(
         |journal| {
             intend(journal);
             journal.step_released("a", 1, NOW).unwrap();
         },
-        "interrupted E_INTERRUPTED",
+        "interrupted interrupted",
     );
     check_recovery(
         |journal| {

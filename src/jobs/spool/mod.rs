@@ -14,6 +14,7 @@ mod scan;
 #[cfg(test)]
 mod tests;
 
+use crate::cell::code::Code;
 use crate::io::files::{FileError, create_folder};
 use crate::jobs::journal::JournalError;
 use crate::jobs::record::{JobSpec, quoted};
@@ -84,8 +85,8 @@ impl SpoolSettings {
 /// What the reader of job files says about a file it does not accept.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Refusal {
-    /// Constant for programs.
-    pub code: String,
+    /// For programs.
+    pub code: Code,
     /// One sentence.
     pub message: String,
     /// What to do.
@@ -113,9 +114,9 @@ pub struct RefusalDetail {
 
 impl Refusal {
     /// A refusal without places.
-    pub fn new(code: &str, message: impl Into<String>, hint: impl Into<String>) -> Refusal {
+    pub fn new(code: Code, message: impl Into<String>, hint: impl Into<String>) -> Refusal {
         Refusal {
-            code: code.to_owned(),
+            code,
             message: message.into(),
             hint: hint.into(),
             complaints: Vec::new(),
@@ -126,7 +127,7 @@ impl Refusal {
     fn to_yaml(&self, name: &str, sha256: Option<&str>, unix_s: f64) -> String {
         let mut yaml = format!(
             "version: 1\ncode: {}\nmessage: {}\nhint: {}\nfile: {}\n",
-            quoted(&self.code),
+            quoted(self.code.word()),
             quoted(&self.message),
             quoted(&self.hint),
             quoted(name)
@@ -174,7 +175,7 @@ pub enum SpoolEvent {
         /// Name in `incoming`.
         name: String,
         /// Constant for programs.
-        code: String,
+        code: Code,
         /// One sentence.
         message: String,
         /// The reason file.

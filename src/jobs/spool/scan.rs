@@ -3,6 +3,7 @@
 //! In: the folder, the journal, the reader of job files, the time. Out: events. A file that changes while it
 //! is read is watched again; a file that cannot be handled stays and is reported once.
 
+use crate::cell::code::Code;
 use crate::io::files::{FileError, FileIdentity, Unfit, identify, read_regular, remove};
 use crate::jobs::journal::places::NewRejection;
 use crate::jobs::journal::{Claim, Journal, NewJob};
@@ -148,7 +149,7 @@ impl Spool {
         let sha256 = hex(&Sha256::digest(text.as_bytes()));
         if !is_plain_name(&entry.name) {
             let refusal = Refusal::new(
-                "E_NAME",
+                Code::BadName,
                 "file names of jobs have 1 to 80 letters, digits, dots, dashes and underscores",
                 "rename the file",
             );
@@ -158,7 +159,7 @@ impl Spool {
             Err(refusal) if refusal.incomplete && self.may_grow(&entry.name, round.now) => Ok(None),
             Err(mut refusal) => {
                 if refusal.incomplete {
-                    refusal.code = "E_INCOMPLETE".to_owned();
+                    refusal.code = Code::Incomplete;
                 }
                 self.refuse(journal, entry, &identity, &refusal, Some(&sha256), round).map(Some)
             }
@@ -197,7 +198,7 @@ impl Spool {
             }
             Claim::Duplicate { of } => self.duplicate(journal, &of)?,
             Claim::Conflict { with } => Refusal::new(
-                "E_ID_CONFLICT",
+                Code::IdConflict,
                 format!("another job is known as {with:?}, with other content"),
                 "give the job an id of its own, or none",
             ),
@@ -208,7 +209,7 @@ impl Spool {
     fn duplicate(&self, journal: &Journal, of: &str) -> Result<Refusal, SpoolError> {
         let folder = self.folder_of(journal, of)?.unwrap_or_default();
         Ok(Refusal::new(
-            "E_DUPLICATE",
+            Code::Duplicate,
             format!("job {of:?} with this content is known already; see {}", folder.display()),
             "nothing to do if this was a repeated submission; to run it again add `rerun: true`",
         ))
@@ -223,9 +224,9 @@ impl Spool {
         round: &Round,
     ) -> Result<SpoolEvent, SpoolError> {
         let code = match problem {
-            Unfit::NotRegular | Unfit::HardLinked(_) => "E_NOT_A_PLAIN_FILE",
-            Unfit::TooLarge(_) => "E_TOO_LARGE",
-            Unfit::NotText => "E_NOT_TEXT",
+            Unfit::NotRegular | Unfit::HardLinked(_) => Code::NotAPlainFile,
+            Unfit::TooLarge(_) => Code::TooLarge,
+            Unfit::NotText => Code::NotText,
         };
         let refusal = Refusal::new(code, problem.to_string(), "copy the job's text into a new file here");
         self.refuse(journal, entry, identity, &refusal, None, round)
@@ -246,9 +247,9 @@ impl Spool {
         let new = NewRejection {
             name: &entry.name,
             stored: &stored,
-            code: &refusal.code,
+            code: refusal.code.word(),
             reason: &reason,
-            moves: refusal.code != "E_NOT_A_PLAIN_FILE",
+            moves: refusal.code != Code::NotAPlainFile,
             source: identity,
         };
         journal.reject(&new, round.unix_s)?;
@@ -258,7 +259,7 @@ impl Spool {
         }
         Ok(SpoolEvent::Rejected {
             name: entry.name.clone(),
-            code: refusal.code.clone(),
+            code: refusal.code,
             message: refusal.message.clone(),
             reason: self.reason_path(&stored),
         })

@@ -3,7 +3,7 @@
 use super::*;
 use crate::geometry::pose::Pose2;
 use crate::jobs::journal::{Journal, Recovered};
-use crate::jobs::record::{JobResult, JobState, JobStatus, StepIntent};
+use crate::jobs::record::{JobResult, JobState, JobStatus, StepIntent, StepKind};
 use std::fs;
 
 const NOW: f64 = 1_795_248_000.0;
@@ -12,7 +12,7 @@ const NOW: f64 = 1_795_248_000.0;
 /// text makes it incomplete.
 fn read(text: &str, _name: &str) -> Result<JobSpec, Refusal> {
     if !text.starts_with("goal") {
-        let mut refusal = Refusal::new("E_INVALID", "1 complaint", "correct the file");
+        let mut refusal = Refusal::new(Code::Invalid, "1 complaint", "correct the file");
         refusal.incomplete = text.ends_with("open");
         refusal.complaints.push(RefusalDetail {
             path: "goal".into(),
@@ -93,10 +93,10 @@ impl Bench {
 }
 
 #[track_caller]
-fn check_rejected(events: &[SpoolEvent], expected_name: &str, expected_code: &str) {
+fn check_rejected(events: &[SpoolEvent], expected_name: &str, expected_code: Code) {
     match events {
         [SpoolEvent::Rejected { name, code, reason, .. }] => {
-            assert_eq!((name.as_str(), code.as_str()), (expected_name, expected_code));
+            assert_eq!((name.as_str(), *code), (expected_name, expected_code));
             let text = fs::read_to_string(reason).unwrap();
             assert!(text.contains(&format!("code: \"{expected_code}\"")), "{text}");
         }
@@ -128,7 +128,7 @@ fn a_bad_file_lies_beside_its_reason() {
     for round in 0..2 {
         bench.drop_file("bad.yaml", "gaol");
         bench.scan(round * 10_000);
-        check_rejected(&bench.scan(round * 10_000 + 500), "bad.yaml", "E_INVALID");
+        check_rejected(&bench.scan(round * 10_000 + 500), "bad.yaml", Code::Invalid);
     }
     assert_eq!(
         bench.files(),
@@ -153,7 +153,7 @@ fn a_file_that_ends_in_the_middle_is_given_time() {
     bench.drop_file("torn.yaml", "{open");
     bench.scan(10_000);
     assert!(bench.scan(11_900).is_empty());
-    check_rejected(&bench.scan(12_000), "torn.yaml", "E_INCOMPLETE");
+    check_rejected(&bench.scan(12_000), "torn.yaml", Code::Incomplete);
 }
 
 #[test]
@@ -164,15 +164,15 @@ fn what_is_no_plain_file_stays_and_is_reported_once() {
     bench.drop_file("upload.yaml.part", "goal");
     fs::write(bench.state.path().join("secret"), "goal").unwrap();
     std::os::unix::fs::symlink(bench.state.path().join("secret"), incoming.join("link.yaml")).unwrap();
-    check_rejected(&bench.scan(0), "link.yaml", "E_NOT_A_PLAIN_FILE");
+    check_rejected(&bench.scan(0), "link.yaml", Code::NotAPlainFile);
     assert!(bench.scan(10_000).is_empty());
     fs::create_dir(incoming.join("folder.yaml")).unwrap();
-    check_rejected(&bench.scan(10_100), "folder.yaml", "E_NOT_A_PLAIN_FILE");
+    check_rejected(&bench.scan(10_100), "folder.yaml", Code::NotAPlainFile);
     fs::write(incoming.join("folder.yaml/inside"), "goal").unwrap();
     assert!(bench.scan(20_000).is_empty(), "the same folder with other content");
     fs::hard_link(bench.state.path().join("secret"), incoming.join("hard.yaml")).unwrap();
     bench.scan(30_000);
-    check_rejected(&bench.scan(31_000), "hard.yaml", "E_NOT_A_PLAIN_FILE");
+    check_rejected(&bench.scan(31_000), "hard.yaml", Code::NotAPlainFile);
     let mut bench = bench.restart();
     bench.scan(0);
     assert!(bench.scan(10_000).is_empty(), "a restart does not report them again");
@@ -186,13 +186,13 @@ fn odd_names_and_contents_are_refused() {
     let mut bench = Bench::new();
     bench.drop_file("two words.yaml", "goal");
     bench.scan(0);
-    check_rejected(&bench.scan(500), "two words.yaml", "E_NAME");
+    check_rejected(&bench.scan(500), "two words.yaml", Code::BadName);
     fs::write(bench.spool.incoming().join("bytes.yaml"), [0xff_u8; 4]).unwrap();
     bench.scan(1000);
-    check_rejected(&bench.scan(1500), "bytes.yaml", "E_NOT_TEXT");
+    check_rejected(&bench.scan(1500), "bytes.yaml", Code::NotText);
     fs::write(bench.spool.incoming().join("large.yaml"), vec![b'x'; 256 * 1024 + 1]).unwrap();
     bench.scan(2000);
-    check_rejected(&bench.scan(2500), "large.yaml", "E_TOO_LARGE");
+    check_rejected(&bench.scan(2500), "large.yaml", Code::TooLarge);
     assert!(bench.files().iter().all(|file| file.starts_with("rejected/")));
     assert!(bench.files().contains(&"rejected/two_words.yaml".to_owned()));
 }
@@ -202,8 +202,8 @@ fn the_same_id_is_taken_once() {
     let mut bench = Bench::new();
     for (at, name, text, code) in [
         (0, "one.yaml", "goal\nid a", None),
-        (10_000, "two.yaml", "goal\nid a", Some("E_DUPLICATE")),
-        (20_000, "three.yaml", "goal other\nid a", Some("E_ID_CONFLICT")),
+        (10_000, "two.yaml", "goal\nid a", Some(Code::Duplicate)),
+        (20_000, "three.yaml", "goal other\nid a", Some(Code::IdConflict)),
     ] {
         bench.drop_file(name, text);
         bench.scan(at);
@@ -311,7 +311,7 @@ fn work(bench: &mut Bench, motions: &mut Vec<(String, u32)>) -> Result<(), Spool
         spool.reconcile(journal)?;
         for _ in 0..2 {
             let pose = Pose2::default();
-            let intent = StepIntent { object: "mug".into(), from: pose, to: pose, kind: "goal".into() };
+            let intent = StepIntent { object: "mug".into(), from: pose, to: pose, kind: StepKind::Goal };
             let step = journal.step_intent(&job.id, &intent, NOW)?;
             motions.push((job.id.clone(), step));
             spool.point()?;
@@ -395,7 +395,7 @@ fn an_interrupted_step_ends_the_job_with_a_named_state() {
     bench.scan(500);
     bench.journal.start("a", NOW).unwrap();
     let pose = Pose2::default();
-    let intent = StepIntent { object: "mug".into(), from: pose, to: pose, kind: "buffer".into() };
+    let intent = StepIntent { object: "mug".into(), from: pose, to: pose, kind: StepKind::Buffer };
     bench.journal.step_intent("a", &intent, NOW).unwrap();
     let recovered = bench.journal.recover(NOW).unwrap();
     assert!(matches!(recovered.as_slice(), [Recovered::Interrupted { id, .. }] if id == "a"));

@@ -1,0 +1,538 @@
+//! VGC10 vacuum gripper over Modbus: grip and verify, hold and watch, release and verify.
+//!
+//! In: [`GripperCommand`]s, answers to Modbus requests, the time. Out: [`ModbusRequest`]s (one at a time),
+//! [`GripperEvent`]s. Vacuum is relative, as a fraction (0 ambient, 0.6 = 60 %). The device has no "part
+//! detected": vacuum over a threshold within a time is all there is. It has no watchdog either: without us it goes
+//! on as last told, which is what a held object needs.
+//!
+//! Registers (hardware/gripper/README.md): 0, 1 control of channel A, B; 258, 259 their vacuum in per mille.
+//! Only the registers of the channels in question are written, so that nothing is released by the way.
+
+use crate::cell::device::outbox::{Outbox, earlier};
+use crate::time::{Duration, Timestamp};
+use std::collections::VecDeque;
+
+/// First control register, channel A; B follows.
+pub const CONTROL: u16 = 0;
+/// First vacuum register, channel A; B follows. Per mille.
+pub const VACUUM: u16 = 258;
+/// Modbus unit of a single or primary tool.
+pub const UNIT: u8 = 65;
+/// Highest vacuum that may be asked for.
+pub const MAX_TARGET: f64 = 0.8;
+
+/// Reading while an object is or may be held: 50 Hz.
+const READ_BUSY: Duration = Duration::from_millis(20);
+/// Reading otherwise: 10 Hz.
+const READ_IDLE: Duration = Duration::from_millis(100);
+/// An answer may take this long; each such span without one counts as a failure.
+const ANSWER_WITHIN: Duration = Duration::from_millis(200);
+/// Failures in a row before the gripper counts as unreachable, and tries of a command.
+const MAX_FAILURES: u32 = 3;
+/// Below the threshold for longer than this and the object counts as lost: readings are noisy.
+const LOST_AFTER: Duration = Duration::from_millis(50);
+/// Readings in a row over the threshold that make a grip.
+const GOOD_READINGS: u32 = 2;
+/// Below this a channel counts as released.
+const RELEASED_BELOW: f64 = 0.05;
+/// A reading beyond the possible, overshoot and noise included, is no reading.
+const MAX_PER_MILLE: u16 = 1050;
+/// Commands that may wait.
+const MAX_WAITING: usize = 4;
+
+/// Which channels; at least one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channels {
+    /// A.
+    A,
+    /// B.
+    B,
+    /// Both, acting at once.
+    Both,
+}
+
+impl Channels {
+    /// For sentences.
+    pub fn word(self) -> &'static str {
+        match self {
+            Channels::A => "channel A",
+            Channels::B => "channel B",
+            Channels::Both => "both channels",
+        }
+    }
+
+    fn first_register(self) -> u16 {
+        match self {
+            Channels::A | Channels::Both => CONTROL,
+            Channels::B => CONTROL + 1,
+        }
+    }
+
+    fn count(self) -> usize {
+        if self == Channels::Both { 2 } else { 1 }
+    }
+
+    /// The lowest vacuum of these channels: a grip is as good as its worst cup.
+    fn lowest(self, vacuum: [f64; 2]) -> f64 {
+        match self {
+            Channels::A => vacuum[0],
+            Channels::B => vacuum[1],
+            Channels::Both => vacuum[0].min(vacuum[1]),
+        }
+    }
+
+    fn highest(self, vacuum: [f64; 2]) -> f64 {
+        match self {
+            Channels::A => vacuum[0],
+            Channels::B => vacuum[1],
+            Channels::Both => vacuum[0].max(vacuum[1]),
+        }
+    }
+}
+
+/// What the session needs to know; measured or decided for the cell, so nothing has a default.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GripperParameters {
+    /// Vacuum from which on an object counts as gripped, fraction.
+    pub vacuum_min: f64,
+    /// Vacuum below which a held object counts as lost, fraction; a little below `vacuum_min`.
+    pub vacuum_hold: f64,
+    /// Time for reaching `vacuum_min`.
+    pub grip_within: Duration,
+    /// Time for letting the air in.
+    pub release_within: Duration,
+}
+
+/// What may be asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum GripperCommand {
+    /// Pump on, up to `target` (fraction, at most 0.8).
+    Grip {
+        /// Which channels.
+        channels: Channels,
+        /// Vacuum to keep.
+        target: f64,
+    },
+    /// Vents open. Whoever asks makes sure that the object is placed, or that a person wants it.
+    Release {
+        /// Which channels.
+        channels: Channels,
+    },
+    /// Pump off, vents shut, both channels; refused while something is or may be held.
+    Idle,
+}
+
+/// Why a command was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum GripperRefused {
+    /// Vacuum outside what the device can do.
+    #[error("vacuum target {0} is outside 0.05 to 0.8")]
+    Target(f64),
+    /// Something is or may be held.
+    #[error("the gripper holds, or is about to")]
+    Holding,
+    /// Commands wait for a gripper that does not answer.
+    #[error("{0} commands are waiting already")]
+    QueueFull(usize),
+}
+
+/// A request to be sent; exactly one answer is expected, an error if none comes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ModbusRequest {
+    /// Read holding registers (function 3).
+    Read {
+        /// First register.
+        address: u16,
+        /// How many.
+        count: u16,
+    },
+    /// Write registers (function 16).
+    Write {
+        /// First register.
+        address: u16,
+        /// Their values.
+        values: Vec<u16>,
+    },
+}
+
+/// Why a request got no answer.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ModbusFailure {
+    /// Nothing came.
+    #[error("no answer in time")]
+    Timeout,
+    /// The device said no.
+    #[error("Modbus exception {0}")]
+    Exception(u8),
+    /// The connection is gone or was never there.
+    #[error("connection: {0}")]
+    Connection(String),
+    /// An answer that is none.
+    #[error("malformed answer: {0}")]
+    Malformed(String),
+}
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum GripperEvent {
+    /// The object is held.
+    Gripped {
+        /// Lowest vacuum of the channels used.
+        vacuum: f64,
+    },
+    /// The vacuum did not come, or the command did not get through; the pump may still be on.
+    GripFailed {
+        /// Lowest vacuum of the channels used; NaN never, 0 if there was no reading.
+        vacuum: f64,
+    },
+    /// The air is in.
+    Released,
+    /// The air did not get in, or the command did not get through; the object may still hang there.
+    ReleaseFailed {
+        /// Highest vacuum of the channels released.
+        vacuum: f64,
+    },
+    /// What was held is held no more. Reported once.
+    VacuumLost {
+        /// Lowest vacuum of the channels used.
+        vacuum: f64,
+    },
+    /// No answer three times in a row. Reported once until it answers again.
+    Unreachable {
+        /// Failures in a row.
+        failures: u32,
+        /// The last one.
+        cause: ModbusFailure,
+    },
+    /// It answers: the first time, or again.
+    Answering,
+    /// A command was not taken; nothing of it reaches the device.
+    Refused,
+    /// A reading of both channels, A and B, as fractions.
+    Reading {
+        /// Vacuum of A and B.
+        vacuum: [f64; 2],
+    },
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Hold {
+    /// Nothing that we know of.
+    Empty,
+    Gripping {
+        channels: Channels,
+        deadline: Timestamp,
+        good: u32,
+    },
+    Holding {
+        channels: Channels,
+        low_since: Option<Timestamp>,
+    },
+    /// Gripped or tried to, without success; the pump may be on.
+    Failed,
+    Releasing {
+        channels: Channels,
+        deadline: Timestamp,
+    },
+}
+
+struct Outstanding {
+    request: ModbusRequest,
+    /// When the next failure counts.
+    deadline: Timestamp,
+    tries: u32,
+}
+
+/// The session. See the module.
+pub struct Gripper {
+    parameters: GripperParameters,
+    hold: Hold,
+    waiting: VecDeque<(Vec<u16>, u16)>,
+    outstanding: Option<Outstanding>,
+    /// A write to try again, not before the time.
+    again: Option<(Timestamp, ModbusRequest, u32)>,
+    /// The last command got through.
+    written: bool,
+    next_read: Timestamp,
+    failures: u32,
+    answering: bool,
+    unreachable_told: bool,
+    reading: Option<(Timestamp, [f64; 2])>,
+    outbox: Outbox<GripperEvent>,
+}
+
+impl Gripper {
+    /// A session that starts by reading.
+    pub fn new(parameters: GripperParameters) -> Gripper {
+        Gripper {
+            parameters,
+            hold: Hold::Empty,
+            waiting: VecDeque::new(),
+            outstanding: None,
+            again: None,
+            written: false,
+            next_read: Timestamp::ZERO,
+            failures: 0,
+            answering: false,
+            unreachable_told: false,
+            reading: None,
+            outbox: Outbox::default(),
+        }
+    }
+
+    /// Asks for something. The event that it leads to comes in any case: done, or failed after its deadline.
+    ///
+    /// # Errors
+    /// Why it is not done; then nothing has changed.
+    pub fn command(&mut self, now: Timestamp, command: GripperCommand) -> Result<(), GripperRefused> {
+        if self.waiting.len() >= MAX_WAITING {
+            return Err(GripperRefused::QueueFull(self.waiting.len()));
+        }
+        match command {
+            GripperCommand::Grip { channels, target } => {
+                if !(0.05..=MAX_TARGET).contains(&target) {
+                    return Err(GripperRefused::Target(target));
+                }
+                if matches!(self.hold, Hold::Gripping { .. } | Hold::Holding { .. } | Hold::Releasing { .. })
+                {
+                    return Err(GripperRefused::Holding);
+                }
+                let deadline = now + self.parameters.grip_within;
+                self.hold = Hold::Gripping { channels, deadline, good: 0 };
+                self.write(channels, grip_word(target));
+            }
+            GripperCommand::Release { channels } => {
+                let deadline = now + self.parameters.release_within;
+                self.hold = Hold::Releasing { channels, deadline };
+                // A grip that has not gone out yet must not follow the release.
+                self.waiting.clear();
+                self.again = None;
+                self.write(channels, RELEASE);
+            }
+            GripperCommand::Idle => {
+                if !matches!(self.hold, Hold::Empty) {
+                    return Err(GripperRefused::Holding);
+                }
+                self.write(Channels::Both, IDLE);
+            }
+        }
+        self.next_read = now;
+        Ok(())
+    }
+
+    /// The next request; `None` while one is under way or nothing is due.
+    pub fn poll_request(&mut self, now: Timestamp) -> Option<ModbusRequest> {
+        if self.outstanding.is_some() {
+            return None;
+        }
+        let (request, tries) = self.next_request(now)?;
+        let deadline = now + ANSWER_WITHIN;
+        self.outstanding = Some(Outstanding { request: request.clone(), deadline, tries });
+        Some(request)
+    }
+
+    fn next_request(&mut self, now: Timestamp) -> Option<(ModbusRequest, u32)> {
+        if let Some((_, request, tries)) = self.again.take_if(|(at, ..)| *at <= now) {
+            return Some((request, tries));
+        }
+        if self.again.is_none()
+            && let Some((values, address)) = self.waiting.pop_front()
+        {
+            return Some((ModbusRequest::Write { address, values }, 1));
+        }
+        if now < self.next_read {
+            return None;
+        }
+        self.next_read = now + self.read_interval();
+        Some((ModbusRequest::Read { address: VACUUM, count: 2 }, 1))
+    }
+
+    /// The answer to the request that is under way; an answer without a request is ignored.
+    pub fn response(&mut self, now: Timestamp, answer: Result<Vec<u16>, ModbusFailure>) {
+        let Some(outstanding) = self.outstanding.take() else { return };
+        match (&outstanding.request, answer) {
+            (ModbusRequest::Write { .. }, Ok(_)) => {
+                self.answered();
+                self.written = self.waiting.is_empty();
+            }
+            (ModbusRequest::Read { .. }, Ok(words)) => match vacuum_of(&words) {
+                Ok(vacuum) => {
+                    self.answered();
+                    self.reading = Some((now, vacuum));
+                    self.take_reading(now, vacuum);
+                }
+                Err(failure) => self.failed(failure),
+            },
+            (ModbusRequest::Read { .. }, Err(failure)) => self.failed(failure),
+            (ModbusRequest::Write { .. }, Err(failure)) => {
+                self.failed(failure);
+                self.write_failed(now, outstanding);
+            }
+        }
+    }
+
+    /// Time went by, and the answer that has arrived by now, if any, was handed over.
+    pub fn tick(&mut self, now: Timestamp) {
+        self.check_deadlines(now);
+    }
+
+    fn check_deadlines(&mut self, now: Timestamp) {
+        if let Some(outstanding) = &mut self.outstanding
+            && now >= outstanding.deadline
+        {
+            // It stays under way: an answer that comes late must not be taken for that of another request.
+            outstanding.deadline = now + ANSWER_WITHIN;
+            self.failed(ModbusFailure::Timeout);
+        }
+        let vacuum = self.reading.map_or([0.0; 2], |(_, vacuum)| vacuum);
+        match self.hold {
+            Hold::Gripping { channels, deadline, .. } if now >= deadline => {
+                self.hold = Hold::Failed;
+                self.forget_writes();
+                self.outbox.report(GripperEvent::GripFailed { vacuum: channels.lowest(vacuum) });
+            }
+            Hold::Releasing { channels, deadline } if now >= deadline => {
+                self.hold = Hold::Failed;
+                self.forget_writes();
+                self.outbox.report(GripperEvent::ReleaseFailed { vacuum: channels.highest(vacuum) });
+            }
+            Hold::Gripping { .. }
+            | Hold::Releasing { .. }
+            | Hold::Empty
+            | Hold::Holding { .. }
+            | Hold::Failed => {}
+        }
+    }
+
+    /// What happened.
+    pub fn poll_event(&mut self) -> Option<GripperEvent> {
+        self.outbox.poll_event()
+    }
+
+    /// When to call [`Gripper::tick`] and [`Gripper::poll_request`] next, and why.
+    pub fn poll_timeout(&self) -> Option<(Timestamp, &'static str)> {
+        let request = match &self.outstanding {
+            Some(outstanding) => (outstanding.deadline, "gripper answer"),
+            None if !self.waiting.is_empty() && self.again.is_none() => (Timestamp::ZERO, "gripper command"),
+            None => match &self.again {
+                Some((at, ..)) => (*at, "gripper command again"),
+                None => (self.next_read, "gripper reading"),
+            },
+        };
+        let action = match self.hold {
+            Hold::Gripping { deadline, .. } => Some((deadline, "grip")),
+            Hold::Releasing { deadline, .. } => Some((deadline, "release")),
+            Hold::Empty | Hold::Holding { .. } | Hold::Failed => None,
+        };
+        earlier(Some(request), action)
+    }
+
+    /// The last reading and its time.
+    pub fn reading(&self) -> Option<(Timestamp, [f64; 2])> {
+        self.reading
+    }
+
+    /// True if the last request was answered.
+    pub fn answering(&self) -> bool {
+        self.answering
+    }
+
+    /// True while an object is held as far as the vacuum tells.
+    pub fn holding(&self) -> bool {
+        matches!(self.hold, Hold::Holding { .. })
+    }
+
+    fn read_interval(&self) -> Duration {
+        match self.hold {
+            Hold::Empty => READ_IDLE,
+            Hold::Gripping { .. } | Hold::Holding { .. } | Hold::Failed | Hold::Releasing { .. } => READ_BUSY,
+        }
+    }
+
+    fn write(&mut self, channels: Channels, word: u16) {
+        self.written = false;
+        self.waiting.push_back((vec![word; channels.count()], channels.first_register()));
+    }
+
+    /// A command whose time is over must not be carried out later, when the arm is elsewhere.
+    fn forget_writes(&mut self) {
+        self.waiting.clear();
+        self.again = None;
+    }
+
+    fn write_failed(&mut self, now: Timestamp, outstanding: Outstanding) {
+        // A command that came meanwhile (a release after a grip) makes this one void.
+        let overtaken = !self.waiting.is_empty();
+        if outstanding.tries < MAX_FAILURES && !overtaken && !matches!(self.hold, Hold::Failed) {
+            self.again = Some((now + READ_BUSY, outstanding.request, outstanding.tries + 1));
+        }
+    }
+
+    fn answered(&mut self) {
+        self.failures = 0;
+        self.unreachable_told = false;
+        if !self.answering {
+            self.answering = true;
+            self.outbox.report(GripperEvent::Answering);
+        }
+    }
+
+    fn failed(&mut self, cause: ModbusFailure) {
+        self.failures = self.failures.saturating_add(1);
+        if self.failures >= MAX_FAILURES && !self.unreachable_told {
+            self.unreachable_told = true;
+            self.answering = false;
+            self.outbox.report(GripperEvent::Unreachable { failures: self.failures, cause });
+        }
+    }
+
+    fn take_reading(&mut self, now: Timestamp, vacuum: [f64; 2]) {
+        self.outbox.report(GripperEvent::Reading { vacuum });
+        match &mut self.hold {
+            Hold::Empty | Hold::Failed => {}
+            Hold::Gripping { channels, good, .. } => {
+                let (channels, lowest) = (*channels, channels.lowest(vacuum));
+                *good = if lowest >= self.parameters.vacuum_min { *good + 1 } else { 0 };
+                if *good >= GOOD_READINGS && self.written {
+                    self.hold = Hold::Holding { channels, low_since: None };
+                    self.outbox.report(GripperEvent::Gripped { vacuum: lowest });
+                }
+            }
+            Hold::Holding { channels, low_since } => {
+                let lowest = channels.lowest(vacuum);
+                if lowest >= self.parameters.vacuum_hold {
+                    *low_since = None;
+                } else if now.since(*low_since.get_or_insert(now)) > LOST_AFTER {
+                    self.hold = Hold::Failed;
+                    self.outbox.report(GripperEvent::VacuumLost { vacuum: lowest });
+                }
+            }
+            Hold::Releasing { channels, .. } => {
+                // Before the command got through a low vacuum proves nothing: the pump may be on.
+                if self.written && channels.highest(vacuum) < RELEASED_BELOW {
+                    self.hold = Hold::Empty;
+                    self.outbox.report(GripperEvent::Released);
+                }
+            }
+        }
+    }
+}
+
+const RELEASE: u16 = 0x0000;
+const IDLE: u16 = 0x0200;
+
+/// High byte 1 = grip, low byte target in per cent.
+fn grip_word(target: f64) -> u16 {
+    0x0100 | (target * 100.0).round().clamp(0.0, 80.0) as u16
+}
+
+fn vacuum_of(words: &[u16]) -> Result<[f64; 2], ModbusFailure> {
+    match *words {
+        [a, b] if a <= MAX_PER_MILLE && b <= MAX_PER_MILLE => Ok([f64::from(a) / 1e3, f64::from(b) / 1e3]),
+        [_, _] => Err(ModbusFailure::Malformed(format!("vacuum readings {words:?} per mille"))),
+        _ => Err(ModbusFailure::Malformed(format!("{} registers instead of 2", words.len()))),
+    }
+}
+
+#[cfg(test)]
+mod tests;

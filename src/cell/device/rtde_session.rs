@@ -1,0 +1,512 @@
+//! RTDE session: handshake, state in, registers out.
+//!
+//! In: bytes of TCP 30004, command registers, heartbeats, the time. Out: bytes, [`RtdeEvent`]s, the latest
+//! [`RobotState`]. The inputs are two small recipes, so that a refusal names few registers: the heartbeat, and
+//! the command with its arguments (one package, hence one controller frame).
+//!
+//! Anything malformed, a NaN included, is a fault that drops the link: after it nothing on it can be trusted.
+
+use crate::cell::device::outbox::Outbox;
+use crate::cell::device::registers::{self, CommandRegisters, ProgramStatus};
+use crate::cell::device::robot_types::RobotState;
+use crate::time::{Duration, Timestamp};
+use crate::units::Joints;
+use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use crate::wire::rtde::{Reply, Request, Splitter, Version};
+use crate::wire::rtde_values::{Leftover, Offer, Recipe, Value};
+use crate::wire::rtde_variables::{Register, output_type};
+
+/// An answer in the handshake may take this long.
+const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+/// Without a package for this long the link is dead (RTDE has no heartbeat of its own).
+const SILENT_AFTER: Duration = Duration::from_millis(2500);
+/// A dead predecessor may still hold the registers: wait, then try again.
+const IN_USE_RETRY: Duration = Duration::from_secs(5);
+/// Tries before the link is dropped.
+const IN_USE_TRIES: u32 = 4;
+/// While it boots the controller restarts its RTDE service once; before this time nothing is believed.
+const SETTLED_AT_S: f64 = 40.0;
+/// Or until packages have come for this long, s.
+const SETTLED_AFTER_S: f64 = 2.0;
+
+/// What the session reports.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RtdeEvent {
+    /// The state is good to use from now on.
+    Ready,
+    /// Registers are taken; `attempt` counts the tries.
+    InUse {
+        /// Exact names.
+        names: Vec<String>,
+        /// Tries so far.
+        attempt: u32,
+    },
+    /// A text for a person.
+    Message(String),
+    /// The link is dropped because of this.
+    Fault(String),
+}
+
+enum Step {
+    Down,
+    AskedVersion { deadline: Timestamp },
+    AskedController { deadline: Timestamp },
+    AskedOutputs { deadline: Timestamp },
+    AskedInputs { index: usize, deadline: Timestamp, attempt: u32 },
+    WaitingForInputs { index: usize, retry_at: Timestamp, attempt: u32 },
+    AskedStart { deadline: Timestamp },
+    Streaming { last_package: Timestamp, packages: u32, settled: bool },
+}
+
+const HEARTBEAT: usize = 0;
+const COMMAND: usize = 1;
+
+/// The session. See the module.
+pub struct RtdeSession {
+    frequency_hz: f64,
+    version: Version,
+    step: Step,
+    splitter: Splitter,
+    outputs: Recipe,
+    inputs: Vec<Recipe>,
+    latest: Option<RobotState>,
+    outbox: Outbox<RtdeEvent>,
+}
+
+impl RtdeSession {
+    /// `frequency_hz` packages per second.
+    pub fn new(frequency_hz: f64) -> RtdeSession {
+        RtdeSession {
+            frequency_hz,
+            version: Version::V1,
+            step: Step::Down,
+            splitter: Splitter::default(),
+            outputs: Recipe { id: 0, fields: Vec::new() },
+            inputs: Vec::new(),
+            latest: None,
+            outbox: Outbox::default(),
+        }
+    }
+
+    /// The TCP connection stands.
+    pub fn connected(&mut self, now: Timestamp) {
+        self.outbox.reset_link();
+        self.splitter = Splitter::default();
+        self.version = Version::V1;
+        self.inputs.clear();
+        self.latest = None;
+        self.ask(&Request::ProtocolVersion(2));
+        self.step = Step::AskedVersion { deadline: now + ANSWER_WITHIN };
+    }
+
+    /// The TCP connection is gone.
+    pub fn disconnected(&mut self) {
+        self.step = Step::Down;
+        self.latest = None;
+        self.outbox.reset_link();
+    }
+
+    /// True once the state is good to use.
+    pub fn ready(&self) -> bool {
+        matches!(self.step, Step::Streaming { settled: true, .. })
+    }
+
+    /// The last state; `None` before [`RtdeEvent::Ready`].
+    pub fn latest(&self) -> Option<&RobotState> {
+        self.latest.as_ref().filter(|_| self.ready())
+    }
+
+    /// Bytes arrived.
+    pub fn received(&mut self, now: Timestamp, bytes: &[u8]) {
+        self.splitter.push(bytes);
+        while !matches!(self.step, Step::Down) {
+            let reply = match self.splitter.next_frame() {
+                Ok(Some(frame)) => Reply::decode(self.version, &frame),
+                Ok(None) => return,
+                Err(error) => Err(error),
+            };
+            match reply {
+                Ok(reply) => self.handle(now, reply),
+                Err(error) => self.fault(error.to_string()),
+            }
+        }
+    }
+
+    /// Time went by.
+    pub fn tick(&mut self, now: Timestamp) {
+        match self.step {
+            Step::Down => {}
+            Step::AskedVersion { deadline }
+            | Step::AskedController { deadline }
+            | Step::AskedOutputs { deadline }
+            | Step::AskedInputs { deadline, .. }
+            | Step::AskedStart { deadline } => {
+                if now >= deadline {
+                    self.fault(format!("no answer to {} within 2 s", self.waiting_for()));
+                }
+            }
+            Step::WaitingForInputs { index, retry_at, attempt } => {
+                if now >= retry_at {
+                    self.ask_inputs(now, index, attempt);
+                }
+            }
+            Step::Streaming { last_package, .. } => {
+                if now.since(last_package) >= SILENT_AFTER {
+                    self.fault("no package for 2.5 s".into());
+                }
+            }
+        }
+    }
+
+    /// When to call [`RtdeSession::tick`] next, and why.
+    pub fn poll_timeout(&self) -> Option<(Timestamp, &'static str)> {
+        match self.step {
+            Step::Down => None,
+            Step::AskedVersion { deadline }
+            | Step::AskedController { deadline }
+            | Step::AskedOutputs { deadline }
+            | Step::AskedInputs { deadline, .. }
+            | Step::AskedStart { deadline } => Some((deadline, "RTDE handshake")),
+            Step::WaitingForInputs { retry_at, .. } => Some((retry_at, "RTDE registers in use")),
+            Step::Streaming { last_package, .. } => Some((last_package + SILENT_AFTER, "RTDE silence")),
+        }
+    }
+
+    /// Bytes to send.
+    pub fn poll_transmit(&mut self) -> Option<Vec<u8>> {
+        self.outbox.poll_transmit()
+    }
+
+    /// What happened.
+    pub fn poll_event(&mut self) -> Option<RtdeEvent> {
+        self.outbox.poll_event()
+    }
+
+    /// True once if the link should be dropped.
+    pub fn poll_close(&mut self) -> bool {
+        self.outbox.poll_close()
+    }
+
+    /// Writes the heartbeat register; nothing happens before the session is ready.
+    pub fn write_heartbeat(&mut self, heartbeat: i32) {
+        self.write(HEARTBEAT, &[Value::Int32(heartbeat)]);
+    }
+
+    /// Writes a command; nothing happens before the session is ready.
+    pub fn write_command(&mut self, command: &CommandRegisters) {
+        self.write(COMMAND, &command.values());
+    }
+
+    fn write(&mut self, recipe: usize, values: &[Value]) {
+        if !self.ready() {
+            return;
+        }
+        let Some(recipe) = self.inputs.get(recipe) else { return };
+        match recipe.encode(values) {
+            Ok(payload) => {
+                let request = Request::Data { recipe: recipe.id, payload };
+                self.ask(&request);
+            }
+            Err(error) => self.fault(format!("own command does not fit: {error}")),
+        }
+    }
+
+    fn ask(&mut self, request: &Request) {
+        self.outbox.send(request.encode(self.version));
+    }
+
+    fn fault(&mut self, detail: String) {
+        self.step = Step::Down;
+        self.latest = None;
+        self.outbox.report(RtdeEvent::Fault(detail));
+        self.outbox.close();
+    }
+
+    fn waiting_for(&self) -> &'static str {
+        match self.step {
+            Step::AskedVersion { .. } => "the protocol version request",
+            Step::AskedController { .. } => "the controller version request",
+            Step::AskedOutputs { .. } => "the output set-up",
+            Step::AskedInputs { .. } | Step::WaitingForInputs { .. } => "the input set-up",
+            Step::AskedStart { .. } => "the start request",
+            Step::Down | Step::Streaming { .. } => "nothing",
+        }
+    }
+
+    fn handle(&mut self, now: Timestamp, reply: Reply) {
+        let deadline = now + ANSWER_WITHIN;
+        match (reply, &self.step) {
+            (Reply::Text(text), _) => {
+                let text = if text.source.is_empty() {
+                    text.message
+                } else {
+                    format!("{}: {}", text.source, text.message)
+                };
+                self.outbox.report(RtdeEvent::Message(text));
+            }
+            (Reply::ProtocolVersion(true), Step::AskedVersion { .. }) => {
+                self.version = Version::V2;
+                self.ask(&Request::ControllerVersion);
+                self.step = Step::AskedController { deadline };
+            }
+            (Reply::ProtocolVersion(false), Step::AskedVersion { .. }) => {
+                self.fault("the controller refuses RTDE version 2".into());
+            }
+            (Reply::ControllerVersion(version), Step::AskedController { .. }) => {
+                if version.major < 5 {
+                    return self.fault(format!("software version {} is older than 5", version.major));
+                }
+                let names = output_names();
+                self.ask(&Request::SetupOutputs { frequency_hz: Some(self.frequency_hz), names });
+                self.step = Step::AskedOutputs { deadline };
+            }
+            (Reply::SetupOutputs { recipe, offers }, Step::AskedOutputs { .. }) => {
+                self.outputs_offered(now, recipe, &offers);
+            }
+            (Reply::SetupInputs { recipe, offers }, &Step::AskedInputs { index, attempt, .. }) => {
+                self.inputs_offered(now, index, attempt, recipe, &offers);
+            }
+            (Reply::Start(true), Step::AskedStart { .. }) => {
+                self.step = Step::Streaming { last_package: now, packages: 0, settled: false };
+            }
+            (Reply::Start(false), Step::AskedStart { .. }) => {
+                self.fault("the controller refuses to start".into())
+            }
+            (Reply::Data { recipe, payload }, Step::Streaming { .. }) => self.data(now, recipe, &payload),
+            (unexpected, _) => {
+                let kind = reply_name(&unexpected);
+                self.fault(format!("unexpected {kind} while waiting for {}", self.waiting_for()));
+            }
+        }
+    }
+
+    fn outputs_offered(&mut self, now: Timestamp, recipe: u8, offers: &[Offer]) {
+        match agree(recipe, &output_names(), offers) {
+            Ok(recipe) => {
+                let wrong = recipe.fields.iter().find(|(name, kind)| output_type(name) != Some(*kind));
+                if let Some((name, kind)) = wrong {
+                    return self.fault(format!("output {name} has type {}", kind.token()));
+                }
+                self.outputs = recipe;
+                self.ask_inputs(now, HEARTBEAT, 1);
+            }
+            Err(refusal) => self.fault(refusal.text("output")),
+        }
+    }
+
+    fn ask_inputs(&mut self, now: Timestamp, index: usize, attempt: u32) {
+        self.ask(&Request::SetupInputs { names: input_names(index) });
+        self.step = Step::AskedInputs { index, deadline: now + ANSWER_WITHIN, attempt };
+    }
+
+    fn inputs_offered(&mut self, now: Timestamp, index: usize, attempt: u32, recipe: u8, offers: &[Offer]) {
+        match agree(recipe, &input_names(index), offers) {
+            Ok(recipe) => {
+                self.inputs.push(recipe);
+                if index == COMMAND {
+                    self.ask(&Request::Start);
+                    self.step = Step::AskedStart { deadline: now + ANSWER_WITHIN };
+                } else {
+                    self.ask_inputs(now, index + 1, 1);
+                }
+            }
+            Err(Refusal::InUse(names)) if attempt < IN_USE_TRIES => {
+                self.outbox.report(RtdeEvent::InUse { names, attempt });
+                let retry_at = now + IN_USE_RETRY;
+                self.step = Step::WaitingForInputs { index, retry_at, attempt: attempt + 1 };
+            }
+            Err(refusal) => self.fault(refusal.text("input")),
+        }
+    }
+
+    fn data(&mut self, now: Timestamp, recipe: u8, payload: &[u8]) {
+        if recipe != self.outputs.id {
+            return self.fault(format!("data for recipe {recipe}, agreed was {}", self.outputs.id));
+        }
+        let values = match self.outputs.decode(payload, Leftover::Refuse) {
+            Ok(values) => values,
+            Err(error) => return self.fault(error.to_string()),
+        };
+        let broken = self.outputs.fields.iter().zip(&values).find(|(_, value)| !value.is_finite());
+        if let Some(((name, _), _)) = broken {
+            return self.fault(format!("{name} is not a finite number"));
+        }
+        match state_of(now, &values) {
+            Some(state) => self.new_state(now, state),
+            None => self.fault("a state package does not have the fields agreed".into()),
+        }
+    }
+
+    fn new_state(&mut self, now: Timestamp, state: RobotState) {
+        let before = self.latest.as_ref();
+        let step_s =
+            before.map_or(f64::INFINITY, |before| state.controller_time_s - before.controller_time_s);
+        if step_s < 0.0 {
+            return self.fault(format!("controller time jumped back by {:.3} s: it has restarted", -step_s));
+        }
+        // A package whose time stands still proves nothing about now.
+        let received = before.filter(|_| step_s == 0.0).map_or(state.received, |before| before.received);
+        let settled_by_time = state.controller_time_s > SETTLED_AT_S;
+        self.latest = Some(RobotState { received, ..state });
+        if let Step::Streaming { last_package, packages, settled } = &mut self.step {
+            *last_package = now;
+            *packages = packages.saturating_add(1);
+            let enough = f64::from(*packages) >= SETTLED_AFTER_S * self.frequency_hz;
+            if !*settled && (settled_by_time || enough) {
+                *settled = true;
+                self.outbox.report(RtdeEvent::Ready);
+            }
+        }
+    }
+}
+
+enum Refusal {
+    InUse(Vec<String>),
+    NotFound(Vec<String>),
+    Broken(String),
+}
+
+impl Refusal {
+    fn text(&self, direction: &str) -> String {
+        match self {
+            Refusal::InUse(names) => format!(
+                "{direction} registers are in use by another RTDE client or a field bus (EtherNet/IP, PROFINET): {}",
+                names.join(", ")
+            ),
+            Refusal::NotFound(names) => {
+                format!("the controller has no {direction} {}; its software may be too old", names.join(", "))
+            }
+            Refusal::Broken(detail) => format!("{direction} set-up: {detail}"),
+        }
+    }
+}
+
+/// The recipe if everything asked for was offered.
+fn agree(id: u8, names: &[String], offers: &[Offer]) -> Result<Recipe, Refusal> {
+    if offers.len() != names.len() {
+        return Err(Refusal::Broken(format!(
+            "{} names were asked for, {} came back",
+            names.len(),
+            offers.len()
+        )));
+    }
+    let with = |wanted: Offer| -> Vec<String> {
+        names
+            .iter()
+            .zip(offers)
+            .filter(|(_, offer)| **offer == wanted)
+            .map(|(name, _)| name.clone())
+            .collect()
+    };
+    let missing = with(Offer::NotFound);
+    if !missing.is_empty() {
+        return Err(Refusal::NotFound(missing));
+    }
+    let taken = with(Offer::InUse);
+    if !taken.is_empty() {
+        return Err(Refusal::InUse(taken));
+    }
+    if id == 0 {
+        return Err(Refusal::Broken("refused without naming a variable".into()));
+    }
+    let fields = names.iter().zip(offers).filter_map(|(name, offer)| match offer {
+        Offer::Type(kind) => Some((name.clone(), *kind)),
+        Offer::NotFound | Offer::InUse => None,
+    });
+    Ok(Recipe { id, fields: fields.collect() })
+}
+
+fn reply_name(reply: &Reply) -> &'static str {
+    match reply {
+        Reply::ProtocolVersion(_) => "protocol version reply",
+        Reply::ControllerVersion(_) => "controller version",
+        Reply::Text(_) => "text",
+        Reply::SetupOutputs { .. } => "output set-up reply",
+        Reply::SetupInputs { .. } => "input set-up reply",
+        Reply::Start(_) => "start reply",
+        Reply::Pause(_) => "pause reply",
+        Reply::Data { .. } => "data package",
+    }
+}
+
+fn input_names(index: usize) -> Vec<String> {
+    match index {
+        HEARTBEAT => vec![Register::InputInt(registers::HEARTBEAT).name()],
+        _ => CommandRegisters::names(),
+    }
+}
+
+/// Fields of the output recipe, in the order [`state_of`] reads them.
+pub fn output_names() -> Vec<String> {
+    let fixed = [
+        "timestamp",
+        "actual_q",
+        "actual_qd",
+        "actual_TCP_pose",
+        "tcp_offset",
+        "robot_mode",
+        "safety_mode",
+        "runtime_state",
+        "speed_scaling",
+        "target_speed_fraction",
+        "payload",
+        "payload_cog",
+    ];
+    let registers = [
+        registers::NONCE,
+        registers::ACCEPTED,
+        registers::FINISHED,
+        registers::STATUS,
+        registers::HEARTBEAT_ECHO,
+    ];
+    let registers = registers.map(|number| Register::OutputInt(number).name());
+    fixed.into_iter().map(String::from).chain(registers).collect()
+}
+
+/// The state of one package; `None` if the fields are not those of [`output_names`].
+fn state_of(now: Timestamp, values: &[Value]) -> Option<RobotState> {
+    use Value::{Double, Int32, Uint32, Vector3D, Vector6D};
+    let &[
+        Double(controller_time_s),
+        Vector6D(q),
+        Vector6D(qd),
+        Vector6D(tcp_pose),
+        Vector6D(tcp_offset),
+        Int32(robot_mode),
+        Int32(safety_mode),
+        Uint32(runtime_state),
+        Double(speed_scaling),
+        Double(target_speed_fraction),
+        Double(payload),
+        Vector3D(payload_cog),
+        Int32(nonce),
+        Int32(accepted),
+        Int32(finished),
+        Int32(status),
+        Int32(heartbeat_echo),
+    ] = values
+    else {
+        return None;
+    };
+    Some(RobotState {
+        received: now,
+        controller_time_s,
+        q: Joints(q),
+        qd,
+        tcp_pose,
+        robot_mode: RobotMode::from_code(robot_mode),
+        safety_mode: SafetyMode::from_code(safety_mode),
+        runtime_state: RuntimeState::from_code(i32::try_from(runtime_state).unwrap_or(i32::MAX)),
+        speed_scaling,
+        target_speed_fraction,
+        payload,
+        payload_cog,
+        tcp_offset,
+        nonce,
+        accepted,
+        finished,
+        program_status: ProgramStatus::from_code(status),
+        heartbeat_echo,
+        remote_control: None,
+    })
+}

@@ -1,0 +1,116 @@
+//! Between a closed gate and the first motion: waiting with a bound, powering the arm, starting the on-robot program.
+
+use crate::cell::code::Code;
+use crate::cell::device::program::Nonce;
+use crate::cell::device::robot_types::RobotCommand;
+use crate::cell::supervisor::cell::{Supervisor, alarm, say};
+use crate::cell::supervisor::gates::Closed;
+use crate::cell::supervisor::input::{Action, Outside};
+use crate::cell::supervisor::order::JobEnd;
+use crate::cell::supervisor::phase::{BringUp, Phase};
+use crate::cell::supervisor::round::RoundFault;
+use crate::geometry::pose::ur_pose_from_isometry;
+use crate::time::{Duration, Timestamp};
+use crate::wire::enumerations::RobotMode;
+
+/// How long a closed gate, other than a disarmed cell, may hold up a job before it fails.
+const NOT_READY_LIMIT: Duration = Duration::from_secs(60);
+
+/// How long powering up or starting the program may take.
+const BRING_UP_LIMIT: Duration = Duration::from_secs(30);
+
+impl Supervisor {
+    /// The robot is not ready to move: bring it up if that is what is missing, else wait, but not for ever.
+    pub(crate) fn wait_or_bring_up(
+        &mut self,
+        now: Timestamp,
+        outside: &Outside,
+        closed: Closed,
+        out: &mut Vec<Action>,
+    ) {
+        let can_start = self.mode.armed()
+            && outside.robot_fresh
+            && outside.robot.is_some_and(|robot| robot.remote_control == Some(true));
+        if can_start && matches!(closed, Closed::Mode(_) | Closed::Program) {
+            self.enter(Phase::BringUp(BringUp::default()), BRING_UP_LIMIT);
+            self.bring_up(outside, out);
+            return;
+        }
+        self.wait(now, closed, out);
+    }
+
+    /// What keeps a gate closed, with the address of the device that is to blame.
+    fn place(&self, closed: &Closed) -> String {
+        match closed {
+            Closed::Stale => format!("{closed} ({})", self.model.addresses.robot),
+            Closed::Gripper => format!("{closed} ({})", self.model.addresses.gripper),
+            _ => closed.to_string(),
+        }
+    }
+
+    /// Waits for a gate to open; not for ever, unless a person has to arm the cell.
+    pub(crate) fn wait(&mut self, now: Timestamp, closed: Closed, out: &mut Vec<Action>) {
+        let kind = std::mem::discriminant(&closed);
+        if self.waiting_for.as_ref().map(std::mem::discriminant) != Some(kind) {
+            say(out, format!("waiting: {}; {}", self.place(&closed), closed.remedy()));
+            self.waiting_since = now;
+        }
+        let (message, remedy) = (self.place(&closed), closed.remedy());
+        let patient = closed == Closed::Disarmed;
+        self.waiting_for = Some(closed);
+        if !patient && now.since(self.waiting_since) > NOT_READY_LIMIT {
+            // Nobody shall be surprised by a cell that comes to life when its device does.
+            self.mode.disarm();
+            alarm(out, format!("disarmed: {message} for {} s", NOT_READY_LIMIT.as_secs()));
+            let seconds = NOT_READY_LIMIT.as_secs();
+            self.end_round(Err(RoundFault::NotReady { what: message.clone(), seconds }), out);
+            self.finish(now, JobEnd::Failed, Code::NotReady.because(message, remedy), out);
+        }
+    }
+
+    /// One turn of the bring-up: requests what is missing, once.
+    pub(crate) fn bring_up(&mut self, outside: &Outside, out: &mut Vec<Action>) {
+        let (Phase::BringUp(bring_up), Some(robot)) = (&mut self.phase, outside.robot) else { return };
+        if !self.mode.armed() {
+            self.phase = Phase::Ready;
+            return;
+        }
+        match robot.robot_mode {
+            RobotMode::PowerOff if bring_up.asked != Some(RobotMode::PowerOff) => {
+                bring_up.asked = Some(RobotMode::PowerOff);
+                out.push(Action::Robot(RobotCommand::PowerOn));
+            }
+            RobotMode::Idle if bring_up.asked != Some(RobotMode::Idle) => {
+                bring_up.asked = Some(RobotMode::Idle);
+                out.push(Action::Robot(RobotCommand::ReleaseBrakes));
+            }
+            RobotMode::Running
+                if bring_up.program_asked
+                    && self.nonce.is_some_and(|nonce| robot.nonce == nonce.number()) =>
+            {
+                self.phase = Phase::Ready;
+                let tcp = ur_pose_from_isometry(&self.model.arm.flange_from_tool);
+                out.push(Action::Robot(RobotCommand::SetTcp(tcp)));
+                self.set_payload(0.0, out);
+            }
+            RobotMode::Running if !bring_up.program_asked && outside.program_settled => {
+                bring_up.program_asked = true;
+                let nonce = Nonce::new(self.next_nonce);
+                self.next_nonce = self.next_nonce.wrapping_add(1);
+                self.nonce = Some(nonce);
+                out.push(Action::Robot(RobotCommand::StartProgram { nonce }));
+            }
+            _ => {}
+        }
+    }
+
+    /// Tells the controller what hangs on the flange: the gripper and `mass` kg below the cups.
+    pub(crate) fn set_payload(&self, mass: f64, out: &mut Vec<Action>) {
+        let grip = &self.model.grip;
+        let tool = self.model.arm.flange_from_tool.translation.vector;
+        let total = grip.tool_mass + mass;
+        let centre = (grip.tool_centre * grip.tool_mass + tool * mass) / total;
+        let centre_of_gravity_m = [centre.x, centre.y, centre.z];
+        out.push(Action::Robot(RobotCommand::SetPayload { mass_kg: total, centre_of_gravity_m }));
+    }
+}

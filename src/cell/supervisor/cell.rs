@@ -1,0 +1,364 @@
+//! The supervisor's states, and the one function through which everything comes in.
+//!
+//! In: time, the devices' last state, one [`Input`]. Out: actions, to be carried out in order. Level-triggered: between two
+//! things the supervisor is `Ready` and `pursue` decides from what is known what comes next, so that a lost edge cannot
+//! leave it hanging. Every phase has a deadline that runs with the robot's speed slider, and stands still while the
+//! program is paused. What must be on disk first is a phase too: it waits for the number of its record.
+
+use crate::cell::code::Code;
+use crate::cell::device::gripper::GripperEvent;
+use crate::cell::device::program::Nonce;
+use crate::cell::device::robot_types::RobotEvent;
+use crate::cell::orders::Order;
+use crate::cell::supervisor::gates::{self, Closed};
+use crate::cell::supervisor::input::{Action, Input, Notice, Outside, Record};
+use crate::cell::supervisor::ledger::Ledger;
+use crate::cell::supervisor::mode::Mode;
+use crate::cell::supervisor::model::CellModel;
+use crate::cell::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult};
+use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, Visit};
+use crate::cell::supervisor::round::Round;
+use crate::cell::supervisor::trouble::motion_speed;
+use crate::geometry::pose::Pose2;
+use crate::time::{Duration, Timestamp};
+use crate::vision::observe::Observation;
+
+/// What a look showed, valid until something is picked, placed, dropped or stopped.
+pub(crate) type Seen = Observation;
+
+/// The supervisor.
+#[derive(Debug)]
+pub struct Supervisor {
+    pub(crate) model: CellModel,
+    pub(crate) phase: Phase,
+    pub(crate) mode: Mode,
+    pub(crate) ledger: Ledger,
+    pub(crate) job: Option<JobRun>,
+    pub(crate) round: Option<Round>,
+    pub(crate) seen: Option<Seen>,
+    /// When the look behind `seen` was over.
+    pub(crate) seen_at: Timestamp,
+    /// Height of what was last seen without a marker and counts as an obstacle, with its margin, m.
+    pub(crate) foreign_height: f64,
+    /// A look near the limits of drift was reported since the cell was armed.
+    pub(crate) drift_told: bool,
+    /// Since when the arm has been held in the middle of a motion.
+    pub(crate) held_since: Option<Timestamp>,
+    /// Nonce of the program uploaded last.
+    pub(crate) nonce: Option<Nonce>,
+    /// The next nonce is made from this.
+    pub(crate) next_nonce: u64,
+    /// Time the phase may still take at full speed.
+    pub(crate) remaining: Duration,
+    last_now: Timestamp,
+    /// Reason for waiting that was said last, so that it is said once.
+    pub(crate) waiting_for: Option<Closed>,
+    pub(crate) waiting_since: Timestamp,
+    /// The order whose answer is what the gripper says next.
+    pub(crate) release_order: Option<u64>,
+    /// The robot has stopped since it was last ordered to.
+    pub(crate) stands: bool,
+    /// [`Action::End`] was given.
+    pub(crate) ended: bool,
+}
+
+impl Supervisor {
+    /// A disarmed cell without a job. `nonce_seed` must differ from run to run.
+    pub fn new(model: CellModel, nonce_seed: u64) -> Supervisor {
+        Supervisor {
+            model,
+            phase: Phase::Ready,
+            mode: Mode::Disarmed { paused: false },
+            ledger: Ledger::default(),
+            job: None,
+            round: None,
+            seen: None,
+            seen_at: Timestamp::ZERO,
+            foreign_height: 0.0,
+            drift_told: false,
+            held_since: None,
+            nonce: None,
+            next_nonce: nonce_seed,
+            remaining: Duration::ZERO,
+            last_now: Timestamp::ZERO,
+            waiting_for: None,
+            waiting_since: Timestamp::ZERO,
+            release_order: None,
+            stands: false,
+            ended: false,
+        }
+    }
+
+    /// Arms the cell without a person: for simulated cells only, as the configuration checks.
+    pub fn arm_at_start(&mut self) {
+        self.mode.arm();
+    }
+
+    /// True when a job may be handed over.
+    pub fn wants_job(&self) -> bool {
+        self.job.is_none() && self.round.is_none() && self.ledger.is_clear() && !self.mode.ending()
+    }
+
+    /// True when nothing moves, nothing is waited for and nothing is to be done.
+    pub fn is_idle(&self) -> bool {
+        matches!(self.phase, Phase::Ready) && self.wants_job() && !self.mode.parks()
+    }
+
+    /// The measured arrangement, while it is valid.
+    pub fn observation(&self) -> Option<&Observation> {
+        self.seen.as_ref()
+    }
+
+    /// The remaining route of the active job: object, from, to, whether `to` is its goal.
+    pub fn route(&self) -> Vec<(String, Pose2, Pose2, bool)> {
+        let route = self.job.as_ref().and_then(|job| job.route.as_ref());
+        route.map_or_else(Vec::new, |route| {
+            route.iter().map(|a| (a.object.clone(), a.from, a.to, a.to_goal)).collect()
+        })
+    }
+
+    /// The cell as configured.
+    pub fn model(&self) -> &CellModel {
+        &self.model
+    }
+
+    /// The number that the next program is told apart by.
+    pub fn next_nonce(&self) -> u64 {
+        self.next_nonce
+    }
+
+    /// Whether and how the cell may move.
+    pub fn mode(&self) -> &Mode {
+        &self.mode
+    }
+
+    /// The time handed in last.
+    pub(crate) fn clock(&self) -> Timestamp {
+        self.last_now
+    }
+
+    /// Takes one input and says what to do.
+    pub fn step(&mut self, now: Timestamp, outside: &Outside, input: Input) -> Vec<Action> {
+        let mut out = Vec::new();
+        self.run_deadline(now, outside);
+        match input {
+            Input::Tick => self.watch(now, outside, &mut out),
+            Input::Robot(event) => self.on_robot(now, outside, event, &mut out),
+            Input::Gripper(event) => self.on_gripper(now, event, &mut out),
+            Input::Captured(result) => self.on_captured(now, outside, result, &mut out),
+            Input::Observed(result) => self.on_observed(now, result, &mut out),
+            Input::Pictured(result) => self.on_pictured(result, &mut out),
+            Input::Planned(answer) => self.on_planned(now, *answer, &mut out),
+            Input::Committed { number, result } => self.on_committed(now, outside, number, result, &mut out),
+            Input::StoreLost(fault) => self.on_store_lost(now, fault, &mut out),
+            Input::Job(order) => self.on_job(now, *order, &mut out),
+            Input::Round(order) => self.on_round(now, *order),
+            Input::Order { number, order } => return self.on_order(now, outside, number, order),
+            Input::Shutdown => self.on_shutdown(now, &mut out),
+        }
+        self.pursue(now, outside, &mut out);
+        out
+    }
+
+    /// An order is answered last, by what has become of it.
+    fn on_order(&mut self, now: Timestamp, outside: &Outside, number: u64, order: Order) -> Vec<Action> {
+        let mut out = Vec::new();
+        let refusal = self.take_order(now, number, &order, &mut out);
+        self.pursue(now, outside, &mut out);
+        let reply = refusal.or_else(|| self.answer(&order));
+        out.extend(reply.map(|reply| Action::Reply { number, reply }));
+        out
+    }
+
+    fn run_deadline(&mut self, now: Timestamp, outside: &Outside) {
+        let speed = if self.follows_a_path() { motion_speed(outside) } else { 1.0 };
+        self.remaining = self.remaining.saturating_sub(now.since(self.last_now).mul_f64(speed));
+        self.last_now = now;
+    }
+
+    /// True while the phase lasts as long as the arm takes for a path.
+    pub(crate) fn follows_a_path(&self) -> bool {
+        match &self.phase {
+            Phase::Park
+            | Phase::Look(Look { stage: LookStage::Moving, .. })
+            | Phase::Visit(Visit::Moving) => true,
+            Phase::Work(work) => work.stage.follows_a_path(),
+            Phase::Ready
+            | Phase::BringUp(_)
+            | Phase::Look(_)
+            | Phase::Plan
+            | Phase::Approve
+            | Phase::Visit(_) => false,
+        }
+    }
+
+    pub(crate) fn enter(&mut self, phase: Phase, limit: Duration) {
+        self.phase = phase;
+        self.remaining = limit;
+        self.waiting_for = None;
+    }
+
+    fn on_job(&mut self, now: Timestamp, order: JobOrder, out: &mut Vec<Action>) {
+        say(out, format!("job {} taken up: {} goals", order.id, order.goals.len()));
+        self.waiting_since = now;
+        // What was seen for another job was not judged for this one.
+        self.seen = None;
+        self.job = Some(JobRun {
+            order,
+            started: now,
+            route: None,
+            approved: false,
+            moves: 0,
+            planned: None,
+            lower_bound: None,
+            planning_seconds: 0.0,
+            replans: 0,
+            grip_failures: 0,
+            look_failures: 0,
+            absent_told: false,
+            last_seen: Vec::new(),
+            cancel: false,
+        });
+    }
+
+    /// Decides what comes next when nothing is under way.
+    fn pursue(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+        if !matches!(self.phase, Phase::Ready) || self.mode.ending() {
+            return;
+        }
+        if self.job.as_ref().is_some_and(|job| job.cancel) {
+            self.finish(
+                now,
+                JobEnd::Cancelled,
+                Code::Cancelled.because("the operator cancelled the job", ""),
+                out,
+            );
+        }
+        if self.job.is_none() && self.round.is_none() && !self.mode.parks() {
+            self.waiting_for = None;
+            return;
+        }
+        if self.job.is_some() && self.mode.paused() {
+            return;
+        }
+        let open = gates::any_motion(self.mode.armed(), outside, self.nonce);
+        // A round only looks: it picks nothing, and the gripper need not be there.
+        let open = if self.round.is_some() { open } else { open.and_then(|()| gates::empty_handed(outside)) };
+        if let Err(closed) = open {
+            return self.wait_or_bring_up(now, outside, closed, out);
+        }
+        if self.round.is_some() {
+            return self.begin_visit(outside, out);
+        }
+        if self.seen.is_some() && now.since(self.seen_at) > self.model.tolerances.observation_age {
+            say(out, "the table was seen too long ago; looking again");
+            self.seen = None;
+        }
+        if self.mode.parks() {
+            self.begin_park(outside, out);
+        } else if self.seen.is_none() {
+            self.begin_look(now, outside, 0, out);
+        } else {
+            self.compare_and_continue(now, outside, out);
+        }
+    }
+
+    fn on_robot(&mut self, now: Timestamp, outside: &Outside, event: RobotEvent, out: &mut Vec<Action>) {
+        self.stands |= matches!(event, RobotEvent::Stopped);
+        match event {
+            RobotEvent::PathFinished { .. } => match &mut self.phase {
+                Phase::Look(_) => self.look_pose_reached(),
+                Phase::Visit(visit) => *visit = Visit::Settling { still_since: None },
+                Phase::Work(_) => self.work_path_finished(now, out),
+                Phase::Park => {
+                    self.phase = Phase::Ready;
+                    self.mode.set_park(false);
+                }
+                Phase::Ready | Phase::BringUp(_) | Phase::Plan | Phase::Approve => {}
+            },
+            other => self.on_robot_trouble(now, outside, other, out),
+        }
+    }
+
+    fn on_gripper(&mut self, now: Timestamp, event: GripperEvent, out: &mut Vec<Action>) {
+        self.answer_release(&event, out);
+        if matches!(self.phase, Phase::Work(_)) {
+            self.work_gripper(now, event, out);
+        }
+    }
+
+    /// Has `record` written; the number under which the answer comes.
+    pub(crate) fn commit(&mut self, now: Timestamp, record: Record, out: &mut Vec<Action>) -> u64 {
+        let number = self.ledger.open(now);
+        out.push(Action::Commit { number, record });
+        number
+    }
+
+    /// Ends the active job, if there is one. It is over when its report is on disk.
+    pub(crate) fn finish(&mut self, now: Timestamp, end: JobEnd, reason: Reason, out: &mut Vec<Action>) {
+        self.waiting_for = None;
+        let Some(job) = self.job.take() else { return };
+        let objects = job
+            .order
+            .goals
+            .iter()
+            .map(|(id, goal)| ObjectResult {
+                id: id.clone(),
+                goal: Some(*goal),
+                measured: job.last_seen.iter().find(|(seen, _)| seen == id).map(|(_, pose)| *pose),
+            })
+            .collect();
+        say(out, format!("job {}: {}", job.order.id, reason.message));
+        let report = JobReport {
+            id: job.order.id,
+            end,
+            code: reason.code,
+            object: reason.object,
+            message: reason.message,
+            remedy: reason.remedy,
+            moves: job.moves,
+            lower_bound: job.lower_bound,
+            planned: job.planned,
+            planning_seconds: job.planning_seconds,
+            seconds: now.since(job.started).as_secs_f64(),
+            objects,
+        };
+        self.commit(now, Record::Ended(Box::new(report)), out);
+    }
+}
+
+/// Why a job ends.
+#[derive(Clone, Debug)]
+pub(crate) struct Reason {
+    pub code: Code,
+    /// The object that the code is about.
+    pub object: Option<String>,
+    /// One sentence.
+    pub message: String,
+    /// What the operator can do; empty when nothing is needed.
+    pub remedy: String,
+}
+
+impl Reason {
+    /// The same about an object.
+    pub fn of(self, object: impl Into<String>) -> Reason {
+        Reason { object: Some(object.into()), ..self }
+    }
+}
+
+impl Code {
+    /// With a sentence and what to do about it.
+    pub(crate) fn because(self, message: impl Into<String>, remedy: impl Into<String>) -> Reason {
+        Reason { code: self, object: None, message: message.into(), remedy: remedy.into() }
+    }
+}
+
+/// An ordinary sentence for the operator.
+pub(crate) fn say(out: &mut Vec<Action>, text: impl Into<String>) {
+    out.push(Action::Say(Notice { alarm: false, text: text.into() }));
+}
+
+/// A sentence that asks a person to act.
+pub(crate) fn alarm(out: &mut Vec<Action>, text: impl Into<String>) {
+    out.push(Action::Say(Notice { alarm: true, text: text.into() }));
+}

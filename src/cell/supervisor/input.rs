@@ -1,0 +1,218 @@
+//! What goes into the supervisor, and what it asks for.
+
+use crate::cell::code::Code;
+use crate::cell::device::gripper::{GripperCommand, GripperEvent};
+use crate::cell::device::robot_types::{RobotCommand, RobotEvent, RobotState};
+use crate::cell::orders::{Order, Reply};
+use crate::cell::supervisor::mode::EndFault;
+use crate::cell::supervisor::order::{JobOrder, JobReport};
+use crate::cell::supervisor::round::{RoundFault, RoundOrder};
+use crate::geometry::pose::Pose2;
+use crate::motion::cycle_time::CycleTimes;
+use crate::planning::plan::{Action as PlanAction, ActionKind, Objective};
+use crate::planning::solver::SolverKind;
+use crate::tabletop::instance::Instance;
+use crate::time::Duration;
+use crate::vision::observe::{Observation, View};
+use nalgebra::Isometry3;
+
+/// What the devices last said, handed over with every call.
+#[derive(Clone, Copy, Debug)]
+pub struct Outside<'a> {
+    /// Last state of the robot, if it ever spoke.
+    pub robot: Option<&'a RobotState>,
+    /// The robot's last state is younger than the staleness limit.
+    pub robot_fresh: bool,
+    /// No program is being started, stopped or ended, so that a new one may be started.
+    pub program_settled: bool,
+    /// The gripper answered within its deadline.
+    pub gripper_answers: bool,
+    /// Vacuum of the channels (fraction), if it was read lately.
+    pub vacuum: Option<[f64; 2]>,
+}
+
+/// Why a camera gives no picture, after everything that can be tried from here.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CameraTrouble {
+    /// For the job's result.
+    pub code: Code,
+    /// What is wrong.
+    pub message: String,
+    /// What a person can do.
+    pub remedy: &'static str,
+    /// Waiting does not help: another camera, another size, a recording at its end.
+    pub lasting: bool,
+}
+
+/// What a plan request came to.
+#[derive(Clone, Debug)]
+pub enum PlanAnswer {
+    /// A plan that passed the independent checker.
+    Found {
+        /// Its actions; objects are indices into the request's instance.
+        actions: Vec<PlanAction>,
+        /// Its cost in the objective asked for.
+        cost: f64,
+        /// Lower bound in the same objective.
+        lower_bound: f64,
+        /// Seconds of planning.
+        seconds: f64,
+    },
+    /// There is none, proved.
+    Infeasible(String),
+    /// None was found in time.
+    Timeout,
+    /// The request itself was at fault (a start that overlaps, for example).
+    Refused(String),
+    /// The solver does not do such problems.
+    Unsolvable(String),
+}
+
+/// What happened.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// Time has passed.
+    Tick,
+    /// The robot session reports.
+    Robot(RobotEvent),
+    /// The gripper session reports.
+    Gripper(GripperEvent),
+    /// The frames of one look pose were taken and searched for markers.
+    Captured(Result<Vec<View>, CameraTrouble>),
+    /// The views of a look were put together.
+    Observed(Result<Box<Observation>, String>),
+    /// The planner answered.
+    Planned(Box<PlanAnswer>),
+    /// One picture of a calibration round was taken.
+    Pictured(Result<(), CameraTrouble>),
+    /// The record with this number is on disk, or could not be written.
+    Committed {
+        /// Of [`Action::Commit`].
+        number: u64,
+        /// The cause of a failure.
+        result: Result<(), String>,
+    },
+    /// Nothing can be written any more.
+    StoreLost(EndFault),
+    /// A job was claimed.
+    Job(Box<JobOrder>),
+    /// A calibration round is to be carried out; the order is the operator's leave to move.
+    Round(Box<RoundOrder>),
+    /// An operator's order.
+    Order {
+        /// Names it in [`Action::Reply`].
+        number: u64,
+        /// What is wanted.
+        order: Order,
+    },
+    /// The daemon is to end: stop the arm, leave the job in a named state.
+    Shutdown,
+}
+
+/// A planning problem with the budget to solve it in.
+#[derive(Clone, Debug)]
+pub struct PlanRequest {
+    /// Measured starts, wanted goals.
+    pub instance: Instance,
+    /// What to minimise.
+    pub objective: Objective,
+    /// How.
+    pub solver: SolverKind,
+    /// Seed.
+    pub seed: u64,
+    /// Budget.
+    pub time_limit: Duration,
+    /// What the arm takes, for plans that are judged by time.
+    pub times: CycleTimes,
+}
+
+/// What is written into the journal of the active job before the cell goes on.
+#[derive(Clone, Debug)]
+pub enum Record {
+    /// The arm is about to move `object`.
+    Intent {
+        /// Running number of the pick-n-place in this job.
+        step: usize,
+        /// Object's name.
+        object: String,
+        /// From where.
+        from: Pose2,
+        /// To where.
+        to: Pose2,
+        /// To its goal or to a buffer.
+        kind: ActionKind,
+    },
+    /// The object is held.
+    Gripped {
+        /// Running number.
+        step: usize,
+    },
+    /// The object was released at its place.
+    Released {
+        /// Running number.
+        step: usize,
+    },
+    /// The pick-n-place is over.
+    Done {
+        /// Running number.
+        step: usize,
+    },
+    /// The job is over.
+    Ended(Box<JobReport>),
+}
+
+/// What the machine has to do, in this order.
+#[derive(Clone, Debug)]
+pub enum Action {
+    /// For the robot session.
+    Robot(RobotCommand),
+    /// For the gripper session.
+    Gripper(GripperCommand),
+    /// Take frames and find the markers in them; answered by [`Input::Captured`].
+    Capture {
+        /// Number of frames.
+        frames: usize,
+        /// Where the camera is.
+        table_from_camera: Isometry3<f64>,
+    },
+    /// Put views together; answered by [`Input::Observed`].
+    Observe(Vec<View>),
+    /// Take one picture of a calibration round; answered by [`Input::Pictured`].
+    Picture {
+        /// Number of the pose, from 1.
+        pose: usize,
+        /// Where the flange is.
+        base_from_flange: Isometry3<f64>,
+    },
+    /// Plan; answered by [`Input::Planned`].
+    Plan(Box<PlanRequest>),
+    /// Write this down; answered by [`Input::Committed`].
+    Commit {
+        /// Its number, growing.
+        number: u64,
+        /// What.
+        record: Record,
+    },
+    /// The answer to an order.
+    Reply {
+        /// Of [`Input::Order`].
+        number: u64,
+        /// What was decided.
+        reply: Reply,
+    },
+    /// The calibration round is over.
+    RoundOver(Result<(), RoundFault>),
+    /// For the operator.
+    Say(Notice),
+    /// The daemon may end: the arm stands and everything is written, or it was waited for long enough.
+    End(Result<(), EndFault>),
+}
+
+/// A sentence for the operator and the log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Notice {
+    /// True when a person has to act.
+    pub alarm: bool,
+    /// The sentence.
+    pub text: String,
+}

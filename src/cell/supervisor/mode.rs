@@ -1,0 +1,174 @@
+//! Whether and how the cell may move: one value in place of flags that could contradict each other.
+//!
+//! In: orders, stops, faults. Out: what may begin. A pause outlasts disarming and arming, because whoever paused a cell
+//! does not expect it to move when somebody else arms it.
+
+use crate::time::Timestamp;
+
+/// Whether and how the cell may move.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Nothing moves before a person arms the cell.
+    Disarmed {
+        /// A pause is in force once it is armed.
+        paused: bool,
+    },
+    /// Motion is allowed.
+    Armed {
+        /// How jobs go on.
+        pace: Pace,
+        /// The arm goes to its park pose next.
+        park: bool,
+    },
+    /// The cell cannot be armed until the daemon is started anew, for this reason.
+    Locked(String),
+    /// The daemon ends; nothing begins any more.
+    Ending {
+        /// Since when.
+        since: Timestamp,
+        /// What made it end, unless it was told to.
+        fault: Option<EndFault>,
+    },
+}
+
+/// How jobs go on in an armed cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// One pick-n-place after the other.
+    Running,
+    /// One more, then a pause.
+    OneMove,
+    /// None.
+    Paused,
+}
+
+/// Why the cell ends by itself: without its state folder it must not move.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum EndFault {
+    /// An entry could not be written.
+    #[error("the journal cannot be written: {0}; the arm was stopped")]
+    Journal(String),
+    /// The disk is silent.
+    #[error("the state folder has not answered for {0} s; the arm was stopped: see what ails its disk")]
+    Silent(u64),
+    /// A defect of this program.
+    #[error(
+        "the thread of the state folder failed; the arm was stopped: please report what was printed above"
+    )]
+    Failed,
+}
+
+impl Mode {
+    /// Motion is allowed.
+    pub fn armed(&self) -> bool {
+        matches!(self, Mode::Armed { .. })
+    }
+
+    /// A pause is in force.
+    pub fn paused(&self) -> bool {
+        match self {
+            Mode::Disarmed { paused } => *paused,
+            Mode::Armed { pace, .. } => *pace == Pace::Paused,
+            Mode::Locked(_) | Mode::Ending { .. } => false,
+        }
+    }
+
+    /// The arm is to be parked.
+    pub fn parks(&self) -> bool {
+        matches!(self, Mode::Armed { park: true, .. })
+    }
+
+    /// The daemon ends.
+    pub fn ending(&self) -> bool {
+        matches!(self, Mode::Ending { .. })
+    }
+
+    /// Motion is allowed from now on; false where it cannot be.
+    pub fn arm(&mut self) -> bool {
+        if let Mode::Disarmed { paused } = *self {
+            let pace = if paused { Pace::Paused } else { Pace::Running };
+            *self = Mode::Armed { pace, park: false };
+        }
+        self.armed()
+    }
+
+    /// Motion is not allowed any more; a wish to park is forgotten, a pause is kept.
+    pub fn disarm(&mut self) {
+        if self.armed() {
+            *self = Mode::Disarmed { paused: self.paused() };
+        }
+    }
+
+    /// The cell cannot be armed any more.
+    pub fn lock(&mut self, reason: String) {
+        if !self.ending() {
+            *self = Mode::Locked(reason);
+        }
+    }
+
+    /// Jobs go on like this; in a disarmed cell once it is armed.
+    pub fn set_pace(&mut self, new: Pace) {
+        match self {
+            Mode::Disarmed { paused } => *paused = new == Pace::Paused,
+            Mode::Armed { pace, .. } => *pace = new,
+            Mode::Locked(_) | Mode::Ending { .. } => {}
+        }
+    }
+
+    /// Sets or forgets the wish to park.
+    pub fn set_park(&mut self, wanted: bool) {
+        if let Mode::Armed { park, .. } = self {
+            *park = wanted;
+        }
+    }
+
+    /// A pick-n-place is over: a single step ends in a pause.
+    pub fn step_over(&mut self) {
+        if let Mode::Armed { pace: pace @ Pace::OneMove, .. } = self {
+            *pace = Pace::Paused;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pause_outlasts_disarming_and_a_wish_to_park_does_not() {
+        let mut mode = Mode::Disarmed { paused: false };
+        assert!(mode.arm());
+        mode.set_park(true);
+        mode.set_pace(Pace::Paused);
+        assert!(mode.parks() && mode.paused());
+        mode.disarm();
+        assert!(!mode.armed() && mode.paused() && !mode.parks());
+        assert!(mode.arm());
+        assert!(mode.paused() && !mode.parks());
+    }
+
+    #[test]
+    fn a_single_step_ends_in_a_pause() {
+        let mut mode = Mode::Armed { pace: Pace::OneMove, park: false };
+        mode.step_over();
+        assert!(mode.paused());
+        let mut mode = Mode::Armed { pace: Pace::Running, park: false };
+        mode.step_over();
+        assert!(!mode.paused());
+    }
+
+    #[test]
+    fn a_locked_or_ending_cell_is_not_armed() {
+        for mut mode in
+            [Mode::Locked("another arm".into()), Mode::Ending { since: Timestamp::ZERO, fault: None }]
+        {
+            assert!(!mode.arm(), "{mode:?}");
+            mode.set_pace(Pace::Running);
+            mode.set_park(true);
+            assert!(!mode.armed() && !mode.parks(), "{mode:?}");
+        }
+        let mut mode = Mode::Ending { since: Timestamp::ZERO, fault: None };
+        mode.lock("too late".into());
+        assert!(mode.ending());
+    }
+}

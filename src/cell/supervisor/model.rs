@@ -1,0 +1,165 @@
+//! What the supervisor knows of its cell: the table, the objects on it, the arm, the limits.
+//!
+//! In: checked configuration, calibration, and the kinematics that the controller reported. Out: plain data.
+//! Lengths in m, angles in rad, masses in kg.
+
+use crate::cell::device::gripper::Channels;
+use crate::geometry::footprint::Footprint;
+use crate::geometry::pose::Pose2;
+use crate::motion::path::ArmModel;
+use crate::motion::pick_n_place::CycleParameters;
+use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
+use crate::time::Duration;
+use crate::units::Joints;
+use crate::vision::calibration::hand_eye::Mount;
+use crate::vision::observe::reference::DriftLimits;
+use nalgebra::{Isometry3, Vector3};
+
+/// One kind of thing the cell may move.
+#[derive(Clone, Debug)]
+pub struct CellObject {
+    /// Name, as in jobs.
+    pub id: String,
+    /// Shape on the table.
+    pub footprint: Footprint,
+    /// Cost of one move under TI; default: footprint area.
+    pub impedance: Option<f64>,
+    /// Height, m.
+    pub height: f64,
+    /// Mass, kg.
+    pub mass: f64,
+    /// The marker on its top.
+    pub marker: MarkerSpec,
+    /// Where the tool's axis meets the object, object frame, m.
+    pub grip_point: [f64; 2],
+    /// Tool yaw in the object frame the cups need; `None` when any will do.
+    pub grip_yaw: Option<f64>,
+}
+
+/// Numbers the supervisor decides by; from the configuration.
+#[derive(Clone, Debug)]
+pub struct Tolerances {
+    /// An object within this distance of its goal counts as there, m.
+    pub goal_position: f64,
+    /// And within this angle, rad.
+    pub goal_angle: f64,
+    /// A picked-up object may be this far from where the plan expects it before a new plan is made, m.
+    pub expected_position: f64,
+    /// And this angle, rad.
+    pub expected_angle: f64,
+    /// What was seen longer ago than this is not acted upon.
+    pub observation_age: Duration,
+    /// Larger errors of the reference markers than these mean that camera or table were moved.
+    pub reference: DriftLimits,
+    /// Fewer reference markers in a look than this say nothing about that.
+    pub reference_seen: usize,
+    /// An object whose position is less certain than this is looked at again, m (one standard deviation).
+    pub measurement_std: f64,
+    /// How often a failed grip, an incomplete look or a disturbed table is tried again before the job fails.
+    pub retries: u32,
+    /// How long the arm has to stand still before a frame counts.
+    pub settle: Duration,
+    /// Deadline of one look pose: motion, settling and frames together.
+    pub look_deadline: Duration,
+    /// Deadline of one motion or gripper phase at full speed.
+    pub phase_deadline: Duration,
+    /// Added to a plan's own time limit before the planner counts as stuck.
+    pub plan_grace: Duration,
+}
+
+/// What is done about things on the table that carry no marker.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ForeignRule {
+    /// Nobody looks for them.
+    Off,
+    /// Nothing is moved while there is one.
+    Refuse {
+        /// A look without depth is refused too; otherwise a camera that has no depth is no fault.
+        depth_needed: bool,
+    },
+    /// They are obstacles like any that never move, with this much room round them, m. Depth is needed.
+    Obstacle {
+        /// Room round the outline, and above it, m.
+        margin_m: f64,
+    },
+}
+
+/// The gripper as the supervisor uses it.
+#[derive(Clone, Debug)]
+pub struct GripSettings {
+    /// Channels whose cups are used.
+    pub channels: Channels,
+    /// Relative vacuum asked for, 0..0.8.
+    pub vacuum_target: f64,
+    /// Radius about the tool's axis of the gripper's body, m.
+    pub body_radius: f64,
+    /// Underside of the body over the cup lips, m.
+    pub body_above_lips: f64,
+    /// Mass of the gripper with camera, kg.
+    pub tool_mass: f64,
+    /// Its centre of gravity in the flange frame, m.
+    pub tool_centre: Vector3<f64>,
+}
+
+/// Where the devices are, for the sentences of whoever waits for them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceAddresses {
+    /// Host of the controller.
+    pub robot: String,
+    /// Host and port of the gripper's Compute Box.
+    pub gripper: String,
+}
+
+/// The cell.
+#[derive(Clone, Debug)]
+pub struct CellModel {
+    /// Where the devices are.
+    pub addresses: DeviceAddresses,
+    /// Arm, table pose and limits.
+    pub arm: ArmModel,
+    /// Heights and speeds of a cycle; `tallest` covers every object of the catalogue.
+    pub cycle: CycleParameters,
+    /// Where the camera sits, from calibration.
+    pub mount: Mount,
+    /// Joint poses that together see the whole table.
+    pub look_poses: Vec<Joints>,
+    /// Frames taken at each look pose.
+    pub frames_per_view: usize,
+    /// Where the arm rests.
+    pub park: Joints,
+    /// Size of the table's work area.
+    pub workspace: Workspace,
+    /// Gap kept round every new place, m.
+    pub clearance: f64,
+    /// Where nothing may be put: keep-out regions and objects that never move.
+    pub keep_out: Vec<KeepOut>,
+    /// Markers in view that belong to nothing on the table.
+    pub ignore_markers: Vec<u32>,
+    /// What may be moved.
+    pub objects: Vec<CellObject>,
+    /// What is done about things without a marker.
+    pub foreign: ForeignRule,
+    /// Limits of decisions.
+    pub tolerances: Tolerances,
+    /// The gripper.
+    pub grip: GripSettings,
+}
+
+impl CellModel {
+    /// The object with this name.
+    pub fn object(&self, id: &str) -> Option<&CellObject> {
+        self.objects.iter().find(|object| object.id == id)
+    }
+
+    /// `table_from_camera` with the arm at `q`.
+    pub fn camera_at(&self, q: &Joints) -> Isometry3<f64> {
+        let base_from_flange = crate::motion::kinematics::forward(&self.arm.dh, q);
+        self.arm.base_from_table.inverse() * self.mount.base_from_camera(&base_from_flange)
+    }
+
+    /// True when `pose` counts as being at `goal`.
+    pub fn at_goal(&self, pose: &Pose2, goal: &Pose2) -> bool {
+        pose.distance(goal) <= self.tolerances.goal_position
+            && pose.angle_difference(goal) <= self.tolerances.goal_angle
+    }
+}

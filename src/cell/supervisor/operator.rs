@@ -1,0 +1,215 @@
+//! What the operator may order, what each order does in which state of the cell, and what is answered.
+//!
+//! In: an order. Out: what changes, and a [`Reply`] made after the decision from the state that it led to. An order that
+//! changes nothing says so.
+
+use crate::cell::code::Code;
+use crate::cell::device::gripper::{Channels, GripperCommand, GripperEvent};
+use crate::cell::orders::{Order, Reply};
+use crate::cell::supervisor::cell::{Supervisor, say};
+use crate::cell::supervisor::input::Action;
+use crate::cell::supervisor::mode::{Mode, Pace};
+use crate::cell::supervisor::order::JobEnd;
+use crate::cell::supervisor::phase::{Phase, WorkStage};
+use crate::time::Timestamp;
+
+impl Supervisor {
+    /// Carries an order out; the refusal, if it is refused.
+    pub(crate) fn take_order(
+        &mut self,
+        now: Timestamp,
+        number: u64,
+        order: &Order,
+        out: &mut Vec<Action>,
+    ) -> Option<Reply> {
+        match order {
+            Order::Arm => return self.on_arm(out),
+            Order::Disarm => self.on_disarm(out),
+            Order::Approve(id) => return self.on_verdict(now, id, true, out),
+            Order::Reject(id) => return self.on_verdict(now, id, false, out),
+            Order::Cancel(id) => return self.on_cancel(id),
+            Order::Pause if self.mode.paused() => return Some(Reply::accept("paused already")),
+            Order::Pause => self.mode.set_pace(Pace::Paused),
+            Order::Resume if !self.mode.paused() => return Some(Reply::accept("nothing was paused")),
+            Order::Resume => self.mode.set_pace(Pace::Running),
+            Order::Step if !self.mode.armed() => return Some(self.not_armed("no step")),
+            Order::Step => self.mode.set_pace(Pace::OneMove),
+            Order::Park if !self.mode.armed() => return Some(self.not_armed("not parked")),
+            Order::Park => {
+                self.mode.set_park(true);
+                self.waiting_since = now;
+            }
+            Order::Abort => self.on_abort(now, out),
+            Order::Release(channels) => self.on_release_order(now, number, *channels, out),
+            Order::Recover => {
+                let help = "clear the stop at the pendant, look at the arm, then `celld arm`";
+                return Some(Reply::refuse(format!("recover is not built yet: {help}")));
+            }
+        }
+        None
+    }
+
+    fn not_armed(&self, what: &str) -> Reply {
+        Reply::refuse(match &self.mode {
+            Mode::Ending { .. } => format!("{what}: celld is ending"),
+            Mode::Locked(reason) => format!("{what}: {reason}"),
+            Mode::Disarmed { .. } | Mode::Armed { .. } => {
+                format!("{what}: the cell is disarmed; `celld arm` first")
+            }
+        })
+    }
+
+    fn on_arm(&mut self, out: &mut Vec<Action>) -> Option<Reply> {
+        if self.mode.armed() {
+            return Some(Reply::accept("armed already"));
+        }
+        if !self.mode.arm() {
+            return Some(match &self.mode {
+                Mode::Locked(reason) => Reply::refuse(format!(
+                    "not armed: {reason}; end celld, `celld calibrate`, start it again"
+                )),
+                Mode::Ending { .. } | Mode::Disarmed { .. } | Mode::Armed { .. } => {
+                    Reply::refuse("not armed: celld is ending")
+                }
+            });
+        }
+        // Whoever arms has looked at the table; what stood on it may be gone, and only a look can tell.
+        self.foreign_height = 0.0;
+        self.drift_told = false;
+        say(out, "armed");
+        None
+    }
+
+    /// A pick-n-place under way is finished, then nothing moves; whoever disarms may put hands on the table.
+    fn on_disarm(&mut self, out: &mut Vec<Action>) {
+        self.mode.disarm();
+        self.seen = None;
+        let begun = match &self.phase {
+            Phase::BringUp(_) => false,
+            Phase::Work(work) => !matches!(work.stage, WorkStage::NotingIntent(_)),
+            _ => self.follows_a_path(),
+        };
+        if matches!(self.phase, Phase::BringUp(_) | Phase::Work(_)) && !begun {
+            self.phase = Phase::Ready;
+        }
+        say(out, if begun { "disarmed once the present motion is over" } else { "disarmed" });
+    }
+
+    /// A person has seen the plan.
+    fn on_verdict(
+        &mut self,
+        now: Timestamp,
+        id: &str,
+        approved: bool,
+        out: &mut Vec<Action>,
+    ) -> Option<Reply> {
+        let Some(job) = self.job.as_mut().filter(|job| job.order.id == id) else {
+            return Some(not_active(id));
+        };
+        if !matches!(self.phase, Phase::Approve) {
+            return Some(Reply::refuse(format!("job {id} does not wait for approval")));
+        }
+        job.approved = approved;
+        self.phase = Phase::Ready;
+        if !approved {
+            self.finish(now, JobEnd::Cancelled, Code::PlanRejected.because("the plan was rejected", ""), out);
+        }
+        None
+    }
+
+    fn on_cancel(&mut self, id: &str) -> Option<Reply> {
+        let Some(job) = self.job.as_mut().filter(|job| job.order.id == id) else {
+            return Some(not_active(id));
+        };
+        job.cancel = true;
+        if matches!(self.phase, Phase::Plan | Phase::Approve) {
+            self.phase = Phase::Ready;
+        }
+        None
+    }
+
+    /// What has become of an order that was taken; `None` where the answer comes later.
+    pub(crate) fn answer(&self, order: &Order) -> Option<Reply> {
+        Some(match order {
+            Order::Arm => Reply::accept(match self.mode.paused() {
+                true => "armed; a pause is in force, `celld resume` ends it",
+                false => "armed",
+            }),
+            Order::Disarm => Reply::accept(match &self.phase {
+                Phase::Work(_) => {
+                    "disarmed; the pick-n-place under way is finished first, `celld abort` stops it now"
+                }
+                _ if self.follows_a_path() => {
+                    "disarmed; the motion under way goes on to its next stop, `celld abort` stops it now"
+                }
+                _ => "disarmed",
+            }),
+            Order::Approve(_) => Reply::accept("approved"),
+            Order::Reject(_) => Reply::accept("rejected; the job has ended"),
+            Order::Cancel(_) => Reply::accept(match &self.job {
+                Some(_) => "cancelled after the present pick-n-place or look",
+                None => "cancelled",
+            }),
+            Order::Pause => Reply::accept(match &self.phase {
+                Phase::Work(_) => "pauses after the present pick-n-place",
+                _ if self.job.is_some() => "pauses before the next pick-n-place",
+                _ => "paused; no job is under way",
+            }),
+            Order::Resume => Reply::accept("goes on"),
+            Order::Step => Reply::accept(match &self.job {
+                Some(_) => "one pick-n-place, then a pause",
+                None => "no job is under way; the next one pauses after one pick-n-place",
+            }),
+            Order::Abort => Reply::accept("stopped and disarmed"),
+            Order::Park => self.answer_park(),
+            Order::Release(_) => return None,
+            Order::Recover => return None,
+        })
+    }
+
+    fn answer_park(&self) -> Reply {
+        match (&self.phase, &self.waiting_for) {
+            (Phase::Park, _) => Reply::accept("parks now"),
+            (Phase::Ready, Some(reason)) => Reply::accept(format!("parks as soon as it may move: {reason}")),
+            (Phase::Ready, None) if !self.mode.parks() => {
+                Reply::refuse("not parked: the park pose cannot be reached from here")
+            }
+            _ => Reply::accept("parks as soon as the present motion is over"),
+        }
+    }
+
+    fn on_release_order(&mut self, now: Timestamp, number: u64, channels: Channels, out: &mut Vec<Action>) {
+        if self.moving() {
+            // What is let go in motion flies; and a carry must not go on without its object.
+            let reason = Code::Released.because("the operator released the vacuum", "");
+            self.stop_all(now, JobEnd::Interrupted, reason, out);
+        }
+        if let Some(earlier) = self.release_order.replace(number) {
+            let reply = Reply::accept("another release was ordered meanwhile");
+            out.push(Action::Reply { number: earlier, reply });
+        }
+        say(out, format!("vacuum off by the operator's order, {}", channels.word()));
+        self.seen = None;
+        out.push(Action::Gripper(GripperCommand::Release { channels }));
+    }
+
+    /// The gripper's word on a release that a person ordered.
+    pub(crate) fn answer_release(&mut self, event: &GripperEvent, out: &mut Vec<Action>) {
+        let reply = match event {
+            GripperEvent::Released => Reply::accept("vacuum off"),
+            GripperEvent::ReleaseFailed { vacuum } => Reply::refuse(format!(
+                "the vacuum does not go: {:.0} %; see the gripper, what it holds may still hang there",
+                vacuum * 100.0
+            )),
+            GripperEvent::Refused => Reply::refuse("the gripper takes no order: it does not answer"),
+            _ => return,
+        };
+        if let Some(number) = self.release_order.take() {
+            out.push(Action::Reply { number, reply });
+        }
+    }
+}
+
+fn not_active(id: &str) -> Reply {
+    Reply::refuse(format!("job {id} is not the active one; `celld status` names it"))
+}

@@ -1,0 +1,100 @@
+//! A job as the supervisor carries it out, and how it ended.
+//!
+//! In: goals by object name, how to plan, whether a person has to approve. Out: a [`JobReport`] with a code a
+//! program can test and a sentence a person can act on.
+
+use crate::cell::code::Code;
+use crate::geometry::pose::Pose2;
+use crate::planning::plan::Objective;
+use crate::planning::solver::SolverKind;
+use crate::time::Duration;
+
+/// Work to do: bring the named objects to their goals; the others may end anywhere.
+#[derive(Clone, Debug)]
+pub struct JobOrder {
+    /// Name of the job.
+    pub id: String,
+    /// Wanted pose of each named object, table frame.
+    pub goals: Vec<(String, Pose2)>,
+    /// What the plan minimises.
+    pub objective: Objective,
+    /// Solver.
+    pub solver: SolverKind,
+    /// Planning budget.
+    pub time_limit: Duration,
+    /// Seed of the planner.
+    pub seed: u64,
+    /// Which plans a person has to approve before anything is picked.
+    pub approval: ApprovalRule,
+}
+
+/// Which plans of a job wait for a person.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ApprovalRule {
+    /// None.
+    NoPlan,
+    /// The first one; a new plan for the same goal does not wait again.
+    FirstPlan,
+    /// Every one.
+    EveryPlan,
+}
+
+/// How a job ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JobEnd {
+    /// Every object is at its goal, and the camera says so.
+    Done,
+    /// It could not be done.
+    Failed,
+    /// A person cancelled it.
+    Cancelled,
+    /// It was cut off by a stop, a fault or a shutdown; the table has to be looked at.
+    Interrupted,
+}
+
+/// One object at the end of a job.
+#[derive(Clone, Debug)]
+pub struct ObjectResult {
+    /// Name.
+    pub id: String,
+    /// Where it should be.
+    pub goal: Option<Pose2>,
+    /// Where the camera saw it last.
+    pub measured: Option<Pose2>,
+}
+
+/// What became of a job.
+#[derive(Clone, Debug)]
+pub struct JobReport {
+    /// Name of the job.
+    pub id: String,
+    /// How it ended.
+    pub end: JobEnd,
+    /// Stable code.
+    pub code: Code,
+    /// The object that the code is about, if it is about one.
+    pub object: Option<String>,
+    /// One sentence.
+    pub message: String,
+    /// What the operator can do about it; empty when nothing is needed.
+    pub remedy: String,
+    /// Pick-n-places carried out.
+    pub moves: usize,
+    /// Lower bound of the first plan, in the job's objective.
+    pub lower_bound: Option<f64>,
+    /// Pick-n-places of the first plan, and how many of them went to a buffer.
+    pub planned: Option<(usize, usize)>,
+    /// Seconds the first plan took.
+    pub planning_seconds: f64,
+    /// Seconds from the job's start to its end.
+    pub seconds: f64,
+    /// Each object.
+    pub objects: Vec<ObjectResult>,
+}
+
+impl JobReport {
+    /// The code as files have it, for example `done` or `object_missing:lid`.
+    pub fn code_text(&self) -> String {
+        self.code.about(self.object.as_deref().unwrap_or_default())
+    }
+}

@@ -1,0 +1,160 @@
+//! What the cell is doing: the phases of the supervisor and what each of them carries.
+//!
+//! Plain data; the transitions are in the modules named after the phases.
+
+use crate::cell::supervisor::input::CameraTrouble;
+use crate::cell::supervisor::order::JobOrder;
+use crate::geometry::pose::Pose2;
+use crate::motion::pick_n_place::PickNPlacePaths;
+use crate::time::Timestamp;
+use crate::units::Joints;
+use crate::vision::observe::View;
+use crate::wire::enumerations::RobotMode;
+
+/// What the cell is doing.
+#[derive(Debug)]
+pub(crate) enum Phase {
+    /// Between two things.
+    Ready,
+    /// Powering the arm and starting the on-robot program.
+    BringUp(BringUp),
+    /// Going round the look poses.
+    Look(Look),
+    /// Waiting for the planner.
+    Plan,
+    /// Waiting for a person.
+    Approve,
+    /// One pick-n-place.
+    Work(Box<Work>),
+    /// Going to the park pose.
+    Park,
+    /// At a pose of a calibration round, or on the way.
+    Visit(Visit),
+}
+
+/// Bring-up of the robot: which request is out, if any.
+#[derive(Debug, Default)]
+pub(crate) struct BringUp {
+    pub asked: Option<RobotMode>,
+    pub program_asked: bool,
+}
+
+/// A look at the table.
+#[derive(Debug)]
+pub(crate) struct Look {
+    pub view: usize,
+    pub stage: LookStage,
+    pub views: Vec<View>,
+    /// Why there is no picture from here yet.
+    pub trouble: Option<CameraTrouble>,
+}
+
+/// How far a look is.
+#[derive(Debug)]
+pub(crate) enum LookStage {
+    /// On the way to a look pose.
+    Moving,
+    /// Arrived; still since.
+    Settling { still_since: Option<Timestamp> },
+    /// Frames are being taken with the arm at these joints.
+    Capturing { q: Joints },
+    /// All views are in.
+    Observing,
+}
+
+/// One pose of a calibration round.
+#[derive(Debug)]
+pub(crate) enum Visit {
+    /// On the way.
+    Moving,
+    /// Arrived; still since.
+    Settling { still_since: Option<Timestamp> },
+    /// The picture is being taken.
+    Picturing,
+}
+
+/// A pick-n-place under way.
+#[derive(Debug)]
+pub(crate) struct Work {
+    pub object: String,
+    pub paths: PickNPlacePaths,
+    pub stage: WorkStage,
+}
+
+/// How far a pick-n-place is. The `Noting` stages wait for a record, by its number, before the arm goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum WorkStage {
+    /// Nothing has moved yet.
+    NotingIntent(u64),
+    Approaching,
+    Gripping,
+    NotingGrip(u64),
+    Carrying,
+    Releasing,
+    NotingRelease(u64),
+    Retreating,
+    NotingDone(u64),
+    /// The grip failed: letting go.
+    GivingUp,
+    /// The grip failed: going up empty.
+    Withdrawing,
+}
+
+/// One remaining action of the route.
+#[derive(Clone, Debug)]
+pub(crate) struct RouteAction {
+    pub object: String,
+    pub from: Pose2,
+    pub to: Pose2,
+    pub to_goal: bool,
+}
+
+/// The job being carried out.
+#[derive(Debug)]
+pub(crate) struct JobRun {
+    pub order: JobOrder,
+    pub started: Timestamp,
+    /// What remains to be done; `None` before planning or when the table disagreed.
+    pub route: Option<Vec<RouteAction>>,
+    pub approved: bool,
+    pub moves: usize,
+    pub planned: Option<(usize, usize)>,
+    pub lower_bound: Option<f64>,
+    pub planning_seconds: f64,
+    pub replans: u32,
+    pub grip_failures: u32,
+    pub look_failures: u32,
+    /// It was said which objects of the catalogue are not seen.
+    pub absent_told: bool,
+    pub last_seen: Vec<(String, Pose2)>,
+    pub cancel: bool,
+}
+
+impl WorkStage {
+    pub fn verb(self) -> &'static str {
+        match self {
+            WorkStage::NotingIntent(_) => "about to move",
+            WorkStage::Approaching => "approaching",
+            WorkStage::Gripping | WorkStage::NotingGrip(_) => "gripping",
+            WorkStage::Carrying => "carrying",
+            WorkStage::Releasing | WorkStage::NotingRelease(_) => "releasing",
+            WorkStage::Retreating | WorkStage::NotingDone(_) => "retreating from",
+            WorkStage::GivingUp | WorkStage::Withdrawing => "giving up",
+        }
+    }
+
+    pub fn follows_a_path(self) -> bool {
+        match self {
+            WorkStage::Approaching | WorkStage::Carrying | WorkStage::Retreating | WorkStage::Withdrawing => {
+                true
+            }
+            WorkStage::NotingIntent(_)
+            | WorkStage::Gripping
+            | WorkStage::NotingGrip(_)
+            | WorkStage::Releasing
+            | WorkStage::NotingRelease(_)
+            | WorkStage::NotingDone(_)
+            | WorkStage::GivingUp => false,
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! How the cell looks from outside: for the status file, a page, the demo's progress.
+//!
+//! In: the supervisor's state. Out: [`Status`], in values that programs compare and in words for people.
+
+use crate::cell::code::Code;
+use crate::cell::supervisor::cell::Supervisor;
+use crate::cell::supervisor::gates::Closed;
+use crate::cell::supervisor::phase::Phase;
+use crate::cell::supervisor::round::Round;
+
+/// What is going on, for programs; [`Status::text`] says it in words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Doing {
+    /// No job.
+    Idle,
+    /// A gate is closed.
+    Waiting(Closed),
+    /// A pause is in force.
+    Paused,
+    /// The last record of a job or a step is being written.
+    Writing,
+    /// About to go on.
+    Ready,
+    /// Power, brakes, program.
+    StartingRobot,
+    /// Look pose, from 1, and how many; the code of what keeps the camera from giving a picture.
+    Looking(usize, usize, Option<Code>),
+    /// The planner works.
+    Planning,
+    /// A person has to approve the plan.
+    AwaitingApproval,
+    /// A pick-n-place: what, and with which object.
+    Working(&'static str, String),
+    /// On the way to the park pose.
+    Parking,
+    /// Calibration pose, from 1, and how many.
+    Visiting(usize, usize),
+    /// The daemon ends.
+    Ending,
+}
+
+/// How the cell looks from outside.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Status {
+    /// Motion is allowed.
+    pub armed: bool,
+    /// A pause is in force.
+    pub paused: bool,
+    /// What is going on.
+    pub doing: Doing,
+    /// The active job.
+    pub job: Option<String>,
+    /// Pick-n-places carried out in it.
+    pub moves: usize,
+    /// Pick-n-places its present plan still has.
+    pub remaining_moves: usize,
+}
+
+impl Status {
+    /// What is going on, in a few words.
+    pub fn text(&self) -> String {
+        match &self.doing {
+            Doing::Idle => "idle".to_string(),
+            Doing::Waiting(reason) => format!("waiting: {reason}"),
+            Doing::Paused => "paused".to_string(),
+            Doing::Writing => "writing the journal".to_string(),
+            Doing::Ready => "ready".to_string(),
+            Doing::StartingRobot => "starting the robot".to_string(),
+            Doing::Looking(view, of, None) => format!("looking {view}/{of}"),
+            Doing::Looking(view, of, Some(code)) => format!("looking {view}/{of}, waiting: {code}"),
+            Doing::Planning => "planning".to_string(),
+            Doing::AwaitingApproval => "waiting for approval".to_string(),
+            Doing::Working(verb, object) => format!("{verb} {object}"),
+            Doing::Parking => "parking".to_string(),
+            Doing::Visiting(pose, of) => format!("calibration pose {pose}/{of}"),
+            Doing::Ending => "ending".to_string(),
+        }
+    }
+}
+
+impl Supervisor {
+    /// How the cell looks from outside.
+    pub fn status(&self) -> Status {
+        let job = self.job.as_ref();
+        Status {
+            armed: self.mode.armed(),
+            paused: self.mode.paused(),
+            doing: self.doing(),
+            job: job.map(|job| job.order.id.clone()),
+            moves: job.map_or(0, |job| job.moves),
+            remaining_moves: job.and_then(|job| job.route.as_ref()).map_or(0, Vec::len),
+        }
+    }
+
+    fn doing(&self) -> Doing {
+        match &self.phase {
+            Phase::Ready if self.mode.ending() => Doing::Ending,
+            Phase::Ready => match (&self.job, &self.waiting_for) {
+                (None, _) if !self.ledger.is_clear() => Doing::Writing,
+                (None, _) => Doing::Idle,
+                (Some(_), Some(reason)) => Doing::Waiting(reason.clone()),
+                (Some(_), None) if self.mode.paused() => Doing::Paused,
+                (Some(_), None) => Doing::Ready,
+            },
+            Phase::BringUp(_) => Doing::StartingRobot,
+            Phase::Look(look) => {
+                let trouble = look.trouble.as_ref().map(|trouble| trouble.code);
+                Doing::Looking(look.view + 1, self.model.look_poses.len(), trouble)
+            }
+            Phase::Plan => Doing::Planning,
+            Phase::Approve => Doing::AwaitingApproval,
+            Phase::Work(work) => Doing::Working(work.stage.verb(), work.object.clone()),
+            Phase::Park => Doing::Parking,
+            Phase::Visit(_) => {
+                let (pose, of) = self.round.as_ref().map_or((0, 0), Round::progress);
+                Doing::Visiting(pose, of)
+            }
+        }
+    }
+}

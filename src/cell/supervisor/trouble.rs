@@ -1,0 +1,268 @@
+//! What interrupts the cell: safety stops, lost links, ended programs, deadlines, the operator's stop, the disk, shutdown.
+//!
+//! One rule: the arm is stopped first, the vacuum stays as it is, the job gets a named end, the cell is disarmed, and
+//! nothing continues until a person has armed it and the table has been seen again.
+
+use crate::cell::code::Code;
+use crate::cell::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
+use crate::cell::supervisor::cell::{Reason, Supervisor, alarm, say};
+use crate::cell::supervisor::input::{Action, CameraTrouble, Outside};
+use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
+use crate::cell::supervisor::mode::{EndFault, Mode};
+use crate::cell::supervisor::order::JobEnd;
+use crate::cell::supervisor::phase::{Look, LookStage, Phase};
+use crate::cell::supervisor::round::RoundFault;
+use crate::time::{Duration, Timestamp};
+use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+
+/// After this long a held motion is given up: nobody can say what happened on the table meanwhile.
+const LONGEST_PAUSE: Duration = Duration::from_secs(30);
+
+/// How long the arm may take to stop after the order to end.
+const STOP_WITHIN: Duration = Duration::from_secs(3);
+
+/// What a person does after a stop.
+const AFTER_A_STOP: &str = "see that the cell is safe and nothing hangs on the gripper, then `celld arm`";
+
+impl Supervisor {
+    /// Runs on every tick: settling, bring-up, deadlines, the disk, and the robot's state while something moves.
+    pub(crate) fn watch(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+        self.watch_disk(now, out);
+        self.watch_end(now, outside, out);
+        self.watch_settling(now, outside, out);
+        self.watch_visit(now, outside, out);
+        self.bring_up(outside, out);
+        if let Some(message) = motion_trouble(now, outside).filter(|_| self.moving()) {
+            return self.stop_all(now, JobEnd::Interrupted, Code::RobotStopped.because(message, ""), out);
+        }
+        if self.held_for(now, outside) > LONGEST_PAUSE {
+            let message = "the program was paused for too long: the table may have changed";
+            let reason = Code::PausedTooLong.because(message, "");
+            return self.stop_all(now, JobEnd::Interrupted, reason, out);
+        }
+        if self.remaining.is_zero() {
+            self.on_deadline(now, out);
+        }
+    }
+
+    fn watch_disk(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        match self.ledger.judge(now) {
+            Disk::Fine => {}
+            Disk::Slow => alarm(
+                out,
+                "the state folder's disk has been writing an entry for 1 s; no motion begins before it is written",
+            ),
+            Disk::Silent => self.on_store_lost(now, EndFault::Silent(SILENT_AFTER.as_secs()), out),
+        }
+    }
+
+    /// The daemon may end when the arm stands and everything is written; and when that was waited for long enough.
+    fn watch_end(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+        let Mode::Ending { since, fault } = &self.mode else { return };
+        let stands = self.stands || outside.robot.is_none() || now.since(*since) >= STOP_WITHIN;
+        let written = self.ledger.is_clear() || fault.is_some();
+        if stands && written && !self.ended {
+            let end = fault.clone().map_or(Ok(()), Err);
+            self.ended = true;
+            out.push(Action::End(end));
+        }
+    }
+
+    /// How long the arm has been held in the middle of a motion, by pause or by a slider at zero.
+    fn held_for(&mut self, now: Timestamp, outside: &Outside) -> Duration {
+        let held = self.moving() && motion_speed(outside) == 0.0;
+        self.held_since = if held { self.held_since.or(Some(now)) } else { None };
+        self.held_since.map_or(Duration::ZERO, |since| now.since(since))
+    }
+
+    /// True while the arm may be in motion or an object may hang on it.
+    pub(crate) fn moving(&self) -> bool {
+        matches!(self.phase, Phase::Look(_) | Phase::Work(_) | Phase::Park | Phase::Visit(_))
+    }
+
+    fn on_deadline(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        if let Phase::Look(Look { trouble: Some(trouble), .. }) = &self.phase {
+            let trouble = trouble.clone();
+            return self.give_up_looking(now, &trouble, out);
+        }
+        if matches!(self.phase, Phase::Look(Look { stage: LookStage::Capturing { .. }, .. })) {
+            let trouble = CameraTrouble {
+                code: Code::CameraUnplugged,
+                message: "the camera gave no picture in the time of a look".to_string(),
+                remedy: "look at the camera's cable and power, submit again",
+                lasting: false,
+            };
+            return self.give_up_looking(now, &trouble, out);
+        }
+        let (code, message) = match &self.phase {
+            Phase::Ready | Phase::Approve => return,
+            Phase::BringUp(_) => (Code::RobotNotStarted, "the robot did not come up in time".to_string()),
+            Phase::Look(_) => (Code::LookTimeout, "the look was not finished in time".to_string()),
+            Phase::Plan => (Code::PlannerStuck, "the planner did not answer within its budget".to_string()),
+            Phase::Work(work) => {
+                (Code::WorkTimeout, format!("{:?} {} took too long", work.stage, work.object))
+            }
+            Phase::Park => (Code::ParkTimeout, "the park pose was not reached in time".to_string()),
+            Phase::Visit(_) => {
+                (Code::WorkTimeout, "the calibration pose was not reached in time".to_string())
+            }
+        };
+        self.stop_all(now, JobEnd::Failed, code.because(message, ""), out);
+    }
+
+    /// Everything the robot reports besides a finished path.
+    pub(crate) fn on_robot_trouble(
+        &mut self,
+        now: Timestamp,
+        outside: &Outside,
+        event: RobotEvent,
+        out: &mut Vec<Action>,
+    ) {
+        if let RobotEvent::ProgramRunning { .. } = event {
+            return self.bring_up(outside, out);
+        }
+        let Some(reason) = self.trouble_of(event) else { return };
+        if self.moving() || matches!(self.phase, Phase::BringUp(_)) {
+            self.stop_all(now, JobEnd::Interrupted, reason, out);
+        } else {
+            self.stand_down(now, reason, out);
+        }
+    }
+
+    /// Why an event of the robot stops the cell; `None` for those that do not.
+    fn trouble_of(&mut self, event: RobotEvent) -> Option<Reason> {
+        let message = match event {
+            RobotEvent::ProgramEnded { reason } => {
+                // Whatever ran before ours is stopped on the way to starting ours.
+                if matches!((&self.phase, &reason), (Phase::BringUp(_), ProgramEnd::AsAsked)) {
+                    return None;
+                }
+                self.nonce = None;
+                // A round, or the daemon, has ended it.
+                if reason == ProgramEnd::AsAsked {
+                    return None;
+                }
+                format!("the on-robot program ended: {reason}")
+            }
+            RobotEvent::RuntimeException { line, column, text } => {
+                format!("the on-robot program failed at line {line}, column {column}: {text}")
+            }
+            RobotEvent::ProtocolFault { link, detail, .. } => format!("{link}: {detail}"),
+            RobotEvent::RtdeLost => "the RTDE link was lost".to_string(),
+            RobotEvent::Refused { what, reply } => format!("the controller refused {what}: {reply}"),
+            RobotEvent::Safety { mode } if !matches!(mode, SafetyMode::Normal | SafetyMode::Reduced) => {
+                format!("safety mode {mode:?}")
+            }
+            RobotEvent::RemoteControl { on: false } => {
+                "the pendant was switched to local control".to_string()
+            }
+            RobotEvent::Kinematics { dh, .. } if dh != self.model.arm.dh => {
+                let message = "another arm answers, or it was calibrated anew: its kinematics differ from those \
+                               celld started with";
+                self.mode.lock(message.to_string());
+                return Some(
+                    Code::OtherRobot.because(message, "end celld, `celld calibrate`, start it again"),
+                );
+            }
+            _ => return None,
+        };
+        Some(Code::RobotStopped.because(message, ""))
+    }
+
+    /// Something happened to the robot while nothing moved: people who were in the cell since then have to arm it again
+    /// before it moves.
+    fn stand_down(&mut self, now: Timestamp, reason: Reason, out: &mut Vec<Action>) {
+        self.seen = None;
+        self.mode.set_park(false);
+        let locked = matches!(self.mode, Mode::Locked(_));
+        if !self.mode.armed() && !locked {
+            return say(out, reason.message);
+        }
+        self.mode.disarm();
+        self.phase = Phase::Ready;
+        alarm(out, format!("disarmed: {}", reason.message));
+        self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
+        let remedy = "see that the cell is safe, then `celld arm` and submit again".to_string();
+        let remedy = if reason.remedy.is_empty() { remedy } else { reason.remedy };
+        self.finish(now, JobEnd::Interrupted, Reason { remedy, ..reason }, out);
+    }
+
+    pub(crate) fn on_abort(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        let reason = Code::Aborted.because("the operator stopped the cell", "");
+        self.stop_all(now, JobEnd::Interrupted, reason, out);
+    }
+
+    pub(crate) fn on_shutdown(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        let reason = Code::Shutdown.because("celld was told to end", "");
+        self.stop_all(now, JobEnd::Interrupted, reason, out);
+        if !self.mode.ending() {
+            self.mode = Mode::Ending { since: now, fault: None };
+        }
+    }
+
+    /// Nothing can be written any more: without the journal no motion may be ordered.
+    pub(crate) fn on_store_lost(&mut self, now: Timestamp, fault: EndFault, out: &mut Vec<Action>) {
+        if matches!(self.mode, Mode::Ending { fault: Some(_), .. }) {
+            return;
+        }
+        let reason =
+            Code::JournalFailed.because(fault.to_string(), "see what ails the disk, start celld again");
+        self.stop_all(now, JobEnd::Interrupted, reason, out);
+        self.mode = Mode::Ending { since: now, fault: Some(fault) };
+    }
+
+    /// A record is on disk, or could not be written.
+    pub(crate) fn on_committed(
+        &mut self,
+        now: Timestamp,
+        outside: &Outside,
+        number: u64,
+        result: Result<(), String>,
+        out: &mut Vec<Action>,
+    ) {
+        self.ledger.close(number);
+        match result {
+            Ok(()) => self.work_noted(now, outside, number, out),
+            Err(cause) => self.on_store_lost(now, EndFault::Journal(cause), out),
+        }
+    }
+
+    /// Stops the arm, keeps the vacuum, ends the job, disarms.
+    pub(crate) fn stop_all(&mut self, now: Timestamp, end: JobEnd, reason: Reason, out: &mut Vec<Action>) {
+        out.push(Action::Robot(RobotCommand::Stop));
+        self.stands = false;
+        self.phase = Phase::Ready;
+        self.seen = None;
+        self.mode.disarm();
+        // The program ends or stands; its number in the registers proves nothing any more.
+        self.nonce = None;
+        alarm(out, format!("stopped and disarmed: {}", reason.message));
+        self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
+        let remedy = if reason.remedy.is_empty() { AFTER_A_STOP.to_string() } else { reason.remedy.clone() };
+        self.finish(now, end, Reason { remedy, ..reason }, out);
+    }
+}
+
+/// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does not play.
+pub(crate) fn motion_speed(outside: &Outside) -> f64 {
+    outside.robot.map_or(0.0, |robot| {
+        let playing = robot.runtime_state == RuntimeState::Playing;
+        if playing { robot.target_speed_fraction.clamp(0.0, 1.0) } else { 0.0 }
+    })
+}
+
+/// What in the robot's state forbids going on with a motion.
+fn motion_trouble(now: Timestamp, outside: &Outside) -> Option<String> {
+    let Some(robot) = outside.robot else { return Some("the robot has never sent a state".to_string()) };
+    if !outside.robot_fresh {
+        Some(format!("the robot's state stopped coming {:.2} s ago", now.since(robot.received).as_secs_f64()))
+    } else if !matches!(robot.safety_mode, SafetyMode::Normal | SafetyMode::Reduced) {
+        Some(format!("safety mode {:?}", robot.safety_mode))
+    } else if robot.robot_mode != RobotMode::Running {
+        Some(format!("robot mode {:?}", robot.robot_mode))
+    } else if robot.remote_control == Some(false) {
+        Some("the pendant was switched to local control".to_string())
+    } else {
+        None
+    }
+}

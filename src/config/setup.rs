@@ -1,0 +1,356 @@
+//! From configuration and calibration to the parameter structs of supervisor, perception and devices.
+//!
+//! In: a checked [`CellConfig`], what calibration found, the kinematics the controller reported. Out: plain
+//! structs; no other part of the daemon reads the configuration. Pure.
+
+use crate::cell::device::gripper::{Channels, GripperParameters};
+use crate::cell::event::Arm;
+use crate::cell::supervisor::model::{
+    CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
+};
+use crate::config::cell::{CameraMount, CellConfig, CupChannel};
+use crate::config::check::needed_force_n;
+use crate::geometry::pose::Pose2;
+use crate::motion::kinematics::DhParameters;
+use crate::motion::path::{ArmLimits, ArmModel};
+use crate::motion::pick_n_place::{CycleParameters, PickNPlace, plan};
+use crate::perception::Scene;
+use crate::tabletop::instance::{ObjectSpec, Workspace};
+use crate::tabletop::room::{Cup, Grip, place_for_cups};
+use crate::time::Duration;
+use crate::vision::calibration::hand_eye::Mount;
+use crate::vision::camera::CameraModel;
+use crate::vision::foreign::search::{ForeignSearch, Inventory};
+use crate::vision::foreign::{Area, ForeignLimits, HeightMapError, KnownBody, OwnBody};
+use crate::vision::observe::reference::DriftLimits;
+use crate::vision::observe::{MarkedObject, ObserveLimits, ReferenceMarker};
+use nalgebra::{Isometry3, Vector3};
+
+/// What calibration found and the controller reported.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// The arm's calibrated kinematics.
+    pub dh: DhParameters,
+    /// Where the table is.
+    pub base_from_table: Isometry3<f64>,
+    /// Where the camera sits.
+    pub mount: Mount,
+    /// The camera's lens.
+    pub camera: CameraModel,
+}
+
+/// Why a configuration cannot be worked with, although each key is fine.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SetupError {
+    /// Height, mass or marker is missing.
+    #[error("object {id} has no {what}; the cell needs it")]
+    Lacks {
+        /// Object.
+        id: String,
+        /// What is missing.
+        what: &'static str,
+    },
+    /// The cups do not fit on it.
+    #[error("object {id}: no place on its top where all cups lie with 1 mm to spare")]
+    NoGrip {
+        /// Object.
+        id: String,
+    },
+    /// The cups could lose it on the way.
+    #[error(
+        "object {id} weighs {mass_kg} kg: carrying it safely takes {needed_n:.1} N, the cups hold {held_n:.1} N at vacuum_min"
+    )]
+    TooHeavy {
+        /// Object.
+        id: String,
+        /// Its mass, kg.
+        mass_kg: f64,
+        /// Force that the factors ask for, N.
+        needed_n: f64,
+        /// Force of the cups at `vacuum_min`, N.
+        held_n: f64,
+    },
+}
+
+/// Distance every cup keeps to the edge of a top, m (design, section 4.4).
+pub const CUP_MARGIN_M: f64 = 1e-3;
+
+/// Relative vacuum asked for; regulated down from the pump's 80 % to spare the filters.
+const VACUUM_TARGET: f64 = 0.6;
+
+/// Reference markers that a look must show: with fewer, a bump of the camera could hide in the noise.
+const REFERENCES_SEEN: usize = 3;
+
+/// How far round the workspace foreign objects are looked for, m: the gripper comes down at its very edge.
+const SEARCH_MARGIN_M: f64 = 0.02;
+
+/// Room round the gripper in which points are taken for its own, m.
+const OWN_MARGIN_M: f64 = 0.02;
+
+/// The supervisor's model of the cell.
+///
+/// # Errors
+/// What an object of the catalogue lacks.
+pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel, SetupError> {
+    Ok(model_of(config, measured, cell_objects(config)?))
+}
+
+fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) -> CellModel {
+    let tolerances = &config.tolerances;
+    let devices = &config.devices;
+    CellModel {
+        addresses: DeviceAddresses {
+            robot: devices.robot_host.clone(),
+            gripper: format!("{}:{}", devices.gripper_host, devices.gripper_port),
+        },
+        arm: arm_model(config, measured.dh, measured.base_from_table),
+        cycle: cycle_parameters(config),
+        mount: measured.mount,
+        look_poses: config.look_poses.clone(),
+        frames_per_view: 2,
+        park: config.park_pose,
+        workspace: Workspace { width: config.workspace.width_m, height: config.workspace.height_m },
+        clearance: config.workspace.clearance_m,
+        keep_out: config.obstacles(),
+        ignore_markers: config.ignore_markers.clone(),
+        objects,
+        foreign: config.foreign,
+        tolerances: Tolerances {
+            goal_position: tolerances.goal_position_m,
+            goal_angle: tolerances.goal_angle_rad,
+            expected_position: 2.0 * tolerances.goal_position_m,
+            expected_angle: 2.0 * tolerances.goal_angle_rad,
+            observation_age: Duration::from_secs_f64(tolerances.observation_age_s),
+            reference: drift_limits(config),
+            reference_seen: REFERENCES_SEEN,
+            measurement_std: tolerances.goal_position_m,
+            retries: 2,
+            settle: Duration::from_millis(150),
+            look_deadline: Duration::from_secs(60),
+            phase_deadline: Duration::from_secs(60),
+            plan_grace: Duration::from_secs(600),
+        },
+        grip: grip_settings(config),
+    }
+}
+
+/// The model of a cell that is not calibrated yet: the arm as the controller reports it, table and camera as drawn, no
+/// object. Good for calibration rounds and nothing else.
+pub fn nominal_model(config: &CellConfig, arm: &Arm, lens: &CameraModel) -> CellModel {
+    let mount = match &config.camera {
+        CameraMount::Flange { flange_from_camera } => {
+            Mount::Flange { flange_from_camera: *flange_from_camera }
+        }
+        CameraMount::Fixed { base_from_camera, .. } => Mount::Fixed { base_from_camera: *base_from_camera },
+    };
+    let camera = lens.clone();
+    let measured = Measured { dh: arm.dh, base_from_table: config.base_from_table, mount, camera };
+    model_of(config, &measured, Vec::new())
+}
+
+/// Heights and speeds of a pick-n-place.
+fn cycle_parameters(config: &CellConfig) -> CycleParameters {
+    let limits = &config.limits;
+    CycleParameters {
+        tallest: config.objects.iter().filter_map(|object| object.height).fold(0.0, f64::max),
+        air: limits.lift_height_m,
+        approach: limits.approach_height_m,
+        press: limits.press_m,
+        blend: limits.blend_m,
+        joint_speed: limits.joint_speed,
+        joint_acceleration: limits.joint_acceleration,
+        tool_speed: limits.tool_speed,
+        tool_acceleration: limits.tool_acceleration,
+    }
+}
+
+/// Whether the arm, as drawn, can carry each object from its start to its goal.
+///
+/// # Errors
+/// The first object that it cannot, and why.
+pub fn check_reach(config: &CellConfig, task: &[(String, Pose2, Pose2)]) -> Result<(), String> {
+    let objects = cell_objects(config).map_err(|error| error.to_string())?;
+    let arm = arm_model(config, DhParameters::UR5E, config.base_from_table);
+    for (id, from, to) in task {
+        let Some(object) = objects.iter().find(|object| object.id == *id) else { continue };
+        let task = PickNPlace {
+            from: *from,
+            to: *to,
+            grip_point: object.grip_point,
+            grip_yaw: object.grip_yaw,
+            height: object.height,
+        };
+        plan(&arm, &config.park_pose, &task, &cycle_parameters(config))
+            .map_err(|fault| format!("object {id} cannot be carried to its goal: {fault}"))?;
+    }
+    Ok(())
+}
+
+/// The arm with the table at `base_from_table`: nominal for calibration, calibrated for work.
+pub fn arm_model(config: &CellConfig, dh: DhParameters, base_from_table: Isometry3<f64>) -> ArmModel {
+    let limits = &config.limits;
+    ArmModel {
+        dh,
+        base_from_table,
+        flange_from_tool: config.flange_from_tool,
+        home: config.work_pose,
+        limits: ArmLimits {
+            joint_range: limits.joint_range,
+            joint_speed: limits.joint_speed,
+            joint_acceleration: limits.joint_acceleration,
+            tool_speed: limits.tool_speed,
+            tool_acceleration: limits.tool_acceleration,
+            link_floor: limits.link_floor_m,
+        },
+    }
+}
+
+/// The cups as the fit needs them.
+pub fn cups(config: &CellConfig) -> Vec<Cup> {
+    let cup =
+        |cup: &crate::config::cell::CupConfig| Cup { x: cup.x_m, y: cup.y_m, radius: cup.diameter_m / 2.0 };
+    config.gripper.cups.iter().map(cup).collect()
+}
+
+/// What the cell may move.
+///
+/// # Errors
+/// What an object of the catalogue lacks, or why the gripper cannot carry it.
+pub fn cell_objects(config: &CellConfig) -> Result<Vec<CellObject>, SetupError> {
+    let movable = config.objects.iter().filter(|object| !object.fixed);
+    movable.map(|object| cell_object(config, object)).collect()
+}
+
+fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, SetupError> {
+    let lacks = |what| SetupError::Lacks { id: object.id.clone(), what };
+    let grip: Grip =
+        place_for_cups(&object.footprint, object.grippable.as_ref(), &cups(config), CUP_MARGIN_M)
+            .ok_or_else(|| SetupError::NoGrip { id: object.id.clone() })?;
+    let mass_kg = object.mass.ok_or_else(|| lacks("mass"))?;
+    let (needed_n, held_n) =
+        (needed_force_n(mass_kg, &config.limits), config.gripper.holding_force_n(&config.gripper.cups));
+    if held_n < needed_n {
+        return Err(SetupError::TooHeavy { id: object.id.clone(), mass_kg, needed_n, held_n });
+    }
+    Ok(CellObject {
+        id: object.id.clone(),
+        footprint: object.footprint.clone(),
+        impedance: object.impedance,
+        height: object.height.ok_or_else(|| lacks("height"))?,
+        mass: mass_kg,
+        marker: object.marker.clone().ok_or_else(|| lacks("marker"))?,
+        grip_point: grip.point,
+        grip_yaw: grip.yaw,
+    })
+}
+
+fn grip_settings(config: &CellConfig) -> GripSettings {
+    let has = |channel| config.gripper.cups.iter().any(|cup| cup.channel == channel);
+    GripSettings {
+        channels: match (has(CupChannel::A), has(CupChannel::B)) {
+            (true, true) => Channels::Both,
+            (false, true) => Channels::B,
+            (true, false) | (false, false) => Channels::A,
+        },
+        vacuum_target: VACUUM_TARGET.max(config.gripper.vacuum_min),
+        body_radius: config.gripper.body_polygon.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max),
+        body_above_lips: config.gripper.body_height_m,
+        tool_mass: config.gripper.mass_kg,
+        tool_centre: Vector3::from(config.gripper.centre_of_gravity_m),
+    }
+}
+
+/// The gripper session's thresholds.
+pub fn gripper_parameters(config: &CellConfig) -> GripperParameters {
+    GripperParameters {
+        vacuum_min: config.gripper.vacuum_min,
+        vacuum_hold: 0.8 * config.gripper.vacuum_min,
+        grip_within: Duration::from_secs(2),
+        release_within: Duration::from_secs(2),
+    }
+}
+
+/// The surveyed reference markers.
+pub fn reference_markers(config: &CellConfig) -> Vec<ReferenceMarker> {
+    let marker = |m: &crate::config::cell::ReferenceMarkerConfig| ReferenceMarker {
+        id: m.id,
+        size: m.size_m,
+        pose: m.pose,
+    };
+    config.reference_markers.iter().map(marker).collect()
+}
+
+/// What perception looks for.
+///
+/// # Errors
+/// What OpenCV says about the lens.
+pub fn scene(config: &CellConfig, measured: &Measured) -> Result<Scene, HeightMapError> {
+    let objects = config
+        .objects
+        .iter()
+        .filter_map(|object| {
+            let marker = object.marker.as_ref()?;
+            Some(MarkedObject {
+                id: object.id.clone(),
+                marker_id: marker.id,
+                marker_size: marker.size,
+                height: object.height.unwrap_or(0.0),
+                offset: marker.offset,
+            })
+        })
+        .collect();
+    let camera = measured.camera.clone();
+    let foreign = match config.foreign {
+        ForeignRule::Off => None,
+        ForeignRule::Refuse { .. } | ForeignRule::Obstacle { .. } => {
+            // Before a fixed camera the look poses keep the arm out of the picture; what of it is in there is in the way.
+            let own = match &measured.mount {
+                Mount::Flange { flange_from_camera } => {
+                    Some(flange_from_camera.inverse() * config.flange_from_tool)
+                }
+                Mount::Fixed { .. } => None,
+            };
+            Some(ForeignSearch::new(&camera, inventory(config, own), ForeignLimits::default())?)
+        }
+    };
+    let (reference, limits) = (reference_markers(config), ObserveLimits::default());
+    let drift = drift_limits(config);
+    Ok(Scene { camera, objects, reference, limits, foreign, drift })
+}
+
+/// From where on the camera counts as moved.
+pub fn drift_limits(config: &CellConfig) -> DriftLimits {
+    let tolerances = &config.tolerances;
+    DriftLimits {
+        residual_m: tolerances.reference_residual_m,
+        shift_m: tolerances.reference_shift_m,
+        turn_rad: tolerances.reference_turn_rad,
+    }
+}
+
+/// What the table may carry, for the search for what it should not; `camera_from_tool` where the camera is on the arm.
+pub fn inventory(config: &CellConfig, camera_from_tool: Option<Isometry3<f64>>) -> Inventory {
+    let (width, height) = (config.workspace.width_m, config.workspace.height_m);
+    let marked = |object: &&ObjectSpec| object.marker.is_some();
+    let body = |object: &ObjectSpec| {
+        let (footprint, pose) = (object.footprint.clone(), object.start?);
+        Some(KnownBody { footprint, pose, height_m: object.height? })
+    };
+    let radius = config.gripper.body_polygon.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
+    Inventory {
+        area: Area::around(width, height, SEARCH_MARGIN_M),
+        objects: config
+            .objects
+            .iter()
+            .filter(marked)
+            .map(|object| (object.id.clone(), object.footprint.clone(), object.height.unwrap_or(0.0)))
+            .collect(),
+        fixed: config.objects.iter().filter(|object| object.fixed).filter_map(body).collect(),
+        ignored: config.workspace.keep_out.clone(),
+        own: camera_from_tool.map(|camera_from_tool| OwnBody {
+            camera_from_tool,
+            radius_m: radius + OWN_MARGIN_M,
+            beyond_m: OWN_MARGIN_M,
+        }),
+    }
+}

@@ -1,0 +1,404 @@
+//! The state folder as the daemon keeps it: job files in, results and status out, orders in and answers out, and the
+//! journal in between, which alone is the truth.
+//!
+//! In: a state folder whose lock this process holds, and the configuration. Out: what [`crate::daemon::store`] asks for; what
+//! is committed is on disk when the call returns.
+
+use crate::cell::code::Code;
+use crate::cell::device::gripper::Channels;
+use crate::cell::orders::{Order, Reply};
+use crate::cell::supervisor::input::Record;
+use crate::cell::supervisor::order::{ApprovalRule, JobEnd, JobOrder, JobReport};
+use crate::cell::supervisor::status::{Doing, Status};
+use crate::config::cell::CellConfig;
+use crate::daemon::store::{Keeper, Orders};
+use crate::io::clock::unix_now_s;
+use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
+use crate::jobs::goal::read_goal_file;
+use crate::jobs::job_file::{JobContext, read_for_spool};
+use crate::jobs::journal::{Journal, JournalError, Recovered};
+use crate::jobs::policy::{Approval, JobObjective};
+use crate::jobs::record::{JobRecord, JobResult, JobState, JobStatus, ObjectResult, StepIntent, StepKind};
+use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
+use crate::jobs::state::StateFolder;
+use crate::jobs::status;
+use crate::planning::plan::{ActionKind, Objective};
+use crate::planning::solver::SolverKind;
+use crate::time::{Duration, Timestamp};
+use std::collections::VecDeque;
+
+/// Why the state folder cannot be kept.
+#[derive(Debug, thiserror::Error)]
+pub enum KeeperError {
+    /// The journal.
+    #[error("the journal cannot be used")]
+    Journal(#[from] JournalError),
+    /// The job folders.
+    #[error("the job folders cannot be used")]
+    Spool(#[from] SpoolError),
+    /// The command folder.
+    #[error("the command folder cannot be used")]
+    Files(#[from] crate::io::files::FileError),
+}
+
+/// Journal, job folders and status of one state folder.
+pub struct StateKeeper {
+    config: CellConfig,
+    state: StateFolder,
+    journal: Journal,
+    spool: Spool,
+    daemon: String,
+    started_unix_s: f64,
+    /// The active job and its open step.
+    active: Option<(String, Option<u32>)>,
+    notices: Vec<String>,
+}
+
+impl StateKeeper {
+    /// Opens journal and folders, and decides about jobs that an earlier daemon left unfinished. `daemon` is a name that
+    /// no other run has.
+    ///
+    /// # Errors
+    /// What cannot be used.
+    pub fn open(config: CellConfig, state: StateFolder, daemon: String) -> Result<StateKeeper, KeeperError> {
+        let now = unix_now_s();
+        let mut journal = Journal::open(&state.journal())?;
+        let mut notices = Vec::new();
+        for recovered in journal.recover(now)? {
+            notices.push(match recovered {
+                Recovered::Requeued { id } => {
+                    format!("job {id} was not begun before the last end; it waits again")
+                }
+                Recovered::Interrupted { id, step } => {
+                    let (step, object) = (step.step, &step.intent.object);
+                    format!("job {id} was cut off in step {step} ({object}); see its result")
+                }
+            });
+        }
+        let mut spool = Spool::open(state.root(), SpoolSettings { at_once: 1, ..SpoolSettings::STANDARD })?;
+        spool.reconcile_at_start(&mut journal)?;
+        let started_unix_s = now;
+        Ok(StateKeeper { config, state, journal, spool, daemon, started_unix_s, active: None, notices })
+    }
+
+    /// What the recovery found, once.
+    pub fn notices(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notices)
+    }
+
+    /// Takes in new job files; a fault of the folders is said and tried again at the next call.
+    fn scan(&mut self, now: Timestamp) -> Vec<SpoolEvent> {
+        let config = &self.config;
+        let folder = config.goal_folder.clone();
+        let obstacles = config.obstacles();
+        let read_goal = move |name: &str| read_goal_file(&folder, name);
+        let context = JobContext {
+            goal: Some(config.goal_context(&obstacles)),
+            approval: config.approval,
+            read_goal: &read_goal,
+        };
+        let read = |text: &str, name: &str| read_for_spool(text, name, &context);
+        self.spool.scan(&mut self.journal, &read, now, unix_now_s()).unwrap_or_else(|error| {
+            tracing::error!(%error, "job folders");
+            Vec::new()
+        })
+    }
+
+    fn is_active(&self, id: &str) -> bool {
+        self.active.as_ref().is_some_and(|(active, _)| active == id)
+    }
+
+    fn reconcile(&mut self) {
+        if let Err(error) = self.spool.reconcile(&mut self.journal) {
+            tracing::error!(%error, "job folders could not be brought into line; tried again later");
+        }
+    }
+
+    /// Ends a job that has not begun; false when it is not waiting.
+    fn end_waiting(&mut self, id: &str) -> Result<bool, JournalError> {
+        if !self.journal.job(id)?.is_some_and(|job| job.state == JobState::Waiting) {
+            return Ok(false);
+        }
+        let message = "the operator cancelled the job before it began".to_string();
+        self.end_unbegun(id, JobStatus::Cancelled, Code::Cancelled, message, String::new())?;
+        Ok(true)
+    }
+
+    fn end_unbegun(
+        &mut self,
+        id: &str,
+        status: JobStatus,
+        code: Code,
+        message: String,
+        remedy: String,
+    ) -> Result<(), JournalError> {
+        let result = JobResult {
+            id: id.to_string(),
+            status,
+            code: code.word().to_string(),
+            message,
+            remedy,
+            moves: 0,
+            lower_bound: None,
+            seconds: 0.0,
+            objects: Vec::new(),
+        };
+        self.journal.finish(id, &result, unix_now_s())?;
+        self.reconcile();
+        Ok(())
+    }
+
+    /// The next job that can be begun. One that names a solver of another build is ended with that reason: nothing else
+    /// is put in its place.
+    fn next_job(&mut self) -> Result<Option<JobOrder>, JournalError> {
+        while let Some(job) = self.journal.next_ready(unix_now_s())? {
+            self.journal.start(&job.id, unix_now_s())?;
+            match self.order(&job) {
+                Ok(order) => {
+                    self.active = Some((job.id, None));
+                    self.reconcile();
+                    return Ok(Some(order));
+                }
+                Err(message) => {
+                    let remedy = "name a solver of this celld in the job, submit again".to_string();
+                    self.end_unbegun(&job.id, JobStatus::Failed, Code::SolverUnfit, message, remedy)?;
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn order(&self, job: &JobRecord) -> Result<JobOrder, String> {
+        let planner = &self.config.planner;
+        let spec = &job.spec;
+        let word = spec.solver.as_deref().unwrap_or(&planner.solver);
+        let solver =
+            SolverKind::from_word(word).ok_or_else(|| format!("this celld has no solver {word:?}"))?;
+        let seconds = spec.time_limit_s.unwrap_or(planner.time_limit_s);
+        Ok(JobOrder {
+            id: job.id.clone(),
+            goals: spec.goal.iter().map(|goal| (goal.id.clone(), goal.pose)).collect(),
+            objective: objective_of(spec.objective.unwrap_or(planner.objective)),
+            solver,
+            time_limit: Duration::from_secs_f64(seconds.clamp(0.001, 86_400.0)),
+            seed: spec.seed.unwrap_or(planner.seed),
+            approval: self.approval(spec.approval),
+        })
+    }
+
+    /// The cell's policy is a floor, also for a job that was taken in under a laxer one.
+    fn approval(&self, job: Option<Approval>) -> ApprovalRule {
+        match self.config.approval.max(job.unwrap_or(Approval::Never)) {
+            Approval::Always => ApprovalRule::EveryPlan,
+            Approval::Job => ApprovalRule::FirstPlan,
+            Approval::Never => ApprovalRule::NoPlan,
+        }
+    }
+
+    fn write(&mut self, record: &Record) -> Result<(), JournalError> {
+        if let Record::Ended(report) = record {
+            self.journal.finish(&report.id, &result_of(report), unix_now_s())?;
+            self.active = None;
+            self.reconcile();
+            return Ok(());
+        }
+        let Some((id, open)) = &mut self.active else { return Ok(()) };
+        let now = unix_now_s();
+        match (record, *open) {
+            (Record::Intent { object, from, to, kind, .. }, previous) => {
+                // A grip that failed left its step open; it is over once the next one is meant.
+                if let Some(step) = previous {
+                    self.journal.step_abandoned(id, step, now)?;
+                }
+                let kind = match kind {
+                    ActionKind::Goal => StepKind::Goal,
+                    ActionKind::Buffer => StepKind::Buffer,
+                };
+                let intent = StepIntent { object: object.clone(), from: *from, to: *to, kind };
+                *open = Some(self.journal.step_intent(id, &intent, now)?);
+                Ok(())
+            }
+            (Record::Gripped { .. }, Some(step)) => self.journal.step_gripped(id, step, now),
+            (Record::Released { .. }, Some(step)) => self.journal.step_released(id, step, now),
+            (Record::Done { .. }, Some(step)) => {
+                *open = None;
+                self.journal.step_done(id, step, now)
+            }
+            (Record::Gripped { .. } | Record::Released { .. } | Record::Done { .. }, None)
+            | (Record::Ended(_), _) => Ok(()),
+        }
+    }
+}
+
+/// A report as the journal keeps it.
+fn result_of(report: &JobReport) -> JobResult {
+    JobResult {
+        id: report.id.clone(),
+        status: match report.end {
+            JobEnd::Done => JobStatus::Done,
+            JobEnd::Failed => JobStatus::Failed,
+            JobEnd::Cancelled => JobStatus::Cancelled,
+            JobEnd::Interrupted => JobStatus::Interrupted,
+        },
+        code: report.code_text(),
+        message: report.message.clone(),
+        remedy: report.remedy.clone(),
+        moves: u32::try_from(report.moves).unwrap_or(u32::MAX),
+        lower_bound: report.lower_bound,
+        seconds: report.seconds,
+        objects: report
+            .objects
+            .iter()
+            .map(|object| ObjectResult::new(object.id.clone(), object.goal, object.measured))
+            .collect(),
+    }
+}
+
+impl Keeper for StateKeeper {
+    fn commit(&mut self, record: &Record) -> Result<(), String> {
+        self.write(record).map_err(|error| crate::document::chain::chain(&error))
+    }
+
+    fn look_after(&mut self, now: Timestamp) -> Vec<String> {
+        let mut cancelled = Vec::new();
+        for event in self.scan(now) {
+            match event {
+                SpoolEvent::Claimed { id, name } => tracing::info!(id, name, "job accepted"),
+                SpoolEvent::Rejected { name, code, message, reason } => {
+                    tracing::warn!(name, %code, message, reason = %reason.display(), "job rejected");
+                }
+                SpoolEvent::Cancel { id } if self.is_active(&id) => cancelled.push(id),
+                SpoolEvent::Cancel { id } => match self.end_waiting(&id) {
+                    Ok(true) => tracing::info!(id, "waiting job cancelled"),
+                    Ok(false) => tracing::warn!(id, "there is no such job to cancel"),
+                    Err(error) => tracing::error!(id, %error, "job could not be cancelled"),
+                },
+                SpoolEvent::Full { name } => tracing::warn!(name, "the queue is full"),
+                SpoolEvent::Trouble { name, message } => tracing::warn!(name, message, "job file"),
+            }
+        }
+        self.reconcile();
+        cancelled
+    }
+
+    fn claim(&mut self) -> Option<JobOrder> {
+        if self.active.is_some() {
+            return None;
+        }
+        self.next_job().unwrap_or_else(|error| {
+            tracing::error!(%error, "journal");
+            None
+        })
+    }
+
+    fn cancel_waiting(&mut self, id: &str) -> Option<Reply> {
+        match self.end_waiting(id) {
+            Ok(true) => Some(Reply::accept("cancelled before it began")),
+            Ok(false) => None,
+            Err(error) => Some(Reply::refuse(error.to_string())),
+        }
+    }
+
+    fn status(&mut self, status: &Status) {
+        let total = status.moves + status.remaining_moves;
+        let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+        let awaiting = status.doing == Doing::AwaitingApproval;
+        let file = status::Status {
+            daemon: self.daemon.clone(),
+            pid: std::process::id(),
+            started_unix_s: self.started_unix_s,
+            written_unix_s: unix_now_s(),
+            state: if status.job.is_some() { "working" } else { "idle" }.to_string(),
+            message: status.text(),
+            armed: status.armed,
+            paused: status.paused,
+            job: status.job.clone(),
+            step: status.job.as_ref().map(|_| (number(status.moves), number(total))),
+            awaiting_approval: status.job.iter().filter(|_| awaiting).cloned().collect(),
+            waiting: self.journal.waiting().map_or(0, |count| number(count as usize)),
+            ..status::Status::default()
+        };
+        if let Err(error) = file.write(&self.state.status()) {
+            tracing::warn!(%error, "the status file could not be written");
+        }
+    }
+}
+
+/// Most orders whose answers are still to come; older ones are forgotten.
+const UNANSWERED_MAX: usize = 64;
+
+/// Operators' commands in the state folder.
+pub struct StateOrders {
+    inbox: Inbox,
+    last: u64,
+    unanswered: VecDeque<(u64, Taken)>,
+}
+
+impl StateOrders {
+    /// Opens the command folder and clears what was left for an earlier daemon.
+    ///
+    /// # Errors
+    /// The folder cannot be used.
+    pub fn open(state: &StateFolder, daemon: String) -> Result<StateOrders, KeeperError> {
+        let inbox = Inbox::open(&state.commands(), daemon)?;
+        Ok(StateOrders { inbox, last: 0, unanswered: VecDeque::new() })
+    }
+}
+
+impl Orders for StateOrders {
+    fn take(&mut self) -> Vec<(u64, Order)> {
+        let taken = self.inbox.take().unwrap_or_else(|error| {
+            tracing::error!(%error, "command folder");
+            Vec::new()
+        });
+        let mut orders = Vec::with_capacity(taken.len());
+        for taken in taken {
+            self.last += 1;
+            orders.push((self.last, order_of(&taken.command)));
+            self.unanswered.push_back((self.last, taken));
+            if self.unanswered.len() > UNANSWERED_MAX {
+                self.unanswered.pop_front();
+            }
+        }
+        orders
+    }
+
+    fn reply(&mut self, number: u64, reply: &Reply) {
+        let Some(index) = self.unanswered.iter().position(|(open, _)| *open == number) else { return };
+        let Some((_, taken)) = self.unanswered.remove(index) else { return };
+        if let Err(error) = self.inbox.reply(&taken, reply) {
+            tracing::warn!(%error, "a command could not be answered");
+        }
+    }
+}
+
+/// A command file as the machine knows it.
+fn order_of(command: &Command) -> Order {
+    match command {
+        Command::Arm => Order::Arm,
+        Command::Disarm => Order::Disarm,
+        Command::Approve { id } => Order::Approve(id.clone()),
+        Command::Reject { id } => Order::Reject(id.clone()),
+        Command::Cancel { id } => Order::Cancel(id.clone()),
+        Command::Pause => Order::Pause,
+        Command::Resume => Order::Resume,
+        Command::Step => Order::Step,
+        Command::Abort => Order::Abort,
+        Command::Park => Order::Park,
+        Command::Release { channel } => Order::Release(match channel {
+            Some(ReleaseChannel::A) => Channels::A,
+            Some(ReleaseChannel::B) => Channels::B,
+            None => Channels::Both,
+        }),
+        Command::Recover { .. } => Order::Recover,
+    }
+}
+
+/// The planner's objective for a job's.
+pub fn objective_of(objective: JobObjective) -> Objective {
+    match objective {
+        JobObjective::Pp => Objective::Pp,
+        JobObjective::Ti => Objective::Ti,
+        JobObjective::Time => Objective::Time,
+    }
+}

@@ -1,0 +1,430 @@
+//! The daemon's loop: what happens goes into the machine, its effects go to sockets, workers, state folder and people.
+//!
+//! In: a [`Machine`], sockets, and as they become known camera and perception, the state folder, an [`Observer`]. Out: effects
+//! carried out; it decides nothing. One turn: wait for the first thing to happen, take in everything that has happened,
+//! hand over the time, carry out what the machine wants. `celld run`, `celld demo` and `celld calibrate` are composed
+//! from the same calls: [`Shell::open`], [`Shell::identify`], [`Shell::commission`], [`Shell::round`], [`Shell::run`].
+
+use crate::cell::device::robot_types::RobotState;
+use crate::cell::event::{Arm, Effect, Event, News};
+use crate::cell::machine::{Machine, MachineParameters};
+use crate::cell::supervisor::input::Notice;
+use crate::cell::supervisor::mode::EndFault;
+use crate::cell::supervisor::model::CellModel;
+use crate::cell::supervisor::order::JobReport;
+use crate::cell::supervisor::round::{RoundFault, RoundOrder};
+use crate::cell::supervisor::status::Status;
+use crate::daemon::sockets::{Addresses, Made, Sockets};
+use crate::daemon::store::{Keeper, Orders, Store};
+use crate::daemon::workers::{Eyes, SeeRequest, busy, spawn_eyes, spawn_plan};
+use crate::geometry::pose::Pose2;
+use crate::io::clock::Clock;
+use crate::time::Timestamp;
+use crate::vision::calibrate::Sample;
+use crate::vision::image::Image;
+use crate::vision::observe::{Observation, View};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tokio::sync::mpsc;
+
+/// Something for the loop.
+pub enum Heard {
+    /// For the machine.
+    Event(Event),
+    /// A connection was made, or could not be.
+    Made(Made),
+    /// For whoever shows or records.
+    Shown(Shown),
+}
+
+/// What a worker has to show.
+#[derive(Debug)]
+pub enum Shown {
+    /// The last frame of a look pose.
+    Picture {
+        /// What it shows.
+        image: Image,
+        /// Camera pose and markers.
+        views: Vec<View>,
+    },
+    /// The table as measured.
+    Observed(Box<Observation>),
+    /// A picture of a calibration round.
+    Sample {
+        /// The pose's number, from 1.
+        pose: usize,
+        /// The picture taken there.
+        image: Image,
+        /// Where the flange was and which markers were found.
+        sample: Sample,
+    },
+}
+
+/// What happens, for people and records.
+#[derive(Debug)]
+pub enum Scene<'a> {
+    /// The status changed.
+    Status(&'a Status),
+    /// A sentence.
+    Notice(&'a Notice),
+    /// From a worker.
+    Shown(&'a Shown),
+    /// A new route: object, from, to, whether that is its goal.
+    Route(&'a [(String, Pose2, Pose2, bool)]),
+    /// The robot's state, as often as it comes.
+    Robot(&'a RobotState),
+    /// A job ended.
+    Ended(&'a JobReport),
+}
+
+/// Is shown everything; must not block.
+pub trait Observer {
+    /// One thing at the cell's time `now`.
+    fn on(&mut self, now: Timestamp, scene: Scene);
+}
+
+/// Why the arm did not become known, or a round did not begin.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// A device did not come up or stopped answering.
+    #[error(
+        "{what} within {seconds} s ({links}); see that `devices.robot` is its address, that it is powered and in \
+         remote control, and try `ping`; for a simulated one start `celld sim`"
+    )]
+    Deadline {
+        /// What was waited for.
+        what: String,
+        /// How long.
+        seconds: u64,
+        /// Which links are down, and why.
+        links: String,
+    },
+    /// The operator stopped it.
+    #[error("stopped by the operator")]
+    Stopped,
+    /// The round ended without all its pictures.
+    #[error(transparent)]
+    Round(#[from] RoundFault),
+}
+
+/// Things that may wait for the loop: at 50 readings a second, seconds' worth.
+const HEARD: usize = 256;
+
+/// For the controller to say which arm it moves.
+const IDENTIFY_WITHIN: Duration = Duration::from_secs(30);
+
+/// For the program to end after a round.
+const END_WITHIN: Duration = Duration::from_secs(10);
+
+/// How long the state folder may take to write what is left at the end.
+const CLOSE_WITHIN: Duration = Duration::from_secs(15);
+const CLOSE_SILENT_WITHIN: Duration = Duration::from_secs(1);
+
+/// Shows nothing to anybody.
+struct Nobody;
+
+impl Observer for Nobody {
+    fn on(&mut self, _now: Timestamp, _scene: Scene) {}
+}
+
+/// What the last turn brought that concerns whoever drives the shell.
+#[derive(Default)]
+struct Outcome {
+    arm: Option<Arm>,
+    round: Option<Result<(), RoundFault>>,
+    end: Option<Result<(), EndFault>>,
+}
+
+/// Everything the loop works with.
+pub struct Shell {
+    machine: Machine,
+    clock: Clock,
+    sockets: Sockets,
+    heard: mpsc::Receiver<Heard>,
+    heard_in: mpsc::Sender<Heard>,
+    eyes: Option<mpsc::Sender<(u64, SeeRequest)>>,
+    /// Ends the planning run under way.
+    planning: Option<Arc<AtomicBool>>,
+    store: Option<Store>,
+    outcome: Outcome,
+}
+
+impl Shell {
+    /// Opens the links; the devices need not be there yet.
+    ///
+    /// # Errors
+    /// The on-robot program is no template.
+    pub fn open(
+        addresses: &Addresses,
+        clock: Clock,
+        parameters: MachineParameters,
+    ) -> Result<Shell, crate::cell::device::program::TemplateError> {
+        let (heard_in, heard) = mpsc::channel(HEARD);
+        Ok(Shell {
+            machine: Machine::new(parameters)?,
+            sockets: Sockets::new(addresses, clock.clone(), heard_in.clone()),
+            clock,
+            heard,
+            heard_in,
+            eyes: None,
+            planning: None,
+            store: None,
+            outcome: Outcome::default(),
+        })
+    }
+
+    /// The cell's time.
+    pub fn now(&self) -> Timestamp {
+        self.clock.now()
+    }
+
+    /// The robot as its last package showed it.
+    pub fn robot_state(&self) -> Option<&RobotState> {
+        self.machine.robot_state()
+    }
+
+    /// Why links to the controller are down, one line each; empty when all are up.
+    pub fn why_down(&self) -> Vec<String> {
+        self.machine.why_down()
+    }
+
+    /// Waits until the controller has said which arm it moves.
+    ///
+    /// # Errors
+    /// It has not within 30 s, or `stop` was raised.
+    pub async fn identify(&mut self, stop: &dyn Fn() -> bool) -> Result<Arm, StartError> {
+        let began = self.now();
+        loop {
+            self.turn(&mut Nobody).await;
+            if let Some(arm) = self.outcome.arm.take() {
+                return Ok(arm);
+            }
+            self.guard(began, IDENTIFY_WITHIN, "the robot did not answer on all its ports", stop)?;
+        }
+    }
+
+    /// One turn for whoever only watches the robot.
+    pub async fn listen(&mut self) {
+        self.turn(&mut Nobody).await;
+    }
+
+    /// Makes a cell of the machine; `arm` arms it without a person: simulated cells only.
+    pub fn commission(&mut self, model: CellModel, arm: bool) {
+        let now = self.now();
+        self.machine.handle(now, Event::Commission { model: Box::new(model), arm });
+    }
+
+    /// From now on this is what the cell sees with.
+    pub fn see_with(&mut self, eyes: Eyes) {
+        self.eyes = Some(spawn_eyes(eyes, self.clock.clone(), self.heard_in.clone()));
+    }
+
+    /// From now on jobs and orders come from here, and what is done is written here.
+    pub fn keep_in(&mut self, keeper: Box<dyn Keeper>, orders: Box<dyn Orders>) {
+        self.store = Some(Store::open(keeper, orders, self.clock.clone(), self.heard_in.clone()));
+    }
+
+    /// Carries out a calibration round. The arm stands still afterwards and the program has ended, whatever happened.
+    ///
+    /// # Errors
+    /// What kept the robot from coming up or interrupted the round.
+    pub async fn round(
+        &mut self,
+        order: RoundOrder,
+        observer: &mut dyn Observer,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<(), StartError> {
+        self.machine.handle(self.clock.now(), Event::Round(Box::new(order)));
+        let mut stopped = false;
+        let ended = loop {
+            self.turn(observer).await;
+            if let Some(ended) = self.outcome.round.take() {
+                break ended;
+            }
+            if stop() && !std::mem::replace(&mut stopped, true) {
+                let abort = Event::Order(0, crate::cell::orders::Order::Abort);
+                self.machine.handle(self.clock.now(), abort);
+            }
+        };
+        let began = self.now();
+        while self.machine.program_busy() {
+            self.turn(observer).await;
+            self.guard(began, END_WITHIN, "the on-robot program did not end", &|| false)?;
+        }
+        match ended {
+            Err(_) if stopped => Err(StartError::Stopped),
+            ended => Ok(ended?),
+        }
+    }
+
+    /// Works until `shutdown` is raised and the arm stands still, or the state folder is lost.
+    ///
+    /// # Errors
+    /// [`EndFault`]; the arm was stopped.
+    pub async fn run(mut self, observer: &mut dyn Observer, shutdown: &AtomicBool) -> Result<(), EndFault> {
+        let mut ending = false;
+        let ended = loop {
+            self.turn(observer).await;
+            if let Some(ended) = self.outcome.end.take() {
+                break ended;
+            }
+            if shutdown.load(Ordering::Relaxed) && !std::mem::replace(&mut ending, true) {
+                self.machine.handle(self.clock.now(), Event::Shutdown);
+            }
+        };
+        self.cancel_plan();
+        // A disk that does not answer must not keep this from ending; what was waited for once is not waited for as long
+        // again.
+        let limit = if ended.is_err() { CLOSE_SILENT_WITHIN } else { CLOSE_WITHIN };
+        let Some(store) = self.store.take() else { return ended };
+        // Threads that still have something to tell must find the channel open.
+        let closed = store.close(limit);
+        tokio::pin!(closed);
+        loop {
+            tokio::select! {
+                closed = &mut closed => {
+                    return if closed { ended } else { ended.and(Err(EndFault::Silent(limit.as_secs()))) };
+                }
+                _ = self.heard.recv() => {}
+            }
+        }
+    }
+
+    fn guard(
+        &self,
+        since: Timestamp,
+        within: Duration,
+        what: &str,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<(), StartError> {
+        if stop() {
+            return Err(StartError::Stopped);
+        }
+        if self.now().since(since) <= within {
+            return Ok(());
+        }
+        let links = self.machine.why_down();
+        let links = if links.is_empty() { "all links are up".to_string() } else { links.join("; ") };
+        Err(StartError::Deadline { what: what.to_string(), seconds: within.as_secs(), links })
+    }
+
+    /// Waits for the first thing to happen, takes in everything that has, and carries out what comes of it.
+    async fn turn(&mut self, observer: &mut dyn Observer) {
+        let wait = self.machine.next_wake().since(self.clock.now());
+        let first = tokio::select! {
+            first = self.heard.recv() => first,
+            () = self.sockets.ready() => None,
+            () = tokio::time::sleep(self.clock.wall(wait)) => None,
+        };
+        let mut events = Vec::new();
+        if let Some(heard) = first {
+            self.take(heard, observer, &mut events);
+        }
+        while let Ok(heard) = self.heard.try_recv() {
+            self.take(heard, observer, &mut events);
+        }
+        self.sockets.take(&mut events);
+        if let Some(fault) = self.store.as_mut().and_then(Store::fault) {
+            events.push(Event::StoreLost(fault));
+        }
+        // The clock is read after the sockets: what lay in them is older than now.
+        let now = self.clock.now();
+        for event in events {
+            self.machine.handle(now, event);
+        }
+        self.machine.handle(now, Event::Time);
+        while let Some(effect) = self.machine.poll() {
+            self.carry_out(now, effect, observer);
+        }
+        if let Some(state) = self.machine.robot_state() {
+            self.clock.heard(state.controller_time_s);
+            observer.on(now, Scene::Robot(state));
+        }
+    }
+
+    fn take(&mut self, heard: Heard, observer: &mut dyn Observer, events: &mut Vec<Event>) {
+        match heard {
+            Heard::Event(event) => events.push(event),
+            Heard::Made(made) => events.extend(self.sockets.made(made)),
+            Heard::Shown(shown) => observer.on(self.clock.now(), Scene::Shown(&shown)),
+        }
+    }
+
+    fn carry_out(&mut self, now: Timestamp, effect: Effect, observer: &mut dyn Observer) {
+        match effect {
+            Effect::Connect(link) => self.sockets.connect(link),
+            Effect::Close(link) => self.sockets.close(link),
+            Effect::Send(link, bytes) => self.sockets.send(link, &bytes),
+            Effect::Registers(request) => self.sockets.transact(request),
+            Effect::Look { number, frames, table_from_camera } => {
+                self.see(now, number, SeeRequest::Look { frames, table_from_camera });
+            }
+            Effect::Observe { number, views } => self.see(now, number, SeeRequest::Observe(views)),
+            Effect::Picture { number, pose, base_from_flange } => {
+                self.see(now, number, SeeRequest::Picture { pose, base_from_flange });
+            }
+            Effect::Plan { number, request } => {
+                let stop = Arc::new(AtomicBool::new(false));
+                self.planning = Some(stop.clone());
+                spawn_plan(number, *request, stop, self.heard_in.clone());
+            }
+            Effect::CancelPlan => self.cancel_plan(),
+            Effect::Commit { number, record } => match &self.store {
+                Some(store) => store.commit(number, record),
+                None => self.machine.handle(now, Event::Committed(number, Ok(()))),
+            },
+            Effect::Reply { number, reply } => {
+                if let Some(store) = &self.store {
+                    store.reply(number, reply);
+                }
+            }
+            Effect::WantJob => {
+                if let Some(store) = &self.store {
+                    store.want_job();
+                }
+            }
+            Effect::Notify(news) => self.notify(now, news, observer),
+            Effect::RoundOver(result) => self.outcome.round = Some(result),
+            Effect::End(result) => self.outcome.end = Some(result),
+        }
+    }
+
+    fn notify(&mut self, now: Timestamp, news: News, observer: &mut dyn Observer) {
+        match news {
+            News::Identified(arm) => self.outcome.arm = Some(arm),
+            News::Notice(notice) => {
+                if notice.alarm {
+                    tracing::warn!("{}", notice.text);
+                } else {
+                    tracing::info!("{}", notice.text);
+                }
+                observer.on(now, Scene::Notice(&notice));
+            }
+            News::Status(status) => {
+                observer.on(now, Scene::Status(&status));
+                if let Some(store) = &self.store {
+                    store.status(status);
+                }
+            }
+            News::Route(route) => observer.on(now, Scene::Route(&route)),
+            News::Ended(report) => observer.on(now, Scene::Ended(&report)),
+        }
+    }
+
+    fn see(&mut self, now: Timestamp, number: u64, request: SeeRequest) {
+        let refused = match &self.eyes {
+            Some(eyes) => eyes.try_send((number, request)).err().map(|error| error.into_inner().1),
+            None => Some(request),
+        };
+        if let Some(request) = refused {
+            self.machine.handle(now, busy(number, &request));
+        }
+    }
+
+    fn cancel_plan(&mut self) {
+        if let Some(stop) = self.planning.take() {
+            stop.store(true, Ordering::Relaxed);
+        }
+    }
+}

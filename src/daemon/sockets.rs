@@ -1,0 +1,289 @@
+//! The sockets: three TCP connections to the controller, one Modbus connection to the gripper.
+//!
+//! In: the machine's connect, close, send and register effects. Out: events. Everything that lies in the sockets is read in one
+//! call, so that nothing of it is missing when time is judged. Writing never waits: what the system does not take is kept,
+//! and a controller that does not read for 2 s is disconnected.
+
+use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
+use crate::cell::device::robot_types::Link;
+use crate::cell::event::Event;
+use crate::daemon::shell::Heard;
+use crate::io::clock::Clock;
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+use tokio::net::TcpStream;
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+use tokio_modbus::prelude::{Reader, Slave, Writer, tcp};
+
+/// Where the devices listen.
+#[derive(Clone, Copy, Debug)]
+pub struct Addresses {
+    /// RTDE, port 30004.
+    pub rtde: SocketAddr,
+    /// Dashboard, port 29999.
+    pub dashboard: SocketAddr,
+    /// Primary interface, port 30001.
+    pub primary: SocketAddr,
+    /// Compute Box of the gripper.
+    pub gripper: SocketAddr,
+}
+
+/// How long what is to be sent may wait for the peer, in the cell's time.
+const WRITE_WITHIN: Duration = Duration::from_secs(2);
+
+/// Most reads of one connection in one go: a peer that floods must not keep the others from their turn.
+const READS: usize = 64;
+
+/// The VGC10's Modbus unit (reference: ur-interfaces 7.1).
+const GRIPPER_UNIT: u8 = 65;
+
+/// An answer of the gripper that takes longer is none, in the cell's time.
+const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+
+/// One connection to the controller.
+struct Line {
+    link: Link,
+    address: SocketAddr,
+    connecting: Option<JoinHandle<()>>,
+    /// Counts attempts: what an earlier one leads to is dropped.
+    attempt: u64,
+    stream: Option<TcpStream>,
+    unsent: Vec<u8>,
+    unsent_since: Option<Instant>,
+}
+
+/// All connections.
+pub struct Sockets {
+    lines: [Line; 3],
+    gripper: mpsc::Sender<ModbusRequest>,
+    clock: Clock,
+    heard: mpsc::Sender<Heard>,
+    buffer: Vec<u8>,
+}
+
+/// A connection that was made, or why not.
+pub struct Made {
+    link: Link,
+    attempt: u64,
+    result: std::io::Result<TcpStream>,
+}
+
+impl Sockets {
+    /// Nothing is connected yet; what is made is heard of through `heard`.
+    pub fn new(addresses: &Addresses, clock: Clock, heard: mpsc::Sender<Heard>) -> Sockets {
+        let line = |link: Link| Line {
+            link,
+            address: match link {
+                Link::Rtde => addresses.rtde,
+                Link::Dashboard => addresses.dashboard,
+                Link::Primary => addresses.primary,
+            },
+            connecting: None,
+            attempt: 0,
+            stream: None,
+            unsent: Vec::new(),
+            unsent_since: None,
+        };
+        Sockets {
+            lines: Link::ALL.map(line),
+            gripper: spawn_modbus(addresses.gripper, clock.clone(), heard.clone()),
+            clock,
+            heard,
+            buffer: vec![0; 64 * 1024],
+        }
+    }
+
+    fn line(&mut self, link: Link) -> &mut Line {
+        let [rtde, dashboard, primary] = &mut self.lines;
+        match link {
+            Link::Rtde => rtde,
+            Link::Dashboard => dashboard,
+            Link::Primary => primary,
+        }
+    }
+
+    /// Begins to connect; [`Made`] follows.
+    pub fn connect(&mut self, link: Link) {
+        let heard = self.heard.clone();
+        let line = self.line(link);
+        line.close();
+        line.attempt += 1;
+        let (address, attempt) = (line.address, line.attempt);
+        line.connecting = Some(tokio::spawn(async move {
+            let result = TcpStream::connect(address).await;
+            // The loop has ended if nobody listens.
+            let _ = heard.send(Heard::Made(Made { link, attempt, result })).await;
+        }));
+    }
+
+    /// A connection was made, or could not be.
+    pub fn made(&mut self, made: Made) -> Option<Event> {
+        let line = self.line(made.link);
+        if made.attempt != line.attempt || line.connecting.take().is_none() {
+            return None;
+        }
+        match made.result.and_then(|stream| stream.set_nodelay(true).map(|()| stream)) {
+            Ok(stream) => {
+                line.stream = Some(stream);
+                Some(Event::Connected(made.link))
+            }
+            Err(error) => Some(Event::Disconnected(made.link, format!("{}: {error}", line.address))),
+        }
+    }
+
+    /// Drops a connection or the attempt to make it; nothing more is heard of it.
+    pub fn close(&mut self, link: Link) {
+        self.line(link).close();
+    }
+
+    /// Sends as much as the system takes; the rest follows.
+    pub fn send(&mut self, link: Link, bytes: &[u8]) {
+        let line = self.line(link);
+        line.unsent.extend_from_slice(bytes);
+        line.write();
+    }
+
+    /// Starts a register transaction.
+    pub fn transact(&mut self, request: ModbusRequest) {
+        // One is under way at a time, so there is room; a task that has ended would be seen as silence.
+        if self.gripper.try_send(request).is_err() {
+            tracing::warn!("gripper queue full, request dropped");
+        }
+    }
+
+    /// Everything that has arrived, and what has broken.
+    pub fn take(&mut self, events: &mut Vec<Event>) {
+        let patience = self.clock.wall(WRITE_WITHIN);
+        for line in &mut self.lines {
+            line.write();
+            if let Some(reason) = line.read(&mut self.buffer, patience, events) {
+                line.close();
+                events.push(Event::Disconnected(line.link, reason));
+            }
+        }
+    }
+
+    /// Returns when something has arrived or can be sent.
+    pub async fn ready(&self) {
+        let [a, b, c] = &self.lines;
+        tokio::select! {
+            () = a.ready() => {}
+            () = b.ready() => {}
+            () = c.ready() => {}
+        }
+    }
+}
+
+impl Line {
+    fn close(&mut self) {
+        if let Some(task) = self.connecting.take() {
+            task.abort();
+        }
+        self.stream = None;
+        self.unsent.clear();
+        self.unsent_since = None;
+    }
+
+    fn write(&mut self) {
+        while let Some(stream) = self.stream.as_ref().filter(|_| !self.unsent.is_empty()) {
+            match stream.try_write(&self.unsent) {
+                Ok(count) => drop(self.unsent.drain(..count)),
+                // What is wrong with the connection is found when it is read.
+                Err(_) => {
+                    self.unsent_since.get_or_insert_with(Instant::now);
+                    return;
+                }
+            }
+        }
+        self.unsent_since = None;
+    }
+
+    /// Reads until there is nothing more; the reason if the connection is over.
+    fn read(&mut self, buffer: &mut [u8], patience: Duration, events: &mut Vec<Event>) -> Option<String> {
+        let stream = self.stream.as_ref()?;
+        for _ in 0..READS {
+            match stream.try_read(buffer) {
+                Ok(0) => return Some("the controller closed the connection".to_string()),
+                Ok(count) => {
+                    let bytes = buffer.get(..count).unwrap_or_default().to_vec();
+                    events.push(Event::Received(self.link, bytes));
+                }
+                Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => break,
+                Err(error) => return Some(error.to_string()),
+            }
+        }
+        let stuck = self.unsent_since.is_some_and(|since| since.elapsed() > patience);
+        stuck.then(|| "the controller does not read".to_string())
+    }
+
+    async fn ready(&self) {
+        let Some(stream) = &self.stream else { return std::future::pending().await };
+        if self.unsent.is_empty() {
+            // An error is found by reading.
+            let _ = stream.readable().await;
+        } else {
+            tokio::select! {
+                _ = stream.readable() => {}
+                _ = stream.writable() => {}
+            }
+        }
+    }
+}
+
+/// Starts the task of the gripper: one request at a time, one answer each.
+fn spawn_modbus(
+    address: SocketAddr,
+    clock: Clock,
+    heard: mpsc::Sender<Heard>,
+) -> mpsc::Sender<ModbusRequest> {
+    let (requests_in, mut requests) = mpsc::channel::<ModbusRequest>(4);
+    tokio::spawn(async move {
+        let mut connection: Option<tokio_modbus::client::Context> = None;
+        while let Some(request) = requests.recv().await {
+            let deadline = clock.wall(ANSWER_WITHIN);
+            let exchange = exchange(&mut connection, address, request);
+            let answer = tokio::time::timeout(deadline, exchange).await;
+            let answer = answer.unwrap_or(Err(ModbusFailure::Timeout));
+            // After a failure the answer to an old request could be taken for that to a new one.
+            if answer.is_err() {
+                connection = None;
+            }
+            if heard.send(Heard::Event(Event::Registers(answer))).await.is_err() {
+                return;
+            }
+        }
+    });
+    requests_in
+}
+
+async fn exchange(
+    connection: &mut Option<tokio_modbus::client::Context>,
+    address: SocketAddr,
+    request: ModbusRequest,
+) -> Result<Vec<u16>, ModbusFailure> {
+    let link = |error: &dyn std::fmt::Display| ModbusFailure::Connection(error.to_string());
+    let context = match connection {
+        Some(context) => context,
+        None => {
+            let made = tcp::connect_slave(address, Slave(GRIPPER_UNIT)).await.map_err(|e| link(&e))?;
+            connection.insert(made)
+        }
+    };
+    match request {
+        ModbusRequest::Read { address, count } => {
+            match context.read_holding_registers(address, count).await {
+                Ok(Ok(words)) => Ok(words),
+                Ok(Err(exception)) => Err(ModbusFailure::Exception(exception.into())),
+                Err(error) => Err(link(&error)),
+            }
+        }
+        ModbusRequest::Write { address, values } => {
+            match context.write_multiple_registers(address, &values).await {
+                Ok(Ok(())) => Ok(Vec::new()),
+                Ok(Err(exception)) => Err(ModbusFailure::Exception(exception.into())),
+                Err(error) => Err(link(&error)),
+            }
+        }
+    }
+}

@@ -1,0 +1,438 @@
+//! The state folder on threads of its own, so that a slow disk keeps no heartbeat and no abort waiting.
+//!
+//! In: what the machine wants written, answered or claimed. Out: [`Event`]s: commits in the order of the requests, orders,
+//! jobs. Two threads: one writes the journal and looks after job files, the other reads orders and writes answers. A
+//! commit takes milliseconds at best and half a second on a busy disk; the robot stops when it hears nothing for a
+//! fraction of that, and a person who aborts does not wait for a disk.
+
+use crate::cell::event::Event;
+use crate::cell::orders::{Order, Reply};
+use crate::cell::supervisor::input::Record;
+use crate::cell::supervisor::mode::EndFault;
+use crate::cell::supervisor::order::JobOrder;
+use crate::cell::supervisor::status::Status;
+use crate::daemon::shell::Heard;
+use crate::io::clock::Clock;
+use crate::time::{Duration, Timestamp};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Instant;
+use tokio::sync::mpsc;
+
+/// The journal and the job folders.
+pub trait Keeper: Send + 'static {
+    /// Writes a record of the active job; it is on disk when this returns.
+    ///
+    /// # Errors
+    /// The cause; nothing moves on after it.
+    fn commit(&mut self, record: &Record) -> Result<(), String>;
+
+    /// Takes in job files; the ids of active jobs that are to be cancelled.
+    fn look_after(&mut self, now: Timestamp) -> Vec<String>;
+
+    /// Claims the next job, if one is ready.
+    fn claim(&mut self) -> Option<JobOrder>;
+
+    /// Ends a job that has not begun; `None` when it is not waiting.
+    fn cancel_waiting(&mut self, id: &str) -> Option<Reply>;
+
+    /// Publishes the cell's status; called when nothing else is to be done.
+    fn status(&mut self, status: &Status);
+}
+
+/// Where operators' orders come from.
+pub trait Orders: Send + 'static {
+    /// Orders since the last call, numbered without repetition.
+    fn take(&mut self) -> Vec<(u64, Order)>;
+
+    /// Answers one.
+    fn reply(&mut self, number: u64, reply: &Reply);
+}
+
+/// Nobody gives orders: the demo.
+pub struct NoOrders;
+
+impl Orders for NoOrders {
+    fn take(&mut self) -> Vec<(u64, Order)> {
+        Vec::new()
+    }
+
+    fn reply(&mut self, _number: u64, _reply: &Reply) {}
+}
+
+/// How often orders are read and job files looked after, in the cell's time.
+const EVERY: Duration = Duration::from_millis(200);
+const ORDERS_EVERY: Duration = Duration::from_millis(50);
+
+/// A thread that has not come round for so long is taken for stuck in the disk, by the wall's clock.
+const SILENT_AFTER: std::time::Duration = std::time::Duration::from_secs(15);
+
+/// Number of a cancellation that came as a file: its answer is the job's end.
+const UNASKED: u64 = 0;
+
+enum Request {
+    Commit(u64, Record),
+    Want,
+    Cancel(u64, String),
+    Status(Status),
+}
+
+/// When each thread came round last, and whether it runs.
+struct Beat(Mutex<Instant>);
+
+impl Beat {
+    fn new() -> Arc<Beat> {
+        Arc::new(Beat(Mutex::new(Instant::now())))
+    }
+
+    fn now(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
+    }
+
+    fn silent(&self) -> bool {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).elapsed() > SILENT_AFTER
+    }
+}
+
+/// The shell's end of the state folder.
+pub struct Store {
+    requests: Option<Sender<Request>>,
+    replies: Sender<(u64, Reply)>,
+    threads: [(Arc<Beat>, JoinHandle<()>); 2],
+    ending: Arc<AtomicBool>,
+    lost: bool,
+}
+
+impl Store {
+    /// Starts both threads; what happens comes through `events`.
+    pub fn open(
+        keeper: Box<dyn Keeper>,
+        orders: Box<dyn Orders>,
+        clock: Clock,
+        events: mpsc::Sender<Heard>,
+    ) -> Store {
+        let (requests, asked) = channel();
+        let (replies, answers) = channel();
+        let (keeping, ordering) = (Beat::new(), Beat::new());
+        let cancels = requests.clone();
+        let keep = {
+            let (beat, clock, events, answers) =
+                (keeping.clone(), clock.clone(), events.clone(), replies.clone());
+            std::thread::spawn(move || Keeping { keeper, clock, events, answers, beat }.run(&asked))
+        };
+        let ending = Arc::new(AtomicBool::new(false));
+        let order = {
+            let (beat, ending) = (ordering.clone(), ending.clone());
+            std::thread::spawn(move || {
+                take_orders(orders, &clock, (&events, &cancels, &answers), &beat, &ending);
+            })
+        };
+        Store {
+            requests: Some(requests),
+            replies,
+            threads: [(keeping, keep), (ordering, order)],
+            ending,
+            lost: false,
+        }
+    }
+
+    /// Has a record written; answered by [`Event::Committed`].
+    pub fn commit(&self, number: u64, record: Record) {
+        self.send(Request::Commit(number, record));
+    }
+
+    /// A job is wanted as soon as one is ready.
+    pub fn want_job(&self) {
+        self.send(Request::Want);
+    }
+
+    /// Has the status published, some time; of several the last.
+    pub fn status(&self, status: Status) {
+        self.send(Request::Status(status));
+    }
+
+    /// Answers an order.
+    pub fn reply(&self, number: u64, reply: Reply) {
+        if number != UNASKED {
+            // A thread that has ended is reported by `fault`.
+            let _ = self.replies.send((number, reply));
+        }
+    }
+
+    /// Once: a thread that is stuck or has panicked.
+    pub fn fault(&mut self) -> Option<EndFault> {
+        let panicked = self.threads.iter().any(|(_, thread)| thread.is_finished());
+        let silent = self.threads.iter().any(|(beat, _)| beat.silent());
+        if self.lost || !(panicked || silent) {
+            return None;
+        }
+        self.lost = true;
+        Some(if panicked { EndFault::Failed } else { EndFault::Silent(SILENT_AFTER.as_secs()) })
+    }
+
+    /// Waits until everything is written and answered, but not longer than `limit`; false if it is not.
+    pub async fn close(mut self, limit: std::time::Duration) -> bool {
+        self.requests = None;
+        // The thread of the orders writes the answers that are left, and lets go of the other one.
+        self.ending.store(true, Ordering::Relaxed);
+        let since = Instant::now();
+        while !self.threads.iter().all(|(_, thread)| thread.is_finished()) {
+            if since.elapsed() > limit {
+                return false;
+            }
+            tokio::time::sleep(std::time::Duration::from_millis(5)).await;
+        }
+        true
+    }
+
+    fn send(&self, request: Request) {
+        if let Some(requests) = &self.requests {
+            // A thread that has ended is reported by `fault`.
+            let _ = requests.send(request);
+        }
+    }
+}
+
+/// The thread of the journal.
+struct Keeping {
+    keeper: Box<dyn Keeper>,
+    clock: Clock,
+    events: mpsc::Sender<Heard>,
+    answers: Sender<(u64, Reply)>,
+    beat: Arc<Beat>,
+}
+
+impl Keeping {
+    /// Until nobody asks any more; what is left is written first.
+    fn run(mut self, asked: &Receiver<Request>) {
+        let (mut wanted, mut status) = (false, None);
+        let mut looked = Instant::now();
+        loop {
+            self.beat.now();
+            let every = self.clock.wall(EVERY);
+            // The status comes last: nobody waits for it.
+            let patience = if status.is_some() { std::time::Duration::ZERO } else { every };
+            match asked.recv_timeout(patience) {
+                Ok(Request::Commit(number, record)) => {
+                    let result = self.keeper.commit(&record);
+                    self.tell(Event::Committed(number, result));
+                }
+                Ok(Request::Want) => wanted = true,
+                Ok(Request::Cancel(number, id)) => self.cancel(number, id),
+                Ok(Request::Status(new)) => status = Some(new),
+                Err(RecvTimeoutError::Timeout) => {
+                    if let Some(status) = status.take() {
+                        self.keeper.status(&status);
+                    }
+                }
+                Err(RecvTimeoutError::Disconnected) => {
+                    if let Some(status) = status.take() {
+                        self.keeper.status(&status);
+                    }
+                    return;
+                }
+            }
+            if looked.elapsed() >= every || wanted {
+                looked = Instant::now();
+                for id in self.keeper.look_after(self.clock.now()) {
+                    self.tell(Event::Order(UNASKED, Order::Cancel(id)));
+                }
+                if let Some(job) = wanted.then(|| self.keeper.claim()).flatten() {
+                    wanted = false;
+                    self.tell(Event::Job(Box::new(job)));
+                }
+            }
+        }
+    }
+
+    /// A job that waits is ended here; of the active one the machine decides.
+    fn cancel(&mut self, number: u64, id: String) {
+        match self.keeper.cancel_waiting(&id) {
+            // The other thread has ended if nobody listens, and its commands with it.
+            Some(reply) => drop(self.answers.send((number, reply))),
+            None => self.tell(Event::Order(number, Order::Cancel(id))),
+        }
+    }
+
+    /// The loop has ended if nobody listens; what is left is written all the same.
+    fn tell(&self, event: Event) {
+        let _ = self.events.blocking_send(Heard::Event(event));
+    }
+}
+
+/// The thread of the orders: takes them, and writes the answers that have come.
+fn take_orders(
+    mut orders: Box<dyn Orders>,
+    clock: &Clock,
+    (events, cancels, answers): (&mpsc::Sender<Heard>, &Sender<Request>, &Receiver<(u64, Reply)>),
+    beat: &Beat,
+    ending: &AtomicBool,
+) {
+    while !ending.load(Ordering::Relaxed) {
+        beat.now();
+        for (number, order) in orders.take() {
+            let sent = match order {
+                Order::Cancel(id) => cancels.send(Request::Cancel(number, id)).is_ok(),
+                other => events.blocking_send(Heard::Event(Event::Order(number, other))).is_ok(),
+            };
+            if !sent {
+                return;
+            }
+        }
+        let until = Instant::now() + clock.wall(ORDERS_EVERY);
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            match answers.recv_timeout(left) {
+                Ok((number, reply)) => orders.reply(number, &reply),
+                Err(RecvTimeoutError::Timeout) => break,
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+        }
+    }
+    answers.try_iter().for_each(|(number, reply)| orders.reply(number, &reply));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Mutex;
+
+    /// Writes into a list; its first record waits for a sign.
+    struct Slow {
+        lines: Arc<Mutex<Vec<String>>>,
+        sign: Option<Receiver<()>>,
+    }
+
+    impl Keeper for Slow {
+        fn commit(&mut self, record: &Record) -> Result<(), String> {
+            if let Some(sign) = self.sign.take() {
+                sign.recv().unwrap();
+            }
+            self.lines.lock().unwrap().push(format!("{record:?}"));
+            Err("full".to_string())
+        }
+
+        fn look_after(&mut self, _now: Timestamp) -> Vec<String> {
+            Vec::new()
+        }
+
+        fn claim(&mut self) -> Option<JobOrder> {
+            None
+        }
+
+        fn cancel_waiting(&mut self, id: &str) -> Option<Reply> {
+            (id == "waits").then(|| Reply::accept("cancelled before it began"))
+        }
+
+        fn status(&mut self, status: &Status) {
+            self.lines.lock().unwrap().push(status.job.clone().unwrap_or_default());
+        }
+    }
+
+    /// Three orders at once; their answers are kept.
+    struct Three {
+        given: bool,
+        answers: Arc<Mutex<Vec<(u64, Reply)>>>,
+    }
+
+    impl Orders for Three {
+        fn take(&mut self) -> Vec<(u64, Order)> {
+            if std::mem::replace(&mut self.given, true) {
+                return Vec::new();
+            }
+            vec![(1, Order::Abort), (2, Order::Cancel("waits".into())), (3, Order::Cancel("active".into()))]
+        }
+
+        fn reply(&mut self, number: u64, reply: &Reply) {
+            self.answers.lock().unwrap().push((number, reply.clone()));
+        }
+    }
+
+    fn runtime() -> tokio::runtime::Runtime {
+        tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap()
+    }
+
+    fn status(job: &str) -> Status {
+        let doing = crate::cell::supervisor::status::Doing::Idle;
+        let job = Some(job.to_string());
+        Status { armed: false, paused: false, doing, job, moves: 0, remaining_moves: 0 }
+    }
+
+    #[test]
+    fn an_abort_is_heard_while_a_record_is_written_and_answers_come_in_order() {
+        let (lines, answers) = (Arc::default(), Arc::default());
+        let (sign, waiting) = channel();
+        let (sender, mut events) = mpsc::channel(64);
+        let keeper = Slow { lines: Arc::clone(&lines), sign: Some(waiting) };
+        let orders = Three { given: false, answers: Arc::clone(&answers) };
+        let store = Store::open(Box::new(keeper), Box::new(orders), Clock::new(1.0), sender);
+        store.commit(7, Record::Done { step: 4 });
+        for job in ["one", "two", "three"] {
+            store.status(status(job));
+        }
+        let Some(Heard::Event(Event::Order(1, Order::Abort))) = events.blocking_recv() else {
+            panic!("the abort comes")
+        };
+        assert!(lines.lock().unwrap().is_empty(), "nothing is written yet");
+        sign.send(()).unwrap();
+        let Some(Heard::Event(Event::Committed(7, Err(why)))) = events.blocking_recv() else {
+            panic!("then the record")
+        };
+        assert_eq!(why, "full");
+        let Some(Heard::Event(Event::Order(3, Order::Cancel(id)))) = events.blocking_recv() else {
+            panic!("not waiting")
+        };
+        assert_eq!(id, "active");
+        store.reply(3, Reply::refuse("no"));
+        assert!(runtime().block_on(store.close(std::time::Duration::from_secs(30))));
+        let numbers: Vec<u64> = answers.lock().unwrap().iter().map(|(number, _)| *number).collect();
+        assert_eq!(numbers, [2, 3]);
+        // Of the three, the last is written, after the record that the arm waits for.
+        assert_eq!(*lines.lock().unwrap(), ["Done { step: 4 }", "three"]);
+    }
+
+    #[test]
+    fn a_store_that_hangs_does_not_keep_the_daemon_from_ending() {
+        let (_sign, waiting) = channel();
+        let (sender, _events) = mpsc::channel(64);
+        let keeper = Slow { lines: Arc::default(), sign: Some(waiting) };
+        let store = Store::open(Box::new(keeper), Box::new(NoOrders), Clock::new(1.0), sender);
+        store.commit(1, Record::Done { step: 7 });
+        assert!(!runtime().block_on(store.close(std::time::Duration::ZERO)));
+    }
+
+    #[test]
+    fn a_thread_that_panics_is_reported_once() {
+        struct Broken;
+        impl Keeper for Broken {
+            fn commit(&mut self, _record: &Record) -> Result<(), String> {
+                panic!("as ordered")
+            }
+            fn look_after(&mut self, _now: Timestamp) -> Vec<String> {
+                Vec::new()
+            }
+            fn claim(&mut self) -> Option<JobOrder> {
+                None
+            }
+            fn cancel_waiting(&mut self, _id: &str) -> Option<Reply> {
+                None
+            }
+            fn status(&mut self, _status: &Status) {}
+        }
+        let (sender, _events) = mpsc::channel(64);
+        let mut store = Store::open(Box::new(Broken), Box::new(NoOrders), Clock::new(1.0), sender);
+        store.commit(1, Record::Done { step: 1 });
+        let since = Instant::now();
+        let fault = loop {
+            match store.fault() {
+                Some(fault) => break fault,
+                None => assert!(since.elapsed().as_secs() < 60, "never reported"),
+            }
+            std::thread::yield_now();
+        };
+        assert_eq!((fault, store.fault()), (EndFault::Failed, None));
+        assert!(runtime().block_on(store.close(std::time::Duration::from_secs(30))));
+    }
+}

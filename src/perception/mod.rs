@@ -1,0 +1,140 @@
+//! From frames and arm states to one observation of the table: the one way of seeing that all of celld uses.
+//!
+//! In: pictures (with depth where the camera measures it), where the camera was, the surveyed scene. Out: a [`View`] for each
+//! frame, and of all views of a look one [`Observation`]. The daemon, `celld detect`, `celld capture` and the benchmarks
+//! call these functions, so that what is measured on the bench is what the cell sees. Pure but for OpenCV's and
+//! apriltag's calls below `vision`: no camera is opened here, and no file written.
+
+pub mod doubts;
+pub mod place;
+
+use crate::time::Timestamp;
+use crate::vision::camera::CameraModel;
+use crate::vision::detect::{DetectError, DetectSettings, Detection, Detector};
+use crate::vision::foreign::HeightMapError;
+use crate::vision::foreign::search::ForeignSearch;
+use crate::vision::image::{DepthImage, Image};
+use crate::vision::observe::reference::DriftLimits;
+use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
+use nalgebra::Isometry3;
+use std::sync::Arc;
+
+/// What perception has to know of the cell.
+#[derive(Clone)]
+pub struct Scene {
+    /// Calibrated camera.
+    pub camera: CameraModel,
+    /// Markers to look for.
+    pub objects: Vec<MarkedObject>,
+    /// Reference markers round the table.
+    pub reference: Vec<ReferenceMarker>,
+    /// Limits of plausibility.
+    pub limits: ObserveLimits,
+    /// The search for what carries no marker; `None` when it is switched off.
+    pub foreign: Option<ForeignSearch>,
+    /// From where on the camera counts as moved.
+    pub drift: DriftLimits,
+}
+
+/// A picture as it came from a camera.
+#[derive(Clone, Copy)]
+pub struct Picture<'a> {
+    /// What it shows.
+    pub image: &'a Image,
+    /// Depth of the same moment, aligned to it.
+    pub depth: Option<&'a DepthImage>,
+}
+
+/// Why a picture could not be evaluated.
+#[derive(Debug, thiserror::Error)]
+pub enum PerceptionError {
+    /// The marker detector failed.
+    #[error("the marker detector failed")]
+    Detector(#[from] DetectError),
+    /// The depth picture is not of this lens.
+    #[error(transparent)]
+    Depth(#[from] HeightMapError),
+    /// The views cannot be put together.
+    #[error("the views cannot be put together: {0}")]
+    Observe(String),
+}
+
+/// Markers found and things measured, for one cell.
+pub struct Perception {
+    scene: Scene,
+    detector: Detector,
+}
+
+impl Perception {
+    /// With a detector of its own.
+    ///
+    /// # Errors
+    /// The detector cannot be made.
+    pub fn new(scene: Scene, settings: DetectSettings) -> Result<Perception, PerceptionError> {
+        Ok(Perception { scene, detector: Detector::new(settings)? })
+    }
+
+    /// What it knows.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// True when the last frame of a look pose should carry depth.
+    pub fn wants_depth(&self) -> bool {
+        self.scene.foreign.is_some()
+    }
+
+    /// The markers in a picture, searched whole.
+    ///
+    /// # Errors
+    /// The detector failed.
+    pub fn detect(&mut self, image: &Image) -> Result<Vec<Detection>, PerceptionError> {
+        Ok(self.detector.detect(&image.gray())?)
+    }
+
+    /// One frame of a look pose: markers, and on the last frame what depth or colour say of things without one.
+    /// `earlier` is a view of the same place and the same moment: only its markers are searched for again.
+    ///
+    /// # Errors
+    /// The detector failed, or depth is not of this lens.
+    pub fn view(
+        &mut self,
+        picture: Picture,
+        table_from_camera: Isometry3<f64>,
+        time: Timestamp,
+        earlier: Option<&View>,
+        last: bool,
+    ) -> Result<View, PerceptionError> {
+        let grey = picture.image.gray();
+        let detections = match earlier {
+            Some(View { detections, .. }) => self.detector.detect_again(&grey, detections)?,
+            None => self.detector.detect(&grey)?,
+        };
+        let heights = match (&self.scene.foreign, picture.depth) {
+            (Some(search), Some(depth)) => Some(Arc::new(search.map(depth, &table_from_camera)?)),
+            (Some(search), None) if last => search.changed(picture.image, &table_from_camera).map(Arc::new),
+            _ => None,
+        };
+        Ok(View { table_from_camera, detections, time, heights })
+    }
+
+    /// The views of a look put together.
+    ///
+    /// # Errors
+    /// What keeps them from fitting together.
+    pub fn observe(&self, views: &[View]) -> Result<Observation, PerceptionError> {
+        observe_views(&self.scene, views)
+    }
+}
+
+/// The same for views that were made elsewhere: from marker corners with known noise, for volume.
+///
+/// # Errors
+/// What keeps them from fitting together.
+pub fn observe_views(scene: &Scene, views: &[View]) -> Result<Observation, PerceptionError> {
+    let Scene { camera, objects, reference, limits, foreign, .. } = scene;
+    let mut seen = observe(objects, reference, camera, views, limits)
+        .map_err(|error| PerceptionError::Observe(crate::document::chain::chain(&error)))?;
+    seen.foreign = foreign.as_ref().and_then(|search| search.report(views, &seen));
+    Ok(seen)
+}
