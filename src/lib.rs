@@ -42,6 +42,8 @@ pub mod daemon;
 
 pub mod calibration;
 
+pub mod pair;
+
 pub mod bench;
 
 pub mod cli;

@@ -22,6 +22,7 @@ pub mod markers;
 pub mod plan;
 pub mod recorder;
 pub mod sim;
+pub mod simulate;
 pub mod submit;
 pub mod task;
 mod values;
@@ -48,6 +49,8 @@ enum Command {
     Run(daemon::RunArgs),
     /// Simulated UR5e, VGC10 and camera behind the real protocols
     Sim(sim::SimArgs),
+    /// Whole cells in virtual time, checked against the rules that always hold
+    Simulate(simulate::SimulateArgs),
     /// Calibrate lens, camera mount and table, live or from recorded pictures
     Calibrate(calibrate::CalibrateArgs),
     /// Markers found in a picture
@@ -92,6 +95,7 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => demo::run(&args, stop),
         Command::Run(args) => daemon::run(&args, stop),
         Command::Sim(args) => sim::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
         Command::Calibrate(args) => calibrate::run(&args, stop),
         Command::Detect(args) => detect::run(&args),
         Command::Capture(args) => capture::run(&args),

@@ -12,7 +12,7 @@ use crate::config::read_sim::read_sim;
 use crate::config::simulated::{SimFile, SimHandBoard, SimMount};
 use crate::geometry::footprint::Footprint;
 use crate::io::priority;
-use crate::sim::camera_server::CameraSetup;
+use crate::sim::camera::{CameraSetup, CameraTiming};
 use crate::sim::cell::{SimConfig, SimError, start};
 use crate::sim::conformance;
 use crate::sim::controller::{ControllerConfig, calibrated};
@@ -221,7 +221,12 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
             gripper: gripper_spec(file),
             hand_board: file.hand_board.as_ref().map(hand_board),
         },
-        camera: CameraSetup { truth: truth.camera, reported: truth.reported, mount: truth.mount },
+        camera: CameraSetup {
+            truth: truth.camera,
+            reported: truth.reported,
+            mount: truth.mount,
+            timing: CameraTiming::D405,
+        },
         seed: file.seed,
         faults: Vec::new(),
     }

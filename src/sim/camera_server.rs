@@ -2,16 +2,14 @@
 //!
 //! In: `GET /frame.png`, `GET /depth.png` and `GET /intrinsics.json`. Out: a PNG with the headers `X-Sequence` (counts
 //! frames of its kind), `X-Time` (controller seconds at exposure) and `X-Serial`; depth with 16 bits, 0.1 mm a unit and 0
-//! where nothing was found, aligned to the colour picture; the factory intrinsics as JSON. Exposure is the moment the world is
-//! copied; drawing happens afterwards on a blocking thread, without the world, one picture at a time. A camera that is
+//! where nothing was found, aligned to the colour picture; the factory intrinsics as JSON. A frame is exposed and transferred in its own time ([`crate::sim::camera`]);
+//! drawing happens afterwards on a blocking thread, without the world, one picture at a time. A camera that is
 //! switched off (a fault) answers 503; other faults of the camera
 //! are asked of the world at every frame.
 
-use crate::sim::faults::camera::CameraFaults;
+use crate::sim::camera::{CameraSetup, Window};
 use crate::sim::faults::link::{Link, LinkListener};
 use crate::sim::render::Renderer;
-use crate::sim::render::lens::CameraTruth;
-use crate::sim::world::spec::CameraMount;
 use crate::sim::world::{SharedWorld, lock};
 use axum::body::Bytes;
 use axum::extract::State;
@@ -23,19 +21,13 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use std::future::Future;
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::Mutex;
 
-/// The camera that the server shows.
-#[derive(Clone, Debug)]
-pub struct CameraSetup {
-    /// The lens and sensor that take the pictures.
-    pub truth: CameraTruth,
-    /// What `/intrinsics.json` says.
-    pub reported: CameraTruth,
-    /// Where it sits, true.
-    pub mount: CameraMount,
-}
+/// How often a waiting request looks at the simulated time, and how long it does at most, wall time.
+const LOOK_EVERY: Duration = Duration::from_micros(500);
+const WAIT_LIMIT: Duration = Duration::from_secs(10);
 
 struct Camera {
     setup: CameraSetup,
@@ -117,10 +109,12 @@ async fn frame(State(camera): State<Arc<Camera>>, kind: Kind) -> Response {
     let taken = match repeated {
         Some(last) => Ok(Frame { png: last.png, number, time_s: now_s }),
         None => {
+            let window = camera.setup.timing.window(now_s);
+            camera.until(window.ready_s).await;
             let drawing = camera.clone();
             let draw = move || {
                 crate::io::priority::lower();
-                drawing.take(kind, number, &faults).map_err(|error| error.to_string())
+                drawing.take(kind, number, &window).map_err(|error| error.to_string())
             };
             tokio::task::spawn_blocking(draw).await.unwrap_or_else(|error| Err(error.to_string()))
         }
@@ -146,26 +140,30 @@ impl Camera {
         (headers, frame.png).into_response()
     }
 
-    /// Exposes, draws and encodes one frame.
-    fn take(&self, kind: Kind, number: u64, faults: &CameraFaults) -> Result<Frame, image::ImageError> {
+    /// Waits until the simulation has come so far, or has stood for too long: a test's world may stand still.
+    async fn until(&self, time_s: f64) {
+        let begun = tokio::time::Instant::now();
+        while lock(&self.world).now_s() < time_s && begun.elapsed() < WAIT_LIMIT {
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+    }
+
+    /// Draws and encodes the frame of a window that is over.
+    fn take(&self, kind: Kind, number: u64, window: &Window) -> Result<Frame, image::ImageError> {
         let renderer = self.renderer.get_or_init(|| Renderer::new(self.setup.truth.clone()));
-        let (scene, time_s, seed) = {
-            let world = lock(&self.world);
-            (world.scene(), world.now_s(), world.seed())
-        };
-        let table_from_camera = scene.table_from_camera(&self.setup.mount) * faults.shift;
+        let moment = lock(&self.world).moment(&self.setup, window);
         let png = match kind {
             Kind::Colour => {
-                let picture = renderer.expose(&scene, &table_from_camera, &faults.exposure, [seed, number]);
+                let picture = moment.picture(renderer, number);
                 encode(&picture.rgb, picture.width, picture.height, ExtendedColorType::Rgb8)?
             }
             Kind::Depth => {
-                let depth =
-                    renderer.expose_depth(&scene, &table_from_camera, &faults.exposure, [seed, number]);
+                let depth = moment.depth(renderer, number);
                 let bytes: Vec<u8> = depth.units.iter().flat_map(|unit| unit.to_ne_bytes()).collect();
                 encode(&bytes, depth.width, depth.height, ExtendedColorType::L16)?
             }
         };
+        let time_s = 0.5 * (window.begin_s + window.end_s);
         Ok(Frame { png: png.into(), number, time_s })
     }
 }
@@ -186,7 +184,11 @@ fn encode(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::camera::CameraTiming;
+    use crate::sim::faults::camera::CameraFaults;
+    use crate::sim::render::lens::CameraTruth;
     use crate::sim::world::empty_world;
+    use crate::sim::world::spec::CameraMount;
     use nalgebra::Isometry3;
     use std::net::SocketAddr;
 
@@ -194,7 +196,12 @@ mod tests {
         let truth = CameraTruth::ideal("sim-77", 64, 36, 40.0);
         let mut reported = truth.clone();
         reported.fx = 40.01;
-        CameraSetup { truth, reported, mount: CameraMount::Flange(Isometry3::identity()) }
+        CameraSetup {
+            truth,
+            reported,
+            mount: CameraMount::Flange(Isometry3::identity()),
+            timing: CameraTiming::INSTANT,
+        }
     }
 
     async fn started() -> (SocketAddr, SharedWorld) {

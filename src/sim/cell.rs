@@ -9,21 +9,22 @@
 
 use crate::io::clock::Pace;
 use crate::io::priority;
-use crate::sim::camera_server::{self, CameraSetup};
+use crate::sim::camera::CameraSetup;
+use crate::sim::camera_server;
 use crate::sim::control_server;
 use crate::sim::controller::{Controller, ControllerConfig};
+use crate::sim::core::Core;
 use crate::sim::faults::desk::FaultDesk;
 use crate::sim::faults::link::LinkName;
 use crate::sim::faults::{FaultError, Planned};
 use crate::sim::gripper_server;
 use crate::sim::motion::FRAME_SECONDS;
 use crate::sim::robot_server::{self, ListenError, RobotAddresses, RobotPorts, RobotServers, RobotShared};
-use crate::sim::world::event::Contact;
 use crate::sim::world::spec::{WorldError, WorldSpec};
-use crate::sim::world::{SharedWorld, World, lock};
+use crate::sim::world::{SharedWorld, World};
 use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
@@ -45,9 +46,6 @@ const TOLERATED_LATENESS: Duration = Duration::from_micros(500);
 
 /// Frames in a row after none of which there was time to sleep, at which real-time priority is given up.
 const MOST_SLEEPLESS: u32 = 50;
-
-/// Depth of a contact at which the arm's safety system stops it, m: cups and flange give way by some mm first.
-const STOP_DEPTH_M: f64 = 0.006;
 
 /// What is simulated and where it listens.
 #[derive(Clone, Debug)]
@@ -141,12 +139,10 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
     if !(0.01..=1000.0).contains(&config.time_factor) {
         return Err(SimError::TimeFactor(config.time_factor));
     }
-    let world: SharedWorld = Arc::new(Mutex::new(World::new(config.world, config.seed)?));
     let robot = RobotShared::new(Controller::new(config.controller), config.bind);
-    // The world has its arm before the first client can ask for a picture.
-    step_world(&robot, &world);
-    let desk = Arc::new(FaultDesk::new(robot.clone(), world.clone(), config.time_factor));
-    desk.submit(config.faults)?;
+    let core = Core::new(robot, World::new(config.world, config.seed)?, config.time_factor);
+    core.desk.submit(config.faults)?;
+    let Core { robot, world, desk } = core.clone();
     let (stop, stopped) = watch::channel(false);
     let modbus = listen("gripper", config.bind, config.modbus_port).await?;
     let camera = listen("camera", config.bind, config.camera_port).await?;
@@ -175,10 +171,9 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
     let (pace, held_us) =
         (Arc::new(Pace::new(robot.controller().core.timestamp())), Arc::new(AtomicU64::new(0)));
     let frames = {
-        let (robot, world, desk) = (robot.clone(), world.clone(), desk.clone());
         let (pace, held_us) = (pace.clone(), held_us.clone());
         let factor = config.time_factor;
-        let body = move || run_frames((&robot, &world, &desk), (&pace, &held_us), factor, &stopped);
+        let body = move || run_frames(&core, (&pace, &held_us), factor, &stopped);
         std::thread::Builder::new().name("sim-frames".to_owned()).spawn(body).map_err(SimError::Thread)?
     };
     Ok(RunningSim {
@@ -300,7 +295,7 @@ impl Schedule {
 }
 
 fn run_frames(
-    (robot, world, desk): (&RobotShared, &SharedWorld, &FaultDesk),
+    core: &Core,
     (pace, held_us): (&Pace, &AtomicU64),
     factor: f64,
     stopped: &watch::Receiver<bool>,
@@ -318,13 +313,11 @@ fn run_frames(
     let (mut frames, mut sleepless): (u64, u32) = (0, 0);
     while !*stopped.borrow() && stopped.has_changed().is_ok() {
         if factor > 1.0 {
-            let held = hold(robot, stopped);
+            let held = hold(&core.robot, stopped);
             held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
         }
         wait_for_follower(pace, held_us, stopped);
-        robot.frame(Some(schedule.intended));
-        step_world(robot, world);
-        desk.frame();
+        core.advance(Some(schedule.intended));
         frames += 1;
         pace.reached(Duration::from_secs_f64(frames as f64 * FRAME_SECONDS));
         let wait = schedule.wait(Instant::now());
@@ -380,33 +373,12 @@ fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
     start.elapsed()
 }
 
-/// The world follows the arm, which feels what it touches; where it presses too hard, its safety system stops it.
-fn step_world(robot: &RobotShared, world: &SharedWorld) {
-    let (now, base_from_flange, moving) = {
-        let controller = robot.controller();
-        (controller.core.timestamp(), controller.core.base_from_flange(), !controller.core.mover.stands())
-    };
-    let (force, pressed) = {
-        let mut world = lock(world);
-        let before = world.contact().map_or(0.0, |contact| contact.depth_m);
-        world.step(now, FRAME_SECONDS, &base_from_flange);
-        // Only what gets deeper: after the stop the arm must be able to retreat.
-        let too_deep = |contact: &&Contact| moving && contact.depth_m > STOP_DEPTH_M.max(before);
-        let force = world.base_from_table().rotation * world.contact_force();
-        (force, world.contact().filter(too_deep).cloned())
-    };
-    let wrench = [force.x, force.y, force.z, 0.0, 0.0, 0.0];
-    robot.controller().core.sensing.set_contact_wrench(wrench);
-    if let Some(contact) = pressed {
-        let reason = format!("{} presses on {}", contact.moving, contact.against);
-        robot.controller().protective_stop(&reason);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::camera::CameraTiming;
     use crate::sim::render::lens::CameraTruth;
+    use crate::sim::world::lock;
     use crate::sim::world::spec::{CameraMount, GripperSpec};
     use nalgebra::Isometry3;
     use tokio::io::AsyncReadExt;
@@ -426,6 +398,7 @@ mod tests {
                 truth: camera.clone(),
                 reported: camera,
                 mount: CameraMount::Flange(Isometry3::identity()),
+                timing: CameraTiming::INSTANT,
             },
             seed: 1,
             faults: Vec::new(),

@@ -1,5 +1,7 @@
 //! The stand-in for the hardware: world, UR controller, VGC10 and camera behind the real protocols.
 
+pub mod camera;
+
 pub mod camera_server;
 
 pub mod cell;
@@ -9,6 +11,8 @@ pub mod conformance;
 pub mod control_server;
 
 pub mod controller;
+
+pub mod core;
 
 pub mod faults;
 

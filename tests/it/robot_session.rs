@@ -8,7 +8,7 @@ use celld::cell::device::robot::Robot;
 use celld::cell::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
 use celld::motion::kinematics::DhParameters;
 use celld::motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
-use celld::sim::camera_server::CameraSetup;
+use celld::sim::camera::{CameraSetup, CameraTiming};
 use celld::sim::cell::{RunningSim, SimConfig, start};
 use celld::sim::controller::ControllerConfig;
 use celld::sim::render::lens::CameraTruth;
@@ -45,6 +45,7 @@ pub fn config(running: bool) -> SimConfig {
             truth: camera.clone(),
             reported: camera,
             mount: CameraMount::Flange(Isometry3::identity()),
+            timing: CameraTiming::INSTANT,
         },
         seed: 1,
         faults: Vec::new(),

@@ -127,6 +127,11 @@ impl Supervisor {
         self.next_nonce
     }
 
+    /// The program that was uploaded last, while it may still be the one that runs.
+    pub fn nonce(&self) -> Option<Nonce> {
+        self.nonce
+    }
+
     /// Whether and how the cell may move.
     pub fn mode(&self) -> &Mode {
         &self.mode

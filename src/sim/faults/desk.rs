@@ -12,7 +12,8 @@ use crate::sim::faults::camera::CameraFaults;
 use crate::sim::faults::link::{LinkName, LinkState};
 use crate::sim::faults::schedule::{Schedule, Situation, Steps};
 use crate::sim::faults::{
-    CameraFault, Fault, FaultError, Order, Planned, RobotFault, Toxic, Trigger, VacuumFault, WorldFault,
+    CameraFault, Fault, FaultError, Order, Phase, Planned, RobotFault, Toxic, Trigger, VacuumFault,
+    WorldFault,
 };
 use crate::sim::motion::FRAME_SECONDS;
 use crate::sim::robot_server::RobotShared;
@@ -136,6 +137,11 @@ impl FaultDesk {
         }
         let now_s = state.time_s();
         self.end(state, |active| active.ends_s.is_some_and(|ends_s| now_s >= ends_s));
+    }
+
+    /// In which pick-n-place the arm is, from 1, and in which part of it, as far as the world can say.
+    pub fn phase(&self) -> (u32, Phase) {
+        self.state().steps.now()
     }
 
     /// What is planned and in force, for the control server.

@@ -1,7 +1,7 @@
 //! Faults over the real protocols: a running cell, its sockets, and what a client sees of each fault.
 
 use crate::geometry::footprint::Footprint;
-use crate::sim::camera_server::CameraSetup;
+use crate::sim::camera::{CameraSetup, CameraTiming};
 use crate::sim::cell::{RunningSim, SimConfig, SimError, start};
 use crate::sim::controller::ControllerConfig;
 use crate::sim::faults::FaultError;
@@ -77,6 +77,7 @@ pub(super) fn config() -> SimConfig {
             truth: camera.clone(),
             reported: camera,
             mount: CameraMount::Fixed(look_at([0.2, 0.2, 0.25], [0.2, 0.2, 0.0], [1.0, 0.0, 0.0])),
+            timing: CameraTiming::INSTANT,
         },
         seed: 1,
         faults: Vec::new(),

@@ -4,8 +4,8 @@
 //! frame number. Out: an RGB picture. Pure: the same arguments give the same bytes.
 //!
 //! How: one ray a pixel through the exact inverse of the lens ([`lens`]), met with prisms, prints and board ([`cast`]);
-//! where neighbouring pixels see different surfaces, 16 rays; then blur, noise and eight bits ([`sensor`]). Exposure
-//! is an instant: there is no motion blur, and no shadow. Uneven light is a smooth gain over the picture. Depth pictures
+//! where neighbouring pixels see different surfaces, 16 rays; then blur, noise and eight bits ([`sensor`]). A camera that moves
+//! while it exposes is drawn from several places along its way; there is no shadow. Uneven light is a smooth gain over the picture. Depth pictures
 //! are the same rays' lengths with the errors of stereo matching ([`depth`]).
 
 pub mod cast;
@@ -64,6 +64,35 @@ impl Renderer {
         exposure: &Exposure,
         noise: [u64; 2],
     ) -> Image {
+        self.expose_along(scene, std::slice::from_ref(table_from_camera), exposure, noise)
+    }
+
+    /// The same by a camera that moves: the mean of the light at places along its way, then blur and noise once.
+    pub fn expose_along(
+        &self,
+        scene: &Scene,
+        table_from_camera: &[Isometry3<f64>],
+        exposure: &Exposure,
+        noise: [u64; 2],
+    ) -> Image {
+        let mut places = table_from_camera.iter();
+        let first = places.next().copied().unwrap_or_default();
+        let mut light = self.light(scene, &first);
+        for place in places {
+            for (sum, more) in light.iter_mut().zip(self.light(scene, place)) {
+                (0..3).for_each(|c| sum[c] += more[c]);
+            }
+        }
+        let share = 1.0 / table_from_camera.len().max(1) as f32;
+        light.iter_mut().for_each(|colour| *colour = colour.map(|c| c * share));
+        blur(&mut light, self.camera.width as usize, self.camera.blur_sigma_px.hypot(exposure.blur_px));
+        exposure.apply(&mut light);
+        let rgb = self.noise.develop(&light, noise[0], noise[1]);
+        Image { width: self.camera.width, height: self.camera.height, rgb }
+    }
+
+    /// The light that reaches each pixel from one place.
+    fn light(&self, scene: &Scene, table_from_camera: &Isometry3<f64>) -> Vec<[f32; 3]> {
         let (width, height) = (self.camera.width as usize, self.camera.height as usize);
         let caster = Caster::new(scene, table_from_camera, &self.camera, &self.texture);
         let mut keys = vec![0u32; width * height];
@@ -83,10 +112,7 @@ impl Renderer {
                 }
             }
         }
-        blur(&mut light, width, self.camera.blur_sigma_px.hypot(exposure.blur_px));
-        exposure.apply(&mut light);
-        let rgb = self.noise.develop(&light, noise[0], noise[1]);
-        Image { width: self.camera.width, height: self.camera.height, rgb }
+        light
     }
 
     /// The depth picture of the same moment and place, aligned to the colour picture; `noise` is seed and frame.

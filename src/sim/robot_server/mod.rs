@@ -115,6 +115,11 @@ impl RobotShared {
     /// Around a controller, which gets the network for its scripts' sockets; they come from `address`.
     pub fn new(mut controller: Controller, address: IpAddr) -> Arc<RobotShared> {
         controller.core.sockets = Box::new(TcpScriptSockets::from_address(address));
+        RobotShared::without_network(controller)
+    }
+
+    /// Around a controller whose scripts' sockets are what they are: for a simulator without sockets.
+    pub fn without_network(controller: Controller) -> Arc<RobotShared> {
         Arc::new(RobotShared {
             controller: Mutex::new(controller),
             outlets: Mutex::new(Outlets::default()),

@@ -135,6 +135,15 @@ pub struct Inlet {
     pub replies: Line,
 }
 
+impl Inlet {
+    /// The next bytes for the client, without waiting: for a simulator that is driven by calls.
+    pub fn take(&mut self) -> Option<Bytes> {
+        let parcel = self.queue.try_recv().ok()?;
+        *self.replies.backlog.lock() -= 1;
+        Some(parcel.bytes)
+    }
+}
+
 /// The sending end of a connection's queue. It counts what is queued and not written yet: while that is nothing, and
 /// the count is locked, no task writes to the socket.
 #[derive(Clone, Debug)]
@@ -331,6 +340,11 @@ impl Outlets {
             }
             outlet.given_up |= outlet.is_behind();
         }
+    }
+
+    /// True until the connection was closed or dropped.
+    pub fn is_open(&self, id: ClientId) -> bool {
+        self.outlets.iter().any(|outlet| outlet.id == id)
     }
 
     /// Connections with this feed.

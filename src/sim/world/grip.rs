@@ -26,6 +26,15 @@ pub(super) const YIELD_M: f64 = 1e-3;
 const CLEAR_OF_TABLE_M: f64 = 5e-3;
 
 impl World {
+    /// How far what is held is over what would hold it up, m; `None` when nothing is held. Truth: for tests only.
+    pub fn held_over_place(&self) -> Option<f64> {
+        let over = self.bodies.iter().filter_map(|body| match body.state {
+            BodyState::Held { floor_m, .. } => Some(body.bottom_m() - floor_m),
+            _ => None,
+        });
+        over.fold(None, |most, over| Some(most.map_or(over, |most: f64| most.max(over))))
+    }
+
     /// Seals, pumps, and takes hold of what a channel has sucked on.
     pub(super) fn run_pumps(&mut self, dt_s: f64) {
         for channel in Channel::ALL {

@@ -49,6 +49,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Events kept; older ones are dropped.
 const EVENT_CAPACITY: usize = 4096;
+/// Places of the flange kept: 0.6 s of controller frames.
+const TRAIL_CAPACITY: usize = 300;
 /// Time constant of the filter behind the tool's acceleration, s: a controller frame's step in speed (a stop)
 /// must not read as 100 m/s2.
 const ACCELERATION_TAU_S: f64 = 0.02;
@@ -94,6 +96,8 @@ pub struct World {
     /// Things without a marker that stand on the table, with their places among the bodies.
     foreign: Vec<(ForeignBody, usize)>,
     hand_board: Option<Plate>,
+    /// Where the flange was lately: time and `base_from_flange`, for exposures that take a while.
+    trail: VecDeque<(f64, Isometry3<f64>)>,
 }
 
 /// An object as it is now.
@@ -260,6 +264,7 @@ impl World {
             sticky: false,
             foreign: Vec::new(),
             hand_board: spec.hand_board.as_ref().map(Plate::new).transpose()?,
+            trail: VecDeque::new(),
         })
     }
 
@@ -267,6 +272,10 @@ impl World {
     /// `base_from_flange` the true flange pose then.
     pub fn step(&mut self, now_s: f64, dt_s: f64, base_from_flange: &Isometry3<f64>) {
         self.now_s = now_s;
+        if self.trail.len() >= TRAIL_CAPACITY {
+            self.trail.pop_front();
+        }
+        self.trail.push_back((now_s, *base_from_flange));
         self.track_tool(dt_s, base_from_flange);
         self.push_aside();
         if self.steps.is_multiple_of(5) {

@@ -36,6 +36,20 @@ impl World {
         scene
     }
 
+    /// `table_from_flange` at a time of the last 0.6 s, between two controller frames in proportion.
+    pub fn table_from_flange_at(&self, time_s: f64) -> Isometry3<f64> {
+        let after = self.trail.partition_point(|(at, _)| *at < time_s);
+        let flange = match (after.checked_sub(1).and_then(|i| self.trail.get(i)), self.trail.get(after)) {
+            (Some((before_s, before)), Some((after_s, after))) => {
+                let share = (time_s - before_s) / (after_s - before_s).max(1e-9);
+                before.lerp_slerp(after, share.clamp(0.0, 1.0))
+            }
+            (Some((_, only)), None) | (None, Some((_, only))) => *only,
+            (None, None) => Isometry3::identity(),
+        };
+        self.table_from_base * flange
+    }
+
     /// Covers prints and adds others, as the camera's faults say.
     fn disturb_prints(&self, scene: &mut Scene) {
         for cells in self.camera.covered.iter().filter_map(|id| tag36h11_bitmap(*id)) {

@@ -1,0 +1,179 @@
+//! `celld simulate`: whole cells in virtual time, one thread each.
+//!
+//! In: a seed, how many jobs, faults, how the cell sees. Out: what became of the jobs, every breach of a rule, and the one
+//! command that repeats a failure. Exit codes: 0 no rule was broken and every job ended; 1 one was, or one did not; 2 bad
+//! input.
+
+use crate::cli::daemon::machine_parameters;
+use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config, sim_file};
+use crate::cli::sim::{FOCAL_PX, faults_of, sim_config};
+use crate::cli::task::{complain, print};
+use crate::config::setup::CUP_MARGIN_M;
+use crate::jobs::policy::JobObjective;
+use crate::pair::eyes::Eye;
+use crate::pair::run::{Summary, run_jobs};
+use crate::pair::stage::Stage;
+use crate::pair::{Choice, Pair};
+use crate::sim::robot_server::RobotPorts;
+use crate::tabletop::fit::{Requirements, fit};
+use crate::tabletop::parse::parse_instance;
+use crate::tabletop::room::Cup;
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::net::{IpAddr, Ipv4Addr};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// `celld simulate`
+#[derive(Args, Clone, Debug)]
+#[command(after_help = HELP)]
+pub struct SimulateArgs {
+    /// Seed of the cell's truth, of every delay and of the jobs
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Jobs of two to four moves
+    #[arg(long, default_value_t = 3)]
+    jobs: usize,
+    /// A fault file, as for `celld sim`
+    #[arg(long, value_name = "FILE")]
+    faults: Option<PathBuf>,
+    /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise
+    #[arg(long, value_enum, default_value_t = EyeArg::Corners)]
+    eye: EyeArg,
+    /// Write what happened, line by line, to this file; the same seed writes the same bytes
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
+}
+
+const HELP: &str = "\
+The machine that drives a real robot, the simulated cell, a network and a disk run on one thread without socket, file or
+clock: the same seed gives the same trace, byte for byte. After every 2 ms of simulated time the rules that hold at all times
+are checked against the simulated truth.";
+
+/// How the cell sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum EyeArg {
+    /// Rendered pictures with the real detector.
+    Pictures,
+    /// Marker corners with the detector's noise.
+    Corners,
+}
+
+/// Six objects on a small table: enough for buffers, small enough for thousands of jobs.
+const TABLE: &str = "\
+workspace: {width: 0.4, height: 0.4}
+clearance: 0.002
+objects:
+  - {id: plank-1, footprint: {rectangle: {length: 0.10, width: 0.05}}, start: [0.08, 0.08, 0.0]}
+  - {id: plank-2, footprint: {rectangle: {length: 0.10, width: 0.05}}, start: [0.22, 0.08, 0.3]}
+  - {id: block-1, footprint: {rectangle: {length: 0.06, width: 0.06}}, start: [0.32, 0.20, 0.0]}
+  - {id: block-2, footprint: {rectangle: {length: 0.06, width: 0.06}}, start: [0.08, 0.24, 0.5]}
+  - {id: lid-1, footprint: {disc: {radius: 0.035}}, start: [0.20, 0.22, 0.0]}
+  - {id: lid-2, footprint: {disc: {radius: 0.035}}, start: [0.32, 0.32, 0.0]}
+";
+
+/// The closed loop's cell: a small table with six objects, as demo and simulator would configure it.
+///
+/// # Errors
+/// What does not fit together.
+pub fn stage(seed: u64, eye: Eye) -> Result<Stage, String> {
+    let given = parse_instance(TABLE, "table", &|_| None).map_err(|complaints| complaints.to_string())?;
+    let needs = Requirements {
+        pixels_per_metre: FOCAL_PX / LOOK_DISTANCE_M,
+        least_module_px: 3.0,
+        cups: vec![Cup { x: 0.0, y: 0.0, radius: CUP_DIAMETER_M / 2.0 }],
+        cup_margin: CUP_MARGIN_M,
+    };
+    let instance = fit(&given, &needs).map_err(|error| error.to_string())?.instance;
+    let choice = DemoChoice {
+        bind: IpAddr::V4(Ipv4Addr::LOCALHOST),
+        time_factor: 1.0,
+        seed,
+        solver: "auto".to_string(),
+        objective: JobObjective::Pp,
+        time_limit_s: 2.0,
+    };
+    let mut config = cell_config(&instance, &choice, Path::new("."))?;
+    if eye == Eye::Corners {
+        // Corners have no depth.
+        config.foreign = crate::cell::supervisor::model::ForeignRule::Off;
+    }
+    let file = sim_file(&instance, &config, &choice)?;
+    let sim = sim_config(&file, choice.bind, RobotPorts::ANY);
+    let parameters = machine_parameters(&config, seed.wrapping_add(1));
+    Stage::new(&config, sim, parameters, seed)
+}
+
+/// Runs the subcommand; returns the exit code.
+pub fn run(args: &SimulateArgs) -> u8 {
+    let eye = match args.eye {
+        EyeArg::Pictures => Eye::Pictures,
+        EyeArg::Corners => Eye::Corners,
+    };
+    let faults = args.faults.as_deref().map_or(Ok(Vec::new()), faults_of);
+    let prepared = faults.and_then(|faults| Ok((faults, stage(args.seed, eye)?)));
+    let (faults, stage) = match prepared {
+        Ok(prepared) => prepared,
+        Err(message) => {
+            complain(&message);
+            return 2;
+        }
+    };
+    let choice = Choice { eye, keep_trace: args.trace.is_some(), ..Choice::of(args.seed) };
+    let bar = ProgressBar::new(args.jobs as u64);
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} jobs, {eta} left") {
+        bar.set_style(style);
+    }
+    let began = Instant::now();
+    let ran = run_jobs(&stage, choice, args.jobs, &faults, &mut |done| bar.set_position(done as u64));
+    bar.finish_and_clear();
+    let (summary, pair) = match ran {
+        Ok(ran) => ran,
+        Err(error) => {
+            complain(&error.to_string());
+            return 1;
+        }
+    };
+    let seconds = began.elapsed().as_secs_f64();
+    if let Some(path) = &args.trace
+        && let Err(error) = std::fs::write(path, pair.trace.lines().join("\n") + "\n")
+    {
+        complain(&format!("{}: {error}", path.display()));
+        return 2;
+    }
+    print(&text(&summary, &pair, seconds));
+    if summary.is_clean() {
+        return 0;
+    }
+    let faults = args.faults.as_ref().map(|path| format!(" --faults {}", path.display())).unwrap_or_default();
+    let eye = if eye == Eye::Pictures { " --eye pictures" } else { "" };
+    complain(&format!("repeat with: celld simulate --seed {} --jobs {}{faults}{eye}", args.seed, args.jobs));
+    1
+}
+
+fn text(summary: &Summary, pair: &Pair, seconds: f64) -> String {
+    let mut text = format!(
+        "{} jobs, {} moves, {:.0} simulated seconds at work in {seconds:.1} s: {:.0} times real time\n",
+        summary.jobs,
+        summary.moves,
+        summary.busy_s,
+        summary.busy_s / seconds.max(1e-9)
+    );
+    for (code, count) in &summary.ends {
+        text.push_str(&format!("  {count:6} {code}\n"));
+    }
+    for breach in &summary.breaches {
+        let at_s = breach.frame as f64 * 0.002;
+        text.push_str(&format!("BREACH {:?} at {at_s:.3} s: {}\n", breach.rule, breach.detail));
+    }
+    for stuck in &summary.stuck {
+        text.push_str(&format!("STUCK {stuck}\n"));
+    }
+    if !summary.is_clean() {
+        for notice in pair.notices().iter().rev().take(8).rev() {
+            text.push_str(&format!("  celld said: {}\n", notice.text));
+        }
+    }
+    text.push_str(&format!("trace {:016x}\n", summary.fingerprint));
+    text
+}

@@ -1,0 +1,78 @@
+//! The disk under the journal in virtual time: what was acknowledged survives, the rest may or may not.
+//!
+//! In: commits, the time, moods (slow, full, broken, silent), a cut of power or a kill. Out: acknowledgements in the order of the
+//! commits, and after a restart what is on disk. A seeded model of the commit record: real SQLite is in the tests that
+//! kill real processes.
+
+use crate::cell::supervisor::input::Record;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::VecDeque;
+
+/// How the disk is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mood {
+    /// 2 to 20 ms a commit.
+    Fine,
+    /// Every commit takes so many seconds.
+    Slow(f64),
+    /// Commits fail: no space.
+    Full,
+    /// Commits fail: input/output error.
+    Broken,
+    /// Commits never come back.
+    Silent,
+}
+
+/// The disk. See the module.
+pub struct Disk {
+    rng: ChaCha8Rng,
+    /// How it is from now on.
+    pub mood: Mood,
+    under_way: VecDeque<(u64, u64, Record)>,
+    durable: Vec<Record>,
+}
+
+impl Disk {
+    /// An empty disk.
+    pub fn new(seed: u64) -> Disk {
+        let rng = ChaCha8Rng::seed_from_u64(seed ^ 0x6469_736b);
+        Disk { rng, mood: Mood::Fine, under_way: VecDeque::new(), durable: Vec::new() }
+    }
+
+    /// A commit begins.
+    pub fn commit(&mut self, frame: u64, number: u64, record: Record) {
+        let frames = match self.mood {
+            Mood::Fine | Mood::Full | Mood::Broken => self.rng.random_range(1..=10),
+            Mood::Slow(seconds) => (seconds * 500.0) as u64,
+            Mood::Silent => u64::MAX / 2,
+        };
+        let after = self.under_way.back().map_or(0, |(due, ..)| *due);
+        self.under_way.push_back(((frame + frames).max(after), number, record));
+    }
+
+    /// Commits that come back in this frame, with what they wrote.
+    pub fn step(&mut self, frame: u64) -> Option<(u64, Result<Record, String>)> {
+        let (_, number, record) = self.under_way.pop_front_if(|(due, ..)| *due <= frame)?;
+        Some(match self.mood {
+            Mood::Full => (number, Err("database or disk is full".to_string())),
+            Mood::Broken => (number, Err("disk I/O error".to_string())),
+            Mood::Fine | Mood::Slow(_) | Mood::Silent => {
+                self.durable.push(record.clone());
+                (number, Ok(record))
+            }
+        })
+    }
+
+    /// The process or the power is gone: of what was not acknowledged, some of the first commits are on disk.
+    pub fn cut(&mut self) {
+        let survivors = self.rng.random_range(0..=self.under_way.len());
+        let survivors = if self.mood == Mood::Fine { survivors } else { 0 };
+        self.durable.extend(self.under_way.drain(..).take(survivors).map(|(.., record)| record));
+    }
+
+    /// Everything on disk, in order.
+    pub fn durable(&self) -> &[Record] {
+        &self.durable
+    }
+}

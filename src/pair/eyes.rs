@@ -1,0 +1,283 @@
+//! What the cell sees in the closed loop: rendered pictures with the real detector, or marker corners for volume.
+//!
+//! In: look requests, the simulated world, the time. Out: views after exposure, transfer and detection have taken their time.
+//! Pictures go through the same [`Perception`] as on a real cell. Corners are projected by the simulator's own lens, with
+//! the noise that the benchmark of the detector measured; they miss what only a picture has: a marker half hidden by the
+//! gripper, light, depth. A test compares both on the same tables.
+
+use crate::cell::code::Code;
+use crate::cell::supervisor::input::CameraTrouble;
+use crate::perception::{Perception, Picture, Scene, observe_views};
+use crate::sim::camera::{CameraSetup, Moment, Window};
+use crate::sim::render::Renderer;
+use crate::sim::render::scene::{Cells, Print};
+use crate::sim::world::World;
+use crate::time::Timestamp;
+use crate::vision::detect::{DetectSettings, Detection, Family};
+use crate::vision::image::quality::{PictureLimits, judge, measure};
+use crate::vision::image::tag36h11_bitmap;
+use crate::vision::observe::{Observation, View};
+use nalgebra::{Isometry3, Point3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeMap;
+
+/// Standard deviation of a marker corner along each axis, px: what the detector leaves on rendered pictures.
+const CORNER_STD_PX: f64 = 0.06;
+
+/// A marker counts as seen when all of it is this far inside the picture, px.
+const MARGIN_PX: f64 = 3.0;
+
+/// Seconds of detection a frame, from and to.
+const DETECTION_S: (f64, f64) = (0.03, 0.06);
+
+/// After so long a camera that does not answer is given up by whoever supervises it, s.
+const GIVEN_UP_AFTER_S: f64 = 3.0;
+
+/// How the cell sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Eye {
+    /// Rendered pictures and the real detector.
+    Pictures,
+    /// Corners with noise.
+    Corners,
+}
+
+enum Sight {
+    Pictures(Box<(Renderer, Perception)>),
+    Corners(Box<(Scene, BTreeMap<Cells, u32>)>),
+}
+
+/// A look under way.
+struct Task {
+    number: u64,
+    left: usize,
+    table_from_camera: Isometry3<f64>,
+    views: Vec<View>,
+    window: Window,
+}
+
+/// Camera and perception. See the module.
+pub struct Eyes {
+    setup: CameraSetup,
+    sight: Sight,
+    rng: ChaCha8Rng,
+    frames: u64,
+    task: Option<Task>,
+}
+
+/// A look that is over, and how many seconds its evaluation takes.
+pub struct Looked {
+    /// Of the request.
+    pub number: u64,
+    /// Views, or why there are none.
+    pub result: Result<Vec<View>, CameraTrouble>,
+    /// Seconds until the cell has it.
+    pub evaluation_s: f64,
+}
+
+impl Eyes {
+    /// Eyes of this kind for a scene as configured.
+    ///
+    /// # Errors
+    /// The detector cannot be made.
+    pub fn new(eye: Eye, setup: CameraSetup, scene: Scene, seed: u64) -> Result<Eyes, String> {
+        let sight = match eye {
+            Eye::Pictures => {
+                let renderer = Renderer::new(setup.truth.clone());
+                let perception =
+                    Perception::new(scene, DetectSettings::default()).map_err(|error| error.to_string())?;
+                Sight::Pictures(Box::new((renderer, perception)))
+            }
+            Eye::Corners => {
+                let numbers = (0..587).filter_map(|id| tag36h11_bitmap(id).map(|cells| (cells, id)));
+                Sight::Corners(Box::new((scene, numbers.collect())))
+            }
+        };
+        let rng = ChaCha8Rng::seed_from_u64(seed ^ 0x6579_6573);
+        Ok(Eyes { setup, sight, rng, frames: 0, task: None })
+    }
+
+    /// Takes `frames` frames from now on; a look that was under way is forgotten.
+    pub fn look(&mut self, now_s: f64, number: u64, frames: usize, table_from_camera: Isometry3<f64>) {
+        let window = self.setup.timing.window(now_s);
+        self.task = Some(Task { number, left: frames, table_from_camera, views: Vec::new(), window });
+    }
+
+    /// Forgets the look under way: whoever asked is gone.
+    pub fn forget(&mut self) {
+        self.task = None;
+    }
+
+    /// One frame of time.
+    pub fn step(&mut self, world: &World, now_s: f64) -> Option<Looked> {
+        let task = self.task.as_mut()?;
+        if now_s < task.window.ready_s {
+            return None;
+        }
+        let trouble = |code: Code| CameraTrouble {
+            code,
+            message: code.meaning().to_string(),
+            remedy: "look at the camera",
+            lasting: false,
+        };
+        let faults = world.camera_faults();
+        let fault = match (faults.off, faults.frozen, faults.repeats) {
+            (true, ..) => Some(Code::CameraUnplugged),
+            (_, true, _) => Some(Code::CameraFrozen),
+            (.., true) => Some(Code::CameraRepeats),
+            _ => None,
+        };
+        if let Some(code) = fault {
+            let number = task.number;
+            self.task = None;
+            return Some(Looked { number, result: Err(trouble(code)), evaluation_s: GIVEN_UP_AFTER_S });
+        }
+        self.frames += 1;
+        let moment = world.moment(&self.setup, &task.window);
+        let time = Timestamp::from_secs_f64(now_s);
+        let seen = match &mut self.sight {
+            Sight::Pictures(sight) => {
+                let (renderer, perception) = &mut **sight;
+                see_picture(renderer, perception, &moment, self.frames, task, time)
+            }
+            Sight::Corners(sight) => {
+                see_corners(&sight.1, &self.setup, &moment, &mut self.rng).map(|detections| View {
+                    table_from_camera: task.table_from_camera,
+                    detections,
+                    time,
+                    heights: None,
+                })
+            }
+        };
+        let (from, to) = DETECTION_S;
+        let evaluation_s = self.rng.random_range(from..to);
+        match seen {
+            Err(code) => {
+                let number = task.number;
+                self.task = None;
+                Some(Looked { number, result: Err(trouble(code)), evaluation_s: GIVEN_UP_AFTER_S })
+            }
+            Ok(view) => {
+                task.views.push(view);
+                task.left = task.left.saturating_sub(1);
+                task.window = self.setup.timing.window(now_s);
+                if task.left > 0 {
+                    return None;
+                }
+                let task = self.task.take()?;
+                Some(Looked { number: task.number, result: Ok(task.views), evaluation_s })
+            }
+        }
+    }
+
+    /// The views of a look put together.
+    ///
+    /// # Errors
+    /// What keeps them from fitting together.
+    pub fn observe(&self, views: &[View]) -> Result<Box<Observation>, String> {
+        let seen = match &self.sight {
+            Sight::Pictures(sight) => sight.1.observe(views),
+            Sight::Corners(sight) => observe_views(&sight.0, views),
+        };
+        seen.map(Box::new).map_err(|error| error.to_string())
+    }
+}
+
+fn see_picture(
+    renderer: &Renderer,
+    perception: &mut Perception,
+    moment: &Moment,
+    number: u64,
+    task: &Task,
+    time: Timestamp,
+) -> Result<View, Code> {
+    let image = moment.picture(renderer, number);
+    judge(&measure(&image.gray()), &PictureLimits::STANDARD).map_err(|fault| {
+        use crate::vision::image::quality::PictureFault;
+        match fault {
+            PictureFault::Dark { .. } => Code::CameraDark,
+            PictureFault::Overexposed { .. } => Code::CameraOverexposed,
+            PictureFault::Flat { .. } => Code::CameraSeesNothing,
+            PictureFault::Blurred { .. } => Code::CameraBlurred,
+        }
+    })?;
+    let last = task.left <= 1;
+    let depth = (last && perception.wants_depth()).then(|| moment.depth(renderer, number));
+    let depth = depth.and_then(|depth| {
+        let metres = depth.units.iter().map(|unit| f32::from(*unit) * 1e-4).collect();
+        crate::vision::image::DepthImage::from_metres(depth.width, depth.height, metres).ok()
+    });
+    let picture = Picture { image: &image, depth: depth.as_ref() };
+    let earlier = task.views.last();
+    perception.view(picture, task.table_from_camera, time, earlier, last).map_err(|_| Code::DetectionFailed)
+}
+
+/// Markers by their corners, as an undisturbed detector would find them.
+fn see_corners(
+    numbers: &BTreeMap<Cells, u32>,
+    setup: &CameraSetup,
+    moment: &Moment,
+    rng: &mut ChaCha8Rng,
+) -> Result<Vec<Detection>, Code> {
+    let exposure = moment.exposure();
+    if exposure.gain < 0.15 {
+        return Err(Code::CameraDark);
+    } else if exposure.gain > 4.0 {
+        return Err(Code::CameraOverexposed);
+    } else if exposure.fog > 0.9 {
+        return Err(Code::CameraSeesNothing);
+    } else if exposure.blur_px > 6.0 || moment.places().len() > 1 {
+        return Err(Code::CameraBlurred);
+    }
+    let Some(table_from_camera) = moment.places().first() else { return Ok(Vec::new()) };
+    let camera_from_table = table_from_camera.inverse();
+    let scene = moment.scene();
+    let on_table = scene.prints.iter().map(|print| (print, Isometry3::identity()));
+    let on_objects = scene.prisms.iter().flat_map(|prism| {
+        let top = prism.table_from_prism * Isometry3::translation(0.0, 0.0, prism.height_m);
+        prism.prints.iter().map(move |print| (print, top))
+    });
+    let mut found = Vec::new();
+    for (print, table_from_plane) in on_table.chain(on_objects) {
+        let Some(id) = numbers.get(&print.cells) else { continue };
+        let corners = corners_px(setup, &(camera_from_table * table_from_plane), print, rng);
+        found.extend(corners.map(|corners| Detection {
+            family: Family::Tag36h11.name().to_string(),
+            id: *id,
+            corners,
+            decision_margin: 60.0,
+            hamming: 0,
+        }));
+    }
+    Ok(found)
+}
+
+/// Corners of a print in the picture, with noise; `None` when some of it is outside.
+fn corners_px(
+    setup: &CameraSetup,
+    camera_from_plane: &Isometry3<f64>,
+    print: &Print,
+    rng: &mut ChaCha8Rng,
+) -> Option<[[f64; 2]; 4]> {
+    let half = print.size_m / 2.0;
+    let mut corners = [[0.0; 2]; 4];
+    for (corner, [x, y]) in
+        corners.iter_mut().zip([[-half, -half], [half, -half], [half, half], [-half, half]])
+    {
+        let [x, y] = print.pose.transform([x, y]);
+        let at = camera_from_plane * Point3::new(x, y, 0.0);
+        let [u, v] = setup.truth.project([at.x, at.y, at.z])?;
+        let (width, height) = (f64::from(setup.truth.width), f64::from(setup.truth.height));
+        if u < MARGIN_PX || v < MARGIN_PX || u > width - MARGIN_PX || v > height - MARGIN_PX {
+            return None;
+        }
+        *corner = [u + CORNER_STD_PX * normal(rng), v + CORNER_STD_PX * normal(rng)];
+    }
+    Some(corners)
+}
+
+/// The sum of twelve uniform numbers is normal enough and needs no further crate.
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
+}

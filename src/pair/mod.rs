@@ -1,0 +1,446 @@
+//! The whole cell in a closed loop in virtual time: machine, simulator, network, disk and eyes on one thread.
+//!
+//! In: a [`Stage`] and a seed, then jobs, orders and faults. Out: what became of the jobs, the answers, the breaches of the
+//! rules, and a trace that is the same, byte for byte, for the same seed. There is no socket, no file, no clock and no other
+//! thread; a turn is one controller frame (2 ms), and everything that takes time (network, disk, planner, detector,
+//! exposure) takes it from a seed. The daemon drives the same machine over real sockets (`daemon::shell`).
+
+pub mod disk;
+pub mod eyes;
+pub mod modbus;
+pub mod network;
+pub mod rules;
+pub mod run;
+pub mod stage;
+pub mod store;
+pub mod sweep;
+pub mod trace;
+pub mod work;
+
+use crate::cell::device::program::TemplateError;
+use crate::cell::event::{Effect, Event, News};
+use crate::cell::machine::Machine;
+use crate::cell::orders::{Order, Reply};
+use crate::cell::planner::answer;
+use crate::cell::supervisor::input::{Notice, PlanAnswer, PlanRequest};
+use crate::cell::supervisor::order::{JobOrder, JobReport};
+use crate::cell::supervisor::status::Status;
+use crate::pair::disk::Disk;
+use crate::pair::eyes::{Eye, Eyes};
+use crate::pair::network::{Network, Weather};
+use crate::pair::rules::Rules;
+use crate::pair::stage::Stage;
+use crate::pair::store::Store;
+use crate::pair::trace::Trace;
+use crate::sim::core::{Simulator, SimulatorError};
+use crate::sim::faults::{FaultError, Order as FaultOrder, Planned};
+use crate::sim::motion::FRAME_SECONDS;
+use crate::sim::world::lock;
+use crate::time::Timestamp;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::VecDeque;
+
+/// Deterministic steps that a plan may take: enough for an optimal plan of a few moves.
+const PLAN_WORK: u64 = 20_000;
+
+/// Seconds that planning takes, from and to.
+const PLANNING_S: (f64, f64) = (0.005, 0.08);
+
+/// Seconds that putting a look together takes, from and to.
+const OBSERVING_S: (f64, f64) = (0.002, 0.02);
+
+/// What a closed loop may differ in.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    /// Seed of every delay and error.
+    pub seed: u64,
+    /// How the cell sees.
+    pub eye: Eye,
+    /// How the network behaves.
+    pub weather: Weather,
+    /// Steps a plan may take.
+    pub plan_work: u64,
+    /// Keep the trace as text, not only its fingerprint.
+    pub keep_trace: bool,
+}
+
+impl Choice {
+    /// Corners, a little weather.
+    pub fn of(seed: u64) -> Choice {
+        Choice { seed, eye: Eye::Corners, weather: Weather::LAN, plan_work: PLAN_WORK, keep_trace: false }
+    }
+}
+
+/// Why a closed loop cannot be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum PairError {
+    /// The simulator.
+    #[error(transparent)]
+    Simulator(#[from] SimulatorError),
+    /// The machine.
+    #[error(transparent)]
+    Machine(#[from] TemplateError),
+    /// Camera or detector.
+    #[error("eyes: {0}")]
+    Eyes(String),
+}
+
+/// How the daemon's process ends, for restarts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Loss {
+    /// SIGKILL: the process is gone, controller and gripper go on.
+    Killed,
+    /// Power of the PC: the same for the cell.
+    PowerCut,
+}
+
+/// Something between machine and world that a test puts there to see whether the rules notice: it may change, drop and
+/// add what passes. Nothing of the kind is in the daemon.
+pub trait Adapter {
+    /// What becomes of an event on its way to the machine.
+    fn event(&mut self, event: Event, events: &mut Vec<Event>) {
+        events.push(event);
+    }
+
+    /// What becomes of an effect on its way to the world; events may be made up.
+    fn effect(&mut self, effect: Effect, effects: &mut Vec<Effect>, made_up: &mut Vec<Event>);
+
+    /// Between two frames: what may be made up without a cause.
+    fn frame(&mut self, _machine: &Machine, _effects: &mut Vec<Effect>, _made_up: &mut Vec<Event>) {}
+}
+
+/// An answer that takes its time.
+struct Later {
+    due: u64,
+    event: Event,
+}
+
+/// The closed loop. See the module.
+pub struct Pair {
+    stage: Stage,
+    choice: Choice,
+    frame: u64,
+    simulator: Simulator,
+    machine: Machine,
+    network: Network,
+    disk: Disk,
+    eyes: Eyes,
+    store: Store,
+    rng: ChaCha8Rng,
+    later: Vec<Later>,
+    due: Vec<Event>,
+    rules: Rules,
+    /// What was done, for comparison.
+    pub trace: Trace,
+    adapter: Option<Box<dyn Adapter>>,
+    orders: u64,
+    replies: VecDeque<(u64, Reply)>,
+    notices: Vec<Notice>,
+    status: Option<Status>,
+    /// Runs of the daemon so far.
+    runs: u64,
+    /// The daemon has ended by itself.
+    ended: Option<Result<(), String>>,
+}
+
+impl Pair {
+    /// A cell just switched on, with the daemon just started.
+    ///
+    /// # Errors
+    /// [`PairError`].
+    pub fn new(stage: Stage, choice: Choice) -> Result<Pair, PairError> {
+        let Choice { seed, eye, weather, keep_trace, .. } = choice;
+        let simulator = Simulator::new(stage.controller.clone(), stage.world.clone(), seed, Vec::new())?;
+        let eyes =
+            Eyes::new(eye, stage.camera.clone(), stage.scene.clone(), seed).map_err(PairError::Eyes)?;
+        Ok(Pair {
+            network: Network::new(&simulator, seed, weather),
+            machine: Machine::new(stage.parameters.clone())?,
+            simulator,
+            eyes,
+            stage,
+            choice,
+            frame: 0,
+            disk: Disk::new(seed),
+            store: Store::default(),
+            rng: ChaCha8Rng::seed_from_u64(seed ^ 0x7061_6972),
+            later: Vec::new(),
+            due: Vec::new(),
+            rules: Rules::default(),
+            trace: Trace::new(keep_trace),
+            adapter: None,
+            orders: 0,
+            replies: VecDeque::new(),
+            notices: Vec::new(),
+            status: None,
+            runs: 0,
+            ended: None,
+        })
+    }
+
+    /// Puts something between machine and world.
+    pub fn adapt(&mut self, adapter: Box<dyn Adapter>) {
+        self.adapter = Some(adapter);
+    }
+
+    /// The cell's time: zero when the cell was switched on.
+    pub fn now(&self) -> Timestamp {
+        Timestamp::from_nanos(self.frame * 2_000_000)
+    }
+
+    /// Simulated seconds so far.
+    pub fn seconds(&self) -> f64 {
+        self.frame as f64 * FRAME_SECONDS
+    }
+
+    /// The machine.
+    pub fn machine(&self) -> &Machine {
+        &self.machine
+    }
+
+    /// The simulator: truth, for rules and reports.
+    pub fn simulator(&self) -> &Simulator {
+        &self.simulator
+    }
+
+    /// The disk under the journal.
+    pub fn disk(&mut self) -> &mut Disk {
+        &mut self.disk
+    }
+
+    /// Jobs that wait, and reports of those that ended.
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The daemon's status, once there is one.
+    pub fn status(&self) -> Option<&Status> {
+        self.status.as_ref()
+    }
+
+    /// Sentences so far, oldest first.
+    pub fn notices(&self) -> &[Notice] {
+        &self.notices
+    }
+
+    /// How the daemon ended, if it has ended by itself.
+    pub fn ended(&self) -> Option<&Result<(), String>> {
+        self.ended.as_ref()
+    }
+
+    /// Breaches of the rules so far.
+    pub fn breaches(&self) -> &[rules::Breach] {
+        self.rules.breaches()
+    }
+
+    /// Reports of jobs that have ended, oldest first.
+    pub fn reports(&self) -> &[JobReport] {
+        self.store.reports()
+    }
+
+    /// Hands in a job.
+    pub fn submit(&mut self, order: JobOrder) {
+        self.store.submit(order);
+    }
+
+    /// Gives an order; its number.
+    pub fn order(&mut self, order: Order) -> u64 {
+        self.orders += 1;
+        self.rules.ordered(self.orders, &order);
+        self.trace.line(self.frame, || format!("order {} {order:?}", self.orders));
+        self.due.push(Event::Order(self.orders, order));
+        self.orders
+    }
+
+    /// The answers that have come, oldest first.
+    pub fn take_replies(&mut self) -> Vec<(u64, Reply)> {
+        self.replies.drain(..).collect()
+    }
+
+    /// Brings a fault about now, or plans it.
+    ///
+    /// # Errors
+    /// It names something that is not there, or is impossible now.
+    pub fn fault(&mut self, planned: Planned) -> Result<(), FaultError> {
+        self.trace.line(self.frame, || format!("fault {}", planned.order.name));
+        self.rules.disturbed(&planned.order);
+        self.simulator.core().desk.submit(vec![planned])
+    }
+
+    /// Brings a fault about now.
+    ///
+    /// # Errors
+    /// As [`Pair::fault`].
+    pub fn fault_now(&mut self, order: FaultOrder) -> Result<(), FaultError> {
+        self.fault(Planned { at: None, order })
+    }
+
+    /// The process that runs the machine is gone, and is started anew.
+    ///
+    /// # Errors
+    /// The on-robot program is no template.
+    pub fn restart(&mut self, loss: Loss) -> Result<(), TemplateError> {
+        self.trace.line(self.frame, || format!("restart {loss:?}"));
+        self.runs += 1;
+        self.network.close_all(&mut self.simulator);
+        self.disk.cut();
+        self.store.recover(self.disk.durable());
+        self.eyes.forget();
+        self.later.clear();
+        self.due.clear();
+        self.status = None;
+        self.ended = None;
+        self.rules.restarted();
+        let mut parameters = self.stage.parameters.clone();
+        parameters.nonce_seed = parameters.nonce_seed.wrapping_add(1_000_003 * self.runs);
+        self.machine = Machine::new(parameters)?;
+        Ok(())
+    }
+
+    /// One controller frame.
+    pub fn step(&mut self) {
+        self.frame += 1;
+        self.simulator.advance();
+        let mut events = std::mem::take(&mut self.due);
+        self.network.step(self.frame, &mut self.simulator, &mut events);
+        self.take_commits(&mut events);
+        self.take_looks();
+        self.take_later(&mut events);
+        events.extend(self.store.hand_out().map(|job| Event::Job(Box::new(job))));
+        let mut made_up = Vec::new();
+        if let Some(adapter) = &mut self.adapter {
+            let mut effects = Vec::new();
+            adapter.frame(&self.machine, &mut effects, &mut made_up);
+            effects.into_iter().for_each(|effect| self.carry_out(effect));
+        }
+        events.extend(made_up);
+        let now = self.now();
+        if self.ended.is_none() && (!events.is_empty() || self.machine.next_wake() <= now) {
+            self.turn(events);
+        }
+        self.rules.check(self.frame, &self.machine, &self.simulator, self.status.as_ref());
+    }
+
+    /// Until `over`, but at most so many simulated seconds; false when it is not over then.
+    pub fn run_until(&mut self, seconds: f64, mut over: impl FnMut(&Pair) -> bool) -> bool {
+        let end = self.frame + (seconds / FRAME_SECONDS) as u64;
+        while self.frame < end {
+            self.step();
+            if over(self) {
+                return true;
+            }
+        }
+        false
+    }
+
+    fn turn(&mut self, events: Vec<Event>) {
+        let now = self.now();
+        for event in events {
+            match &mut self.adapter {
+                None => self.hand_over(now, event),
+                Some(adapter) => {
+                    let mut passed = Vec::new();
+                    adapter.event(event, &mut passed);
+                    passed.into_iter().for_each(|event| self.hand_over(now, event));
+                }
+            }
+        }
+        self.machine.handle(now, Event::Time);
+        while let Some(effect) = self.machine.poll() {
+            let mut passed = Vec::new();
+            let mut made_up = Vec::new();
+            match &mut self.adapter {
+                None => passed.push(effect),
+                Some(adapter) => adapter.effect(effect, &mut passed, &mut made_up),
+            }
+            self.due.extend(made_up);
+            passed.into_iter().for_each(|effect| self.carry_out(effect));
+        }
+    }
+
+    fn hand_over(&mut self, now: Timestamp, event: Event) {
+        self.trace.event(self.frame, &event);
+        self.rules.event(&event);
+        self.machine.handle(now, event);
+    }
+
+    fn take_commits(&mut self, events: &mut Vec<Event>) {
+        while let Some((number, result)) = self.disk.step(self.frame) {
+            if let Ok(record) = &result {
+                self.store.written(record);
+                self.rules.written(number);
+            }
+            events.push(Event::Committed(number, result.map(drop)));
+        }
+    }
+
+    fn take_looks(&mut self) {
+        let core = self.simulator.core();
+        let world = lock(&core.world);
+        let now_s = world.now_s();
+        let Some(looked) = self.eyes.step(&world, now_s) else { return };
+        let due = self.frame + (looked.evaluation_s / FRAME_SECONDS) as u64 + 1;
+        self.later.push(Later { due, event: Event::Looked(looked.number, looked.result) });
+    }
+
+    fn take_later(&mut self, events: &mut Vec<Event>) {
+        if self.later.is_empty() {
+            return;
+        }
+        let frame = self.frame;
+        events.extend(self.later.extract_if(.., |later| later.due <= frame).map(|later| later.event));
+    }
+
+    fn after(&mut self, (from, to): (f64, f64), event: Event) {
+        let seconds = self.rng.random_range(from..to);
+        let due = self.frame + (seconds / FRAME_SECONDS) as u64 + 1;
+        self.later.push(Later { due, event });
+    }
+
+    fn carry_out(&mut self, effect: Effect) {
+        self.trace.effect(self.frame, &effect);
+        self.rules.effect(self.frame, &effect, &self.machine);
+        match effect {
+            Effect::Connect(link) => self.network.connect(self.frame, link),
+            Effect::Close(link) => self.network.close(&mut self.simulator, link),
+            Effect::Send(link, bytes) => self.network.send(self.frame, link, bytes),
+            Effect::Registers(request) => self.network.transact(self.frame, &mut self.simulator, request),
+            Effect::Look { number, frames, table_from_camera } => {
+                let now_s = lock(&self.simulator.core().world).now_s();
+                self.eyes.look(now_s, number, frames, table_from_camera);
+            }
+            Effect::Observe { number, views } => {
+                let seen = self.eyes.observe(&views);
+                self.after(OBSERVING_S, Event::Observed(number, seen));
+            }
+            Effect::Plan { number, request } => {
+                let plan = self.plan(&request);
+                self.after(PLANNING_S, Event::Planned(number, Box::new(plan)));
+            }
+            Effect::Commit { number, record } => self.disk.commit(self.frame, number, record),
+            Effect::Reply { number, reply } => self.replies.push_back((number, reply)),
+            Effect::WantJob => self.store.wanted(),
+            Effect::Notify(news) => self.notify(news),
+            Effect::End(how) => self.ended = Some(how.map_err(|fault| fault.to_string())),
+            // A plan takes no time of its own here, and rounds are played elsewhere.
+            Effect::CancelPlan | Effect::Picture { .. } | Effect::RoundOver(_) => {}
+        }
+    }
+
+    fn plan(&self, request: &PlanRequest) -> PlanAnswer {
+        answer(request, Some(self.choice.plan_work), &|| false, &|| 0.0)
+    }
+
+    fn notify(&mut self, news: News) {
+        match news {
+            News::Identified(_) => {
+                let model = Box::new(self.stage.model.clone());
+                self.due.push(Event::Commission { model, arm: false });
+            }
+            News::Notice(notice) => self.notices.push(notice),
+            News::Status(status) => self.status = Some(status),
+            News::Route(_) | News::Ended(_) => {}
+        }
+    }
+}

@@ -1,0 +1,313 @@
+//! The rules that hold at all times (design, section 7), held against the truth of the simulated cell after every frame.
+//!
+//! In: what passes between machine and world, the state of both. Out: [`Breach`]es, each with its rule's name. The rules know
+//! nothing of how the machine decides: they look at the arm, the vacuum, the disk, the answers and the sight that a pick
+//! rests on. A rule that the machine's own word could satisfy would prove nothing.
+
+use crate::cell::device::gripper::ModbusRequest;
+use crate::cell::event::{Effect, Event, News};
+use crate::cell::machine::Machine;
+use crate::cell::orders::Order;
+use crate::cell::supervisor::input::Record;
+use crate::cell::supervisor::status::{Doing, Status};
+use crate::sim::core::Simulator;
+use crate::sim::faults::link::LinkName;
+use crate::sim::faults::{Fault, Order as FaultOrder, RobotFault};
+use crate::sim::world::lock;
+use crate::sim::world::vacuum::{Channel, VacuumMode};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A rule, by a name that stays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Rule {
+    /// The arm begins to move although the cell is disarmed and no pick-n-place is under way.
+    MotionWhileDisarmed,
+    /// The arm begins to move while a record that it depends on is not on disk.
+    MotionBeforeCommit,
+    /// The arm begins to move on a state older than 100 ms.
+    MotionOnStaleState,
+    /// The arm moves for a program that is not the one uploaded last.
+    MotionOfOldProgram,
+    /// The arm still moves two and a half seconds after a stop was reported.
+    MotionAfterStop,
+    /// The vacuum is switched off while the tool moves.
+    VacuumOffInMotion,
+    /// The vacuum is switched off although what is held is not at its place, and no person ordered it.
+    VacuumOffAway,
+    /// Something is held and the vacuum is not read.
+    HeldUnwatched,
+    /// A pick is meant on a sight older than the last pick, place, stop or release.
+    PickOnOldSight,
+    /// The machine is told that a record is on disk, and it is not.
+    AcknowledgedNotWritten,
+    /// An answer says what is not so.
+    AnswerNotTrue,
+    /// An order was answered twice, or an answer came for none.
+    AnswerWithoutOrder,
+    /// The machine's heartbeat goes on in a cell that has ended.
+    StatusNotTrue,
+}
+
+impl Rule {
+    /// All of them.
+    pub const ALL: [Rule; 13] = [
+        Rule::MotionWhileDisarmed,
+        Rule::MotionBeforeCommit,
+        Rule::MotionOnStaleState,
+        Rule::MotionOfOldProgram,
+        Rule::MotionAfterStop,
+        Rule::VacuumOffInMotion,
+        Rule::VacuumOffAway,
+        Rule::HeldUnwatched,
+        Rule::PickOnOldSight,
+        Rule::AcknowledgedNotWritten,
+        Rule::AnswerNotTrue,
+        Rule::AnswerWithoutOrder,
+        Rule::StatusNotTrue,
+    ];
+}
+
+/// A rule that was broken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Breach {
+    /// When, in controller frames.
+    pub frame: u64,
+    /// Which.
+    pub rule: Rule,
+    /// What was seen.
+    pub detail: String,
+}
+
+/// The arm counts as moving above this joint speed, rad/s.
+const MOVES_RAD_S: f64 = 0.005;
+
+/// A state may be this old when a motion begins: 100 ms at the order, then network and program.
+const STATE_AGE_FRAMES: u64 = 75;
+
+/// A stop may take this long.
+const STOP_FRAMES: u64 = 1250;
+
+/// Something held is read at least this often; a lost gripper is noticed first.
+const WATCH_FRAMES: u64 = 500;
+
+/// Height over its place at which an object may be let go, m: press and noise.
+const PLACED_WITHIN_M: f64 = 0.004;
+
+/// Breaches kept.
+const MOST_BREACHES: usize = 64;
+
+/// The rules at work. See the module.
+#[derive(Debug, Default)]
+pub struct Rules {
+    breaches: Vec<Breach>,
+    moved: bool,
+    stopped_at: Option<u64>,
+    last_state: u64,
+    last_read: u64,
+    frame: u64,
+    /// Records on their way to the disk, with whether motion waits for them.
+    open: BTreeMap<u64, bool>,
+    written: BTreeSet<u64>,
+    orders: BTreeMap<u64, Order>,
+    release_ordered: bool,
+    vacuum: [Option<VacuumMode>; 2],
+    held_since: Option<u64>,
+    sight: u64,
+    disturbed: u64,
+    /// Somebody else's program may move the arm.
+    stranger: bool,
+}
+
+impl Rules {
+    /// Breaches so far, oldest first.
+    pub fn breaches(&self) -> &[Breach] {
+        &self.breaches
+    }
+
+    fn breach(&mut self, rule: Rule, detail: String) {
+        if self.breaches.len() < MOST_BREACHES {
+            self.breaches.push(Breach { frame: self.frame, rule, detail });
+        }
+    }
+
+    /// A fault is brought about.
+    pub fn disturbed(&mut self, order: &FaultOrder) {
+        self.stranger |= matches!(order.fault, Fault::Robot(RobotFault::ForeignScript(_)));
+    }
+
+    /// An order was given.
+    pub fn ordered(&mut self, number: u64, order: &Order) {
+        self.orders.insert(number, order.clone());
+        self.release_ordered |= matches!(order, Order::Release(_));
+    }
+
+    /// The daemon is gone and comes back: nothing that it knew counts.
+    pub fn restarted(&mut self) {
+        self.open.clear();
+        self.written.clear();
+        self.orders.clear();
+        self.stopped_at = None;
+        self.disturbed = self.frame;
+        self.last_read = self.frame;
+    }
+
+    /// A record has truly reached the disk.
+    pub fn written(&mut self, number: u64) {
+        self.open.remove(&number);
+        self.written.insert(number);
+    }
+
+    /// Something goes into the machine.
+    pub fn event(&mut self, event: &Event) {
+        match event {
+            Event::Received(link, _) if *link == crate::cell::device::robot_types::Link::Rtde => {
+                self.last_state = self.frame;
+            }
+            Event::Observed(_, Ok(_)) => self.sight = self.frame,
+            Event::Committed(number, Ok(())) if !self.written.contains(number) => {
+                self.breach(Rule::AcknowledgedNotWritten, format!("record {number}"));
+            }
+            _ => {}
+        }
+    }
+
+    /// Something comes out of it.
+    pub fn effect(&mut self, frame: u64, effect: &Effect, machine: &Machine) {
+        self.frame = frame;
+        match effect {
+            Effect::Commit { number, record } => {
+                self.open.insert(*number, !matches!(record, Record::Ended(_)));
+                match record {
+                    Record::Intent { object, .. } if self.sight <= self.disturbed => {
+                        self.breach(Rule::PickOnOldSight, object.clone());
+                    }
+                    Record::Gripped { .. } | Record::Released { .. } | Record::Done { .. } => {
+                        self.disturbed = frame;
+                    }
+                    Record::Intent { .. } | Record::Ended(_) => {}
+                }
+            }
+            Effect::Registers(ModbusRequest::Read { .. }) => self.last_read = frame,
+            Effect::Reply { number, reply } => self.check_reply(*number, reply.accepted, machine),
+            Effect::Notify(News::Notice(notice)) if notice.text.starts_with("stopped and disarmed") => {
+                self.stopped_at = Some(frame);
+                self.disturbed = frame;
+            }
+            _ => {}
+        }
+    }
+
+    fn check_reply(&mut self, number: u64, accepted: bool, machine: &Machine) {
+        let Some(order) = self.orders.remove(&number) else {
+            return self.breach(Rule::AnswerWithoutOrder, format!("order {number}"));
+        };
+        let Some(mode) = machine.supervisor().map(|supervisor| supervisor.mode()) else { return };
+        let fine = match order {
+            Order::Arm => accepted == mode.armed(),
+            Order::Disarm | Order::Abort => !accepted || !mode.armed(),
+            Order::Pause => !accepted || mode.paused() || mode.ending(),
+            Order::Resume => !accepted || !mode.paused(),
+            Order::Park | Order::Step => !accepted || mode.armed(),
+            Order::Release(_) => {
+                self.disturbed = self.frame;
+                true
+            }
+            Order::Approve(_) | Order::Reject(_) | Order::Cancel(_) | Order::Recover => true,
+        };
+        if !fine {
+            self.breach(Rule::AnswerNotTrue, format!("{order:?} accepted: {accepted}, {mode:?}"));
+        }
+    }
+
+    /// One controller frame is over.
+    pub fn check(&mut self, frame: u64, machine: &Machine, simulator: &Simulator, status: Option<&Status>) {
+        self.frame = frame;
+        let core = simulator.core();
+        let (moves, nonce, stranger) = {
+            let controller = core.robot.controller();
+            let qd = controller.core.mover.qd();
+            let moves = qd.iter().any(|speed| speed.abs() > MOVES_RAD_S);
+            let ours = controller.programs.name().is_none_or(|name| name.starts_with("celld_"));
+            (moves, controller.core.registers.output_ints[24], !ours)
+        };
+        let began = moves && !self.moved;
+        self.moved = moves;
+        if began && !stranger && !self.stranger {
+            self.check_begin(machine, nonce, status);
+        }
+        if moves && !self.stranger && self.stopped_at.is_some_and(|at| frame > at + STOP_FRAMES) {
+            self.breach(Rule::MotionAfterStop, String::new());
+            self.stopped_at = None;
+        }
+        if machine.supervisor().is_some_and(|supervisor| supervisor.mode().armed()) {
+            self.stopped_at = None;
+        }
+        self.check_vacuum(frame, simulator);
+        self.check_status(machine, status);
+    }
+
+    /// The arm begins to move.
+    fn check_begin(&mut self, machine: &Machine, nonce: i32, status: Option<&Status>) {
+        let working = status.is_some_and(|status| matches!(status.doing, Doing::Working(..)));
+        let Some(supervisor) = machine.supervisor() else {
+            return self.breach(Rule::MotionWhileDisarmed, "before the cell was commissioned".into());
+        };
+        if !supervisor.mode().armed() && !working {
+            self.breach(Rule::MotionWhileDisarmed, format!("{:?}", status.map(Status::text)));
+        }
+        if let Some((number, _)) = self.open.iter().find(|(_, waits)| **waits) {
+            self.breach(Rule::MotionBeforeCommit, format!("record {number}"));
+        }
+        if self.frame > self.last_state + STATE_AGE_FRAMES {
+            self.breach(Rule::MotionOnStaleState, format!("{} frames", self.frame - self.last_state));
+        }
+        let ours = supervisor.nonce().is_some_and(|ours| ours.number() == nonce);
+        if !ours && supervisor.mode().armed() {
+            self.breach(Rule::MotionOfOldProgram, format!("nonce {nonce}"));
+        }
+    }
+
+    fn check_vacuum(&mut self, frame: u64, simulator: &Simulator) {
+        let core = simulator.core();
+        let world = lock(&core.world);
+        let glance = world.glance();
+        let mut off = Vec::new();
+        for channel in Channel::ALL {
+            let (mode, _) = world.vacuum_command(channel);
+            let before = self.vacuum[channel.index()].replace(mode);
+            if before == Some(VacuumMode::Grip) && mode != VacuumMode::Grip {
+                off.push(channel);
+            }
+        }
+        let over = world.held_over_place();
+        let held = glance.holds;
+        drop(world);
+        if !off.is_empty() && self.moved {
+            self.breach(Rule::VacuumOffInMotion, format!("{off:?}"));
+        }
+        if !off.is_empty() && !self.release_ordered && over.is_some_and(|height| height > PLACED_WITHIN_M) {
+            self.breach(Rule::VacuumOffAway, format!("{:.0} mm over its place", over.unwrap_or(0.0) * 1e3));
+        }
+        if !off.is_empty() {
+            self.release_ordered = false;
+        }
+        self.held_since = if held { self.held_since.or(Some(frame)) } else { None };
+        let link = simulator.link(LinkName::Gripper);
+        let sound = !link.silent && !link.down && link.exception.is_none() && !link.wrong_transaction;
+        if !sound {
+            self.last_read = self.last_read.max(frame);
+        }
+        let since = self.held_since.map_or(frame, |since| since.max(self.last_read));
+        if frame > since + WATCH_FRAMES {
+            self.breach(Rule::HeldUnwatched, format!("{} frames", frame - since));
+            self.last_read = frame;
+        }
+    }
+
+    fn check_status(&mut self, machine: &Machine, status: Option<&Status>) {
+        let (Some(status), Some(supervisor)) = (status, machine.supervisor()) else { return };
+        if status.armed != supervisor.mode().armed() {
+            self.breach(Rule::StatusNotTrue, format!("the status says armed: {}", status.armed));
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! What a closed loop is set up with: the simulated cell as it is, and the cell as a calibration would have found it.
+//!
+//! In: the configuration of a simulated cell and of the daemon, a seed. Out: [`Stage`]. The daemon's numbers differ from the
+//! truth by what a calibration round leaves (docs/calibration.md): a tenth of a millimetre and a hundredth of a degree;
+//! the lens is the camera's own word. This is the one place of the loop that reads the truth before the end.
+
+use crate::cell::machine::MachineParameters;
+use crate::cell::supervisor::model::CellModel;
+use crate::config::cell::CellConfig;
+use crate::config::setup::{Measured, SetupError, cell_model, scene};
+use crate::document::chain::chain;
+use crate::perception::Scene;
+use crate::sim::camera::CameraSetup;
+use crate::sim::cell::SimConfig;
+use crate::sim::controller::ControllerConfig;
+use crate::sim::world::spec::{CameraMount, WorldSpec};
+use crate::vision::calibration::hand_eye::Mount;
+use crate::vision::camera::CameraModel;
+use nalgebra::{Isometry3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// What a calibration leaves, at most along and about each axis: m and rad.
+const LEFT_BY_CALIBRATION: (f64, f64) = (6e-5, 1e-4);
+
+/// Everything a closed loop begins with.
+#[derive(Clone)]
+pub struct Stage {
+    /// The simulated controller.
+    pub controller: ControllerConfig,
+    /// The simulated world.
+    pub world: WorldSpec,
+    /// The simulated camera.
+    pub camera: CameraSetup,
+    /// The cell as the daemon knows it.
+    pub model: CellModel,
+    /// What perception knows.
+    pub scene: Scene,
+    /// Parameters of the machine.
+    pub parameters: MachineParameters,
+}
+
+impl Stage {
+    /// From the configurations of both sides.
+    ///
+    /// # Errors
+    /// What does not fit together.
+    pub fn new(
+        config: &CellConfig,
+        sim: SimConfig,
+        parameters: MachineParameters,
+        seed: u64,
+    ) -> Result<Stage, String> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x7374_6167);
+        let base_from_table = sim.world.base_from_table * small(&mut rng);
+        let mount = match sim.camera.mount {
+            CameraMount::Flange(flange_from_camera) => {
+                Mount::Flange { flange_from_camera: flange_from_camera * small(&mut rng) }
+            }
+            CameraMount::Fixed(table_from_camera) => {
+                let base_from_camera = sim.world.base_from_table * table_from_camera * small(&mut rng);
+                Mount::Fixed { base_from_camera }
+            }
+        };
+        let reported = &sim.camera.reported;
+        let camera = CameraModel {
+            serial: reported.serial.clone(),
+            width: reported.width,
+            height: reported.height,
+            fx: reported.fx,
+            fy: reported.fy,
+            cx: reported.cx,
+            cy: reported.cy,
+            distortion: reported.distortion,
+        };
+        let measured = Measured { dh: sim.controller.dh, base_from_table, mount, camera };
+        let model = cell_model(config, &measured).map_err(|error: SetupError| error.to_string())?;
+        let scene = scene(config, &measured).map_err(|error| chain(&error))?;
+        let SimConfig { controller, world, camera, .. } = sim;
+        Ok(Stage { controller, world, camera, model, scene, parameters })
+    }
+}
+
+fn small(rng: &mut ChaCha8Rng) -> Isometry3<f64> {
+    let (length, angle) = LEFT_BY_CALIBRATION;
+    let mut within = |limit: f64| {
+        let parts: [f64; 3] = std::array::from_fn(|_| rng.random_range(-limit..=limit));
+        Vector3::from(parts)
+    };
+    Isometry3::new(within(length), within(angle))
+}

@@ -1,0 +1,98 @@
+//! Jobs in the closed loop: what waits, what is active, what has ended, as the journal would know it.
+//!
+//! In: jobs, records that reached the disk, restarts. Out: the next job when one is wanted, reports. After a restart the rules
+//! are the journal's: a job without an open step waits again, one with an open step is interrupted.
+
+use crate::cell::code::Code;
+use crate::cell::supervisor::input::Record;
+use crate::cell::supervisor::order::{JobEnd, JobOrder, JobReport};
+use std::collections::VecDeque;
+
+/// Jobs. See the module.
+#[derive(Default)]
+pub struct Store {
+    waiting: VecDeque<JobOrder>,
+    active: Option<JobOrder>,
+    wanted: bool,
+    reports: Vec<JobReport>,
+    /// Records on disk when the daemon was started last.
+    recovered: usize,
+}
+
+impl Store {
+    /// A job comes in.
+    pub fn submit(&mut self, order: JobOrder) {
+        self.waiting.push_back(order);
+    }
+
+    /// The machine is free.
+    pub fn wanted(&mut self) {
+        self.wanted = true;
+    }
+
+    /// The next job, if one is wanted and there is one.
+    pub fn hand_out(&mut self) -> Option<JobOrder> {
+        if !self.wanted || self.active.is_some() {
+            return None;
+        }
+        let job = self.waiting.pop_front()?;
+        self.wanted = false;
+        self.active = Some(job.clone());
+        Some(job)
+    }
+
+    /// A record has reached the disk.
+    pub fn written(&mut self, record: &Record) {
+        if let Record::Ended(report) = record {
+            self.active = None;
+            self.reports.push((**report).clone());
+        }
+    }
+
+    /// Jobs that wait for their turn.
+    pub fn waiting(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// The active job's name.
+    pub fn active(&self) -> Option<&str> {
+        self.active.as_ref().map(|job| job.id.as_str())
+    }
+
+    /// Reports of jobs that have ended, oldest first.
+    pub fn reports(&self) -> &[JobReport] {
+        &self.reports
+    }
+
+    /// The daemon starts anew and finds these records.
+    pub fn recover(&mut self, durable: &[Record]) {
+        self.wanted = false;
+        let since = durable.get(self.recovered..).unwrap_or_default();
+        self.recovered = durable.len();
+        let Some(job) = self.active.take() else { return };
+        match since.last() {
+            // Its report had reached the disk, and nobody heard of it.
+            Some(Record::Ended(report)) if report.id == job.id => self.reports.push((**report).clone()),
+            Some(Record::Ended(_) | Record::Done { .. }) | None => self.waiting.push_front(job),
+            Some(Record::Intent { .. } | Record::Released { .. }) => self.interrupt(&job, Code::Interrupted),
+            Some(Record::Gripped { .. }) => self.interrupt(&job, Code::InterruptedCarrying),
+        }
+    }
+
+    fn interrupt(&mut self, job: &JobOrder, code: Code) {
+        self.reports.push(JobReport {
+            id: job.id.clone(),
+            end: JobEnd::Interrupted,
+            code,
+            object: None,
+            message: code.meaning().to_string(),
+            remedy: "look at the cell, then submit the job again".to_string(),
+            moves: 0,
+            lower_bound: None,
+            planned: None,
+            planning_seconds: 0.0,
+            seconds: 0.0,
+            objects: Vec::new(),
+        });
+    }
+}
