@@ -86,6 +86,7 @@ const TABLE: &[Row] = &[
     },
     Row { module: "daemon", uses: Uses::AllAbove { but: &["sim"], also: &[] }, pure: false },
     Row { module: "calibration", uses: Uses::AllAbove { but: &["sim"], also: &[] }, pure: false },
+    Row { module: "pair", uses: Uses::AllAbove { but: &["daemon", "calibration"], also: &[] }, pure: false },
     Row { module: "bench", uses: Uses::AllAbove { but: &[], also: &[] }, pure: false },
     Row { module: "cli", uses: Uses::AllAbove { but: &[], also: &[] }, pure: false },
 ];

@@ -11,8 +11,11 @@ use crate::cli::task::{complain, print};
 use crate::config::setup::CUP_MARGIN_M;
 use crate::jobs::policy::JobObjective;
 use crate::pair::eyes::Eye;
+use crate::pair::page::{self, PAGE, PAGE_SEED, expected, title};
+use crate::pair::reactions::Row;
 use crate::pair::run::{Summary, run_jobs};
 use crate::pair::stage::Stage;
+use crate::pair::sweep::{Outcome, Phase, case, cases, judge};
 use crate::pair::{Choice, Pair};
 use crate::sim::robot_server::RobotPorts;
 use crate::tabletop::fit::{Requirements, fit};
@@ -20,6 +23,7 @@ use crate::tabletop::parse::parse_instance;
 use crate::tabletop::room::Cup;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
+use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -34,9 +38,15 @@ pub struct SimulateArgs {
     /// Jobs of two to four moves
     #[arg(long, default_value_t = 3)]
     jobs: usize,
-    /// A fault file, as for `celld sim`
-    #[arg(long, value_name = "FILE")]
+    /// A fault file, as for `celld sim`; or `sweep`: every fault in every phase of a pick-n-place
+    #[arg(long, value_name = "FILE|sweep")]
     faults: Option<PathBuf>,
+    /// Of the sweep: only cases whose number, name or phase contains this
+    #[arg(long, value_name = "TEXT")]
+    only: Option<String>,
+    /// Of the sweep: write the page of reactions to this file
+    #[arg(long, value_name = "FILE")]
+    write: Option<PathBuf>,
     /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise
     #[arg(long, value_enum, default_value_t = EyeArg::Corners)]
     eye: EyeArg,
@@ -110,6 +120,9 @@ pub fn run(args: &SimulateArgs) -> u8 {
         EyeArg::Pictures => Eye::Pictures,
         EyeArg::Corners => Eye::Corners,
     };
+    if args.faults.as_deref() == Some(Path::new("sweep")) {
+        return sweep(args);
+    }
     let faults = args.faults.as_deref().map_or(Ok(Vec::new()), faults_of);
     let prepared = faults.and_then(|faults| Ok((faults, stage(args.seed, eye)?)));
     let (faults, stage) = match prepared {
@@ -135,10 +148,8 @@ pub fn run(args: &SimulateArgs) -> u8 {
         }
     };
     let seconds = began.elapsed().as_secs_f64();
-    if let Some(path) = &args.trace
-        && let Err(error) = std::fs::write(path, pair.trace.lines().join("\n") + "\n")
-    {
-        complain(&format!("{}: {error}", path.display()));
+    if let Err(message) = keep_trace(args, &pair) {
+        complain(&message);
         return 2;
     }
     print(&text(&summary, &pair, seconds));
@@ -176,4 +187,80 @@ fn text(summary: &Summary, pair: &Pair, seconds: f64) -> String {
     }
     text.push_str(&format!("trace {:016x}\n", summary.fingerprint));
     text
+}
+
+/// Every fault in every phase; returns the exit code.
+fn sweep(args: &SimulateArgs) -> u8 {
+    let wanted = |title: &str| args.only.as_ref().is_none_or(|only| title.contains(only.as_str()));
+    let chosen: Vec<(&Row, Phase)> = cases().filter(|(row, phase)| wanted(&title(row, *phase))).collect();
+    let stage = match stage(args.seed, Eye::Corners) {
+        Ok(stage) => stage,
+        Err(message) => {
+            complain(&message);
+            return 2;
+        }
+    };
+    let expected = (args.seed == PAGE_SEED).then(|| expected(PAGE));
+    let bar = ProgressBar::new(chosen.len() as u64);
+    let began = Instant::now();
+    let ran: Result<Vec<(&Row, Phase, Outcome)>, String> = chosen
+        .par_iter()
+        .map(|(row, phase)| {
+            let (outcome, pair) = case(&stage, row, *phase, args.seed, args.trace.is_some())?;
+            bar.inc(1);
+            let faults = judge(row, *phase, &outcome, expected.as_ref());
+            if !faults.is_empty() || args.only.is_some() {
+                bar.suspend(|| print(&case_text(&title(row, *phase), &faults, &pair, args.only.is_some())));
+            }
+            keep_trace(args, &pair)?;
+            Ok((*row, *phase, outcome))
+        })
+        .collect();
+    bar.finish_and_clear();
+    let outcomes = match ran {
+        Ok(outcomes) => outcomes,
+        Err(message) => {
+            complain(&message);
+            return 2;
+        }
+    };
+    if let Some(path) = &args.write
+        && let Err(error) = std::fs::write(path, page::write(&outcomes))
+    {
+        complain(&format!("{}: {error}", path.display()));
+        return 2;
+    }
+    let bad = outcomes
+        .iter()
+        .filter(|(row, phase, found)| !judge(row, *phase, found, expected.as_ref()).is_empty());
+    let (mut bad, seconds) = (bad.count(), began.elapsed().as_secs_f64());
+    print(&format!("{} cases, {bad} not as expected, {seconds:.0} s\n", outcomes.len()));
+    if args.seed == PAGE_SEED && args.only.is_none() && bad == 0 && page::write(&outcomes) != PAGE {
+        bad += 1;
+        print("docs/reactions.md is not what the sweep writes: see the known violations\n");
+    }
+    if args.seed != PAGE_SEED {
+        print("with this seed only the rules were checked: docs/reactions.md is written with seed 0\n");
+    }
+    u8::from(bad > 0)
+}
+
+fn case_text(title: &str, faults: &[String], pair: &Pair, notices: bool) -> String {
+    let mut text = format!("{title}\n");
+    for fault in faults {
+        text.push_str(&format!("    {fault}\n"));
+    }
+    for breach in pair.breaches() {
+        text.push_str(&format!("    {:?}: {}\n", breach.rule, breach.detail));
+    }
+    for notice in pair.notices().iter().filter(|_| notices) {
+        text.push_str(&format!("    celld said: {}\n", notice.text));
+    }
+    text
+}
+
+fn keep_trace(args: &SimulateArgs, pair: &Pair) -> Result<(), String> {
+    let Some(path) = &args.trace else { return Ok(()) };
+    std::fs::write(path, pair.trace.lines().join("\n") + "\n")
+        .map_err(|error| format!("{}: {error}", path.display()))
 }

@@ -9,6 +9,8 @@ pub mod disk;
 pub mod eyes;
 pub mod modbus;
 pub mod network;
+pub mod page;
+pub mod reactions;
 pub mod rules;
 pub mod run;
 pub mod stage;
@@ -274,6 +276,13 @@ impl Pair {
     /// As [`Pair::fault`].
     pub fn fault_now(&mut self, order: FaultOrder) -> Result<(), FaultError> {
         self.fault(Planned { at: None, order })
+    }
+
+    /// Bytes that are none of the protocol's come in on a link.
+    pub fn garble(&mut self, link: crate::cell::device::robot_types::Link) {
+        self.trace.line(self.frame, || format!("garbage on {link}"));
+        let bytes = (0..64).map(|_| self.rng.random::<u8>()).chain(*b"\x00\x02\xff\n\n").collect();
+        self.due.push(Event::Received(link, bytes));
     }
 
     /// The process that runs the machine is gone, and is started anew.

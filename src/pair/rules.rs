@@ -5,6 +5,7 @@
 //! rests on. A rule that the machine's own word could satisfy would prove nothing.
 
 use crate::cell::device::gripper::ModbusRequest;
+use crate::cell::device::robot_types::Link;
 use crate::cell::event::{Effect, Event, News};
 use crate::cell::machine::Machine;
 use crate::cell::orders::Order;
@@ -16,6 +17,7 @@ use crate::sim::faults::{Fault, Order as FaultOrder, RobotFault};
 use crate::sim::world::lock;
 use crate::sim::world::vacuum::{Channel, VacuumMode};
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 /// A rule, by a name that stays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -44,13 +46,21 @@ pub enum Rule {
     AnswerNotTrue,
     /// An order was answered twice, or an answer came for none.
     AnswerWithoutOrder,
-    /// The machine's heartbeat goes on in a cell that has ended.
+    /// The status says armed and the cell is not, or the other way round.
     StatusNotTrue,
+    /// Arming was accepted although no state of the robot comes, safety forbids motion, or something is held.
+    ArmedWithGateClosed,
+    /// A connection was lost and the cell is armed all the same.
+    ArmedThroughLinkLoss,
+    /// A safety stop was acknowledged by celld.
+    SafetyAcknowledged,
+    /// A motion begins although the pendant was switched to local control a while ago.
+    MotionInLocalControl,
 }
 
 impl Rule {
     /// All of them.
-    pub const ALL: [Rule; 13] = [
+    pub const ALL: [Rule; 17] = [
         Rule::MotionWhileDisarmed,
         Rule::MotionBeforeCommit,
         Rule::MotionOnStaleState,
@@ -64,6 +74,10 @@ impl Rule {
         Rule::AnswerNotTrue,
         Rule::AnswerWithoutOrder,
         Rule::StatusNotTrue,
+        Rule::ArmedWithGateClosed,
+        Rule::ArmedThroughLinkLoss,
+        Rule::SafetyAcknowledged,
+        Rule::MotionInLocalControl,
     ];
 }
 
@@ -84,11 +98,20 @@ const MOVES_RAD_S: f64 = 0.005;
 /// A state may be this old when a motion begins: 100 ms at the order, then network and program.
 const STATE_AGE_FRAMES: u64 = 75;
 
+/// A gripper that answers later than this counts as silent.
+const ANSWER_WITHIN: Duration = Duration::from_millis(200);
+
 /// A stop may take this long.
 const STOP_FRAMES: u64 = 1250;
 
 /// Something held is read at least this often; a lost gripper is noticed first.
 const WATCH_FRAMES: u64 = 500;
+
+/// After this long celld has to know that a gate is closed.
+const KNOWN_FRAMES: u64 = 250;
+
+/// After this long celld has to know of local control: it asks the dashboard once a second.
+const LOCAL_FRAMES: u64 = 1000;
 
 /// Height over its place at which an object may be let go, m: press and noise.
 const PLACED_WITHIN_M: f64 = 0.004;
@@ -114,8 +137,13 @@ pub struct Rules {
     held_since: Option<u64>,
     sight: u64,
     disturbed: u64,
-    /// Somebody else's program may move the arm.
+    /// Another client's program may move the arm.
     stranger: bool,
+    /// Since when a gate that a person cannot see past is closed, and which.
+    closed: Option<(u64, &'static str)>,
+    local_since: Option<u64>,
+    /// A connection that was lost while the cell was armed.
+    lost: Option<(u64, Link)>,
 }
 
 impl Rules {
@@ -146,7 +174,7 @@ impl Rules {
         self.open.clear();
         self.written.clear();
         self.orders.clear();
-        self.stopped_at = None;
+        (self.stopped_at, self.lost) = (None, None);
         self.disturbed = self.frame;
         self.last_read = self.frame;
     }
@@ -160,9 +188,8 @@ impl Rules {
     /// Something goes into the machine.
     pub fn event(&mut self, event: &Event) {
         match event {
-            Event::Received(link, _) if *link == crate::cell::device::robot_types::Link::Rtde => {
-                self.last_state = self.frame;
-            }
+            Event::Received(Link::Rtde, _) => self.last_state = self.frame,
+            Event::Disconnected(link, _) => self.lost = self.lost.or(Some((self.frame, *link))),
             Event::Observed(_, Ok(_)) => self.sight = self.frame,
             Event::Committed(number, Ok(())) if !self.written.contains(number) => {
                 self.breach(Rule::AcknowledgedNotWritten, format!("record {number}"));
@@ -187,6 +214,7 @@ impl Rules {
                     Record::Intent { .. } | Record::Ended(_) => {}
                 }
             }
+            Effect::Send(Link::Dashboard, bytes) => self.check_line(bytes),
             Effect::Registers(ModbusRequest::Read { .. }) => self.last_read = frame,
             Effect::Reply { number, reply } => self.check_reply(*number, reply.accepted, machine),
             Effect::Notify(News::Notice(notice)) if notice.text.starts_with("stopped and disarmed") => {
@@ -197,11 +225,25 @@ impl Rules {
         }
     }
 
+    /// Safety stops are acknowledged by a person.
+    fn check_line(&mut self, bytes: &[u8]) {
+        let line = String::from_utf8_lossy(bytes).to_lowercase();
+        if ["unlock protective stop", "restart safety"].iter().any(|word| line.contains(word)) {
+            self.breach(Rule::SafetyAcknowledged, line.trim().to_string());
+        }
+    }
+
     fn check_reply(&mut self, number: u64, accepted: bool, machine: &Machine) {
         let Some(order) = self.orders.remove(&number) else {
             return self.breach(Rule::AnswerWithoutOrder, format!("order {number}"));
         };
         let Some(mode) = machine.supervisor().map(|supervisor| supervisor.mode()) else { return };
+        if order == Order::Arm && accepted {
+            self.lost = None;
+            if let Some((_, gate)) = self.closed.filter(|(since, _)| self.frame > since + KNOWN_FRAMES) {
+                self.breach(Rule::ArmedWithGateClosed, gate.to_string());
+            }
+        }
         let fine = match order {
             Order::Arm => accepted == mode.armed(),
             Order::Disarm | Order::Abort => !accepted || !mode.armed(),
@@ -223,13 +265,17 @@ impl Rules {
     pub fn check(&mut self, frame: u64, machine: &Machine, simulator: &Simulator, status: Option<&Status>) {
         self.frame = frame;
         let core = simulator.core();
-        let (moves, nonce, stranger) = {
+        let (moves, nonce, stranger, safe, local) = {
             let controller = core.robot.controller();
             let qd = controller.core.mover.qd();
             let moves = qd.iter().any(|speed| speed.abs() > MOVES_RAD_S);
             let ours = controller.programs.name().is_none_or(|name| name.starts_with("celld_"));
-            (moves, controller.core.registers.output_ints[24], !ours)
+            let (safe, local) = (controller.core.modes.motion_allowed(), !controller.core.modes.remote());
+            (moves, controller.core.registers.output_ints[24], !ours, safe, local)
         };
+        self.local_since = if local { self.local_since.or(Some(frame)) } else { None };
+        self.watch_gates(simulator, safe);
+        self.check_lost(machine);
         let began = moves && !self.moved;
         self.moved = moves;
         if began && !stranger && !self.stranger {
@@ -242,8 +288,32 @@ impl Rules {
         if machine.supervisor().is_some_and(|supervisor| supervisor.mode().armed()) {
             self.stopped_at = None;
         }
-        self.check_vacuum(frame, simulator);
+        self.check_vacuum(frame, simulator, machine.supervisor().is_none_or(|cell| !cell.mode().ending()));
         self.check_status(machine, status);
+    }
+
+    fn watch_gates(&mut self, simulator: &Simulator, safe: bool) {
+        let holds = lock(&simulator.core().world).glance().holds;
+        let gate = if self.frame > self.last_state + STATE_AGE_FRAMES {
+            Some("no state of the robot comes")
+        } else if !safe {
+            Some("the safety system forbids motion")
+        } else if holds {
+            Some("something is held")
+        } else {
+            None
+        };
+        self.closed = gate.map(|gate| (self.closed.map_or(self.frame, |(since, _)| since), gate));
+    }
+
+    fn check_lost(&mut self, machine: &Machine) {
+        let Some((since, link)) = self.lost else { return };
+        if !machine.supervisor().is_some_and(|supervisor| supervisor.mode().armed()) {
+            self.lost = None;
+        } else if self.frame > since + KNOWN_FRAMES {
+            self.breach(Rule::ArmedThroughLinkLoss, link.to_string());
+            self.lost = None;
+        }
     }
 
     /// The arm begins to move.
@@ -261,13 +331,16 @@ impl Rules {
         if self.frame > self.last_state + STATE_AGE_FRAMES {
             self.breach(Rule::MotionOnStaleState, format!("{} frames", self.frame - self.last_state));
         }
+        if self.local_since.is_some_and(|since| self.frame > since + LOCAL_FRAMES) {
+            self.breach(Rule::MotionInLocalControl, String::new());
+        }
         let ours = supervisor.nonce().is_some_and(|ours| ours.number() == nonce);
         if !ours && supervisor.mode().armed() {
             self.breach(Rule::MotionOfOldProgram, format!("nonce {nonce}"));
         }
     }
 
-    fn check_vacuum(&mut self, frame: u64, simulator: &Simulator) {
+    fn check_vacuum(&mut self, frame: u64, simulator: &Simulator, machine_lives: bool) {
         let core = simulator.core();
         let world = lock(&core.world);
         let glance = world.glance();
@@ -293,12 +366,14 @@ impl Rules {
         }
         self.held_since = if held { self.held_since.or(Some(frame)) } else { None };
         let link = simulator.link(LinkName::Gripper);
-        let sound = !link.silent && !link.down && link.exception.is_none() && !link.wrong_transaction;
+        let prompt = link.latency < ANSWER_WITHIN;
+        let sound =
+            prompt && !link.silent && !link.down && link.exception.is_none() && !link.wrong_transaction;
         if !sound {
             self.last_read = self.last_read.max(frame);
         }
         let since = self.held_since.map_or(frame, |since| since.max(self.last_read));
-        if frame > since + WATCH_FRAMES {
+        if frame > since + WATCH_FRAMES && machine_lives {
             self.breach(Rule::HeldUnwatched, format!("{} frames", frame - since));
             self.last_read = frame;
         }

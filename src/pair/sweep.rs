@@ -1,1 +1,419 @@
-//! Every fault in every phase.
+//! Every fault of the table in every phase of a pick-n-place in which it can occur.
+//!
+//! In: the rows of [`ROWS`] (numbers as in the reference's fault table) and the phases. Out: for each an [`Outcome`]: how
+//! the job ended, what the operator read, whether the vacuum stayed, whether the cell stayed armed, and whether work went
+//! on afterwards; and every breach of a rule. [`judge`] holds that against the page of reactions. A case runs until the
+//! phase is there, brings the fault about, lets it last, approves what asks for it, then ends the fault, does at the
+//! pendant what a person would do, arms, and hands in another job, which has to end in a named state.
+
+use crate::cell::code::Code;
+use crate::cell::event::{Effect, Event};
+use crate::cell::machine::Machine;
+use crate::cell::orders::Order;
+use crate::cell::supervisor::input::PlanAnswer;
+use crate::cell::supervisor::order::{ApprovalRule, JobEnd, JobOrder};
+use crate::cell::supervisor::status::Doing;
+use crate::pair::disk::Mood;
+use crate::pair::page::{reaction, title};
+use crate::pair::reactions::{Cause, KNOWN, ROWS, Row};
+use crate::pair::rules::Rule;
+use crate::pair::run::{bring_up, true_poses};
+use crate::pair::stage::Stage;
+use crate::pair::work::job;
+use crate::pair::{Adapter, Choice, Loss, Pair};
+use crate::sim::faults::read::read_posted;
+use crate::sim::faults::{Fault, Order as FaultOrder, Phase as WorldPhase, RobotFault};
+use crate::sim::world::lock;
+use std::collections::BTreeMap;
+
+/// A phase in which a fault may come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum Phase {
+    BringUp,
+    Look,
+    Plan,
+    Approve,
+    Approach,
+    Descend,
+    Grip,
+    Lift,
+    Carry,
+    Place,
+    Release,
+    Retreat,
+    Park,
+}
+
+impl Phase {
+    /// All of them, in their order.
+    pub const ALL: [Phase; 13] = [
+        Phase::BringUp,
+        Phase::Look,
+        Phase::Plan,
+        Phase::Approve,
+        Phase::Approach,
+        Phase::Descend,
+        Phase::Grip,
+        Phase::Lift,
+        Phase::Carry,
+        Phase::Place,
+        Phase::Release,
+        Phase::Retreat,
+        Phase::Park,
+    ];
+
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Phase::BringUp => "bring-up",
+            Phase::Look => "look",
+            Phase::Plan => "plan",
+            Phase::Approve => "approve",
+            Phase::Approach => "approach",
+            Phase::Descend => "descend",
+            Phase::Grip => "grip",
+            Phase::Lift => "lift",
+            Phase::Carry => "carry",
+            Phase::Place => "place",
+            Phase::Release => "release",
+            Phase::Retreat => "retreat",
+            Phase::Park => "park",
+        }
+    }
+
+    /// True where an object is on the cups.
+    pub fn holds(self) -> bool {
+        matches!(self, Phase::Lift | Phase::Carry | Phase::Place)
+    }
+}
+
+/// Below this height over the table the tool is coming down onto an object, m.
+const DESCENDS_BELOW_M: f64 = 0.05;
+
+/// Simulated seconds for a phase to come, for a fault to show, for a job to end, for the job after it.
+const PHASE_WITHIN_S: f64 = 60.0;
+const SETTLED_AFTER_S: f64 = 8.0;
+const END_WITHIN_S: f64 = 150.0;
+
+/// Plans that a job may ask approval of after a fault.
+const APPROVALS: usize = 12;
+
+/// Where the cell is.
+fn phase_of(pair: &Pair) -> Option<Phase> {
+    let status = pair.status()?;
+    let core = pair.simulator().core();
+    Some(match &status.doing {
+        Doing::StartingRobot => Phase::BringUp,
+        Doing::Looking(..) => Phase::Look,
+        Doing::Planning => Phase::Plan,
+        Doing::AwaitingApproval => Phase::Approve,
+        Doing::Parking => Phase::Park,
+        Doing::Working("approaching", _) => {
+            let low = lock(&core.world).glance().tool[2] < DESCENDS_BELOW_M;
+            if low { Phase::Descend } else { Phase::Approach }
+        }
+        Doing::Working("gripping", _) => Phase::Grip,
+        Doing::Working("carrying", _) => match core.desk.phase().1 {
+            WorldPhase::Lift | WorldPhase::Grip => Phase::Lift,
+            WorldPhase::Place => Phase::Place,
+            _ => Phase::Carry,
+        },
+        Doing::Working("releasing", _) => Phase::Release,
+        Doing::Working("retreating from", _) => Phase::Retreat,
+        _ => return None,
+    })
+}
+
+/// What a case came to.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Outcome {
+    /// How the job ended, without an operator; `None` while it waits or where there was none.
+    pub end: Option<JobEnd>,
+    /// There was one.
+    pub has_job: bool,
+    /// The code of its report.
+    pub code: Option<Code>,
+    /// What the operator read last: the message of a job that failed, or the last alarm.
+    pub sentence: String,
+    /// The hint of the report.
+    pub hint: String,
+    /// The cell was armed when the fault had shown.
+    pub armed: bool,
+    /// What was held was still held when the fault had shown; `None` where nothing was.
+    pub kept: Option<bool>,
+    /// The daemon ended by itself.
+    pub daemon_ended: bool,
+    /// How the job after it ended, once the fault was over and a person had armed.
+    pub next: Option<Code>,
+    /// Breaches of rules, each once.
+    pub breaches: Vec<Rule>,
+    /// Why there is no outcome.
+    pub impossible: Option<String>,
+}
+
+/// Turns a found plan into one that the checker must refuse.
+struct BadPlans;
+
+impl Adapter for BadPlans {
+    fn event(&mut self, event: Event, events: &mut Vec<Event>) {
+        events.push(match event {
+            Event::Planned(number, answer) => Event::Planned(number, Box::new(spoilt(*answer))),
+            other => other,
+        });
+    }
+
+    fn effect(&mut self, effect: Effect, effects: &mut Vec<Effect>, _made_up: &mut Vec<Event>) {
+        effects.push(effect);
+    }
+
+    fn frame(&mut self, _machine: &Machine, _effects: &mut Vec<Effect>, _made_up: &mut Vec<Event>) {}
+}
+
+fn spoilt(answer: PlanAnswer) -> PlanAnswer {
+    match answer {
+        PlanAnswer::Found { mut actions, cost, lower_bound, seconds } => {
+            for action in &mut actions {
+                action.to.x = 0.001;
+            }
+            PlanAnswer::Found { actions, cost, lower_bound, seconds }
+        }
+        other => other,
+    }
+}
+
+/// Runs one case.
+///
+/// # Errors
+/// The loop cannot be set up.
+pub fn case(
+    stage: &Stage,
+    row: &Row,
+    phase: Phase,
+    seed: u64,
+    keep: bool,
+) -> Result<(Outcome, Pair), String> {
+    let choice = Choice { keep_trace: keep, ..Choice::of(seed) };
+    let choice = match row.cause {
+        Cause::PlanWork(steps) => Choice { plan_work: steps, ..choice },
+        _ => choice,
+    };
+    let mut pair = Pair::new(stage.clone(), choice).map_err(|error| error.to_string())?;
+    if matches!(row.cause, Cause::BadPlan) {
+        pair.adapt(Box::new(BadPlans));
+    }
+    let mut outcome = Outcome::default();
+    if let Some(why) = reach(&mut pair, stage, row, phase, seed) {
+        outcome.impossible = Some(why);
+        return Ok((outcome, pair));
+    }
+    let held = lock(&pair.simulator().core().world).glance().holds;
+    let (said, ended) = (pair.notices().len(), pair.reports().len());
+    bring_about(&mut pair, row);
+    pair.run_until(SETTLED_AFTER_S, |_| false);
+    for _ in 0..APPROVALS {
+        let waits = row.seconds + END_WITHIN_S;
+        pair.run_until(waits, |pair| settled(pair, ended) || phase_of(pair) == Some(Phase::Approve));
+        if !approve(&mut pair) {
+            break;
+        }
+    }
+    outcome.armed = pair.status().is_some_and(|status| status.armed);
+    outcome.kept = held.then(|| lock(&pair.simulator().core().world).glance().holds);
+    outcome.daemon_ended = pair.ended().is_some();
+    if let Some(report) = pair.reports().get(ended) {
+        (outcome.end, outcome.code) = (Some(report.end), Some(report.code));
+        outcome.hint.clone_from(&report.remedy);
+    }
+    let alarms = pair.notices().iter().skip(said).filter(|notice| notice.alarm);
+    outcome.sentence = alarms.last().map(|notice| notice.text.clone()).unwrap_or_default();
+    if let Some(report) = pair.reports().get(ended).filter(|report| report.code != Code::Done) {
+        outcome.sentence.clone_from(&report.message);
+    }
+    outcome.has_job = phase != Phase::Park;
+    if outcome.code == Some(Code::Done) {
+        outcome.kept = None;
+    }
+    arm_meanwhile(&mut pair, row);
+    outcome.next = after(&mut pair, stage, seed);
+    let mut breaches: Vec<Rule> = pair.breaches().iter().map(|breach| breach.rule).collect();
+    breaches.sort_unstable();
+    breaches.dedup();
+    outcome.breaches = breaches;
+    Ok((outcome, pair))
+}
+
+/// A person arms while the fault lasts: refused where a gate is closed that no person can see past, as the rules check.
+fn arm_meanwhile(pair: &mut Pair, row: &Row) {
+    if !matches!(row.cause, Cause::Faults(_)) || row.seconds == 0.0 {
+        return;
+    }
+    bring_about(pair, row);
+    pair.run_until(1.5, |_| false);
+    pair.order(Order::Arm);
+    pair.run_until(0.5, |_| false);
+    pair.order(Order::Abort);
+}
+
+/// Approves the plan that waits; false where none does.
+fn approve(pair: &mut Pair) -> bool {
+    let Some(job) = pair.store().active().map(str::to_string) else { return false };
+    if phase_of(pair) != Some(Phase::Approve) {
+        return false;
+    }
+    pair.order(Order::Approve(job));
+    pair.run_until(2.0, |pair| phase_of(pair) != Some(Phase::Approve));
+    true
+}
+
+/// The case is over when its job is, or when the daemon is, or when a person is waited for.
+fn settled(pair: &Pair, ended: usize) -> bool {
+    let idle = pair.status().is_some_and(|status| status.doing == Doing::Idle);
+    pair.reports().len() > ended || pair.ended().is_some() || (idle && pair.store().active().is_none())
+}
+
+/// Until the phase is there; why it does not come.
+fn reach(pair: &mut Pair, stage: &Stage, row: &Row, phase: Phase, seed: u64) -> Option<String> {
+    if !bring_up(pair) {
+        return Some("the cell does not come up".to_string());
+    }
+    pair.order(Order::Arm);
+    if phase == Phase::Park {
+        pair.order(Order::Park);
+    } else {
+        let mut order = job(&stage.model, &true_poses(pair, &stage.model), seed, 0);
+        if phase == Phase::Approve {
+            order.approval = ApprovalRule::EveryPlan;
+        }
+        if matches!(row.cause, Cause::OverlappingGoals) {
+            overlap(&mut order);
+        }
+        pair.submit(order);
+    }
+    let there = pair.run_until(PHASE_WITHIN_S, |pair| phase_of(pair) == Some(phase));
+    if !there {
+        return Some(format!("{} does not come", phase.name()));
+    }
+    // Into the phase, not onto its border.
+    let middle = 0.04 + 0.06 * (seed % 5) as f64;
+    if !matches!(phase, Phase::Plan | Phase::Grip | Phase::Release | Phase::Retreat) {
+        pair.run_until(middle, |pair| phase_of(pair) != Some(phase));
+    }
+    None
+}
+
+fn overlap(order: &mut JobOrder) {
+    if let [first, .., last] = order.goals.as_mut_slice() {
+        last.1 = first.1;
+        last.1.x += 0.01;
+    }
+}
+
+fn bring_about(pair: &mut Pair, row: &Row) {
+    match row.cause {
+        Cause::Faults(texts) => {
+            for text in texts {
+                let planned = read_posted(text).map(|mut plans| plans.remove(0));
+                if let Ok(mut planned) = planned {
+                    planned.order.seconds = planned.order.seconds.or(Some(row.seconds).filter(|s| *s > 0.0));
+                    // What is impossible now (a second stop, say) is no fault.
+                    let _ = pair.fault(planned);
+                }
+            }
+        }
+        Cause::Disk(mood) => pair.disk().mood = mood,
+        Cause::Lost(loss) => lose(pair, loss),
+        Cause::AllPower => {
+            reboot(pair);
+            lose(pair, Loss::PowerCut);
+        }
+        Cause::Garbage(link) => pair.garble(link),
+        Cause::PlanWork(_) | Cause::OverlappingGoals | Cause::BadPlan => {}
+    }
+}
+
+fn reboot(pair: &mut Pair) {
+    let fault = Fault::Robot(RobotFault::Reboot { serial: None, kinematics: None });
+    let _ = pair.fault_now(FaultOrder { name: "ur.reboot", fault, seconds: Some(5.0) });
+    let both = Fault::Vacuum(crate::sim::faults::VacuumFault::Drop(None));
+    let _ = pair.fault_now(FaultOrder { name: "vacuum.drop", fault: both, seconds: Some(2.0) });
+}
+
+fn lose(pair: &mut Pair, loss: Loss) {
+    // The program was a template before, so it is one now.
+    let _ = pair.restart(loss);
+}
+
+/// The fault is over; a person clears what has to be cleared at the pendant, releases what is held, arms, and hands in
+/// another job. Its code.
+fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
+    pair.disk().mood = Mood::Fine;
+    let clear = Fault::Clear { fault: None };
+    let _ = pair.fault_now(FaultOrder { name: "clear", fault: clear, seconds: None });
+    if pair.ended().is_some() {
+        lose(pair, Loss::Killed);
+    }
+    pair.run_until(8.0, |_| false);
+    at_the_pendant(pair);
+    bring_up(pair);
+    pair.run_until(4.0, |_| false);
+    if let Some(active) = pair.store().active().map(str::to_string) {
+        pair.order(Order::Cancel(active));
+        pair.run_until(2.0, |_| false);
+    }
+    pair.order(Order::Abort);
+    pair.run_until(4.0, |_| false);
+    if lock(&pair.simulator().core().world).glance().gripping {
+        pair.order(Order::Release(crate::cell::device::gripper::Channels::Both));
+        pair.run_until(4.0, |_| false);
+    }
+    pair.order(Order::Arm);
+    let ended = pair.reports().len();
+    pair.submit(job(&stage.model, &true_poses(pair, &stage.model), seed, 1));
+    pair.run_until(END_WITHIN_S, |pair| pair.reports().len() > ended);
+    pair.reports().get(ended).map(|report| report.code)
+}
+
+/// What a person does at the pendant after a stop.
+fn at_the_pendant(pair: &mut Pair) {
+    let mut controller = pair.simulator().core().robot.controller();
+    // Refused where there is nothing to unlock.
+    let _ = controller.unlock_protective_stop();
+    if !controller.core.modes.motion_allowed() {
+        controller.restart_safety();
+    }
+}
+
+/// What breaks a promise in an outcome whatever the row, and differs from the page where there is one for this seed.
+pub fn judge(
+    row: &Row,
+    phase: Phase,
+    outcome: &Outcome,
+    page: Option<&BTreeMap<String, String>>,
+) -> Vec<String> {
+    if let Some(why) = &outcome.impossible {
+        return vec![why.clone()];
+    }
+    let mut faults = Vec::new();
+    let unknown = outcome.breaches.iter().filter(|breach| !KNOWN.contains(breach));
+    faults.extend(unknown.map(|breach| format!("{breach:?} was broken")));
+    if outcome.code.is_some_and(|code| code != Code::Done) && outcome.hint.is_empty() {
+        faults.push("the report has no hint".to_string());
+    }
+    if outcome.next.is_none() && !row.ends_work {
+        faults.push("the job after it never ended".to_string());
+    }
+    if let Some(page) = page {
+        let (found, wanted) = (reaction(outcome), page.get(&title(row, phase)));
+        if wanted != Some(&found) {
+            let wanted = wanted.map_or("nothing", String::as_str);
+            faults.push(format!("found    {found}\n    expected {wanted}"));
+        }
+    }
+    faults
+}
+
+/// All cases: rows with the phases in which they can occur.
+pub fn cases() -> impl Iterator<Item = (&'static Row, Phase)> {
+    ROWS.iter().flat_map(|row| row.phases.iter().map(move |phase| (row, *phase)))
+}

@@ -341,7 +341,7 @@ mod tests {
         simulator.receive(dashboard, b"quit\n");
         assert_eq!(sent(&mut simulator).last(), Some(&Transmission::Closed(dashboard)));
         let rtde = simulator.connect(Port::Rtde).unwrap();
-        simulator.receive(rtde, &[0, 1]);
+        simulator.receive(rtde, &[0, 1, b'V']);
         assert_eq!(sent(&mut simulator), [Transmission::Closed(rtde)]);
         let gripper = simulator.connect(Port::Gripper).unwrap();
         simulator.hang_up(gripper);

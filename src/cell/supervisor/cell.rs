@@ -8,7 +8,7 @@
 use crate::cell::code::Code;
 use crate::cell::device::gripper::GripperEvent;
 use crate::cell::device::program::Nonce;
-use crate::cell::device::robot_types::RobotEvent;
+use crate::cell::device::robot_types::{RobotCommand, RobotEvent};
 use crate::cell::orders::Order;
 use crate::cell::supervisor::gates::{self, Closed};
 use crate::cell::supervisor::input::{Action, Input, Notice, Outside, Record};
@@ -22,6 +22,7 @@ use crate::cell::supervisor::trouble::motion_speed;
 use crate::geometry::pose::Pose2;
 use crate::time::{Duration, Timestamp};
 use crate::vision::observe::Observation;
+use crate::wire::enumerations::RuntimeState;
 
 /// What a look showed, valid until something is picked, placed, dropped or stopped.
 pub(crate) type Seen = Observation;
@@ -60,6 +61,8 @@ pub struct Supervisor {
     pub(crate) stands: bool,
     /// [`Action::End`] was given.
     pub(crate) ended: bool,
+    /// Commands to the arm that wait for a paused program.
+    held_back: Vec<Action>,
 }
 
 impl Supervisor {
@@ -86,6 +89,7 @@ impl Supervisor {
             release_order: None,
             stands: false,
             ended: false,
+            held_back: Vec::new(),
         }
     }
 
@@ -144,12 +148,17 @@ impl Supervisor {
 
     /// Takes one input and says what to do.
     pub fn step(&mut self, now: Timestamp, outside: &Outside, input: Input) -> Vec<Action> {
+        let actions = self.decide(now, outside, input);
+        self.hold_while_paused(outside, actions)
+    }
+
+    fn decide(&mut self, now: Timestamp, outside: &Outside, input: Input) -> Vec<Action> {
         let mut out = Vec::new();
         self.run_deadline(now, outside);
         match input {
             Input::Tick => self.watch(now, outside, &mut out),
             Input::Robot(event) => self.on_robot(now, outside, event, &mut out),
-            Input::Gripper(event) => self.on_gripper(now, event, &mut out),
+            Input::Gripper(event) => self.on_gripper(now, outside, event, &mut out),
             Input::Captured(result) => self.on_captured(now, outside, result, &mut out),
             Input::Observed(result) => self.on_observed(now, result, &mut out),
             Input::Pictured(result) => self.on_pictured(result, &mut out),
@@ -179,6 +188,33 @@ impl Supervisor {
         let speed = if self.follows_a_path() { motion_speed(outside) } else { 1.0 };
         self.remaining = self.remaining.saturating_sub(now.since(self.last_now).mul_f64(speed));
         self.last_now = now;
+    }
+
+    /// A paused program takes no commands: those of a pick-n-place that is under way are kept for it until it plays
+    /// again, and fall away with a stop.
+    fn hold_while_paused(&mut self, outside: &Outside, actions: Vec<Action>) -> Vec<Action> {
+        let playing = outside.robot.is_none_or(|robot| robot.runtime_state == RuntimeState::Playing);
+        let mut out = if playing { std::mem::take(&mut self.held_back) } else { Vec::new() };
+        for action in actions {
+            match &action {
+                Action::Robot(RobotCommand::Stream(_) | RobotCommand::SetPayload { .. })
+                    if !playing && self.moving() =>
+                {
+                    self.held_back.push(action);
+                    continue;
+                }
+                Action::Robot(RobotCommand::Stop) => {
+                    self.held_back.clear();
+                    out.retain(|kept| !matches!(kept, Action::Robot(_)));
+                }
+                _ => {}
+            }
+            out.push(action);
+        }
+        if !self.moving() {
+            self.held_back.clear();
+        }
+        out
     }
 
     /// True while the phase lasts as long as the arm takes for a path.
@@ -285,8 +321,14 @@ impl Supervisor {
         }
     }
 
-    fn on_gripper(&mut self, now: Timestamp, event: GripperEvent, out: &mut Vec<Action>) {
+    fn on_gripper(&mut self, now: Timestamp, outside: &Outside, event: GripperEvent, out: &mut Vec<Action>) {
         self.answer_release(&event, out);
+        let silent = matches!(event, GripperEvent::Unreachable { .. })
+            || (matches!(event, GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. })
+                && !outside.gripper_answers);
+        if silent && self.gripper_needed() {
+            return self.on_gripper_silent(now, out);
+        }
         if matches!(self.phase, Phase::Work(_)) {
             self.work_gripper(now, event, out);
         }

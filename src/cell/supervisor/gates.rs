@@ -5,7 +5,7 @@
 
 use crate::cell::device::program::Nonce;
 use crate::cell::supervisor::input::Outside;
-use crate::wire::enumerations::{RobotMode, SafetyMode};
+use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
 const EMPTY_BELOW: f64 = 0.05;
@@ -23,6 +23,7 @@ impl Closed {
             }
             Closed::Local => "switch the pendant to Remote Control, then `celld arm`",
             Closed::Program => "look at the pendant for the program's error, then `celld arm`",
+            Closed::Paused => "press play at the pendant, or `celld abort`",
             Closed::Disarmed => "`celld arm` once the cell is clear",
             Closed::Gripper => {
                 "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, `ping` it"
@@ -51,6 +52,9 @@ pub enum Closed {
     /// The program running on the controller is not the one uploaded.
     #[error("the on-robot program is not acknowledged")]
     Program,
+    /// The program is paused at the pendant.
+    #[error("the program is paused")]
+    Paused,
     /// Nobody armed the cell.
     #[error("the cell is disarmed")]
     Disarmed,
@@ -92,6 +96,9 @@ pub fn any_motion(armed: bool, outside: &Outside, nonce: Option<Nonce>) -> Resul
     }
     if nonce.is_none_or(|nonce| robot.nonce != nonce.number()) {
         return Err(Closed::Program);
+    }
+    if robot.runtime_state != RuntimeState::Playing {
+        return Err(Closed::Paused);
     }
     Ok(())
 }

@@ -210,15 +210,41 @@ impl Supervisor {
                 let reason = Code::VacuumLost.because(message, "").of(&work.object);
                 return self.stop_all(now, JobEnd::Failed, reason, out);
             }
-            (WorkStage::NotingGrip(_) | WorkStage::Carrying, GripperEvent::Unreachable { .. }) => {
-                let message = format!("the gripper stopped answering while holding {}", work.object);
-                let reason = Code::GripperUnreachable.because(message, "").of(&work.object);
-                return self.stop_all(now, JobEnd::Interrupted, reason, out);
-            }
             // Readings and repeated answers change nothing; a phase that waits in vain runs into its deadline.
             _ => return,
         }
         self.remaining = self.model.tolerances.phase_deadline;
+    }
+
+    /// True while an object is gripped, held or let go.
+    pub(crate) fn gripper_needed(&self) -> bool {
+        let Phase::Work(work) = &self.phase else { return false };
+        match work.stage {
+            WorkStage::Gripping
+            | WorkStage::NotingGrip(_)
+            | WorkStage::Carrying
+            | WorkStage::Releasing
+            | WorkStage::GivingUp => true,
+            WorkStage::NotingIntent(_)
+            | WorkStage::Approaching
+            | WorkStage::NotingRelease(_)
+            | WorkStage::Retreating
+            | WorkStage::NotingDone(_)
+            | WorkStage::Withdrawing => false,
+        }
+    }
+
+    /// Whether the object is held is unknown from here on: the arm stops where it is.
+    pub(crate) fn on_gripper_silent(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        let Phase::Work(work) = &self.phase else { return };
+        let during = match work.stage {
+            WorkStage::Gripping => "while gripping",
+            WorkStage::Releasing | WorkStage::GivingUp => "while letting go of",
+            _ => "while holding",
+        };
+        let message = format!("the gripper stopped answering {during} {}", work.object);
+        let reason = Code::GripperUnreachable.because(message, "").of(&work.object);
+        self.stop_all(now, JobEnd::Interrupted, reason, out);
     }
 
     fn set_stage(&mut self, stage: WorkStage) {

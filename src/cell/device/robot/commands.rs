@@ -80,10 +80,9 @@ impl Robot {
             self.report(RobotEvent::Completed { what });
             return Ok(());
         }
-        if self.arm_waits.iter().any(|wait| wait.command == command) {
-            return Err(Refused::Busy(what));
-        }
         self.ask_dashboard(now, command.clone())?;
+        // A stop may have come between: the command counts anew, and so does its time.
+        self.arm_waits.retain(|wait| wait.command != command);
         self.arm_waits.push(ArmWait { what, command, goal, deadline: now + ARM_WITHIN });
         Ok(())
     }

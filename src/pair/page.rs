@@ -1,0 +1,135 @@
+//! `docs/reactions.md`: what the cell does about each fault, for people and for the sweep.
+//!
+//! In: the [`Outcome`]s of a sweep. Out: the page; and, from the page, what is expected of each case. The page is both the
+//! documentation and the expectation: a change of behaviour is a change of a line of it, to be read before it is
+//! committed. Numbers and objects are left out of sentences, because they are the seed's.
+
+use crate::pair::reactions::{KNOWN, ROWS, Row};
+use crate::pair::sweep::{Outcome, Phase};
+use std::collections::BTreeMap;
+
+/// The page, as it is in the repository.
+pub const PAGE: &str = include_str!("../../docs/reactions.md");
+
+/// The seed that the page is written with.
+pub const PAGE_SEED: u64 = 0;
+
+const HEAD: &str = "\
+# What the cell does about faults
+
+Every fault below is brought about in every phase of a pick-n-place in which it can occur, in the closed loop of
+`celld simulate`. The columns: how the job ended (its `code`, see [results](results.md)), whether the cell is armed
+afterwards, whether what was held is still held, what the operator reads last and what to do about it, and how another
+job ends once the fault is over, a person has cleared what there is to clear at the pendant and armed the cell. `#` is a
+number, `OBJECT` the name of one. Numbers of rows are those of the fault table that the project started from; 27
+(ambiguous marker poses) and 37, 39, 42 to 46 (the process, clocks, files, the network) have tests of their own.
+
+Written by `celld simulate --faults sweep --write docs/reactions.md`; `celld simulate --faults sweep` compares the cell
+with it and checks the [rules](../ARCHITECTURE.md) after every step.
+
+| # | fault | phases | job | armed | held | operator reads | what to do | next job |
+|---|---|---|---|---|---|---|---|---|
+";
+
+/// Name of a case: number, fault, phase.
+pub fn title(row: &Row, phase: Phase) -> String {
+    format!("{} {} / {}", row.number, row.name, phase.name())
+}
+
+/// The last six columns of a case.
+pub fn reaction(outcome: &Outcome) -> String {
+    let ended = if outcome.daemon_ended { ", celld ends" } else { "" };
+    let none = if outcome.has_job { "waits" } else { "" };
+    let job = outcome.code.map_or(none.to_string(), |code| format!("`{code}`"));
+    let armed = if outcome.armed { "yes" } else { "no" };
+    let held = outcome.kept.map_or("", |kept| if kept { "yes" } else { "no" });
+    let next = outcome.next.map_or("none".to_string(), |code| format!("`{code}`"));
+    let (sentence, hint) = (plain(&outcome.sentence), plain(&outcome.hint));
+    format!("{job}{ended} | {armed} | {held} | {sentence} | {hint} | {next} |")
+}
+
+/// A sentence without numbers, names of objects and what a table cannot have.
+fn plain(sentence: &str) -> String {
+    // Foreign bytes in quotes.
+    let sentence = match sentence.split_once('"') {
+        Some((before, quoted)) if quoted.contains('\u{fffd}') => format!("{before}..."),
+        _ => sentence.to_string(),
+    };
+    let words: Vec<String> = sentence.split(' ').map(plain_word).collect();
+    words.join(" ").replace('|', "/")
+}
+
+fn plain_word(word: &str) -> String {
+    if ["plank-", "block-", "lid-"].iter().any(|kind| word.starts_with(kind)) {
+        return "OBJECT".to_string();
+    }
+    let mut plain = String::new();
+    for character in word.chars() {
+        match character {
+            '0'..='9' if plain.ends_with('#') => {}
+            '0'..='9' => plain.push('#'),
+            '.' if plain.ends_with('#') => {}
+            other => plain.push(other),
+        }
+    }
+    plain
+}
+
+/// The page for these outcomes, phases with the same reaction in one line.
+pub fn write(outcomes: &[(&Row, Phase, Outcome)]) -> String {
+    let mut page = HEAD.to_string();
+    for row in ROWS {
+        let mut lines: Vec<(String, Vec<&str>)> = Vec::new();
+        for (_, phase, outcome) in outcomes.iter().filter(|(other, ..)| std::ptr::eq(*other, row)) {
+            let reaction = reaction(outcome);
+            match lines.iter_mut().find(|(known, _)| *known == reaction) {
+                Some((_, phases)) => phases.push(phase.name()),
+                None => lines.push((reaction, vec![phase.name()])),
+            }
+        }
+        for (reaction, phases) in lines {
+            page.push_str(&format!("| {} | {} | {} | {reaction}\n", row.number, row.name, phases.join(", ")));
+        }
+    }
+    page.push_str(&known(outcomes));
+    page
+}
+
+/// Where rules of [`KNOWN`] are broken.
+fn known(outcomes: &[(&Row, Phase, Outcome)]) -> String {
+    let mut text =
+        "\n## Known violations\n\nTo be cured by what arming, stops and bodies become; this list is to be \
+                    empty then. A breach of any other rule fails the sweep.\n"
+            .to_string();
+    for rule in KNOWN {
+        for row in ROWS {
+            let here = outcomes
+                .iter()
+                .filter(|(other, _, outcome)| std::ptr::eq(*other, row) && outcome.breaches.contains(rule));
+            let phases: Vec<&str> = here.map(|(_, phase, _)| phase.name()).collect();
+            if !phases.is_empty() {
+                text.push_str(&format!("\n- {rule:?}: {} {} ({})", row.number, row.name, phases.join(", ")));
+            }
+        }
+    }
+    text.push('\n');
+    text
+}
+
+/// What the page expects of each case, by its title.
+pub fn expected(page: &str) -> BTreeMap<String, String> {
+    let mut cases = BTreeMap::new();
+    for line in page.lines() {
+        let Some(line) = line.strip_prefix("| ") else { continue };
+        let mut parts = line.splitn(4, " | ");
+        let (Some(number), Some(name), Some(phases), Some(reaction)) =
+            (parts.next(), parts.next(), parts.next(), parts.next())
+        else {
+            continue;
+        };
+        for phase in phases.split(", ") {
+            cases.insert(format!("{number} {name} / {phase}"), reaction.to_string());
+        }
+    }
+    cases
+}
