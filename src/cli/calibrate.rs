@@ -287,7 +287,11 @@ async fn live(
             record.keep(stop);
         }
     };
-    shell.see_with(Eyes { camera: Box::new(camera), sight: Sight::Markers(detector), doubts: None });
+    shell.see_with(Eyes {
+        camera: Box::new(camera),
+        sight: Sight::Markers(Box::new(detector)),
+        doubts: None,
+    });
     shell.commission(nominal_model(config, &arm, &lens.model), false);
     let mut samples = Samples::new(&progress);
     let order = RoundOrder { poses, room: config.calibration_box };

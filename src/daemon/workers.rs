@@ -60,7 +60,7 @@ pub enum Sight {
     /// Views and observations.
     Cell(Box<Perception>),
     /// Markers only: a calibration round.
-    Markers(Detector),
+    Markers(Box<Detector>),
 }
 
 /// Starts the thread that owns the camera.

@@ -53,7 +53,8 @@ impl Disk {
 
     /// Commits that come back in this frame, with what they wrote.
     pub fn step(&mut self, frame: u64) -> Option<(u64, Result<Record, String>)> {
-        let (_, number, record) = self.under_way.pop_front_if(|(due, ..)| *due <= frame)?;
+        self.under_way.front().filter(|(due, ..)| *due <= frame)?;
+        let (_, number, record) = self.under_way.pop_front()?;
         Some(match self.mood {
             Mood::Full => (number, Err("database or disk is full".to_string())),
             Mood::Broken => (number, Err("disk I/O error".to_string())),

@@ -136,6 +136,8 @@ pub struct Pair {
     /// What was done, for comparison.
     pub trace: Trace,
     adapter: Option<Box<dyn Adapter>>,
+    /// Events that the adapter made up: the rules do not take them for something that happened.
+    made_up: Vec<Event>,
     orders: u64,
     replies: VecDeque<(u64, Reply)>,
     notices: Vec<Notice>,
@@ -172,6 +174,7 @@ impl Pair {
             rules: Rules::default(),
             trace: Trace::new(keep_trace),
             adapter: None,
+            made_up: Vec::new(),
             orders: 0,
             replies: VecDeque::new(),
             notices: Vec::new(),
@@ -317,13 +320,8 @@ impl Pair {
         self.take_looks();
         self.take_later(&mut events);
         events.extend(self.store.hand_out().map(|job| Event::Job(Box::new(job))));
-        let mut made_up = Vec::new();
-        if let Some(adapter) = &mut self.adapter {
-            let mut effects = Vec::new();
-            adapter.frame(&self.machine, &mut effects, &mut made_up);
-            effects.into_iter().for_each(|effect| self.carry_out(effect));
-        }
-        events.extend(made_up);
+        events.iter().for_each(|event| self.rules.arrived(event));
+        let events = self.pass(events);
         let now = self.now();
         if self.ended.is_none() && (!events.is_empty() || self.machine.next_wake() <= now) {
             self.turn(events);
@@ -346,14 +344,9 @@ impl Pair {
     fn turn(&mut self, events: Vec<Event>) {
         let now = self.now();
         for event in events {
-            match &mut self.adapter {
-                None => self.hand_over(now, event),
-                Some(adapter) => {
-                    let mut passed = Vec::new();
-                    adapter.event(event, &mut passed);
-                    passed.into_iter().for_each(|event| self.hand_over(now, event));
-                }
-            }
+            self.trace.event(self.frame, &event);
+            self.rules.event(&event);
+            self.machine.handle(now, event);
         }
         self.machine.handle(now, Event::Time);
         while let Some(effect) = self.machine.poll() {
@@ -363,15 +356,19 @@ impl Pair {
                 None => passed.push(effect),
                 Some(adapter) => adapter.effect(effect, &mut passed, &mut made_up),
             }
-            self.due.extend(made_up);
+            self.made_up.extend(made_up);
             passed.into_iter().for_each(|effect| self.carry_out(effect));
         }
     }
 
-    fn hand_over(&mut self, now: Timestamp, event: Event) {
-        self.trace.event(self.frame, &event);
-        self.rules.event(&event);
-        self.machine.handle(now, event);
+    /// What an adapter makes of these events; the events themselves where there is none.
+    fn pass(&mut self, events: Vec<Event>) -> Vec<Event> {
+        let Some(adapter) = &mut self.adapter else { return events };
+        let (mut effects, mut passed) = (Vec::new(), std::mem::take(&mut self.made_up));
+        adapter.frame(&self.machine, &mut effects, &mut passed);
+        events.into_iter().for_each(|event| adapter.event(event, &mut passed));
+        effects.into_iter().for_each(|effect| self.carry_out(effect));
+        passed
     }
 
     fn take_commits(&mut self, events: &mut Vec<Event>) {

@@ -271,7 +271,7 @@ impl Line {
 
     fn deliver_to_sim(&mut self, frame: u64, simulator: &mut Simulator) {
         let Some(id) = self.id.filter(|_| !self.state.silent) else { return };
-        while let Some((_, bytes)) = self.to_sim.pop_front_if(|(due, _)| *due <= frame) {
+        while let Some((_, bytes)) = pop_due(&mut self.to_sim, frame) {
             simulator.receive(id, &bytes);
         }
     }
@@ -296,6 +296,12 @@ impl Line {
         if self.state.silent {
             return None;
         }
-        self.to_cell.pop_front_if(|(due, _)| *due <= frame).map(|(_, bytes)| bytes)
+        pop_due(&mut self.to_cell, frame).map(|(_, bytes)| bytes)
     }
+}
+
+/// The first one, once it is due.
+fn pop_due(queue: &mut VecDeque<(u64, Vec<u8>)>, frame: u64) -> Option<(u64, Vec<u8>)> {
+    queue.front().filter(|(due, _)| *due <= frame)?;
+    queue.pop_front()
 }

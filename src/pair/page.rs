@@ -127,6 +127,9 @@ pub fn expected(page: &str) -> BTreeMap<String, String> {
         else {
             continue;
         };
+        if number.parse::<u8>().is_err() {
+            continue;
+        }
         for phase in phases.split(", ") {
             cases.insert(format!("{number} {name} / {phase}"), reaction.to_string());
         }

@@ -46,6 +46,8 @@ pub enum Rule {
     AnswerNotTrue,
     /// An order was answered twice, or an answer came for none.
     AnswerWithoutOrder,
+    /// An order has no answer.
+    OrderUnanswered,
     /// The status says armed and the cell is not, or the other way round.
     StatusNotTrue,
     /// Arming was accepted although no state of the robot comes, safety forbids motion, or something is held.
@@ -60,7 +62,7 @@ pub enum Rule {
 
 impl Rule {
     /// All of them.
-    pub const ALL: [Rule; 17] = [
+    pub const ALL: [Rule; 18] = [
         Rule::MotionWhileDisarmed,
         Rule::MotionBeforeCommit,
         Rule::MotionOnStaleState,
@@ -73,6 +75,7 @@ impl Rule {
         Rule::AcknowledgedNotWritten,
         Rule::AnswerNotTrue,
         Rule::AnswerWithoutOrder,
+        Rule::OrderUnanswered,
         Rule::StatusNotTrue,
         Rule::ArmedWithGateClosed,
         Rule::ArmedThroughLinkLoss,
@@ -107,6 +110,9 @@ const STOP_FRAMES: u64 = 1250;
 /// Something held is read at least this often; a lost gripper is noticed first.
 const WATCH_FRAMES: u64 = 500;
 
+/// An order is answered within this, the slowest being the release of a gripper that does not answer.
+const ANSWER_FRAMES: u64 = 5000;
+
 /// After this long celld has to know that a gate is closed.
 const KNOWN_FRAMES: u64 = 250;
 
@@ -131,7 +137,8 @@ pub struct Rules {
     /// Records on their way to the disk, with whether motion waits for them.
     open: BTreeMap<u64, bool>,
     written: BTreeSet<u64>,
-    orders: BTreeMap<u64, Order>,
+    /// Without an answer yet, with the frame in which they were given.
+    orders: BTreeMap<u64, (u64, Order)>,
     release_ordered: bool,
     vacuum: [Option<VacuumMode>; 2],
     held_since: Option<u64>,
@@ -165,7 +172,7 @@ impl Rules {
 
     /// An order was given.
     pub fn ordered(&mut self, number: u64, order: &Order) {
-        self.orders.insert(number, order.clone());
+        self.orders.insert(number, (self.frame, order.clone()));
         self.release_ordered |= matches!(order, Order::Release(_));
     }
 
@@ -185,16 +192,22 @@ impl Rules {
         self.written.insert(number);
     }
 
-    /// Something goes into the machine.
-    pub fn event(&mut self, event: &Event) {
+    /// Something has truly happened, whatever the machine is told of it.
+    pub fn arrived(&mut self, event: &Event) {
         match event {
             Event::Received(Link::Rtde, _) => self.last_state = self.frame,
             Event::Disconnected(link, _) => self.lost = self.lost.or(Some((self.frame, *link))),
             Event::Observed(_, Ok(_)) => self.sight = self.frame,
-            Event::Committed(number, Ok(())) if !self.written.contains(number) => {
-                self.breach(Rule::AcknowledgedNotWritten, format!("record {number}"));
-            }
             _ => {}
+        }
+    }
+
+    /// Something goes into the machine.
+    pub fn event(&mut self, event: &Event) {
+        if let Event::Committed(number, Ok(())) = event
+            && !self.written.contains(number)
+        {
+            self.breach(Rule::AcknowledgedNotWritten, format!("record {number}"));
         }
     }
 
@@ -234,7 +247,7 @@ impl Rules {
     }
 
     fn check_reply(&mut self, number: u64, accepted: bool, machine: &Machine) {
-        let Some(order) = self.orders.remove(&number) else {
+        let Some((_, order)) = self.orders.remove(&number) else {
             return self.breach(Rule::AnswerWithoutOrder, format!("order {number}"));
         };
         let Some(mode) = machine.supervisor().map(|supervisor| supervisor.mode()) else { return };
@@ -276,6 +289,7 @@ impl Rules {
         self.local_since = if local { self.local_since.or(Some(frame)) } else { None };
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
+        self.check_answers(machine);
         let began = moves && !self.moved;
         self.moved = moves;
         if began && !stranger && !self.stranger {
@@ -304,6 +318,17 @@ impl Rules {
             None
         };
         self.closed = gate.map(|gate| (self.closed.map_or(self.frame, |(since, _)| since), gate));
+    }
+
+    fn check_answers(&mut self, machine: &Machine) {
+        if machine.supervisor().is_some_and(|cell| cell.mode().ending()) {
+            return;
+        }
+        let late = self.orders.iter().find(|(_, (at, _))| self.frame > at + ANSWER_FRAMES);
+        if let Some((number, (_, order))) = late.map(|(number, given)| (*number, given.clone())) {
+            self.orders.remove(&number);
+            self.breach(Rule::OrderUnanswered, format!("{order:?}"));
+        }
     }
 
     fn check_lost(&mut self, machine: &Machine) {

@@ -225,8 +225,8 @@ pub fn case(
         (outcome.end, outcome.code) = (Some(report.end), Some(report.code));
         outcome.hint.clone_from(&report.remedy);
     }
-    let alarms = pair.notices().iter().skip(said).filter(|notice| notice.alarm);
-    outcome.sentence = alarms.last().map(|notice| notice.text.clone()).unwrap_or_default();
+    let mut alarms = pair.notices().iter().skip(said).filter(|notice| notice.alarm);
+    outcome.sentence = alarms.next_back().map(|notice| notice.text.clone()).unwrap_or_default();
     if let Some(report) = pair.reports().get(ended).filter(|report| report.code != Code::Done) {
         outcome.sentence.clone_from(&report.message);
     }

@@ -118,7 +118,7 @@ impl World {
         Moment {
             scene: self.scene(),
             places: setup.places(self, window),
-            exposure: faults.exposure.clone(),
+            exposure: faults.exposure,
             seed: self.seed(),
         }
     }

@@ -417,7 +417,7 @@ fn visited(address: &str, change: impl FnOnce(&mut CellConfig, &Isometry3<f64>))
         let arm = shell.identify(&|| false).await.unwrap();
         let mut camera = tokio::task::block_in_place(|| open_camera(&config, None)).unwrap();
         let lens = tokio::task::block_in_place(|| camera.intrinsics()).unwrap();
-        let sight = Sight::Markers(Detector::new(DetectSettings::default()).unwrap());
+        let sight = Sight::Markers(Box::new(Detector::new(DetectSettings::default()).unwrap()));
         shell.see_with(Eyes { camera: Box::new(camera), sight, doubts: None });
         shell.commission(nominal_model(&config, &arm, &lens), false);
         let (pressed, seen) = (AtomicBool::new(false), RefCell::new(Vec::new()));

@@ -157,7 +157,11 @@ async fn calibrate(
     let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;
     eprintln!("calibrating the camera on the arm ({} poses)", config.calibration_poses.len());
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    shell.see_with(Eyes { camera: Box::new(camera), sight: Sight::Markers(detector), doubts: None });
+    shell.see_with(Eyes {
+        camera: Box::new(camera),
+        sight: Sight::Markers(Box::new(detector)),
+        doubts: None,
+    });
     shell.commission(nominal_model(config, &arm, &lens), false);
     let round = RoundOrder { poses: config.calibration_poses.clone(), room: config.calibration_box };
     let progress: &dyn Fn(&crate::calibration::visit::Stop) =

@@ -1,0 +1,85 @@
+//! The whole cell in virtual time: repeatable, as the page of reactions says, and the same with both eyes.
+
+use celld::cli::simulate::stage;
+use celld::pair::eyes::Eye;
+use celld::pair::page::{PAGE, PAGE_SEED, expected, title};
+use celld::pair::run::{bring_up, run_jobs, true_poses};
+use celld::pair::sweep::{case, cases, judge};
+use celld::pair::work::job;
+use celld::pair::{Choice, Pair};
+use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
+
+#[test]
+fn a_seed_gives_the_same_run_twice_and_another_seed_another() {
+    let mut prints = Vec::new();
+    for seed in 0..6 {
+        let stage = stage(seed, Eye::Corners).unwrap();
+        let once = || run_jobs(&stage, Choice::of(seed), 1, &[], &mut |_| {}).unwrap().0;
+        let (first, second) = (once(), once());
+        assert_eq!(first, second, "seed {seed}");
+        assert!(first.is_clean() && first.jobs == 1, "seed {seed}: {first:?}");
+        prints.push(first.fingerprint);
+    }
+    prints.sort_unstable();
+    prints.dedup();
+    assert_eq!(prints.len(), 6);
+}
+
+#[test]
+fn the_page_of_reactions_has_every_case_and_no_other() {
+    let page = expected(PAGE);
+    let titles: Vec<String> = cases().map(|(row, phase)| title(row, phase)).collect();
+    for title in &titles {
+        assert!(page.contains_key(title), "docs/reactions.md lacks {title}: see its second paragraph");
+    }
+    assert_eq!(page.len(), titles.len());
+}
+
+/// What `celld simulate --faults sweep` does.
+#[test]
+fn every_fault_in_every_phase_has_the_reaction_that_the_page_gives() {
+    let stage = stage(PAGE_SEED, Eye::Corners).unwrap();
+    let page = expected(PAGE);
+    let cases: Vec<_> = cases().collect();
+    let wrong: Vec<String> = cases
+        .par_iter()
+        .flat_map_iter(|(row, phase)| {
+            let (outcome, _) = case(&stage, row, *phase, PAGE_SEED, false).unwrap();
+            let faults = judge(row, *phase, &outcome, Some(&page));
+            faults.into_iter().map(|fault| format!("{}: {fault}", title(row, *phase)))
+        })
+        .collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// What the fast eye shows is what the detector would have found: within half a millimetre and half a degree.
+#[test]
+fn both_eyes_see_the_same_table() {
+    for seed in [3, 4] {
+        let seen = [Eye::Corners, Eye::Pictures].map(|eye| observed(seed, eye));
+        let [corners, pictures] = &seen;
+        assert_eq!(corners.len(), 6);
+        assert_eq!(corners.len(), pictures.len());
+        for (a, b) in corners.iter().zip(pictures) {
+            assert_eq!(a.0, b.0);
+            let apart_m = (a.1.x - b.1.x).hypot(a.1.y - b.1.y);
+            assert!(apart_m < 0.5e-3, "seed {seed}: {} is {:.2} mm apart", a.0, apart_m * 1e3);
+            let turned = (a.1.theta - b.1.theta).sin().abs();
+            assert!(turned < 0.5f64.to_radians(), "seed {seed}: {} is turned by {turned}", a.0);
+        }
+    }
+}
+
+fn observed(seed: u64, eye: Eye) -> Vec<(String, celld::geometry::pose::Pose2)> {
+    let stage = stage(seed, Eye::Corners).unwrap();
+    let mut pair = Pair::new(stage.clone(), Choice { eye, ..Choice::of(seed) }).unwrap();
+    assert!(bring_up(&mut pair));
+    pair.order(celld::cell::orders::Order::Arm);
+    pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
+    let seen = |pair: &Pair| pair.machine().supervisor().and_then(|cell| cell.observation().cloned());
+    assert!(pair.run_until(60.0, |pair| seen(pair).is_some()), "seed {seed}: nothing was seen");
+    let seen = seen(&pair).unwrap();
+    let mut objects: Vec<_> = seen.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();
+    objects.sort_by(|a, b| a.0.cmp(&b.0));
+    objects
+}
