@@ -4,6 +4,8 @@
 //! command that repeats a failure. Exit codes: 0 no rule was broken and every job ended; 1 one was, or one did not; 2 bad
 //! input.
 
+mod storms;
+
 use crate::cli::daemon::machine_parameters;
 use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config, sim_file};
 use crate::cli::sim::{FOCAL_PX, faults_of, sim_config};
@@ -38,10 +40,11 @@ pub struct SimulateArgs {
     /// Jobs of two to four moves
     #[arg(long, default_value_t = 3)]
     jobs: usize,
-    /// A fault file, as for `celld sim`; or `sweep`: every fault in every phase of a pick-n-place
-    #[arg(long, value_name = "FILE|sweep")]
+    /// A fault file, as for `celld sim`; or `sweep`: every fault in every phase of a pick-n-place; or `random`: one
+    /// to three faults in every job, each job of the next seed
+    #[arg(long, value_name = "FILE|sweep|random")]
     faults: Option<PathBuf>,
-    /// Of the sweep: only cases whose number, name or phase contains this
+    /// Of the sweep: only cases whose number, name or phase contains this; of random faults: only these, by number
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
     /// Of the sweep: write the page of reactions to this file
@@ -120,8 +123,10 @@ pub fn run(args: &SimulateArgs) -> u8 {
         EyeArg::Pictures => Eye::Pictures,
         EyeArg::Corners => Eye::Corners,
     };
-    if args.faults.as_deref() == Some(Path::new("sweep")) {
-        return sweep(args);
+    match args.faults.as_deref().and_then(Path::to_str) {
+        Some("sweep") => return sweep(args),
+        Some("random") => return storms::run(args),
+        _ => {}
     }
     let faults = args.faults.as_deref().map_or(Ok(Vec::new()), faults_of);
     let prepared = faults.and_then(|faults| Ok((faults, stage(args.seed, eye)?)));

@@ -15,6 +15,7 @@ pub mod rules;
 pub mod run;
 pub mod stage;
 pub mod store;
+pub mod storm;
 pub mod sweep;
 pub mod trace;
 pub mod work;

@@ -267,7 +267,7 @@ fn approve(pair: &mut Pair) -> bool {
 }
 
 /// The case is over when its job is, or when the daemon is, or when a person is waited for.
-fn settled(pair: &Pair, ended: usize) -> bool {
+pub(super) fn settled(pair: &Pair, ended: usize) -> bool {
     let idle = pair.status().is_some_and(|status| status.doing == Doing::Idle);
     pair.reports().len() > ended || pair.ended().is_some() || (idle && pair.store().active().is_none())
 }
@@ -309,7 +309,7 @@ fn overlap(order: &mut JobOrder) {
     }
 }
 
-fn bring_about(pair: &mut Pair, row: &Row) {
+pub(super) fn bring_about(pair: &mut Pair, row: &Row) {
     match row.cause {
         Cause::Faults(texts) => {
             for text in texts {
@@ -346,7 +346,7 @@ fn lose(pair: &mut Pair, loss: Loss) {
 
 /// The fault is over; a person clears what has to be cleared at the pendant, releases what is held, arms, and hands in
 /// another job. Its code.
-fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
+pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
     pair.disk().mood = Mood::Fine;
     let clear = Fault::Clear { fault: None };
     let _ = pair.fault_now(FaultOrder { name: "clear", fault: clear, seconds: None });

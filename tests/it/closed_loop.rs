@@ -1,6 +1,8 @@
 //! The whole cell in virtual time: repeatable, as the page of reactions says, and the same with both eyes.
 
+use celld::cell::orders::Order;
 use celld::cli::simulate::stage;
+use celld::geometry::pose::Pose2;
 use celld::pair::eyes::Eye;
 use celld::pair::page::{PAGE, PAGE_SEED, expected, title};
 use celld::pair::run::{bring_up, run_jobs, true_poses};
@@ -56,7 +58,7 @@ fn every_fault_in_every_phase_has_the_reaction_that_the_page_gives() {
 #[test]
 fn both_eyes_see_the_same_table() {
     for seed in [3, 4] {
-        let seen = [Eye::Corners, Eye::Pictures].map(|eye| observed(seed, eye));
+        let seen = [Eye::Corners, Eye::Pictures].map(|eye| observed(seed, eye).unwrap());
         let [corners, pictures] = &seen;
         assert_eq!(corners.len(), 6);
         assert_eq!(corners.len(), pictures.len());
@@ -70,16 +72,17 @@ fn both_eyes_see_the_same_table() {
     }
 }
 
-fn observed(seed: u64, eye: Eye) -> Vec<(String, celld::geometry::pose::Pose2)> {
-    let stage = stage(seed, Eye::Corners).unwrap();
-    let mut pair = Pair::new(stage.clone(), Choice { eye, ..Choice::of(seed) }).unwrap();
+fn observed(seed: u64, eye: Eye) -> Result<Vec<(String, Pose2)>, String> {
+    let stage = stage(seed, Eye::Corners)?;
+    let choice = Choice { eye, ..Choice::of(seed) };
+    let mut pair = Pair::new(stage.clone(), choice).map_err(|error| error.to_string())?;
     assert!(bring_up(&mut pair));
-    pair.order(celld::cell::orders::Order::Arm);
+    pair.order(Order::Arm);
     pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
     let seen = |pair: &Pair| pair.machine().supervisor().and_then(|cell| cell.observation().cloned());
     assert!(pair.run_until(60.0, |pair| seen(pair).is_some()), "seed {seed}: nothing was seen");
-    let seen = seen(&pair).unwrap();
+    let seen = seen(&pair).ok_or("nothing was seen")?;
     let mut objects: Vec<_> = seen.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();
     objects.sort_by(|a, b| a.0.cmp(&b.0));
-    objects
+    Ok(objects)
 }

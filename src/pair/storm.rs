@@ -1,0 +1,127 @@
+//! Jobs with one to three faults at once, drawn by seed (row 49 of the fault table).
+//!
+//! In: a seed. Out: which faults come when ([`strikes`]), and what became of the job and of the one after it
+//! ([`storm`]). While faults may come, only the rules count: anything may fail. Then the faults end, a person clears the
+//! pendant and arms, and another job has to end in a named state. [`fewest`] leaves out what a failure does not need.
+
+use crate::cell::code::Code;
+use crate::cell::orders::Order;
+use crate::pair::reactions::{Cause, KNOWN, ROWS, Row};
+use crate::pair::run::{bring_up, true_poses};
+use crate::pair::stage::Stage;
+use crate::pair::sweep::{after, bring_about, settled};
+use crate::pair::work::job;
+use crate::pair::{Choice, Pair};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Faults come within this time after arming, s: two or three pick-n-places.
+const STRIKES_WITHIN_S: f64 = 25.0;
+
+/// No fault lasts longer here, s.
+const LASTS_AT_MOST_S: f64 = 40.0;
+
+/// The job has ended, or waits for a person, within this time after the last fault, s.
+const END_WITHIN_S: f64 = 240.0;
+
+/// A cell that is disarmed for so long waits for a person, s.
+const DISARMED_S: f64 = 10.0;
+
+/// A fault that comes.
+#[derive(Clone, Copy, Debug)]
+pub struct Strike {
+    /// Seconds after arming.
+    pub at_s: f64,
+    /// What.
+    pub row: Row,
+}
+
+/// What became of it.
+#[derive(Clone, Debug, Default)]
+pub struct Aftermath {
+    /// How the job ended; `None` where it waits, or celld has ended.
+    pub code: Option<Code>,
+    /// How the job after it ended.
+    pub next: Option<Code>,
+    /// What must not be, in words.
+    pub faults: Vec<String>,
+    /// Breaches of rules that are known to be broken.
+    pub known: usize,
+}
+
+/// The faults of a seed, in the order in which they come.
+pub fn strikes(seed: u64) -> Vec<Strike> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5374_6f72_6d00);
+    let count = rng.random_range(1..=3);
+    let mut strikes: Vec<Strike> = Vec::new();
+    while strikes.len() < count {
+        let row = ROWS[rng.random_range(0..ROWS.len())];
+        // These are of the job or of the whole run, not of a moment.
+        if matches!(row.cause, Cause::OverlappingGoals | Cause::BadPlan | Cause::PlanWork(_)) {
+            continue;
+        }
+        let at_s = rng.random_range(0.0..STRIKES_WITHIN_S);
+        strikes.push(Strike { at_s, row: Row { seconds: row.seconds.min(LASTS_AT_MOST_S), ..row } });
+    }
+    strikes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+    strikes
+}
+
+/// A job with these faults, and the job after it.
+///
+/// # Errors
+/// The loop cannot be set up.
+pub fn storm(stage: &Stage, seed: u64, strikes: &[Strike], keep: bool) -> Result<(Aftermath, Pair), String> {
+    let choice = Choice { keep_trace: keep, ..Choice::of(seed) };
+    let mut pair = Pair::new(stage.clone(), choice).map_err(|error| error.to_string())?;
+    let mut aftermath = Aftermath::default();
+    if !bring_up(&mut pair) {
+        aftermath.faults.push("the cell does not come up".to_string());
+        return Ok((aftermath, pair));
+    }
+    pair.order(Order::Arm);
+    pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
+    let began = pair.seconds();
+    for strike in strikes {
+        let left = began + strike.at_s - pair.seconds();
+        pair.run_until(left.max(0.0), |_| false);
+        bring_about(&mut pair, &strike.row);
+    }
+    let mut disarmed_at = None;
+    let over = pair.run_until(END_WITHIN_S, |pair| {
+        let armed = pair.status().is_some_and(|status| status.armed);
+        disarmed_at = if armed { None } else { disarmed_at.or(Some(pair.seconds())) };
+        settled(pair, 0) || disarmed_at.is_some_and(|at| pair.seconds() > at + DISARMED_S)
+    });
+    aftermath.code = pair.reports().first().map(|report| report.code);
+    if !over {
+        let doing = pair.status().map(|status| status.text()).unwrap_or_default();
+        aftermath.faults.push(format!("the job neither ended nor waits for a person: {doing}"));
+    }
+    aftermath.next = after(&mut pair, stage, seed);
+    if aftermath.next.is_none() && !strikes.iter().any(|strike| strike.row.ends_work) {
+        let doing = pair.status().map(|status| status.text()).unwrap_or_default();
+        aftermath.faults.push(format!("the job after it has not ended: {doing}"));
+    }
+    for breach in pair.breaches() {
+        if KNOWN.contains(&breach.rule) {
+            aftermath.known += 1;
+        } else {
+            aftermath.faults.push(format!("{:?} was broken: {}", breach.rule, breach.detail));
+        }
+    }
+    Ok((aftermath, pair))
+}
+
+/// The numbers of the fewest of these faults with which something still is as it must not be.
+pub fn fewest(stage: &Stage, seed: u64, strikes: &[Strike]) -> Vec<usize> {
+    let all = (1u32 << strikes.len()) - 1;
+    let mut masks: Vec<u32> = (0..=all).collect();
+    masks.sort_by_key(|mask| mask.count_ones());
+    let numbers = |mask: u32| (0..strikes.len()).filter(move |number| mask & (1 << number) != 0);
+    let fails = |mask: &u32| {
+        let chosen: Vec<Strike> = numbers(*mask).map(|number| strikes[number]).collect();
+        storm(stage, seed, &chosen, false).is_ok_and(|(aftermath, _)| !aftermath.faults.is_empty())
+    };
+    numbers(masks.into_iter().find(fails).unwrap_or(all)).collect()
+}
