@@ -110,6 +110,9 @@ const STOP_FRAMES: u64 = 1250;
 /// Something held is read at least this often; a lost gripper is noticed first.
 const WATCH_FRAMES: u64 = 500;
 
+/// What was sent has arrived after this long: network and one frame of the program, 100 ms.
+const ON_ITS_WAY_FRAMES: u64 = 50;
+
 /// An order is answered within this, the slowest being the release of a gripper that does not answer.
 const ANSWER_FRAMES: u64 = 5000;
 
@@ -149,6 +152,8 @@ pub struct Rules {
     /// Since when a gate that a person cannot see past is closed, and which.
     closed: Option<(u64, &'static str)>,
     local_since: Option<u64>,
+    /// When the cell was armed last.
+    armed_at: Option<u64>,
     /// A connection that was lost while the cell was armed.
     lost: Option<(u64, Link)>,
 }
@@ -301,6 +306,7 @@ impl Rules {
         }
         if machine.supervisor().is_some_and(|supervisor| supervisor.mode().armed()) {
             self.stopped_at = None;
+            self.armed_at = Some(frame);
         }
         self.check_vacuum(frame, simulator, machine.supervisor().is_none_or(|cell| !cell.mode().ending()));
         self.check_status(machine, status);
@@ -347,7 +353,9 @@ impl Rules {
         let Some(supervisor) = machine.supervisor() else {
             return self.breach(Rule::MotionWhileDisarmed, "before the cell was commissioned".into());
         };
-        if !supervisor.mode().armed() && !working {
+        // An order that was on its way when the cell was disarmed is overtaken by the stop.
+        let just_now = self.armed_at.is_some_and(|at| self.frame <= at + ON_ITS_WAY_FRAMES);
+        if !supervisor.mode().armed() && !working && !just_now {
             self.breach(Rule::MotionWhileDisarmed, format!("{:?}", status.map(Status::text)));
         }
         if let Some((number, _)) = self.open.iter().find(|(_, waits)| **waits) {

@@ -96,6 +96,9 @@ const PHASE_WITHIN_S: f64 = 60.0;
 const SETTLED_AFTER_S: f64 = 8.0;
 const END_WITHIN_S: f64 = 150.0;
 
+/// A disk that is silent for this long ends celld.
+const DISK_GIVEN_UP_S: f64 = 16.0;
+
 /// Plans that a job may ask approval of after a fault.
 const APPROVALS: usize = 12;
 
@@ -347,9 +350,13 @@ fn lose(pair: &mut Pair, loss: Loss) {
 /// The fault is over; a person clears what has to be cleared at the pendant, releases what is held, arms, and hands in
 /// another job. Its code.
 pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
-    pair.disk().mood = Mood::Fine;
+    let disk = std::mem::replace(&mut pair.disk().mood, Mood::Fine);
     let clear = Fault::Clear { fault: None };
     let _ = pair.fault_now(FaultOrder { name: "clear", fault: clear, seconds: None });
+    if matches!(disk, Mood::Silent) {
+        // An entry that it has swallowed still ends celld.
+        pair.run_until(DISK_GIVEN_UP_S, |pair| pair.ended().is_some());
+    }
     if pair.ended().is_some() {
         lose(pair, Loss::Killed);
     }

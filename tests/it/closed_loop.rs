@@ -6,6 +6,7 @@ use celld::geometry::pose::Pose2;
 use celld::pair::eyes::Eye;
 use celld::pair::page::{PAGE, PAGE_SEED, expected, title};
 use celld::pair::run::{bring_up, run_jobs, true_poses};
+use celld::pair::storm::{storm, strikes};
 use celld::pair::sweep::{case, cases, judge};
 use celld::pair::work::job;
 use celld::pair::{Choice, Pair};
@@ -49,6 +50,21 @@ fn every_fault_in_every_phase_has_the_reaction_that_the_page_gives() {
             let (outcome, _) = case(&stage, row, *phase, PAGE_SEED, false).unwrap();
             let faults = judge(row, *phase, &outcome, Some(&page));
             faults.into_iter().map(|fault| format!("{}: {fault}", title(row, *phase)))
+        })
+        .collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Singles, pairs and triples of faults; `celld simulate --faults random --jobs N` runs as many as there is time for.
+#[test]
+fn no_rule_is_broken_and_no_job_lost_under_random_faults() {
+    let seeds: Vec<u64> = (0..24).collect();
+    let wrong: Vec<String> = seeds
+        .par_iter()
+        .flat_map_iter(|seed| {
+            let stage = stage(*seed, Eye::Corners).unwrap();
+            let (aftermath, _) = storm(&stage, *seed, &strikes(*seed), false).unwrap();
+            aftermath.faults.into_iter().map(move |fault| format!("seed {seed}: {fault}"))
         })
         .collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
