@@ -1,9 +1,10 @@
 //! What a question to the collision kernel costs, by pair of shapes: `cargo bench`.
 //!
-//! In: pairs of footprints of like size at random poses, by seed; near pairs (bounding discs meet, so that the exact
-//! test decides) and any pairs on a table of 1 m, where most are told apart by their discs. Out: a table of
-//! nanoseconds a pair, least of many rounds: what else the machine does only adds. Poses are placed beforehand; placing
-//! is measured by itself. Then whole checks of a pose among many objects, with three broad phases (`broad`).
+//! In: pairs of footprints of like size at random poses, by seed; near pairs (bounding discs meet, so that
+//! the exact test decides) and any pairs on a table of 1 m, where most are told apart by their discs. Out: a
+//! table of nanoseconds a pair, least of many rounds: what else the machine does only adds. Poses are placed
+//! beforehand; placing is measured by itself. Then whole checks of a pose among many objects, with three
+//! broad phases (`broad`).
 
 use celld::geometry::collision::Placed;
 use celld::geometry::footprint::Footprint;

@@ -1,8 +1,10 @@
-//! What is done with fuzzed bytes: one function a protocol, for libFuzzer and for the test that replays the corpora.
+//! What is done with fuzzed bytes: one function a protocol, for libFuzzer and for the test that replays the
+//! corpora.
 //!
-//! In: any bytes; the first says how the rest is cut into pieces, as a network may. Out: nothing, or a panic, which is
-//! a finding: our own of a broken promise, or one of the code under test. Both directions of every codec are read,
-//! and the simulator's sessions are talked to as if over a socket, with controller frames in between.
+//! In: any bytes; the first says how the rest is cut into pieces, as a network may. Out: nothing, or a panic,
+//! which is a finding: our own of a broken promise, or one of the code under test. Both directions of every
+//! codec are read, and the simulator's sessions are talked to as if over a socket, with controller frames in
+//! between.
 
 use celld::cell::device::dashboard_session::DashboardSession;
 use celld::cell::device::primary_session::PrimarySession;
@@ -61,7 +63,8 @@ fn robot() -> Arc<RobotShared> {
     RobotShared::new(Controller::new(config), Ipv4Addr::LOCALHOST.into())
 }
 
-/// Gives a client of ours the bytes a second apart, and takes what it has to say; `$before` is done before each piece.
+/// Gives a client of ours the bytes a second apart, and takes what it has to say; `$before` is done before
+/// each piece.
 macro_rules! hear {
     ($client:expr, $data:expr, $before:expr) => {{
         let (mut client, mut now) = ($client, Timestamp::ZERO);

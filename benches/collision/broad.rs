@@ -1,10 +1,10 @@
 //! Broad phases in comparison: bounding discs alone, a uniform grid, a quadtree, before the same exact test.
 //!
-//! In: arrangements of 20, 40 and 100 objects of RAND, density 0.4, by seed; poses of one of their objects, the others
-//! being where they are. Out: nanoseconds a check of one pose, for poses drawn uniformly and for those among them that
-//! are free (a drawn pose mostly ends at the first object it meets, a free one passes all), and nanoseconds to keep
-//! the structure when an object moves. The paper tried the same three and kept the discs. All three have to
-//! answer alike.
+//! In: arrangements of 20, 40 and 100 objects of RAND, density 0.4, by seed; poses of one of their objects,
+//! the others being where they are. Out: nanoseconds a check of one pose, for poses drawn uniformly and for
+//! those among them that are free (a drawn pose mostly ends at the first object it meets, a free one passes
+//! all), and nanoseconds to keep the structure when an object moves. The paper tried the same three and kept
+//! the discs. All three have to answer alike.
 
 use crate::{PAIRS, SEED, nanoseconds};
 use celld::geometry::collision::Placed;

@@ -1,10 +1,11 @@
 //! Our solvers beside measurements of the public code, row by row and cell by cell.
 //!
-//! In: a CSV table of the public code's runs (its head names the fields that are read: set, label, density, n,
-//! instance, method, status, actions, ti_cost, wall_s), and rows of our benchmark on the same instances with several
-//! seeds. Out: the units to run, and a text: which rows they solved and we do not dependably, mean cost over bound of
-//! both, cells where ours is more than [`WORSE`] dearer, how much sooner our first plan is there. Both costs stand over
-//! our lower bound. Theirs is one run, and on another machine: the ratio of times is an indication.
+//! In: a CSV table of the public code's runs (its head names the fields that are read: set, label, density,
+//! n, instance, method, status, actions, ti_cost, wall_s), and rows of our benchmark on the same instances
+//! with several seeds. Out: the units to run, and a text: which rows they solved and we do not dependably,
+//! mean cost over bound of both, cells where ours is more than [`WORSE`] dearer, how much sooner our first
+//! plan is there. Both costs stand over our lower bound. Theirs is one run, and on another machine: the ratio
+//! of times is an indication.
 
 use crate::bench::cells::{Cell, Unit};
 use crate::bench::table::{Key, Row, density_word};

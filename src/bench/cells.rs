@@ -1,8 +1,8 @@
 //! Which cases a benchmark run consists of, and which of them are this machine's.
 //!
-//! In: cells (scenario, density, number of objects, objective), ids, solvers, seeds. Out: [`Unit`]s in one fixed
-//! order that every machine derives alike; a [`Shard`] takes every N-th of them so that each solver's and each
-//! cell's cases are spread over all machines.
+//! In: cells (scenario, density, number of objects, objective), ids, solvers, seeds. Out: [`Unit`]s in one
+//! fixed order that every machine derives alike; a [`Shard`] takes every N-th of them so that each solver's
+//! and each cell's cases are spread over all machines.
 
 use crate::bench::table::{Key, density_word};
 use crate::planning::plan::Objective;
@@ -90,8 +90,8 @@ impl Shard {
         }
     }
 
-    /// This part of the units, when each case has `runs` runs one after the other. Consecutive cases begin one
-    /// part further on: no solver ends up on one machine.
+    /// This part of the units, when each case has `runs` runs one after the other. Consecutive cases begin
+    /// one part further on: no solver ends up on one machine.
     pub fn take(self, units: Vec<Unit>, runs: usize) -> Vec<Unit> {
         let runs = runs.max(1);
         let part = |at: usize| (at / runs + at % runs) % self.count;

@@ -1,10 +1,10 @@
 //! The six figures of the paper's evaluation, from rows of the planning benchmark.
 //!
-//! In: rows. Out: for each [`Spec`] a figure of three panels as in the paper: plan length as a multiple of the number
-//! of objects (total impedance for TI), computation time, success rate; with our lower bound as a line. A point
-//! is the mean over the solved cases of a cell ("the average of 50 cases except for unfinished trials"), its whisker
-//! the standard error; the bound's is over all cases of the cell, solved or not. The success rate is solved cases
-//! over cases run.
+//! In: rows. Out: for each [`Spec`] a figure of three panels as in the paper: plan length as a multiple of
+//! the number of objects (total impedance for TI), computation time, success rate; with our lower bound as a
+//! line. A point is the mean over the solved cases of a cell ("the average of 50 cases except for unfinished
+//! trials"), its whisker the standard error; the bound's is over all cases of the cell, solved or not. The
+//! success rate is solved cases over cases run.
 
 use crate::bench::cells::Cell;
 use crate::bench::table::{Row, density_word};

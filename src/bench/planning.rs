@@ -1,8 +1,8 @@
 //! Planning benchmark, one case: runs a solver on a problem and measures it.
 //!
-//! In: a problem with its key, limits. Out: a [`Row`]. Every plan counted has passed the independent checker inside
-//! `solve`. The clock is read here: seconds are wall time of this process, and cases that run beside each other on
-//! one machine slow each other down.
+//! In: a problem with its key, limits. Out: a [`Row`]. Every plan counted has passed the independent checker
+//! inside `solve`. The clock is read here: seconds are wall time of this process, and cases that run beside
+//! each other on one machine slow each other down.
 
 use crate::bench::table::{Key, Row};
 use crate::geometry::footprint::Footprint;

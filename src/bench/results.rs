@@ -1,8 +1,8 @@
 //! The file a benchmark writes its rows to, one line at a time, so that an interrupted run can go on.
 //!
-//! In: a path; rows. Out: the rows that were there, and a file that always begins with the head and grows by whole
-//! lines. A last line without its end (the run was killed while writing, the disk was full) is cut off and its
-//! case run again. One process at a time: the file itself is locked.
+//! In: a path; rows. Out: the rows that were there, and a file that always begins with the head and grows by
+//! whole lines. A last line without its end (the run was killed while writing, the disk was full) is cut off
+//! and its case run again. One process at a time: the file itself is locked.
 
 use crate::bench::table::{CSV_HEADER, Row, Table};
 use std::fs::{File, OpenOptions, TryLockError};

@@ -1,9 +1,10 @@
 //! `bench rtde`: what the codec costs, and how the simulator keeps its 500 Hz.
 //!
-//! In: the program to watch (this one), a configuration, an address, seconds, a number of clients. Out: [`Figures`].
-//! The simulator runs as a process of its own; its clients run here, each on a thread. Lateness is recorded inside
-//! the simulator, package by package, from when the frame was due to when the bytes were handed to the system. Beside it
-//! stands the machine's own wake-up jitter: a thread here that only sleeps to the same schedule meanwhile.
+//! In: the program to watch (this one), a configuration, an address, seconds, a number of clients. Out:
+//! [`Figures`]. The simulator runs as a process of its own; its clients run here, each on a thread. Lateness
+//! is recorded inside the simulator, package by package, from when the frame was due to when the bytes were
+//! handed to the system. Beside it stands the machine's own wake-up jitter: a thread here that only sleeps to
+//! the same schedule meanwhile.
 
 use crate::bench::rtde_client::{Client, Seen, bring_up, play, watch};
 use crate::bench::rtde_process::Simulator;
@@ -85,7 +86,8 @@ pub struct Figures {
     pub resident_mb: Option<f64>,
     /// From the start of the process to the first accepted connection, ms.
     pub start_ms: f64,
-    /// Controller cycles from the state a command answers to, to the first state in motion: median and 99th of a hundred.
+    /// Controller cycles from the state a command answers to, to the first state in motion: median and 99th
+    /// of a hundred.
     pub command_to_motion_cycles_p50: u64,
     /// See `command_to_motion_cycles_p50`.
     pub command_to_motion_cycles_p99: u64,

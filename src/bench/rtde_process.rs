@@ -1,7 +1,7 @@
 //! The simulator as a process of its own, watched from outside: start, processor time, memory.
 //!
-//! In: the program and its configuration. Out: a running `celld sim` that ends with the value, and what the system
-//! counts for it (Linux: `/proc`).
+//! In: the program and its configuration. Out: a running `celld sim` that ends with the value, and what the
+//! system counts for it (Linux: `/proc`).
 
 use crate::bench::rtde_client::{PATIENCE, RTDE};
 use std::io::{BufRead, BufReader};

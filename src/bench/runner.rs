@@ -1,7 +1,7 @@
 //! Runs the units of a benchmark on several threads.
 //!
-//! In: units, a way to get a unit's problem, limits. Out: each row as it is ready, to one caller at a time. The
-//! first error ends the whole run; so does `stop`, after which cases in flight leave no row.
+//! In: units, a way to get a unit's problem, limits. Out: each row as it is ready, to one caller at a time.
+//! The first error ends the whole run; so does `stop`, after which cases in flight leave no row.
 
 use crate::bench::cells::Unit;
 use crate::bench::planning::{Limits, run_case};

@@ -1,8 +1,8 @@
 //! The planning benchmark as a table for people.
 //!
-//! In: rows. Out: one line a cell (scenario, density, number of objects, solver, objective): how many were solved,
-//! mean moves and cost, mean cost over mean bound of those that were solved, mean, median and worst time to the
-//! first plan.
+//! In: rows. Out: one line a cell (scenario, density, number of objects, solver, objective): how many were
+//! solved, mean moves and cost, mean cost over mean bound of those that were solved, mean, median and worst
+//! time to the first plan.
 
 use crate::bench::table::Row;
 use crate::report::text::columns;

@@ -1,7 +1,7 @@
 //! Rows of the planning benchmark and their CSV: what runs write, resume from, merge and draw.
 //!
-//! In: rows, or CSV text (one file, or several one after the other: a repeated head is skipped). Out: CSV text, or
-//! rows, or every line that is none, with its number. No field holds a comma, so nothing is quoted.
+//! In: rows, or CSV text (one file, or several one after the other: a repeated head is skipped). Out: CSV
+//! text, or rows, or every line that is none, with its number. No field holds a comma, so nothing is quoted.
 
 use crate::planning::plan::{Objective, Status};
 use crate::planning::solver::SolverKind;

@@ -1,8 +1,8 @@
 //! What `auto` is meant to reach on the public instances, and a table of what was reached.
 //!
-//! In: rows of the planning benchmark. Out: the cells of every target; a line for each target and solver: cases solved,
-//! time to the first plan that 95 of 100 stay below, share of plans at the bound, cost over bound, and whether that is
-//! what was aimed at.
+//! In: rows of the planning benchmark. Out: the cells of every target; a line for each target and solver:
+//! cases solved, time to the first plan that 95 of 100 stay below, share of plans at the bound, cost over
+//! bound, and whether that is what was aimed at.
 
 use crate::bench::cells::Cell;
 use crate::bench::table::{Row, density_word};
@@ -116,7 +116,8 @@ impl Target {
     }
 }
 
-/// Some cells of the targets: scenario, objective, density and number of objects, from the left as far as given.
+/// Some cells of the targets: scenario, objective, density and number of objects, from the left as far as
+/// given.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Selection {
     words: Vec<String>,

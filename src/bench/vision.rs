@@ -1,10 +1,12 @@
-//! The vision benchmark: how often markers are found, how far off they are said to be and really are, how long it takes.
+//! The vision benchmark: how often markers are found, how far off they are said to be and really are, how
+//! long it takes.
 //!
-//! In: how many frames, a seed, detector settings. Out: [`Report`]. Frames are drawn by `render` from `scene`'s tables, five views a table;
-//! detection and `observe` run on them as in the cell. Accuracy is told with the lens's true numbers and with those that
-//! a calibration from board pictures found (`calibrated`); times are those of one frame on a core, beside a plain call
-//! of the C library on the same frame. Beside it stand the figures of drift (`drift`), of what carries no marker (`foreign`)
-//! and of the camera's mount (`hand_eye`).
+//! In: how many frames, a seed, detector settings. Out: [`Report`]. Frames are drawn by `render` from
+//! `scene`'s tables, five views a table; detection and `observe` run on them as in the cell. Accuracy is told
+//! with the lens's true numbers and with those that a calibration from board pictures found (`calibrated`);
+//! times are those of one frame on a core, beside a plain call of the C library on the same frame. Beside it
+//! stand the figures of drift (`drift`), of what carries no marker (`foreign`) and of the camera's mount
+//! (`hand_eye`).
 
 pub mod calibrated;
 pub mod change;
@@ -328,8 +330,9 @@ impl Bench {
         Ok(())
     }
 
-    /// Milliseconds of detection and poses on one core, with two threads, and of the library alone on one core: medians
-    /// over frames of the least time of several, in turns so that a busy machine slows all alike.
+    /// Milliseconds of detection and poses on one core, with two threads, and of the library alone on one
+    /// core: medians over frames of the least time of several, in turns so that a busy machine slows all
+    /// alike.
     fn times(&self) -> Result<[f64; 3], String> {
         let detector = |threads| {
             let settings = DetectSettings { threads, ..self.task.settings };

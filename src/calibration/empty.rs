@@ -1,7 +1,7 @@
 //! The pictures of the empty table that `celld calibrate empty` took, for looks without depth.
 //!
-//! In: the configuration's folder, the calibration. Out: the search for foreign objects knows how the empty table looks from the look
-//! poses; or a sentence that names the file.
+//! In: the configuration's folder, the calibration. Out: the search for foreign objects knows how the empty
+//! table looks from the look poses; or a sentence that names the file.
 
 use crate::cell::event::Arm;
 use crate::config::cell::CellConfig;

@@ -1,8 +1,9 @@
-//! The three calibration files together: read, checked against each other, the configuration and the arm; written.
+//! The three calibration files together: read, checked against each other, the configuration and the arm;
+//! written.
 //!
-//! In: the paths of the configuration. Out: [`CalibrationSet`], or every complaint about all three files at once. A
-//! calibration is only as good as the agreement of camera, hand and table: files of different rounds, of another camera
-//! or arm, or of markers that have been moved since are refused.
+//! In: the paths of the configuration. Out: [`CalibrationSet`], or every complaint about all three files at
+//! once. A calibration is only as good as the agreement of camera, hand and table: files of different rounds,
+//! of another camera or arm, or of markers that have been moved since are refused.
 
 use crate::cell::event::Arm;
 use crate::config::cell::{CalibrationFiles, CameraMount, CellConfig};

@@ -1,6 +1,7 @@
 //! Camera mount and table from a round's samples, started at the configuration's nominal values.
 //!
-//! In: the configuration, the lens, samples of a round with the camera on the flange. Out: the solution with its residuals.
+//! In: the configuration, the lens, samples of a round with the camera on the flange. Out: the solution with
+//! its residuals.
 
 use crate::config::cell::{CameraMount, CellConfig};
 use crate::config::setup::reference_markers;

@@ -1,10 +1,11 @@
 //! Calibration poses within a taught box, proposed instead of taught.
 //!
-//! In: the configuration (nominal mount and table, survey, `calibration_box`), a lens, the arm's kinematics, where it stands. Out: joint poses in
-//! an order in which the arm can go from each to the next without leaving the box, or what keeps the box from being large enough.
-//! Every pose shows four reference markers or more to a camera on the hand, or as many of the board on the hand to one that
-//! stands; the directions of tilt go round, so that the rotations are about many axes. Before they are given out, the
-//! round is played through on paper: what the gate of the real calibration would refuse is refused here, with the same
+//! In: the configuration (nominal mount and table, survey, `calibration_box`), a lens, the arm's kinematics,
+//! where it stands. Out: joint poses in an order in which the arm can go from each to the next without
+//! leaving the box, or what keeps the box from being large enough. Every pose shows four reference markers or
+//! more to a camera on the hand, or as many of the board on the hand to one that stands; the directions of
+//! tilt go round, so that the rotations are about many axes. Before they are given out, the round is played
+//! through on paper: what the gate of the real calibration would refuse is refused here, with the same
 //! sentence.
 
 mod body;
@@ -278,7 +279,8 @@ mod tests {
         UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
     }
 
-    /// The flange stays in the box and the tool over the table: a finer look at the way than the proposal's own.
+    /// The flange stays in the box and the tool over the table: a finer look at the way than the proposal's
+    /// own.
     fn assert_stays_in(config: &CellConfig, model: &ArmModel, start: Option<Joints>, poses: &[Joints]) {
         let room = config.calibration_box.unwrap();
         let mut at = start.unwrap_or(poses[0]);
@@ -312,7 +314,8 @@ mod tests {
         assert_eq!(found.yaml().lines().count(), 16);
     }
 
-    /// The example's cell with a camera 0.75 m over the table, and a board clamped to the flange, its print up.
+    /// The example's cell with a camera 0.75 m over the table, and a board clamped to the flange, its print
+    /// up.
     fn standing(flange_from_board: Option<Isometry3<f64>>) -> CellConfig {
         let mut config = example();
         config.camera = CameraMount::Fixed {

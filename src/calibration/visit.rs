@@ -1,7 +1,7 @@
 //! The pictures of a calibration round as they come.
 //!
-//! In: what the shell shows during a round. Out: the samples in the order of the poses; whoever wants to say something about
-//! each, or to keep it, is called with it.
+//! In: what the shell shows during a round. Out: the samples in the order of the poses; whoever wants to say
+//! something about each, or to keep it, is called with it.
 
 use crate::daemon::shell::{Observer, Scene, Shown};
 use crate::time::Timestamp;

@@ -1,8 +1,9 @@
 //! The result codes: one word for each way in which a job, a job file or an order can end.
 //!
-//! In: a decision of the cell, of the job folders, or of a restart. Out: [`Code`], its word for files and programs, and
-//! where it appears. One enum in place of texts in many files, so that a page, a script and the sweep of faults all
-//! know the same words; `docs/results.md` is written from [`Code::ALL`], and a test holds it to that.
+//! In: a decision of the cell, of the job folders, or of a restart. Out: [`Code`], its word for files and
+//! programs, and where it appears. One enum in place of texts in many files, so that a page, a script and the
+//! sweep of faults all know the same words; `docs/results.md` is written from [`Code::ALL`], and a test holds
+//! it to that.
 
 /// Where a code appears.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,8 +1,9 @@
 //! When a connection to the controller is made, and made anew.
 //!
-//! In: that a connection was made or lost, the time. Out: orders to connect and to close. Reconnecting backs off from
-//! 100 ms to 2 s, because a cell that came back must not wait a minute for its daemon (reference: ecosystem, 0.3); a
-//! request that is not answered within 2 s is given up. Pure, so that a test decides when a link comes back.
+//! In: that a connection was made or lost, the time. Out: orders to connect and to close. Reconnecting backs
+//! off from 100 ms to 2 s, because a cell that came back must not wait a minute for its daemon (reference:
+//! ecosystem, 0.3); a request that is not answered within 2 s is given up. Pure, so that a test decides when
+//! a link comes back.
 
 use crate::cell::device::outbox::earlier;
 use crate::cell::device::robot_types::Link;

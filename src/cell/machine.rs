@@ -1,10 +1,11 @@
 //! The machine: device sessions, supervisor and commit gate behind three calls.
 //!
-//! In: [`Machine::handle`] takes events with the time at which they are handed over. Out: [`Machine::poll`] gives effects
-//! until there are none; [`Machine::next_wake`] says when to hand over [`Event::Time`] at the latest. A shell hands over
-//! everything that has happened, then the time, then carries out the effects. Decisions are made when time is handed
-//! over: a computer that was held up reads its sockets first, and so never calls a device silent whose words it had not
-//! read. No effect has to be taken back: what must be on disk first is waited for as an event.
+//! In: [`Machine::handle`] takes events with the time at which they are handed over. Out: [`Machine::poll`]
+//! gives effects until there are none; [`Machine::next_wake`] says when to hand over [`Event::Time`] at the
+//! latest. A shell hands over everything that has happened, then the time, then carries out the effects.
+//! Decisions are made when time is handed over: a computer that was held up reads its sockets first, and so
+//! never calls a device silent whose words it had not read. No effect has to be taken back: what must be on
+//! disk first is waited for as an event.
 
 use crate::cell::device::gripper::{Gripper, GripperEvent, GripperParameters};
 use crate::cell::device::program::TemplateError;

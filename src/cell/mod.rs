@@ -1,9 +1,10 @@
 //! The whole cell as one pure machine: bytes, answers, orders and time in, effects out.
 //!
-//! `machine`: [`machine::Machine`], the one thing that a shell drives. `event`: what goes in, what comes out. `device`: the
-//! sessions with robot and gripper. `links`: when a connection is made anew. `supervisor`: what the cell does next.
-//! `orders`: what a person may order, and the answer. `planner`: a plan request answered. `code`: the words for how a job ends. No clock, no socket, no
-//! file: the daemon turns effects into tokio calls, and a test plays the other side in its own time.
+//! `machine`: [`machine::Machine`], the one thing that a shell drives. `event`: what goes in, what comes out.
+//! `device`: the sessions with robot and gripper. `links`: when a connection is made anew. `supervisor`: what
+//! the cell does next. `orders`: what a person may order, and the answer. `planner`: a plan request answered.
+//! `code`: the words for how a job ends. No clock, no socket, no file: the daemon turns effects into tokio
+//! calls, and a test plays the other side in its own time.
 
 pub mod code;
 pub mod device;

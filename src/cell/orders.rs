@@ -1,7 +1,7 @@
 //! What an operator may order, and the answer.
 //!
-//! In: a person's order, with the number under which it came. Out: a [`Reply`] that says what the cell decided; the
-//! machine gives it after the decision, never before.
+//! In: a person's order, with the number under which it came. Out: a [`Reply`] that says what the cell
+//! decided; the machine gives it after the decision, never before.
 
 use crate::cell::device::gripper::Channels;
 use serde::{Deserialize, Serialize};

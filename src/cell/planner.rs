@@ -1,7 +1,7 @@
 //! The answer to a plan request: the one way in which the daemon and the closed loop in virtual time plan.
 //!
-//! In: the request, and what ends the search: the caller's clock, its stop flag, or a number of deterministic steps. Out: a
-//! plan that passed the independent checker, or why there is none. Pure.
+//! In: the request, and what ends the search: the caller's clock, its stop flag, or a number of deterministic
+//! steps. Out: a plan that passed the independent checker, or why there is none. Pure.
 
 use crate::cell::supervisor::input::{PlanAnswer, PlanRequest};
 use crate::planning::plan::{Action, Status};

@@ -1,7 +1,8 @@
 //! The cases of the planning benchmark: generated ones, or the public instances.
 //!
-//! In: the arguments that choose cells and cases. Out: ids of a cell's cases, and the problem of a case. A generated
-//! case is made anew from its seed each time: a table of results needs no folder of instances beside it.
+//! In: the arguments that choose cells and cases. Out: ids of a cell's cases, and the problem of a case. A
+//! generated case is made anew from its seed each time: a table of results needs no folder of instances
+//! beside it.
 
 use crate::bench::cells::{Cell, Unit};
 use crate::cli::bench_planning::BenchPlanningArgs;

@@ -1,7 +1,8 @@
 //! `celld bench figures`: the paper's figures from result tables.
 //!
-//! In: CSV files of `celld bench planning`, whole runs or shards. Out: one SVG and one PNG a figure in a folder, their
-//! paths on standard output. Exit code 0, or 2 with what is wrong: an unreadable table, no row for any figure.
+//! In: CSV files of `celld bench planning`, whole runs or shards. Out: one SVG and one PNG a figure in a
+//! folder, their paths on standard output. Exit code 0, or 2 with what is wrong: an unreadable table, no row
+//! for any figure.
 
 use crate::bench::figures::{FIGURES, Spec, figure};
 use crate::bench::table::{Row, Table};

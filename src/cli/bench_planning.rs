@@ -1,9 +1,9 @@
 //! `celld bench planning`: solvers on generated or public instances.
 //!
-//! In: which cells, cases and solvers, limits, threads, the share of this machine, a results file. Out: a table for
-//! people on standard output, or CSV rows with `--format json`; the rows in the results file as they come, where
-//! the same command goes on after an interruption; progress on standard error. Exit code 0 when all cases ran,
-//! 2 for usage and unreadable files, 130 after Ctrl-C.
+//! In: which cells, cases and solvers, limits, threads, the share of this machine, a results file. Out: a
+//! table for people on standard output, or CSV rows with `--format json`; the rows in the results file as
+//! they come, where the same command goes on after an interruption; progress on standard error. Exit code 0
+//! when all cases ran, 2 for usage and unreadable files, 130 after Ctrl-C.
 
 use crate::bench::baseline::{self, Measured};
 use crate::bench::cells::{Cell, Shard, Unit, units};
@@ -41,7 +41,8 @@ pub struct BenchPlanningArgs {
     /// --time-limit if that is less. Generated cases without --data, and then no discs and sticks
     #[arg(long, conflicts_with_all = ["figure", "scenario", "density", "n", "objective"])]
     pub targets: bool,
-    /// Of --targets only these cells: SCENARIO/OBJECTIVE/DENSITY/N, from the left as far as given (rand/pp/0.6, sq/ti)
+    /// Of --targets only these cells: SCENARIO/OBJECTIVE/DENSITY/N, from the left as far as given
+    /// (rand/pp/0.6, sq/ti)
     #[arg(long, value_delimiter = ',', requires = "targets", value_parser = Selection::parse)]
     pub cells: Vec<Selection>,
     /// Families: rand, sq; with --data also disk, stick, or the name of a folder in `hetori/instances`
@@ -56,7 +57,8 @@ pub struct BenchPlanningArgs {
     /// Objectives
     #[arg(long, value_delimiter = ',', default_value = "pp", value_parser = objective_parser())]
     pub objective: Vec<Objective>,
-    /// The rows of this table of the public code's runs instead of cells; the table printed has both side by side
+    /// The rows of this table of the public code's runs instead of cells; the table printed has both side by
+    /// side
     #[arg(long, value_name = "CSV", requires = "data",
           conflicts_with_all = ["figure", "targets", "scenario", "density", "n", "objective", "count", "ids"])]
     pub baseline: Option<PathBuf>,

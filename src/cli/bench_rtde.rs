@@ -1,7 +1,8 @@
 //! `celld bench rtde`: what the RTDE codec costs, and how the simulator keeps its 500 Hz.
 //!
-//! In: seconds, clients, a simulator's configuration and an address of this machine. Out: a table, or one JSON object.
-//! The simulator is this program once more, as a process of its own. Exit code 0, or 1 when something did not work.
+//! In: seconds, clients, a simulator's configuration and an address of this machine. Out: a table, or one
+//! JSON object. The simulator is this program once more, as a process of its own. Exit code 0, or 1 when
+//! something did not work.
 
 use crate::bench::rtde::{Setup, run as measure, table};
 use crate::cli::task::{complain, print};

@@ -1,9 +1,10 @@
-//! `celld bench vision`: how often markers are found, how exact their poses are, how long it takes; how surely a bumped
-//! camera and things without a marker are noticed; how exact the camera's mount comes out of calibration.
+//! `celld bench vision`: how often markers are found, how exact their poses are, how long it takes; how
+//! surely a bumped camera and things without a marker are noticed; how exact the camera's mount comes out of
+//! calibration.
 //!
-//! In: which parts, how many frames, scenes and looks, a seed, detector settings. Out: a table for people, or one JSON object; some of
-//! the frames as pictures with the truth about their corners where that is asked for. Exit code 0, 2 for usage, 130 after
-//! Ctrl-C.
+//! In: which parts, how many frames, scenes and looks, a seed, detector settings. Out: a table for people, or
+//! one JSON object; some of the frames as pictures with the truth about their corners where that is asked
+//! for. Exit code 0, 2 for usage, 130 after Ctrl-C.
 
 mod parts;
 
@@ -35,7 +36,8 @@ pub struct BenchVisionArgs {
     /// Sharpen that picture by so many pixels
     #[arg(long, value_name = "PX", default_value_t = DetectSettings::default().sharpen_px)]
     sharpen: f32,
-    /// Exponent of the curve over the grey levels before squares are searched, 0.25 to 2; below 1 lifts the dark ones
+    /// Exponent of the curve over the grey levels before squares are searched, 0.25 to 2; below 1 lifts the
+    /// dark ones
     #[arg(long, value_name = "G", default_value_t = DetectSettings::default().tone)]
     tone: f32,
     /// Take the library's corners instead of our own fit

@@ -1,9 +1,10 @@
 //! `celld calibrate`: the lens, the camera on the hand or over the table, the table under the robot.
 //!
-//! In: the cell's configuration with its nominal mount, table and calibration poses, and live devices or a recorded round. Out: calibration
-//! files, and the error of every sample on stderr. `camera` measures the lens (its own file), `hand-eye` (and no
-//! word at all) mount and table together, `table` the table alone after it was moved, `touches` records points that the
-//! tool's tip touched, which `table` ties to what the camera sees. Exit codes as everywhere.
+//! In: the cell's configuration with its nominal mount, table and calibration poses, and live devices or a
+//! recorded round. Out: calibration files, and the error of every sample on stderr. `camera` measures the
+//! lens (its own file), `hand-eye` (and no word at all) mount and table together, `table` the table alone
+//! after it was moved, `touches` records points that the tool's tip touched, which `table` ties to what the
+//! camera sees. Exit codes as everywhere.
 
 pub mod camera;
 mod empty;
@@ -62,7 +63,8 @@ enum What {
     /// Where the camera sits (on the flange, or fixed over the table), and the table under the robot
     #[command(after_help = HAND_EYE_HELP)]
     HandEye(HandEyeArgs),
-    /// The table alone, after it was moved: the camera's place is kept; with --touches, tied to what the tool's tip touched
+    /// The table alone, after it was moved: the camera's place is kept; with --touches, tied to what the
+    /// tool's tip touched
     #[command(after_help = TABLE_HELP)]
     Table(RoundArgs),
     /// Pictures of the empty table from the look poses, for cameras without depth to compare with
@@ -253,8 +255,8 @@ struct Taken {
     samples: Vec<Sample>,
 }
 
-/// Moves the arm round: to the taught poses, or to so many proposed ones. Pictures and poses are kept in the folder
-/// `record`. Nothing moves before `ready` has agreed with camera and arm.
+/// Moves the arm round: to the taught poses, or to so many proposed ones. Pictures and poses are kept in the
+/// folder `record`. Nothing moves before `ready` has agreed with camera and arm.
 async fn live(
     config: &CellConfig,
     record: Option<&Path>,
@@ -330,7 +332,8 @@ fn lens_file(path: &Path) -> Result<CameraCalibration, String> {
     lens.map_err(|complaints| complaints.to_string())
 }
 
-/// The lens to work with: the one `celld calibrate camera` measured for this camera at this size, or the camera's own.
+/// The lens to work with: the one `celld calibrate camera` measured for this camera at this size, or the
+/// camera's own.
 fn lens(config: &CellConfig, own: CameraModel) -> Result<CameraCalibration, String> {
     let path = &config.calibration.camera;
     if path.exists() {
@@ -394,8 +397,8 @@ fn recorded(config: &CellConfig, args: &RoundArgs) -> Result<Taken, Fault> {
     Ok(Taken { lens, provenance: round.provenance, samples })
 }
 
-/// A round being kept in a folder. Pictures are written by a thread of their own: the robot must not be left unheard for
-/// as long as a picture takes to pack.
+/// A round being kept in a folder. Pictures are written by a thread of their own: the robot must not be left
+/// unheard for as long as a picture takes to pack.
 struct Recording {
     folder: PathBuf,
     kept: RefCell<Vec<RecordedSample>>,
@@ -406,7 +409,8 @@ struct Recording {
 impl Recording {
     fn new(folder: &Path) -> Result<Recording, String> {
         files::create_folder(folder).map_err(|error| chain(&error))?;
-        // The poses of an earlier round there must not be taken for those of the new pictures, should this one break off.
+        // The poses of an earlier round there must not be taken for those of the new pictures, should this
+        // one break off.
         files::remove(&folder.join(SAMPLES)).map_err(|error| chain(&error))?;
         let (pictures, taken) = channel::<(PathBuf, Image)>();
         let write = move || {

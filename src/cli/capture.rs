@@ -1,8 +1,9 @@
 //! `celld capture`: the table as it is now, as a goal file.
 //!
-//! In: the cell's configuration, the lens, and pictures of the table: files, or one frame of the cell's camera where it stands. Each picture
-//! tells by itself where it was taken, from the reference markers in it, so no robot is asked. Out: a goal file. Exit
-//! codes: 0 every object was seen and written, 1 some were not (with `--partial` the others are written), 2 bad input.
+//! In: the cell's configuration, the lens, and pictures of the table: files, or one frame of the cell's
+//! camera where it stands. Each picture tells by itself where it was taken, from the reference markers in it,
+//! so no robot is asked. Out: a goal file. Exit codes: 0 every object was seen and written, 1 some were not
+//! (with `--partial` the others are written), 2 bad input.
 
 use crate::cli::daemon::open_camera;
 use crate::cli::detect::{read_camera, read_picture};

@@ -1,8 +1,9 @@
-//! `celld check FILE...`: every complaint about configuration, calibration, job, goal, instance and fault files.
+//! `celld check FILE...`: every complaint about configuration, calibration, job, goal, instance and fault
+//! files.
 //!
-//! In: files; their kind is told by their top-level keys; with `--config`, the cell that jobs and goals are for.
-//! Out: one line for each complaint, with file, line and column, on stdout; exit code 2 if there is any. Nothing is
-//! changed and no daemon is needed.
+//! In: files; their kind is told by their top-level keys; with `--config`, the cell that jobs and goals are
+//! for. Out: one line for each complaint, with file, line and column, on stdout; exit code 2 if there is any.
+//! Nothing is changed and no daemon is needed.
 
 use crate::cli::task::outln;
 use crate::config::cell::CellConfig;

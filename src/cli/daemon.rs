@@ -1,7 +1,8 @@
 //! `celld run`: the daemon on real (or simulated) devices, and what `celld calibrate` shares with it.
 //!
-//! In: the cell's configuration and the state folder. Out: work on job files until Ctrl-C or SIGTERM. Bad configuration
-//! or calibration files are exit 2, before any device is touched; a second daemon on one state folder is 1.
+//! In: the cell's configuration and the state folder. Out: work on job files until Ctrl-C or SIGTERM. Bad
+//! configuration or calibration files are exit 2, before any device is touched; a second daemon on one state
+//! folder is 1.
 
 use crate::calibration::empty::compare_with_empty;
 use crate::calibration::files::CalibrationSet;
@@ -84,7 +85,8 @@ fn refuse_recorded_camera(config: &CellConfig) -> Result<(), String> {
     Ok(())
 }
 
-/// Runs a future with Ctrl-C and SIGTERM raising `stop`; an error is one sentence and exit 1, or 130 when it was stopped.
+/// Runs a future with Ctrl-C and SIGTERM raising `stop`; an error is one sentence and exit 1, or 130 when it
+/// was stopped.
 pub(super) fn with_runtime<F>(stop: Arc<AtomicBool>, work: impl FnOnce(Arc<AtomicBool>) -> F) -> u8
 where
     F: Future<Output = Result<(), String>>,

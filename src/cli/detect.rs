@@ -1,8 +1,9 @@
 //! `celld detect IMAGE`: the markers in a picture, as a table or as JSON, and drawn on a copy.
 //!
-//! In: a PNG or JPEG file; optionally the camera's calibration, which adds a size check, and with the markers' size
-//! the distance and tilt of each; or the cell's configuration, which adds the objects on the table, and with a depth picture
-//! what carries no marker. Out: stdout, and the annotated picture. Exit codes: 0 markers found, 1 none found, 2 bad input.
+//! In: a PNG or JPEG file; optionally the camera's calibration, which adds a size check, and with the
+//! markers' size the distance and tilt of each; or the cell's configuration, which adds the objects on the
+//! table, and with a depth picture what carries no marker. Out: stdout, and the annotated picture. Exit
+//! codes: 0 markers found, 1 none found, 2 bad input.
 
 mod table;
 

@@ -1,7 +1,7 @@
 //! `celld generate`: random instances of the paper's scenarios, as files.
 //!
-//! In: scenario, number of objects, density, seed. Out: one YAML file a case in a folder, whose first line says
-//! how it was made; the paths on standard output. Exit code 0, or 2 with what is wrong.
+//! In: scenario, number of objects, density, seed. Out: one YAML file a case in a folder, whose first line
+//! says how it was made; the paths on standard output. Exit code 0, or 2 with what is wrong.
 
 use crate::cli::plan::seconds;
 use crate::cli::task::{complain, outln};
@@ -30,8 +30,8 @@ pub struct GenerateArgs {
     /// Seed of every random choice; case k of a seed is the same whatever the count
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
-    /// Side ratios of rand. paper: longer over shorter, uniform in [1, 3]; public: uniform in [0.33, 1], as the
-    /// published instances were made
+    /// Side ratios of rand. paper: longer over shorter, uniform in [1, 3]; public: uniform in [0.33, 1], as
+    /// the published instances were made
     #[arg(long, default_value = "paper", value_parser = ratios_parser())]
     pub ratios: RatioLaw,
     /// Folder for the files; files of the same name are replaced

@@ -1,7 +1,7 @@
 //! The commands that reach the daemon through the state folder: jobs, arming, recovery, status.
 //!
-//! In: arguments. Out: what came of it on stdout, exit code 0, 1 or 2. `submit`, `jobs` and `status` work with
-//! the daemon off; every other command is refused then, and never stored for a later daemon.
+//! In: arguments. Out: what came of it on stdout, exit code 0, 1 or 2. `submit`, `jobs` and `status` work
+//! with the daemon off; every other command is refused then, and never stored for a later daemon.
 
 use crate::cell::orders::Reply;
 use crate::cli::submit::{SubmitArgs, submit};

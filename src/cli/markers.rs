@@ -1,7 +1,7 @@
 //! `celld markers`: object markers and calibration boards for the printer, as SVG or PDF at true scale.
 //!
-//! In: family, numbers or a grid, size, paper. Out: one PDF, or one SVG a sheet, each with a ruler to check the print by. Exit codes: 0
-//! written, 2 bad input.
+//! In: family, numbers or a grid, size, paper. Out: one PDF, or one SVG a sheet, each with a ruler to check
+//! the print by. Exit codes: 0 written, 2 bad input.
 
 use crate::cli::task::{complain, print};
 use crate::io::files;

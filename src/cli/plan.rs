@@ -1,8 +1,8 @@
 //! `celld plan`: solves an instance and prints, writes and draws the plan.
 //!
-//! In: an instance file, solver, objective, limits. Out: the plan on standard output (text or JSON), files with
-//! `--out` and `--svg`, progress on standard error. Exit code 0 with a plan, 1 without one, 2 for bad input,
-//! 130 after Ctrl-C before there was a plan. The clock is read here and nowhere below.
+//! In: an instance file, solver, objective, limits. Out: the plan on standard output (text or JSON), files
+//! with `--out` and `--svg`, progress on standard error. Exit code 0 with a plan, 1 without one, 2 for bad
+//! input, 130 after Ctrl-C before there was a plan. The clock is read here and nowhere below.
 
 use crate::bench::planning::thread_pool;
 use crate::cli::task::{TaskArgs, complain, print};
@@ -56,8 +56,8 @@ pub struct PlanArgs {
     /// How the plan is found; `--help` says which to take
     #[arg(long, default_value = "auto", long_help = SOLVERS, value_parser = solver_parser())]
     pub solver: SolverKind,
-    /// What is minimised: pp number of moves, ti total impedance, time seconds (here of a nominal arm: 4 s a move and
-    /// its ways at 0.25 m/s; the cell asks its own arm)
+    /// What is minimised: pp number of moves, ti total impedance, time seconds (here of a nominal arm: 4 s a
+    /// move and its ways at 0.25 m/s; the cell asks its own arm)
     #[arg(long, default_value = "pp", value_parser = objective_parser())]
     pub objective: Objective,
     /// Seconds of planning; default 600 for the paper's solvers, 10 for auto
@@ -66,8 +66,8 @@ pub struct PlanArgs {
     /// Deterministic steps of planning; with it the same seed gives the same plan on any machine
     #[arg(long, value_name = "N")]
     pub work: Option<u64>,
-    /// Stop at the first plan, as in the paper. tbm, rbm, etbm and erbm always do; mcts, emcts and auto go on for
-    /// better ones until the time is up or the plan is proved best
+    /// Stop at the first plan, as in the paper. tbm, rbm, etbm and erbm always do; mcts, emcts and auto go on
+    /// for better ones until the time is up or the plan is proved best
     #[arg(long)]
     pub first: bool,
     /// Seed of every random choice
@@ -199,8 +199,8 @@ fn pool(threads: Option<u16>) -> Option<rayon::ThreadPool> {
     thread_pool(threads.unwrap_or_else(|| u16::try_from(cores()).unwrap_or(u16::MAX)))
 }
 
-/// What standard error hears: a line for each better plan of a search that goes on, and, on a terminal, one that stays
-/// and tells the time when a search takes long.
+/// What standard error hears: a line for each better plan of a search that goes on, and, on a terminal, one
+/// that stays and tells the time when a search takes long.
 struct Progress {
     begun: Instant,
     limit: f64,

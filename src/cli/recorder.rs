@@ -1,8 +1,9 @@
 //! The recording of a run: the daemon's events into one MCAP file.
 //!
-//! In: events as they happen. Out: the file, and at the end what went wrong with it, if anything did. A recording that
-//! fails never stops a run, and never silently: the first fault is kept. Pictures are turned into PNG on a thread of
-//! their own, for it takes tens of milliseconds in which the robot would not hear from us.
+//! In: events as they happen. Out: the file, and at the end what went wrong with it, if anything did. A
+//! recording that fails never stops a run, and never silently: the first fault is kept. Pictures are turned
+//! into PNG on a thread of their own, for it takes tens of milliseconds in which the robot would not hear
+//! from us.
 
 use crate::daemon::shell::{Scene, Shown};
 use crate::io::clock::unix_now_s;
@@ -43,7 +44,8 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Creates the file; `pictures`: also what the camera saw. A file that cannot be created is the first fault.
+    /// Creates the file; `pictures`: also what the camera saw. A file that cannot be created is the first
+    /// fault.
     pub fn create(path: &Path, pictures: bool) -> Recorder {
         let (recording, fault) = match Recording::create(path, unix_now_s()) {
             Ok(recording) => (Some(recording), None),

@@ -1,7 +1,7 @@
 //! `celld sim`: simulated UR5e, VGC10 and camera on the controller's own port numbers.
 //!
-//! In: the simulator's configuration. Out: one JSON line on stdout when all servers listen, then nothing until
-//! Ctrl-C. `sim_config` is also what the demo starts its cell from.
+//! In: the simulator's configuration. Out: one JSON line on stdout when all servers listen, then nothing
+//! until Ctrl-C. `sim_config` is also what the demo starts its cell from.
 
 use crate::cli::check_script::check_scripts;
 use crate::cli::task::{complain, print};
@@ -39,7 +39,8 @@ const MARGIN_M: f64 = 0.12;
 /// `celld sim`
 #[derive(Args, Clone, Debug)]
 pub struct SimArgs {
-    /// The simulator's configuration; without it config/sim.yaml, and where there is none, the copy in this program.
+    /// The simulator's configuration; without it config/sim.yaml, and where there is none, the copy in this
+    /// program.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Address to listen at, instead of the configuration's.

@@ -1,8 +1,8 @@
 //! `celld simulate`: whole cells in virtual time, one thread each.
 //!
-//! In: a seed, how many jobs, faults, how the cell sees. Out: what became of the jobs, every breach of a rule, and the one
-//! command that repeats a failure. Exit codes: 0 no rule was broken and every job ended; 1 one was, or one did not; 2 bad
-//! input.
+//! In: a seed, how many jobs, faults, how the cell sees. Out: what became of the jobs, every breach of a
+//! rule, and the one command that repeats a failure. Exit codes: 0 no rule was broken and every job ended; 1
+//! one was, or one did not; 2 bad input.
 
 mod storms;
 
@@ -40,11 +40,12 @@ pub struct SimulateArgs {
     /// Jobs of two to four moves
     #[arg(long, default_value_t = 3)]
     jobs: usize,
-    /// A fault file, as for `celld sim`; or `sweep`: every fault in every phase of a pick-n-place; or `random`: one
-    /// to three faults in every job, each job of the next seed
+    /// A fault file, as for `celld sim`; or `sweep`: every fault in every phase of a pick-n-place; or
+    /// `random`: one to three faults in every job, each job of the next seed
     #[arg(long, value_name = "FILE|sweep|random")]
     faults: Option<PathBuf>,
-    /// Of the sweep: only cases whose number, name or phase contains this; of random faults: only these, by number
+    /// Of the sweep: only cases whose number, name or phase contains this; of random faults: only these, by
+    /// number
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
     /// Of the sweep: write the page of reactions to this file

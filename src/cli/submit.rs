@@ -1,4 +1,5 @@
-//! `celld submit JOB.yaml`: hands a job to the daemon, running or not, and with `--wait` follows it to its end.
+//! `celld submit JOB.yaml`: hands a job to the daemon, running or not, and with `--wait` follows it to its
+//! end.
 //!
 //! In: a job file. Out: the job's id on stdout; the file in `incoming`, written whole and renamed. A goal
 //! file is read here and its poses go into what is handed in, so that it need not be where the daemon looks.

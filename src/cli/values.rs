@@ -1,7 +1,8 @@
-//! Values on the command line that have to be sound before anything starts: numbers in a range, solvers, addresses.
+//! Values on the command line that have to be sound before anything starts: numbers in a range, solvers,
+//! addresses.
 //!
-//! In: the text after an option. Out: the value, or one sentence that says what to give; clap adds the option's name
-//! and ends with exit code 2. The ranges are those of the same keys in the configuration.
+//! In: the text after an option. Out: the value, or one sentence that says what to give; clap adds the
+//! option's name and ends with exit code 2. The ranges are those of the same keys in the configuration.
 
 use crate::jobs::policy::{JobObjective, SOLVER_WORDS, unknown_word};
 use std::net::IpAddr;

@@ -1,8 +1,8 @@
 //! `celld verify`: checks a plan file against its instance, independently of the solver that made it.
 //!
-//! In: an instance and a plan file. Out: whether the plan can be carried out as written, whether what the file
-//! says of itself is true, and which given overlaps were taken as they are. Exit code 0 when all is well,
-//! 1 when a fault was found, 2 for files that cannot be read.
+//! In: an instance and a plan file. Out: whether the plan can be carried out as written, whether what the
+//! file says of itself is true, and which given overlaps were taken as they are. Exit code 0 when all is
+//! well, 1 when a fault was found, 2 for files that cannot be read.
 
 use crate::cli::task::{TaskArgs, complain, print, read_text};
 use crate::planning::check::{self, CheckedPlan, GivenIn};

@@ -1,7 +1,9 @@
-//! What the configuration says about calibration: where the camera sits, the files, the box in which poses are proposed.
+//! What the configuration says about calibration: where the camera sits, the files, the box in which poses
+//! are proposed.
 //!
-//! In: located values and a decoder that collects complaints. Out: [`CameraMount`], [`CalibrationFiles`], [`CalibrationBox`], or `None` with a
-//! complaint kept. Only what the printed board's maker (`celld markers`) decides by itself has a default.
+//! In: located values and a decoder that collects complaints. Out: [`CameraMount`], [`CalibrationFiles`],
+//! [`CalibrationBox`], or `None` with a complaint kept. Only what the printed board's maker (`celld markers`)
+//! decides by itself has a default.
 
 use crate::config::cell::{CalibrationFiles, CameraMount};
 use crate::config::check::Places;
@@ -38,8 +40,8 @@ pub(super) fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
     }
 }
 
-/// The board that the hand carries before a fixed camera. Of the family that the table's markers are of, so that one
-/// detector finds both.
+/// The board that the hand carries before a fixed camera. Of the family that the table's markers are of, so
+/// that one detector finds both.
 pub(super) fn board(decoder: &mut Decoder, at: &At) -> Option<Board> {
     let fields = decoder.map(at, &["columns", "rows", "size", "gap", "first_id"])?;
     let mut count = |key: &str| {
@@ -79,7 +81,8 @@ pub(super) fn check_board(decoder: &mut Decoder, parts: &CellParts, places: &Pla
     board_apart(decoder, board, reference.chain(objects), (places.at(&["camera", "board"]), "camera.board"));
 }
 
-/// Complains at `place` (where it stands, its keys) about a board of whose markers one also lies on the table.
+/// Complains at `place` (where it stands, its keys) about a board of whose markers one also lies on the
+/// table.
 pub(super) fn board_apart(
     decoder: &mut Decoder,
     board: &Board,
@@ -107,7 +110,8 @@ pub(super) fn files(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Cal
     Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table?, empty })
 }
 
-/// `{low: [x, y, z], high: [x, y, z]}` in the base frame (m), or `{corners_deg: [[6 joints], ...]}` as taught.
+/// `{low: [x, y, z], high: [x, y, z]}` in the base frame (m), or `{corners_deg: [[6 joints], ...]}` as
+/// taught.
 pub(super) fn calibration_box(decoder: &mut Decoder, at: &At) -> Option<CalibrationBox> {
     let found = if at.node.get("corners_deg").is_some() {
         let fields = decoder.map(at, &["corners_deg"])?;

@@ -1,8 +1,8 @@
 //! `devices.camera`: which camera, what is asked of it, and when a picture of it is of no use.
 //!
-//! In: the located value and a decoder that collects complaints. Out: [`CameraDevice`] and the limits of a usable picture.
-//! What is measured of a camera, its lens and its place, is in calibration files and not here; size, rate and serial
-//! number are asked for because a calibration holds for them alone.
+//! In: the located value and a decoder that collects complaints. Out: [`CameraDevice`] and the limits of a
+//! usable picture. What is measured of a camera, its lens and its place, is in calibration files and not
+//! here; size, rate and serial number are asked for because a calibration holds for them alone.
 
 use crate::config::fields::{host, optional, path, port, required_number, required_positive};
 use crate::document::decode::{At, Decoder, Fields};

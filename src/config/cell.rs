@@ -74,9 +74,9 @@ pub struct CellConfig {
 }
 
 impl CellConfig {
-    /// Overlap that the goals of a job may have, m: three standard deviations of where the camera finds an object, for
-    /// goals may have been measured. Goals typed by hand that overlap by more are a mistake. It does not grow with
-    /// `tolerances.goal_position_m`, which says how near is near enough.
+    /// Overlap that the goals of a job may have, m: three standard deviations of where the camera finds an
+    /// object, for goals may have been measured. Goals typed by hand that overlap by more are a mistake. It
+    /// does not grow with `tolerances.goal_position_m`, which says how near is near enough.
     pub fn goal_overlap_tolerance_m() -> f64 {
         3.0 * ObserveLimits::default().systematic_xy_m
     }
@@ -202,8 +202,9 @@ pub enum CameraMount {
         base_from_camera: Isometry3<f64>,
         /// What the hand carries before it to calibrate it.
         board: Board,
-        /// The board's frame (lower left corner of its lower left square, x along the lower edge, z out of the print) in the
-        /// flange frame, m, within 2 cm and 10 degrees: for poses to be proposed by. Calibration finds it by itself.
+        /// The board's frame (lower left corner of its lower left square, x along the lower edge, z out of
+        /// the print) in the flange frame, m, within 2 cm and 10 degrees: for poses to be proposed by.
+        /// Calibration finds it by itself.
         flange_from_board: Option<Isometry3<f64>>,
     },
 }

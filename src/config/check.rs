@@ -1,7 +1,8 @@
 //! What no single key can tell: whether the parts of a cell's configuration fit each other.
 //!
-//! In: the parts that could be read, and where the keys stand. Out: complaints in the decoder. Each check takes
-//! the parts it needs and is left out when one of them is missing, so that one wrong key hides no other fault. Pure.
+//! In: the parts that could be read, and where the keys stand. Out: complaints in the decoder. Each check
+//! takes the parts it needs and is left out when one of them is missing, so that one wrong key hides no other
+//! fault. Pure.
 
 use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration::check_board;
@@ -115,8 +116,8 @@ fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     }
 }
 
-/// A camera that stands sees the same table in every look, and the arm in another place: its pictures of the empty table
-/// cannot be told apart by where they were taken from.
+/// A camera that stands sees the same table in every look, and the arm in another place: its pictures of the
+/// empty table cannot be told apart by where they were taken from.
 fn check_empty(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     let stands = matches!(parts.camera, Some(CameraMount::Fixed { .. }));
     let compared = parts.calibration.as_ref().is_some_and(|files| files.empty.is_some());
@@ -136,7 +137,8 @@ fn hosts(devices: &Devices) -> Vec<(&'static str, &str)> {
     hosts
 }
 
-/// True for this machine's own addresses. Names other than `localhost` are not looked up: an answer may change.
+/// True for this machine's own addresses. Names other than `localhost` are not looked up: an answer may
+/// change.
 pub fn is_loopback(host: &str) -> bool {
     host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
@@ -188,8 +190,8 @@ fn check_limits(decoder: &mut Decoder, limits: &MotionLimits, places: &Places) {
     }
 }
 
-/// Complains about reference markers that share a number with each other or with an object. Works on the tree, so
-/// that it finds them in markers and objects that are wrong otherwise.
+/// Complains about reference markers that share a number with each other or with an object. Works on the
+/// tree, so that it finds them in markers and objects that are wrong otherwise.
 pub(super) fn check_reference_markers(decoder: &mut Decoder, places: &Places, objects: &[MarkerUse]) {
     let Some(Value::Sequence(markers)) = places.top.get("reference_markers").map(|node| &node.value) else {
         return;
@@ -270,7 +272,8 @@ fn check_weight(
     }
 }
 
-/// Force of the cups (N) that carrying `mass_kg` safely takes: the larger of what rest and acceleration ask for.
+/// Force of the cups (N) that carrying `mass_kg` safely takes: the larger of what rest and acceleration ask
+/// for.
 pub fn needed_force_n(mass_kg: f64, limits: &MotionLimits) -> f64 {
     let at_rest = FACTOR_AT_REST * mass_kg * GRAVITY;
     at_rest.max(FACTOR_ACCELERATING * mass_kg * (GRAVITY + limits.tool_acceleration))

@@ -1,7 +1,7 @@
 //! Configuration from files: the only place here that opens any.
 //!
-//! In: a path. Out: the checked configuration, or a message for the terminal. Paths inside a file are relative
-//! to its own folder, so that a configuration works from wherever celld is started.
+//! In: a path. Out: the checked configuration, or a message for the terminal. Paths inside a file are
+//! relative to its own folder, so that a configuration works from wherever celld is started.
 
 use crate::config::cell::CellConfig;
 use crate::config::read_cell::read_cell;

@@ -56,8 +56,8 @@ pub const CELL_KEYS: &[&str] = &[
     "foreign",
 ];
 
-/// How far the camera may seem shifted or lifted, and turned, unless the file says otherwise: half of what costs a
-/// millimetre or two at the objects, and several times what calibration and arm leave.
+/// How far the camera may seem shifted or lifted, and turned, unless the file says otherwise: half of what
+/// costs a millimetre or two at the objects, and several times what calibration and arm leave.
 pub const REFERENCE_SHIFT_M: f64 = 1e-3;
 /// See [`REFERENCE_SHIFT_M`].
 pub const REFERENCE_TURN_DEG: f64 = 0.15;

@@ -168,7 +168,8 @@ fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
     Some(ports)
 }
 
-/// An address to listen at. A name is refused: it may stand for several, and the cell's side compares addresses.
+/// An address to listen at. A name is refused: it may stand for several, and the cell's side compares
+/// addresses.
 fn address(decoder: &mut Decoder, at: &At) -> Option<String> {
     let text = decoder.text(at)?;
     if text.parse::<IpAddr>().is_err() {

@@ -1,7 +1,7 @@
 //! The simulator's configuration after all checks: what stands on the table, and how far the truth is off.
 //!
-//! In: nothing; `config::read_sim` builds it from YAML, the demo from an instance. Out: the numbers from which
-//! `celld sim` builds its world. The nominal values are those the cell's own configuration states; the
+//! In: nothing; `config::read_sim` builds it from YAML, the demo from an instance. Out: the numbers from
+//! which `celld sim` builds its world. The nominal values are those the cell's own configuration states; the
 //! `errors` say how far, by seed, the simulated truth deviates from them.
 
 use crate::config::cell::{GripperConfig, ReferenceMarkerConfig};
@@ -68,7 +68,8 @@ pub enum SimMount {
 pub struct SimHandBoard {
     /// What is printed on it.
     pub board: Board,
-    /// The board's frame (lower left corner of the lower left marker, z out of the print) in the flange frame.
+    /// The board's frame (lower left corner of the lower left marker, z out of the print) in the flange
+    /// frame.
     pub flange_from_board: Isometry3<f64>,
 }
 

@@ -1,7 +1,7 @@
 //! The camera that the configuration names, opened and under supervision.
 //!
-//! In: the configuration's devices, the lens where a calibration is to be used. Out: a source that gives usable pictures or
-//! says what is wrong; and what the supervisor is told about that.
+//! In: the configuration's devices, the lens where a calibration is to be used. Out: a source that gives
+//! usable pictures or says what is wrong; and what the supervisor is told about that.
 
 use crate::cell::code::Code;
 use crate::cell::supervisor::input::CameraTrouble;

@@ -1,8 +1,8 @@
-//! The state folder as the daemon keeps it: job files in, results and status out, orders in and answers out, and the
-//! journal in between, which alone is the truth.
+//! The state folder as the daemon keeps it: job files in, results and status out, orders in and answers out,
+//! and the journal in between, which alone is the truth.
 //!
-//! In: a state folder whose lock this process holds, and the configuration. Out: what [`crate::daemon::store`] asks for; what
-//! is committed is on disk when the call returns.
+//! In: a state folder whose lock this process holds, and the configuration. Out: what
+//! [`crate::daemon::store`] asks for; what is committed is on disk when the call returns.
 
 use crate::cell::code::Code;
 use crate::cell::device::gripper::Channels;
@@ -55,8 +55,8 @@ pub struct StateKeeper {
 }
 
 impl StateKeeper {
-    /// Opens journal and folders, and decides about jobs that an earlier daemon left unfinished. `daemon` is a name that
-    /// no other run has.
+    /// Opens journal and folders, and decides about jobs that an earlier daemon left unfinished. `daemon` is
+    /// a name that no other run has.
     ///
     /// # Errors
     /// What cannot be used.
@@ -148,8 +148,8 @@ impl StateKeeper {
         Ok(())
     }
 
-    /// The next job that can be begun. One that names a solver of another build is ended with that reason: nothing else
-    /// is put in its place.
+    /// The next job that can be begun. One that names a solver of another build is ended with that reason:
+    /// nothing else is put in its place.
     fn next_job(&mut self) -> Result<Option<JobOrder>, JournalError> {
         while let Some(job) = self.journal.next_ready(unix_now_s())? {
             self.journal.start(&job.id, unix_now_s())?;

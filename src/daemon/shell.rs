@@ -1,9 +1,11 @@
-//! The daemon's loop: what happens goes into the machine, its effects go to sockets, workers, state folder and people.
+//! The daemon's loop: what happens goes into the machine, its effects go to sockets, workers, state folder
+//! and people.
 //!
-//! In: a [`Machine`], sockets, and as they become known camera and perception, the state folder, an [`Observer`]. Out: effects
-//! carried out; it decides nothing. One turn: wait for the first thing to happen, take in everything that has happened,
-//! hand over the time, carry out what the machine wants. `celld run`, `celld demo` and `celld calibrate` are composed
-//! from the same calls: [`Shell::open`], [`Shell::identify`], [`Shell::commission`], [`Shell::round`], [`Shell::run`].
+//! In: a [`Machine`], sockets, and as they become known camera and perception, the state folder, an
+//! [`Observer`]. Out: effects carried out; it decides nothing. One turn: wait for the first thing to happen,
+//! take in everything that has happened, hand over the time, carry out what the machine wants. `celld run`,
+//! `celld demo` and `celld calibrate` are composed from the same calls: [`Shell::open`], [`Shell::identify`],
+//! [`Shell::commission`], [`Shell::round`], [`Shell::run`].
 
 use crate::cell::device::robot_types::RobotState;
 use crate::cell::event::{Arm, Effect, Event, News};
@@ -225,7 +227,8 @@ impl Shell {
         self.store = Some(Store::open(keeper, orders, self.clock.clone(), self.heard_in.clone()));
     }
 
-    /// Carries out a calibration round. The arm stands still afterwards and the program has ended, whatever happened.
+    /// Carries out a calibration round. The arm stands still afterwards and the program has ended, whatever
+    /// happened.
     ///
     /// # Errors
     /// What kept the robot from coming up or interrupted the round.
@@ -274,8 +277,8 @@ impl Shell {
             }
         };
         self.cancel_plan();
-        // A disk that does not answer must not keep this from ending; what was waited for once is not waited for as long
-        // again.
+        // A disk that does not answer must not keep this from ending; what was waited for once is not waited
+        // for as long again.
         let limit = if ended.is_err() { CLOSE_SILENT_WITHIN } else { CLOSE_WITHIN };
         let Some(store) = self.store.take() else { return ended };
         // Threads that still have something to tell must find the channel open.

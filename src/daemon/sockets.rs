@@ -1,8 +1,8 @@
 //! The sockets: three TCP connections to the controller, one Modbus connection to the gripper.
 //!
-//! In: the machine's connect, close, send and register effects. Out: events. Everything that lies in the sockets is read in one
-//! call, so that nothing of it is missing when time is judged. Writing never waits: what the system does not take is kept,
-//! and a controller that does not read for 2 s is disconnected.
+//! In: the machine's connect, close, send and register effects. Out: events. Everything that lies in the
+//! sockets is read in one call, so that nothing of it is missing when time is judged. Writing never waits:
+//! what the system does not take is kept, and a controller that does not read for 2 s is disconnected.
 
 use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;

@@ -1,7 +1,8 @@
 //! Slow work on threads of its own: frames and markers, planning.
 //!
-//! In: requests with numbers. Out: events with the same numbers, and pictures for whoever shows or records them. Workers run
-//! at a lower priority than the loop that keeps the robot's heartbeat, and planning has a stop flag that the loop raises.
+//! In: requests with numbers. Out: events with the same numbers, and pictures for whoever shows or records
+//! them. Workers run at a lower priority than the loop that keeps the robot's heartbeat, and planning has a
+//! stop flag that the loop raises.
 
 use crate::cell::code::Code;
 use crate::cell::event::Event;
@@ -172,7 +173,8 @@ impl Seeing {
     }
 }
 
-/// Takes `frames` new frames and finds the markers in each; the last one comes with depth if there is a search for it.
+/// Takes `frames` new frames and finds the markers in each; the last one comes with depth if there is a
+/// search for it.
 ///
 /// # Errors
 /// What the camera or the detector says, or that no frame was asked for.
@@ -212,8 +214,8 @@ fn failed(error: &PerceptionError) -> CameraTrouble {
     CameraTrouble { code, message: chain(error), remedy, lasting: true }
 }
 
-/// Keeps the pictures of a doubted look, and none of an earlier one; what cannot be written is logged, for a picture is no
-/// reason to stop.
+/// Keeps the pictures of a doubted look, and none of an earlier one; what cannot be written is logged, for a
+/// picture is no reason to stop.
 fn write_doubts(pictures: Result<Vec<Vec<u8>>, String>, folder: &Path) {
     let path = |number: usize| folder.join(format!("doubt-{number}.png"));
     for number in 1..=SHOTS_MAX {

@@ -1,7 +1,7 @@
 //! An error with its causes as one line of text.
 //!
-//! In: any error. Out: its message and those of its causes, joined by colons, outermost first. Errors here say where
-//! and what, their causes say why; a person who reads only the first would have to guess.
+//! In: any error. Out: its message and those of its causes, joined by colons, outermost first. Errors here
+//! say where and what, their causes say why; a person who reads only the first would have to guess.
 
 use std::error::Error;
 

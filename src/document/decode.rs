@@ -1,7 +1,7 @@
 //! A located tree to typed values, with all complaints collected.
 //!
-//! In: [`Node`]s. Out: `Some(value)`, or `None` and a complaint kept in the [`Decoder`]; the caller goes on with
-//! the next field either way, and asks [`Decoder::finish`] at the end. A [`At`] is a node with its path
+//! In: [`Node`]s. Out: `Some(value)`, or `None` and a complaint kept in the [`Decoder`]; the caller goes on
+//! with the next field either way, and asks [`Decoder::finish`] at the end. A [`At`] is a node with its path
 //! (`objects[2].start`), a [`Fields`] is a map whose keys have been checked.
 
 use std::ops::RangeInclusive;
@@ -291,9 +291,9 @@ impl Decoder {
         Some(numbers)
     }
 
-    /// A pose x, y, theta under `key` (radians) or under `key` with `_deg` at its end (degrees), in m and rad.
-    /// `None` inside when neither is there; both at once are refused. The angle is converted once, so that
-    /// `start_deg: [0, 0, 90]` and its twin in radians agree to the last digit `to_radians` gives.
+    /// A pose x, y, theta under `key` (radians) or under `key` with `_deg` at its end (degrees), in m and
+    /// rad. `None` inside when neither is there; both at once are refused. The angle is converted once, so
+    /// that `start_deg: [0, 0, 90]` and its twin in radians agree to the last digit `to_radians` gives.
     pub fn pose(&mut self, fields: &Fields, key: &str) -> Option<Option<[f64; 3]>> {
         let degrees_key = format!("{key}_deg");
         match (fields.optional(key), fields.optional(&degrees_key)) {

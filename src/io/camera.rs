@@ -1,9 +1,11 @@
-//! Cameras behind one interface: RealSense, UVC, the simulator's address, any snapshot address, folders, videos.
+//! Cameras behind one interface: RealSense, UVC, the simulator's address, any snapshot address, folders,
+//! videos.
 //!
-//! Out: [`Frame`]s with time, sequence number and source, each checked by [`watch`]: a picture that repeats the last one, by
-//! number or by content, is an error and not a picture, because a frozen camera must not look like a table at
-//! rest. [`supervised`] puts a camera that fails back to work, step by step, and names the fault when that does not help.
-//! Calls block, up to the time limit given; the daemon makes them from a worker thread.
+//! Out: [`Frame`]s with time, sequence number and source, each checked by [`watch`]: a picture that repeats
+//! the last one, by number or by content, is an error and not a picture, because a frozen camera must not
+//! look like a table at rest. [`supervised`] puts a camera that fails back to work, step by step, and names
+//! the fault when that does not help. Calls block, up to the time limit given; the daemon makes them from a
+//! worker thread.
 
 pub mod fault;
 pub mod folder;
@@ -62,8 +64,8 @@ pub trait CameraSource: Send {
     /// Anything else; a recording that has ended is `EndOfRecording`.
     fn grab(&mut self) -> Result<Frame, CameraError>;
 
-    /// Whether the next pictures shall carry depth, for a camera that was opened with it: they do unless told otherwise.
-    /// A hint that saves time; others take no notice.
+    /// Whether the next pictures shall carry depth, for a camera that was opened with it: they do unless told
+    /// otherwise. A hint that saves time; others take no notice.
     fn want_depth(&mut self, _wanted: bool) {}
 
     /// The camera's serial number.

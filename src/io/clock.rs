@@ -1,29 +1,29 @@
 //! The one clock of the daemon: monotonic, scaled by a factor when the cell is simulated.
 //!
-//! In: the machine's monotonic clock and a factor, or the [`Pace`] of a simulation in the same process. Out: [`Timestamp`]s
-//! since the clock was made. Every deadline and poll rate is counted on this clock, so none changes its meaning when
-//! the simulation runs faster. A clock that follows a pace stands still while the simulation is held up, so that a busy
-//! computer slows both sides instead of making the robot look silent. The calendar time is read here too, for names and
-//! records only.
+//! In: the machine's monotonic clock and a factor, or the [`Pace`] of a simulation in the same process. Out:
+//! [`Timestamp`]s since the clock was made. Every deadline and poll rate is counted on this clock, so none
+//! changes its meaning when the simulation runs faster. A clock that follows a pace stands still while the
+//! simulation is held up, so that a busy computer slows both sides instead of making the robot look silent.
+//! The calendar time is read here too, for names and records only.
 
 use crate::time::{Duration, Timestamp};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-/// A pace that has not moved for so long (wall time) is no pace any more: the clock goes on by itself, so that every
-/// deadline still comes.
+/// A pace that has not moved for so long (wall time) is no pace any more: the clock goes on by itself, so
+/// that every deadline still comes.
 const PACE_LOST: Duration = Duration::from_secs(2);
 
-/// Simulated time that the simulation may be ahead of whoever follows its clock: five states at 125 Hz, and well
-/// below the age at which a state counts as stale.
+/// Simulated time that the simulation may be ahead of whoever follows its clock: five states at 125 Hz, and
+/// well below the age at which a state counts as stale.
 const LEAD: Duration = Duration::from_millis(40);
 
 /// Stands for "nobody follows".
 const NOBODY: u64 = u64::MAX;
 
-/// How far a simulation has come, written by its frame thread, and how far a daemon in the same process has heard
-/// of it.
+/// How far a simulation has come, written by its frame thread, and how far a daemon in the same process has
+/// heard of it.
 #[derive(Debug)]
 pub struct Pace {
     start: Instant,
@@ -46,7 +46,8 @@ impl Pace {
         }
     }
 
-    /// True while whoever follows has not yet heard of what happened [`LEAD`] ago: the simulation has to wait.
+    /// True while whoever follows has not yet heard of what happened [`LEAD`] ago: the simulation has to
+    /// wait.
     pub fn ahead(&self) -> bool {
         let heard = self.heard_us.load(Ordering::Relaxed);
         heard != NOBODY

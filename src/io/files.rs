@@ -2,7 +2,8 @@
 //!
 //! In: paths and bytes. Out: files written whole or not at all (temporary file, fsync, rename, fsync of the
 //! folder), renames that never overwrite, text of regular files of bounded size, an exclusive lock. A rename
-//! is atomic but not durable until the folder is synced; without the first fsync a crash may leave an empty file.
+//! is atomic but not durable until the folder is synced; without the first fsync a crash may leave an empty
+//! file.
 
 use rustix::fs::{CWD, OFlags, RenameFlags};
 use std::fs::{File, OpenOptions, TryLockError};
@@ -103,7 +104,8 @@ fn identity_of(metadata: &std::fs::Metadata) -> FileIdentity {
     }
 }
 
-/// Text of a regular file with one name and at most `max_bytes`; never follows a link, never blocks on a FIFO.
+/// Text of a regular file with one name and at most `max_bytes`; never follows a link, never blocks on a
+/// FIFO.
 ///
 /// # Errors
 /// [`FileError::Unfit`] for anything that is not such a file, [`FileError::Io`] when the system refuses.
@@ -119,8 +121,8 @@ pub fn read_regular(path: &Path, max_bytes: u64) -> Result<(String, FileIdentity
     Ok((text(path, bounded(path, file, max_bytes)?)?, identity_of(&metadata)))
 }
 
-/// Text of a regular file of at most `max_bytes` that a person named: links are followed, and nothing else than
-/// a plain file at their end is opened (a device or a FIFO has no end, and states a size of 0).
+/// Text of a regular file of at most `max_bytes` that a person named: links are followed, and nothing else
+/// than a plain file at their end is opened (a device or a FIFO has no end, and states a size of 0).
 ///
 /// # Errors
 /// As [`read_regular`].

@@ -1,4 +1,5 @@
-//! The edge: cameras, sockets, files, clocks. The only place that touches the outside, besides `sim` and `daemon`.
+//! The edge: cameras, sockets, files, clocks. The only place that touches the outside, besides `sim` and
+//! `daemon`.
 
 pub mod camera;
 pub mod clock;

@@ -2,8 +2,8 @@
 //!
 //! On Linux `nice` belongs to the thread, so nothing but the caller changes. Going up needs a privilege that
 //! the daemon may not have; without it the threads that do the slow work go down instead, which is enough on
-//! a computer that does nothing else. Real time (the system's first-in first-out class) is for a thread that does
-//! little and is judged by when it does it: the system runs it before anything ordinary.
+//! a computer that does nothing else. Real time (the system's first-in first-out class) is for a thread that
+//! does little and is judged by when it does it: the system runs it before anything ordinary.
 
 use thread_priority::{
     NormalThreadSchedulePolicy, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
@@ -23,8 +23,9 @@ pub fn raise() {
     change(-10);
 }
 
-/// Goes before all ordinary threads, where that is allowed; else as far up as it may. Threads it starts inherit it, and
-/// whoever holds a lock it waits for does not. It has to sleep: nothing ordinary runs on its core before it does.
+/// Goes before all ordinary threads, where that is allowed; else as far up as it may. Threads it starts
+/// inherit it, and whoever holds a lock it waits for does not. It has to sleep: nothing ordinary runs on its
+/// core before it does.
 pub fn real_time() {
     if !schedule(ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo)) {
         tracing::debug!("no real-time scheduling for this thread");

@@ -116,8 +116,9 @@ impl Inbox {
         Ok(Inbox { folder: folder.to_owned(), daemon: daemon.into() })
     }
 
-    /// Takes what is there, in the order of sending. Files that are no command for this daemon are removed. Whatever
-    /// happens to one file, the commands taken before it are returned: an abort must not be lost to a full disk.
+    /// Takes what is there, in the order of sending. Files that are no command for this daemon are removed.
+    /// Whatever happens to one file, the commands taken before it are returned: an abort must not be lost to
+    /// a full disk.
     pub fn take(&mut self) -> Result<Vec<Taken>, FileError> {
         let mut taken = Vec::new();
         for path in list(&self.folder)?.into_iter().filter(|path| is_command(path)).take(MAX_AT_ONCE) {

@@ -102,8 +102,8 @@ fn check_unique(decoder: &mut Decoder, entries: &[GoalEntry]) {
     }
 }
 
-/// Text of the goal file `name` of the goal folder, as the daemon reads it on its control loop: a plain file of
-/// bounded size in the folder or below it. What is wrong otherwise, in words.
+/// Text of the goal file `name` of the goal folder, as the daemon reads it on its control loop: a plain file
+/// of bounded size in the folder or below it. What is wrong otherwise, in words.
 ///
 /// # Errors
 /// Why it cannot be had.

@@ -1,6 +1,7 @@
 //! The small words of a job: approval, objective and solver, with the names that files use.
 //!
-//! In: a word from a job or configuration file. Out: the value, or a complaint that names the words there are. Pure.
+//! In: a word from a job or configuration file. Out: the value, or a complaint that names the words there
+//! are. Pure.
 
 use crate::document::decode::{At, Decoder};
 use serde::{Deserialize, Serialize};

@@ -1,10 +1,10 @@
 //! How long the arm takes for a sequence of pick-n-places, estimated before any path is planned.
 //!
-//! In: the arm, the heights and speeds of a cycle, and poses of objects' footprints before and after, in order. Out: seconds.
-//! Planning by time compares thousands of orders and buffer places, so this is an estimate from a few joint positions:
-//! ways at travel height take what their slowest joint takes, from rest to rest; the tool's yaw is free while nothing
-//! hangs on it and turns with the object while something does; straight parts and the gripper take the same for every
-//! object. Pure.
+//! In: the arm, the heights and speeds of a cycle, and poses of objects' footprints before and after, in
+//! order. Out: seconds. Planning by time compares thousands of orders and buffer places, so this is an
+//! estimate from a few joint positions: ways at travel height take what their slowest joint takes, from rest
+//! to rest; the tool's yaw is free while nothing hangs on it and turns with the object while something does;
+//! straight parts and the gripper take the same for every object. Pure.
 
 use crate::geometry::pose::{Pose2, wrap_angle};
 use crate::motion::path::ArmModel;

@@ -1,7 +1,7 @@
 //! Slow checked moves for calibration: at most 0.1 m/s at the tool, inside the taught box where there is one.
 //!
-//! In: the arm with its nominal table, the box, where the arm is and where it is to go. Out: a checked path, or who would
-//! be outside of what (design, section 7, rule 1, class *calibrate*). Pure.
+//! In: the arm with its nominal table, the box, where the arm is and where it is to go. Out: a checked path,
+//! or who would be outside of what (design, section 7, rule 1, class *calibrate*). Pure.
 
 use crate::motion::kinematics::forward;
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
@@ -70,8 +70,8 @@ pub enum SlowFault {
     },
 }
 
-/// The check that every move of a calibration passes: reach, limits and heights of the arm, and that the flange stays
-/// in the taught box where there is one. `pose` is the number that faults name.
+/// The check that every move of a calibration passes: reach, limits and heights of the arm, and that the
+/// flange stays in the taught box where there is one. `pose` is the number that faults name.
 ///
 /// # Errors
 /// [`SlowFault`].

@@ -1,8 +1,8 @@
 //! The disk under the journal in virtual time: what was acknowledged survives, the rest may or may not.
 //!
-//! In: commits, the time, moods (slow, full, broken, silent), a cut of power or a kill. Out: acknowledgements in the order of the
-//! commits, and after a restart what is on disk. A seeded model of the commit record: real SQLite is in the tests that
-//! kill real processes.
+//! In: commits, the time, moods (slow, full, broken, silent), a cut of power or a kill. Out: acknowledgements
+//! in the order of the commits, and after a restart what is on disk. A seeded model of the commit record:
+//! real SQLite is in the tests that kill real processes.
 
 use crate::cell::supervisor::input::Record;
 use rand::{RngExt, SeedableRng};

@@ -1,8 +1,9 @@
 //! `docs/reactions.md`: what the cell does about each fault, for people and for the sweep.
 //!
-//! In: the [`Outcome`]s of a sweep. Out: the page; and, from the page, what is expected of each case. The page is both the
-//! documentation and the expectation: a change of behaviour is a change of a line of it, to be read before it is
-//! committed. Numbers and objects are left out of sentences, because they are the seed's.
+//! In: the [`Outcome`]s of a sweep. Out: the page; and, from the page, what is expected of each case. The
+//! page is both the documentation and the expectation: a change of behaviour is a change of a line of it, to
+//! be read before it is committed. Numbers and objects are left out of sentences, because they are the
+//! seed's.
 
 use crate::pair::reactions::{KNOWN, ROWS, Row};
 use crate::pair::sweep::{Outcome, Phase};

@@ -1,7 +1,7 @@
 //! What the cell does about each fault: the table behind the sweep and behind `docs/reactions.md`.
 //!
-//! In: nothing. Out: [`ROWS`], numbered as in the reference's fault table, each with the cause, how long it lasts and the
-//! phases in which it can occur. What is expected of each is the page itself (`pair::page`).
+//! In: nothing. Out: [`ROWS`], numbered as in the reference's fault table, each with the cause, how long it
+//! lasts and the phases in which it can occur. What is expected of each is the page itself (`pair::page`).
 
 use crate::cell::device::robot_types::Link;
 use crate::pair::Loss;
@@ -47,8 +47,9 @@ pub struct Row {
     pub ends_work: bool,
 }
 
-/// Rules that the cell is known to break: what arming, stops and bodies become will cure them, and this list has to be
-/// empty then. A breach of any other rule fails the sweep; where these are broken is listed on the page.
+/// Rules that the cell is known to break: what arming, stops and bodies become will cure them, and this list
+/// has to be empty then. A breach of any other rule fails the sweep; where these are broken is listed on the
+/// page.
 pub const KNOWN: &[Rule] = &[Rule::ArmedWithGateClosed, Rule::ArmedThroughLinkLoss];
 
 use Phase::{Approach, Approve, BringUp, Carry, Descend, Grip, Lift, Look, Place, Plan, Release, Retreat};

@@ -1,8 +1,10 @@
-//! The rules that hold at all times (design, section 7), held against the truth of the simulated cell after every frame.
+//! The rules that hold at all times (design, section 7), held against the truth of the simulated cell after
+//! every frame.
 //!
-//! In: what passes between machine and world, the state of both. Out: [`Breach`]es, each with its rule's name. The rules know
-//! nothing of how the machine decides: they look at the arm, the vacuum, the disk, the answers and the sight that a pick
-//! rests on. A rule that the machine's own word could satisfy would prove nothing.
+//! In: what passes between machine and world, the state of both. Out: [`Breach`]es, each with its rule's
+//! name. The rules know nothing of how the machine decides: they look at the arm, the vacuum, the disk, the
+//! answers and the sight that a pick rests on. A rule that the machine's own word could satisfy would prove
+//! nothing.
 
 use crate::cell::device::gripper::ModbusRequest;
 use crate::cell::device::robot_types::Link;

@@ -1,8 +1,10 @@
-//! What a closed loop is set up with: the simulated cell as it is, and the cell as a calibration would have found it.
+//! What a closed loop is set up with: the simulated cell as it is, and the cell as a calibration would have
+//! found it.
 //!
-//! In: the configuration of a simulated cell and of the daemon, a seed. Out: [`Stage`]. The daemon's numbers differ from the
-//! truth by what a calibration round leaves (docs/calibration.md): a tenth of a millimetre and a hundredth of a degree;
-//! the lens is the camera's own word. This is the one place of the loop that reads the truth before the end.
+//! In: the configuration of a simulated cell and of the daemon, a seed. Out: [`Stage`]. The daemon's numbers
+//! differ from the truth by what a calibration round leaves (docs/calibration.md): a tenth of a millimetre
+//! and a hundredth of a degree; the lens is the camera's own word. This is the one place of the loop that
+//! reads the truth before the end.
 
 use crate::cell::machine::MachineParameters;
 use crate::cell::supervisor::model::CellModel;

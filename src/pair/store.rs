@@ -1,7 +1,8 @@
 //! Jobs in the closed loop: what waits, what is active, what has ended, as the journal would know it.
 //!
-//! In: jobs, records that reached the disk, restarts. Out: the next job when one is wanted, reports. After a restart the rules
-//! are the journal's: a job without an open step waits again, one with an open step is interrupted.
+//! In: jobs, records that reached the disk, restarts. Out: the next job when one is wanted, reports. After a
+//! restart the rules are the journal's: a job without an open step waits again, one with an open step is
+//! interrupted.
 
 use crate::cell::code::Code;
 use crate::cell::supervisor::input::Record;

@@ -1,10 +1,11 @@
 //! Every fault of the table in every phase of a pick-n-place in which it can occur.
 //!
-//! In: the rows of [`ROWS`] (numbers as in the reference's fault table) and the phases. Out: for each an [`Outcome`]: how
-//! the job ended, what the operator read, whether the vacuum stayed, whether the cell stayed armed, and whether work went
-//! on afterwards; and every breach of a rule. [`judge`] holds that against the page of reactions. A case runs until the
-//! phase is there, brings the fault about, lets it last, approves what asks for it, then ends the fault, does at the
-//! pendant what a person would do, arms, and hands in another job, which has to end in a named state.
+//! In: the rows of [`ROWS`] (numbers as in the reference's fault table) and the phases. Out: for each an
+//! [`Outcome`]: how the job ended, what the operator read, whether the vacuum stayed, whether the cell stayed
+//! armed, and whether work went on afterwards; and every breach of a rule. [`judge`] holds that against the
+//! page of reactions. A case runs until the phase is there, brings the fault about, lets it last, approves
+//! what asks for it, then ends the fault, does at the pendant what a person would do, arms, and hands in
+//! another job, which has to end in a named state.
 
 use crate::cell::code::Code;
 use crate::cell::event::{Effect, Event};
@@ -246,7 +247,8 @@ pub fn case(
     Ok((outcome, pair))
 }
 
-/// A person arms while the fault lasts: refused where a gate is closed that no person can see past, as the rules check.
+/// A person arms while the fault lasts: refused where a gate is closed that no person can see past, as the
+/// rules check.
 fn arm_meanwhile(pair: &mut Pair, row: &Row) {
     if !matches!(row.cause, Cause::Faults(_)) || row.seconds == 0.0 {
         return;
@@ -347,8 +349,8 @@ fn lose(pair: &mut Pair, loss: Loss) {
     let _ = pair.restart(loss);
 }
 
-/// The fault is over; a person clears what has to be cleared at the pendant, releases what is held, arms, and hands in
-/// another job. Its code.
+/// The fault is over; a person clears what has to be cleared at the pendant, releases what is held, arms, and
+/// hands in another job. Its code.
 pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
     let disk = std::mem::replace(&mut pair.disk().mood, Mood::Fine);
     let clear = Fault::Clear { fault: None };
@@ -391,7 +393,8 @@ fn at_the_pendant(pair: &mut Pair) {
     }
 }
 
-/// What breaks a promise in an outcome whatever the row, and differs from the page where there is one for this seed.
+/// What breaks a promise in an outcome whatever the row, and differs from the page where there is one for
+/// this seed.
 pub fn judge(
     row: &Row,
     phase: Phase,

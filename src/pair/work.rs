@@ -1,7 +1,7 @@
 //! Jobs for the closed loop: two to four moves each, by seed.
 //!
-//! In: where the objects are, the workspace, a seed. Out: a job that brings two or three objects to places that are free once
-//! those objects have left theirs, so that some of them have to wait in a buffer.
+//! In: where the objects are, the workspace, a seed. Out: a job that brings two or three objects to places
+//! that are free once those objects have left theirs, so that some of them have to wait in a buffer.
 
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{ApprovalRule, JobOrder};

@@ -1,7 +1,8 @@
-//! Pictures of a look that could not be trusted: foreign objects outlined, and arrows where the reference markers went.
+//! Pictures of a look that could not be trusted: foreign objects outlined, and arrows where the reference
+//! markers went.
 //!
-//! In: the pictures of a look, its views, what was observed in them, the scene. Out: one picture for each look pose, or none
-//! where the look is fine; the caller keeps them.
+//! In: the pictures of a look, its views, what was observed in them, the scene. Out: one picture for each
+//! look pose, or none where the look is fine; the caller keeps them.
 
 use crate::perception::Scene;
 use crate::vision::annotate::{draw_drift, draw_overlays, foreign_overlays};
@@ -48,7 +49,8 @@ pub fn pictures(
     shots.iter().map(|shot| draw(scene, shot, look_of(shot, views, seen), seen)).collect()
 }
 
-/// What the reference markers said from where this picture was taken; from another side they say something else.
+/// What the reference markers said from where this picture was taken; from another side they say something
+/// else.
 fn look_of<'a>(shot: &Shot, views: &[View], seen: &'a Observation) -> Option<&'a LookShift> {
     let from_here = |look: &&LookShift| {
         views.get(look.view).is_some_and(|view| view.table_from_camera == shot.table_from_camera)
@@ -131,7 +133,8 @@ mod tests {
             time: Timestamp::ZERO,
             heights: None,
         };
-        // What a bump shifts from one side it shifts back from the other: in the mean there is nothing to be seen.
+        // What a bump shifts from one side it shifts back from the other: in the mean there is nothing to be
+        // seen.
         let error = |dx: f64| ReferenceError { id: 500, error_m: [dx, 0.0], error_rad: 0.0, views: 1 };
         let look = |view: usize, dx: f64| LookShift {
             view,

@@ -1,9 +1,10 @@
 //! From frames and arm states to one observation of the table: the one way of seeing that all of celld uses.
 //!
-//! In: pictures (with depth where the camera measures it), where the camera was, the surveyed scene. Out: a [`View`] for each
-//! frame, and of all views of a look one [`Observation`]. The daemon, `celld detect`, `celld capture` and the benchmarks
-//! call these functions, so that what is measured on the bench is what the cell sees. Pure but for OpenCV's and
-//! apriltag's calls below `vision`: no camera is opened here, and no file written.
+//! In: pictures (with depth where the camera measures it), where the camera was, the surveyed scene. Out: a
+//! [`View`] for each frame, and of all views of a look one [`Observation`]. The daemon, `celld detect`,
+//! `celld capture` and the benchmarks call these functions, so that what is measured on the bench is what the
+//! cell sees. Pure but for OpenCV's and apriltag's calls below `vision`: no camera is opened here, and no
+//! file written.
 
 pub mod doubts;
 pub mod place;
@@ -92,8 +93,9 @@ impl Perception {
         Ok(self.detector.detect(&image.gray())?)
     }
 
-    /// One frame of a look pose: markers, and on the last frame what depth or colour say of things without one.
-    /// `earlier` is a view of the same place and the same moment: only its markers are searched for again.
+    /// One frame of a look pose: markers, and on the last frame what depth or colour say of things without
+    /// one. `earlier` is a view of the same place and the same moment: only its markers are searched for
+    /// again.
     ///
     /// # Errors
     /// The detector failed, or depth is not of this lens.

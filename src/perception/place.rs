@@ -1,7 +1,8 @@
 //! Where a picture was taken, by the reference markers in it.
 //!
-//! In: the lens, the surveyed reference markers, the markers of a picture. Out: `table_from_camera`, or what keeps it from being
-//! known. For pictures without an arm: in the running cell the joints say where the camera was.
+//! In: the lens, the surveyed reference markers, the markers of a picture. Out: `table_from_camera`, or what
+//! keeps it from being known. For pictures without an arm: in the running cell the joints say where the
+//! camera was.
 
 use crate::document::chain::chain;
 use crate::vision::camera::CameraModel;

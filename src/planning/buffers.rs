@@ -1,10 +1,11 @@
 //! Lazy buffer allocation: poses for the objects that a primitive plan sends out of the way.
 //!
-//! In: an arrangement to leave, one to reach, a primitive plan between them. Out: a pose for every buffer stay,
-//! or the longest prefix of the plan for which poses were found. Walks the plan step by step; whenever a step
-//! makes poses of objects in buffers impossible, these are chosen anew for their whole stay, as if they had
-//! been put there from the beginning. Source: the paper, section TRLB. Deviation: a sampled pose that also
-//! avoids everything that will still arrive during the stay is preferred, as the plan already tells.
+//! In: an arrangement to leave, one to reach, a primitive plan between them. Out: a pose for every buffer
+//! stay, or the longest prefix of the plan for which poses were found. Walks the plan step by step; whenever
+//! a step makes poses of objects in buffers impossible, these are chosen anew for their whole stay, as if
+//! they had been put there from the beginning. Source: the paper, section TRLB. Deviation: a sampled pose
+//! that also avoids everything that will still arrive during the stay is preferred, as the plan already
+//! tells.
 
 use crate::planning::effort::Effort;
 use crate::planning::primitive::{Step, Target};

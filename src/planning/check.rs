@@ -1,11 +1,12 @@
 //! The independent plan checker: the only way to a plan that a robot may carry out.
 //!
-//! In: a [`Problem`] and actions. Out: a [`CheckedPlan`], or the first [`PlanFault`]. It re-derives who lies where
-//! action by action from the start, and decides contact with `planning::overlap`, which shares no predicate
-//! with the solvers' collision kernel. The rules are those of the design, section 3: no overlap of interiors
-//! beyond 1e-9 m, clearance between objects and to keep-out regions at every new place, nothing over the edge;
-//! pairs that overlap as given are exempt while both are exactly in those poses. The last action of an object
-//! repeats its goal's numbers exactly; members of a group end on the group's goals in any order.
+//! In: a [`Problem`] and actions. Out: a [`CheckedPlan`], or the first [`PlanFault`]. It re-derives who lies
+//! where action by action from the start, and decides contact with `planning::overlap`, which shares no
+//! predicate with the solvers' collision kernel. The rules are those of the design, section 3: no overlap of
+//! interiors beyond 1e-9 m, clearance between objects and to keep-out regions at every new place, nothing
+//! over the edge; pairs that overlap as given are exempt while both are exactly in those poses. The last
+//! action of an object repeats its goal's numbers exactly; members of a group end on the group's goals in any
+//! order.
 
 use std::collections::BTreeSet;
 use std::fmt;

@@ -1,9 +1,9 @@
 //! Clears a place for an object that finds no buffer: whoever stands there makes way first.
 //!
-//! In: an arrangement, the one to reach, the object. Out: moves that end with the object at a place of its own, and
-//! the objects it displaced elsewhere. A primitive plan moves only objects that block a goal; where a large object
-//! finds no room among the others, no order of such moves helps, and TRLB as the paper has it fails. Ours, not the
-//! paper's; `Control::strict_paper` switches it off.
+//! In: an arrangement, the one to reach, the object. Out: moves that end with the object at a place of its
+//! own, and the objects it displaced elsewhere. A primitive plan moves only objects that block a goal; where
+//! a large object finds no room among the others, no order of such moves helps, and TRLB as the paper has it
+//! fails. Ours, not the paper's; `Control::strict_paper` switches it off.
 
 use crate::planning::buffers::Arrangement;
 use crate::planning::effort::Effort;
@@ -18,8 +18,8 @@ const PLACES: usize = 60;
 /// Poses tried for each displaced object.
 const SAMPLES: usize = 40;
 
-/// Moves from `from` that put `object` where the least area stands in its way, now and at the places of `to` that
-/// are still to be filled. None if a displaced object found no room.
+/// Moves from `from` that put `object` where the least area stands in its way, now and at the places of `to`
+/// that are still to be filled. None if a displaced object found no room.
 pub fn clear_a_place(
     scene: &Scene,
     from: &Arrangement,
@@ -86,7 +86,8 @@ impl Detour<'_> {
         best.map(|(_, spot)| spot)
     }
 
-    /// A free place for a displaced object: its final one if that is open, else one that blocks nobody's, else any.
+    /// A free place for a displaced object: its final one if that is open, else one that blocks nobody's,
+    /// else any.
     fn out_of_the_way(
         &self,
         now: &Arrangement,
@@ -130,7 +131,8 @@ mod tests {
     use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
     use rand::SeedableRng;
 
-    /// A square of 0.3 m and four of 0.1 m on a table of 0.7 m x 0.4 m; nothing large is free but by clearing.
+    /// A square of 0.3 m and four of 0.1 m on a table of 0.7 m x 0.4 m; nothing large is free but by
+    /// clearing.
     fn crowded() -> Instance {
         let places =
             [(0.16, 0.2, 0.3), (0.38, 0.1, 0.1), (0.38, 0.3, 0.1), (0.52, 0.2, 0.1), (0.64, 0.34, 0.1)];

@@ -1,8 +1,8 @@
 //! The meter every search runs on: deterministic steps, a limit on them, and the caller's wish to stop.
 //!
 //! In: a work limit and a stop function (the caller's clock, Ctrl-C). Out: whether to go on. A step is one
-//! sampled pose or one node of a graph search. The limit gives the same result on every run; the stop function
-//! is asked once in [`ASK_EVERY`] steps and promises nothing of the kind.
+//! sampled pose or one node of a graph search. The limit gives the same result on every run; the stop
+//! function is asked once in [`ASK_EVERY`] steps and promises nothing of the kind.
 
 /// Steps between two questions to the stop function: a step costs about a microsecond, the question more.
 const ASK_EVERY: u64 = 128;

@@ -1,9 +1,10 @@
 //! The paper's random scenarios, RAND and SQ: objects, a start and a goal arrangement, from a seed.
 //!
-//! In: a [`Recipe`] (scenario, number of objects, density, law of the side ratios), a seed and the number of the
-//! case. Out: an [`Instance`] on a table of 1 m x 1 m whose two arrangements are free of contact for the true
-//! shapes, and how they were found; or an error that names the density. Source: the paper, section Evaluation.
-//! Case k of a seed does not depend on how many cases are asked for, and nothing here reads a clock.
+//! In: a [`Recipe`] (scenario, number of objects, density, law of the side ratios), a seed and the number of
+//! the case. Out: an [`Instance`] on a table of 1 m x 1 m whose two arrangements are free of contact for the
+//! true shapes, and how they were found; or an error that names the density. Source: the paper, section
+//! Evaluation. Case k of a seed does not depend on how many cases are asked for, and nothing here reads a
+//! clock.
 
 mod arrange;
 mod shapes;
@@ -156,8 +157,8 @@ impl Recipe {
 
 /// Makes case number `case` of `seed`.
 ///
-/// Start and goal are drawn independently. Where no arrangement is found the outlines are drawn anew, a bounded
-/// number of times: the paper repeats "the sampling process for a single test case".
+/// Start and goal are drawn independently. Where no arrangement is found the outlines are drawn anew, a
+/// bounded number of times: the paper repeats "the sampling process for a single test case".
 ///
 /// # Errors
 /// A recipe that makes no sense, or a density at which no arrangement was found.
@@ -198,7 +199,8 @@ fn origin(recipe: &Recipe, seed: u64, case: u64, draw: usize, found: (&Arranged,
     )
 }
 
-/// Impedance is area over the smallest area, as in the public instances, so that TI costs compare with theirs.
+/// Impedance is area over the smallest area, as in the public instances, so that TI costs compare with
+/// theirs.
 fn instance(shapes: &[Footprint], start: &Arranged, goal: &Arranged) -> Instance {
     let smallest = shapes.iter().map(Footprint::area).fold(f64::INFINITY, f64::min);
     let object = |(k, shape): (usize, &Footprint)| {

@@ -1,8 +1,8 @@
 //! A set of objects as a fixed bitset: the unit all graph algorithms of `planning` calculate with.
 //!
 //! In and out: object (or vertex) indices below [`ObjectSet::CAPACITY`]. Copied by value: four machine words
-//! are cheaper than an allocation, and the largest public instances have 200 objects. Where speed counts and the
-//! indices are known to be below 64, [`Bits`] of one word do.
+//! are cheaper than an allocation, and the largest public instances have 200 objects. Where speed counts and
+//! the indices are known to be below 64, [`Bits`] of one word do.
 
 use std::ops::{BitAnd, BitOr, Not, Sub};
 

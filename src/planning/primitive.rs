@@ -1,12 +1,13 @@
 //! Primitive plans of minimum running buffer: which object goes home or makes way, in which order.
 //!
 //! In: a dependency graph, an integer buffer weight and a cost for each object, random numbers. Out: steps
-//! "object to goal" and "object to buffer", without poses. Depth-first dynamic programming (DFDP) over the sets
-//! of objects at their goals: the running buffer limit grows until a set of all objects can be reached.
+//! "object to goal" and "object to buffer", without poses. Depth-first dynamic programming (DFDP) over the
+//! sets of objects at their goals: the running buffer limit grows until a set of all objects can be reached.
 //! Source: the paper, sections TRLB and ETRLB. Deviations: an object whose goal is open goes home at once
 //! (never worse for peak or count: it can only leave a buffer); the limit grows to the next value at which
-//! anything changes instead of by one; among plans of that peak fewer (cheaper) buffered objects are preferred
-//! until a fixed number of nodes is spent, unless [`Preference::FirstFound`] asks for the paper's first find.
+//! anything changes instead of by one; among plans of that peak fewer (cheaper) buffered objects are
+//! preferred until a fixed number of nodes is spent, unless [`Preference::FirstFound`] asks for the paper's
+//! first find.
 
 use crate::planning::effort::Effort;
 use crate::planning::graph::DependencyGraph;
@@ -149,7 +150,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Explores everything below `state`; false if nodes or effort ran out first, or nothing better is wanted.
+    /// Explores everything below `state`; false if nodes or effort ran out first, or nothing better is
+    /// wanted.
     fn descend(&mut self, mut state: State, effort: &mut Effort) -> bool {
         let mark = self.path.len();
         self.send_home_what_can_go(&mut state);

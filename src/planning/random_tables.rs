@@ -1,8 +1,8 @@
 //! Small random problems for property tests, and their optimum when objects may also wait beside the table.
 //!
-//! In: random numbers, a number of objects. Out: instances whose start and goal arrangements stand; the least cost
-//! of any plan that may use places outside the table, by exhaustive search. Contact is decided with the plan
-//! checker's polygons, not with the kernel of the code under test. Tests only.
+//! In: random numbers, a number of objects. Out: instances whose start and goal arrangements stand; the least
+//! cost of any plan that may use places outside the table, by exhaustive search. Contact is decided with the
+//! plan checker's polygons, not with the kernel of the code under test. Tests only.
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
@@ -75,8 +75,9 @@ struct Options {
     bodies: Vec<Option<Body>>,
 }
 
-/// Least cost of carrying the start to a goal arrangement, with the problem's clearance, if any number of objects may wait beside the table, and
-/// objects without a goal may end there. `costs`: one move of each object.
+/// Least cost of carrying the start to a goal arrangement, with the problem's clearance, if any number of
+/// objects may wait beside the table, and objects without a goal may end there. `costs`: one move of each
+/// object.
 pub fn optimum_with_outside(problem: &Problem, costs: &[f64]) -> f64 {
     let options: Vec<Options> = (0..problem.objects.len()).map(|i| options(problem, i)).collect();
     let sizes: Vec<usize> = options.iter().map(|o| o.bodies.len()).collect();

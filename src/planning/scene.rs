@@ -1,9 +1,9 @@
 //! The table as the solvers see it: objects placed at poses, and which two of them may stand there at once.
 //!
-//! In: a [`Problem`] and, for every object, the goal it is to take (its own, one of its group's, or a free pose
-//! found for it). Out: [`Spot`]s, shared and never changed, that know whether they are the object's start or
-//! its goal: given arrangements may overlap a little, and only those pairs, in exactly those poses, are exempt.
-//! Pairs are decided by `geometry::collision`; the plan checker decides again by other means.
+//! In: a [`Problem`] and, for every object, the goal it is to take (its own, one of its group's, or a free
+//! pose found for it). Out: [`Spot`]s, shared and never changed, that know whether they are the object's
+//! start or its goal: given arrangements may overlap a little, and only those pairs, in exactly those poses,
+//! are exempt. Pairs are decided by `geometry::collision`; the plan checker decides again by other means.
 
 use crate::geometry::collision::{Placed, inside};
 use crate::geometry::footprint::Footprint;
@@ -127,7 +127,8 @@ impl<'a> Scene<'a> {
         if clearance > 0.0 { a.closer_than(b, clearance) } else { a.collides(b) }
     }
 
-    /// Radius of the largest disc about the origin that the footprint covers, m; 0 if the origin lies outside.
+    /// Radius of the largest disc about the origin that the footprint covers, m; 0 if the origin lies
+    /// outside.
     pub fn core(footprint: &Footprint) -> f64 {
         match footprint {
             Footprint::Disc { radius } => *radius,
@@ -161,7 +162,8 @@ fn between(rng: &mut ChaCha8Rng, low: f64, high: f64) -> Option<f64> {
     (low < high).then(|| rng.random_range(low..high))
 }
 
-/// The discs within the footprints overlap: most pairs that collide are told by that, at a tenth of the price.
+/// The discs within the footprints overlap: most pairs that collide are told by that, at a tenth of the
+/// price.
 fn cores_meet(a: &Spot, b: &Spot) -> bool {
     let reach = a.core + b.core - CORE_MARGIN_M;
     let (dx, dy) = (a.pose.x - b.pose.x, a.pose.y - b.pose.y);

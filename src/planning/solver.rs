@@ -1,8 +1,8 @@
 //! One shape for all solvers: a problem, a control, a seed in; an outcome with its lower bound out.
 //!
-//! In: [`Problem`], the kind of solver, the objective, [`Control`]. Out: [`Outcome`]: optimal, solved, infeasible
-//! with a witness, or no plan found. Every plan has passed the independent checker before anybody sees it.
-//! Deterministic: the same seed and work limit give the same outcome; no clock is read here.
+//! In: [`Problem`], the kind of solver, the objective, [`Control`]. Out: [`Outcome`]: optimal, solved,
+//! infeasible with a witness, or no plan found. Every plan has passed the independent checker before anybody
+//! sees it. Deterministic: the same seed and work limit give the same outcome; no clock is read here.
 
 use crate::planning::bound::room::RoomBound;
 use crate::planning::bound::{self, LowerBound};
@@ -73,14 +73,14 @@ pub struct Control<'a> {
     pub on_bound: &'a (dyn Fn(f64) + Sync),
     /// Stop at the first plan. Those built on TRLB (TBM, RBM, ETBM, ERBM) always do.
     pub first: bool,
-    /// RBM and ERBM take the first primitive plan of minimum peak, however many objects it buffers; TRLB clears no
-    /// places for objects that find none.
+    /// RBM and ERBM take the first primitive plan of minimum peak, however many objects it buffers; TRLB
+    /// clears no places for objects that find none.
     pub strict_paper: bool,
-    /// Where `auto` searches on several threads; the others use the caller's alone. No result depends on it, unless the
-    /// clock ends the search.
+    /// Where `auto` searches on several threads; the others use the caller's alone. No result depends on it,
+    /// unless the clock ends the search.
     pub pool: Option<&'a rayon::ThreadPool>,
-    /// A plan made before, when objects may have lain elsewhere; empty for none. `auto` begins with what is still
-    /// possible of it, in order, and the shortest way from there; the others take no notice.
+    /// A plan made before, when objects may have lain elsewhere; empty for none. `auto` begins with what is
+    /// still possible of it, in order, and the shortest way from there; the others take no notice.
     pub known_plan: &'a [Action],
     /// For the objective `time`: seconds of a plan.
     pub seconds: Option<PlanSeconds<'a>>,
@@ -169,8 +169,8 @@ pub fn lower_bound(scene: &Scene, objective: Objective, least_move_seconds: f64)
     }
 }
 
-/// The bound that can be proved for the objectives that need no caller, with what `auto` proves about room; no longer
-/// than needed to reach `claimed`.
+/// The bound that can be proved for the objectives that need no caller, with what `auto` proves about room;
+/// no longer than needed to reach `claimed`.
 pub fn provable_bound(scene: &Scene, objective: Objective, claimed: f64) -> f64 {
     let simple = lower_bound(scene, objective, 0.0).value;
     if objective == Objective::Time || simple >= claimed {

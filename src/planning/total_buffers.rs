@@ -1,12 +1,14 @@
-//! Primitive plans of least total buffer weight: the cheapest objects make way once, all others go straight home.
+//! Primitive plans of least total buffer weight: the cheapest objects make way once, all others go straight
+//! home.
 //!
 //! In: a dependency graph, a positive weight for each object, random numbers. Out: steps "object to goal" and
-//! "object to buffer", without poses. Component by component the minimum weight feedback vertex set says who goes
-//! through a buffer; without these the graph has no cycle, so the others can follow its topological order.
-//! Source: the paper, sections TRLB (TBM) and ETRLB (ETBM); the paper solves the feedback vertex set by dynamic
-//! or integer programming, this is an exact branch and bound. Deviations: a component that is not solved within
-//! [`NODE_LIMIT`] nodes takes the best set found; the paper leaves open when the objects of the set make way,
-//! here each does as late, and goes home as early, as the order allows, so that few wait at the same time.
+//! "object to buffer", without poses. Component by component the minimum weight feedback vertex set says who
+//! goes through a buffer; without these the graph has no cycle, so the others can follow its topological
+//! order. Source: the paper, sections TRLB (TBM) and ETRLB (ETBM); the paper solves the feedback vertex set
+//! by dynamic or integer programming, this is an exact branch and bound. Deviations: a component that is not
+//! solved within [`NODE_LIMIT`] nodes takes the best set found; the paper leaves open when the objects of the
+//! set make way, here each does as late, and goes home as early, as the order allows, so that few wait at the
+//! same time.
 
 use crate::planning::effort::Effort;
 use crate::planning::feedback;
@@ -204,7 +206,8 @@ mod tests {
 
     #[test]
     fn nobody_makes_way_before_it_has_to() {
-        // Six swaps (even, odd), every even object blocked by the next even one too: one component, six buffers.
+        // Six swaps (even, odd), every even object blocked by the next even one too: one component, six
+        // buffers.
         let graph = DependencyGraph::from_fn(12, |i, j| i ^ 1 == j || (i % 2 == 0 && j == (i + 2) % 12));
         for seed in 0..20 {
             let (mut parked, mut most) = (ObjectSet::EMPTY, 0);

@@ -1,8 +1,8 @@
 //! Estimated seconds of a plan for an arm of which nothing is known but speed and acceleration.
 //!
-//! In: the actions of a plan. Out: seconds: for every pick-n-place a fixed time for the ways down and up and the
-//! gripper, and the ways over the table, loaded and empty, each from rest to rest in a straight line. It serves where
-//! no cell is there to say what its own arm needs; a cell passes a cost function of its own.
+//! In: the actions of a plan. Out: seconds: for every pick-n-place a fixed time for the ways down and up and
+//! the gripper, and the ways over the table, loaded and empty, each from rest to rest in a straight line. It
+//! serves where no cell is there to say what its own arm needs; a cell passes a cost function of its own.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::plan::Action;

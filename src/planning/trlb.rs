@@ -1,9 +1,9 @@
 //! TRLB: primitive plans, lazy buffers, and a search from both ends when a plan cannot be carried out.
 //!
 //! In: a start and a complete goal arrangement, and a way to make primitive plans between two arrangements.
-//! Out: moves from the one to the other. A primitive plan whose buffers cannot be placed leaves a partial plan;
-//! the arrangements these reach grow two trees, rooted at start and goal, until a plan joins them. Moves of the
-//! goal-rooted tree are turned round: a move that is possible one way is possible the other way.
+//! Out: moves from the one to the other. A primitive plan whose buffers cannot be placed leaves a partial
+//! plan; the arrangements these reach grow two trees, rooted at start and goal, until a plan joins them.
+//! Moves of the goal-rooted tree are turned round: a move that is possible one way is possible the other way.
 //! Source: the paper, section TRLB. The first plan ends the search. Deviations: after [`TREE_LIMIT`] nodes
 //! the trees start afresh, so that a long search does not fill the memory; from [`DETOURS_AFTER`] nodes on an
 //! object that finds no buffer has one cleared for it (`detour`), unless `detours` is off.
@@ -88,7 +88,8 @@ impl Trees {
 }
 
 impl Trlb<'_> {
-    /// The first plan from `start` to `goal`; None when the effort is spent or the trees have grown to their limit.
+    /// The first plan from `start` to `goal`; None when the effort is spent or the trees have grown to their
+    /// limit.
     pub fn search(
         &self,
         start: Arrangement,
@@ -215,7 +216,8 @@ fn nearest_node(tree: &[Node], arrangement: &Arrangement) -> usize {
     tree.iter().enumerate().min_by_key(|(_, node)| differing(node)).map_or(0, |(at, _)| at)
 }
 
-/// The plan over `near_node` of the tree `near`, the link, and `far_node` of the other tree, from start to goal.
+/// The plan over `near_node` of the tree `near`, the link, and `far_node` of the other tree, from start to
+/// goal.
 fn join(
     trees: &[Vec<Node>; 2],
     near: usize,

@@ -1,9 +1,9 @@
 //! How hard an object is to put out of the way: the weighting heuristics HeCP and HeTI.
 //!
 //! In: footprints, impedances, the workspace. Out: one positive weight an object. Source: the paper, section
-//! "Weighting Heuristics", Algorithm 1. Deviations: the circumference of a non-convex footprint is that of its
-//! convex hull (for a disc passing by, that is what it collides with); where the average disc does not fit
-//! the workspace the constant denominator, which only scales all weights alike, is left out.
+//! "Weighting Heuristics", Algorithm 1. Deviations: the circumference of a non-convex footprint is that of
+//! its convex hull (for a disc passing by, that is what it collides with); where the average disc does not
+//! fit the workspace the constant denominator, which only scales all weights alike, is left out.
 
 use crate::planning::problem::Problem;
 use std::f64::consts::PI;

@@ -1,8 +1,8 @@
 //! A plan as one picture: the table before, and the table after with every move as a numbered arrow.
 //!
-//! In: the problem and its actions, poses in m in the table frame. Out: the text of a self-contained SVG; x to
-//! the right, y up as on the table. Left: the start arrangement with the objects' names. Right: where every
-//! object ends, where it was (pale), where it waited on the way (dashed), and the order of the moves.
+//! In: the problem and its actions, poses in m in the table frame. Out: the text of a self-contained SVG; x
+//! to the right, y up as on the table. Left: the start arrangement with the objects' names. Right: where
+//! every object ends, where it was (pale), where it waited on the way (dashed), and the order of the moves.
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;

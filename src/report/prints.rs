@@ -1,8 +1,9 @@
 //! Sheets of markers for the printer: SVG and PDF at true scale, with a ruler to check them by.
 //!
-//! In: markers or a board, their size, the paper. Out: [`Sheet`]s, and their text as SVG (one file a sheet) or PDF (one file). Everything
-//! on a sheet is black shapes, thin lines and words, so the PDF is written plainly: no library, no embedded font, the
-//! same bytes every time. Lengths in mm, from the lower left corner of the paper, y up. Pure.
+//! In: markers or a board, their size, the paper. Out: [`Sheet`]s, and their text as SVG (one file a sheet)
+//! or PDF (one file). Everything on a sheet is black shapes, thin lines and words, so the PDF is written
+//! plainly: no library, no embedded font, the same bytes every time. Lengths in mm, from the lower left
+//! corner of the paper, y up. Pure.
 
 use crate::units::mm_from_m;
 use crate::vision::board::Board;
@@ -358,7 +359,8 @@ mod tests {
         // The drawing's units are mm; resvg takes an inch as 96 of them.
         let svg = sheet.svg().replace("mm\"", "\"");
         let mut picture = Image::decode(&raster::png(&svg, SCALE).unwrap()).unwrap().gray();
-        // As a lens does: corners are fitted to blurred edges, and sharper ones are known to a fifth of a pixel only.
+        // As a lens does: corners are fitted to blurred edges, and sharper ones are known to a fifth of a
+        // pixel only.
         let mut light: Vec<f64> = picture.data.iter().copied().map(f64::from).collect();
         testing::blur(&mut light, picture.width as usize, picture.height as usize, 1.0);
         picture.data = light.into_iter().map(|value| value.round() as u8).collect();

@@ -1,9 +1,9 @@
 //! When the camera exposes a frame, and from where: the part of the camera that has nothing to do with HTTP.
 //!
-//! In: the moment at which a picture is asked for, the arm's recent way. Out: the window in which the frame is exposed, when it
-//! reaches the client, and the camera's poses during the exposure. A sensor that runs free exposes at multiples of its
-//! period; a frame that is asked for is the next one that begins, exposed for a while and then transferred. An arm that moves
-//! meanwhile smears the picture. Pure.
+//! In: the moment at which a picture is asked for, the arm's recent way. Out: the window in which the frame
+//! is exposed, when it reaches the client, and the camera's poses during the exposure. A sensor that runs
+//! free exposes at multiples of its period; a frame that is asked for is the next one that begins, exposed
+//! for a while and then transferred. An arm that moves meanwhile smears the picture. Pure.
 
 use crate::sim::render::Renderer;
 use crate::sim::render::depth::DepthImage;
@@ -15,7 +15,8 @@ use crate::sim::world::spec::CameraMount;
 use crate::vision::image::Image;
 use nalgebra::Isometry3;
 
-/// A camera that moves less than this during an exposure is drawn from one place: 0.02 px at half a metre, m and rad.
+/// A camera that moves less than this during an exposure is drawn from one place: 0.02 px at half a metre, m
+/// and rad.
 const STILL: (f64, f64) = (1e-5, 3e-5);
 
 /// Places along the exposure from which a smeared picture is drawn.

@@ -1,11 +1,11 @@
 //! The camera over HTTP: pictures and what the camera says about itself.
 //!
-//! In: `GET /frame.png`, `GET /depth.png` and `GET /intrinsics.json`. Out: a PNG with the headers `X-Sequence` (counts
-//! frames of its kind), `X-Time` (controller seconds at exposure) and `X-Serial`; depth with 16 bits, 0.1 mm a unit and 0
-//! where nothing was found, aligned to the colour picture; the factory intrinsics as JSON. A frame is exposed and transferred in its own time ([`crate::sim::camera`]);
-//! drawing happens afterwards on a blocking thread, without the world, one picture at a time. A camera that is
-//! switched off (a fault) answers 503; other faults of the camera
-//! are asked of the world at every frame.
+//! In: `GET /frame.png`, `GET /depth.png` and `GET /intrinsics.json`. Out: a PNG with the headers
+//! `X-Sequence` (counts frames of its kind), `X-Time` (controller seconds at exposure) and `X-Serial`; depth
+//! with 16 bits, 0.1 mm a unit and 0 where nothing was found, aligned to the colour picture; the factory
+//! intrinsics as JSON. A frame is exposed and transferred in its own time ([`crate::sim::camera`]); drawing
+//! happens afterwards on a blocking thread, without the world, one picture at a time. A camera that is
+//! switched off (a fault) answers 503; other faults of the camera are asked of the world at every frame.
 
 use crate::sim::camera::{CameraSetup, Window};
 use crate::sim::faults::link::{Link, LinkListener};
@@ -34,7 +34,8 @@ struct Camera {
     world: SharedWorld,
     /// Made with the first picture: inverting the lens must not delay the start.
     renderer: OnceLock<Renderer>,
-    /// Frames taken, colour and depth; held while one is drawn, so that several clients do not share out the processor.
+    /// Frames taken, colour and depth; held while one is drawn, so that several clients do not share out the
+    /// processor.
     rolls: [Mutex<Roll>; 2],
 }
 
@@ -278,7 +279,8 @@ mod tests {
         let picture = image::load_from_memory(&body).unwrap();
         assert_eq!(picture.color(), image::ColorType::L16);
         assert_eq!((picture.width(), picture.height()), (64, 36));
-        // The camera sits in the flange and looks along the gripper, away from the table: nothing farther than 0.2 m.
+        // The camera sits in the flange and looks along the gripper, away from the table: nothing farther
+        // than 0.2 m.
         let units = picture.to_luma16().into_raw();
         assert!(units.iter().all(|unit| *unit < 2100) && units.contains(&0), "{:?}", units.iter().max());
         lock(&world).set_camera_faults(CameraFaults { off: true, ..CameraFaults::default() });

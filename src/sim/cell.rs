@@ -4,8 +4,8 @@
 //! In: [`SimConfig`]. Out: [`RunningSim`], which has the addresses, the world for reports and tests, and the
 //! time factor that was reached. A frame is 2 ms of simulated time and is due every 2 ms / factor of wall
 //! time. Frames that come late push the later ones back instead of being made up for in a burst: clients
-//! would see time jump. With a factor above 1 the clients' processes may be the slow ones; then simulated time is
-//! held, within bounds, while a client that writes regularly is late or one that reads is behind.
+//! would see time jump. With a factor above 1 the clients' processes may be the slow ones; then simulated
+//! time is held, within bounds, while a client that writes regularly is late or one that reads is behind.
 
 use crate::io::clock::Pace;
 use crate::io::priority;
@@ -34,7 +34,8 @@ use tokio::task::JoinSet;
 /// Longest that simulated time is held for a client, wall time.
 const LONGEST_HOLD: Duration = Duration::from_millis(250);
 
-/// Longest that simulated time waits for a daemon that follows it, wall time; below `io::clock`'s own patience.
+/// Longest that simulated time waits for a daemon that follows it, wall time; below `io::clock`'s own
+/// patience.
 const LONGEST_WAIT: Duration = Duration::from_millis(1500);
 
 /// How often a held frame looks whether it may go on.
@@ -300,8 +301,8 @@ fn run_frames(
     factor: f64,
     stopped: &watch::Receiver<bool>,
 ) {
-    // Clients measure silence on their own clocks; drawing pictures and planning can wait. Faster than real time this
-    // thread may fill a core, which would then be lost to the clients it is meant for.
+    // Clients measure silence on their own clocks; drawing pictures and planning can wait. Faster than real
+    // time this thread may fill a core, which would then be lost to the clients it is meant for.
     if factor > 1.0 {
         priority::raise()
     } else {
@@ -334,8 +335,8 @@ fn run_frames(
     }
 }
 
-/// Waits for a daemon in the same process that reads this simulation's clock; what it has not heard of must not look
-/// stale to it.
+/// Waits for a daemon in the same process that reads this simulation's clock; what it has not heard of must
+/// not look stale to it.
 fn wait_for_follower(pace: &Pace, held_us: &AtomicU64, stopped: &watch::Receiver<bool>) {
     let start = Instant::now();
     while pace.ahead() {

@@ -1,8 +1,8 @@
 //! What of the real machines is real here, what is modelled and what is absent, as one page for users.
 //!
-//! In: the tables that the simulator itself runs by (built-ins of scripts, RTDE variables), and for the rest rows that
-//! name a test of theirs. Out: Markdown, `docs/simulator-conformance.md`, which a test
-//! compares with this; `celld sim --conformance` prints it. A claim without a test does not stand here.
+//! In: the tables that the simulator itself runs by (built-ins of scripts, RTDE variables), and for the rest
+//! rows that name a test of theirs. Out: Markdown, `docs/simulator-conformance.md`, which a test compares
+//! with this; `celld sim --conformance` prints it. A claim without a test does not stand here.
 
 use crate::sim::controller::builtins::{self, Entry, Grade};
 use crate::sim::controller::outputs;

@@ -1,8 +1,10 @@
 //! The simulator's own control interface: true state and faults, for tests and training.
 //!
-//! In: `GET /world.json`, `GET /timing.json`, `POST /fault` with `{"do": NAME, "args": {...}}`, with a trigger `at`, or a whole `{"faults":
-//! [...]}` as in a fault file. Out: the true state; how late RTDE packages
-//! have left the simulator (us after their frame was due), how many were sent and skipped; `{"ok": true}`, or 400 with `{"error": TEXT}`. Loopback only, and only when asked for: the daemon has no client for it.
+//! In: `GET /world.json`, `GET /timing.json`, `POST /fault` with `{"do": NAME, "args": {...}}`, with a
+//! trigger `at`, or a whole `{"faults": [...]}` as in a fault file. Out: the true state; how late RTDE
+//! packages have left the simulator (us after their frame was due), how many were sent and skipped; `{"ok":
+//! true}`, or 400 with `{"error": TEXT}`. Loopback only, and only when asked for: the daemon has no client
+//! for it.
 
 use crate::sim::faults::desk::FaultDesk;
 use crate::sim::faults::read::read_posted;

@@ -1,10 +1,11 @@
 //! The simulator without sockets: controller, world, gripper and faults, driven by calls.
 //!
 //! In: [`Simulator::advance`] for 2 ms of simulated time, [`Simulator::connect`], [`Simulator::receive`] and
-//! [`Simulator::hang_up`] for what clients do. Out: [`Simulator::transmit`], the bytes for each connection and the
-//! connections that the simulator ends. Nothing here reads a clock, opens a socket or starts a thread: the same calls give the
-//! same bytes. `sim::cell` puts sockets, pace and priorities round the same [`Core`]; what a network does to the bytes on
-//! the way (delays, cut cables) is the caller's business, and [`Simulator::link`] says what the faults want of it.
+//! [`Simulator::hang_up`] for what clients do. Out: [`Simulator::transmit`], the bytes for each connection
+//! and the connections that the simulator ends. Nothing here reads a clock, opens a socket or starts a
+//! thread: the same calls give the same bytes. `sim::cell` puts sockets, pace and priorities round the same
+//! [`Core`]; what a network does to the bytes on the way (delays, cut cables) is the caller's business, and
+//! [`Simulator::link`] says what the faults want of it.
 
 use crate::sim::controller::{Controller, ControllerConfig};
 use crate::sim::faults::desk::FaultDesk;
@@ -23,7 +24,8 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-/// Depth of a contact at which the arm's safety system stops it, m: cups and flange give way by some mm first.
+/// Depth of a contact at which the arm's safety system stops it, m: cups and flange give way by some mm
+/// first.
 const STOP_DEPTH_M: f64 = 0.006;
 
 /// Controller, world and faults, in step.
@@ -38,7 +40,8 @@ pub struct Core {
 }
 
 impl Core {
-    /// The world has its arm from the beginning. `factor`: simulated seconds per second, for delays of real sockets.
+    /// The world has its arm from the beginning. `factor`: simulated seconds per second, for delays of real
+    /// sockets.
     pub fn new(robot: Arc<RobotShared>, world: World, factor: f64) -> Core {
         let world: SharedWorld = Arc::new(Mutex::new(world));
         let desk = Arc::new(FaultDesk::new(robot.clone(), world.clone(), factor));
@@ -54,7 +57,8 @@ impl Core {
         self.desk.frame();
     }
 
-    /// The world follows the arm, which feels what it touches; where it presses too hard, its safety system stops it.
+    /// The world follows the arm, which feels what it touches; where it presses too hard, its safety system
+    /// stops it.
     fn step_world(&self) {
         let (now, base_from_flange, moving) = {
             let controller = self.robot.controller();

@@ -1,9 +1,10 @@
 //! Scripts' sockets on the real network.
 //!
-//! In: orders through [`ScriptSockets`] from the frame thread. Out: TCP connections to the addresses the script
-//! names. Nothing here waits: connecting happens on a thread of its own that ends after [`CONNECT_TIMEOUT`] at
-//! the latest, reading and writing are non-blocking. What a script does not read stays with the operating
-//! system once [`MAX_BUFFER`] bytes are here, so a flood slows its sender down instead of filling memory.
+//! In: orders through [`ScriptSockets`] from the frame thread. Out: TCP connections to the addresses the
+//! script names. Nothing here waits: connecting happens on a thread of its own that ends after
+//! [`CONNECT_TIMEOUT`] at the latest, reading and writing are non-blocking. What a script does not read stays
+//! with the operating system once [`MAX_BUFFER`] bytes are here, so a flood slows its sender down instead of
+//! filling memory.
 
 use crate::io::priority;
 use crate::sim::controller::sockets::{MAX_BUFFER, ScriptSockets, SocketState};
@@ -143,8 +144,8 @@ impl Socket {
     }
 }
 
-/// Connects on a thread; the stream arrives when it stands, and the channel closes when it does not. `None` if
-/// too many are being tried.
+/// Connects on a thread; the stream arrives when it stands, and the channel closes when it does not. `None`
+/// if too many are being tried.
 fn connect(
     host: &str,
     port: u16,

@@ -1,8 +1,9 @@
 //! Whether the things of a file can lie where the file puts them.
 //!
-//! In: what could be read of a table and its objects, and where that stands in the text. Out: a complaint for every
-//! overlap and overhang beyond the tolerance, at the later of the two objects. Parts that could not be read are
-//! absent here and not judged: two objects that are sound do overlap, whatever is wrong with a third. Pure.
+//! In: what could be read of a table and its objects, and where that stands in the text. Out: a complaint for
+//! every overlap and overhang beyond the tolerance, at the later of the two objects. Parts that could not be
+//! read are absent here and not judged: two objects that are sound do overlap, whatever is wrong with a
+//! third. Pure.
 
 use crate::document::Location;
 use crate::document::decode::{At, Decoder};

@@ -33,7 +33,8 @@ const LARGEST_TABLE_M: f64 = 10.0;
 /// What camera and gripper need of an object.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Requirements {
-    /// Pixels per metre on the table at the camera's working distance (focal length in px over distance in m).
+    /// Pixels per metre on the table at the camera's working distance (focal length in px over distance in
+    /// m).
     pub pixels_per_metre: f64,
     /// Fewest pixels along the edge of one marker module.
     pub least_module_px: f64,
@@ -169,8 +170,8 @@ pub fn table_size(instance: &Instance) -> f64 {
     instance.workspace.width.max(instance.workspace.height)
 }
 
-/// The task scaled so that the longer side of its table is `size` m. Heights, masses and markers that the file
-/// states are dropped when the size changes.
+/// The task scaled so that the longer side of its table is `size` m. Heights, masses and markers that the
+/// file states are dropped when the size changes.
 ///
 /// # Errors
 /// A footprint that becomes too small or too large.

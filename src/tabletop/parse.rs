@@ -1,9 +1,9 @@
 //! Instance files: design section 4.1 in YAML or JSON, and the public data told apart by their keys.
 //!
 //! In: text, the name to put into complaints, and a way to look up a named shape (the public data keep
-//! polygons in files of their own; this module opens nothing). Out: an [`Instance`], or all complaints at once,
-//! each with line and column. Besides the fields, the start arrangement is checked (bad input, design 4.2);
-//! a bad goal arrangement is a valid, infeasible task and is checked by whoever must not accept one
+//! polygons in files of their own; this module opens nothing). Out: an [`Instance`], or all complaints at
+//! once, each with line and column. Besides the fields, the start arrangement is checked (bad input, design
+//! 4.2); a bad goal arrangement is a valid, infeasible task and is checked by whoever must not accept one
 //! ([`parse_with_sound_goals`]).
 
 use std::collections::HashMap;
@@ -44,8 +44,8 @@ pub fn parse_instance(text: &str, source: &str, shapes: ShapeLookup) -> Result<I
     read(text, source, shapes, Role::Task)
 }
 
-/// As [`parse_instance`], for tasks whose goals must be possible: goals that overlap each other, a fixed object,
-/// a keep-out region or the table's edge are complaints too.
+/// As [`parse_instance`], for tasks whose goals must be possible: goals that overlap each other, a fixed
+/// object, a keep-out region or the table's edge are complaints too.
 ///
 /// # Errors
 /// Every complaint about it.
@@ -53,9 +53,10 @@ pub fn parse_with_sound_goals(text: &str, source: &str, shapes: ShapeLookup) -> 
     read(text, source, shapes, Role::SoundTask)
 }
 
-/// Two files that make one task: `start` and `goal` arrangements of the public disc and stick data (object k is
-/// the k-th entry of both), or two instance files of ours, where the second one gives goals by name: an object's
-/// `goal`, or its `start` if that is all it has. Both files are judged, whatever is wrong with the other.
+/// Two files that make one task: `start` and `goal` arrangements of the public disc and stick data (object k
+/// is the k-th entry of both), or two instance files of ours, where the second one gives goals by name: an
+/// object's `goal`, or its `start` if that is all it has. Both files are judged, whatever is wrong with the
+/// other.
 ///
 /// # Errors
 /// Every complaint about both.
@@ -248,8 +249,8 @@ pub fn workspace(decoder: &mut Decoder, at: &At) -> Option<Workspace> {
     Some(Workspace { width: width?, height: height? })
 }
 
-/// Complains about every object of a task without a start, and about fixed ones without in any file. Works on the
-/// tree, as [`unique_names_and_markers`].
+/// Complains about every object of a task without a start, and about fixed ones without in any file. Works on
+/// the tree, as [`unique_names_and_markers`].
 fn missing_starts(decoder: &mut Decoder, items: &[At], role: Role) {
     for item in items {
         let given = |key: &str| item.node.get(key).is_some_and(|node| !node.is_null());

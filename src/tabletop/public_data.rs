@@ -1,11 +1,12 @@
 //! Importers for the instances published with the HeTORI and TRLB papers.
 //!
 //! In: a located tree of one of their JSON files. Out: an [`Instance`] on a table of 1 m (their unit is the
-//! millimetre of a 1 m table), with `overlap_tolerance` 0.002 of the width, because their ellipses are inscribed
-//! polygons and their arrangements overlap a little for true ones. Formats: one file per heterogeneous task; one
-//! file per arrangement of discs or sticks, two of which make a task. Object k of a file is named
-//! `<shape>-<k>`. Two of their outlines (the plate and the skillet of YCB1) cross themselves in loops of a few
-//! millimetres; such loops are cut off. Impedance is area over the smallest area, 1 for discs and sticks.
+//! millimetre of a 1 m table), with `overlap_tolerance` 0.002 of the width, because their ellipses are
+//! inscribed polygons and their arrangements overlap a little for true ones. Formats: one file per
+//! heterogeneous task; one file per arrangement of discs or sticks, two of which make a task. Object k of a
+//! file is named `<shape>-<k>`. Two of their outlines (the plate and the skillet of YCB1) cross themselves in
+//! loops of a few millimetres; such loops are cut off. Impedance is area over the smallest area, 1 for discs
+//! and sticks.
 
 use std::collections::HashMap;
 
@@ -70,7 +71,8 @@ pub(crate) fn heterogeneous(decoder: &mut Decoder, node: &Node, shapes: ShapeLoo
     Some(Parts { header: header(workspace), objects, places })
 }
 
-/// What a file says of itself beside its list. One published file (the desk) states 0 objects and means nothing by it.
+/// What a file says of itself beside its list. One published file (the desk) states 0 objects and means
+/// nothing by it.
 fn check_summary(decoder: &mut Decoder, fields: &Fields, listed: Option<usize>) {
     if let Some(at) = fields.optional("Workspace_Density") {
         decoder.number_in(&at, 0.0..=1.0, "of the table");
@@ -166,8 +168,8 @@ fn accepted(decoder: &mut Decoder, at: &At, shape: Result<Footprint, FootprintFa
     }
 }
 
-/// Cuts off the smaller loop wherever an outline crosses itself, and spikes. Gives up (and leaves the complaint to the
-/// polygon's own check) when more than 2 % of the area would go.
+/// Cuts off the smaller loop wherever an outline crosses itself, and spikes. Gives up (and leaves the
+/// complaint to the polygon's own check) when more than 2 % of the area would go.
 fn untangled(points: Vec<Point>) -> Vec<Point> {
     let wanted = signed_area(&points).abs();
     let mut trial = points.clone();

@@ -129,8 +129,8 @@ fn square_room(points: &[Point], p: Point) -> f64 {
     if contains(points, p) { distance } else { -distance }
 }
 
-/// Smallest max(|x|, |y|) from `p` to the segment: the function is convex and piecewise linear along it, so its
-/// minimum is at an end or where x, y, x - y or x + y vanishes.
+/// Smallest max(|x|, |y|) from `p` to the segment: the function is convex and piecewise linear along it, so
+/// its minimum is at an end or where x, y, x - y or x + y vanishes.
 fn max_norm_to_segment(p: Point, a: Point, b: Point) -> f64 {
     let (ax, ay) = (a[0] - p[0], a[1] - p[1]);
     let (ux, uy) = (b[0] - a[0], b[1] - a[1]);
@@ -205,9 +205,9 @@ fn most_room(footprint: &Footprint, room: &dyn Fn(Point) -> f64) -> f64 {
     best
 }
 
-/// The point nearest to `target` (farther by at most [`EXACT_M`]) whose room is not negative. Over a square of
-/// half edge h, `room` changes by at most `slope` h from its centre. Where room is left for a few micrometres only,
-/// it may be missed: looking closer would take ever longer along a strip that just fails.
+/// The point nearest to `target` (farther by at most [`EXACT_M`]) whose room is not negative. Over a square
+/// of half edge h, `room` changes by at most `slope` h from its centre. Where room is left for a few
+/// micrometres only, it may be missed: looking closer would take ever longer along a strip that just fails.
 fn nearest_with_room(
     footprint: &Footprint,
     target: Point,
@@ -329,7 +329,8 @@ mod tests {
     #[test]
     fn a_cup_off_the_axis_is_mirrored_by_the_tool_that_points_down() {
         let cups = [Cup { x: 0.0, y: 0.03, radius: 0.01 }, Cup { x: 0.0, y: 0.0, radius: 0.01 }];
-        // Room for the second cup only at smaller y than the first: the tool's y axis must point to -y, yaw 0.
+        // Room for the second cup only at smaller y than the first: the tool's y axis must point to -y, yaw
+        // 0.
         let area = Polygon::new(&[[-0.012, -0.05], [0.012, -0.05], [0.012, 0.012], [-0.012, 0.012]]).unwrap();
         let grip =
             place_for_cups(&Footprint::rectangle(0.1, 0.1).unwrap(), Some(&area), &cups, 0.001).unwrap();

@@ -388,8 +388,8 @@ fn the_public_data_are_read() {
         eprintln!("{fault}");
     }
     eprintln!("{} of {} heterogeneous files refused", refused.len(), files.len());
-    // As published: three single Tetris pieces lie over the edge, and the starts of all YCB tables of 28 and of 12
-    // objects and of one of 11 overlap by centimetres.
+    // As published: three single Tetris pieces lie over the edge, and the starts of all YCB tables of 28 and
+    // of 12 objects and of one of 11 overlap by centimetres.
     assert_eq!(refused.len(), 20);
     for folder in [folder.join("trlb/disks"), folder.join("trlb/sticks")] {
         let mut files = Vec::new();

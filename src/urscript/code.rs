@@ -69,7 +69,8 @@ pub enum Instruction {
     StoreInto(Variable, Qualifier, Vec<PathStep>),
     /// Pops indices, then a value; pushes the element.
     Index(usize),
-    /// Pops the arguments and then the indices of the path; changes a part of a variable by a method, pushes its result.
+    /// Pops the arguments and then the indices of the path; changes a part of a variable by a method, pushes
+    /// its result.
     Change(Variable, Vec<PathStep>, Arc<str>, usize),
     /// Pops the arguments and then a value; pushes what its method gives.
     Method(Arc<str>, usize),

@@ -1,4 +1,5 @@
-//! Where and why a script is wrong: before it runs ([`CompileError`]) and while it runs ([`RuntimeException`]).
+//! Where and why a script is wrong: before it runs ([`CompileError`]) and while it runs
+//! ([`RuntimeException`]).
 //!
 //! In: positions from the lexer. Out: values whose text is what the controller reports on the primary
 //! interface. Lines and columns count from 1 within the text that was sent, as clients expect that print a

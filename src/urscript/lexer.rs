@@ -3,8 +3,8 @@
 //! In: text. Out: tokens, the last of which is [`Token::EndOfText`]. Newlines and indentation are white
 //! space: real uploads break lines inside statements and put several statements on one line, so nothing
 //! after this step may depend on lines but error messages (and the one rule for `return`, see the parser).
-//! Lines that begin with `$` are labels of the program tree, which PolyScope writes into the scripts it saves.
-//! Strings know no escapes, as in the classic language; they end on the line they start on.
+//! Lines that begin with `$` are labels of the program tree, which PolyScope writes into the scripts it
+//! saves. Strings know no escapes, as in the classic language; they end on the line they start on.
 
 use crate::urscript::fault::{CompileError, Position};
 use std::iter::Peekable;

@@ -242,8 +242,9 @@ pub fn part<'a>(target: &'a mut Value, path: &[Step]) -> Result<&'a mut Value, S
     Ok(here)
 }
 
-/// Gives a variable that has a value a new one. A list keeps its capacity, which the new elements must fit into; a
-/// struct of members of one type becomes a list where one of that type was (script manual, 4.1.1 and 4.2).
+/// Gives a variable that has a value a new one. A list keeps its capacity, which the new elements must fit
+/// into; a struct of members of one type becomes a list where one of that type was (script manual, 4.1.1 and
+/// 4.2).
 ///
 /// # Errors
 /// When a list is longer than the capacity of the one it replaces, or a struct is no list.
@@ -271,7 +272,8 @@ pub fn assign(target: &mut Value, value: Value) -> Result<(), String> {
         let length = new.len();
         return Err(format!("a list of {length} elements does not fit into one of capacity {capacity}"));
     }
-    // Elements are only copied where the two differ: a list of the same capacity is shared until one is changed.
+    // Elements are only copied where the two differ: a list of the same capacity is shared until one is
+    // changed.
     if new.capacity() != capacity {
         Arc::make_mut(&mut new).set_capacity(capacity);
     }

@@ -6,10 +6,11 @@
 //! started; a thread that becomes ready in a frame (joined, handed the critical section, just started) still
 //! runs in it. A slice longer than [`SLICE`] instructions is an endless loop and an exception, as the
 //! controller aborts a program that does not let time pass.
-//! The critical section is a lock that is handed on in the order of asking, with sleeping allowed inside. While
-//! its holder waits in a built-in (a motion, a socket) or joins a thread the section is lent to who asks for it:
-//! deployed scripts run whole trajectories within it and still read their orders, a cancellation among them, in
-//! another one, and wait within it for the end of a thread that has one more round in it to go.
+//! The critical section is a lock that is handed on in the order of asking, with sleeping allowed inside.
+//! While its holder waits in a built-in (a motion, a socket) or joins a thread the section is lent to who
+//! asks for it: deployed scripts run whole trajectories within it and still read their orders, a cancellation
+//! among them, in another one, and wait within it for the end of a thread that has one more round in it to
+//! go.
 
 use crate::urscript::code::Code;
 use crate::urscript::fault::{Position, RuntimeException};

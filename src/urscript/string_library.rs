@@ -52,7 +52,8 @@ fn shown(values: &[&Value]) -> Result<String, String> {
     Ok(text.0)
 }
 
-/// A value as its method `to_string` writes it: cut short, with dots before its closing bracket, when it is too long.
+/// A value as its method `to_string` writes it: cut short, with dots before its closing bracket, when it is
+/// too long.
 pub fn cut_short(value: &Value) -> String {
     let mut text = Bounded::default();
     if write!(text, "{value}").is_err() {
@@ -110,7 +111,8 @@ fn find(call: &Call<'_>) -> Result<Value, String> {
     Ok(Value::Int(before.chars().count() as i32))
 }
 
-/// A whole number, hexadecimal too, stays one; anything else is a float, infinities and "NAN" by name among them.
+/// A whole number, hexadecimal too, stays one; anything else is a float, infinities and "NAN" by name among
+/// them.
 fn number(call: &Call<'_>) -> Result<Value, String> {
     let text = call.required(0)?.string()?;
     let refused = || format!("\"{text}\" is not a number, or out of range");

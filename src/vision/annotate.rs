@@ -1,8 +1,10 @@
-//! A picture for people: detections with their ids, object outlines with their axes, drawn over what the camera saw.
+//! A picture for people: detections with their ids, object outlines with their axes, drawn over what the
+//! camera saw.
 //!
-//! In: an [`Image`], detections in pixels, [`Overlay`]s in the table frame with the camera's pose. Out: a new [`Image`]. Points on the table go
-//! through the lens like everything else, so that an outline that does not cover its object shows a wrong
-//! calibration at once. Pure; a small line and letter rasteriser of its own (`raster`).
+//! In: an [`Image`], detections in pixels, [`Overlay`]s in the table frame with the camera's pose. Out: a new
+//! [`Image`]. Points on the table go through the lens like everything else, so that an outline that does not
+//! cover its object shows a wrong calibration at once. Pure; a small line and letter rasteriser of its own
+//! (`raster`).
 
 pub mod raster;
 
@@ -63,8 +65,9 @@ pub fn foreign_overlays(objects: &[ForeignObject]) -> Vec<Overlay> {
 /// How many times as long as it is a drift's arrow is drawn: a millimetre is hardly a pixel.
 const ARROW_SCALE: f64 = 20.0;
 
-/// Draws at each reference marker an arrow from where it was surveyed towards where it seems to have gone as seen from this
-/// picture's place, twenty times as long as that, red beyond `limit_m`; and in words how far the camera seems to be off there.
+/// Draws at each reference marker an arrow from where it was surveyed towards where it seems to have gone as
+/// seen from this picture's place, twenty times as long as that, red beyond `limit_m`; and in words how far
+/// the camera seems to be off there.
 ///
 /// # Errors
 /// What OpenCV reports.

@@ -1,8 +1,8 @@
 //! Calibration boards: a grid of markers on one flat sheet.
 //!
-//! In: family, how many markers, their size and distance. Out: where each marker and each of its corners lies on the board, m. The board
-//! frame has its origin in the lower left corner of the lower left marker, x right, y up, z out of the print; numbers
-//! run from there to the right, then up. Pure data.
+//! In: family, how many markers, their size and distance. Out: where each marker and each of its corners lies
+//! on the board, m. The board frame has its origin in the lower left corner of the lower left marker, x
+//! right, y up, z out of the print; numbers run from there to the right, then up. Pure data.
 
 use crate::vision::detect::{Detection, Family};
 use crate::vision::marker;
@@ -57,8 +57,8 @@ impl Board {
         Some(marker::corners_m(self.size_m).map(|[dx, dy]| [x + dx, y + dy]))
     }
 
-    /// The board's corners among detections: where they are on the board (m) and in the picture (pixels). A marker
-    /// that is seen twice is left out: one of the two is something else.
+    /// The board's corners among detections: where they are on the board (m) and in the picture (pixels). A
+    /// marker that is seen twice is left out: one of the two is something else.
     pub fn seen(&self, detections: &[Detection]) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
         let (mut on_board, mut in_picture) = (Vec::new(), Vec::new());
         for detection in detections {

@@ -1,11 +1,13 @@
 //! Where the camera sits on the flange and the table under the robot, from pictures of the reference markers.
 //!
-//! In: [`Sample`]s (arm pose and detections), the surveyed reference markers, the lens, a rough guess. Out: [`HandEye`] with its errors in
-//! pixels and metres, or the sentence that says what is missing. Both transforms are solved together (robot-world and
-//! hand-eye): a closed form or the guess starts, Levenberg-Marquardt on pixel errors with a robust loss
-//! finishes. Poses that leave a direction unseen are refused instead of answered with a number. Pure.
+//! In: [`Sample`]s (arm pose and detections), the surveyed reference markers, the lens, a rough guess. Out:
+//! [`HandEye`] with its errors in pixels and metres, or the sentence that says what is missing. Both
+//! transforms are solved together (robot-world and hand-eye): a closed form or the guess starts,
+//! Levenberg-Marquardt on pixel errors with a robust loss finishes. Poses that leave a direction unseen are
+//! refused instead of answered with a number. Pure.
 //!
-//! Honest errors: `held_out_*` predicts samples that were not used, `halves_*` compares two independent halves.
+//! Honest errors: `held_out_*` predicts samples that were not used, `halves_*` compares two independent
+//! halves.
 
 pub mod fixed;
 pub mod lens;
@@ -57,7 +59,8 @@ pub struct HandEyeSettings {
     pub folds: usize,
     /// The camera's place on the flange is known (it is the start's), only the table is looked for.
     pub keep_mount: bool,
-    /// The camera stands and the hand carries what it looks at: changes the words of a refusal, not the mathematics.
+    /// The camera stands and the hand carries what it looks at: changes the words of a refusal, not the
+    /// mathematics.
     pub target_on_hand: bool,
 }
 
@@ -95,8 +98,8 @@ pub struct SampleResidual {
 
 /// Standard deviations of a transform, root mean square over all three directions together.
 ///
-/// The larger of two answers: what corner noise alone explains, and the jackknife over the folds, which also sees
-/// errors that all corners of a sample share (the arm's).
+/// The larger of two answers: what corner noise alone explains, and the jackknife over the folds, which also
+/// sees errors that all corners of a sample share (the arm's).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TransformStd {
     /// Of the translation, m.

@@ -1,9 +1,10 @@
 //! Calibration files: what was measured, how well, with which devices, when.
 //!
-//! In: YAML (or JSON) text. Out: checked values, or every complaint with line and column; and the text of a new file. Told by their
-//! top-level key: `camera` (the lens), `hand_eye` (where the camera sits), `table` (table under the robot). Lengths in
-//! m, angles in rad, rotations as unit quaternions [x, y, z, w]. Nothing measured has a default, and a rotation
-//! that is none, or a camera half a metre off the flange, is refused. Pure: files are opened by the caller.
+//! In: YAML (or JSON) text. Out: checked values, or every complaint with line and column; and the text of a
+//! new file. Told by their top-level key: `camera` (the lens), `hand_eye` (where the camera sits), `table`
+//! (table under the robot). Lengths in m, angles in rad, rotations as unit quaternions [x, y, z, w]. Nothing
+//! measured has a default, and a rotation that is none, or a camera half a metre off the flange, is refused.
+//! Pure: files are opened by the caller.
 
 pub mod camera;
 pub mod hand_eye;
@@ -65,8 +66,9 @@ fn short_text(fields: &Fields, key: &str, decoder: &mut Decoder) -> Option<Strin
     None
 }
 
-/// How large an error may be, and its unit. A calibration that is worse is of no use to a cell that places within a
-/// millimetre or two, and a file that says so was not meant to be worked with: it is refused where it is read.
+/// How large an error may be, and its unit. A calibration that is worse is of no use to a cell that places
+/// within a millimetre or two, and a file that says so was not meant to be worked with: it is refused where
+/// it is read.
 #[derive(Clone, Copy, Debug)]
 struct Most(f64, &'static str);
 

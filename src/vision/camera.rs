@@ -1,9 +1,10 @@
 //! The lens as numbers: focal lengths, principal point, distortion, and the picture size they hold for.
 //!
-//! In: values from the camera's factory or from a calibration. Out: a checked [`CameraModel`]. Pure data; projecting and
-//! undistorting with it is `cv`'s job. Pixel (0, 0) is the centre of the first pixel; the camera frame is
-//! optical (x right, y down, z forward). Distortion is Brown-Conrady as OpenCV orders it: k1, k2, p1, p2, k3. Factories
-//! write it in other forms too; [`FactoryLens::model`] brings those into this one, or refuses.
+//! In: values from the camera's factory or from a calibration. Out: a checked [`CameraModel`]. Pure data;
+//! projecting and undistorting with it is `cv`'s job. Pixel (0, 0) is the centre of the first pixel; the
+//! camera frame is optical (x right, y down, z forward). Distortion is Brown-Conrady as OpenCV orders it: k1,
+//! k2, p1, p2, k3. Factories write it in other forms too; [`FactoryLens::model`] brings those into this one,
+//! or refuses.
 
 use nalgebra::{Matrix3, SMatrix, SVector};
 use serde::{Deserialize, Serialize};
@@ -85,7 +86,8 @@ pub enum CameraModelError {
     },
 }
 
-/// Worst difference that bringing a factory's distortion into our form may make, pixels: half of what corners are found to.
+/// Worst difference that bringing a factory's distortion into our form may make, pixels: half of what corners
+/// are found to.
 const FACTORY_MISS_PX: f64 = 0.05;
 
 /// How a factory writes down a lens.
@@ -106,9 +108,9 @@ pub enum FactoryDistortion {
     None,
     /// As ours.
     BrownConrady,
-    /// As ours, but for the tangential part, which is that of the point that was moved radially already. The SDK of the
-    /// RealSense cameras projects with this for the models that it calls modified and, despite the name, inverse
-    /// Brown-Conrady (D405, D415, D455): the coefficients distort, they do not undistort.
+    /// As ours, but for the tangential part, which is that of the point that was moved radially already. The
+    /// SDK of the RealSense cameras projects with this for the models that it calls modified and, despite the
+    /// name, inverse Brown-Conrady (D405, D415, D455): the coefficients distort, they do not undistort.
     TangentialAfterRadial,
     /// A fisheye lens.
     Fisheye,
@@ -118,8 +120,8 @@ impl FactoryLens {
     /// The lens in our form, checked.
     ///
     /// # Errors
-    /// `Distortion` where the nearest Brown-Conrady lens differs by more than 0.05 pixels anywhere in the picture, and those of
-    /// [`CameraModel::check`].
+    /// `Distortion` where the nearest Brown-Conrady lens differs by more than 0.05 pixels anywhere in the
+    /// picture, and those of [`CameraModel::check`].
     pub fn model(&self) -> Result<CameraModel, CameraModelError> {
         let straight = CameraModel { distortion: [0.0; 5], ..self.pinhole.clone() };
         straight.check()?;
@@ -195,7 +197,8 @@ impl CameraModel {
     ///
     /// # Errors
     /// `NotFinite` or `Implausible` with the first field at fault: focal length within 0.2 to 20 picture
-    /// widths, principal point inside the picture, picture edges within 16 to 16384 pixels, distortion below 100.
+    /// widths, principal point inside the picture, picture edges within 16 to 16384 pixels, distortion below
+    /// 100.
     pub fn check(&self) -> Result<(), CameraModelError> {
         let (width, height) = (f64::from(self.width), f64::from(self.height));
         let bounds = [

@@ -1,8 +1,10 @@
-//! What OpenCV computes for us: undistorting and projecting points, poses of squares and boards, the lens, hand-eye start.
+//! What OpenCV computes for us: undistorting and projecting points, poses of squares and boards, the lens,
+//! hand-eye start.
 //!
-//! In: [`CameraModel`], points in pixels or metres, poses. Out: the same kinds of things as nalgebra types; no OpenCV type
-//! leaves this file, the only one in `vision` that calls the library (Debian 12's 4.6: signatures differ between
-//! versions). Pure: same input, same output. Frames and the pixel convention are those of `camera`.
+//! In: [`CameraModel`], points in pixels or metres, poses. Out: the same kinds of things as nalgebra types;
+//! no OpenCV type leaves this file, the only one in `vision` that calls the library (Debian 12's 4.6:
+//! signatures differ between versions). Pure: same input, same output. Frames and the pixel convention are
+//! those of `camera`.
 
 use crate::vision::camera::CameraModel;
 use crate::vision::marker;
@@ -52,7 +54,8 @@ pub fn undistort(camera: &CameraModel, pixels: &[[f64; 2]]) -> Result<Vec<[f64; 
     }
     let source: Vector<Point2d> = pixels.iter().map(|p| Point2d::new(p[0], p[1])).collect();
     let mut target = Vector::<Point2d>::new();
-    // OpenCV's default of 5 rounds leaves up to a tenth of a pixel in the corners of a strongly distorted picture.
+    // OpenCV's default of 5 rounds leaves up to a tenth of a pixel in the corners of a strongly distorted
+    // picture.
     let until = TermCriteria { typ: 3, max_count: 100, epsilon: 1e-10 };
     let (matrix, distortion) = lens(camera, WHAT)?;
     calib3d::undistort_points_iter(
@@ -100,10 +103,11 @@ pub fn project(
     points(&target, target_points.len(), WHAT)
 }
 
-/// The poses a square marker can have, best first: usually two, of which only perspective tells which is true.
+/// The poses a square marker can have, best first: usually two, of which only perspective tells which is
+/// true.
 ///
-/// In: corners in the order of `Detection::corners`, the edge of the black square in m. IPPE (Collins and Bartoli,
-/// "Infinitesimal plane-based pose estimation", 2014).
+/// In: corners in the order of `Detection::corners`, the edge of the black square in m. IPPE (Collins and
+/// Bartoli, "Infinitesimal plane-based pose estimation", 2014).
 ///
 /// # Errors
 /// `Library` or `NoAnswer`.

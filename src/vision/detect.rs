@@ -1,10 +1,11 @@
 //! Finds markers in a grey picture, with sub-pixel corners.
 //!
-//! In: [`GrayImage`], [`DetectSettings`], the [`Family`]s looked for. Out: [`Detection`]s, sorted by id. Wraps the AprilTag C library
-//! 3.2 (crate `apriltag`), with `family` the only place that calls it. Its corners put the centre of the first pixel at
-//! (0.5, 0.5); half a pixel is taken off here, once, because OpenCV and everything after this counts from (0, 0)
-//! (0.4 mm at 0.5 m if forgotten). `refine` then finds the corners three times as exactly as the library's own
-//! refinement; OpenCV's `cornerSubPix` makes them worse.
+//! In: [`GrayImage`], [`DetectSettings`], the [`Family`]s looked for. Out: [`Detection`]s, sorted by id.
+//! Wraps the AprilTag C library 3.2 (crate `apriltag`), with `family` the only place that calls it. Its
+//! corners put the centre of the first pixel at (0.5, 0.5); half a pixel is taken off here, once, because
+//! OpenCV and everything after this counts from (0, 0) (0.4 mm at 0.5 m if forgotten). `refine` then finds
+//! the corners three times as exactly as the library's own refinement; OpenCV's `cornerSubPix` makes them
+//! worse.
 
 pub mod again;
 pub mod family;
@@ -18,27 +19,31 @@ use serde::Serialize;
 /// What the detector looks for and how hard.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectSettings {
-    /// Quads are searched on a picture this much smaller: 1.5 halves the time, and `sharpen_px` makes good what it loses.
-    /// Corners are as exact with any.
+    /// Quads are searched on a picture this much smaller: 1.5 halves the time, and `sharpen_px` makes good
+    /// what it loses. Corners are as exact with any.
     pub decimate: f32,
-    /// Unsharp mask before quads are searched, standard deviation, pixels of the smaller picture; 0 for none. It keeps a
-    /// marker's white ring apart from its black square where something bright or dark lies close by.
+    /// Unsharp mask before quads are searched, standard deviation, pixels of the smaller picture; 0 for none.
+    /// It keeps a marker's white ring apart from its black square where something bright or dark lies close
+    /// by.
     pub sharpen_px: f32,
-    /// Exponent of a curve over the grey levels before anything is searched, 0.25 to 2; below 1 it lifts the dark ones. The
-    /// library parts black from white half-way between the darkest and the brightest pixel near by. Where a sheet of
-    /// paper brighter than the marker's white lies at its ring, half-way is above the ring; it is not on a curve that
-    /// tells dark greys better apart than bright ones, as the eye does. The library's own corners, which stand where ours find no
-    /// clear step, lie a fraction of a pixel inside the square's on it.
+    /// Exponent of a curve over the grey levels before anything is searched, 0.25 to 2; below 1 it lifts the
+    /// dark ones. The library parts black from white half-way between the darkest and the brightest pixel
+    /// near by. Where a sheet of paper brighter than the marker's white lies at its ring, half-way is above
+    /// the ring; it is not on a curve that tells dark greys better apart than bright ones, as the eye does.
+    /// The library's own corners, which stand where ours find no clear step, lie a fraction of a pixel inside
+    /// the square's on it.
     pub tone: f32,
     /// Threads of the library, 1 to 16.
     pub threads: u8,
     /// Wrong bits repaired, 0 to 2; 2 brings false ids.
     pub bits_corrected: u8,
-    /// Places where brightest and darkest differ less than this are not searched, grey levels on the curve: about the noise's range (5
-    /// standard deviations) and below the contrast of any marker worth reading. Five times as fast as searching noise.
+    /// Places where brightest and darkest differ less than this are not searched, grey levels on the curve:
+    /// about the noise's range (5 standard deviations) and below the contrast of any marker worth reading.
+    /// Five times as fast as searching noise.
     pub contrast_min: u8,
-    /// Detections with less contrast between their bits and the threshold are dropped, grey levels on the curve: 20 are 40
-    /// between black and white, and 53 of the picture's where the curve is flattest, among the brightest.
+    /// Detections with less contrast between their bits and the threshold are dropped, grey levels on the
+    /// curve: 20 are 40 between black and white, and 53 of the picture's where the curve is flattest, among
+    /// the brightest.
     pub decision_margin_min: f64,
     /// Detections with shorter edges are dropped, pixels: 3 px a module and less is guesswork.
     pub edge_min_px: f64,
@@ -72,8 +77,8 @@ pub struct Detection {
     pub family: String,
     /// Number within the family.
     pub id: u32,
-    /// Corners of the black square, pixels (column, row; (0, 0) is the centre of the first pixel), in the marker frame
-    /// (x right, y up as one reads the print): (-,-), (+,-), (+,+), (-,+).
+    /// Corners of the black square, pixels (column, row; (0, 0) is the centre of the first pixel), in the
+    /// marker frame (x right, y up as one reads the print): (-,-), (+,-), (+,+), (-,+).
     pub corners: [[f64; 2]; 4],
     /// Mean contrast of the bits against the decision threshold, grey levels on the detector's tone curve.
     pub decision_margin: f64,
@@ -126,7 +131,8 @@ pub enum DetectError {
         #[source]
         source: apriltag::Error,
     },
-    /// The picture is smaller than any marker, larger than the library can address, or not as long as it says.
+    /// The picture is smaller than any marker, larger than the library can address, or not as long as it
+    /// says.
     #[error(
         "a {width} x {height} picture of {bytes} bytes cannot be searched (32 x 32 to {MAX_EDGE} x {MAX_EDGE})"
     )]
@@ -150,8 +156,9 @@ pub struct Detector {
     library: apriltag::Detector,
 }
 
-// SAFETY: the C detector is owned by this value alone (never cloned, its pointer never leaves this module), keeps
-// no thread-local state between calls, and its worker threads end before `apriltag_detector_detect` returns.
+// SAFETY: the C detector is owned by this value alone (never cloned, its pointer never leaves this module),
+// keeps no thread-local state between calls, and its worker threads end before `apriltag_detector_detect`
+// returns.
 #[allow(unsafe_code)]
 unsafe impl Send for Detector {}
 
@@ -164,7 +171,8 @@ impl Detector {
         Detector::of(&[Family::Tag36h11], settings)
     }
 
-    /// A detector of several families. Those with tables of millions of codes (52h13, 49h12, 48h12) take a while to make.
+    /// A detector of several families. Those with tables of millions of codes (52h13, 49h12, 48h12) take a
+    /// while to make.
     ///
     /// # Errors
     /// As [`Detector::new`]; `Library` also for no family at all.
@@ -209,7 +217,8 @@ impl Detector {
         Ok(found)
     }
 
-    /// How many markers the library alone finds, before our filters: what a benchmark compares the whole with.
+    /// How many markers the library alone finds, before our filters: what a benchmark compares the whole
+    /// with.
     ///
     /// # Errors
     /// As [`Detector::detect`].
@@ -232,7 +241,8 @@ impl Detector {
     }
 }
 
-/// The library's quad thresholds set; the crate's own setter takes an angle where the library wants its cosine.
+/// The library's quad thresholds set; the crate's own setter takes an angle where the library wants its
+/// cosine.
 #[allow(unsafe_code)]
 fn tuned(library: apriltag::Detector, settings: DetectSettings) -> apriltag::Detector {
     let raw = library.into_raw();
@@ -247,8 +257,8 @@ fn tuned(library: apriltag::Detector, settings: DetectSettings) -> apriltag::Det
     }
 }
 
-/// True when the corners are far enough from the picture's border to be the marker's and not the border's: a square that
-/// the border cuts is read all the same, with two corners that are none.
+/// True when the corners are far enough from the picture's border to be the marker's and not the border's: a
+/// square that the border cuts is read all the same, with two corners that are none.
 fn inside(picture: &GrayImage, detection: &Detection) -> bool {
     let (right, below) = (f64::from(picture.width) - 1.0, f64::from(picture.height) - 1.0);
     let within = |value: f64, high: f64| (BORDER_PX..=high - BORDER_PX).contains(&value);
@@ -303,8 +313,8 @@ fn library_image(picture: &GrayImage, curve: &[u8; 256]) -> Result<apriltag::Ima
     Ok(image)
 }
 
-/// The library's detection in our conventions: corner order stays, half a pixel comes off. `None` for a family that was
-/// not asked for, which cannot be.
+/// The library's detection in our conventions: corner order stays, half a pixel comes off. `None` for a
+/// family that was not asked for, which cannot be.
 #[allow(unsafe_code)]
 fn convert(found: apriltag::Detection, families: &[Family]) -> Option<(Detection, Family)> {
     let mut detection = Detection {
@@ -315,8 +325,8 @@ fn convert(found: apriltag::Detection, families: &[Family]) -> Option<(Detection
         hamming: u8::try_from(found.hamming()).unwrap_or(u8::MAX),
     };
     let raw = found.into_raw().as_ptr();
-    // SAFETY: the detection is owned here until `from_raw` takes it back and frees it; its family lives as long as the
-    // detector, and the family's name is a string constant of the library.
+    // SAFETY: the detection is owned here until `from_raw` takes it back and frees it; its family lives as
+    // long as the detector, and the family's name is a string constant of the library.
     let name = unsafe {
         let name = std::ffi::CStr::from_ptr((*(*raw).family).name).to_str().ok().and_then(|n| n.parse().ok());
         drop(apriltag::Detection::from_raw(raw));
@@ -405,7 +415,8 @@ mod tests {
 
     #[test]
     fn bright_paper_at_a_dark_markers_ring_does_not_hide_it() {
-        // Where the black square ends: 40 px, the ring and the eight modules of the square, to the middle of a pixel.
+        // Where the black square ends: 40 px, the ring and the eight modules of the square, to the middle of
+        // a pixel.
         let is_read = |tone: f32, column: usize| {
             let settings = DetectSettings { tone, ..DetectSettings::default() };
             let found = Detector::new(settings).unwrap().detect(&beside_paper(column)).unwrap();

@@ -1,10 +1,12 @@
 //! What lies on the table and carries no marker: a mug, a tool, a hand, an object on its face.
 //!
-//! In: [`HeightMap`]s of one look, the objects whose place is known, [`ForeignLimits`]. Out: [`ForeignReport`]: everything that stands higher
-//! than the table and the known objects explain, over an area large enough, with its outline, area and height; and how much
-//! of the table was measured at all, with the largest piece that was not. A known object that is tipped, or lies on its marker, was not seen as itself and so
-//! explains nothing: it is found like any stranger. Where there is no depth, `change` tells by colour. What is flat, thinner than the limit, smaller than the limit, or of
-//! a kind that the camera cannot measure (clear glass, black velvet, mirrors) is not found. Pure.
+//! In: [`HeightMap`]s of one look, the objects whose place is known, [`ForeignLimits`]. Out:
+//! [`ForeignReport`]: everything that stands higher than the table and the known objects explain, over an
+//! area large enough, with its outline, area and height; and how much of the table was measured at all, with
+//! the largest piece that was not. A known object that is tipped, or lies on its marker, was not seen as
+//! itself and so explains nothing: it is found like any stranger. Where there is no depth, `change` tells by
+//! colour. What is flat, thinner than the limit, smaller than the limit, or of a kind that the camera cannot
+//! measure (clear glass, black velvet, mirrors) is not found. Pure.
 
 pub mod change;
 pub mod field;
@@ -94,7 +96,8 @@ impl std::fmt::Display for ForeignObject {
 }
 
 impl ForeignObject {
-    /// The outline with `margin_m` around it, as a place where nothing may be put; `None` for an outline without area.
+    /// The outline with `margin_m` around it, as a place where nothing may be put; `None` for an outline
+    /// without area.
     pub fn keep_out(&self, margin_m: f64) -> Option<KeepOut> {
         let grown: Vec<[f64; 2]> = self
             .outline
@@ -113,7 +116,8 @@ impl ForeignObject {
     }
 }
 
-/// Everything in the maps of one look that neither the table nor `known` explains; over `ignored` nothing is looked for.
+/// Everything in the maps of one look that neither the table nor `known` explains; over `ignored` nothing is
+/// looked for.
 ///
 /// A cell counts when any map says so: what was there in one picture may have been hidden in another.
 pub fn find(
@@ -172,7 +176,8 @@ pub fn find(
 struct Expected {
     /// Height up to which nothing is foreign, m.
     highest_m: Vec<f32>,
-    /// Height of the surface that is seen when nothing is, m; NaN at the edges of known objects and where anything may stand.
+    /// Height of the surface that is seen when nothing is, m; NaN at the edges of known objects and where
+    /// anything may stand.
     surface_m: Vec<f32>,
 }
 
@@ -218,7 +223,8 @@ impl Expected {
     }
 }
 
-/// What known objects change on the table's picture: where they stand, what they hide from the camera, and their shadows.
+/// What known objects change on the table's picture: where they stand, what they hide from the camera, and
+/// their shadows.
 struct Shaded<'a> {
     known: Vec<(&'a KnownBody, Vec<[f64; 2]>)>,
     eye_m: [f64; 3],
@@ -245,7 +251,8 @@ impl Shaded<'_> {
     }
 }
 
-/// The cells that stick out, with unmeasured ones among them: holes in depth must not cut a thing into pieces.
+/// The cells that stick out, with unmeasured ones among them: holes in depth must not cut a thing into
+/// pieces.
 fn closed(map: &HeightMap, tallest: &[f32], measured: &[bool]) -> Vec<bool> {
     let excess: Vec<bool> = tallest.iter().map(|height| *height > f32::NEG_INFINITY).collect();
     let mut closed = excess.clone();

@@ -1,8 +1,8 @@
 //! The print of a marker: its pattern enlarged to pixels, and its corners in the marker frame.
 //!
-//! In: an id of the tag36h11 family, a size. Out: a grey picture with the white quiet ring, or points in metres. The
-//! marker frame has its origin in the centre, x right, y up, z out of the print; a marker's size is the edge of
-//! the black square, so the whole print is 10/8 of it.
+//! In: an id of the tag36h11 family, a size. Out: a grey picture with the white quiet ring, or points in
+//! metres. The marker frame has its origin in the centre, x right, y up, z out of the print; a marker's size
+//! is the edge of the black square, so the whole print is 10/8 of it.
 
 use crate::vision::image::tag36h11::{MODULES, MODULES_IN_SQUARE};
 use crate::vision::image::{GrayImage, tag36h11_bitmap};
@@ -23,8 +23,8 @@ pub fn corners_m(size_m: f64) -> [[f64; 2]; 4] {
     [[-half, -half], [half, -half], [half, half], [-half, half]]
 }
 
-/// Marker `id` with `pixels_per_module` pixels to each module and its quiet ring; `None` if there is no such id
-/// or the picture would be empty or absurdly large.
+/// Marker `id` with `pixels_per_module` pixels to each module and its quiet ring; `None` if there is no such
+/// id or the picture would be empty or absurdly large.
 pub fn draw(id: u32, pixels_per_module: u32) -> Option<GrayImage> {
     let white = tag36h11_bitmap(id)?;
     let edge = pixels_per_module.checked_mul(MODULES as u32)?;

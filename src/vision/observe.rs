@@ -1,9 +1,11 @@
-//! From marker corners to an arrangement: where each object lies, how sure that is, and what cannot be trusted.
+//! From marker corners to an arrangement: where each object lies, how sure that is, and what cannot be
+//! trusted.
 //!
-//! In: the objects and reference markers that exist, the lens, [`View`]s (camera pose and detections), [`ObserveLimits`]. Out:
-//! [`Observation`]. Each view's corners are laid on the known plane of the marker (`planar`), the views are fused with
-//! outliers out (`fuse`), and all views together must agree that the marker lies level at its height (`level`): an object
-//! that landed on another one is *suspicious* and never among the trusted ones. Poses are in the table frame.
+//! In: the objects and reference markers that exist, the lens, [`View`]s (camera pose and detections),
+//! [`ObserveLimits`]. Out: [`Observation`]. Each view's corners are laid on the known plane of the marker
+//! (`planar`), the views are fused with outliers out (`fuse`), and all views together must agree that the
+//! marker lies level at its height (`level`): an object that landed on another one is *suspicious* and never
+//! among the trusted ones. Poses are in the table frame.
 
 pub mod arrangement;
 pub mod fuse;

@@ -1,15 +1,18 @@
-//! Sub-pixel corners of a square print: an edge model fitted to the grey values along each side, the sides crossed.
+//! Sub-pixel corners of a square print: an edge model fitted to the grey values along each side, the sides
+//! crossed.
 //!
-//! In: a grey picture, four corners good to a pixel or two, the side in modules. Out: corners good to a few hundredths of a pixel. Each
-//! side is a straight step between two grey levels, blurred by a Gaussian: its place, direction, levels and blur are found by
-//! least squares over every pixel near it. The AprilTag library searches the steepest point along a few normals
-//! instead, which is up to 0.2 px off where a side runs along the pixel grid. No sampling between pixels takes place
-//! here, so there is nothing to be biased. Pure.
+//! In: a grey picture, four corners good to a pixel or two, the side in modules. Out: corners good to a few
+//! hundredths of a pixel. Each side is a straight step between two grey levels, blurred by a Gaussian: its
+//! place, direction, levels and blur are found by least squares over every pixel near it. The AprilTag
+//! library searches the steepest point along a few normals instead, which is up to 0.2 px off where a side
+//! runs along the pixel grid. No sampling between pixels takes place here, so there is nothing to be biased.
+//! Pure.
 
 use crate::vision::image::GrayImage;
 use nalgebra::{SMatrix, SVector, Vector2};
 
-/// Distance from the side within which pixels count, at most, pixels: three standard deviations of usual blur.
+/// Distance from the side within which pixels count, at most, pixels: three standard deviations of usual
+/// blur.
 const BAND_MAX_PX: f64 = 2.9;
 /// The same as a share of a module, so that the next transition of the print stays outside.
 const BAND_MODULES: f64 = 0.6;
@@ -28,7 +31,8 @@ const STEPS: usize = 5;
 /// Fewest pixels that fix five numbers well.
 const PIXELS_MIN: usize = 24;
 
-/// The corners refined; `None` when a side shows no clear step, or a corner would move further than a misread one.
+/// The corners refined; `None` when a side shows no clear step, or a corner would move further than a misread
+/// one.
 pub fn corners(picture: &GrayImage, rough: &[[f64; 2]; 4], modules: f64) -> Option<[[f64; 2]; 4]> {
     let at = |i: usize| Vector2::from(rough[i % 4]);
     let mut sides = [Line { point: Vector2::zeros(), along: Vector2::zeros() }; 4];
@@ -184,7 +188,8 @@ impl Step {
             }
         }
         information.fill_lower_triangle_with_upper_triangle();
-        // Between the transitions of a small print there is too little to tell the blur by: it is what is usual then.
+        // Between the transitions of a small print there is too little to tell the blur by: it is what is
+        // usual then.
         information[(4, 4)] += BLUR_WEIGHT;
         pull[4] += BLUR_WEIGHT * (BLUR_USUAL_PX - self.blur);
         // A flat patch leaves the place undetermined: a little stiffness keeps the numbers finite.

@@ -1,7 +1,9 @@
-//! Synthetic pictures for the tests of `vision`: a small renderer of markers on a table, with its own lens model.
+//! Synthetic pictures for the tests of `vision`: a small renderer of markers on a table, with its own lens
+//! model.
 //!
-//! In: a camera, where it is, markers with their poses. Out: a grey picture, supersampled, blurred, with noise from a seed. Shares no
-//! code with detection or with OpenCV, so that a misread convention cannot agree with itself.
+//! In: a camera, where it is, markers with their poses. Out: a grey picture, supersampled, blurred, with
+//! noise from a seed. Shares no code with detection or with OpenCV, so that a misread convention cannot agree
+//! with itself.
 
 use crate::geometry::pose::Pose2;
 use crate::vision::camera::CameraModel;
@@ -52,7 +54,8 @@ fn unproject(camera: &CameraModel, pixel: [f64; 2]) -> [f64; 2] {
     guess
 }
 
-/// A camera `height_m` above the table point (x, y), looking down, tilted about the table's x and y axes and turned.
+/// A camera `height_m` above the table point (x, y), looking down, tilted about the table's x and y axes and
+/// turned.
 pub fn looking_down(x: f64, y: f64, height_m: f64, tilt: [f64; 2], turn: f64) -> Isometry3<f64> {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);

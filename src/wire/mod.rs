@@ -1,5 +1,5 @@
-//! Sans-IO codecs: RTDE, dashboard and primary interface of the UR controller, Modbus TCP as a server. Bytes and
-//! numbers only.
+//! Sans-IO codecs: RTDE, dashboard and primary interface of the UR controller, Modbus TCP as a server. Bytes
+//! and numbers only.
 //!
 //! In: bytes from either end of a link. Out: typed packages, and bytes again. Each codec serves both ends:
 //! the daemon's sessions (`device`) are clients, the simulator answers with the same functions. What they

@@ -1,8 +1,8 @@
 //! Modbus TCP as a server hears and answers it: framing, the three register functions, exceptions.
 //!
-//! In: bytes of a master's stream. Out: [`Adu`]s and the [`Function`] in each, and the bytes of answers. The daemon's
-//! master uses a library; this end is ours, so that a misreading does not meet itself, and so that an answer can be
-//! wrong on purpose. Source: the Modbus application protocol 1.1b3 and its TCP guide.
+//! In: bytes of a master's stream. Out: [`Adu`]s and the [`Function`] in each, and the bytes of answers. The
+//! daemon's master uses a library; this end is ours, so that a misreading does not meet itself, and so that
+//! an answer can be wrong on purpose. Source: the Modbus application protocol 1.1b3 and its TCP guide.
 
 use crate::wire::bytes::{Pending, Reader, WireError, Writer};
 
@@ -105,8 +105,8 @@ impl Splitter {
     /// The next whole request.
     ///
     /// # Errors
-    /// Another protocol than Modbus or an impossible length: the stream cannot be trusted any more, and what waits
-    /// is dropped.
+    /// Another protocol than Modbus or an impossible length: the stream cannot be trusted any more, and what
+    /// waits is dropped.
     pub fn next_adu(&mut self) -> Result<Option<Adu>, WireError> {
         let [t1, t0, p1, p0, l1, l0, unit, ..] = *self.0.waiting() else { return Ok(None) };
         let length = usize::from(u16::from_be_bytes([l1, l0]));

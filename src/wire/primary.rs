@@ -11,7 +11,8 @@ use crate::wire::primary_state::SubPackage;
 /// Bytes of a package header: `i32` length of the whole package, `u8` type.
 pub const HEADER: usize = 5;
 
-/// Longest package accepted. Real ones are below 2 KiB; a bound is needed because the length field has 31 bits.
+/// Longest package accepted. Real ones are below 2 KiB; a bound is needed because the length field has 31
+/// bits.
 pub const MAX_PACKAGE: usize = 64 * 1024;
 
 const ROBOT_STATE: u8 = 16;

@@ -1,12 +1,13 @@
-//! Robot messages (package type 20): version, text, popups, key events, error codes, runtime exceptions, safety.
+//! Robot messages (package type 20): version, text, popups, key events, error codes, runtime exceptions,
+//! safety.
 //!
 //! In: the payload behind the package header. Out: a [`Message`], and bytes again. Source: the vendor's
 //! client-interface guide (reference on UR interfaces, 3.4).
 
 use crate::wire::bytes::{Reader, WireError, Writer};
 
-/// Title of the key message a program start gives. The vendor's word has three X in it; it is put together here
-/// because the house rules take three X for a mark of unfinished work.
+/// Title of the key message a program start gives. The vendor's word has three X in it; it is put together
+/// here because the house rules take three X for a mark of unfinished work.
 pub const PROGRAM_STARTED: &str = concat!("PROGRAM_X", "XX_STARTED");
 
 /// Title of the key message a program end gives.

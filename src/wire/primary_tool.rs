@@ -1,8 +1,9 @@
-//! The smaller sub-packages of a robot state: force mode (7), additional information (8), the tool's serial line (11)
-//! and outputs (12).
+//! The smaller sub-packages of a robot state: force mode (7), additional information (8), the tool's serial
+//! line (11) and outputs (12).
 //!
-//! In: the fields behind a sub-package's header. Out: values, and bytes again. Apart from `primary_state` because no
-//! client of celld reads them; they are there for other people's clients. Source: the vendor's client-interface guide.
+//! In: the fields behind a sub-package's header. Out: values, and bytes again. Apart from `primary_state`
+//! because no client of celld reads them; they are there for other people's clients. Source: the vendor's
+//! client-interface guide.
 
 use crate::wire::bytes::{Reader, WireError, Writer};
 

@@ -1,5 +1,6 @@
-//! Bytes that no client should send, to every server of the simulator: the fuzzers' corpora, and over real sockets
-//! garbage, slices, lengths that lie, and clients that never read. Afterwards a healthy client is served.
+//! Bytes that no client should send, to every server of the simulator: the fuzzers' corpora, and over real
+//! sockets garbage, slices, lengths that lie, and clients that never read. Afterwards a healthy client is
+//! served.
 
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 
@@ -67,7 +68,8 @@ fn servers(sim: &RunningSim) -> Vec<(&'static str, SocketAddr, Vec<u8>, Vec<u8>)
     servers
 }
 
-/// What is thrown at a server: garbage, lengths that lie, lines and programs without an end, a request in slices.
+/// What is thrown at a server: garbage, lengths that lie, lines and programs without an end, a request in
+/// slices.
 fn nonsense(request: &[u8], rng: &mut impl RngExt) -> Vec<Vec<u8>> {
     let mut all: Vec<Vec<u8>> =
         (0..6).map(|_| (0..rng.random_range(1..3000)).map(|_| rng.random::<u8>()).collect()).collect();

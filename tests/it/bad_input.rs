@@ -1,6 +1,6 @@
-//! Files that are wrong, one fault at a time and several at once, through the built binary: `celld check` ends with
-//! exit code 2 and says file, line, column, what is wrong and what to change. Besides, wrong options that must end
-//! with 2 before anything starts.
+//! Files that are wrong, one fault at a time and several at once, through the built binary: `celld check`
+//! ends with exit code 2 and says file, line, column, what is wrong and what to change. Besides, wrong
+//! options that must end with 2 before anything starts.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -24,8 +24,8 @@ objects:
 ";
 const CROSSING: &str = "footprint: [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]";
 
-/// A sound text, what is replaced by what, where the complaint has to point (a text from the replacement on), and
-/// words of the complaint.
+/// A sound text, what is replaced by what, where the complaint has to point (a text from the replacement on),
+/// and words of the complaint.
 type Case = (&'static str, &'static str, &'static str, &'static str, &'static [&'static str]);
 
 const CASES: &[Case] = &[

@@ -1,5 +1,6 @@
-//! Calibration as a user does it, against simulated devices over sockets: poses proposed in a taught box and visited, points of
-//! the table touched, the table tied to both; and a cell that works from a camera that stands. What comes out is held against the world's truth, which only the test reads.
+//! Calibration as a user does it, against simulated devices over sockets: poses proposed in a taught box and
+//! visited, points of the table touched, the table tied to both; and a cell that works from a camera that
+//! stands. What comes out is held against the world's truth, which only the test reads.
 
 use crate::cell::{
     CELLD, LOG, celld, configuration, copy_calibration, result_of, start_daemon, text, wait_until,
@@ -26,7 +27,8 @@ use std::time::Duration;
 
 const ADDRESS: &str = "127.7.1.9";
 
-/// From where the arm touches, degrees: four corners of a square and more, the hand turned differently at each.
+/// From where the arm touches, degrees: four corners of a square and more, the hand turned differently at
+/// each.
 const TOUCHED_FROM: [[f64; 6]; 4] = [
     [-111.7, -110.8, 121.1, -100.3, -90.0, -21.7],
     [-142.9, -96.0, 98.3, -63.3, -69.8, -29.5],
@@ -71,8 +73,8 @@ fn assert_stands(
     assert!(mm < 0.5 && deg < 0.1, "table: {mm} mm, {deg} degrees\n{said}");
 }
 
-/// The flange stayed in the box, on the way and where it stood, and it went somewhere. A controller's path is within a
-/// millimetre.
+/// The flange stayed in the box, on the way and where it stood, and it went somewhere. A controller's path is
+/// within a millimetre.
 fn assert_stayed_in(cell: &Path, recorded: &Path, way: &[Vector3<f64>]) {
     let room = load_cell(cell).expect("a configuration").calibration_box.expect("a box");
     let seen = std::fs::read_to_string(recorded.join("samples.yaml")).expect("recorded");
@@ -157,7 +159,8 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     println!("camera off by {mm:.3} mm, {deg:.4} degrees\n{said}");
     assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
 
-    // Points that the tip really meets at those poses, to a tenth of a millimetre, as a person would note them.
+    // Points that the tip really meets at those poses, to a tenth of a millimetre, as a person would note
+    // them.
     let touched = TOUCHED_FROM.map(|degrees| Joints(degrees.map(f64::to_radians)));
     let point = |q: &Joints| base_from_table.inverse() * forward(&dh, q) * Point3::from(TIP);
     let points = touched.map(|q| point(&q)).map(|p| format!("{:.4}/{:.4}/{:.4}", p.x, p.y, p.z)).join(",");
@@ -208,7 +211,8 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     assert!(!said.contains("pose 1/"), "{said}");
     assert_eq!(sim.robot().controller().core.base_from_flange(), stands);
 
-    // A tip that is 3 mm longer than was said, which hands turned differently bring to light: nothing is written.
+    // A tip that is 3 mm longer than was said, which hands turned differently bring to light: nothing is
+    // written.
     let before = written(folder.path(), "table.yaml");
     let longer = touched.replace("0.15]", "0.153]");
     assert_ne!(longer, touched);
@@ -252,7 +256,8 @@ fn cell_works_from_a_camera_that_stands() {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
     let sim = runtime.block_on(start(config)).expect("the simulation starts");
 
-    // The files that a calibration of this cell wrote, the camera's place apart; the table's real small error stays.
+    // The files that a calibration of this cell wrote, the camera's place apart; the table's real small error
+    // stays.
     copy_calibration(folder.path());
     let files = folder.path().join("calibration/sim");
     let text = std::fs::read_to_string(files.join("hand_eye.yaml")).expect("text");
@@ -295,7 +300,8 @@ fn cell_works_from_a_camera_that_stands() {
     runtime.block_on(sim.shutdown());
 }
 
-/// Where the hand carries the board to, table frame, m: its middle, and how it is turned about x, y and z, rad.
+/// Where the hand carries the board to, table frame, m: its middle, and how it is turned about x, y and z,
+/// rad.
 const CARRIED_TO: [([f64; 3], [f64; 3]); 14] = [
     ([0.25, 0.25, 0.30], [0.0, 0.0, 0.0]),
     ([0.20, 0.28, 0.34], [0.40, 0.0, 0.2]),
@@ -313,7 +319,8 @@ const CARRIED_TO: [([f64; 3], [f64; 3]); 14] = [
     ([0.21, 0.24, 0.36], [0.2, -0.2, -0.6]),
 ];
 
-/// The configuration of a cell whose camera stands, taught to carry a board through its picture; and its simulation.
+/// The configuration of a cell whose camera stands, taught to carry a board through its picture; and its
+/// simulation.
 fn standing_camera(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
     let (cell, sim) = configuration(folder, address, 2);
     let edit = |path: &Path, key: &str, next: &str, new: &str| {

@@ -1,7 +1,7 @@
 //! Faults of the camera, end to end: the real daemon against the simulator that was told to break its camera.
 //!
-//! Each fault is named while the arm stands and waits, and when it ends the job goes on by itself; one that does not end
-//! fails the job under that name, and the next job is worked on as if nothing had been.
+//! Each fault is named while the arm stands and waits, and when it ends the job goes on by itself; one that
+//! does not end fails the job under that name, and the next job is worked on as if nothing had been.
 
 use crate::cell::{
     LOG, PATIENCE, Running, celld, configuration, copy_calibration, result_of, start_daemon, start_sim, text,
@@ -38,8 +38,8 @@ fn truth() -> (f64, usize) {
     (lid["pose"][0].as_f64().expect("a number"), grips)
 }
 
-/// The example cell with its calibration, and the simulator with a control server; `camera` is a line instead of the
-/// configured one, of a camera without depth.
+/// The example cell with its calibration, and the simulator with a control server; `camera` is a line instead
+/// of the configured one, of a camera without depth.
 fn start(folder: &Path, address: &str, camera: Option<&str>) -> (Running, Running) {
     let (cell, sim) = configuration(folder, address, 1);
     if let Some(camera) = camera {

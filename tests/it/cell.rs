@@ -1,7 +1,7 @@
 //! The whole cell as a user starts it: the binary, real sockets, the simulated devices in scaled time.
 //!
-//! Names begin with `cell_`, so that the test runner gives each the machine for itself. Every simulation has a
-//! loopback address of its own, because the robot's port numbers are fixed.
+//! Names begin with `cell_`, so that the test runner gives each the machine for itself. Every simulation has
+//! a loopback address of its own, because the robot's port numbers are fixed.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -118,7 +118,8 @@ pub(crate) fn start_sim(config: &Path) -> Running {
     Running(sim)
 }
 
-/// The files that a calibration of the example cell wrote, where its configuration in `folder` looks for them.
+/// The files that a calibration of the example cell wrote, where its configuration in `folder` looks for
+/// them.
 pub(crate) fn copy_calibration(folder: &Path) {
     let files = folder.join("calibration/sim");
     std::fs::create_dir_all(&files).expect("created");

@@ -55,7 +55,8 @@ fn every_fault_in_every_phase_has_the_reaction_that_the_page_gives() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Singles, pairs and triples of faults; `celld simulate --faults random --jobs N` runs as many as there is time for.
+/// Singles, pairs and triples of faults; `celld simulate --faults random --jobs N` runs as many as there is
+/// time for.
 #[test]
 fn no_rule_is_broken_and_no_job_lost_under_random_faults() {
     let seeds: Vec<u64> = (0..24).collect();

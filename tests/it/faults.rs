@@ -1,4 +1,5 @@
-//! Faults of the simulated camera as the marker detector sees them. `sim` may not use the detector, hence here.
+//! Faults of the simulated camera as the marker detector sees them. `sim` may not use the detector, hence
+//! here.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 

@@ -1,6 +1,8 @@
-//! Things without a marker, end to end: worked round as obstacles, and found by colour where there is no depth.
+//! Things without a marker, end to end: worked round as obstacles, and found by colour where there is no
+//! depth.
 //!
-//! The real daemon against the simulator that puts them on the table. That nothing is moved while depth shows one is tested in `cell`.
+//! The real daemon against the simulator that puts them on the table. That nothing is moved while depth shows
+//! one is tested in `cell`.
 
 use crate::cell::{
     LOG, PATIENCE, Running, celld, configuration, copy_calibration, fault, result_of, start_daemon,
@@ -16,7 +18,8 @@ const HEIGHT_M: f64 = 0.045;
 const LID_RADIUS_M: f64 = 0.045;
 const MARGIN_M: f64 = 0.01;
 
-/// How often a job is handed in again that was stopped because a busy machine kept the robot's states from coming.
+/// How often a job is handed in again that was stopped because a busy machine kept the robot's states from
+/// coming.
 const HANDED_IN: usize = 6;
 
 /// The example cell with its calibration and `changes` to its text.
@@ -50,7 +53,8 @@ impl Daemon<'_> {
         std::fs::read_to_string(&self.log).expect("the log")
     }
 
-    /// The result of a job that wants the lid there; `meanwhile` is called again and again until it has ended.
+    /// The result of a job that wants the lid there; `meanwhile` is called again and again until it has
+    /// ended.
     fn job(&self, id: &str, [x, y]: [f64; 2], meanwhile: impl Fn()) -> String {
         let mut result = String::new();
         for attempt in 0..HANDED_IN {

@@ -1,7 +1,7 @@
 //! Mutants of the cell: whatever goes wrong between machine and world, the rules of the closed loop notice.
 //!
-//! Each mutant is planted by an adapter, here and nowhere else; the same drill without one breaks no rule. What a mutant
-//! stands for is the fault in celld's own code that would have the same effect at the border.
+//! Each mutant is planted by an adapter, here and nowhere else; the same drill without one breaks no rule.
+//! What a mutant stands for is the fault in celld's own code that would have the same effect at the border.
 
 use celld::cell::device::gripper::{Channels, ModbusRequest};
 use celld::cell::device::robot_types::Link;
@@ -170,7 +170,8 @@ impl Mutant {
     }
 }
 
-/// An operator's afternoon: a job stopped while it carries, one disarmed in the middle, one with a protective stop.
+/// An operator's afternoon: a job stopped while it carries, one disarmed in the middle, one with a protective
+/// stop.
 fn drill(fault: Fault) -> Result<(Vec<Breach>, usize), String> {
     let stage = stage(5, Eye::Corners)?;
     let mut pair = Pair::new(stage.clone(), Choice::of(5)).map_err(|error| error.to_string())?;

@@ -273,8 +273,8 @@ pub fn length_breach(file: &File, most: usize) -> Option<String> {
     (lines > most).then(|| format!("{}: {lines} lines; split it by subject (at most {most})", file.path))
 }
 
-/// Marks of unfinished work, places kept free for figures among them. Put together here, so that this file does not name
-/// them itself.
+/// Marks of unfinished work, places kept free for figures among them. Put together here, so that this file
+/// does not name them itself.
 fn marks() -> Vec<String> {
     let halves = [
         ("TO", "DO"),

@@ -178,7 +178,8 @@ fn tokens(code: &str) -> Vec<Token<'_>> {
     found
 }
 
-/// Every path of blanked code. Single names are not paths; `a::{b, c}` is unfolded; a glob is the segment `*`.
+/// Every path of blanked code. Single names are not paths; `a::{b, c}` is unfolded; a glob is the segment
+/// `*`.
 pub fn paths(code: &str) -> Vec<CodePath> {
     let tokens = tokens(code);
     let mut found = Vec::new();

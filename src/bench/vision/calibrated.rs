@@ -1,7 +1,8 @@
 //! What a calibration from the benchmark's own pictures finds, so that accuracy can be told with it too.
 //!
-//! In: the true lens. Out: [`Found`]: the lens that pictures of a board give, and the mount that a round over reference markers gives with that
-//! lens, found by the code behind `celld calibrate camera` and `celld calibrate hand-eye`; and how far off they are.
+//! In: the true lens. Out: [`Found`]: the lens that pictures of a board give, and the mount that a round over
+//! reference markers gives with that lens, found by the code behind `celld calibrate camera` and `celld
+//! calibrate hand-eye`; and how far off they are.
 
 use crate::bench::vision::render::{Ground, Lens, Print, render};
 use crate::bench::vision::scene::{DEGRADE, looking_down};
@@ -65,8 +66,8 @@ pub struct Column {
 }
 
 impl Found {
-    /// Where the calibration says the camera is that really is there: the bench's arm carries the camera in its flange's
-    /// origin and stands on the table's.
+    /// Where the calibration says the camera is that really is there: the bench's arm carries the camera in
+    /// its flange's origin and stands on the table's.
     pub fn table_from_camera(&self, truly: &Isometry3<f64>) -> Isometry3<f64> {
         self.base_from_table.inverse() * truly * self.flange_from_camera
     }
@@ -101,7 +102,8 @@ pub fn calibrate(lens: &Lens, task: Task) -> Result<Found, String> {
     Ok(Found { lens: found, flange_from_camera, base_from_table, errors })
 }
 
-/// A picture of a board held before the camera somewhere in the picture, tilted by up to 35 degrees, and the pose it has.
+/// A picture of a board held before the camera somewhere in the picture, tilted by up to 35 degrees, and the
+/// pose it has.
 pub fn board_picture(lens: &Lens, board: &Board, random: &mut ChaCha8Rng) -> (GrayImage, Isometry3<f64>) {
     let mut within = |reach: f64| random.random_range(-reach..reach);
     let turn =

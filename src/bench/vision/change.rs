@@ -1,8 +1,10 @@
-//! How often a thing without a marker is found by comparing colours with the empty table, and how often one is seen where there is none.
+//! How often a thing without a marker is found by comparing colours with the empty table, and how often one
+//! is seen where there is none.
 //!
-//! In: how many scenes, a seed. Out: [`Report`]. The tables of `foreign`, each body in a colour of its own, drawn as colour pictures from two
-//! look poses to which the arm comes back within its repeatability, in light that is up to 15 % brighter or darker than when the
-//! table was empty. There are no shadows: the renderer has none.
+//! In: how many scenes, a seed. Out: [`Report`]. The tables of `foreign`, each body in a colour of its own,
+//! drawn as colour pictures from two look poses to which the arm comes back within its repeatability, in
+//! light that is up to 15 % brighter or darker than when the table was empty. There are no shadows: the
+//! renderer has none.
 
 use crate::bench::vision::foreign::{AREA, Bench, CAMERA_HEIGHT_M, EYES_Y_M, WIDTH_M, jitter, same, tables};
 use crate::bench::vision::scene::looking_down;
@@ -37,7 +39,8 @@ pub struct Report {
     pub ms_per_look: f64,
 }
 
-/// One scene: whether there is something foreign, whether that was found, whether anything else was, and the time.
+/// One scene: whether there is something foreign, whether that was found, whether anything else was, and the
+/// time.
 struct Outcome {
     foreign: bool,
     found: bool,

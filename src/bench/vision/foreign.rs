@@ -1,10 +1,11 @@
 //! How often a thing without a marker is found on a table, and how often one is seen where there is none.
 //!
-//! In: how many scenes, a seed. Out: [`Report`]. Tables with known objects, drawn by the simulator's depth camera with its noise, holes,
-//! ragged edges and curved field; in one half of the scenes there is a box, a mug, an object tipped on its side or one that
-//! lies on its marker, at least 30 mm long and wide. What is known is known as the cell knows it: poses of objects and camera carry
-//! the errors of marker detection and calibration. Each table is looked at from two places, as the cell does. The code that
-//! decides is the cell's own.
+//! In: how many scenes, a seed. Out: [`Report`]. Tables with known objects, drawn by the simulator's depth
+//! camera with its noise, holes, ragged edges and curved field; in one half of the scenes there is a box, a
+//! mug, an object tipped on its side or one that lies on its marker, at least 30 mm long and wide. What is
+//! known is known as the cell knows it: poses of objects and camera carry the errors of marker detection and
+//! calibration. Each table is looked at from two places, as the cell does. The code that decides is the
+//! cell's own.
 
 use crate::bench::vision::scene::{bench_camera, looking_down};
 use crate::geometry::collision::distance_between;
@@ -241,7 +242,8 @@ impl Bench {
     }
 }
 
-/// A table, with something foreign of that kind on it: all that stands there, the foreign thing, and what is known of the rest.
+/// A table, with something foreign of that kind on it: all that stands there, the foreign thing, and what is
+/// known of the rest.
 pub(super) fn tables(
     kind: Option<usize>,
     random: &mut ChaCha8Rng,

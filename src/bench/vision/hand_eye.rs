@@ -1,8 +1,10 @@
-//! How exact the camera's place on the flange comes out of twenty poses, and what poses that do not tell it are answered.
+//! How exact the camera's place on the flange comes out of twenty poses, and what poses that do not tell it
+//! are answered.
 //!
-//! In: how many rounds, a seed. Out: [`Report`]. Twenty poses over a table with reference markers, as an operator would teach them, corners
-//! with a noise of 0.2 px and the arm with one of 0.05 mm along each axis; then three sets of poses that leave something
-//! undetermined. Solved by the code behind `celld calibrate hand-eye`.
+//! In: how many rounds, a seed. Out: [`Report`]. Twenty poses over a table with reference markers, as an
+//! operator would teach them, corners with a noise of 0.2 px and the arm with one of 0.05 mm along each axis;
+//! then three sets of poses that leave something undetermined. Solved by the code behind `celld calibrate
+//! hand-eye`.
 
 use crate::bench::vision::render::{Lens, Print};
 use crate::bench::vision::scene::{bench_camera, looking_down};
@@ -41,8 +43,8 @@ pub struct Report {
     pub angle_worst_deg: f64,
     /// Rounds that were refused.
     pub refused: usize,
-    /// Pose sets that leave something undetermined: what they are, and the sentence they were refused with (`None`: they
-    /// were not).
+    /// Pose sets that leave something undetermined: what they are, and the sentence they were refused with
+    /// (`None`: they were not).
     pub degenerate: Vec<(&'static str, Option<String>)>,
 }
 

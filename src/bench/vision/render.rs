@@ -1,8 +1,9 @@
 //! Pictures for the vision benchmark: flat prints over a flat ground, seen through a distorting lens.
 //!
-//! In: a lens, a camera pose, prints with their grey levels, a ground, a seed. Out: a grey picture: 4 x 4 rays a pixel, 8 x 8 on a print's edges, light that
-//! falls off across it, blurred, with noise, rounded to 8 bits. Written for the benchmark alone: it shares no code
-//! with detection, OpenCV or the simulated camera, so that one misread convention cannot agree with itself.
+//! In: a lens, a camera pose, prints with their grey levels, a ground, a seed. Out: a grey picture: 4 x 4
+//! rays a pixel, 8 x 8 on a print's edges, light that falls off across it, blurred, with noise, rounded to 8
+//! bits. Written for the benchmark alone: it shares no code with detection, OpenCV or the simulated camera,
+//! so that one misread convention cannot agree with itself.
 
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::family::Pattern;
@@ -221,14 +222,14 @@ fn meet(
     columns.map(hit).collect()
 }
 
-/// Mean grey of the rays of one pixel and the share that met something; the plane is flat, so that inside a pixel the
-/// places follow from those of its corners.
+/// Mean grey of the rays of one pixel and the share that met something; the plane is flat, so that inside a
+/// pixel the places follow from those of its corners.
 fn pixel(corners: [[f64; 2]; 4], rays: usize, grey: impl Fn(f64, f64) -> Option<f32>) -> (f32, f32) {
     let (mut sum, mut hits) = (0.0, 0.0);
     let [a, b, c, d] = corners;
     for i in 0..rays * rays {
-        // Sheared, so that a side along the pixel grid is cut at `rays` squared places: else it would be drawn up to an
-        // eighth of a pixel off.
+        // Sheared, so that a side along the pixel grid is cut at `rays` squared places: else it would be
+        // drawn up to an eighth of a pixel off.
         let (across, down) = (i % rays, i / rays);
         let cell = |a: usize, b: usize| (a as f64 + (b as f64 + 0.5) / rays as f64) / rays as f64;
         let (u, v) = (cell(across, down), cell(down, across));

@@ -1,8 +1,10 @@
-//! Tables for the vision benchmark: marked tops that are not quite level, cameras over them, clutter that is not ours.
+//! Tables for the vision benchmark: marked tops that are not quite level, cameras over them, clutter that is
+//! not ours.
 //!
-//! In: a seed. Out: [`Scene`]s with their truth, [`Sheet`]s of wood grain and printed words, cameras. Figures as the benchmark asks: 30 mm
-//! markers 0.5 m from the camera, tops level within 1 degree and 0.2 mm, contrast 50 to 100 %; every other scene lies on
-//! a printed sheet among markers of other families and squares of random modules.
+//! In: a seed. Out: [`Scene`]s with their truth, [`Sheet`]s of wood grain and printed words, cameras. Figures
+//! as the benchmark asks: 30 mm markers 0.5 m from the camera, tops level within 1 degree and 0.2 mm,
+//! contrast 50 to 100 %; every other scene lies on a printed sheet among markers of other families and
+//! squares of random modules.
 
 use crate::bench::vision::render::{Degrade, Ground, Lens, Print, Sheet};
 use crate::geometry::pose::Pose2;

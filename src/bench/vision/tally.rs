@@ -1,6 +1,7 @@
 //! Sums of the vision benchmark: counts and errors, from scenes to figures.
 //!
-//! In: errors with their claimed covariance. Out: [`Accuracy`]: medians, percentiles, and how true the claimed deviations are.
+//! In: errors with their claimed covariance. Out: [`Accuracy`]: medians, percentiles, and how true the
+//! claimed deviations are.
 
 use crate::units::{deg_from_rad, mm_from_m};
 use nalgebra::{Matrix3, Vector3};
@@ -108,7 +109,8 @@ impl Sums {
 pub struct Errors {
     position_mm: Vec<f64>,
     angle_deg: Vec<f64>,
-    /// Squared errors over what was claimed, summed over x, y and angle: 3 on average when the claims are true.
+    /// Squared errors over what was claimed, summed over x, y and angle: 3 on average when the claims are
+    /// true.
     normalised: Vec<f64>,
 }
 

@@ -1,7 +1,9 @@
-//! The arm's body as lines along its links: what it hides from a camera that stands, and how near it comes to it.
+//! The arm's body as lines along its links: what it hides from a camera that stands, and how near it comes to
+//! it.
 //!
-//! In: the arm's model and joints. Out: a [`Body`] in the base frame, distances in m. A drawing to propose poses by, wide enough for
-//! that; the path check's heights and the person who gives `--yes` guard the arm. Pure.
+//! In: the arm's model and joints. Out: a [`Body`] in the base frame, distances in m. A drawing to propose
+//! poses by, wide enough for that; the path check's heights and the person who gives `--yes` guard the arm.
+//! Pure.
 
 use crate::motion::kinematics::link_frames;
 use crate::motion::path::ArmModel;
@@ -35,7 +37,8 @@ impl Body {
         Body { links, tool: [at[5], frames[5] * model.flange_from_tool * Point3::origin()] }
     }
 
-    /// Something on the line of sight between two points, the tool apart: whoever clamps a board to it sees that it is free.
+    /// Something on the line of sight between two points, the tool apart: whoever clamps a board to it sees
+    /// that it is free.
     pub(super) fn hides(&self, from: &Point3<f64>, to: &Point3<f64>) -> bool {
         self.links.iter().any(|link| apart_m(link, &[*from, *to]) < HALF_WIDTH_M)
     }
@@ -47,8 +50,8 @@ impl Body {
     }
 }
 
-/// Least distance of two straight pieces, m: of their lines, held within both pieces (Ericson, Real-Time Collision
-/// Detection, section 5.1.9).
+/// Least distance of two straight pieces, m: of their lines, held within both pieces (Ericson, Real-Time
+/// Collision Detection, section 5.1.9).
 fn apart_m([a, b]: &Line, [c, d]: &Line) -> f64 {
     let (u, v, w) = (b - a, d - c, a - c);
     let (uu, vv, uv) = (u.norm_squared(), v.norm_squared(), u.dot(&v));

@@ -1,8 +1,9 @@
 //! Where the hand would have to be, and what the camera would see from there: the cell as drawn.
 //!
-//! In: a [`Scene`]: arm, box, lens, and which of camera and target the hand carries. Out: flange poses for a direction of view, the markers
-//! that appear well inside the picture. A camera on the hand before the table and a board on the hand before a camera
-//! that stands are one geometry: the camera looks at a flat target, and one of the two is on the flange. Pure.
+//! In: a [`Scene`]: arm, box, lens, and which of camera and target the hand carries. Out: flange poses for a
+//! direction of view, the markers that appear well inside the picture. A camera on the hand before the table
+//! and a board on the hand before a camera that stands are one geometry: the camera looks at a flat target,
+//! and one of the two is on the flange. Pure.
 
 use crate::calibration::propose::body::Body;
 use crate::motion::kinematics::forward;
@@ -27,12 +28,13 @@ const NEAREST_M: f64 = 0.25;
 const FURTHER_M: f64 = 0.05;
 /// Markers of the target that every pose shows.
 pub(super) const SEEN_MIN: usize = 4;
-/// Rim of the picture that is not relied on, as a share: the nominal mount is a few millimetres and degrees off.
+/// Rim of the picture that is not relied on, as a share: the nominal mount is a few millimetres and degrees
+/// off.
 const RIM: f64 = 0.05;
 /// Least edge of a marker in the picture, px.
 const EDGE_PX: f64 = 18.0;
-/// Least distance of the arm's and the board's middle from a camera that stands, m: half an arm, half a camera, and the 10 cm by
-/// which its place may be wrong.
+/// Least distance of the arm's and the board's middle from a camera that stands, m: half an arm, half a
+/// camera, and the 10 cm by which its place may be wrong.
 const CAMERA_CLEAR_M: f64 = 0.2;
 /// Least height of the board's corners over the table, m; plates are larger than the print.
 const BOARD_CLEAR_M: f64 = 0.08;
@@ -93,8 +95,8 @@ impl Scene<'_> {
         }
     }
 
-    /// The target's markers as the arm shows them with these joints: to a camera that stands, those that the arm does not
-    /// hide.
+    /// The target's markers as the arm shows them with these joints: to a camera that stands, those that the
+    /// arm does not hide.
     pub(super) fn shown(&self, q: &Joints) -> Vec<Detection> {
         let [base_from_target, _] = self.placed(&forward(&self.model.dh, q));
         self.shown_of(&self.target, &base_from_target, q)
@@ -120,7 +122,8 @@ impl Scene<'_> {
         seen
     }
 
-    /// On the way between two postures arm and board stay clear of a camera that stands, and the board of the table.
+    /// On the way between two postures arm and board stay clear of a camera that stands, and the board of the
+    /// table.
     pub(super) fn keeps_clear(&self, from: &Joints, to: &Joints) -> bool {
         let Carried::Board { base_from_camera, .. } = self.carried else { return true };
         let camera = Point3::from(base_from_camera.translation.vector);
@@ -139,8 +142,8 @@ impl Scene<'_> {
         })
     }
 
-    /// Flange poses (base frame) within the box from which enough of the target is seen, tilted by `tilt` rad in the direction
-    /// of `turn`; those that show most come first.
+    /// Flange poses (base frame) within the box from which enough of the target is seen, tilted by `tilt` rad
+    /// in the direction of `turn`; those that show most come first.
     pub(super) fn flanges(&self, tilt: f64, turn: usize) -> Vec<Isometry3<f64>> {
         let look = direction(tilt, turn, self.upright);
         let aims = self.aims(turn);
@@ -167,8 +170,8 @@ impl Scene<'_> {
         places.into_iter().map(|(_, flange)| flange).collect()
     }
 
-    /// Finds the turn about the optical axis with which the hand hangs as it does at home. A camera is mounted to look at the
-    /// table that way; how a board is clamped is anybody's choice.
+    /// Finds the turn about the optical axis with which the hand hangs as it does at home. A camera is
+    /// mounted to look at the table that way; how a board is clamped is anybody's choice.
     ///
     /// # Errors
     /// With no turn the hand hangs as at home: how far it is off, rad.
@@ -185,8 +188,9 @@ impl Scene<'_> {
         if least > UPRIGHT_MAX { Err(least) } else { Ok(()) }
     }
 
-    /// Points of the target's plane to look at, m: on the table, the middle first. A board that the camera always looked at
-    /// the middle of would tell nothing of the picture's rest, so points beside it, another first each time.
+    /// Points of the target's plane to look at, m: on the table, the middle first. A board that the camera
+    /// always looked at the middle of would tell nothing of the picture's rest, so points beside it, another
+    /// first each time.
     fn aims(&self, turn: usize) -> Vec<[f64; 2]> {
         let shares = match self.carried {
             Carried::Camera { .. } => [0.5, 0.35, 0.65, 0.2, 0.8],

@@ -3,8 +3,8 @@
 //! In: bytes or answers of a device, commands, and the time. Out: bytes or requests to send, events, and the
 //! time at which the session wants to be called again, with the reason. Nothing here opens a socket or reads
 //! a clock, so every delay, loss and refusal can be played through in a test. All sessions have the same
-//! verbs: `connected`, `disconnected`, `received`, `tick`, `poll_transmit`, `poll_event`, `poll_timeout`; time passes
-//! in `tick` alone, after everything that has arrived was handed over.
+//! verbs: `connected`, `disconnected`, `received`, `tick`, `poll_transmit`, `poll_event`, `poll_timeout`;
+//! time passes in `tick` alone, after everything that has arrived was handed over.
 
 pub mod outbox;
 

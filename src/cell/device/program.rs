@@ -1,7 +1,7 @@
 //! The program that runs on the robot: its text with the two numbers filled in.
 //!
-//! In: the template (hardware/ur5e/celld_program.script), a [`Nonce`], the watchdog's number of frames. Out: the text
-//! to upload and the program's name. Only checked integers are put into the text, never a string.
+//! In: the template (hardware/ur5e/celld_program.script), a [`Nonce`], the watchdog's number of frames. Out:
+//! the text to upload and the program's name. Only checked integers are put into the text, never a string.
 
 use crate::wire::bytes::cut_text;
 

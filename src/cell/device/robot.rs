@@ -1,16 +1,16 @@
 //! The robot: one session over RTDE, dashboard and primary interface.
 //!
-//! In: bytes of three links, [`RobotCommand`]s, the time. Out: bytes, [`RobotEvent`]s, the latest [`RobotState`],
-//! and which link should be made anew. It uploads the on-robot program and proves by nonce that it runs,
-//! streams checked paths to it, keeps its heartbeat, and stops it. It never acknowledges a safety stop by
-//! itself, and never moves the arm on a state older than 100 ms.
+//! In: bytes of three links, [`RobotCommand`]s, the time. Out: bytes, [`RobotEvent`]s, the latest
+//! [`RobotState`], and which link should be made anew. It uploads the on-robot program and proves by nonce
+//! that it runs, streams checked paths to it, keeps its heartbeat, and stops it. It never acknowledges a
+//! safety stop by itself, and never moves the arm on a state older than 100 ms.
 //!
 //! Three ways lead to standstill, each the fall-back of the one before: the stop opcode (the arm decelerates
 //! and the program reports it), `stop` on the dashboard, and silence (the program's own watchdog).
 //!
-//! Time passes in [`Robot::tick`] alone. Everything that has arrived is handed over first (`connected`, `received`,
-//! `disconnected`), so that a computer that was held up judges deadlines by fresh states and never calls a robot silent
-//! whose states wait in a socket.
+//! Time passes in [`Robot::tick`] alone. Everything that has arrived is handed over first (`connected`,
+//! `received`, `disconnected`), so that a computer that was held up judges deadlines by fresh states and
+//! never calls a robot silent whose states wait in a socket.
 //!
 //! The work is split by subject: `links` takes what the link sessions report, `commands` what is asked for,
 //! `life` follows the program, `feed` gives it work.

@@ -1,7 +1,7 @@
 //! What goes in and out of the robot session: parameters, state, commands, events, refusals.
 //!
-//! Plain data, so that the supervisor and tests can write them down. Joints in rad, base to wrist 3; poses are
-//! those of the controller (base frame, m and rotation vector).
+//! Plain data, so that the supervisor and tests can write them down. Joints in rad, base to wrist 3; poses
+//! are those of the controller (base frame, m and rotation vector).
 
 use crate::cell::device::program::{Nonce, PROGRAM_TEXT, WATCHDOG_FRAMES};
 use crate::cell::device::registers::ProgramStatus;

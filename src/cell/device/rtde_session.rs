@@ -1,8 +1,8 @@
 //! RTDE session: handshake, state in, registers out.
 //!
 //! In: bytes of TCP 30004, command registers, heartbeats, the time. Out: bytes, [`RtdeEvent`]s, the latest
-//! [`RobotState`]. The inputs are two small recipes, so that a refusal names few registers: the heartbeat, and
-//! the command with its arguments (one package, hence one controller frame).
+//! [`RobotState`]. The inputs are two small recipes, so that a refusal names few registers: the heartbeat,
+//! and the command with its arguments (one package, hence one controller frame).
 //!
 //! Anything malformed, a NaN included, is a fault that drops the link: after it nothing on it can be trusted.
 

@@ -1,8 +1,9 @@
 //! The stream of commands to the on-robot program: numbered, a few ahead of execution, each with a deadline.
 //!
-//! In: paths, payloads and TCPs in order; what the program reports as accepted and finished; time that passed,
-//! scaled by the robot's speed. Out: the next command to write, what was finished, what is overdue. One command
-//! is under way at a time (the registers hold only one), up to [`QUEUE_DEPTH`] are on the robot unfinished.
+//! In: paths, payloads and TCPs in order; what the program reports as accepted and finished; time that
+//! passed, scaled by the robot's speed. Out: the next command to write, what was finished, what is overdue.
+//! One command is under way at a time (the registers hold only one), up to [`QUEUE_DEPTH`] are on the robot
+//! unfinished.
 
 use crate::cell::device::registers::{CommandRegisters, Opcode, QUEUE_DEPTH};
 use crate::cell::device::robot_types::Refused;
@@ -275,7 +276,8 @@ fn segment_registers(segment: &Segment, last: bool) -> CommandRegisters {
     CommandRegisters { sequence: 0, opcode, last, arguments: target.0, speed, acceleration, blend }
 }
 
-/// Duration of a segment at full speed, s: a trapezoid that reaches its speed, so rather too long than too short.
+/// Duration of a segment at full speed, s: a trapezoid that reaches its speed, so rather too long than too
+/// short.
 fn nominal_duration_s(dh: &DhParameters, from: &Joints, segment: &Segment) -> f64 {
     let turn = from.max_difference(&segment.target());
     let trapezoid = |way: f64, speed: f64, acceleration: f64| way / speed + speed / acceleration;

@@ -1,4 +1,5 @@
-//! Between a closed gate and the first motion: waiting with a bound, powering the arm, starting the on-robot program.
+//! Between a closed gate and the first motion: waiting with a bound, powering the arm, starting the on-robot
+//! program.
 
 use crate::cell::code::Code;
 use crate::cell::device::program::Nonce;

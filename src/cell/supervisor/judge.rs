@@ -1,7 +1,7 @@
 //! What makes a look useless: a bumped camera, objects that cannot be trusted, things that carry no marker.
 //!
-//! In: the observation of a look, the active job. Out: the first doubt, with its code, a sentence and what to do about it; and, where the
-//! configuration says so, foreign objects as obstacles for planning and motion.
+//! In: the observation of a look, the active job. Out: the first doubt, with its code, a sentence and what to
+//! do about it; and, where the configuration says so, foreign objects as obstacles for planning and motion.
 
 use crate::cell::code::Code;
 use crate::cell::supervisor::cell::{Reason, Supervisor, say};
@@ -19,7 +19,8 @@ use crate::vision::observe::reference::MARKERS_MIN;
 /// Share of the table in which depth has to be measured for a look to say that nothing foreign is there.
 const MEASURED_SHARE: f64 = 0.9;
 
-/// Largest piece of the table in which depth may have measured nothing, m2; known objects and their shadows do not count.
+/// Largest piece of the table in which depth may have measured nothing, m2; known objects and their shadows
+/// do not count.
 const HOLE_M2: f64 = 20e-4;
 
 /// Share of the limits of drift from which on a look that is still within them is told of.
@@ -37,7 +38,8 @@ impl Supervisor {
         };
         let foreign = || self.doubt_foreign(observation);
         let calibration = self.doubt_calibration(observation);
-        // What a marker says about a thing is more exact than that there is one; a missing object may be the thing.
+        // What a marker says about a thing is more exact than that there is one; a missing object may be the
+        // thing.
         let named = !observation.suspicious.is_empty() || !observation.duplicates.is_empty();
         if named {
             calibration.or_else(objects).or_else(foreign)
@@ -57,7 +59,8 @@ impl Supervisor {
             return Some(Code::ReferenceHidden.because(message, remedy));
         }
         let check = observation.reference.as_ref()?;
-        // Their mean over all looks does not tell a bump: what it shifts from one side it shifts back from another.
+        // Their mean over all looks does not tell a bump: what it shifts from one side it shifts back from
+        // another.
         if tolerances.reference_seen >= MARKERS_MIN && check.looks.is_empty() {
             let message = format!("no look pose shows {MARKERS_MIN} reference markers at once");
             let remedy =
@@ -169,8 +172,8 @@ impl Supervisor {
         Some(Code::ForeignObject.because(message, remedy))
     }
 
-    /// Says once that a look, although within its limits, comes near to those of drift: a calibration that starts there
-    /// leaves little room for what it should notice.
+    /// Says once that a look, although within its limits, comes near to those of drift: a calibration that
+    /// starts there leaves little room for what it should notice.
     pub(crate) fn tell_drift(&mut self, observation: &Observation, out: &mut Vec<Action>) {
         let limits = &self.model.tolerances.reference;
         let worst = observation.reference.as_ref().and_then(|check| check.worst_look(limits));
@@ -202,7 +205,8 @@ impl Supervisor {
         self.model.keep_out.iter().cloned().chain(foreign).collect()
     }
 
-    /// Heights and speeds of a cycle, over what carries no marker too, as the last look that measured it saw it.
+    /// Heights and speeds of a cycle, over what carries no marker too, as the last look that measured it saw
+    /// it.
     pub(crate) fn cycle(&self) -> CycleParameters {
         let mut cycle = self.model.cycle.clone();
         cycle.tallest = cycle.tallest.max(self.foreign_height);
@@ -269,8 +273,8 @@ fn margin_m(model: &CellModel) -> f64 {
     }
 }
 
-/// Height over which the arm has to travel because of what carries no marker, m; `None` when depth does not tell. It counts
-/// also where such things are refused: the arm still has to look again, and to be parked.
+/// Height over which the arm has to travel because of what carries no marker, m; `None` when depth does not
+/// tell. It counts also where such things are refused: the arm still has to look again, and to be parked.
 pub(crate) fn foreign_height(model: &CellModel, seen: &Observation) -> Option<f64> {
     if model.foreign == ForeignRule::Off {
         return Some(0.0);

@@ -1,8 +1,8 @@
 //! The commit gate: entries that are on their way to the disk, and for how long.
 //!
-//! In: entries to commit, the word that one is on disk. Out: their numbers, whether any is open, whether the disk is slow
-//! or silent. The machine's phases wait for the number of their entry; a stop leaves the phase, and the entry it waited
-//! for is written all the same and counts for nothing but the journal.
+//! In: entries to commit, the word that one is on disk. Out: their numbers, whether any is open, whether the
+//! disk is slow or silent. The machine's phases wait for the number of their entry; a stop leaves the phase,
+//! and the entry it waited for is written all the same and counts for nothing but the journal.
 
 use crate::time::{Duration, Timestamp};
 use std::collections::VecDeque;

@@ -33,8 +33,8 @@ const SAME_PLACE_RAD: f64 = 2e-4;
 /// Part of the planner's clearance that a running plan must still keep after placing errors.
 const CLEARANCE_SHARE: f64 = 0.3;
 
-/// Overlap that measured arrangements may have (design, section 3): so many standard deviations of the distance of two
-/// objects, and no less than the world's grain.
+/// Overlap that measured arrangements may have (design, section 3): so many standard deviations of the
+/// distance of two objects, and no less than the world's grain.
 const OVERLAP_STDS: f64 = 3.0;
 const LEAST_OVERLAP_M: f64 = 5e-4;
 
@@ -203,7 +203,8 @@ impl Supervisor {
         }
     }
 
-    /// The arm stands and waits for the camera; the look's deadline decides when this has gone on for too long.
+    /// The arm stands and waits for the camera; the look's deadline decides when this has gone on for too
+    /// long.
     fn no_picture(&mut self, now: Timestamp, trouble: CameraTrouble, out: &mut Vec<Action>) {
         if self.job.as_ref().is_some_and(|job| job.cancel) {
             // Nobody waits for this picture any more.
@@ -224,8 +225,8 @@ impl Supervisor {
         look.trouble = Some(trouble);
     }
 
-    /// Ends the job for want of a picture. The arm stands, nothing hangs on it and nothing was stopped, so the cell stays
-    /// armed: the next job looks again.
+    /// Ends the job for want of a picture. The arm stands, nothing hangs on it and nothing was stopped, so
+    /// the cell stays armed: the next job looks again.
     pub(crate) fn give_up_looking(&mut self, now: Timestamp, trouble: &CameraTrouble, out: &mut Vec<Action>) {
         self.phase = Phase::Ready;
         self.seen = None;
@@ -332,8 +333,8 @@ impl Supervisor {
     /// The table as seen, with the job's goals, as a planning instance.
     ///
     /// An object that counts as being at its goal is given its present pose as goal: it need not move, and it
-    /// must not be nudged for the sake of a tenth of a millimetre. Unless it then stands in the goal of another one:
-    /// there the millimetre counts, for the other would be put down onto it.
+    /// must not be nudged for the sake of a tenth of a millimetre. Unless it then stands in the goal of
+    /// another one: there the millimetre counts, for the other would be put down onto it.
     fn instance(&self, job: &JobRun, seen: &Observation, clearance: f64) -> Instance {
         let worst_std = seen.objects.iter().map(|estimate| estimate.std_xy_m).fold(0.0, f64::max);
         // What touches is measured as overlapping by the errors of two objects.

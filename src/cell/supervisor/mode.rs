@@ -1,7 +1,7 @@
 //! Whether and how the cell may move: one value in place of flags that could contradict each other.
 //!
-//! In: orders, stops, faults. Out: what may begin. A pause outlasts disarming and arming, because whoever paused a cell
-//! does not expect it to move when somebody else arms it.
+//! In: orders, stops, faults. Out: what may begin. A pause outlasts disarming and arming, because whoever
+//! paused a cell does not expect it to move when somebody else arms it.
 
 use crate::time::Timestamp;
 

@@ -1,7 +1,7 @@
 //! What the operator may order, what each order does in which state of the cell, and what is answered.
 //!
-//! In: an order. Out: what changes, and a [`Reply`] made after the decision from the state that it led to. An order that
-//! changes nothing says so.
+//! In: an order. Out: what changes, and a [`Reply`] made after the decision from the state that it led to. An
+//! order that changes nothing says so.
 
 use crate::cell::code::Code;
 use crate::cell::device::gripper::{Channels, GripperCommand, GripperEvent};

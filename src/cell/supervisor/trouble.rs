@@ -1,7 +1,8 @@
-//! What interrupts the cell: safety stops, lost links, ended programs, deadlines, the operator's stop, the disk, shutdown.
+//! What interrupts the cell: safety stops, lost links, ended programs, deadlines, the operator's stop, the
+//! disk, shutdown.
 //!
-//! One rule: the arm is stopped first, the vacuum stays as it is, the job gets a named end, the cell is disarmed, and
-//! nothing continues until a person has armed it and the table has been seen again.
+//! One rule: the arm is stopped first, the vacuum stays as it is, the job gets a named end, the cell is
+//! disarmed, and nothing continues until a person has armed it and the table has been seen again.
 
 use crate::cell::code::Code;
 use crate::cell::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
@@ -25,7 +26,8 @@ const STOP_WITHIN: Duration = Duration::from_secs(3);
 const AFTER_A_STOP: &str = "see that the cell is safe and nothing hangs on the gripper, then `celld arm`";
 
 impl Supervisor {
-    /// Runs on every tick: settling, bring-up, deadlines, the disk, and the robot's state while something moves.
+    /// Runs on every tick: settling, bring-up, deadlines, the disk, and the robot's state while something
+    /// moves.
     pub(crate) fn watch(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
         self.watch_disk(now, out);
         self.watch_end(now, outside, out);
@@ -56,7 +58,8 @@ impl Supervisor {
         }
     }
 
-    /// The daemon may end when the arm stands and everything is written; and when that was waited for long enough.
+    /// The daemon may end when the arm stands and everything is written; and when that was waited for long
+    /// enough.
     fn watch_end(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
         let Mode::Ending { since, fault } = &self.mode else { return };
         let stands = self.stands || outside.robot.is_none() || now.since(*since) >= STOP_WITHIN;
@@ -169,8 +172,8 @@ impl Supervisor {
         Some(Code::RobotStopped.because(message, ""))
     }
 
-    /// Something happened to the robot while nothing moved: people who were in the cell since then have to arm it again
-    /// before it moves.
+    /// Something happened to the robot while nothing moved: people who were in the cell since then have to
+    /// arm it again before it moves.
     fn stand_down(&mut self, now: Timestamp, reason: Reason, out: &mut Vec<Action>) {
         self.seen = None;
         self.mode.set_park(false);
@@ -243,7 +246,8 @@ impl Supervisor {
     }
 }
 
-/// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does not play.
+/// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does not
+/// play.
 pub(crate) fn motion_speed(outside: &Outside) -> f64 {
     outside.robot.map_or(0.0, |robot| {
         let playing = robot.runtime_state == RuntimeState::Playing;

@@ -106,8 +106,8 @@ impl Supervisor {
         self.remaining = self.model.tolerances.phase_deadline;
     }
 
-    /// An object so tall that the gripper's body, coming down for the pick or the place, would touch it. The body
-    /// counts as a disc about the tool's axis, for the yaw is chosen later.
+    /// An object so tall that the gripper's body, coming down for the pick or the place, would touch it. The
+    /// body counts as a disc about the tool's axis, for the yaw is chosen later.
     fn body_meets(&self, next: &RouteAction, object: &CellObject) -> Option<String> {
         let seen = self.seen.as_ref()?;
         let body = self.model.grip.body_radius;
@@ -210,7 +210,8 @@ impl Supervisor {
                 let reason = Code::VacuumLost.because(message, "").of(&work.object);
                 return self.stop_all(now, JobEnd::Failed, reason, out);
             }
-            // Readings and repeated answers change nothing; a phase that waits in vain runs into its deadline.
+            // Readings and repeated answers change nothing; a phase that waits in vain runs into its
+            // deadline.
             _ => return,
         }
         self.remaining = self.model.tolerances.phase_deadline;

@@ -1,4 +1,5 @@
-//! The parts of `celld bench vision` beside the markers: bumped cameras, things without a marker, the camera's mount.
+//! The parts of `celld bench vision` beside the markers: bumped cameras, things without a marker, the
+//! camera's mount.
 //!
 //! In: the arguments. Out: each part's table for people and its figures as JSON; `None` after Ctrl-C.
 

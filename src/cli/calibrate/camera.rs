@@ -1,7 +1,8 @@
 //! `celld calibrate camera`: the lens, from pictures of a printed board (`celld markers --board`).
 //!
-//! In: a folder of pictures, or a live camera and a person who moves the board; the board's geometry. Out: `camera.yaml` with the error of
-//! every picture, and the same on stderr. Exit codes: 0 written, 1 the pictures do not determine the lens, 2 bad input.
+//! In: a folder of pictures, or a live camera and a person who moves the board; the board's geometry. Out:
+//! `camera.yaml` with the error of every picture, and the same on stderr. Exit codes: 0 written, 1 the
+//! pictures do not determine the lens, 2 bad input.
 
 use crate::cli::calibrate::take::take;
 use crate::cli::calibrate::{Fault, bad_input};

@@ -1,7 +1,8 @@
 //! `celld calibrate empty`: how the empty table looks from the look poses, for cameras without depth.
 //!
-//! In: the cell's configuration, live devices, a table with nothing on it. Out: a recorded round in the folder that the configuration names
-//! under `calibration: {empty: ...}`. Nothing is solved: the daemon compares its looks with these pictures.
+//! In: the cell's configuration, live devices, a table with nothing on it. Out: a recorded round in the
+//! folder that the configuration names under `calibration: {empty: ...}`. Nothing is solved: the daemon
+//! compares its looks with these pictures.
 
 use crate::cli::calibrate::{SAMPLES, live};
 use crate::cli::daemon::with_runtime;

@@ -1,7 +1,8 @@
-//! Pictures of the board, one at a time, with a word on each: how much of the board it shows, and where none was yet.
+//! Pictures of the board, one at a time, with a word on each: how much of the board it shows, and where none
+//! was yet.
 //!
-//! In: a camera, the board, a person who moves it. Out: numbered pictures in a folder. A picture in which nothing can be
-//! measured is told and not kept, so that nobody finds out after the last one.
+//! In: a camera, the board, a person who moves it. Out: numbered pictures in a folder. A picture in which
+//! nothing can be measured is told and not kept, so that nobody finds out after the last one.
 
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::task::complain;

@@ -1,4 +1,5 @@
-//! Tests of the calibration commands on rendered pictures: what is written, and what is refused with which words.
+//! Tests of the calibration commands on rendered pictures: what is written, and what is refused with which
+//! words.
 
 use super::*;
 use crate::bench::vision::calibrated::{bench_board, board_picture};
@@ -96,7 +97,8 @@ fn args_of(round: &Path, drop: Vec<usize>) -> RoundArgs {
     RoundArgs { config: PathBuf::new(), from: Some(round.to_path_buf()), record: None, drop, tie }
 }
 
-/// A round over the example cell's reference markers, rendered through its own lens; returns the mount and table it was taken with.
+/// A round over the example cell's reference markers, rendered through its own lens; returns the mount and
+/// table it was taken with.
 fn record(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::bench::vision::render::{Ground, Print, render};
     use crate::bench::vision::scene::{DEGRADE, looking_down};
@@ -169,7 +171,8 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
     assert!(told(&args).message.contains("01.png: the picture is 1280 x 720"));
 }
 
-/// A round before a camera that stands over the example cell's table: the hand carries the board through its picture.
+/// A round before a camera that stands over the example cell's table: the hand carries the board through its
+/// picture.
 fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::bench::vision::render::{Ground, Print, render};
     use crate::bench::vision::scene::DEGRADE;
@@ -387,7 +390,8 @@ fn touches_that_cannot_place_the_table_are_told_before_anything_moves() {
     assert!(fits_arm(&config, &args, Wanted::Table, &provenance).unwrap_err().message.contains("hand-eye"));
 }
 
-/// How a round through the taught poses over simulated devices ended, where the flange was seen, where it was first and last.
+/// How a round through the taught poses over simulated devices ended, where the flange was seen, where it was
+/// first and last.
 struct Visited {
     ended: Result<(), crate::daemon::shell::StartError>,
     seen: Vec<Isometry3<f64>>,

@@ -1,8 +1,9 @@
 //! `celld calibrate touches`, and tying the table to them.
 //!
-//! In: the cell's configuration, which points are touched, a robot that a person moves (celld reads where it is and moves nothing). Out:
-//! `touches.yaml` with the arm's pose at each press of Enter, and each touch's error by touch alone. `tied` later holds
-//! the file against the table that the camera sees; a disagreement above the limits is an error, and nothing is written.
+//! In: the cell's configuration, which points are touched, a robot that a person moves (celld reads where it
+//! is and moves nothing). Out: `touches.yaml` with the arm's pose at each press of Enter, and each touch's
+//! error by touch alone. `tied` later holds the file against the table that the camera sees; a disagreement
+//! above the limits is an error, and nothing is written.
 
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::daemon::{open_shell, with_runtime};
@@ -46,7 +47,8 @@ pub struct TouchArgs {
     /// What is touched, in this order: marker numbers, 500:lower_left, or x/y in m.
     #[arg(long, value_name = "LIST", value_delimiter = ',', required = true, value_parser = target)]
     points: Vec<Target>,
-    /// The tip's point in the flange frame, mm; without it the tool of the configuration (`flange_from_tool`).
+    /// The tip's point in the flange frame, mm; without it the tool of the configuration
+    /// (`flange_from_tool`).
     #[arg(long, value_name = "X,Y,Z", value_parser = tip, allow_hyphen_values = true)]
     tip_mm: Option<Tip>,
     /// Where the touches are written.
@@ -166,7 +168,8 @@ async fn record(config: &CellConfig, args: &TouchArgs, stop: Arc<AtomicBool>) ->
 /// Joint speed below which a hand-held arm counts as still, rad/s.
 const STILL_RAD_S: f64 = 0.01;
 
-/// Where the flange is when the person presses Enter and the arm is still; the robot's messages are taken in meanwhile.
+/// Where the flange is when the person presses Enter and the arm is still; the robot's messages are taken in
+/// meanwhile.
 async fn read_pose(
     shell: &mut Shell,
     dh: &DhParameters,
@@ -227,11 +230,12 @@ pub(super) struct Fitted {
 }
 
 impl TieArgs {
-    /// The touches, if any were given, and the table by them alone. What is wrong with them is to be told before the arm moves
-    /// for them.
+    /// The touches, if any were given, and the table by them alone. What is wrong with them is to be told
+    /// before the arm moves for them.
     ///
     /// # Errors
-    /// A file that is missing, broken or of another survey, a number that is not in it, touches that fix no table.
+    /// A file that is missing, broken or of another survey, a number that is not in it, touches that fix no
+    /// table.
     pub(super) fn fitted(&self, config: &CellConfig) -> Result<Option<Fitted>, Fault> {
         let Some(path) = &self.touches else { return Ok(None) };
         let name = path.display().to_string();

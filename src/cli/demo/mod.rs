@@ -115,7 +115,8 @@ fn prepare(args: &DemoArgs) -> Result<Option<Instance>, String> {
     Ok(Some(fitted))
 }
 
-/// The demo glues reference markers round the table; an object with one of those numbers would be taken for the table.
+/// The demo glues reference markers round the table; an object with one of those numbers would be taken for
+/// the table.
 fn refuse_table_markers(instance: &Instance) -> Result<(), String> {
     let Workspace { width, height } = instance.workspace;
     let table: Vec<u32> = teach::reference_markers(width, height).into_iter().map(|(id, _)| id).collect();
@@ -200,7 +201,8 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
     if interrupted.load(Ordering::Relaxed) { 130 } else { code }
 }
 
-/// The cell for the instance, if its arm can do the work: what is too heavy or too far is refused by name, now.
+/// The cell for the instance, if its arm can do the work: what is too heavy or too far is refused by name,
+/// now.
 fn possible_cell(instance: &Instance, choice: &DemoChoice, out: &Path) -> Result<CellConfig, String> {
     let config = cell_config(instance, choice, out)?;
     let task: Vec<_> = instance

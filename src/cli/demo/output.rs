@@ -1,8 +1,8 @@
 //! The files and the summary a demo leaves behind.
 //!
-//! In: a [`DemoOutcome`]. Out: `report.html`, `plan.svg`, `start.png`, `end.png` and `result.json` in the output
-//! folder, the summary on stdout, and the exit code: 0 only if the simulated world itself
-//! says that every object is where the job wanted it.
+//! In: a [`DemoOutcome`]. Out: `report.html`, `plan.svg`, `start.png`, `end.png` and `result.json` in the
+//! output folder, the summary on stdout, and the exit code: 0 only if the simulated world itself says that
+//! every object is where the job wanted it.
 
 use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::order::JobReport;

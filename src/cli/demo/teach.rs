@@ -22,7 +22,8 @@ const USED_SHARE: f64 = 0.88;
 /// Share of the lower half of the picture that the gripper leaves free; it hangs at that side of the camera.
 const FREE_SHARE: f64 = 0.5;
 
-/// How far round the table the looks have to see it at that side, m: what carries no marker is searched for so far.
+/// How far round the table the looks have to see it at that side, m: what carries no marker is searched for
+/// so far.
 const NEAR_M: f64 = 0.02;
 
 /// A camera for teaching: half picture size over focal length, horizontally and vertically.
@@ -83,8 +84,8 @@ pub fn look_poses(
     Ok(poses)
 }
 
-/// Where pictures that reach `half` up and down have their middles, table frame, so that none of the table up to `far` is seen
-/// through the gripper alone.
+/// Where pictures that reach `half` up and down have their middles, table frame, so that none of the table up
+/// to `far` is seen through the gripper alone.
 fn rows(far: f64, half: f64) -> Vec<f64> {
     let (below, above) = (FREE_SHARE * half, USED_SHARE * half);
     let count = ((far + NEAR_M) / (below + above)).ceil().max(1.0) as usize;

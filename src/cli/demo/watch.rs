@@ -104,7 +104,8 @@ impl Watch {
 
     /// A shorter route is a move done; any other change is a new plan.
     fn routed(&mut self, now: Timestamp, route: &[RouteStep]) {
-        // Where an object is picked up is measured anew before every move; the plan is the objects and places.
+        // Where an object is picked up is measured anew before every move; the plan is the objects and
+        // places.
         let places = |steps: &[RouteStep]| steps.iter().map(|s| (s.0.clone(), s.2)).collect::<Vec<_>>();
         let (before, after) = (places(&self.route), places(route));
         if before.get(1..) == Some(&after[..]) {

@@ -1,7 +1,9 @@
-//! What `celld detect --config` adds: where the objects lie on the table, and, with a depth picture, what carries no marker.
+//! What `celld detect --config` adds: where the objects lie on the table, and, with a depth picture, what
+//! carries no marker.
 //!
-//! In: the cell's configuration and calibration, the markers of a picture, a depth picture aligned to it. Out: sentences, JSON and
-//! outlines to draw. Where the picture was taken is told by the reference markers in it.
+//! In: the cell's configuration and calibration, the markers of a picture, a depth picture aligned to it.
+//! Out: sentences, JSON and outlines to draw. Where the picture was taken is told by the reference markers in
+//! it.
 
 use crate::cli::capture::{perception, told};
 use crate::cli::detect::{read_bytes, read_camera};

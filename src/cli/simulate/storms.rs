@@ -1,7 +1,7 @@
 //! `celld simulate --faults random`: many jobs with one to three faults each, on all cores.
 //!
-//! In: the first seed, how many jobs, and for a repetition which of the faults. Out: how the jobs and those after them
-//! ended, and for each failure the fewest faults it needs, with the command that repeats it.
+//! In: the first seed, how many jobs, and for a repetition which of the faults. Out: how the jobs and those
+//! after them ended, and for each failure the fewest faults it needs, with the command that repeats it.
 
 use super::{SimulateArgs, keep_trace, stage};
 use crate::cli::task::{complain, print};

@@ -1,7 +1,8 @@
 //! A folder of pictures as a camera: PNG and JPEG files in the order of their names.
 //!
-//! In: a folder, and the lens from a calibration or from `intrinsics.json` in the folder. Out: frames numbered from 0; names sort with
-//! their numbers taken as numbers (`look_2.png` before `look_10.png`). Time is the frame number: files carry none.
+//! In: a folder, and the lens from a calibration or from `intrinsics.json` in the folder. Out: frames
+//! numbered from 0; names sort with their numbers taken as numbers (`look_2.png` before `look_10.png`). Time
+//! is the frame number: files carry none.
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};

@@ -1,8 +1,8 @@
 //! A camera behind an HTTP address: the simulator's, or any that speaks the same few words.
 //!
-//! `GET /frame.png` gives a picture with headers `X-Sequence` (whole number), `X-Time` (s) and `X-Serial`; `GET
-//! /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is asked for, 16 bits of 0.1 mm
-//! with a number of its own. Every request has a time limit and the answer a size limit.
+//! `GET /frame.png` gives a picture with headers `X-Sequence` (whole number), `X-Time` (s) and `X-Serial`;
+//! `GET /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is asked for, 16
+//! bits of 0.1 mm with a number of its own. Every request has a time limit and the answer a size limit.
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
@@ -73,7 +73,8 @@ impl Client {
 }
 
 impl HttpCamera {
-    /// The camera at `base` (`http://host:port`); every request may take up to `limit`. Connects to nothing yet.
+    /// The camera at `base` (`http://host:port`); every request may take up to `limit`. Connects to nothing
+    /// yet.
     pub fn new(base: &str, limit: Duration) -> HttpCamera {
         HttpCamera {
             base: base.trim_end_matches('/').to_owned(),
@@ -87,7 +88,8 @@ impl HttpCamera {
         }
     }
 
-    /// Uses a lens from a calibration file instead of the camera's own; frames must then carry its serial number.
+    /// Uses a lens from a calibration file instead of the camera's own; frames must then carry its serial
+    /// number.
     pub fn with_lens(mut self, lens: CameraModel) -> HttpCamera {
         self.lens = Some(lens);
         self

@@ -1,8 +1,9 @@
 //! What is tried, and in which order, with a camera that gives no usable picture. Pure.
 //!
-//! In: the kind of fault, what the camera can do, what was tried since the last good picture. Out: the next step. From mild to
-//! harsh: ask again, connect anew, restart the device, give up; every step has a count, so the ladder ends. What is wrong
-//! with the light or the focus is only waited for, and what is wrong with the configuration not even that.
+//! In: the kind of fault, what the camera can do, what was tried since the last good picture. Out: the next
+//! step. From mild to harsh: ask again, connect anew, restart the device, give up; every step has a count, so
+//! the ladder ends. What is wrong with the light or the focus is only waited for, and what is wrong with the
+//! configuration not even that.
 
 use crate::io::camera::FaultKind;
 use std::time::Duration;

@@ -1,7 +1,8 @@
 //! A camera that may come after the program: opened when it is first there.
 //!
-//! In: how it is opened. Out: a source that answers with the reason while the camera is away and is the camera from then
-//! on. A cell must not go down because somebody plugs the camera in a minute later than the computer.
+//! In: how it is opened. Out: a source that answers with the reason while the camera is away and is the
+//! camera from then on. A cell must not go down because somebody plugs the camera in a minute later than the
+//! computer.
 
 use crate::io::camera::{CameraError, CameraSource, FaultKind, Frame};
 use crate::vision::camera::CameraModel;
@@ -17,11 +18,12 @@ pub struct LateCamera {
 }
 
 impl LateCamera {
-    /// Opens it now or, when it is away, later: each picture asked for and each reconnection tries again. With it, why it
-    /// is away.
+    /// Opens it now or, when it is away, later: each picture asked for and each reconnection tries again.
+    /// With it, why it is away.
     ///
     /// # Errors
-    /// What waiting does not mend: another serial number, a setting it lacks, no SDK, a recording that is not there.
+    /// What waiting does not mend: another serial number, a setting it lacks, no SDK, a recording that is not
+    /// there.
     pub fn open(mut open: Open) -> Result<(LateCamera, Option<CameraError>), CameraError> {
         let (camera, away) = match open() {
             Ok(camera) => (Some(camera), None),

@@ -1,9 +1,9 @@
 //! A RealSense camera, or a recording of one, through librealsense2.
 //!
-//! In: settings (which camera or file, size, rate, exposure, depth or not). Out: colour pictures with the camera's own
-//! count and time, depth laid over the colour picture, the factory's lens. The SDK is loaded when such a camera is opened
-//! and not before (`sdk`). Each picture of a live camera is one whose exposure began after it was asked for; of a
-//! recording, every frame comes once.
+//! In: settings (which camera or file, size, rate, exposure, depth or not). Out: colour pictures with the
+//! camera's own count and time, depth laid over the colour picture, the factory's lens. The SDK is loaded
+//! when such a camera is opened and not before (`sdk`). Each picture of a live camera is one whose exposure
+//! began after it was asked for; of a recording, every frame comes once.
 
 pub mod sdk;
 
@@ -36,7 +36,8 @@ pub struct RealSenseSettings {
 
 /// How long the SDK is waited for at a time.
 const WAIT: Duration = Duration::from_millis(200);
-/// Colour pictures passed over before the one that counts: one that was waiting, one whose exposure had begun.
+/// Colour pictures passed over before the one that counts: one that was waiting, one whose exposure had
+/// begun.
 const BEFORE_ASKED: u32 = 2;
 /// And after the start: exposure control settles within half a second.
 const AFTER_START: u32 = 15;
@@ -75,8 +76,8 @@ impl RealSenseCamera {
     /// Starts the stream. A picture may take up to `limit`.
     ///
     /// # Errors
-    /// `RealSense` with what is missing or refused, `File` without the recording, `NotConnected`, `OtherSerial`, `Setting`, `Model`
-    /// when the lens is for another camera or size.
+    /// `RealSense` with what is missing or refused, `File` without the recording, `NotConnected`,
+    /// `OtherSerial`, `Setting`, `Model` when the lens is for another camera or size.
     pub fn open(
         settings: RealSenseSettings,
         limit: Duration,
@@ -136,8 +137,9 @@ impl RealSenseCamera {
         }
     }
 
-    /// The next set with everything in it, of one moment, with a new colour picture. The SDK hands out a set whenever one of
-    /// its streams has something new; a camera that never has is let through in the end, for the watch to tell.
+    /// The next set with everything in it, of one moment, with a new colour picture. The SDK hands out a set
+    /// whenever one of its streams has something new; a camera that never has is let through in the end, for
+    /// the watch to tell.
     fn whole_set(&mut self) -> Result<Frames, CameraError> {
         let begun = Instant::now();
         loop {
@@ -242,7 +244,8 @@ fn unplayable(file: &Path, source: SdkError) -> CameraError {
     CameraError::Recording { path: file.to_owned(), source }
 }
 
-/// Why the streams do not start: a recording that is none, a camera that has gone, or sizes and rates it does not have.
+/// Why the streams do not start: a recording that is none, a camera that has gone, or sizes and rates it does
+/// not have.
 fn not_started(settings: &RealSenseSettings, source: SdkError) -> CameraError {
     let place = place_of(settings);
     match (&settings.file, source) {
@@ -414,7 +417,8 @@ impl CameraSource for RealSenseCamera {
 
     fn reset(&mut self) -> Result<(), CameraError> {
         let refused = self.refused();
-        // A camera that has gone away altogether cannot be told to restart; waiting for it is all that is left.
+        // A camera that has gone away altogether cannot be told to restart; waiting for it is all that is
+        // left.
         if let Some(running) = self.running.take() {
             running.device.reset().map_err(&refused)?;
         } else {

@@ -1,10 +1,10 @@
 //! A camera that answers an address with its present picture: network cameras, a phone, a script.
 //!
-//! In: the address of a PNG or JPEG, the camera's serial number as the configuration tells it, the lens from a calibration.
-//! Out: frames with a count and a time of our own, for such an answer carries neither: seconds since the camera was
-//! opened, at the moment the answer was there. Nothing tells an old picture from a new one but its content, and many such
-//! cameras keep their last picture for whoever asks. So each frame is the first picture that differs from the one that was
-//! kept when it was asked for.
+//! In: the address of a PNG or JPEG, the camera's serial number as the configuration tells it, the lens from
+//! a calibration. Out: frames with a count and a time of our own, for such an answer carries neither: seconds
+//! since the camera was opened, at the moment the answer was there. Nothing tells an old picture from a new
+//! one but its content, and many such cameras keep their last picture for whoever asks. So each frame is the
+//! first picture that differs from the one that was kept when it was asked for.
 
 use crate::io::camera::http::Client;
 use crate::io::camera::watch::{Watch, content};
@@ -30,8 +30,8 @@ pub struct SnapshotCamera {
 }
 
 impl SnapshotCamera {
-    /// The camera at `address`; every request, and the renewal of the picture, may take up to `limit`. Connects to
-    /// nothing yet.
+    /// The camera at `address`; every request, and the renewal of the picture, may take up to `limit`.
+    /// Connects to nothing yet.
     ///
     /// # Errors
     /// `OtherSerial` when the lens is another camera's.

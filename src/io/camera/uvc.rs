@@ -1,8 +1,9 @@
 //! A USB camera as the kernel shows it (V4L2), read by OpenCV.
 //!
-//! In: the device file, size, rate, exposure, and the lens from a calibration, for such a camera tells none. Out: frames
-//! with a count of our own and the driver's time. The driver keeps pictures until they are read; those that were exposed
-//! before a picture was asked for are passed over, or a look would see the table as it was at the last one.
+//! In: the device file, size, rate, exposure, and the lens from a calibration, for such a camera tells none.
+//! Out: frames with a count of our own and the driver's time. The driver keeps pictures until they are read;
+//! those that were exposed before a picture was asked for are passed over, or a look would see the table as
+//! it was at the last one.
 
 use crate::io::camera::mat::image_of;
 use crate::io::camera::watch::Watch;
@@ -167,12 +168,14 @@ fn driver_now_ms() -> f64 {
     now.tv_sec as f64 * 1e3 + now.tv_nsec as f64 / 1e6
 }
 
-/// The driver's time of a picture, ms, where it is one of that clock: some drivers give none, some that of the day.
+/// The driver's time of a picture, ms, where it is one of that clock: some drivers give none, some that of
+/// the day.
 fn stamp_of(told_ms: f64, now_ms: f64) -> Option<f64> {
     (told_ms > 0.0 && told_ms <= now_ms).then_some(told_ms)
 }
 
-/// True for a picture whose exposure began after it was asked for; without a time of the driver's only the count tells.
+/// True for a picture whose exposure began after it was asked for; without a time of the driver's only the
+/// count tells.
 fn is_fresh(stamp_ms: Option<f64>, asked_ms: f64, exposure: Duration, passed: u32) -> bool {
     let exposure_ms = exposure.as_secs_f64() * 1e3;
     passed >= KEPT_MAX || stamp_ms.is_some_and(|stamp_ms| stamp_ms - exposure_ms >= asked_ms)

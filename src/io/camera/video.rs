@@ -1,8 +1,8 @@
 //! A video file as a camera, read by OpenCV.
 //!
-//! In: a file and the lens it was taken with. Out: frames numbered from 0 with the file's own time stamps. Compressed video blurs corners:
-//! good for trying things out, not for measuring. Only the FFmpeg reader is asked: the others guess at file names
-//! and write their guesses to the log.
+//! In: a file and the lens it was taken with. Out: frames numbered from 0 with the file's own time stamps.
+//! Compressed video blurs corners: good for trying things out, not for measuring. Only the FFmpeg reader is
+//! asked: the others guess at file names and write their guesses to the log.
 
 use crate::io::camera::mat::image_of;
 use crate::io::camera::watch::Watch;

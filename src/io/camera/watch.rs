@@ -1,8 +1,9 @@
 //! Watches a stream of frames for a camera that is frozen, restarted, or not the one that was calibrated.
 //!
-//! In: frames in the order they came. Out: nothing, or the error that says what is wrong. Content is compared by a hash of all pixels:
-//! a real sensor's noise never repeats, so two equal pictures are one picture. Where light or dark leave no room for noise,
-//! content says nothing, and the picture is left to those who judge its light.
+//! In: frames in the order they came. Out: nothing, or the error that says what is wrong. Content is compared
+//! by a hash of all pixels: a real sensor's noise never repeats, so two equal pictures are one picture. Where
+//! light or dark leave no room for noise, content says nothing, and the picture is left to those who judge
+//! its light.
 
 use crate::io::camera::{CameraError, Frame};
 use crate::vision::camera::CameraModel;
@@ -61,8 +62,8 @@ impl Watch {
         Ok(())
     }
 
-    /// The camera was connected to anew: its count and its clock may begin again. Its last picture is remembered: a
-    /// camera that still gives that one is frozen.
+    /// The camera was connected to anew: its count and its clock may begin again. Its last picture is
+    /// remembered: a camera that still gives that one is frozen.
     pub fn restarted(&mut self) {
         if let Some(last) = &mut self.last {
             last.restarted = true;

@@ -369,7 +369,8 @@ impl Journal {
         }
     }
 
-    /// Decides about jobs that were active when celld ended; to be called once, at start, before anything else.
+    /// Decides about jobs that were active when celld ended; to be called once, at start, before anything
+    /// else.
     pub fn recover(&mut self, unix_s: f64) -> Result<Vec<Recovered>, JournalError> {
         let mut recovered = Vec::new();
         for job in self.select("WHERE state = 'active'", params![])? {

@@ -12,7 +12,8 @@ impl Journal {
     /// Writes down a step before its first byte of motion leaves the PC, and returns its number.
     ///
     /// # Errors
-    /// [`JournalError::WrongState`] unless the job is active and has no open step: no motion is ordered twice.
+    /// [`JournalError::WrongState`] unless the job is active and has no open step: no motion is ordered
+    /// twice.
     pub fn step_intent(&mut self, id: &str, intent: &StepIntent, unix_s: f64) -> Result<u32, JournalError> {
         let job = self.job(id)?.ok_or_else(|| JournalError::UnknownJob { id: id.to_owned() })?;
         let open = self.steps(id)?.iter().any(|step| step.phase.is_open());

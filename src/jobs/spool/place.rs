@@ -13,7 +13,8 @@ use crate::jobs::utc;
 use std::path::{Path, PathBuf};
 
 impl Spool {
-    /// Finishes what a crash cut short and moves folders after their jobs' states. Cheap when all is in place.
+    /// Finishes what a crash cut short and moves folders after their jobs' states. Cheap when all is in
+    /// place.
     pub fn reconcile(&mut self, journal: &mut Journal) -> Result<(), SpoolError> {
         for placed in journal.placed(false)? {
             self.place(journal, &placed)?;

@@ -29,7 +29,8 @@ struct Round<'a> {
 }
 
 impl Spool {
-    /// Looks into `incoming` once. To be called at start, every few seconds, and when something hints at news.
+    /// Looks into `incoming` once. To be called at start, every few seconds, and when something hints at
+    /// news.
     ///
     /// `now` is the daemon's clock and counts the settle time; `unix_s` dates names and records.
     ///
@@ -297,8 +298,8 @@ fn plain_name(name: &str) -> String {
     if text.is_empty() { "unnamed".to_owned() } else { text }
 }
 
-/// The id of a job that states none: `<utc>-<name>-<first 8 of the hash>`, or the file's name if it is of that
-/// form already, as `celld submit` names its files.
+/// The id of a job that states none: `<utc>-<name>-<first 8 of the hash>`, or the file's name if it is of
+/// that form already, as `celld submit` names its files.
 pub fn id_of_file(name: &str, sha256: &str, unix_s: f64) -> String {
     let stem = Path::new(name).file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let stem: String = stem.unwrap_or_default().chars().take(60).collect();

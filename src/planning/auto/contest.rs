@@ -1,9 +1,10 @@
 //! A place for an object where others stand: which one costs the least, all things considered.
 //!
-//! In: a table on which the object finds no free place. Out: a place, who has to leave it first, and what has to be
-//! put aside after that. A place is priced by what must still follow: a move for each object displaced, two if it was
-//! at its end already, and the feedback vertex set of what remains, so that displacing objects that have to be put
-//! aside anyway costs nothing. Many places are priced roughly, the best of them by that bound.
+//! In: a table on which the object finds no free place. Out: a place, who has to leave it first, and what has
+//! to be put aside after that. A place is priced by what must still follow: a move for each object displaced,
+//! two if it was at its end already, and the feedback vertex set of what remains, so that displacing objects
+//! that have to be put aside anyway costs nothing. Many places are priced roughly, the best of them by that
+//! bound.
 
 use crate::planning::auto::parking;
 use crate::planning::auto::roll_out::node_limit;
@@ -102,7 +103,8 @@ impl Contest<'_> {
         displaced.weight(self.costs) + home.weight(self.costs) - willing
     }
 
-    /// What must follow once the displaced are parked and the object is at the place, in all, and who is aside then.
+    /// What must follow once the displaced are parked and the object is at the place, in all, and who is
+    /// aside then.
     fn price(&self, spot: &Spot, displaced: ObjectSet) -> (f64, ObjectSet) {
         let table = self.table;
         let blocked = table.blocked_by(self.object, spot);

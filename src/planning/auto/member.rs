@@ -1,13 +1,14 @@
 //! One member of the portfolio: randomised roll-outs, then pieces of its best plan solved anew.
 //!
-//! In: a task that all members share, a seed. Out: after each round a plan no dearer than before. A first plan comes
-//! from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from the goal; where none of
-//! them arrives, from pressing everything out of the way (`squeeze`); two members
-//! ask the paper's solvers and nothing else, once a few rounds have found none. From then on a piece of the plan, its tail, its head (backwards) or a window, is replaced by a
-//! roll-out between the same two arrangements whenever that costs no more; equal cost counts as progress, so that the
-//! plan drifts until a better one is near. Under the objective `time` the roll-outs count moves,
-//! the caller's cost function judges what they find, and `polish` tries what no count of moves can tell apart. Ideas:
-//! feedback vertex set as bound and guide (Gao et al., TRLB), plan shortening by large-neighbourhood search.
+//! In: a task that all members share, a seed. Out: after each round a plan no dearer than before. A first
+//! plan comes from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from the
+//! goal; where none of them arrives, from pressing everything out of the way (`squeeze`); two members ask the
+//! paper's solvers and nothing else, once a few rounds have found none. From then on a piece of the plan, its
+//! tail, its head (backwards) or a window, is replaced by a roll-out between the same two arrangements
+//! whenever that costs no more; equal cost counts as progress, so that the plan drifts until a better one is
+//! near. Under the objective `time` the roll-outs count moves, the caller's cost function judges what they
+//! find, and `polish` tries what no count of moves can tell apart. Ideas: feedback vertex set as bound and
+//! guide (Gao et al., TRLB), plan shortening by large-neighbourhood search.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::assignment::Groups;
@@ -161,7 +162,8 @@ impl<'a> Member<'a> {
         }
     }
 
-    /// Asks this member's aid, if it has one, for a plan that costs less than `cost`; what the best one costs then.
+    /// Asks this member's aid, if it has one, for a plan that costs less than `cost`; what the best one costs
+    /// then.
     fn aided(&mut self, cost: f64, effort: &mut Effort) -> f64 {
         let Some(mut aid) = self.aid.take() else { return cost };
         if self.rounds < aid.from_round {
@@ -191,7 +193,8 @@ impl<'a> Member<'a> {
         far && self.rounds <= HOPE && self.aid.as_ref().is_some_and(|aid| aid.betters)
     }
 
-    /// Tries to find a plan in one of `parts` of the effort; in all of it while there is hope for an easy one.
+    /// Tries to find a plan in one of `parts` of the effort; in all of it while there is hope for an easy
+    /// one.
     fn first_plan(
         &mut self,
         parts: u64,

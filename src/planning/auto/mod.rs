@@ -1,10 +1,10 @@
 //! `auto`, our own anytime solver: a portfolio of randomised searches that share their best plan.
 //!
-//! In: a [`Quest`]: a scene, costs, two of the paper's solvers to ask; a seed. Out: plans, each offered as it is found.
-//! Members (`member`) search beside each other, on the caller's threads if there are any; after a
-//! fixed number of steps they meet, in the order of their numbers, and those that have a worse plan take over the best.
-//! Between the rounds the lower bound is raised (`bound::room`), as long as that can end the search.
-//! So nothing but seed and steps decides what is found, however many threads there are.
+//! In: a [`Quest`]: a scene, costs, two of the paper's solvers to ask; a seed. Out: plans, each offered as it
+//! is found. Members (`member`) search beside each other, on the caller's threads if there are any; after a
+//! fixed number of steps they meet, in the order of their numbers, and those that have a worse plan take over
+//! the best. Between the rounds the lower bound is raised (`bound::room`), as long as that can end the
+//! search. So nothing but seed and steps decides what is found, however many threads there are.
 
 pub mod assignment;
 pub mod contest;

@@ -1,9 +1,10 @@
 //! Places to park one object: free now, and in nobody's way who has to go home before it.
 //!
-//! In: a table, the object, who else is put aside. Out: the best place found. A place is *ideal* when it closes no
-//! new cycle of objects that wait for each other: then parking there is worth one vertex of the feedback vertex set.
-//! Tried in turn: places where the object was parked in an earlier plan; random poses, many of them pushed against
-//! the table's edge; the corners of the exact free region at some angles (`regions`).
+//! In: a table, the object, who else is put aside. Out: the best place found. A place is *ideal* when it
+//! closes no new cycle of objects that wait for each other: then parking there is worth one vertex of the
+//! feedback vertex set. Tried in turn: places where the object was parked in an earlier plan; random poses,
+//! many of them pushed against the table's edge; the corners of the exact free region at some angles
+//! (`regions`).
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::Point;

@@ -1,8 +1,9 @@
-//! Small changes to a plan that keep its moves: another order, another place to wait, another member of a group.
+//! Small changes to a plan that keep its moves: another order, another place to wait, another member of a
+//! group.
 //!
-//! In: a plan. Out: another one with as many moves that can be carried out, at random. Under the objective `time` the
-//! order and the places decide how far the arm travels, and no bound guides the search: changes are tried one by one
-//! and kept if the caller's cost function likes them.
+//! In: a plan. Out: another one with as many moves that can be carried out, at random. Under the objective
+//! `time` the order and the places decide how far the arm travels, and no bound guides the search: changes
+//! are tried one by one and kept if the caller's cost function likes them.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::parking;

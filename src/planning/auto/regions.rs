@@ -1,10 +1,11 @@
 //! The exact free region of a footprint at one angle, by no-fit polygons, and its corners as places to park.
 //!
-//! In: convex outlines of what stands on the table. Out: positions at which the outline touches two of these, or
-//! one and the table's edge: the vertices of the free region, where a parked object wastes the least room. The
-//! positions that a convex obstacle forbids are its Minkowski sum with the mirrored outline; of non-convex shapes every
-//! convex part counts, so that bays are used. Curves count as circumscribed polygons, so a position is a proposal that
-//! `scene` has the last word on, and where curves decide, some places are missed.
+//! In: convex outlines of what stands on the table. Out: positions at which the outline touches two of these,
+//! or one and the table's edge: the vertices of the free region, where a parked object wastes the least room.
+//! The positions that a convex obstacle forbids are its Minkowski sum with the mirrored outline; of
+//! non-convex shapes every convex part counts, so that bays are used. Curves count as circumscribed polygons,
+//! so a position is a proposal that `scene` has the last word on, and where curves decide, some places are
+//! missed.
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::{Point, convex_hull, cross, sub};
@@ -17,7 +18,8 @@ const CURVE_CORNERS: usize = 16;
 /// A position this far inside a forbidden polygon touches it, m.
 const TOUCH_M: f64 = 1e-9;
 
-/// The convex parts of a footprint in the object's frame, counter-clockwise, each held off by `clearance` all round.
+/// The convex parts of a footprint in the object's frame, counter-clockwise, each held off by `clearance` all
+/// round.
 pub fn convex_parts(footprint: &Footprint, clearance: f64) -> Vec<Vec<Point>> {
     let curve = |a: f64, b: f64| {
         let grown = 1.0 / (TAU / 2.0 / CURVE_CORNERS as f64).cos();
@@ -145,8 +147,8 @@ pub struct Region {
 }
 
 impl Region {
-    /// Positions between `low` and `high` (where the footprint is on the table) of a mover with these convex parts at
-    /// its angle, among convex obstacles. None if it does not fit on the table.
+    /// Positions between `low` and `high` (where the footprint is on the table) of a mover with these convex
+    /// parts at its angle, among convex obstacles. None if it does not fit on the table.
     pub fn new(
         mover: &[Vec<Point>],
         low: Point,

@@ -1,10 +1,10 @@
 //! One randomised way from an arrangement to another, given up as soon as it cannot be cheap enough.
 //!
-//! In: two arrangements, the cost of a move of each object, a ceiling. Out: moves that cost no more than the ceiling.
-//! Whatever can go home goes; when nothing can, a member of a minimum feedback vertex set of the objects in each
-//! other's way is parked (`parking`). What the remaining objects and that set must still cost is a lower bound for
-//! all that can follow from here, and cuts. Where no member finds an ideal place, sets without it are tried, then
-//! places that cost another move, then places that others have to leave first.
+//! In: two arrangements, the cost of a move of each object, a ceiling. Out: moves that cost no more than the
+//! ceiling. Whatever can go home goes; when nothing can, a member of a minimum feedback vertex set of the
+//! objects in each other's way is parked (`parking`). What the remaining objects and that set must still cost
+//! is a lower bound for all that can follow from here, and cuts. Where no member finds an ideal place, sets
+//! without it are tried, then places that cost another move, then places that others have to leave first.
 
 use crate::planning::auto::contest::{Contest, Contested};
 use crate::planning::auto::parking::{self, Care, Shapes, Wish};
@@ -24,8 +24,9 @@ use std::sync::Arc;
 /// Feedback vertex sets tried before an object is parked at a price.
 const SETS: usize = 3;
 
-/// Nodes of the search for a feedback vertex set: enough for a proof on the tables that the paper has. Of more vertices
-/// than a machine word holds a proof may take seconds, and a step of a roll-out is to take less than milliseconds.
+/// Nodes of the search for a feedback vertex set: enough for a proof on the tables that the paper has. Of
+/// more vertices than a machine word holds a proof may take seconds, and a step of a roll-out is to take less
+/// than milliseconds.
 pub fn node_limit(vertices: usize) -> u64 {
     if vertices <= 64 { 20_000 } else { 500 }
 }
@@ -120,7 +121,8 @@ impl RollOut<'_> {
         self.table.put(object, spot);
     }
 
-    /// Makes the vertex's move; false if an end is taken by somebody who is at his own, so that it never comes free.
+    /// Makes the vertex's move; false if an end is taken by somebody who is at his own, so that it never
+    /// comes free.
     fn follow(&mut self, vertex: usize) -> bool {
         let stop = vertex >= self.table.now.len();
         let done = self.table.follow(vertex);
@@ -147,7 +149,8 @@ impl RollOut<'_> {
                 }
             }
         }
-        // Held objects wait for a parked one only; where nobody has to be parked, nothing would ever free them.
+        // Held objects wait for a parked one only; where nobody has to be parked, nothing would ever free
+        // them.
         if !held.is_empty() && self.feedback(ObjectSet::EMPTY).is_empty() {
             while let Some(object) = self.table.free_to_go().smallest() {
                 if !self.follow(object) {
@@ -257,8 +260,8 @@ impl RollOut<'_> {
         self.clear_a_place(rng, effort)
     }
 
-    /// Plans a stop for somebody who has to be put aside anyway, the large ones rather than the small; false where
-    /// that is not affordable.
+    /// Plans a stop for somebody who has to be put aside anyway, the large ones rather than the small; false
+    /// where that is not affordable.
     fn plan_a_stop(&mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
         if self.stops == 0 {
             return false;

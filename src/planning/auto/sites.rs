@@ -1,10 +1,10 @@
 //! A way for equal discs on a table that has room for hardly one more: over the sites of a packing.
 //!
-//! In: two arrangements. Out: moves from the one to the other, more than needed. Discs that fill the table almost can
-//! all be shifted a little, and none can be put aside, so they cannot pass each other. They can where they stand as in
-//! a packing of one disc more: its last site is a place for whoever has to make way. So a packing is searched for
-//! (random points pushed apart), both arrangements are pressed (`squeeze`) to the sites that are nearest, and between
-//! these the discs move into the vacant site one by one.
+//! In: two arrangements. Out: moves from the one to the other, more than needed. Discs that fill the table
+//! almost can all be shifted a little, and none can be put aside, so they cannot pass each other. They can
+//! where they stand as in a packing of one disc more: its last site is a place for whoever has to make way.
+//! So a packing is searched for (random points pushed apart), both arrangements are pressed (`squeeze`) to
+//! the sites that are nearest, and between these the discs move into the vacant site one by one.
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::Point;
@@ -37,7 +37,8 @@ pub fn common_radius(scene: &Scene) -> Option<f64> {
     (nothing_else && scene.movable.iter().all(equal)).then_some(first)
 }
 
-/// Moves from `from` to `to` for discs of this radius; None if this packing, or the way to its sites, is not found.
+/// Moves from `from` to `to` for discs of this radius; None if this packing, or the way to its sites, is not
+/// found.
 pub fn over_sites(
     scene: &Scene,
     radius: f64,

@@ -1,8 +1,9 @@
 //! A stop planned ahead: where an object is to be parked later, so that room is made and kept for it.
 //!
-//! In: a table, an object that has to be put aside. Out: the place after which the least must follow. What stands
-//! there has to go first, what belongs there waits until the object has left, and every cycle this closes costs a
-//! feedback vertex: the place is priced by the minimum feedback vertex set of the graph with the stop in it.
+//! In: a table, an object that has to be put aside. Out: the place after which the least must follow. What
+//! stands there has to go first, what belongs there waits until the object has left, and every cycle this
+//! closes costs a feedback vertex: the place is priced by the minimum feedback vertex set of the graph with
+//! the stop in it.
 
 use crate::planning::auto::parking;
 use crate::planning::auto::roll_out::{STEADFAST, node_limit};

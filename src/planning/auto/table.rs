@@ -1,10 +1,11 @@
 //! A table on its way to an arrangement: what stands where, who still has to go, and who is in whose way.
 //!
-//! In: an arrangement to leave, one to reach, moves. Out: the dependency graph of the moment, kept up to date move
-//! by move. A vertex is a move that has to be made: that of an object to its end, or, after these in number, to a
-//! stop that was planned on its way. Who waits for an object to go away waits for its stop, who waits for the stop to
-//! be free again waits for its end: so what stands at a place that a large object needs leaves in time, and what
-//! belongs there stays away. Objects that may end anywhere take the first place that is in nobody's way.
+//! In: an arrangement to leave, one to reach, moves. Out: the dependency graph of the moment, kept up to date
+//! move by move. A vertex is a move that has to be made: that of an object to its end, or, after these in
+//! number, to a stop that was planned on its way. Who waits for an object to go away waits for its stop, who
+//! waits for the stop to be free again waits for its end: so what stands at a place that a large object needs
+//! leaves in time, and what belongs there stays away. Objects that may end anywhere take the first place that
+//! is in nobody's way.
 
 use crate::planning::buffers::Arrangement;
 use crate::planning::graph::DependencyGraph;

@@ -1,18 +1,19 @@
 //! A stronger lower bound where the table has no room: what it costs at least to put an object aside.
 //!
-//! In: a scene, the cost of a move of each object, steps to spend. Out: a number no valid plan is cheaper than, which
-//! grows with the steps. The feedback vertex set assumes that whoever is put aside finds a place. Here, for one object
-//! after the other, every pose it could first be put aside at is covered by boxes of positions and angles. All poses of
-//! a box have a core in common, the footprint shrunk by what position and angle may differ; who meets that core at his
-//! start has to leave before, who meets it at his goal has to wait, and the feedback vertex set of the graph with the
-//! stop in it bounds every plan that stops there. The box of the lowest bound is halved until it is too small or the
-//! lowest bound is high enough. As the boxes cover every pose and every angle, and a second stop of the same object is
-//! allowed to cost its move alone, nothing is sampled or assumed.
+//! In: a scene, the cost of a move of each object, steps to spend. Out: a number no valid plan is cheaper
+//! than, which grows with the steps. The feedback vertex set assumes that whoever is put aside finds a place.
+//! Here, for one object after the other, every pose it could first be put aside at is covered by boxes of
+//! positions and angles. All poses of a box have a core in common, the footprint shrunk by what position and
+//! angle may differ; who meets that core at his start has to leave before, who meets it at his goal has to
+//! wait, and the feedback vertex set of the graph with the stop in it bounds every plan that stops there. The
+//! box of the lowest bound is halved until it is too small or the lowest bound is high enough. As the boxes
+//! cover every pose and every angle, and a second stop of the same object is allowed to cost its move alone,
+//! nothing is sampled or assumed.
 //!
-//! The objects looked at are a small set X of large ones without which every feedback vertex set costs more. Then
-//! either nobody of X is put aside, and the set has to do without them; or one of X is put aside first. That one alone,
-//! and then the others of X move once; or another one later, and then that one still was at its start. The cheapest of
-//! these cases is a bound, whatever X is.
+//! The objects looked at are a small set X of large ones without which every feedback vertex set costs more.
+//! Then either nobody of X is put aside, and the set has to do without them; or one of X is put aside first.
+//! That one alone, and then the others of X move once; or another one later, and then that one still was at
+//! its start. The cheapest of these cases is a bound, whatever X is.
 
 use crate::geometry::collision::{Placed, overhang};
 use crate::geometry::footprint::Footprint;
@@ -90,7 +91,8 @@ impl<'a> RoomBound<'a> {
         proof
     }
 
-    /// Goes on until the effort is spent, or nothing more can be proved. `enough`: the cost of a plan that is known.
+    /// Goes on until the effort is spent, or nothing more can be proved. `enough`: the cost of a plan that is
+    /// known.
     pub fn work(&mut self, enough: f64, effort: &mut Effort) {
         while self.value < (1.0 - 1e-9) * enough && !self.is_done() {
             let Some(first) = self.waiting.smallest() else {
@@ -128,7 +130,8 @@ impl<'a> RoomBound<'a> {
         }
     }
 
-    /// Takes the largest object of a cheapest feedback vertex set without those taken, until such a set costs more.
+    /// Takes the largest object of a cheapest feedback vertex set without those taken, until such a set costs
+    /// more.
     fn choose(&mut self) {
         (self.set, self.waiting) = (ObjectSet::EMPTY, ObjectSet::EMPTY);
         if self.sets_left == 0 {
@@ -331,8 +334,9 @@ struct Stop<'a> {
 }
 
 impl Stop<'_> {
-    /// What a plan costs at least in which the object's first move leads there, and nobody of the set was put aside
-    /// before: with one more move of the object or with more, with nobody else of the set put aside or with another one.
+    /// What a plan costs at least in which the object's first move leads there, and nobody of the set was put
+    /// aside before: with one more move of the object or with more, with nobody else of the set put aside or
+    /// with another one.
     fn price(&self) -> f64 {
         let proof = self.proof;
         let cost = proof.costs[self.object];
@@ -356,8 +360,8 @@ impl Stop<'_> {
         idle.map(|o| back(o) * proof.costs[o]).sum()
     }
 
-    /// The feedback vertex set without `kept`, with the first move as a vertex of its own, and the second one if there
-    /// are `more`; `gone` is put aside anyway.
+    /// The feedback vertex set without `kept`, with the first move as a vertex of its own, and the second one
+    /// if there are `more`; `gone` is put aside anyway.
     fn cycles(&self, more: bool, kept: ObjectSet, gone: Option<usize>) -> f64 {
         let (parts, object, count) = (&self.proof.parts, self.object, self.proof.costs.len());
         let (first, second) = (count, count + 1);
@@ -411,7 +415,8 @@ fn shrunk(footprint: &Footprint, by: f64) -> Option<Footprint> {
     match footprint {
         Footprint::Disc { radius } => Footprint::disc(radius - by),
         Footprint::Rectangle { length, width } => Footprint::rectangle(length - 2.0 * by, width - 2.0 * by),
-        // A convex shape holds its copy scaled by 1 - by / core, and round each point of that a disc of radius `by`.
+        // A convex shape holds its copy scaled by 1 - by / core, and round each point of that a disc of
+        // radius `by`.
         Footprint::Ellipse { .. } => footprint.scaled(1.0 - by / core),
         Footprint::Polygon(polygon) if polygon.parts().len() == 1 => footprint.scaled(1.0 - by / core),
         Footprint::Polygon(_) => Footprint::disc(core - by),

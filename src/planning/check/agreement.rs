@@ -1,4 +1,5 @@
-//! The checker's geometry and the solvers' kernel answer alike, on pairs of every shape, far, near and touching.
+//! The checker's geometry and the solvers' kernel answer alike, on pairs of every shape, far, near and
+//! touching.
 
 use std::f64::consts::TAU;
 
@@ -95,7 +96,8 @@ fn pose(random: &mut Random, reach: f64) -> Pose2 {
     Pose2::new(random.between(-reach, reach), random.between(-reach, reach), theta)
 }
 
-/// A pair in contact to within rounding: `b` is moved along a random direction until the kernel's answer changes.
+/// A pair in contact to within rounding: `b` is moved along a random direction until the kernel's answer
+/// changes.
 fn touching(a: &Footprint, pose_a: &Pose2, b: &Footprint, random: &mut Random) -> Option<(Pose2, [f64; 2])> {
     let (sin, cos) = random.between(0.0, TAU).sin_cos();
     let theta = if random.unit() < 0.3 { pose_a.theta } else { random.between(0.0, TAU) };

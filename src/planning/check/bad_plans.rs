@@ -63,7 +63,8 @@ fn the_good_plan_passes() {
 
 #[test]
 fn an_overlap_of_a_micrometre_is_found_for_every_shape() {
-    // Beside square b (right edge at 0.7), the ellipse (right end at 0.3), the pillar (lower end at 0.85), the keep-out.
+    // Beside square b (right edge at 0.7), the ellipse (right end at 0.3), the pillar (lower end at 0.85),
+    // the keep-out.
     for (touching, away, meets) in [
         ([0.8, 0.2, 0.0], [1.0, 0.0], "b"),
         ([0.4, 0.6, 0.0], [1.0, 0.0], "e"),

@@ -1,7 +1,8 @@
 //! Whether every goal of a group has a member of its own.
 //!
-//! In: for each goal, the members that stand there. Out: a goal that is left over when every member takes one goal at
-//! most. Two goals may be the same pose (within the given overlap), and then one member does not serve both. Pure.
+//! In: for each goal, the members that stand there. Out: a goal that is left over when every member takes one
+//! goal at most. Two goals may be the same pose (within the given overlap), and then one member does not
+//! serve both. Pure.
 
 /// A goal for which no member is left in any assignment of the goals up to it; `None` when all are served.
 pub(super) fn unserved(standing: &[Vec<usize>]) -> Option<usize> {

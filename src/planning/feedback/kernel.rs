@@ -1,8 +1,8 @@
 //! A digraph that shrinks: the reductions of the feedback vertex set search.
 //!
 //! In: a dependency graph. Out: an equivalent smaller graph and the vertices that some cheapest set contains.
-//! `take` puts a vertex into the set; `keep` decides against it, which joins its predecessors to its successors
-//! (a vertex that thereby gets an arc to itself has to be taken).
+//! `take` puts a vertex into the set; `keep` decides against it, which joins its predecessors to its
+//! successors (a vertex that thereby gets an arc to itself has to be taken).
 
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::Bits;
@@ -144,8 +144,8 @@ impl<const WORDS: usize> Kernel<WORDS> {
                 .all(|u| weights[u] <= weights[v] && partners.without(u).is_subset(&self.partners(u)))
     }
 
-    /// Drops one-way arcs that lie on no cycle of one-way arcs: every longer cycle over a two-way arc contains
-    /// two partners, whose own cycle of two has to be broken anyway.
+    /// Drops one-way arcs that lie on no cycle of one-way arcs: every longer cycle over a two-way arc
+    /// contains two partners, whose own cycle of two has to be broken anyway.
     fn drop_idle_arcs(&mut self) -> bool {
         let one_way_out: Vec<Bits<WORDS>> = (0..self.out.len()).map(|v| self.out[v] - self.into[v]).collect();
         let one_way_into: Vec<Bits<WORDS>> =

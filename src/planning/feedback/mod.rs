@@ -1,11 +1,11 @@
 //! Minimum weight feedback vertex set: the cheapest objects that have to make way a second time.
 //!
 //! In: a dependency graph and a positive weight for each vertex. Out: a vertex set whose removal leaves no
-//! cycle, proved cheapest, or, when the node limit ends the search, the best one found with a valid lower bound.
-//! Branch and bound on bitsets: `kernel` shrinks a graph without changing its optimum, `packing` bounds from
-//! below by cliques and cycles, this file branches, splits into components, and keeps what the bound shows to be
-//! too dear (reduced cost fixing). Source: the reductions are those of Levy and Low (1988) and Lin and Jou
-//! (2000), with the side conditions that weights need.
+//! cycle, proved cheapest, or, when the node limit ends the search, the best one found with a valid lower
+//! bound. Branch and bound on bitsets: `kernel` shrinks a graph without changing its optimum, `packing`
+//! bounds from below by cliques and cycles, this file branches, splits into components, and keeps what the
+//! bound shows to be too dear (reduced cost fixing). Source: the reductions are those of Levy and Low (1988)
+//! and Lin and Jou (2000), with the side conditions that weights need.
 
 pub mod kernel;
 

@@ -1,9 +1,9 @@
 //! A lower bound on every feedback vertex set, by packing cliques of partners and short cycles.
 //!
-//! In: a reduced graph and its weights. Out: a number no feedback vertex set can weigh less than. Each clique of
-//! k mutual partners charges the smallest weight left in it to all its members and counts it k - 1 times; each
-//! cycle does the same and counts it once. No vertex is ever charged more than its weight, so what was counted
-//! is a feasible solution of the linear programme's dual.
+//! In: a reduced graph and its weights. Out: a number no feedback vertex set can weigh less than. Each clique
+//! of k mutual partners charges the smallest weight left in it to all its members and counts it k - 1 times;
+//! each cycle does the same and counts it once. No vertex is ever charged more than its weight, so what was
+//! counted is a feasible solution of the linear programme's dual.
 
 use crate::planning::feedback::kernel::Kernel;
 use crate::planning::object_set::Bits;
@@ -20,8 +20,8 @@ pub fn lower_bound<const WORDS: usize>(kernel: &Kernel<WORDS>, weights: &[f64]) 
 pub struct Dual {
     /// Its value: no feedback vertex set weighs less.
     pub bound: f64,
-    /// What is left of each vertex's weight: no feedback vertex set with vertex v weighs less than the bound and
-    /// `left[v]`.
+    /// What is left of each vertex's weight: no feedback vertex set with vertex v weighs less than the bound
+    /// and `left[v]`.
     pub left: Vec<f64>,
 }
 

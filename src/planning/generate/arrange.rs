@@ -1,12 +1,12 @@
 //! A random arrangement of given footprints on the table, without contact.
 //!
 //! In: footprints, their density, random numbers. Out: poses, and how they were found; None when the bounded
-//! search gave up. Up to [`DENSEST_REJECTION`] the paper's rejection sampling is tried: objects in order, each
-//! pose uniform over the table and all angles, drawn anew while it meets the edge or an object already there,
-//! all of it afresh when an object finds no place. Above, or when that gives up, push-apart: shrunken copies
-//! are placed by rejection sampling and then grow step by step, while each is pushed about by small random
-//! moves that keep it free; more of these moves follow at full size. Every arrangement is free of contact
-//! by [`GAP_M`] in the solvers' exact collision kernel.
+//! search gave up. Up to [`DENSEST_REJECTION`] the paper's rejection sampling is tried: objects in order,
+//! each pose uniform over the table and all angles, drawn anew while it meets the edge or an object already
+//! there, all of it afresh when an object finds no place. Above, or when that gives up, push-apart: shrunken
+//! copies are placed by rejection sampling and then grow step by step, while each is pushed about by small
+//! random moves that keep it free; more of these moves follow at full size. Every arrangement is free of
+//! contact by [`GAP_M`] in the solvers' exact collision kernel.
 
 use crate::geometry::collision::{Placed, inside};
 use crate::geometry::footprint::Footprint;

@@ -1,16 +1,16 @@
 //! Monte Carlo tree search over arrangements: MCTS (Labbe et al.) and the paper's EMCTS.
 //!
 //! In: a start and a complete goal arrangement, a [`Rule`] (who counts how much), random numbers. Out: plans,
-//! each offered to the caller, who says whether the search goes on. Source: the paper, sections "MCTS for Solving
-//! TORI" and "Extended MCTS", with its reduced action space (only objects away from their goals are served) and
-//! its two-step collision check. The reward of a visit is that of the state it adds; nothing is rolled out.
-//! Deviations: rewards are shares of the whole, between 0 and 1, so that the exploration constant does not
-//! depend on the number of objects; the blocker that is relocated is the nearest that really overlaps the goal
-//! (the paper says "an object blocking", its code takes the nearest object); a relocation for which no free pose
-//! is sampled is dropped instead of repeating its state; states reached on several ways share one node; a tree that
-//! has grown to its limit is dropped and another one begun, since the poses sampled first decide much, and so
-//! that a long search does not fill the memory; once a plan is known, states from which no better one can be
-//! reached are left out.
+//! each offered to the caller, who says whether the search goes on. Source: the paper, sections "MCTS for
+//! Solving TORI" and "Extended MCTS", with its reduced action space (only objects away from their goals are
+//! served) and its two-step collision check. The reward of a visit is that of the state it adds; nothing is
+//! rolled out. Deviations: rewards are shares of the whole, between 0 and 1, so that the exploration constant
+//! does not depend on the number of objects; the blocker that is relocated is the nearest that really
+//! overlaps the goal (the paper says "an object blocking", its code takes the nearest object); a relocation
+//! for which no free pose is sampled is dropped instead of repeating its state; states reached on several
+//! ways share one node; a tree that has grown to its limit is dropped and another one begun, since the poses
+//! sampled first decide much, and so that a long search does not fill the memory; once a plan is known,
+//! states from which no better one can be reached are left out.
 
 mod table;
 mod tree;
@@ -26,18 +26,19 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-/// The constant C of MCTS, for rewards between 0 and 1. Chosen on the public instances of density 0.4 with 20 to 40
-/// objects: 0.1 finds plans 5 % shorter in five times the time, 0.01 longer ones faster.
+/// The constant C of MCTS, for rewards between 0 and 1. Chosen on the public instances of density 0.4 with 20
+/// to 40 objects: 0.1 finds plans 5 % shorter in five times the time, 0.01 longer ones faster.
 pub const MCTS_EXPLORATION: f64 = 0.03;
 
 /// The constant C of EMCTS, for rewards between 0 and 1; chosen like that of MCTS.
 pub const EMCTS_EXPLORATION: f64 = 0.03;
 
-/// Nodes after which the first tree is dropped: enough for most problems, so that a tree that started badly does
-/// not hold up the search.
+/// Nodes after which the first tree is dropped: enough for most problems, so that a tree that started badly
+/// does not hold up the search.
 pub const FIRST_TREE: usize = 20_000;
 
-/// Nodes after which any tree is dropped (about 1 kB each). Each tree may have twice as many as the one before.
+/// Nodes after which any tree is dropped (about 1 kB each). Each tree may have twice as many as the one
+/// before.
 pub const LARGEST_TREE: usize = 160_000;
 
 /// Numbers by object that tell MCTS and EMCTS apart.
@@ -107,7 +108,8 @@ pub struct TreeSearch<'a> {
 }
 
 impl<'a> TreeSearch<'a> {
-    /// A root. `rule` says who counts how much; start and goal are of every object; the tree is full at `most` nodes.
+    /// A root. `rule` says who counts how much; start and goal are of every object; the tree is full at
+    /// `most` nodes.
     pub fn new(
         scene: &'a Scene<'a>,
         rule: Arc<Rule>,

@@ -1,9 +1,11 @@
-//! What the tree search knows of the table: every place an object ever had, by number, and which goals it blocks.
+//! What the tree search knows of the table: every place an object ever had, by number, and which goals it
+//! blocks.
 //!
-//! In: start and goal arrangement, objects to move. Out: a state's actions carried out: the object goes home, or
-//! whoever really blocks it is put somewhere else. A state is one place number for each object, so that two
-//! orders of the same moves lead to the same state. The collision check has the paper's two steps (bounding
-//! discs, then shapes; `geometry::collision`), and the check of a goal is done once for each new place.
+//! In: start and goal arrangement, objects to move. Out: a state's actions carried out: the object goes home,
+//! or whoever really blocks it is put somewhere else. A state is one place number for each object, so that
+//! two orders of the same moves lead to the same state. The collision check has the paper's two steps
+//! (bounding discs, then shapes; `geometry::collision`), and the check of a goal is done once for each new
+//! place.
 
 use crate::planning::buffers::Arrangement;
 use crate::planning::effort::Effort;
@@ -70,8 +72,9 @@ impl<'a> Table<'a> {
         &self.places[place as usize].spot
     }
 
-    /// The action that serves `object`: it goes home if nobody blocks its goal; else the nearest of those that do
-    /// is put at a free random pose clear of that goal. Which object moves to which place; None if there is none.
+    /// The action that serves `object`: it goes home if nobody blocks its goal; else the nearest of those
+    /// that do is put at a free random pose clear of that goal. Which object moves to which place; None if
+    /// there is none.
     pub(super) fn act(
         &mut self,
         state: &State,

@@ -1,4 +1,5 @@
-//! The search tree of MCTS: states, how often they were visited, what that was worth, and how they are reached.
+//! The search tree of MCTS: states, how often they were visited, what that was worth, and how they are
+//! reached.
 //!
 //! In: states and the actions between them. Out: which action the upper confidence bound picks next, and the
 //! actions from the root to a state. Two paths to one state share its node, with its visits and rewards; each
@@ -102,7 +103,8 @@ impl Tree {
         self.nodes[at].closed = true;
     }
 
-    /// Adds the edge "serving `object` at `from` moves `moved` to where `state` has it", and the node if it is new.
+    /// Adds the edge "serving `object` at `from` moves `moved` to where `state` has it", and the node if it
+    /// is new.
     pub(super) fn link(
         &mut self,
         from: usize,
@@ -131,8 +133,8 @@ impl Tree {
         better
     }
 
-    /// The child of the largest upper confidence bound from which a plan below `ceiling` may still be reached.
-    /// Equal bounds: the one tried first.
+    /// The child of the largest upper confidence bound from which a plan below `ceiling` may still be
+    /// reached. Equal bounds: the one tried first.
     pub(super) fn best_child(&self, at: usize, ceiling: f64) -> Option<usize> {
         let parent = &self.nodes[at];
         let spread = (2.0 * parent.visits.max(1.0).ln()).sqrt();

@@ -1,9 +1,11 @@
-//! The paper's solvers as aids of `auto`: first plans where it is crowded, in searches that can be left and gone on with.
+//! The paper's solvers as aids of `auto`: first plans where it is crowded, in searches that can be left and
+//! gone on with.
 //!
-//! In: a scene whose goal arrangement stands, the number of a member of the portfolio, a seed. Out: an [`Aid`] for some
-//! members. On the public instances of density 0.6, ETBM comes to short plans of discs in a fraction of a second, and
-//! MCTS to plans of shapes that nothing else finds in seconds, long ones, but a plan to shorten. A step of theirs takes
-//! an eighth of one of the roll-outs'; MCTS has twice as many, for what it finds it finds in seconds of its own.
+//! In: a scene whose goal arrangement stands, the number of a member of the portfolio, a seed. Out: an
+//! [`Aid`] for some members. On the public instances of density 0.6, ETBM comes to short plans of discs in a
+//! fraction of a second, and MCTS to plans of shapes that nothing else finds in seconds, long ones, but a
+//! plan to shorten. A step of theirs takes an eighth of one of the roll-outs'; MCTS has twice as many, for
+//! what it finds it finds in seconds of its own.
 
 use crate::planning::auto::member::{Aid, Search};
 use crate::planning::completion;

@@ -1,7 +1,8 @@
-//! What holds for `auto` beyond the paper: groups, obstacles, clearance, loose objects, time, plans made before.
+//! What holds for `auto` beyond the paper: groups, obstacles, clearance, loose objects, time, plans made
+//! before.
 //!
-//! Small random tables, judged by exhaustive search in which objects may also wait beside the table: no plan can be
-//! better, and where there is room on the table a plan as good exists.
+//! Small random tables, judged by exhaustive search in which objects may also wait beside the table: no plan
+//! can be better, and where there is room on the table a plan as good exists.
 
 use super::properties::{actions, mixed, random_problems, run};
 use super::*;

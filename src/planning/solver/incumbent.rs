@@ -1,7 +1,8 @@
 //! Between the solvers and the caller: the best checked plan, and how `auto` is set up.
 //!
-//! In: a scene whose goal arrangement stands, solver, objective, control, seed. Out: the best checked plan and its
-//! cost, left in [`Incumbent`]. `auto` gets the costs of moves by objective, and two of the paper's solvers to ask.
+//! In: a scene whose goal arrangement stands, solver, objective, control, seed. Out: the best checked plan
+//! and its cost, left in [`Incumbent`]. `auto` gets the costs of moves by objective, and two of the paper's
+//! solvers to ask.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::member::Quest;
@@ -79,7 +80,8 @@ pub(super) fn run(
     search::run(scene, solver, seed, setting, &mut |moves| incumbent.offer(moves), effort);
 }
 
-/// Our own solver. It counts moves, weighted by impedance under TI; under `time` the caller judges whole plans.
+/// Our own solver. It counts moves, weighted by impedance under TI; under `time` the caller judges whole
+/// plans.
 fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
     let (problem, objective, control) = (scene.problem, incumbent.objective, incumbent.control);
     let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };

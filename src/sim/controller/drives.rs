@@ -1,9 +1,10 @@
-//! What the drives feel: joint moments, the currents that go with them, accelerations and momentum of the arm.
+//! What the drives feel: joint moments, the currents that go with them, accelerations and momentum of the
+//! arm.
 //!
-//! In: the controller's motion, payload and forces of this frame. Out: values of RTDE, the real-time and the primary
-//! interface. Moments come from the published masses of a UR5e. Currents are moments over a torque constant of
-//! the right size: the vendor publishes none, and clients look at currents for change, not for value. With brakes
-//! closed the drives do nothing.
+//! In: the controller's motion, payload and forces of this frame. Out: values of RTDE, the real-time and the
+//! primary interface. Moments come from the published masses of a UR5e. Currents are moments over a torque
+//! constant of the right size: the vendor publishes none, and clients look at currents for change, not for
+//! value. With brakes closed the drives do nothing.
 
 use crate::motion::kinematics::link_frames;
 use crate::sim::controller::Controller;

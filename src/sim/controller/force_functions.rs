@@ -1,10 +1,10 @@
 //! Built-ins of force: force mode, freedrive, force sensor, contact, masses and Jacobians.
 //!
-//! In: calls from running programs. Out: values, or the message of a runtime exception; and for force mode and
-//! freedrive a [`Compliance`] that [`Core::yield_to_forces`] turns into tool speed each frame.
-//! Modelled, not measured: a compliant axis moves at a speed in proportion to the force that is missing, up to
-//! its limit, with a time constant of 50 ms. Free in the air it so runs at its limit, and against a stiff wall
-//! it comes to rest at the force asked for. In freedrive the force asked for is none: the arm stands until
+//! In: calls from running programs. Out: values, or the message of a runtime exception; and for force mode
+//! and freedrive a [`Compliance`] that [`Core::yield_to_forces`] turns into tool speed each frame. Modelled,
+//! not measured: a compliant axis moves at a speed in proportion to the force that is missing, up to its
+//! limit, with a time constant of 50 ms. Free in the air it so runs at its limit, and against a stiff wall it
+//! comes to rest at the force asked for. In freedrive the force asked for is none: the arm stands until
 //! something pushes it.
 
 use crate::geometry::pose::isometry_from_ur_pose;

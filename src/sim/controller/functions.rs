@@ -195,7 +195,8 @@ fn tool(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
     Some(done.map(|()| Value::Nothing))
 }
 
-/// Another payload makes what the sensor measured before worthless: the controller zeroes it (script manual, set_payload).
+/// Another payload makes what the sensor measured before worthless: the controller zeroes it (script manual,
+/// set_payload).
 fn zero_sensor(core: &mut Core) {
     let raw = core.raw_wrench();
     core.sensing.zero(raw);

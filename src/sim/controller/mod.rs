@@ -73,7 +73,8 @@ const FIRST_TIMESTAMP: f64 = 41.0;
 /// Messages kept for the primary interface until the servers fetch them.
 const MAX_MESSAGES: usize = 1000;
 
-/// Standard deviation of the arm's calibrated parameters about the nominal ones unless asked otherwise: m, rad.
+/// Standard deviation of the arm's calibrated parameters about the nominal ones unless asked otherwise: m,
+/// rad.
 const CALIBRATION_STD_M: f64 = 5e-4;
 const CALIBRATION_STD_RAD: f64 = 0.05 / 360.0 * TAU;
 
@@ -325,8 +326,8 @@ impl Controller {
         }
     }
 
-    /// Shows a safety mode by its number and pauses the program unless the mode allows motion; absent: back to normal,
-    /// and the program goes on.
+    /// Shows a safety mode by its number and pauses the program unless the mode allows motion; absent: back
+    /// to normal, and the program goes on.
     pub fn show_safety(&mut self, number: Option<i32>) {
         self.core.modes.show_safety(number);
         if !self.core.modes.motion_allowed() {
@@ -344,7 +345,8 @@ impl Controller {
         self.core.safety_message();
     }
 
-    /// Boots anew, powered off, the arm where it is; with another serial number or another arm's calibration if given.
+    /// Boots anew, powered off, the arm where it is; with another serial number or another arm's calibration
+    /// if given.
     pub fn reboot(&mut self, serial: Option<String>, kinematics: Option<u64>) {
         let mut config = self.core.config.clone();
         config.start = self.core.mover.q();

@@ -2,9 +2,10 @@
 //!
 //! In: calls from running programs, repeated each frame until they are done. Out: waits and, in the end,
 //! nothing. Defaults are those of the script manual. A pose may be given as joint positions and the other way
-//! round. `optimovej` and `optimovel` take shares of the fastest the arm can do and are trapezoids all the same.
-//! A target that is not finite, that no posture reaches or that lies outside the joint range is a runtime exception;
-//! a line that leaves the range on its way or leads through a singularity is a protective stop, as on the arm.
+//! round. `optimovej` and `optimovel` take shares of the fastest the arm can do and are trapezoids all the
+//! same. A target that is not finite, that no posture reaches or that lies outside the joint range is a
+//! runtime exception; a line that leaves the range on its way or leads through a singularity is a protective
+//! stop, as on the arm.
 
 use crate::geometry::pose::isometry_from_ur_pose;
 use crate::motion::kinematics::inverse_near;

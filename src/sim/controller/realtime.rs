@@ -1,8 +1,8 @@
 //! The state block of the real-time interface (port 30003).
 //!
 //! In: the controller's state. Out: 1220 bytes, the layout of software 5.10 and later: a length and 152
-//! doubles. Source: the vendor's table of the real-time interface (5.9) and the length that later versions send; nothing
-//! of celld reads this block. What is not simulated is zero, as in RTDE.
+//! doubles. Source: the vendor's table of the real-time interface (5.9) and the length that later versions
+//! send; nothing of celld reads this block. What is not simulated is zero, as in RTDE.
 
 use crate::sim::controller::Controller;
 use crate::sim::controller::drives::{actual_currents, target_currents};

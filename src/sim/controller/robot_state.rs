@@ -1,8 +1,9 @@
 //! The robot state package of the primary and secondary interface.
 //!
-//! In: the controller's state. Out: sub-packages 0 to 4, 7, 8, 11 and 12, which go out ten times a second, and 5 and 6,
-//! which a connection gets once (9 and 10 are the vendor's own and have no published meaning). Sub-package 5 is this arm's calibration, as a real controller reports it:
-//! it is the only way in which a client learns the simulated arm's true parameters.
+//! In: the controller's state. Out: sub-packages 0 to 4, 7, 8, 11 and 12, which go out ten times a second,
+//! and 5 and 6, which a connection gets once (9 and 10 are the vendor's own and have no published meaning).
+//! Sub-package 5 is this arm's calibration, as a real controller reports it: it is the only way in which a
+//! client learns the simulated arm's true parameters.
 
 use crate::sim::controller::Controller;
 use crate::sim::controller::drives::actual_currents;

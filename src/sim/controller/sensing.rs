@@ -1,9 +1,9 @@
 //! What the arm feels: the force at its tool, contact, and where it has been.
 //!
 //! In: the force with which the world presses on the tool ([`Sensing::set_contact_wrench`], the hook of the
-//! world), the force a client's own sensor reports over RTDE, joint positions of each frame. Out: the measured
-//! force, how long a contact has lasted, joint positions of the last seconds. Modelled: the sensor has no noise
-//! and the tool no weight in it, so that a free arm measures nothing.
+//! world), the force a client's own sensor reports over RTDE, joint positions of each frame. Out: the
+//! measured force, how long a contact has lasted, joint positions of the last seconds. Modelled: the sensor
+//! has no noise and the tool no weight in it, so that a free arm measures nothing.
 
 use crate::units::Joints;
 use nalgebra::{Isometry3, Vector3};
@@ -42,7 +42,8 @@ impl Sensing {
         }
     }
 
-    /// Force and torque before zeroing; `reported` is what a client sends for its sensor, in the flange frame.
+    /// Force and torque before zeroing; `reported` is what a client sends for its sensor, in the flange
+    /// frame.
     pub fn raw(
         &self,
         reported: &[f64; 6],

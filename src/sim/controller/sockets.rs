@@ -1,8 +1,8 @@
 //! The network as scripts see it: sockets by name, opened from the controller to a server.
 //!
 //! In: orders of the socket functions, once per frame at most. Out: bytes that have arrived, and whether the
-//! connection stands. The controller is pure, so the real network is behind this trait (`sim::script_sockets`);
-//! nothing of it waits. [`NoNetwork`] is a controller whose cable is not plugged in.
+//! connection stands. The controller is pure, so the real network is behind this trait
+//! (`sim::script_sockets`); nothing of it waits. [`NoNetwork`] is a controller whose cable is not plugged in.
 
 /// Bytes kept for a script that does not read, and bytes a script may send ahead of its peer.
 pub const MAX_BUFFER: usize = 65_536;
@@ -26,8 +26,8 @@ pub trait ScriptSockets: std::fmt::Debug + Send {
     /// How the socket called `name` stands.
     fn state(&mut self, name: &str) -> SocketState;
 
-    /// Bytes that have arrived and were not taken yet, at most [`MAX_BUFFER`]; the caller removes what it takes.
-    /// `None` if no socket has that name.
+    /// Bytes that have arrived and were not taken yet, at most [`MAX_BUFFER`]; the caller removes what it
+    /// takes. `None` if no socket has that name.
     fn received(&mut self, name: &str) -> Option<&mut Vec<u8>>;
 
     /// Hands over bytes; false if the socket is not open or its peer has too many to read already.

@@ -1,12 +1,12 @@
 //! Connections that can go wrong: every socket of the simulator's servers passes through here.
 //!
-//! In: a TCP connection and the state of its server's [`Link`]. Out: the same bytes, or what the faults leave of them.
-//! Without faults nothing is copied or delayed. A cut cable is modelled as silence: both directions wait, and go on
-//! where they were when the fault ends, as TCP does. Times in a [`LinkState`] are wall time: the desk has divided
-//! them by the time factor.
+//! In: a TCP connection and the state of its server's [`Link`]. Out: the same bytes, or what the faults leave
+//! of them. Without faults nothing is copied or delayed. A cut cable is modelled as silence: both directions
+//! wait, and go on where they were when the fault ends, as TCP does. Times in a [`LinkState`] are wall time:
+//! the desk has divided them by the time factor.
 //!
-//! A [`Shortcut`] writes to the socket from any thread, without waking a task first: a second wake-up is a second
-//! chance to be late. It works only while nothing is wrong.
+//! A [`Shortcut`] writes to the socket from any thread, without waking a task first: a second wake-up is a
+//! second chance to be late. It works only while nothing is wrong.
 
 use std::collections::VecDeque;
 use std::future::Future;
@@ -240,7 +240,8 @@ impl Lane {
     }
 }
 
-/// The way to a connection's socket past its task. Whoever uses it sees to it that the task writes nothing meanwhile.
+/// The way to a connection's socket past its task. Whoever uses it sees to it that the task writes nothing
+/// meanwhile.
 #[derive(Clone, Debug)]
 pub struct Shortcut {
     lane: Arc<Lane>,
@@ -249,8 +250,8 @@ pub struct Shortcut {
 }
 
 impl Shortcut {
-    /// Writes what the socket takes at once, at most `bytes`; 0 also when the connection is broken or something is
-    /// wrong with its link, which is for the task to find.
+    /// Writes what the socket takes at once, at most `bytes`; 0 also when the connection is broken or
+    /// something is wrong with its link, which is for the task to find.
     pub fn try_write(&self, bytes: &[u8]) -> usize {
         let sound = *self.link.borrow() == LinkState { resets: self.resets, ..LinkState::default() };
         if !sound || self.lane.holds_back.load(Ordering::Acquire) {
@@ -345,7 +346,8 @@ impl AsyncRead for LinkStream {
         if silent {
             return Poll::Pending;
         }
-        // Who writes may have nothing more to write; who reads is always waiting, so what is held back is sent from here.
+        // Who writes may have nothing more to write; who reads is always waiting, so what is held back is
+        // sent from here.
         if let Poll::Ready(Err(error)) = this.send_delayed(context) {
             return Poll::Ready(Err(error));
         }

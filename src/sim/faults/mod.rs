@@ -1,9 +1,10 @@
 //! Faults on request: what can go wrong with the simulated cell, when, and for how long.
 //!
-//! In: a fault file or a posted text ([`read`]), the state of the world and of the arm in each frame. Out: plans
-//! ([`Planned`]), the faults that are due ([`schedule`]), and their effect on controller, world, pictures and
-//! connections ([`desk`], [`link`]). Reading and scheduling are pure; only the desk and the links touch what is
-//! shared. Nothing happens unless a file or a post asks for it. The table of all faults is docs/faults.md.
+//! In: a fault file or a posted text ([`read`]), the state of the world and of the arm in each frame. Out:
+//! plans ([`Planned`]), the faults that are due ([`schedule`]), and their effect on controller, world,
+//! pictures and connections ([`desk`], [`link`]). Reading and scheduling are pure; only the desk and the
+//! links touch what is shared. Nothing happens unless a file or a post asks for it. The table of all faults
+//! is docs/faults.md.
 
 pub mod camera;
 pub mod desk;

@@ -1,8 +1,8 @@
 //! Fault files and posted faults: text to plans.
 //!
-//! In: YAML or JSON: `faults:` with a list, or (posted) one fault by itself. Out: [`Planned`]s, or every complaint with
-//! line and column: faults, arguments and triggers that do not exist, numbers out of range. Whether an object or a
-//! marker exists is not known here; the desk checks that.
+//! In: YAML or JSON: `faults:` with a list, or (posted) one fault by itself. Out: [`Planned`]s, or every
+//! complaint with line and column: faults, arguments and triggers that do not exist, numbers out of range.
+//! Whether an object or a marker exists is not known here; the desk checks that.
 
 use crate::document::decode::{At, Decoder, Fields, suggestion};
 use crate::document::tree::Value;

@@ -1,12 +1,13 @@
 //! When faults are due.
 //!
-//! In: plans, and in each frame what the world shows ([`Glance`]), how far the arm is in its move, and what has
-//! happened. Out: the orders that are due, each once. Pure.
+//! In: plans, and in each frame what the world shows ([`Glance`]), how far the arm is in its move, and what
+//! has happened. Out: the orders that are due, each once. Pure.
 //!
-//! The world knows no plan, so steps and phases are told from what happens: a pick-n-place ends when the arm has left
-//! the place where it let go, and the phases follow from pump, hold and the way the tool moves. How long a carry will
-//! be cannot be known; `progress` therefore is the share of the move that the arm is in (a carry mostly is one
-//! move). A phase that ends before its progress was reached fires the fault at its end, so that none is lost.
+//! The world knows no plan, so steps and phases are told from what happens: a pick-n-place ends when the arm
+//! has left the place where it let go, and the phases follow from pump, hold and the way the tool moves. How
+//! long a carry will be cannot be known; `progress` therefore is the share of the move that the arm is in (a
+//! carry mostly is one move). A phase that ends before its progress was reached fires the fault at its end,
+//! so that none is lost.
 
 use crate::sim::faults::{Happening, Order, Phase, Planned, Trigger};
 use crate::sim::world::event::{Event, EventKind};

@@ -1,10 +1,10 @@
 //! Forces and masses of the arm: inverse dynamics by the recursive Newton-Euler equations.
 //!
-//! In: kinematics, link masses, the payload, joint positions, speeds and accelerations. Out: joint torques, and
-//! from them the mass matrix and the torques of Coriolis and centrifugal forces. Pure. Everything is computed in
-//! the base frame. Gears, motors and friction are left out: their figures are not published.
-//! Source of the figures: the vendor's article on DH parameters (masses, centres) and the inertia tensors of the
-//! vendor's public robot description, both in the frame at the end of the link (DH).
+//! In: kinematics, link masses, the payload, joint positions, speeds and accelerations. Out: joint torques,
+//! and from them the mass matrix and the torques of Coriolis and centrifugal forces. Pure. Everything is
+//! computed in the base frame. Gears, motors and friction are left out: their figures are not published.
+//! Source of the figures: the vendor's article on DH parameters (masses, centres) and the inertia tensors of
+//! the vendor's public robot description, both in the frame at the end of the link (DH).
 
 use crate::motion::kinematics::{DhParameters, jacobian, link_frames};
 use crate::units::Joints;
@@ -64,8 +64,8 @@ pub struct Masses<'a> {
     pub payload: Link,
 }
 
-/// Torque of each joint (Nm) for the motion `q`, `qd` (rad/s), `qdd` (rad/s2). `gravity` (m/s2, base frame) is
-/// the acceleration a standing arm feels: upwards.
+/// Torque of each joint (Nm) for the motion `q`, `qd` (rad/s), `qdd` (rad/s2). `gravity` (m/s2, base frame)
+/// is the acceleration a standing arm feels: upwards.
 pub fn inverse_dynamics(
     dh: &DhParameters,
     masses: &Masses<'_>,

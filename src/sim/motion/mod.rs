@@ -46,9 +46,9 @@ impl Arm {
         Arm::of([std::f64::consts::PI; 6], dh)
     }
 
-    /// An arm with these joint speeds (rad/s). The other limits are the same for all models: +-360 degrees (data
-    /// sheets); the acceleration is not published, 40 rad/s2 is what client libraries let pass; 1.5 m/s is the
-    /// usual safety configuration.
+    /// An arm with these joint speeds (rad/s). The other limits are the same for all models: +-360 degrees
+    /// (data sheets); the acceleration is not published, 40 rad/s2 is what client libraries let pass; 1.5 m/s
+    /// is the usual safety configuration.
     pub fn of(joint_speed: [f64; 6], dh: DhParameters) -> Arm {
         Arm {
             dh,

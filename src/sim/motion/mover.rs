@@ -215,7 +215,8 @@ impl Mover {
         Ok(self.add(segment))
     }
 
-    /// Starts a process move: where the last one's blend begins, the tool goes on at its speed round the corner.
+    /// Starts a process move: where the last one's blend begins, the tool goes on at its speed round the
+    /// corner.
     ///
     /// # Errors
     /// When the way leads out of reach or through a singularity.

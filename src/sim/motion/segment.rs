@@ -1,7 +1,8 @@
 //! One piece of motion: a straight line in joint space, a way of the tool, or the run-out of a speed.
 //!
-//! In: where it starts and ends, and a [`Profile`]. Out: joint positions at any time of it. The joint positions
-//! of a [`ToolPath`] follow frame by frame from the last ones, so it never changes the arm's posture.
+//! In: where it starts and ends, and a [`Profile`]. Out: joint positions at any time of it. The joint
+//! positions of a [`ToolPath`] follow frame by frame from the last ones, so it never changes the arm's
+//! posture.
 
 use crate::sim::motion::profile::{Profile, Shape};
 use crate::sim::motion::tool_path::ToolPath;
@@ -190,7 +191,8 @@ impl Segment {
         })
     }
 
-    /// How a process move can be taken over at `time` (s); `None` before its blend begins and for other moves.
+    /// How a process move can be taken over at `time` (s); `None` before its blend begins and for other
+    /// moves.
     pub fn handover(&self, time: f64) -> Option<Handover> {
         let Course::Tool { path, .. } = &self.course else { return None };
         let blends = self.release() < self.duration() && time + FRAME_SECONDS >= self.release();

@@ -1,8 +1,8 @@
 //! The geometry of a tool's way: lines, circles, and corners rounded at constant speed.
 //!
-//! In: poses of the TCP in the base frame. Out: the pose at any fraction of the way. The way is measured along
-//! the TCP's position; the tool turns in step with it, by the shortest rotation or, on a circle with fixed
-//! orientation, with the circle.
+//! In: poses of the TCP in the base frame. Out: the pose at any fraction of the way. The way is measured
+//! along the TCP's position; the tool turns in step with it, by the shortest rotation or, on a circle with
+//! fixed orientation, with the circle.
 
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use std::f64::consts::PI;
@@ -92,8 +92,8 @@ impl ToolPath {
         ToolPath::new(vec![Piece::Arc { centre, u, v, angle }], from.rotation, turn)
     }
 
-    /// On from `from`, where the tool moves along `direction`, to `to`: straight until the corner `ahead` (m) away
-    /// can be rounded by an arc, then straight to `to`. `None` where the way turns back on itself.
+    /// On from `from`, where the tool moves along `direction`, to `to`: straight until the corner `ahead` (m)
+    /// away can be rounded by an arc, then straight to `to`. `None` where the way turns back on itself.
     pub fn corner(
         from: &Isometry3<f64>,
         direction: &Unit<Vector3<f64>>,

@@ -1,9 +1,9 @@
 //! Ray casting: which surface a direction of the camera meets, and its colour.
 //!
-//! In: a scene, the camera pose, directions (x/z, y/z). Out: a colour in grey levels and a key that changes where
-//! the surface does, so that the caller samples edges more finely. Candidates come from lists per tile of
-//! 32 x 32 px, filled from the projected bounding boxes. All rays have length 1 along the optical axis, so the
-//! parameter of a hit is its depth and bodies compare by it.
+//! In: a scene, the camera pose, directions (x/z, y/z). Out: a colour in grey levels and a key that changes
+//! where the surface does, so that the caller samples edges more finely. Candidates come from lists per tile
+//! of 32 x 32 px, filled from the projected bounding boxes. All rays have length 1 along the optical axis, so
+//! the parameter of a hit is its depth and bodies compare by it.
 
 use crate::sim::render::lens::CameraTruth;
 use crate::sim::render::scene::{Cells, Print, Prism, Scene};
@@ -362,7 +362,8 @@ fn window(
     height_m: f64,
 ) -> [f64; 4] {
     let mut window = [f64::MAX, f64::MAX, f64::MIN, f64::MIN];
-    // The lens bends straight edges: the corners and the middles of the edges, and a margin for what is between.
+    // The lens bends straight edges: the corners and the middles of the edges, and a margin for what is
+    // between.
     let between = |a: f64, b: f64| [a, (a + b) / 2.0, b];
     for x in between(low[0], high[0]) {
         for y in between(low[1], high[1]) {

@@ -1,13 +1,15 @@
 //! The depth picture of a short-range stereo camera, aligned to the colour picture.
 //!
-//! In: true depth a pixel along the optical axis, m. Out: what stereo matching makes of it, in units of 0.1 mm, 0 where
-//! it finds nothing. Modelled after a D405 (baseline 18 mm, left picture = colour picture), with these errors:
-//! - disparity noise of [`DISPARITY_SIGMA_PX`], smooth over a matching window, so that the error grows with the square
-//!   of the distance (0.3 mm at 0.2 m, 1.7 mm at 0.5 m);
-//! - a curved field: flat targets read up to [`FIELD_CURVATURE`] too far in the corners (librealsense issue 13391);
+//! In: true depth a pixel along the optical axis, m. Out: what stereo matching makes of it, in units of 0.1
+//! mm, 0 where it finds nothing. Modelled after a D405 (baseline 18 mm, left picture = colour picture), with
+//! these errors:
+//! - disparity noise of [`DISPARITY_SIGMA_PX`], smooth over a matching window, so that the error grows with
+//!   the square of the distance (0.3 mm at 0.2 m, 1.7 mm at 0.5 m);
+//! - a curved field: flat targets read up to [`FIELD_CURVATURE`] too far in the corners (librealsense issue
+//!   13391);
 //! - edges: within half a window of a step in depth the nearer surface wins, raggedly;
-//! - holes: what the right imager cannot see beside a near object, what is nearer than 70 mm or beyond 3 m, specks, and
-//!   everything in the dark.
+//! - holes: what the right imager cannot see beside a near object, what is nearer than 70 mm or beyond 3 m,
+//!   specks, and everything in the dark.
 //!
 //! Pure: seeded by run and frame.
 
@@ -72,8 +74,8 @@ pub fn match_stereo(camera: &CameraTruth, truth: &[f32], gain: f32, seed: [u64; 
     DepthImage { width: camera.width, height: camera.height, units }
 }
 
-/// Pixels of a line whose point the right imager cannot see: something nearer further right has a disparity so much
-/// larger that it covers them.
+/// Pixels of a line whose point the right imager cannot see: something nearer further right has a disparity
+/// so much larger that it covers them.
 fn hidden(line: &[f32], fx: f64) -> Vec<bool> {
     let mut hidden = vec![false; line.len()];
     // Column of the right picture that is covered so far, coming from the right.

@@ -1,7 +1,7 @@
 //! The simulated camera's lens: pinhole with Brown-Conrady distortion, forward and inverse.
 //!
-//! In: points in the camera frame (x right, y down, z forward, m). Out: pixels, (0, 0) being the centre of the
-//! first pixel; and back, pixels to directions. Written from the model's formula and held to OpenCV's
+//! In: points in the camera frame (x right, y down, z forward, m). Out: pixels, (0, 0) being the centre of
+//! the first pixel; and back, pixels to directions. Written from the model's formula and held to OpenCV's
 //! `projectPoints` by a test in `tests/it`, so that a misreading cannot agree with itself.
 
 use serde::Serialize;

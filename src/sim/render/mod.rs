@@ -1,12 +1,13 @@
 //! The simulated camera: draws a scene as a lens and a sensor would see it.
 //!
-//! In: a [`Scene`] (a copy of the world at the moment of exposure), the camera's true pose and lens, a seed and a
-//! frame number. Out: an RGB picture. Pure: the same arguments give the same bytes.
+//! In: a [`Scene`] (a copy of the world at the moment of exposure), the camera's true pose and lens, a seed
+//! and a frame number. Out: an RGB picture. Pure: the same arguments give the same bytes.
 //!
-//! How: one ray a pixel through the exact inverse of the lens ([`lens`]), met with prisms, prints and board ([`cast`]);
-//! where neighbouring pixels see different surfaces, 16 rays; then blur, noise and eight bits ([`sensor`]). A camera that moves
-//! while it exposes is drawn from several places along its way; there is no shadow. Uneven light is a smooth gain over the picture. Depth pictures
-//! are the same rays' lengths with the errors of stereo matching ([`depth`]).
+//! How: one ray a pixel through the exact inverse of the lens ([`lens`]), met with prisms, prints and board
+//! ([`cast`]); where neighbouring pixels see different surfaces, 16 rays; then blur, noise and eight bits
+//! ([`sensor`]). A camera that moves while it exposes is drawn from several places along its way; there is no
+//! shadow. Uneven light is a smooth gain over the picture. Depth pictures are the same rays' lengths with the
+//! errors of stereo matching ([`depth`]).
 
 pub mod cast;
 pub mod depth;
@@ -67,7 +68,8 @@ impl Renderer {
         self.expose_along(scene, std::slice::from_ref(table_from_camera), exposure, noise)
     }
 
-    /// The same by a camera that moves: the mean of the light at places along its way, then blur and noise once.
+    /// The same by a camera that moves: the mean of the light at places along its way, then blur and noise
+    /// once.
     pub fn expose_along(
         &self,
         scene: &Scene,
@@ -115,7 +117,8 @@ impl Renderer {
         light
     }
 
-    /// The depth picture of the same moment and place, aligned to the colour picture; `noise` is seed and frame.
+    /// The depth picture of the same moment and place, aligned to the colour picture; `noise` is seed and
+    /// frame.
     pub fn expose_depth(
         &self,
         scene: &Scene,

@@ -1,7 +1,7 @@
 //! What the camera sees at one moment: a light copy of the world that can be drawn without holding it.
 //!
-//! In: the world. Out: prisms (objects, gripper), prints on the table, the board, and the flange pose. Shapes are
-//! shared, so that a copy costs some hundred bytes an object.
+//! In: the world. Out: prisms (objects, gripper), prints on the table, the board, and the flange pose. Shapes
+//! are shared, so that a copy costs some hundred bytes an object.
 
 use crate::sim::world::section::Section;
 use crate::sim::world::spec::CameraMount;

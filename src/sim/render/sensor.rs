@@ -1,7 +1,7 @@
 //! From light to bytes: blur of lens and pixels, then noise, then eight bits.
 //!
-//! In: colours in grey levels, one triple a pixel. Out: RGB bytes. The noise is seeded by run and frame, so that
-//! two frames never agree and a repeated run does.
+//! In: colours in grey levels, one triple a pixel. Out: RGB bytes. The noise is seeded by run and frame, so
+//! that two frames never agree and a repeated run does.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -58,7 +58,8 @@ pub fn blur(light: &mut [[f32; 3]], width: usize, sigma_px: f64) {
             *pixel = weigh(taps.iter(), &kernel);
         }
     }
-    // Columns: a ring of the original rows, so that a row is overwritten only after all that need it were made.
+    // Columns: a ring of the original rows, so that a row is overwritten only after all that need it were
+    // made.
     let row_of = |y: isize| y.clamp(0, height as isize - 1) as usize;
     let mut ring: VecDeque<Vec<[f32; 3]>> =
         (-(reach as isize)..reach as isize).map(|y| light[row_of(y) * width..][..width].to_vec()).collect();

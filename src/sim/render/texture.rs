@@ -1,7 +1,7 @@
 //! The table's grain: a periodic field of smooth noise, the same in every picture.
 //!
-//! In: a place on the table, m. Out: grey levels to add, about +-6. Seeded once, not by the world: the table top
-//! does not change from run to run.
+//! In: a place on the table, m. Out: grey levels to add, about +-6. Seeded once, not by the world: the table
+//! top does not change from run to run.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -1,8 +1,8 @@
 //! Connections to the dashboard server: a greeting, then one reply per command.
 //!
 //! In: lines. Out: replies; they mean "accepted", and the state follows in later frames. Commands that act
-//! are refused in local mode and, until it is reopened, on a connection made before the last switch. The table of all
-//! commands is docs/simulator-states.md.
+//! are refused in local mode and, until it is reopened, on a connection made before the last switch. The
+//! table of all commands is docs/simulator-states.md.
 
 use crate::sim::controller::Controller;
 use crate::sim::controller::pendant::{INSTALLATION, LoadError, OperationalMode, PROGRAM_FOLDER};

@@ -1,5 +1,6 @@
-//! The controller's TCP servers: dashboard (29999), primary (30001), secondary (30002), real-time (30003), RTDE (30004),
-//! and the read-only twins of the three that take scripts (30011 to 30013), around the frame-stepped [`Controller`].
+//! The controller's TCP servers: dashboard (29999), primary (30001), secondary (30002), real-time (30003),
+//! RTDE (30004), and the read-only twins of the three that take scripts (30011 to 30013), around the
+//! frame-stepped [`Controller`].
 //!
 //! In: an address to listen on, and one call of [`RobotShared::frame`] per controller frame from the thread
 //! that keeps the time. Out: whatever the clients of the real controller expect. Connections act on the
@@ -139,7 +140,8 @@ impl RobotShared {
         self.outlets.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 
-    /// One controller frame, and its outputs to all connections; packages record how late after `due` they leave.
+    /// One controller frame, and its outputs to all connections; packages record how late after `due` they
+    /// leave.
     pub fn frame(&self, due: Option<Instant>) {
         let mut controller = self.controller();
         controller.frame();

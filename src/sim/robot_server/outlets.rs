@@ -5,10 +5,10 @@
 //! bounded queue per connection. A full queue means that the client is behind: its package is skipped, never
 //! stored elsewhere. An RTDE client that stays behind for 10 s is dropped, as on the controller; the others
 //! are not, because real clients keep a script connection open for hours without reading it.
-//! A connection with nothing in its queue is written to at once, from the thread that makes the frames; the queue
-//! and its task are for what the socket does not take.
-//! Clients with equal recipes share one encoding. Also here, because it concerns the same connections: when a client
-//! that writes inputs regularly is late, and how punctual packages are on their way out.
+//! A connection with nothing in its queue is written to at once, from the thread that makes the frames; the
+//! queue and its task are for what the socket does not take. Clients with equal recipes share one encoding.
+//! Also here, because it concerns the same connections: when a client that writes inputs regularly is late,
+//! and how punctual packages are on their way out.
 
 use crate::sim::controller::outputs::Output;
 use crate::sim::controller::registers::ClientId;
@@ -144,8 +144,8 @@ impl Inlet {
     }
 }
 
-/// The sending end of a connection's queue. It counts what is queued and not written yet: while that is nothing, and
-/// the count is locked, no task writes to the socket.
+/// The sending end of a connection's queue. It counts what is queued and not written yet: while that is
+/// nothing, and the count is locked, no task writes to the socket.
 #[derive(Clone, Debug)]
 pub struct Line {
     queue: mpsc::Sender<Parcel>,
@@ -366,7 +366,8 @@ impl Outlets {
         self.outlets.iter_mut().find(|outlet| outlet.id == id)
     }
 
-    /// Sends what is due at the end of a frame; `due` is when the frame was, and what leaves at once is recorded.
+    /// Sends what is due at the end of a frame; `due` is when the frame was, and what leaves at once is
+    /// recorded.
     pub fn publish(&mut self, controller: &mut Controller, due: Option<Instant>, punctuality: &Punctuality) {
         self.close_after_switch(controller);
         self.tell_popup(controller);

@@ -1,7 +1,8 @@
-//! How late packages leave the simulator: the time from when their frame was due to when they were handed to the system.
+//! How late packages leave the simulator: the time from when their frame was due to when they were handed to
+//! the system.
 //!
-//! In: one delay per package, from many threads. Out: a count, the share within a bound, quantiles. Counters only, so
-//! that measuring does not disturb.
+//! In: one delay per package, from many threads. Out: a count, the share within a bound, quantiles. Counters
+//! only, so that measuring does not disturb.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;

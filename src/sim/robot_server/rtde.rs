@@ -98,7 +98,8 @@ impl Session {
         Ok(answers)
     }
 
-    /// The answers of [`Session::receive`] are on their way: data follow, never ahead of the reply that announced them.
+    /// The answers of [`Session::receive`] are on their way: data follow, never ahead of the reply that
+    /// announced them.
     pub fn answered(&mut self, shared: &RobotShared) {
         if std::mem::take(&mut self.starts) {
             shared.outlets().start(self.id);
@@ -209,7 +210,8 @@ impl Session {
     }
 }
 
-/// More names than newer software takes in one request; the replies of older software are bounded by the package alone.
+/// More names than newer software takes in one request; the replies of older software are bounded by the
+/// package alone.
 fn too_long(controller: &Controller, names: &[String]) -> bool {
     let bytes: usize = names.iter().map(|name| name.len() + 1).sum();
     controller.core.version()[0] >= BOUNDED_SINCE && bytes > MAX_NAMES + 1

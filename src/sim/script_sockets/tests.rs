@@ -22,8 +22,8 @@ fn start(controller: &mut Controller, script: &str) {
     controller.frame();
 }
 
-/// Steps frames at twice the speed of real time: scripts wait 2 simulated seconds for a peer, and frames as fast as they can
-/// be made leave a peer on a busy computer a few milliseconds of that.
+/// Steps frames at twice the speed of real time: scripts wait 2 simulated seconds for a peer, and frames as
+/// fast as they can be made leave a peer on a busy computer a few milliseconds of that.
 #[track_caller]
 fn step_until(controller: &mut Controller, done: impl Fn(&Controller) -> bool) {
     let start = Instant::now();
@@ -189,8 +189,8 @@ fn sockets_close_with_the_program() {
     assert!(end.recv_timeout(PATIENCE).unwrap());
 }
 
-/// The way client libraries drive an arm from the PC: set-points on one socket, a trajectory on another while the
-/// first one is read on, and a cancellation in the middle of it.
+/// The way client libraries drive an arm from the PC: set-points on one socket, a trajectory on another while
+/// the first one is read on, and a cancellation in the middle of it.
 const EXTERNAL: &str = "
 def external():
   global mode = 0

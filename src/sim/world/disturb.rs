@@ -1,7 +1,8 @@
-//! Faults of the world: air, sticky cups, moved objects, and what the camera suffers; and what the desk of faults
-//! needs to see to know when they are due.
+//! Faults of the world: air, sticky cups, moved objects, and what the camera suffers; and what the desk of
+//! faults needs to see to know when they are due.
 //!
-//! In: calls of the desk between two frames. Out: changed state, events, glances. Nothing here happens by itself.
+//! In: calls of the desk between two frames. Out: changed state, events, glances. Nothing here happens by
+//! itself.
 
 use crate::geometry::pose::Pose2;
 use crate::sim::faults::FaultError;
@@ -142,7 +143,8 @@ impl World {
         }
     }
 
-    /// Takes away every foreign thing that is not among `wanted`. One that hangs on the gripper is left there.
+    /// Takes away every foreign thing that is not among `wanted`. One that hangs on the gripper is left
+    /// there.
     pub fn keep_foreign(&mut self, wanted: &[&ForeignBody]) {
         for slot in 0..self.foreign.len() {
             let (thing, index) = &self.foreign[slot];

@@ -1,7 +1,7 @@
 //! Seal, hold, carry and contact: what connects the tool to the objects.
 //!
-//! In: the tool's true pose and motion, the pumps. Out: which object hangs on which channel, how high it can go
-//! down, and what the arm presses on. The conditions are listed in the module above.
+//! In: the tool's true pose and motion, the pumps. Out: which object hangs on which channel, how high it can
+//! go down, and what the arm presses on. The conditions are listed in the module above.
 
 use crate::sim::world::event::{Contact, EventKind};
 use crate::sim::world::section::Section;
@@ -26,7 +26,8 @@ pub(super) const YIELD_M: f64 = 1e-3;
 const CLEAR_OF_TABLE_M: f64 = 5e-3;
 
 impl World {
-    /// How far what is held is over what would hold it up, m; `None` when nothing is held. Truth: for tests only.
+    /// How far what is held is over what would hold it up, m; `None` when nothing is held. Truth: for tests
+    /// only.
     pub fn held_over_place(&self) -> Option<f64> {
         let over = self.bodies.iter().filter_map(|body| match body.state {
             BodyState::Held { floor_m, .. } => Some(body.bottom_m() - floor_m),
@@ -255,7 +256,8 @@ impl World {
         let x_axis = table_from_body.rotation * Vector3::x();
         let mut deepest = None;
         for body in reach {
-            // Seen from above the tool frame is mirrored: its outline is turned over before it is laid on the table.
+            // Seen from above the tool frame is mirrored: its outline is turned over before it is laid on the
+            // table.
             let pose = crate::geometry::pose::Pose2::new(
                 table_from_body.translation.x,
                 table_from_body.translation.y,
@@ -274,7 +276,8 @@ impl World {
     }
 }
 
-/// Height of `lip` over the top of `body` along its normal, and its place on that top, when it is above or in it.
+/// Height of `lip` over the top of `body` along its normal, and its place on that top, when it is above or in
+/// it.
 fn over(body: &Body, lip: &Point3<f64>) -> Option<(f64, [f64; 2])> {
     if !body.is_resting() && !body.is_held() {
         return None;

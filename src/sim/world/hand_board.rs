@@ -1,8 +1,8 @@
 //! A calibration board on the hand: where its markers are printed on the plate, and the plate as it is drawn.
 //!
-//! In: a [`HandBoard`]. Out: a thin prism with the prints on its top, at the flange. The grid is laid out here and not by
-//! `vision::board`, so that a board that is misread there does not agree with itself. The plate is seen and hides what lies
-//! behind it; it weighs nothing and touches nothing.
+//! In: a [`HandBoard`]. Out: a thin prism with the prints on its top, at the flange. The grid is laid out
+//! here and not by `vision::board`, so that a board that is misread there does not agree with itself. The
+//! plate is seen and hides what lies behind it; it weighs nothing and touches nothing.
 
 use crate::geometry::pose::Pose2;
 use crate::sim::render::scene::{Print, Prism};

@@ -1,20 +1,22 @@
 //! The simulated table, its objects and the vacuum gripper: what is true, stepped by the time it is given.
 //!
-//! In: a [`WorldSpec`] and a seed, then the arm's flange pose at every controller frame and the gripper's commands.
-//! Out: true poses (for tests and the final report only), relative vacuum, contacts, events, and the light
-//! [`Scene`](crate::sim::render::scene::Scene) that the camera draws.
-//! Pure: no clock, no socket; the same seed and the same calls give the same world.
+//! In: a [`WorldSpec`] and a seed, then the arm's flange pose at every controller frame and the gripper's
+//! commands. Out: true poses (for tests and the final report only), relative vacuum, contacts, events, and
+//! the light [`Scene`](crate::sim::render::scene::Scene) that the camera draws. Pure: no clock, no socket;
+//! the same seed and the same calls give the same world.
 //!
 //! The model, and what it leaves out:
-//! - Objects are upright prisms, quasi-static: nothing slides or topples by itself. What the arm runs into from the side
-//!   is pushed along the table ([`push`]); nothing is knocked over.
-//! - A channel is sealed when all its cups lie on one object's top, within 2 mm in height and 3 degrees of its
-//!   normal, each lip inside the top (and inside `grippable`) and nothing else above it.
+//! - Objects are upright prisms, quasi-static: nothing slides or topples by itself. What the arm runs into
+//!   from the side is pushed along the table ([`push`]); nothing is knocked over.
+//! - A channel is sealed when all its cups lie on one object's top, within 2 mm in height and 3 degrees of
+//!   its normal, each lip inside the top (and inside `grippable`) and nothing else above it.
 //! - A sealed channel takes hold at 20 % vacuum. The object then moves rigidly with the tool while the vacuum
 //!   carries m (a - g); below that it falls. Standing on something it is let go below 5 %.
 //! - Grip and placing each add a random offset; nothing is ever moved towards a goal.
-//! - A placed object that penetrates others by up to 1 mm shares the push with them; deeper, it stays tilted on top.
-//! - Pressing into table or objects lifts what is held and is recorded as a contact; the arm itself is not stopped here.
+//! - A placed object that penetrates others by up to 1 mm shares the push with them; deeper, it stays tilted
+//!   on top.
+//! - Pressing into table or objects lifts what is held and is recorded as a contact; the arm itself is not
+//!   stopped here.
 
 pub mod disturb;
 pub mod event;
@@ -212,7 +214,8 @@ impl World {
     /// A world at rest.
     ///
     /// # Errors
-    /// [`WorldError`] for sizes that are not above 0, poses that are not finite, names and markers used twice.
+    /// [`WorldError`] for sizes that are not above 0, poses that are not finite, names and markers used
+    /// twice.
     pub fn new(spec: WorldSpec, seed: u64) -> Result<World, WorldError> {
         check(&spec)?;
         let mut bodies = Vec::with_capacity(spec.objects.len());
@@ -303,8 +306,8 @@ impl World {
         self.channels[channel.index()].pump.vacuum()
     }
 
-    /// What the gripper's sensor says about a channel, per mille: the truth with a noise of up to +-8, the same for
-    /// all readings within one frame.
+    /// What the gripper's sensor says about a channel, per mille: the truth with a noise of up to +-8, the
+    /// same for all readings within one frame.
     pub fn vacuum_reading_per_mille(&self, channel: Channel) -> u16 {
         let mut z = self.seed ^ (self.steps * 2 + channel.index() as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

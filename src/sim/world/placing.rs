@@ -1,8 +1,9 @@
-//! What happens to an object that leaves the gripper: it is placed, or falls, pushes its neighbours apart or stays
-//! tilted on them, or leaves the table.
+//! What happens to an object that leaves the gripper: it is placed, or falls, pushes its neighbours apart or
+//! stays tilted on them, or leaves the table.
 //!
-//! In: the object's pose when it was let go and the tool's speed. Out: new poses and events. Nothing here knows
-//! of goals: every pose is where the object was let go, plus errors, plus what its neighbours force on it.
+//! In: the object's pose when it was let go and the tool's speed. Out: new poses and events. Nothing here
+//! knows of goals: every pose is where the object was let go, plus errors, plus what its neighbours force on
+//! it.
 
 use crate::geometry::pose::Pose2;
 use crate::sim::world::event::EventKind;

@@ -1,11 +1,12 @@
 //! What the arm touches from the side is pushed along the table, and what it touches presses back.
 //!
-//! In: the tool's pose in this frame. Out: moved objects, and the force the tool feels. The model is quasi-static and
-//! planar: the pusher penetrates, and the object leaves it along the contact normal, turning as one that slides with
-//! uniform pressure does (ellipsoidal limit surface: a force `f` at `r` moves it along `f` and turns it by
-//! `r x f / c^2`, with `c` the mean distance of its points from its centre). What the object meets is pushed in turn.
-//! Whether a touch is one from the side or from above is decided when it begins, by which penetration is the smaller.
-//! An object that is screwed down, or stands before one that is, does not give way: the arm presses on it.
+//! In: the tool's pose in this frame. Out: moved objects, and the force the tool feels. The model is
+//! quasi-static and planar: the pusher penetrates, and the object leaves it along the contact normal, turning
+//! as one that slides with uniform pressure does (ellipsoidal limit surface: a force `f` at `r` moves it
+//! along `f` and turns it by `r x f / c^2`, with `c` the mean distance of its points from its centre). What
+//! the object meets is pushed in turn. Whether a touch is one from the side or from above is decided when it
+//! begins, by which penetration is the smaller. An object that is screwed down, or stands before one that is,
+//! does not give way: the arm presses on it.
 
 use crate::geometry::pose::Pose2;
 use crate::sim::world::event::EventKind;
@@ -58,7 +59,8 @@ impl World {
         self.pushing = pushing;
     }
 
-    /// Force on the tool from what it touches, N, in the table frame. What hangs on it is the payload's affair.
+    /// Force on the tool from what it touches, N, in the table frame. What hangs on it is the payload's
+    /// affair.
     pub fn contact_force(&self) -> Vector3<f64> {
         let pressing = self.pressed_m * STIFFNESS_N_PER_M;
         Vector3::new(0.0, 0.0, pressing) - self.pushing
@@ -121,8 +123,8 @@ impl World {
         (overlap.depth_m > TOUCH_M).then_some(overlap.depth_m)
     }
 
-    /// Pushes an object and what it meets; the force that takes. `None`, and nothing moved, if something does not give
-    /// way.
+    /// Pushes an object and what it meets; the force that takes. `None`, and nothing moved, if something does
+    /// not give way.
     fn push(&mut self, pusher: &Pusher, index: usize) -> Option<Vector3<f64>> {
         let before: Vec<Isometry3<f64>> = self.bodies.iter().map(|body| body.table_from_object).collect();
         let direction = self.slide(&pusher.section, &pusher.pose, index);

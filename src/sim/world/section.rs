@@ -135,8 +135,9 @@ impl Section {
         self.moments().0
     }
 
-    /// Mean distance of its points from the centre of area, m: the ratio of the largest torque to the largest force of
-    /// friction under uniform pressure. From the radius of gyration, with the ratio of a disc (2/3 to 1/sqrt 2).
+    /// Mean distance of its points from the centre of area, m: the ratio of the largest torque to the largest
+    /// force of friction under uniform pressure. From the radius of gyration, with the ratio of a disc (2/3
+    /// to 1/sqrt 2).
     pub fn friction_radius_m(&self) -> f64 {
         self.moments().1.sqrt() * (2.0 / 3.0) * std::f64::consts::SQRT_2
     }
@@ -160,8 +161,8 @@ impl Section {
         (centre, (second / area - dot(centre, centre)).max(1e-12))
     }
 
-    /// A point where two sections that overlap touch: the middle of the corners of each that lie in the other. `None`
-    /// when there are none, as of two crossed bars.
+    /// A point where two sections that overlap touch: the middle of the corners of each that lie in the
+    /// other. `None` when there are none, as of two crossed bars.
     pub fn touch(
         first: &Section,
         first_pose: &Pose2,
@@ -338,8 +339,9 @@ mod tests {
                 Section::overlap(&Section::from_footprint(a), &pose_a, &Section::from_footprint(b), &pose_b);
             let ours = found.map_or(0.0, |overlap| overlap.depth_m);
             overlapping += usize::from(theirs > 0.0);
-            // 0.06 % of the largest radius on each side, and what a 96-gon's nearest edge leaves of the direction;
-            // deep overlaps, where the kernel's own figure for ellipses is not the least one, within 2 %.
+            // 0.06 % of the largest radius on each side, and what a 96-gon's nearest edge leaves of the
+            // direction; deep overlaps, where the kernel's own figure for ellipses is not the least one,
+            // within 2 %.
             let allowed = if theirs.min(ours) < 5e-3 { 1.5e-4 } else { 0.02 * theirs };
             assert!((ours - theirs).abs() < allowed, "{a:?} {pose_a:?} {b:?} {pose_b:?}: {ours} {theirs}");
         }

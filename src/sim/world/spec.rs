@@ -1,8 +1,8 @@
 //! What the simulated cell consists of, and how far the true cell is from the nominal one.
 //!
-//! In: the nominal cell (config) and a seed. Out: [`WorldSpec`], checked by `World::new`, and [`TruthSpec`], the
-//! deviations that a daemon can only learn by calibrating. Lengths m, angles rad, masses kg; poses of objects
-//! and markers in the table frame, cups in the tool frame.
+//! In: the nominal cell (config) and a seed. Out: [`WorldSpec`], checked by `World::new`, and [`TruthSpec`],
+//! the deviations that a daemon can only learn by calibrating. Lengths m, angles rad, masses kg; poses of
+//! objects and markers in the table frame, cups in the tool frame.
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
@@ -151,8 +151,8 @@ pub struct GripperSpec {
 }
 
 impl GripperSpec {
-    /// The simplest gripper: one cup of 20 mm on channel A, `length_m` straight below the flange, under a housing of
-    /// 50 x 50 mm whose underside is 50 mm above the lip.
+    /// The simplest gripper: one cup of 20 mm on channel A, `length_m` straight below the flange, under a
+    /// housing of 50 x 50 mm whose underside is 50 mm above the lip.
     pub fn one_cup(length_m: f64) -> GripperSpec {
         GripperSpec {
             flange_from_tool: Isometry3::translation(0.0, 0.0, length_m),
@@ -186,8 +186,8 @@ impl Cup {
 /// A plate with a grid of tag36h11 markers on the hand, for calibrating a camera that stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HandBoard {
-    /// The board in the flange frame: origin in the lower left corner of the lower left marker, x right, y up, z out of
-    /// the print.
+    /// The board in the flange frame: origin in the lower left corner of the lower left marker, x right, y
+    /// up, z out of the print.
     pub flange_from_board: Isometry3<f64>,
     /// Markers across and up.
     pub grid: [u32; 2],
@@ -247,7 +247,8 @@ pub struct TruthSpec {
 
 impl TruthSpec {
     /// Deviations by seed, uniform within their limits: table and camera mount as `limits` say; focal length
-    /// +-1 %, principal point +-12 px, Brown-Conrady distortion of a short lens; reported intrinsics +-0.02 %.
+    /// +-1 %, principal point +-12 px, Brown-Conrady distortion of a short lens; reported intrinsics +-0.02
+    /// %.
     pub fn from_seed(nominal: &NominalCell, limits: &TruthLimits, seed: u64) -> TruthSpec {
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x7275_7468);
         let mut spread = |limit: f64| rng.random_range(-1.0..=1.0) * limit;

@@ -1,7 +1,8 @@
 //! What can be seen of the world: the scene the camera draws.
 //!
-//! In: the world. Out: a [`Scene`] in the table frame, with what faults add to it or cover; the gripper is drawn as its housing (from the flange down) and
-//! its cups, and the board on the hand where there is one. The arm itself is not drawn: from the wrist nothing of it is in view.
+//! In: the world. Out: a [`Scene`] in the table frame, with what faults add to it or cover; the gripper is
+//! drawn as its housing (from the flange down) and its cups, and the board on the hand where there is one.
+//! The arm itself is not drawn: from the wrist nothing of it is in view.
 
 use crate::sim::render::scene::{Cells, Print, Prism, Scene};
 use crate::sim::world::spec::ObjectMarker;

@@ -1,7 +1,8 @@
-//! Lines, dots and letters into an [`Image`]: enough to annotate a camera picture, with no font file and no library.
+//! Lines, dots and letters into an [`Image`]: enough to annotate a camera picture, with no font file and no
+//! library.
 //!
-//! In: places in pixels (column, row), colours. Letters are 5 x 7 dots, capitals only; unknown characters become a box. Whatever lies
-//! outside the picture, or is no number, is not drawn. Pure.
+//! In: places in pixels (column, row), colours. Letters are 5 x 7 dots, capitals only; unknown characters
+//! become a box. Whatever lies outside the picture, or is no number, is not drawn. Pure.
 
 use crate::vision::image::Image;
 

@@ -1,9 +1,11 @@
-//! Where a camera stands that does not move, and the table before it: the hand carries a board through its picture.
+//! Where a camera stands that does not move, and the table before it: the hand carries a board through its
+//! picture.
 //!
-//! In: [`Sample`]s whose pictures show the board on the hand (and the reference markers, where the arm leaves them in view). Out: [`FixedCamera`],
-//! or what is missing. With base and flange changed round, "board on the hand, camera on the base" is the equation of
-//! "table on the base, camera on the hand", so one solver, one observability gate and one report serve both. The table
-//! then comes from the reference markers with the camera's place kept. Pure.
+//! In: [`Sample`]s whose pictures show the board on the hand (and the reference markers, where the arm leaves
+//! them in view). Out: [`FixedCamera`], or what is missing. With base and flange changed round, "board on the
+//! hand, camera on the base" is the equation of "table on the base, camera on the hand", so one solver, one
+//! observability gate and one report serve both. The table then comes from the reference markers with the
+//! camera's place kept. Pure.
 
 use crate::geometry::pose::Pose2;
 use crate::vision::board::Board;
@@ -95,8 +97,8 @@ pub fn solve_fixed(
     Ok(FixedCamera { hand, table })
 }
 
-/// The table before a camera whose place is known, from pictures with the arm anywhere. The camera's covariance is that of
-/// small motions in its own frame, shift (m2) before turn (rad2).
+/// The table before a camera whose place is known, from pictures with the arm anywhere. The camera's
+/// covariance is that of small motions in its own frame, shift (m2) before turn (rad2).
 ///
 /// # Errors
 /// As [`solve_hand_eye`].
@@ -118,19 +120,20 @@ pub fn table_before(
     let start = HandEyeGuess { flange_from_camera: base_from_camera, base_from_table: *base_from_table };
     let settings = HandEyeSettings { keep_mount: true, target_on_hand: false, ..*settings };
     let mut table = solve_hand_eye(&still, reference, camera, &start, &settings)?;
-    // Nothing moves between these pictures: what lens and detector get wrong is the same in all, and counts as in one.
+    // Nothing moves between these pictures: what lens and detector get wrong is the same in all, and counts
+    // as in one.
     let pictures = table.samples.iter().filter(|sample| !sample.rejected).count().max(1);
     table.base_from_table_covariance *= pictures as f64;
-    // The camera carries the table along. Where it was calibrated, its shift and turn go against each other, which two
-    // standard deviations would not tell.
+    // The camera carries the table along. Where it was calibrated, its shift and turn go against each other,
+    // which two standard deviations would not tell.
     let carried = carries(&(table.base_from_table.inverse() * base_from_camera));
     table.base_from_table_covariance += carried * camera_covariance * carried.transpose();
     table.base_from_table_std = TransformStd::of(&table.base_from_table_covariance);
     Ok(table)
 }
 
-/// How a small motion of b in its own frame, shift before turn, moves a in its own when b carries it (the adjoint of
-/// `a_from_b`).
+/// How a small motion of b in its own frame, shift before turn, moves a in its own when b carries it (the
+/// adjoint of `a_from_b`).
 fn carries(a_from_b: &Isometry3<f64>) -> Matrix6<f64> {
     let turn = a_from_b.rotation.to_rotation_matrix().into_inner();
     let mut adjoint = Matrix6::zeros();
@@ -192,7 +195,8 @@ mod tests {
         }
     }
 
-    /// The board half-way between table and camera, tilted about the camera's x and y axes and turned about z.
+    /// The board half-way between table and camera, tilted about the camera's x and y axes and turned about
+    /// z.
     fn samples(turns: &[[f64; 3]], noise_px: f64, arm_m: f64, seed: u64) -> Vec<Sample> {
         let camera = testing::camera(1280, 720);
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -280,7 +284,8 @@ mod tests {
         println!("worst table {:.3} mm; mean normalised square {camera:.2} {table:.2}", worst * 1e3);
         assert!(worst < 1.5e-3, "{worst}");
         assert!((0.5..2.0).contains(&camera), "{camera}");
-        // Pictures of a table before a camera that stands count as one, and here their noise is not the same: less than 1.
+        // Pictures of a table before a camera that stands count as one, and here their noise is not the same:
+        // less than 1.
         assert!((0.3..1.5).contains(&table), "{table}");
     }
 

@@ -1,8 +1,9 @@
 //! Focal lengths, principal point and distortion of a camera, from pictures of a board.
 //!
-//! In: the board's corners in each picture, the picture's size. Out: [`LensSolution`] with the error of every picture, or the sentence that says
-//! what is missing. OpenCV fits (`cv::calibrate_lens`); choosing the pictures, the refusals and the honest errors are
-//! ours: pictures that disagree with all others are left out, every fifth is predicted by a fit that has not seen it. Pure.
+//! In: the board's corners in each picture, the picture's size. Out: [`LensSolution`] with the error of every
+//! picture, or the sentence that says what is missing. OpenCV fits (`cv::calibrate_lens`); choosing the
+//! pictures, the refusals and the honest errors are ours: pictures that disagree with all others are left
+//! out, every fifth is predicted by a fit that has not seen it. Pure.
 
 use crate::vision::camera::CameraModel;
 use crate::vision::cv::{self, BoardCorners, CvError, LensFit};

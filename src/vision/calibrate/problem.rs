@@ -1,8 +1,9 @@
 //! The hand-eye least squares problem: pixel errors of the reference markers over twelve unknowns.
 //!
-//! In: samples, survey, lens. Out: [`Fit`]s for any subset of the samples, residuals in pixels and metres. The corners are
-//! undistorted once, and errors are carried back to pixels by the lens model's slope, so that the loop is pure
-//! pinhole arithmetic. Unknowns: small motions of the camera in its own frame and of the table in its own frame.
+//! In: samples, survey, lens. Out: [`Fit`]s for any subset of the samples, residuals in pixels and metres.
+//! The corners are undistorted once, and errors are carried back to pixels by the lens model's slope, so that
+//! the loop is pure pinhole arithmetic. Unknowns: small motions of the camera in its own frame and of the
+//! table in its own frame.
 
 use crate::vision::calibrate::{HandEyeGuess, HandEyeSettings, Sample};
 use crate::vision::camera::CameraModel;
@@ -98,7 +99,8 @@ impl Problem {
         Ok(Problem { stops })
     }
 
-    /// Fits the chosen stops from `start`; `None` when a marker lies behind a camera or the numbers break down.
+    /// Fits the chosen stops from `start`; `None` when a marker lies behind a camera or the numbers break
+    /// down.
     pub fn fit(&self, chosen: &[usize], start: HandEyeGuess, settings: &HandEyeSettings) -> Option<Fit> {
         let at = |guess| {
             let mut linear = self.linearise(chosen, guess, settings.robust_px)?;

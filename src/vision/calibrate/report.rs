@@ -1,8 +1,9 @@
 //! How good a hand-eye fit is, in numbers a person can believe or doubt.
 //!
-//! In: the problem, the stops used, the fit. Out: [`HandEye`] with residuals by sample, errors of samples predicted without having been
-//! used, the difference of two halves, and standard deviations. Corner scatter alone would be too proud of itself: all
-//! corners of a sample share the arm's error, which only leaving whole samples out brings to light.
+//! In: the problem, the stops used, the fit. Out: [`HandEye`] with residuals by sample, errors of samples
+//! predicted without having been used, the difference of two halves, and standard deviations. Corner scatter
+//! alone would be too proud of itself: all corners of a sample share the arm's error, which only leaving
+//! whole samples out brings to light.
 
 use crate::vision::calibrate::problem::{Fit, Problem, Stop};
 use crate::vision::calibrate::{HandEye, HandEyeGuess, HandEyeSettings, SampleResidual, TransformStd};
@@ -96,7 +97,8 @@ fn jackknife(folds: &[Fold], of: fn(&HandEyeGuess) -> Isometry3<f64>) -> (f64, f
 /// Of what no number of samples would determine.
 const UNKNOWN: TransformStd = TransformStd { translation_m: f64::INFINITY, rotation_rad: f64::INFINITY };
 
-/// The covariance by corner noise, stretched where leaving samples out showed more (variances of shift and turn).
+/// The covariance by corner noise, stretched where leaving samples out showed more (variances of shift and
+/// turn).
 fn widened(by_corners: Matrix6<f64>, by_folds: (f64, f64)) -> Matrix6<f64> {
     let std = TransformStd::of(&by_corners);
     let factor = |own: f64, other: f64| if own > 0.0 { (other.sqrt() / own).max(1.0) } else { 1.0 };

@@ -1,9 +1,10 @@
-//! Where the table lies, by touching points on it with the tip of the tool; and that answer tied to the camera's.
+//! Where the table lies, by touching points on it with the tip of the tool; and that answer tied to the
+//! camera's.
 //!
-//! In: [`Touch`]es (a point of the table and where the tip was in the base). Out: [`TouchFit`] with its covariance and each touch's error, or
-//! the sentence that says which point to touch besides; [`tie`] compares with the table that the camera sees and
-//! weighs the two by their covariances. Touching knows nothing of lens and mount, so the two can only agree when both
-//! are right. Pure.
+//! In: [`Touch`]es (a point of the table and where the tip was in the base). Out: [`TouchFit`] with its
+//! covariance and each touch's error, or the sentence that says which point to touch besides; [`tie`]
+//! compares with the table that the camera sees and weighs the two by their covariances. Touching knows
+//! nothing of lens and mount, so the two can only agree when both are right. Pure.
 
 use crate::units::{deg_from_rad, mm_from_m};
 use crate::vision::calibrate::TransformStd;
@@ -25,7 +26,8 @@ pub struct Touch {
 /// What is asked of the touches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TouchSettings {
-    /// How far a careful hand misses the point along each axis, m: what is believed before the residuals are seen.
+    /// How far a careful hand misses the point along each axis, m: what is believed before the residuals are
+    /// seen.
     pub hand_std_m: f64,
     /// How many degrees of freedom that belief is worth against those of the residuals.
     pub hand_weight: f64,
@@ -139,7 +141,8 @@ pub fn fit_touches(touches: &[Touch], settings: &TouchSettings) -> Result<TouchF
     if rms_m > settings.residual_max_m {
         return Err(no_fit());
     }
-    // Three coordinates each, six of them spent on the pose: three touches say too little about themselves alone.
+    // Three coordinates each, six of them spent on the pose: three touches say too little about themselves
+    // alone.
     let freedom = (3 * touches.len() - 6) as f64;
     let belief = settings.hand_weight * settings.hand_std_m.powi(2);
     let touch_std_m = ((belief + squares) / (settings.hand_weight + freedom)).sqrt();
@@ -245,8 +248,8 @@ pub struct Tie {
     pub shift_m: Vector3<f64>,
     /// Angle between the two, rad.
     pub turn_rad: f64,
-    /// The disagreement in standard deviations: root of its normalised square over the six directions; about 1 where both
-    /// standard deviations are true.
+    /// The disagreement in standard deviations: root of its normalised square over the six directions; about
+    /// 1 where both standard deviations are true.
     pub in_std: f64,
 }
 

@@ -1,7 +1,7 @@
 //! `camera.yaml`: focal lengths, principal point and distortion of one camera at one picture size.
 //!
-//! In: text. Out: [`CameraCalibration`], or complaints with line and column; and the text of a new file. The serial number decides
-//! whose calibration it is: the daemon refuses a camera with another one. Pure.
+//! In: text. Out: [`CameraCalibration`], or complaints with line and column; and the text of a new file. The
+//! serial number decides whose calibration it is: the daemon refuses a camera with another one. Pure.
 
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::write::Out;

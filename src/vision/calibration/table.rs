@@ -1,7 +1,8 @@
 //! `table.yaml`: where the table lies under the robot, and the surveyed markers that say so.
 //!
-//! In: text, or a [`HandEye`] solution with the survey it used. Out: [`TableCalibration`], or complaints; and the text of a new file. The survey
-//! is kept with the result: a marker glued elsewhere later shows as a difference from the config. Pure.
+//! In: text, or a [`HandEye`] solution with the survey it used. Out: [`TableCalibration`], or complaints; and
+//! the text of a new file. The survey is kept with the result: a marker glued elsewhere later shows as a
+//! difference from the config. Pure.
 
 use crate::document::decode::{At, Decoder};
 use crate::document::write::Out;

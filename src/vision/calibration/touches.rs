@@ -1,9 +1,9 @@
 //! `touches.yaml`: which points of the table the tool's tip touched, and where the arm was then.
 //!
-//! In: text. Out: [`Touches`], or complaints with line and column; and the text of a new file. A point is a reference marker's middle or one of its
-//! black corners, whose place the survey says at the time of solving, or a point of the table. Where the tip was is told by
-//! the flange's pose and the tip's offset from it, or by what the pendant shows with the tip as its TCP, so that a
-//! file can also be typed from a notebook. Pure.
+//! In: text. Out: [`Touches`], or complaints with line and column; and the text of a new file. A point is a
+//! reference marker's middle or one of its black corners, whose place the survey says at the time of solving,
+//! or a point of the table. Where the tip was is told by the flange's pose and the tip's offset from it, or
+//! by what the pendant shows with the tip as its TCP, so that a file can also be typed from a notebook. Pure.
 
 use crate::document::decode::{At, Decoder};
 use crate::document::write::Out;
@@ -129,7 +129,8 @@ pub struct Touches {
     pub touches: Vec<RecordedTouch>,
 }
 
-/// No tip is further from the flange, no arm reaches further, and no point of a table is further from its corner, m.
+/// No tip is further from the flange, no arm reaches further, and no point of a table is further from its
+/// corner, m.
 const TIP_M: f64 = 0.6;
 const REACH_M: f64 = 3.0;
 

@@ -1,7 +1,7 @@
 //! The marker families that the detector knows, by name, and how each of their markers is printed.
 //!
-//! In: a family's name and a marker's number. Out: [`Pattern`], the print as modules. Numbers and patterns are the AprilTag C
-//! library's own, so that what is printed is what is looked for.
+//! In: a family's name and a marker's number. Out: [`Pattern`], the print as modules. Numbers and patterns
+//! are the AprilTag C library's own, so that what is printed is what is looked for.
 
 use std::fmt;
 use std::str::FromStr;
@@ -141,7 +141,8 @@ fn with_raw<T>(family: Family, read: impl FnOnce(&apriltag_sys::apriltag_family_
         Family::TagCircle49h12 => (sys::tagCircle49h12_create, sys::tagCircle49h12_destroy),
         Family::TagCustom48h12 => (sys::tagCustom48h12_create, sys::tagCustom48h12_destroy),
     };
-    // SAFETY: made here, read through a shared reference that ends with `read`, freed here by its own function.
+    // SAFETY: made here, read through a shared reference that ends with `read`, freed here by its own
+    // function.
     unsafe {
         let raw = create();
         let answer = read(&*raw);
@@ -155,8 +156,8 @@ fn with_raw<T>(family: Family, read: impl FnOnce(&apriltag_sys::apriltag_family_
 fn drawn(family: &apriltag_sys::apriltag_family_t, id: u32) -> Pattern {
     let modules = usize::try_from(family.total_width).unwrap_or(0);
     let mut white = Vec::with_capacity(modules * modules);
-    // SAFETY: `id` is below the family's count (checked by the caller), the library only reads the family, the image
-    // is made and freed here, and reading stays within its `total_width` rows of `stride` bytes.
+    // SAFETY: `id` is below the family's count (checked by the caller), the library only reads the family,
+    // the image is made and freed here, and reading stays within its `total_width` rows of `stride` bytes.
     unsafe {
         let pointer = std::ptr::from_ref(family).cast_mut();
         let image = apriltag_sys::apriltag_to_image(pointer, id as i32);

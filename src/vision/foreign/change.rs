@@ -1,24 +1,26 @@
 //! What changed on the table since it was empty, for cameras without depth.
 //!
-//! In: pictures of the empty table from the look poses, then a picture from one of them. Out: a [`HeightMap`] of another kind: each cell
-//! is as it was (0), changed (infinitely high, for nobody knows how high) or not compared (NaN). Colours are compared as
-//! logarithms of their ratio, cell by cell, after a smooth change of the light over the whole picture is taken out, for each
-//! of red, green and blue. What has the table's own colour does not show; a shadow or a stain does. Pure.
+//! In: pictures of the empty table from the look poses, then a picture from one of them. Out: a [`HeightMap`]
+//! of another kind: each cell is as it was (0), changed (infinitely high, for nobody knows how high) or not
+//! compared (NaN). Colours are compared as logarithms of their ratio, cell by cell, after a smooth change of
+//! the light over the whole picture is taken out, for each of red, green and blue. What has the table's own
+//! colour does not show; a shadow or a stain does. Pure.
 
 use crate::vision::foreign::height_map::{Area, DepthLens, HeightMap};
 use crate::vision::image::Image;
 use nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4};
 
-/// A picture is compared with one from this near, m and rad: from elsewhere the gripper hides another part of the table, and
-/// wood shines differently.
+/// A picture is compared with one from this near, m and rad: from elsewhere the gripper hides another part of
+/// the table, and wood shines differently.
 const SAME_PLACE: (f64, f64) = (0.005, 0.02);
 /// Grey levels added to both colours: in the dark a ratio means nothing.
 const DARK: f64 = 10.0;
-/// A cell changed if a colour's logarithm is off by more than this, and by more than this many deviations of all cells.
+/// A cell changed if a colour's logarithm is off by more than this, and by more than this many deviations of
+/// all cells.
 const CHANGED: f64 = 0.12;
 const CHANGED_SIGMAS: f64 = 6.0;
-/// Above this deviation of all cells nothing is said: a picture that is poor, or covered by something with a pattern, would
-/// hide every change in its own scatter.
+/// Above this deviation of all cells nothing is said: a picture that is poor, or covered by something with a
+/// pattern, would hide every change in its own scatter.
 const SIGMA_MAX: f64 = 2.0 * CHANGED / CHANGED_SIGMAS;
 /// Pixels without which a cell has no colour.
 const PIXELS_MIN: u32 = 2;
@@ -113,8 +115,8 @@ impl Colours {
     }
 }
 
-/// Which cells do not follow the change of the light; `None` for a cell that one of the pictures does not show, and for all
-/// when too few are left or they scatter too much.
+/// Which cells do not follow the change of the light; `None` for a cell that one of the pictures does not
+/// show, and for all when too few are left or they scatter too much.
 fn departures(
     then: &Colours,
     now: &Colours,
@@ -183,7 +185,8 @@ mod tests {
         testing::looking_down(0.0, 0.0, 0.5, [0.1, 0.0], 0.2)
     }
 
-    /// A wooden table with flat patches (lowest and highest x and y, colour) in a light that gets `darker` from left to right.
+    /// A wooden table with flat patches (lowest and highest x and y, colour) in a light that gets `darker`
+    /// from left to right.
     fn picture(patches: &[([f64; 4], [f64; 3])], gain: f64, darker: f64, seed: u64) -> Image {
         let camera = testing::camera(640, 480);
         let pixels: Vec<[f64; 2]> =

@@ -1,8 +1,10 @@
-//! By what share a stereo camera reads too far, as a smooth function of the direction, learnt from surfaces whose distance is known.
+//! By what share a stereo camera reads too far, as a smooth function of the direction, learnt from surfaces
+//! whose distance is known.
 //!
-//! In: [`Sample`]s: direction, share by which a point reads too far. Out: [`Field`]. What stands on the table reads too near and never
-//! too far, and it may cover more of the view than the table does. So the fit starts from a camera without error, drops what
-//! is clearly nearer than the fit so far, and follows the rest; far points are dropped less readily. Pure.
+//! In: [`Sample`]s: direction, share by which a point reads too far. Out: [`Field`]. What stands on the table
+//! reads too near and never too far, and it may cover more of the view than the table does. So the fit starts
+//! from a camera without error, drops what is clearly nearer than the fit so far, and follows the rest; far
+//! points are dropped less readily. Pure.
 
 use nalgebra::{Matrix4, Vector4};
 
@@ -10,7 +12,8 @@ use nalgebra::{Matrix4, Vector4};
 const NEARER: f64 = 0.008;
 /// The distance up to which that holds, m; the noise's share grows with the distance.
 const NEARER_UP_TO_M: f64 = 0.5;
-/// Points this many times farther than that are no longer the table: at first, and once the field is roughly known.
+/// Points this many times farther than that are no longer the table: at first, and once the field is roughly
+/// known.
 const FARTHER: [f64; 2] = [3.0, 1.5];
 /// Most that depths are corrected by, as a share: what covers the whole table must not pass for it.
 const CORRECTION_MAX: f64 = 0.015;
@@ -18,8 +21,8 @@ const CORRECTION_MAX: f64 = 0.015;
 const SAMPLES_MIN: usize = 300;
 /// Rounds of fitting and dropping.
 const ROUNDS: usize = 8;
-/// How strongly each term is drawn to 0, against the samples' mean square: nothing where the table is seen all over, much
-/// where a strip of it has to tell about all of the picture.
+/// How strongly each term is drawn to 0, against the samples' mean square: nothing where the table is seen
+/// all over, much where a strip of it has to tell about all of the picture.
 const DRAWN: [f64; 4] = [6e-4, 2.4e-3, 2.4e-3, 2e-4];
 
 /// A point of a surface whose distance is known.
@@ -37,7 +40,8 @@ pub struct Field {
 }
 
 impl Sample {
-    /// A point in direction `ray` (x and y at distance 1) that reads too far by `share`; its surface is `distance_m` away.
+    /// A point in direction `ray` (x and y at distance 1) that reads too far by `share`; its surface is
+    /// `distance_m` away.
     pub fn new(ray: [f64; 2], share: f64, distance_m: f64) -> Sample {
         Sample { terms: terms(ray), share, nearer: NEARER * (distance_m / NEARER_UP_TO_M).max(1.0) }
     }

@@ -1,11 +1,11 @@
 //! From a depth picture to a map of how high the table's surface and what stands on it are.
 //!
-//! In: a [`DepthImage`], the lens, the camera's pose, the part of the table that matters, what of the robot is in view. Out: a
-//! [`HeightMap`]: for each cell of the table the median height of the points measured over it. Medians, because single
-//! points near edges are wild. Stereo cameras read flat targets up to a per cent or two too far towards the corners, by an
-//! amount that differs from camera to camera: the table itself, whose place is known from its markers, tells how much
-//! (`field`). The picture is corrected by that before it is mapped, and the map once more when it is known what lies where
-//! ([`HeightMap::levelled`]). Pure.
+//! In: a [`DepthImage`], the lens, the camera's pose, the part of the table that matters, what of the robot
+//! is in view. Out: a [`HeightMap`]: for each cell of the table the median height of the points measured over
+//! it. Medians, because single points near edges are wild. Stereo cameras read flat targets up to a per cent
+//! or two too far towards the corners, by an amount that differs from camera to camera: the table itself,
+//! whose place is known from its markers, tells how much (`field`). The picture is corrected by that before
+//! it is mapped, and the map once more when it is known what lies where ([`HeightMap::levelled`]). Pure.
 
 use crate::vision::camera::CameraModel;
 use crate::vision::cv::{self, CvError};
@@ -13,7 +13,8 @@ use crate::vision::foreign::field::{Field, Sample};
 use crate::vision::image::DepthImage;
 use nalgebra::{Isometry3, Point3, Vector3};
 
-/// Edge of a cell, m: some ten points of a picture from half a metre, and 25 cells to the smallest thing looked for.
+/// Edge of a cell, m: some ten points of a picture from half a metre, and 25 cells to the smallest thing
+/// looked for.
 pub const CELL_M: f64 = 0.004;
 /// Every so many pixels of a row and rows of the picture are used: matching windows are larger than that.
 const STRIDE: u32 = 2;
@@ -192,8 +193,9 @@ impl HeightMap {
 
     /// The heights, corrected by what the map says about surfaces whose height is known.
     ///
-    /// `surface_m` is the height of the table or the known top in each cell, NaN where nobody knows it. The picture's own
-    /// correction took every surface near the table for the table; here known objects are told from it.
+    /// `surface_m` is the height of the table or the known top in each cell, NaN where nobody knows it. The
+    /// picture's own correction took every surface near the table for the table; here known objects are told
+    /// from it.
     pub fn levelled(&self, surface_m: &[f32]) -> Vec<f32> {
         let eye_m = self.eye_m[2];
         let ray = |cell: usize| {

@@ -1,15 +1,17 @@
 //! The largest piece of the table in which depth measured nothing.
 //!
-//! In: the height maps of a look, the cells in which none of them measured anything, the known objects. Out: [`Hole`]. Black, mirrors and
-//! clear glass leave such holes, and so do look poses that do not show all of the table: something may stand there unseen. Left
-//! out are what known objects hide from every look pose, and gaps too narrow for anything to stand in. Pure.
+//! In: the height maps of a look, the cells in which none of them measured anything, the known objects. Out:
+//! [`Hole`]. Black, mirrors and clear glass leave such holes, and so do look poses that do not show all of
+//! the table: something may stand there unseen. Left out are what known objects hide from every look pose,
+//! and gaps too narrow for anything to stand in. Pure.
 
 use crate::geometry::polygon::contains;
 use crate::vision::foreign::height_map::CELL_M;
 use crate::vision::foreign::{HeightMap, KnownBody, components};
 use serde::Serialize;
 
-/// Heights at which the line from a cell to the camera is tried against a known object, as shares of that object's height.
+/// Heights at which the line from a cell to the camera is tried against a known object, as shares of that
+/// object's height.
 const TRIED: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
 
 /// A piece of the table in which nothing was measured.
@@ -28,7 +30,8 @@ impl std::fmt::Display for Hole {
     }
 }
 
-/// The cells of the `bare` table in which nothing was `measured` though no known object hides them from every look pose.
+/// The cells of the `bare` table in which nothing was `measured` though no known object hides them from every
+/// look pose.
 pub(crate) fn unmeasured(
     maps: &[&HeightMap],
     bare: &[bool],
@@ -44,7 +47,8 @@ pub(crate) fn unmeasured(
     (0..bare.len()).map(open).collect()
 }
 
-/// The largest group of `open` cells into which a square of three cells fits, and what of it lies round such squares.
+/// The largest group of `open` cells into which a square of three cells fits, and what of it lies round such
+/// squares.
 pub(crate) fn largest(map: &HeightMap, open: &[bool]) -> Option<Hole> {
     let wide: Vec<bool> =
         (0..open.len()).map(|cell| open[cell] && map.neighbours(cell).all(|near| open[near])).collect();

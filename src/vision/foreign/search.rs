@@ -1,7 +1,8 @@
 //! The search for foreign objects of one cell: everything it has to know, set up once.
 //!
-//! In: lens, workspace, catalogue, what never moves, what of the robot is in view, pictures of the empty table; then depth pictures (or
-//! pictures, where there is no depth), and the observation of the same look. Out: [`HeightMap`]s and a [`ForeignReport`]. Pure.
+//! In: lens, workspace, catalogue, what never moves, what of the robot is in view, pictures of the empty
+//! table; then depth pictures (or pictures, where there is no depth), and the observation of the same look.
+//! Out: [`HeightMap`]s and a [`ForeignReport`]. Pure.
 
 use crate::geometry::footprint::Footprint;
 use crate::tabletop::instance::KeepOut;
@@ -51,7 +52,8 @@ impl ForeignSearch {
         Ok(ForeignSearch { lens: DepthLens::new(camera)?, inventory, limits, empty: None })
     }
 
-    /// Compares colours with the empty table where there is no depth: its pictures, each with the camera's place.
+    /// Compares colours with the empty table where there is no depth: its pictures, each with the camera's
+    /// place.
     pub fn compare_with<'a>(&mut self, empty: impl Iterator<Item = (&'a Image, Isometry3<f64>)>) {
         let mut table = EmptyTable::default();
         for (image, table_from_camera) in empty {

@@ -1,4 +1,5 @@
-//! The search for foreign objects on depth pictures that are worked out ray by ray here, with noise, holes and curvature.
+//! The search for foreign objects on depth pictures that are worked out ray by ray here, with noise, holes
+//! and curvature.
 
 use super::*;
 use crate::vision::image::DepthImage;

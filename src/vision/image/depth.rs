@@ -1,13 +1,15 @@
 //! A depth picture: how far away what each pixel shows is, along the optical axis.
 //!
-//! In: metres row by row, or the 16-bit units that depth cameras and PNG files hold. Out: [`DepthImage`], aligned to the
-//! colour picture of the same moment, pixel by pixel. A pixel at which nothing was measured (a hole) reads as `None`;
-//! 0, NaN, infinities and negative numbers all mean that, so that no source has to agree with another on which. Pure.
+//! In: metres row by row, or the 16-bit units that depth cameras and PNG files hold. Out: [`DepthImage`],
+//! aligned to the colour picture of the same moment, pixel by pixel. A pixel at which nothing was measured (a
+//! hole) reads as `None`; 0, NaN, infinities and negative numbers all mean that, so that no source has to
+//! agree with another on which. Pure.
 
 use crate::vision::image::{Image, ImageError, check_length, check_size};
 use std::io::Cursor;
 
-/// What one unit of a 16-bit depth picture is unless its source says otherwise, m: 0.1 mm, as the D405 has it.
+/// What one unit of a 16-bit depth picture is unless its source says otherwise, m: 0.1 mm, as the D405 has
+/// it.
 pub const UNIT_M: f64 = 1e-4;
 
 /// Depth along the optical axis, m, rows from the top, no padding; 0 or NaN where nothing was measured.
@@ -57,7 +59,8 @@ impl DepthImage {
         }
     }
 
-    /// The picture as the bytes of a 16-bit grey PNG file with units of `unit_m`; what does not fit becomes a hole.
+    /// The picture as the bytes of a 16-bit grey PNG file with units of `unit_m`; what does not fit becomes a
+    /// hole.
     ///
     /// # Errors
     /// As [`Image::encode_png`].

@@ -1,14 +1,15 @@
 //! Whether a picture can be measured in: light, glare, contrast, focus.
 //!
-//! In: a grey picture and limits. Out: four numbers and, where one is beyond its limit, the fault by name. Pure. The
-//! numbers do not depend on what the table carries: light is that of the brightest hundredth, and focus is read from the
-//! steepest edges, which markers have wherever they lie.
+//! In: a grey picture and limits. Out: four numbers and, where one is beyond its limit, the fault by name.
+//! Pure. The numbers do not depend on what the table carries: light is that of the brightest hundredth, and
+//! focus is read from the steepest edges, which markers have wherever they lie.
 
 use crate::vision::image::GrayImage;
 
 /// Grey levels from which a pixel counts as saturated.
 const SATURATED: usize = 250;
-/// Distances over which grey levels are compared, pixels: across an edge that is in focus, and across any edge.
+/// Distances over which grey levels are compared, pixels: across an edge that is in focus, and across any
+/// edge.
 const NEAR: usize = 2;
 const FAR: usize = 16;
 /// Share of all differences that belong to the steepest edges.
@@ -41,8 +42,8 @@ pub struct PictureLimits {
 }
 
 impl PictureLimits {
-    /// Far outside what a usable picture shows and well inside what a useless one does (docs/cameras.md): not measured
-    /// on a cell, hence limits of trouble and not of accuracy.
+    /// Far outside what a usable picture shows and well inside what a useless one does (docs/cameras.md): not
+    /// measured on a cell, hence limits of trouble and not of accuracy.
     pub const STANDARD: PictureLimits =
         PictureLimits { light_min: 50, glare_max: 0.25, contrast_min: 30, edge_px_max: 6.0 };
 }
@@ -132,7 +133,8 @@ enum Direction {
     Columns,
 }
 
-/// Differences that the steepest edges reach over [`NEAR`] and over [`FAR`] pixels; zero in a picture too small for it.
+/// Differences that the steepest edges reach over [`NEAR`] and over [`FAR`] pixels; zero in a picture too
+/// small for it.
 fn edges(picture: &GrayImage, direction: Direction) -> [u8; 2] {
     let width = picture.width as usize;
     let (length, stride) = match direction {
@@ -178,7 +180,8 @@ fn level_reached(histogram: &[usize; 256], share: f64) -> u8 {
 mod tests {
     use super::*;
 
-    /// Dark squares of 40 pixels on light ground, turned, with edges of this standard deviation, and some noise.
+    /// Dark squares of 40 pixels on light ground, turned, with edges of this standard deviation, and some
+    /// noise.
     fn squares(sigma_px: f64, light: f64, dark: f64) -> GrayImage {
         // A blurred step is the normal distribution's sum; this stays within 0.02 of it.
         let step = |distance: f64| 1.0 / (1.0 + (-1.702 * distance / sigma_px).exp());

@@ -1,7 +1,8 @@
 //! What goes into an observation and what comes out of it.
 //!
-//! In: nothing. Out: the types that `observe` takes and gives: views, objects, limits, estimates with their uncertainty, and the
-//! headings under which everything that cannot be trusted is filed. Poses are in the table frame. Pure data.
+//! In: nothing. Out: the types that `observe` takes and gives: views, objects, limits, estimates with their
+//! uncertainty, and the headings under which everything that cannot be trusted is filed. Poses are in the
+//! table frame. Pure data.
 
 use crate::geometry::pose::Pose2;
 use crate::time::Timestamp;
@@ -173,7 +174,8 @@ pub struct Observation {
     pub reference: Option<reference::ReferenceCheck>,
     /// Root mean square error of the reference markers' centres, m; `None` when none was seen.
     pub reference_residual_m: Option<f64>,
-    /// What stands there and carries no marker; `None` where no depth was measured. Whoever has depth fills it in.
+    /// What stands there and carries no marker; `None` where no depth was measured. Whoever has depth fills
+    /// it in.
     pub foreign: Option<ForeignReport>,
 }
 

@@ -1,7 +1,8 @@
 //! Several views of one marker become one pose; a view that disagrees is left out, two places are not one.
 //!
-//! In: the placed sightings of one marker. Out: [`Fused`], or [`Disagreement`]. The median decides who is an outlier; one square is fitted to
-//! the corners of all the rest, so that views from several sides also tell height and tilt. Corner errors that repeat while the camera stands still (the bias of the pixel grid) are
+//! In: the placed sightings of one marker. Out: [`Fused`], or [`Disagreement`]. The median decides who is an
+//! outlier; one square is fitted to the corners of all the rest, so that views from several sides also tell
+//! height and tilt. Corner errors that repeat while the camera stands still (the bias of the pixel grid) are
 //! counted once for each place the camera was at, not once for each picture: five pictures from one place are
 //! hardly better than one, and the standard deviation says so. Pure.
 

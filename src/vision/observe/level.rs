@@ -1,9 +1,9 @@
 //! Does a marker lie level at the height it should have? Told by all views together.
 //!
-//! In: the placed sightings of one marker, its target plane. Out: [`Level`]: tilt, height error, and how much better a tilted or
-//! raised square explains the corners. A complaint needs both size (more than the limit) and significance (a
-//! likelihood ratio well beyond corner noise): size alone would raise false alarms on small markers seen frontally,
-//! significance alone would complain about harmless tenths of a degree.
+//! In: the placed sightings of one marker, its target plane. Out: [`Level`]: tilt, height error, and how much
+//! better a tilted or raised square explains the corners. A complaint needs both size (more than the limit)
+//! and significance (a likelihood ratio well beyond corner noise): size alone would raise false alarms on
+//! small markers seen frontally, significance alone would complain about harmless tenths of a degree.
 
 use crate::units::{deg_from_rad, mm_from_m};
 use crate::vision::observe::planar::{Placed, Sighting, Target};
@@ -64,8 +64,9 @@ impl Level {
     }
 }
 
-/// By how much looks from different places disagree along each axis, pixels: errors of arm and mount, of which the
-/// corners' own noise knows nothing. Without it a small marker that lies flat is now and then called tilted.
+/// By how much looks from different places disagree along each axis, pixels: errors of arm and mount, of
+/// which the corners' own noise knows nothing. Without it a small marker that lies flat is now and then
+/// called tilted.
 const LOOKS_PX: f64 = 0.07;
 
 /// Compares level, raised and tilted fits over all views; `None` if the numbers break down.

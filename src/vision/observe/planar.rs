@@ -1,10 +1,10 @@
 //! One marker in one picture, laid on the plane its height puts it on: x, y, theta and their covariance.
 //!
-//! In: a detection, the camera's pose, the marker's size and height. Out: [`Placed`]. The rays through the undistorted corners
-//! meet the plane z = height, which starts the fit of the square of known size to the corners. With the height known, a
-//! tenth of a pixel is a tenth of a millimetre at 0.5 m, where a free pose would be off by several in depth; how
-//! well height and level are known enters as a prior, because a degree of tilt seen from the side turns a marker
-//! by half as much in the picture. Pure.
+//! In: a detection, the camera's pose, the marker's size and height. Out: [`Placed`]. The rays through the
+//! undistorted corners meet the plane z = height, which starts the fit of the square of known size to the
+//! corners. With the height known, a tenth of a pixel is a tenth of a millimetre at 0.5 m, where a free pose
+//! would be off by several in depth; how well height and level are known enters as a prior, because a degree
+//! of tilt seen from the side turns a marker by half as much in the picture. Pure.
 
 use crate::geometry::pose::Pose2;
 use crate::vision::camera::CameraModel;
@@ -257,7 +257,8 @@ mod tests {
         assert!((mean - 3.0).abs() < 0.5, "{mean}");
     }
 
-    /// A marker raised and tilted as its prior allows, seen from the side; the pose found, normalised by its covariance.
+    /// A marker raised and tilted as its prior allows, seen from the side; the pose found, normalised by its
+    /// covariance.
     fn normalised_off(prior_m: f64, prior_rad: f64, seed: u64) -> f64 {
         let camera = testing::camera(1280, 720);
         let limits = ObserveLimits::default();

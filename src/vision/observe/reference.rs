@@ -1,9 +1,9 @@
 //! The markers fixed on the table against their survey: has the camera been bumped, has the table moved?
 //!
-//! In: the surveyed markers and what the views saw. Out: [`ReferenceCheck`]: each marker's error, their rms, the rigid shift that
-//! explains most of it, and for each place the camera looked from how far it seems to have been shifted, turned and lifted.
-//! Each place by itself, because what a bump does to the looks from two sides cancels in their mean. The limits are the
-//! caller's ([`DriftLimits`]). Pure.
+//! In: the surveyed markers and what the views saw. Out: [`ReferenceCheck`]: each marker's error, their rms,
+//! the rigid shift that explains most of it, and for each place the camera looked from how far it seems to
+//! have been shifted, turned and lifted. Each place by itself, because what a bump does to the looks from two
+//! sides cancels in their mean. The limits are the caller's ([`DriftLimits`]). Pure.
 
 use crate::geometry::pose::Pose2;
 use crate::vision::observe::planar::{self, Placed, Sighting, Target};
@@ -24,7 +24,8 @@ pub struct ReferenceError {
     pub views: usize,
 }
 
-/// How far the camera seems to be from where it should have been at one place, told by the markers it saw from there.
+/// How far the camera seems to be from where it should have been at one place, told by the markers it saw
+/// from there.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LookShift {
     /// The first of the views from there.
@@ -73,8 +74,8 @@ pub struct ReferenceCheck {
 pub const MARKERS_MIN: usize = 3;
 
 impl ReferenceCheck {
-    /// The place whose shift, turn or lift exceeds its limit the most, with that excess (1 is the limit); NaN counts as
-    /// beyond every limit.
+    /// The place whose shift, turn or lift exceeds its limit the most, with that excess (1 is the limit); NaN
+    /// counts as beyond every limit.
     pub fn worst_look(&self, limits: &DriftLimits) -> Option<(LookShift, f64)> {
         let excess = |look: &LookShift| {
             let [x, y] = look.shift_m;

@@ -1,8 +1,9 @@
 //! Fits a square of known size, free in space or held level, to its corners in any number of views.
 //!
-//! In: sightings, views, a start pose, which degrees of freedom may move. Out: [`SquareFit`] with the sum of squared pixel
-//! errors. Levenberg-Marquardt on pixels; a [`Prior`] holds the marker nearly level at nearly its height. Comparing the costs of fits with more and less freedom tells whether a marker is
-//! really tilted: near a frontal view a tilt's own standard deviation lies, a difference of costs does not.
+//! In: sightings, views, a start pose, which degrees of freedom may move. Out: [`SquareFit`] with the sum of
+//! squared pixel errors. Levenberg-Marquardt on pixels; a [`Prior`] holds the marker nearly level at nearly
+//! its height. Comparing the costs of fits with more and less freedom tells whether a marker is really
+//! tilted: near a frontal view a tilt's own standard deviation lies, a difference of costs does not.
 
 use crate::vision::marker;
 use crate::vision::observe::View;

@@ -1,7 +1,7 @@
 //! Feeding the program: its progress, the commands it may have next, payload and TCP before a path.
 //!
-//! In: what the program reports, the time. Out: commands in registers, events of what was carried out, and a stop
-//! where something takes too long.
+//! In: what the program reports, the time. Out: commands in registers, events of what was carried out, and a
+//! stop where something takes too long.
 
 use crate::cell::device::robot::life::Program;
 use crate::cell::device::robot::{Robot, Setup};
@@ -55,8 +55,8 @@ impl Robot {
         self.report(event);
     }
 
-    /// True if the controller shows the payload and TCP that the program was told; a path waits for that, and not for
-    /// ever.
+    /// True if the controller shows the payload and TCP that the program was told; a path waits for that, and
+    /// not for ever.
     pub(super) fn setup_is_shown(&mut self, now: Timestamp) -> bool {
         let Some(state) = &self.state else { return false };
         let Some(difference) = setup_difference(&self.setup, state) else {
@@ -70,8 +70,8 @@ impl Robot {
         false
     }
 
-    /// Writes what the program can take now. Nothing is written on a stale state or outside remote control and
-    /// normal safety, whatever was streamed before.
+    /// Writes what the program can take now. Nothing is written on a stale state or outside remote control
+    /// and normal safety, whatever was streamed before.
     pub(super) fn send_commands(&mut self, now: Timestamp) {
         if let Err(refused) = self.program_takes_commands() {
             return self.hold_commands(now, refused);

@@ -1,7 +1,7 @@
 //! The life of the on-robot program: cleared for, uploaded, proved by nonce, fed, stopped, ended.
 //!
-//! In: the robot's state, messages of the other links, the time. Out: changes of [`Program`], heartbeats, stops.
-//! Whatever cannot be explained ends in a stop: first by opcode, then by dashboard, last by silence.
+//! In: the robot's state, messages of the other links, the time. Out: changes of [`Program`], heartbeats,
+//! stops. Whatever cannot be explained ends in a stop: first by opcode, then by dashboard, last by silence.
 
 use crate::cell::device::program::{Nonce, program_name};
 use crate::cell::device::registers::{Opcode, ProgramStatus};

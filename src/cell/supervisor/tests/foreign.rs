@@ -132,7 +132,8 @@ fn as_an_obstacle_it_reaches_the_planner_with_its_margin_and_the_arm_goes_over_i
     let [keep_out] = &request.instance.keep_out[..] else { panic!("{:?}", request.instance.keep_out) };
     let (low, high) = keep_out.footprint.bounds(&keep_out.pose);
     assert!(low[0] < 0.381 && low[0] > 0.378 && high[1] > 0.139 && high[1] < 0.142, "{low:?} {high:?}");
-    // Travelling ends over the object that is gripped: with the thing, its margin and the air above the lips' way there.
+    // Travelling ends over the object that is gripped: with the thing, its margin and the air above the lips'
+    // way there.
     let air = bench.cell.model().cycle.air;
     let over = approach_m(&mut bench);
     assert!(over >= 0.12 + 0.01 + 0.5 * air, "{over}");
@@ -142,7 +143,8 @@ fn as_an_obstacle_it_reaches_the_planner_with_its_margin_and_the_arm_goes_over_i
     assert!(over < 0.12, "{over}: the thing alone makes the way higher");
 }
 
-/// How high the lips end the first part of the way to the object, m: the travelling height, as the look poses are higher.
+/// How high the lips end the first part of the way to the object, m: the travelling height, as the look poses
+/// are higher.
 fn approach_m(bench: &mut Bench) -> f64 {
     let arm = bench.cell.model().arm.clone();
     let streamed = bench.plan();
@@ -181,7 +183,8 @@ fn nothing_moves_below_what_is_taller_than_the_way_until_a_person_has_taken_it_a
             assert_eq!(ended(&all), Some((JobEnd::Failed, "foreign_object".into())), "{all:?}");
             assert!(!bench.cell.status().armed);
         } else {
-            // With the obstacle rule the plan is asked for, and found: its cycle cannot be driven, nor can the next look.
+            // With the obstacle rule the plan is asked for, and found: its cycle cannot be driven, nor can
+            // the next look.
             assert!(all.iter().any(|action| matches!(action, Action::Plan(_))), "{all:?}");
             let mut all = bench.plan();
             all.extend(bench.ticks(20));

@@ -1,11 +1,11 @@
 //! The C interface of librealsense2, loaded at run time: one binary works with and without the SDK.
 //!
-//! In: where the library is, or nothing. Out: handles that free themselves, and results instead of error pointers. Every
-//! call that can fail hands the SDK a place for its error and looks at it before anything else; every pointer that comes
-//! back is checked; sizes that the SDK tells are compared with what the picture needs before a byte is read. All unsafe
-//! code for the camera is in this file and the two below it: `devices` (what is connected, its settings) and
-//! `streams` (what it sends). The declarations follow the headers of SDK 2.59; functions that were there in
-//! 2.51 already are used alone.
+//! In: where the library is, or nothing. Out: handles that free themselves, and results instead of error
+//! pointers. Every call that can fail hands the SDK a place for its error and looks at it before anything
+//! else; every pointer that comes back is checked; sizes that the SDK tells are compared with what the
+//! picture needs before a byte is read. All unsafe code for the camera is in this file and the two below it:
+//! `devices` (what is connected, its settings) and `streams` (what it sends). The declarations follow the
+//! headers of SDK 2.59; functions that were there in 2.51 already are used alone.
 
 #![allow(unsafe_code, reason = "a C interface; what makes each call sound is said where it is made")]
 
@@ -167,7 +167,8 @@ macro_rules! functions {
                 Ok(Functions {
                     $($name: {
                         let symbol = stringify!($name);
-                        // Sound as long as the declaration below is the header's: the symbol is used as that type only.
+                        // Sound as long as the declaration below is the header's: the symbol is used as that
+                        // type only.
                         let found = unsafe { library.get(format!("{symbol}\0").as_bytes()) };
                         *found.map_err(|_| SdkError::NotTheSdk {
                             library: name.to_string(), symbol: symbol.to_string(),
@@ -382,7 +383,8 @@ fn installed_names() -> Vec<PathBuf> {
     std::iter::once("librealsense2.so".to_string()).chain(numbered).map(PathBuf::from).collect()
 }
 
-/// Opens a shared object. The one of the Python package needs the interpreter's symbols; they are loaded, never used.
+/// Opens a shared object. The one of the Python package needs the interpreter's symbols; they are loaded,
+/// never used.
 fn open(path: &Path) -> Result<Library, String> {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     if let Some(python) = python_of(&name) {
@@ -409,7 +411,8 @@ struct Handle {
     delete: Delete,
 }
 
-// The SDK lets any thread use its handles; a `Handle` is used by one at a time, for it is neither copied nor shared.
+// The SDK lets any thread use its handles; a `Handle` is used by one at a time, for it is neither copied nor
+// shared.
 unsafe impl Send for Handle {}
 
 impl Handle {

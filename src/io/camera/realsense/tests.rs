@@ -1,8 +1,9 @@
-//! The real SDK on recordings: two small ones that lie beside the public data, and one that the SDK itself makes here.
+//! The real SDK on recordings: two small ones that lie beside the public data, and one that the SDK itself
+//! makes here.
 //!
-//! Without the SDK (`make clients` installs it) or the recordings these tests say so and look at nothing; with
-//! `CELLD_CLIENTS` set, as `make test` does, the SDK must be there. No camera is connected where they run: what a live
-//! one does is not tested.
+//! Without the SDK (`make clients` installs it) or the recordings these tests say so and look at nothing;
+//! with `CELLD_CLIENTS` set, as `make test` does, the SDK must be there. No camera is connected where they
+//! run: what a live one does is not tested.
 
 use super::*;
 use crate::io::camera::FaultKind;
@@ -99,7 +100,8 @@ fn the_markers_in_the_recording_are_where_they_were_put() {
     let Some(file) = recording("sample-d405.bag") else { return };
     let mut camera = RealSenseCamera::open(settings(&library, &file), LIMIT, None).unwrap();
     let image = camera.grab().unwrap().image;
-    // Pixels in the right order and place: the tag's centres by the lens and the truth, dark and light around them.
+    // Pixels in the right order and place: the tag's centres by the lens and the truth, dark and light around
+    // them.
     for [x, y, z] in [[86.8, -140.6, 417.0], [-114.4, 27.5, 482.9], [132.7, -3.0, 535.4]] {
         let (u, v) = (339.5 + 650.0 * x / z, 259.5 + 650.0 * y / z);
         let half = 650.0 * 15.0 / z * 0.9;
@@ -140,7 +142,8 @@ fn depth_is_laid_over_the_colour_picture_in_metres() {
         numbers.push(frame.sequence);
         assert_eq!(frame.image.pixel(10, 5).unwrap(), [30, 20, 10 * frame.sequence as u8]);
         let depth = frame.depth.unwrap();
-        // Not measured left of column 32 of the depth camera, which is 5 pixels further right for the colour camera.
+        // Not measured left of column 32 of the depth camera, which is 5 pixels further right for the colour
+        // camera.
         assert_eq!((depth.at(20, 24), depth.at(35, 24)), (None, None));
         let metres = depth.at(45, 24).unwrap();
         assert!((metres - 0.6).abs() < 1e-6, "{metres} m");

@@ -44,7 +44,8 @@ fn a_swap_with_room_costs_what_it_always_did() {
 
 #[test]
 fn a_swap_without_room_is_known_to_cost_more() {
-    // 0.2 m beside two squares of 0.3 m: one of them alone cannot be put aside, so that both would have to be.
+    // 0.2 m beside two squares of 0.3 m: one of them alone cannot be put aside, so that both would have to
+    // be.
     assert_eq!(proved(&swap(0.2)), 4.0);
 }
 

@@ -279,7 +279,8 @@ proptest! {
             let mut frames = 0;
             while !mover.released(id) {
                 mover.step(1.0).unwrap();
-                // A short move's own blend may begin in the frame in which the one before ends: three then overlap in it.
+                // A short move's own blend may begin in the frame in which the one before ends: three then
+                // overlap in it.
                 let over = fastest(&mover.qdd) > 4.0 * (1.0 + 1e-3);
                 prop_assert!(!(over && over_before), "{:?}", mover.qdd);
                 prop_assert!(fastest(&mover.qdd) <= 6.0 * (1.0 + 1e-3), "{:?}", mover.qdd);

@@ -1,5 +1,6 @@
-//! Packages take two ways to a client: past the queue of its connection while that is empty, and through it. In: a
-//! client that stops reading and goes on. Checked: nothing is torn, nothing overtakes, faults of the link hold on both.
+//! Packages take two ways to a client: past the queue of its connection while that is empty, and through it.
+//! In: a client that stops reading and goes on. Checked: nothing is torn, nothing overtakes, faults of the
+//! link hold on both.
 
 use super::*;
 use crate::sim::faults::link::{Link, LinkState, LinkStream};

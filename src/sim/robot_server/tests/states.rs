@@ -1,5 +1,5 @@
-//! Plays the tables of docs/simulator-states.md on a controller: a row that is wrong, or that the controller does not
-//! follow any more, fails.
+//! Plays the tables of docs/simulator-states.md on a controller: a row that is wrong, or that the controller
+//! does not follow any more, fails.
 
 use crate::sim::controller::outputs::{Grade, grade};
 use crate::sim::controller::{Controller, ControllerConfig};

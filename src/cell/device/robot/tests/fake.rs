@@ -1,6 +1,6 @@
 //! A scripted controller: just enough of each port, with switches for what can go wrong. The on-robot
-//! program is a few lines of Rust with the register protocol of hardware/ur5e/README.md; the real one is run by
-//! the simulator.
+//! program is a few lines of Rust with the register protocol of hardware/ur5e/README.md; the real one is run
+//! by the simulator.
 
 use crate::cell::device::robot_types::Link;
 use crate::time::{Duration, Timestamp};

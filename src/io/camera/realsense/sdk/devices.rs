@@ -1,6 +1,7 @@
 //! Cameras and sensors that the SDK knows: their names, settings, and what they can do.
 //!
-//! In: a context. Out: handles that free themselves and plain values. As in `sdk`, every call's error is looked at first.
+//! In: a context. Out: handles that free themselves and plain values. As in `sdk`, every call's error is
+//! looked at first.
 
 use super::{
     EXTENSION_DEPTH_SENSOR, Functions, Handle, PLAYBACK_STOPPED, STREAM_COLOUR, SdkError, streams::Pipeline,

@@ -1,7 +1,7 @@
 //! What a camera sends: configured, started, waited for, taken apart into pictures.
 //!
-//! In: what is wanted. Out: frames as bytes that were counted before they were read. As in `sdk`, every call's error is
-//! looked at first; frames and lists free themselves.
+//! In: what is wanted. Out: frames as bytes that were counted before they were read. As in `sdk`, every
+//! call's error is looked at first; frames and lists free themselves.
 
 use super::{Device, Handle, Intrinsics, Pointer, STREAM_COLOUR, STREAM_DEPTH, Sdk, SdkError, c_text};
 use std::ffi::{c_int, c_uint, c_void};
@@ -242,7 +242,8 @@ impl Picture {
         if !fits || data.is_null() {
             return Err(nonsense());
         }
-        // The SDK promises `size` bytes there for as long as the frame lives, which is longer than this function.
+        // The SDK promises `size` bytes there for as long as the frame lives, which is longer than this
+        // function.
         let all = unsafe { std::slice::from_raw_parts(data.cast::<u8>(), size) };
         let rows = all.chunks(row).take(h).flat_map(|line| line.iter().take(w * bytes)).copied().collect();
         Ok((w as u32, h as u32, rows))
