@@ -3,7 +3,8 @@
 //! In: what the shell shows during a round. Out: the samples in the order of the poses; whoever wants to say
 //! something about each, or to keep it, is called with it.
 
-use crate::daemon::shell::{Observer, Scene, Shown};
+use crate::daemon::heard::Shown;
+use crate::daemon::shell::{Observer, Scene};
 use crate::time::Timestamp;
 use crate::vision::calibrate::Sample;
 use crate::vision::image::Image;

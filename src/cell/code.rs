@@ -82,68 +82,17 @@ pub enum Code {
 
 impl Code {
     /// Every code, in the order of the table.
-    pub const ALL: [Code; 60] = [
-        Code::Done,
-        Code::Cancelled,
-        Code::PlanRejected,
-        Code::Aborted,
-        Code::Released,
-        Code::Shutdown,
-        Code::NotReady,
-        Code::RobotStopped,
-        Code::RobotNotStarted,
-        Code::OtherRobot,
-        Code::PausedTooLong,
-        Code::Unreachable,
-        Code::LookTimeout,
-        Code::WorkTimeout,
-        Code::ParkTimeout,
-        Code::Unpickable,
-        Code::VacuumLost,
-        Code::GripperUnreachable,
-        Code::Infeasible,
-        Code::BadStart,
-        Code::NoPlan,
-        Code::SolverUnfit,
-        Code::PlannerStuck,
-        Code::TableDisturbed,
-        Code::ObjectMissing,
-        Code::ObjectTilted,
-        Code::ObjectUncertain,
-        Code::MarkerTwice,
-        Code::UnknownMarker,
-        Code::ForeignObject,
-        Code::ReferenceHidden,
-        Code::CalibrationInvalid,
-        Code::DepthMissing,
-        Code::DepthPoor,
-        Code::TableNotCompared,
-        Code::Observation,
-        Code::CameraUnplugged,
-        Code::CameraFrozen,
-        Code::CameraRepeats,
-        Code::CameraBrokenPicture,
-        Code::CameraDark,
-        Code::CameraOverexposed,
-        Code::CameraSeesNothing,
-        Code::CameraBlurred,
-        Code::CameraMisfit,
-        Code::CameraBusy,
-        Code::RecordingEnded,
-        Code::DetectionFailed,
-        Code::JournalFailed,
-        Code::Interrupted,
-        Code::InterruptedCarrying,
-        Code::Syntax,
-        Code::Invalid,
-        Code::Incomplete,
-        Code::Duplicate,
-        Code::IdConflict,
-        Code::BadName,
-        Code::NotAPlainFile,
-        Code::TooLarge,
-        Code::NotText,
-    ];
+    pub const ALL: [Code; TABLE.len()] = {
+        assert!(Code::NotText as usize + 1 == TABLE.len(), "the table has every code");
+        let mut all = [Code::Done; TABLE.len()];
+        let mut at = 0;
+        while at < all.len() {
+            all[at] = TABLE[at].0;
+            assert!(all[at] as usize == at, "the table is in the order of the enum");
+            at += 1;
+        }
+        all
+    };
 
     /// The word in files and tables.
     pub fn word(self) -> &'static str {
@@ -197,88 +146,82 @@ impl Code {
     }
 
     fn row(self) -> (&'static str, &'static str) {
-        match self {
-            Code::Done => ("done", "every object is at its goal, and the camera shows it"),
-            Code::Cancelled => ("cancelled", "a person cancelled the job"),
-            Code::PlanRejected => ("plan_rejected", "a person rejected the plan"),
-            Code::Aborted => ("aborted", "a person stopped the cell"),
-            Code::Released => ("released", "a person switched the vacuum off while the arm moved"),
-            Code::Shutdown => ("shutdown", "celld was told to end"),
-            Code::NotReady => ("not_ready", "robot or gripper was not ready for 60 s"),
-            Code::RobotStopped => {
-                ("robot_stopped", "a safety stop, a lost link or the pendant stopped the robot")
-            }
-            Code::RobotNotStarted => {
-                ("robot_not_started", "power, brakes or the on-robot program did not come up in time")
-            }
-            Code::OtherRobot => {
-                ("other_robot", "another robot, or the same with another calibration, answers")
-            }
-            Code::PausedTooLong => {
-                ("paused_too_long", "the program was held in the middle of a motion for over 30 s")
-            }
-            Code::Unreachable => ("unreachable", "a look pose, a pick or a place cannot be reached"),
-            Code::LookTimeout => ("look_timeout", "a look was not finished in time"),
-            Code::WorkTimeout => ("work_timeout", "a phase of a pick-n-place was not finished in time"),
-            Code::ParkTimeout => ("park_timeout", "the park pose was not reached in time"),
-            Code::Unpickable => ("unpickable", "an object could not be gripped"),
-            Code::VacuumLost => ("vacuum_lost", "an object was lost on the way"),
-            Code::GripperUnreachable => ("gripper_unreachable", "the gripper stopped answering"),
-            Code::Infeasible => ("infeasible", "there is no plan, proved"),
-            Code::BadStart => ("bad_start", "the measured table is no valid start"),
-            Code::NoPlan => ("no_plan", "no plan was found in time"),
-            Code::SolverUnfit => ("solver_unfit", "the solver does not do such problems"),
-            Code::PlannerStuck => ("planner_stuck", "the planner did not answer within its budget"),
-            Code::TableDisturbed => ("table_disturbed", "the table disagreed with the plan too often"),
-            Code::ObjectMissing => ("object_missing", "an object that is needed is not seen"),
-            Code::ObjectTilted => ("object_tilted", "an object does not lie flat"),
-            Code::ObjectUncertain => ("object_uncertain", "an object was not measured well enough"),
-            Code::MarkerTwice => ("marker_twice", "one marker was seen in two places"),
-            Code::UnknownMarker => ("unknown_marker", "a marker belongs to nothing that the cell knows"),
-            Code::ForeignObject => ("foreign_object", "something without a marker is on the table"),
-            Code::ReferenceHidden => ("reference_hidden", "too few reference markers were seen"),
-            Code::CalibrationInvalid => {
-                ("calibration_invalid", "the reference markers are not where they were surveyed")
-            }
-            Code::DepthMissing => ("depth_missing", "the look came without depth"),
-            Code::DepthPoor => ("depth_poor", "depth shows too little of the table"),
-            Code::TableNotCompared => {
-                ("table_not_compared", "the look could not be compared with the empty table")
-            }
-            Code::Observation => ("observation", "the views of a look could not be put together"),
-            Code::CameraUnplugged => ("camera_unplugged", "the camera does not answer"),
-            Code::CameraFrozen => ("camera_frozen", "the camera repeats its last frame"),
-            Code::CameraRepeats => ("camera_repeats", "the camera sends the same picture as new frames"),
-            Code::CameraBrokenPicture => ("camera_broken_picture", "what the camera sends is no picture"),
-            Code::CameraDark => ("camera_dark", "the picture is too dark"),
-            Code::CameraOverexposed => ("camera_overexposed", "the picture is overexposed"),
-            Code::CameraSeesNothing => ("camera_sees_nothing", "the picture shows nothing: a lid, fog"),
-            Code::CameraBlurred => ("camera_blurred", "the picture is blurred"),
-            Code::CameraMisfit => {
-                ("camera_misfit", "camera, picture size or settings are not the configured ones")
-            }
-            Code::CameraBusy => ("camera_busy", "perception still works on an earlier request"),
-            Code::RecordingEnded => ("recording_ended", "the recording that stands in for a camera is over"),
-            Code::DetectionFailed => ("detection_failed", "the marker detector failed"),
-            Code::JournalFailed => ("journal_failed", "the journal cannot be written"),
-            Code::Interrupted => {
-                ("interrupted", "celld ended during a step; how far the motion got is not known")
-            }
-            Code::InterruptedCarrying => {
-                ("interrupted_carrying", "celld ended while an object was on the gripper")
-            }
-            Code::Syntax => ("syntax", "the file is no YAML"),
-            Code::Invalid => ("invalid", "the file's content is wrong"),
-            Code::Incomplete => ("incomplete", "the file ends in the middle"),
-            Code::Duplicate => ("duplicate", "the same job is known already"),
-            Code::IdConflict => ("id_conflict", "another job has this id"),
-            Code::BadName => ("bad_name", "the file's name has characters that job files may not have"),
-            Code::NotAPlainFile => ("not_a_plain_file", "a link, folder, pipe or a file with a second name"),
-            Code::TooLarge => ("too_large", "the file is too large"),
-            Code::NotText => ("not_text", "the file is not UTF-8 text"),
-        }
+        let (_, word, meaning) = TABLE[self as usize];
+        (word, meaning)
     }
 }
+
+/// Words and meanings, in the order of the enum.
+const TABLE: [(Code, &str, &str); 60] = [
+    (Code::Done, "done", "every object is at its goal, and the camera shows it"),
+    (Code::Cancelled, "cancelled", "a person cancelled the job"),
+    (Code::PlanRejected, "plan_rejected", "a person rejected the plan"),
+    (Code::Aborted, "aborted", "a person stopped the cell"),
+    (Code::Released, "released", "a person switched the vacuum off while the arm moved"),
+    (Code::Shutdown, "shutdown", "celld was told to end"),
+    (Code::NotReady, "not_ready", "robot or gripper was not ready for 60 s"),
+    (Code::RobotStopped, "robot_stopped", "a safety stop, a lost link or the pendant stopped the robot"),
+    (
+        Code::RobotNotStarted,
+        "robot_not_started",
+        "power, brakes or the on-robot program did not come up in time",
+    ),
+    (Code::OtherRobot, "other_robot", "another robot, or the same with another calibration, answers"),
+    (Code::PausedTooLong, "paused_too_long", "the program was held in the middle of a motion for over 30 s"),
+    (Code::Unreachable, "unreachable", "a look pose, a pick or a place cannot be reached"),
+    (Code::LookTimeout, "look_timeout", "a look was not finished in time"),
+    (Code::WorkTimeout, "work_timeout", "a phase of a pick-n-place was not finished in time"),
+    (Code::ParkTimeout, "park_timeout", "the park pose was not reached in time"),
+    (Code::Unpickable, "unpickable", "an object could not be gripped"),
+    (Code::VacuumLost, "vacuum_lost", "an object was lost on the way"),
+    (Code::GripperUnreachable, "gripper_unreachable", "the gripper stopped answering"),
+    (Code::Infeasible, "infeasible", "there is no plan, proved"),
+    (Code::BadStart, "bad_start", "the measured table is no valid start"),
+    (Code::NoPlan, "no_plan", "no plan was found in time"),
+    (Code::SolverUnfit, "solver_unfit", "the solver does not do such problems"),
+    (Code::PlannerStuck, "planner_stuck", "the planner did not answer within its budget"),
+    (Code::TableDisturbed, "table_disturbed", "the table disagreed with the plan too often"),
+    (Code::ObjectMissing, "object_missing", "an object that is needed is not seen"),
+    (Code::ObjectTilted, "object_tilted", "an object does not lie flat"),
+    (Code::ObjectUncertain, "object_uncertain", "an object was not measured well enough"),
+    (Code::MarkerTwice, "marker_twice", "one marker was seen in two places"),
+    (Code::UnknownMarker, "unknown_marker", "a marker belongs to nothing that the cell knows"),
+    (Code::ForeignObject, "foreign_object", "something without a marker is on the table"),
+    (Code::ReferenceHidden, "reference_hidden", "too few reference markers were seen"),
+    (
+        Code::CalibrationInvalid,
+        "calibration_invalid",
+        "the reference markers are not where they were surveyed",
+    ),
+    (Code::DepthMissing, "depth_missing", "the look came without depth"),
+    (Code::DepthPoor, "depth_poor", "depth shows too little of the table"),
+    (Code::TableNotCompared, "table_not_compared", "the look could not be compared with the empty table"),
+    (Code::Observation, "observation", "the views of a look could not be put together"),
+    (Code::CameraUnplugged, "camera_unplugged", "the camera does not answer"),
+    (Code::CameraFrozen, "camera_frozen", "the camera repeats its last frame"),
+    (Code::CameraRepeats, "camera_repeats", "the camera sends the same picture as new frames"),
+    (Code::CameraBrokenPicture, "camera_broken_picture", "what the camera sends is no picture"),
+    (Code::CameraDark, "camera_dark", "the picture is too dark"),
+    (Code::CameraOverexposed, "camera_overexposed", "the picture is overexposed"),
+    (Code::CameraSeesNothing, "camera_sees_nothing", "the picture shows nothing: a lid, fog"),
+    (Code::CameraBlurred, "camera_blurred", "the picture is blurred"),
+    (Code::CameraMisfit, "camera_misfit", "camera, picture size or settings are not the configured ones"),
+    (Code::CameraBusy, "camera_busy", "perception still works on an earlier request"),
+    (Code::RecordingEnded, "recording_ended", "the recording that stands in for a camera is over"),
+    (Code::DetectionFailed, "detection_failed", "the marker detector failed"),
+    (Code::JournalFailed, "journal_failed", "the journal cannot be written"),
+    (Code::Interrupted, "interrupted", "celld ended during a step; how far the motion got is not known"),
+    (Code::InterruptedCarrying, "interrupted_carrying", "celld ended while an object was on the gripper"),
+    (Code::Syntax, "syntax", "the file is no YAML"),
+    (Code::Invalid, "invalid", "the file's content is wrong"),
+    (Code::Incomplete, "incomplete", "the file ends in the middle"),
+    (Code::Duplicate, "duplicate", "the same job is known already"),
+    (Code::IdConflict, "id_conflict", "another job has this id"),
+    (Code::BadName, "bad_name", "the file's name has characters that job files may not have"),
+    (Code::NotAPlainFile, "not_a_plain_file", "a link, folder, pipe or a file with a second name"),
+    (Code::TooLarge, "too_large", "the file is too large"),
+    (Code::NotText, "not_text", "the file is not UTF-8 text"),
+];
 
 impl std::fmt::Display for Code {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

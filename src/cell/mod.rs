@@ -14,6 +14,3 @@ pub mod machine;
 pub mod orders;
 pub mod planner;
 pub mod supervisor;
-
-#[cfg(test)]
-mod tests;

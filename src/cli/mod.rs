@@ -5,6 +5,7 @@
 
 pub mod bench_cases;
 pub mod bench_figures;
+pub mod bench_loop;
 pub mod bench_planning;
 pub mod bench_rtde;
 pub mod bench_vision;
@@ -84,6 +85,8 @@ enum Bench {
     Figures(bench_figures::BenchFiguresArgs),
     /// What the RTDE codec costs, and how the simulator keeps its 500 Hz
     Rtde(bench_rtde::BenchRtdeArgs),
+    /// The closed loop: its speed, repeated seeds, random faults, the sweep
+    Loop(bench_loop::BenchLoopArgs),
 }
 
 /// Parses the process's arguments and runs the subcommand.
@@ -114,6 +117,7 @@ pub fn main() -> ExitCode {
         }
         Command::Bench(Bench::Figures(args)) => bench_figures::run(&args),
         Command::Bench(Bench::Rtde(args)) => bench_rtde::run(&args),
+        Command::Bench(Bench::Loop(args)) => bench_loop::run(&args),
         Command::Client(command) => jobs::run(command),
     })
 }

@@ -5,7 +5,8 @@
 //! into PNG on a thread of their own, for it takes tens of milliseconds in which the robot would not hear
 //! from us.
 
-use crate::daemon::shell::{Scene, Shown};
+use crate::daemon::heard::Shown;
+use crate::daemon::shell::Scene;
 use crate::io::clock::unix_now_s;
 use crate::io::priority;
 use crate::io::recording::{PictureFormat, RecordedObject, Recording, RecordingError, Severity};

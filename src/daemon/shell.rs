@@ -16,52 +16,17 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::JobReport;
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::Status;
-use crate::daemon::sockets::{Addresses, Made, Sockets};
+use crate::daemon::heard::{Heard, Shown};
+use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Orders, Store};
 use crate::daemon::workers::{Eyes, SeeRequest, busy, spawn_eyes, spawn_plan};
 use crate::geometry::pose::Pose2;
 use crate::io::clock::Clock;
 use crate::time::Timestamp;
-use crate::vision::calibrate::Sample;
-use crate::vision::image::Image;
-use crate::vision::observe::{Observation, View};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::sync::mpsc;
-
-/// Something for the loop.
-pub enum Heard {
-    /// For the machine.
-    Event(Event),
-    /// A connection was made, or could not be.
-    Made(Made),
-    /// For whoever shows or records.
-    Shown(Shown),
-}
-
-/// What a worker has to show.
-#[derive(Debug)]
-pub enum Shown {
-    /// The last frame of a look pose.
-    Picture {
-        /// What it shows.
-        image: Image,
-        /// Camera pose and markers.
-        views: Vec<View>,
-    },
-    /// The table as measured.
-    Observed(Box<Observation>),
-    /// A picture of a calibration round.
-    Sample {
-        /// The pose's number, from 1.
-        pose: usize,
-        /// The picture taken there.
-        image: Image,
-        /// Where the flange was and which markers were found.
-        sample: Sample,
-    },
-}
 
 /// What happens, for people and records.
 #[derive(Debug)]

@@ -7,7 +7,7 @@
 use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
-use crate::daemon::shell::Heard;
+use crate::daemon::heard::{Heard, Made};
 use crate::io::clock::Clock;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -60,13 +60,6 @@ pub struct Sockets {
     clock: Clock,
     heard: mpsc::Sender<Heard>,
     buffer: Vec<u8>,
-}
-
-/// A connection that was made, or why not.
-pub struct Made {
-    link: Link,
-    attempt: u64,
-    result: std::io::Result<TcpStream>,
 }
 
 impl Sockets {

@@ -11,7 +11,7 @@ use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::order::JobOrder;
 use crate::cell::supervisor::status::Status;
-use crate::daemon::shell::Heard;
+use crate::daemon::heard::Heard;
 use crate::io::clock::Clock;
 use crate::time::{Duration, Timestamp};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -9,7 +9,7 @@ use crate::cell::event::Event;
 use crate::cell::planner::answer;
 use crate::cell::supervisor::input::{CameraTrouble, PlanRequest};
 use crate::daemon::cameras::trouble_of;
-use crate::daemon::shell::{Heard, Shown};
+use crate::daemon::heard::{Heard, Shown};
 use crate::document::chain::chain;
 use crate::io::camera::{CameraSource, Frame};
 use crate::io::clock::Clock;

@@ -18,7 +18,7 @@ use crate::vision::detect::{DetectSettings, Detection, Family};
 use crate::vision::image::quality::{PictureLimits, judge, measure};
 use crate::vision::image::tag36h11_bitmap;
 use crate::vision::observe::{Observation, View};
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
@@ -65,6 +65,7 @@ pub struct Eyes {
     rng: ChaCha8Rng,
     frames: u64,
     task: Option<Task>,
+    flipped: bool,
 }
 
 /// A look that is over, and how many seconds its evaluation takes.
@@ -96,13 +97,19 @@ impl Eyes {
             }
         };
         let rng = ChaCha8Rng::seed_from_u64(seed ^ 0x6579_6573);
-        Ok(Eyes { setup, sight, rng, frames: 0, task: None })
+        Ok(Eyes { setup, sight, rng, frames: 0, task: None, flipped: false })
     }
 
     /// Takes `frames` frames from now on; a look that was under way is forgotten.
     pub fn look(&mut self, now_s: f64, number: u64, frames: usize, table_from_camera: Isometry3<f64>) {
         let window = self.setup.timing.window(now_s);
         self.task = Some(Task { number, left: frames, table_from_camera, views: Vec::new(), window });
+    }
+
+    /// From now on corners are swayed so that the other pose that a flat marker could have fits them better: the
+    /// one tilted to the other side of the line of sight. Pictures have no such switch.
+    pub fn flip(&mut self, flipped: bool) {
+        self.flipped = flipped;
     }
 
     /// Forgets the look under way: whoever asked is gone.
@@ -143,11 +150,8 @@ impl Eyes {
                 see_picture(renderer, perception, &moment, self.frames, task, time)
             }
             Sight::Corners(sight) => {
-                see_corners(&sight.1, &self.setup, &moment, &mut self.rng).map(|detections| View {
-                    table_from_camera: task.table_from_camera,
-                    detections,
-                    time,
-                    heights: None,
+                see_corners(&sight.1, &self.setup, &moment, self.flipped, &mut self.rng).map(|detections| {
+                    View { table_from_camera: task.table_from_camera, detections, time, heights: None }
                 })
             }
         };
@@ -219,6 +223,7 @@ fn see_corners(
     numbers: &BTreeMap<Cells, u32>,
     setup: &CameraSetup,
     moment: &Moment,
+    flipped: bool,
     rng: &mut ChaCha8Rng,
 ) -> Result<Vec<Detection>, Code> {
     let exposure = moment.exposure();
@@ -242,7 +247,7 @@ fn see_corners(
     let mut found = Vec::new();
     for (print, table_from_plane) in on_table.chain(on_objects) {
         let Some(id) = numbers.get(&print.cells) else { continue };
-        let corners = corners_px(setup, &(camera_from_table * table_from_plane), print, rng);
+        let corners = corners_px(setup, &(camera_from_table * table_from_plane), print, flipped, rng);
         found.extend(corners.map(|corners| Detection {
             family: Family::Tag36h11.name().to_string(),
             id: *id,
@@ -259,16 +264,23 @@ fn corners_px(
     setup: &CameraSetup,
     camera_from_plane: &Isometry3<f64>,
     print: &Print,
+    flipped: bool,
     rng: &mut ChaCha8Rng,
 ) -> Option<[[f64; 2]; 4]> {
     let half = print.size_m / 2.0;
+    let [x, y] = print.pose.transform([0.0, 0.0]);
+    let flip =
+        if flipped { other_tilt(camera_from_plane, Point3::new(x, y, 0.0)) } else { Isometry3::identity() };
     let mut corners = [[0.0; 2]; 4];
     for (corner, [x, y]) in
         corners.iter_mut().zip([[-half, -half], [half, -half], [half, half], [-half, half]])
     {
         let [x, y] = print.pose.transform([x, y]);
         let at = camera_from_plane * Point3::new(x, y, 0.0);
-        let [u, v] = setup.truth.project([at.x, at.y, at.z])?;
+        let other = flip * at;
+        let truly = setup.truth.project([at.x, at.y, at.z])?;
+        let other = setup.truth.project([other.x, other.y, other.z])?;
+        let [u, v]: [f64; 2] = std::array::from_fn(|axis| truly[axis] + SWAYED * (other[axis] - truly[axis]));
         let (width, height) = (f64::from(setup.truth.width), f64::from(setup.truth.height));
         if u < MARGIN_PX || v < MARGIN_PX || u > width - MARGIN_PX || v > height - MARGIN_PX {
             return None;
@@ -276,6 +288,19 @@ fn corners_px(
         *corner = [u + CORNER_STD_PX * normal(rng), v + CORNER_STD_PX * normal(rng)];
     }
     Some(corners)
+}
+
+/// How far corners are from those of the true pose towards those of the other, when the other shall fit better.
+const SWAYED: f64 = 0.55;
+
+/// Turns a plane about a point of it to the other side of the line of sight: the second pose with which a flat
+/// marker gives nearly the same corners.
+fn other_tilt(camera_from_plane: &Isometry3<f64>, centre: Point3<f64>) -> Isometry3<f64> {
+    let centre = camera_from_plane * centre;
+    let normal = camera_from_plane.rotation * Vector3::z();
+    let sight = -centre.coords.normalize();
+    let turn = UnitQuaternion::rotation_between(&normal, &sight).unwrap_or_default();
+    Isometry3::from_parts(centre.coords.into(), turn * turn) * Translation3::from(-centre.coords)
 }
 
 /// The sum of twelve uniform numbers is normal enough and needs no further crate.

@@ -10,6 +10,7 @@ pub mod disk;
 pub mod eyes;
 pub mod modbus;
 pub mod network;
+pub mod outcome;
 pub mod page;
 pub mod reactions;
 pub mod rules;
@@ -214,6 +215,11 @@ impl Pair {
     /// The disk under the journal.
     pub fn disk(&mut self) -> &mut Disk {
         &mut self.disk
+    }
+
+    /// How the cell sees.
+    pub fn eyes(&mut self) -> &mut Eyes {
+        &mut self.eyes
     }
 
     /// Jobs that wait, and reports of those that ended.

@@ -3,11 +3,13 @@
 //! In: nothing. Out: [`ROWS`], numbered as in the reference's fault table, each with the cause, how long it
 //! lasts and the phases in which it can occur. What is expected of each is the page itself (`pair::page`).
 
+use crate::cell::device::gripper::Channels;
 use crate::cell::device::robot_types::Link;
+use crate::cell::orders::Order;
 use crate::pair::Loss;
 use crate::pair::disk::Mood;
+use crate::pair::outcome::Phase;
 use crate::pair::rules::Rule;
-use crate::pair::sweep::Phase;
 
 /// How a fault is brought about.
 #[derive(Clone, Copy, Debug)]
@@ -28,12 +30,16 @@ pub enum Cause {
     OverlappingGoals,
     /// The planner's plan is wrong.
     BadPlan,
+    /// Every marker looks tilted to the other side.
+    Flipped,
+    /// A person gives an order.
+    Ordered(fn() -> Order),
 }
 
 /// A row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
-    /// In the reference's fault table.
+    /// In the reference's fault table; 0 for what a person does.
     pub number: u8,
     /// What goes wrong.
     pub name: &'static str,
@@ -290,6 +296,7 @@ pub const ROWS: &[Row] = &[
         400.0,
         &[Look, Approach, Carry],
     ),
+    row(27, "marker poses are the other of two", Cause::Flipped, 0.0, &[Look, Approach, Carry]),
     row(
         28,
         "the camera is bumped by 3 mm",
@@ -355,4 +362,8 @@ pub const ROWS: &[Row] = &[
         0.0,
         ALL,
     ),
+    row(0, "the operator aborts", Cause::Ordered(|| Order::Abort), 0.0, ALL),
+    row(0, "the operator disarms", Cause::Ordered(|| Order::Disarm), 0.0, ALL),
+    row(0, "the operator releases the vacuum", Cause::Ordered(|| Order::Release(Channels::Both)), 0.0, ALL),
+    row(0, "the operator pauses", Cause::Ordered(|| Order::Pause), 0.0, ALL),
 ];

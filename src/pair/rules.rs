@@ -12,7 +12,7 @@ use crate::cell::event::{Effect, Event, News};
 use crate::cell::machine::Machine;
 use crate::cell::orders::Order;
 use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::status::{Doing, Status};
+use crate::cell::supervisor::status::Status;
 use crate::sim::core::Simulator;
 use crate::sim::faults::link::LinkName;
 use crate::sim::faults::{Fault, Order as FaultOrder, RobotFault};
@@ -32,7 +32,7 @@ pub enum Rule {
     MotionOnStaleState,
     /// The arm moves for a program that is not the one uploaded last.
     MotionOfOldProgram,
-    /// The arm still moves two and a half seconds after a stop was reported.
+    /// The arm moves two and a half seconds after a stop was reported, or has stood since and moves again.
     MotionAfterStop,
     /// The vacuum is switched off while the tool moves.
     VacuumOffInMotion,
@@ -109,6 +109,12 @@ const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 /// A stop may take this long.
 const STOP_FRAMES: u64 = 1250;
 
+/// An arm that has not moved for so long has stood.
+const STOOD_FRAMES: u64 = 50;
+
+/// The on-robot program's watchdog and the stop after it.
+const WATCHDOG_FRAMES: u64 = 350;
+
 /// Something held is read at least this often; a lost gripper is noticed first.
 const WATCH_FRAMES: u64 = 500;
 
@@ -136,6 +142,15 @@ pub struct Rules {
     breaches: Vec<Breach>,
     moved: bool,
     stopped_at: Option<u64>,
+    /// It has stood since.
+    stood: bool,
+    /// Frames for which the arm has not moved.
+    still: u64,
+    /// The program was paused in the last frame, and when it was played again.
+    paused: bool,
+    played_at: Option<u64>,
+    /// A pick-n-place is under way, by the journal.
+    picking: bool,
     last_state: u64,
     last_read: u64,
     frame: u64,
@@ -144,7 +159,8 @@ pub struct Rules {
     written: BTreeSet<u64>,
     /// Without an answer yet, with the frame in which they were given.
     orders: BTreeMap<u64, (u64, Order)>,
-    release_ordered: bool,
+    /// Releases that a person ordered and that are not answered yet.
+    releases: u32,
     vacuum: [Option<VacuumMode>; 2],
     held_since: Option<u64>,
     sight: u64,
@@ -154,6 +170,8 @@ pub struct Rules {
     /// Since when a gate that a person cannot see past is closed, and which.
     closed: Option<(u64, &'static str)>,
     local_since: Option<u64>,
+    /// When the daemon was started anew.
+    restarted_at: Option<u64>,
     /// When the cell was armed last.
     armed_at: Option<u64>,
     /// A connection that was lost while the cell was armed.
@@ -180,7 +198,7 @@ impl Rules {
     /// An order was given.
     pub fn ordered(&mut self, number: u64, order: &Order) {
         self.orders.insert(number, (self.frame, order.clone()));
-        self.release_ordered |= matches!(order, Order::Release(_));
+        self.releases += u32::from(matches!(order, Order::Release(_)));
     }
 
     /// The daemon is gone and comes back: nothing that it knew counts.
@@ -189,6 +207,8 @@ impl Rules {
         self.written.clear();
         self.orders.clear();
         (self.stopped_at, self.lost) = (None, None);
+        (self.releases, self.picking) = (0, false);
+        self.restarted_at = Some(self.frame);
         self.disturbed = self.frame;
         self.last_read = self.frame;
     }
@@ -225,6 +245,11 @@ impl Rules {
             Effect::Commit { number, record } => {
                 self.open.insert(*number, !matches!(record, Record::Ended(_)));
                 match record {
+                    Record::Intent { .. } => self.picking = true,
+                    Record::Done { .. } | Record::Ended(_) => self.picking = false,
+                    Record::Gripped { .. } | Record::Released { .. } => {}
+                }
+                match record {
                     Record::Intent { object, .. } if self.sight <= self.disturbed => {
                         self.breach(Rule::PickOnOldSight, object.clone());
                     }
@@ -238,7 +263,7 @@ impl Rules {
             Effect::Registers(ModbusRequest::Read { .. }) => self.last_read = frame,
             Effect::Reply { number, reply } => self.check_reply(*number, reply.accepted, machine),
             Effect::Notify(News::Notice(notice)) if notice.text.starts_with("stopped and disarmed") => {
-                self.stopped_at = Some(frame);
+                (self.stopped_at, self.stood, self.picking) = (Some(frame), false, false);
                 self.disturbed = frame;
             }
             _ => {}
@@ -272,6 +297,7 @@ impl Rules {
             Order::Park | Order::Step => !accepted || mode.armed(),
             Order::Release(_) => {
                 self.disturbed = self.frame;
+                self.releases = self.releases.saturating_sub(1);
                 true
             }
             Order::Approve(_) | Order::Reject(_) | Order::Cancel(_) | Order::Recover => true,
@@ -285,14 +311,19 @@ impl Rules {
     pub fn check(&mut self, frame: u64, machine: &Machine, simulator: &Simulator, status: Option<&Status>) {
         self.frame = frame;
         let core = simulator.core();
-        let (moves, nonce, stranger, safe, local) = {
+        let (moves, nonce, stranger, safe, local, paused) = {
             let controller = core.robot.controller();
             let qd = controller.core.mover.qd();
             let moves = qd.iter().any(|speed| speed.abs() > MOVES_RAD_S);
             let ours = controller.programs.name().is_none_or(|name| name.starts_with("celld_"));
             let (safe, local) = (controller.core.modes.motion_allowed(), !controller.core.modes.remote());
-            (moves, controller.core.registers.output_ints[24], !ours, safe, local)
+            let nonce = controller.core.registers.output_ints[24];
+            (moves, nonce, !ours, safe, local, controller.programs.paused())
         };
+        if std::mem::replace(&mut self.paused, paused) && !paused {
+            self.played_at = Some(frame);
+        }
+        self.still = if moves { 0 } else { self.still + 1 };
         self.local_since = if local { self.local_since.or(Some(frame)) } else { None };
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
@@ -300,18 +331,38 @@ impl Rules {
         let began = moves && !self.moved;
         self.moved = moves;
         if began && !stranger && !self.stranger {
-            self.check_begin(machine, nonce, status);
-        }
-        if moves && !self.stranger && self.stopped_at.is_some_and(|at| frame > at + STOP_FRAMES) {
-            self.breach(Rule::MotionAfterStop, String::new());
-            self.stopped_at = None;
+            self.check_begin(machine, nonce);
         }
         if machine.supervisor().is_some_and(|supervisor| supervisor.mode().armed()) {
             self.stopped_at = None;
             self.armed_at = Some(frame);
         }
+        self.check_stopped(moves);
         self.check_vacuum(frame, simulator, machine.supervisor().is_none_or(|cell| !cell.mode().ending()));
         self.check_status(machine, status);
+    }
+
+    /// After a stop nothing moves before the cell is armed.
+    fn check_stopped(&mut self, moves: bool) {
+        let Some(at) = self.stopped_at else { return };
+        if moves
+            && !self.stranger
+            && !self.played_unreached()
+            && (self.stood || self.frame > at + STOP_FRAMES)
+        {
+            let detail = if self.stood { "it had stood since" } else { "it never stood" };
+            self.breach(Rule::MotionAfterStop, detail.to_string());
+            self.stopped_at = None;
+        }
+        self.stood |= self.still >= STOOD_FRAMES;
+    }
+
+    /// A person has pressed play on a program that no stop could reach, because celld or its link is gone: it
+    /// moves until its own watchdog stops it.
+    fn played_unreached(&self) -> bool {
+        let unreached = self.frame > self.last_state + STATE_AGE_FRAMES
+            || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at));
+        unreached && self.played_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES)
     }
 
     fn watch_gates(&mut self, simulator: &Simulator, safe: bool) {
@@ -350,15 +401,17 @@ impl Rules {
     }
 
     /// The arm begins to move.
-    fn check_begin(&mut self, machine: &Machine, nonce: i32, status: Option<&Status>) {
-        let working = status.is_some_and(|status| matches!(status.doing, Doing::Working(..)));
+    fn check_begin(&mut self, machine: &Machine, nonce: i32) {
+        if self.played_unreached() {
+            return;
+        }
         let Some(supervisor) = machine.supervisor() else {
             return self.breach(Rule::MotionWhileDisarmed, "before the cell was commissioned".into());
         };
         // An order that was on its way when the cell was disarmed is overtaken by the stop.
         let just_now = self.armed_at.is_some_and(|at| self.frame <= at + ON_ITS_WAY_FRAMES);
-        if !supervisor.mode().armed() && !working && !just_now {
-            self.breach(Rule::MotionWhileDisarmed, format!("{:?}", status.map(Status::text)));
+        if !supervisor.mode().armed() && !self.picking && !just_now {
+            self.breach(Rule::MotionWhileDisarmed, String::new());
         }
         if let Some((number, _)) = self.open.iter().find(|(_, waits)| **waits) {
             self.breach(Rule::MotionBeforeCommit, format!("record {number}"));
@@ -393,11 +446,8 @@ impl Rules {
         if !off.is_empty() && self.moved {
             self.breach(Rule::VacuumOffInMotion, format!("{off:?}"));
         }
-        if !off.is_empty() && !self.release_ordered && over.is_some_and(|height| height > PLACED_WITHIN_M) {
+        if !off.is_empty() && self.releases == 0 && over.is_some_and(|height| height > PLACED_WITHIN_M) {
             self.breach(Rule::VacuumOffAway, format!("{:.0} mm over its place", over.unwrap_or(0.0) * 1e3));
-        }
-        if !off.is_empty() {
-            self.release_ordered = false;
         }
         self.held_since = if held { self.held_since.or(Some(frame)) } else { None };
         let link = simulator.link(LinkName::Gripper);

@@ -12,9 +12,10 @@ use crate::cell::event::{Effect, Event};
 use crate::cell::machine::Machine;
 use crate::cell::orders::Order;
 use crate::cell::supervisor::input::PlanAnswer;
-use crate::cell::supervisor::order::{ApprovalRule, JobEnd, JobOrder};
+use crate::cell::supervisor::order::{ApprovalRule, JobOrder};
 use crate::cell::supervisor::status::Doing;
 use crate::pair::disk::Mood;
+use crate::pair::outcome::{Outcome, Phase};
 use crate::pair::page::{reaction, title};
 use crate::pair::reactions::{Cause, KNOWN, ROWS, Row};
 use crate::pair::rules::Rule;
@@ -26,68 +27,6 @@ use crate::sim::faults::read::read_posted;
 use crate::sim::faults::{Fault, Order as FaultOrder, Phase as WorldPhase, RobotFault};
 use crate::sim::world::lock;
 use std::collections::BTreeMap;
-
-/// A phase in which a fault may come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[expect(missing_docs, reason = "the names say it")]
-pub enum Phase {
-    BringUp,
-    Look,
-    Plan,
-    Approve,
-    Approach,
-    Descend,
-    Grip,
-    Lift,
-    Carry,
-    Place,
-    Release,
-    Retreat,
-    Park,
-}
-
-impl Phase {
-    /// All of them, in their order.
-    pub const ALL: [Phase; 13] = [
-        Phase::BringUp,
-        Phase::Look,
-        Phase::Plan,
-        Phase::Approve,
-        Phase::Approach,
-        Phase::Descend,
-        Phase::Grip,
-        Phase::Lift,
-        Phase::Carry,
-        Phase::Place,
-        Phase::Release,
-        Phase::Retreat,
-        Phase::Park,
-    ];
-
-    /// Its name in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Phase::BringUp => "bring-up",
-            Phase::Look => "look",
-            Phase::Plan => "plan",
-            Phase::Approve => "approve",
-            Phase::Approach => "approach",
-            Phase::Descend => "descend",
-            Phase::Grip => "grip",
-            Phase::Lift => "lift",
-            Phase::Carry => "carry",
-            Phase::Place => "place",
-            Phase::Release => "release",
-            Phase::Retreat => "retreat",
-            Phase::Park => "park",
-        }
-    }
-
-    /// True where an object is on the cups.
-    pub fn holds(self) -> bool {
-        matches!(self, Phase::Lift | Phase::Carry | Phase::Place)
-    }
-}
 
 /// Below this height over the table the tool is coming down onto an object, m.
 const DESCENDS_BELOW_M: f64 = 0.05;
@@ -127,33 +66,6 @@ fn phase_of(pair: &Pair) -> Option<Phase> {
         Doing::Working("retreating from", _) => Phase::Retreat,
         _ => return None,
     })
-}
-
-/// What a case came to.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Outcome {
-    /// How the job ended, without an operator; `None` while it waits or where there was none.
-    pub end: Option<JobEnd>,
-    /// There was one.
-    pub has_job: bool,
-    /// The code of its report.
-    pub code: Option<Code>,
-    /// What the operator read last: the message of a job that failed, or the last alarm.
-    pub sentence: String,
-    /// The hint of the report.
-    pub hint: String,
-    /// The cell was armed when the fault had shown.
-    pub armed: bool,
-    /// What was held was still held when the fault had shown; `None` where nothing was.
-    pub kept: Option<bool>,
-    /// The daemon ended by itself.
-    pub daemon_ended: bool,
-    /// How the job after it ended, once the fault was over and a person had armed.
-    pub next: Option<Code>,
-    /// Breaches of rules, each once.
-    pub breaches: Vec<Rule>,
-    /// Why there is no outcome.
-    pub impossible: Option<String>,
 }
 
 /// Turns a found plan into one that the checker must refuse.
@@ -333,6 +245,10 @@ pub(super) fn bring_about(pair: &mut Pair, row: &Row) {
             lose(pair, Loss::PowerCut);
         }
         Cause::Garbage(link) => pair.garble(link),
+        Cause::Flipped => pair.eyes().flip(true),
+        Cause::Ordered(order) => {
+            pair.order(order());
+        }
         Cause::PlanWork(_) | Cause::OverlappingGoals | Cause::BadPlan => {}
     }
 }
@@ -353,6 +269,7 @@ fn lose(pair: &mut Pair, loss: Loss) {
 /// hands in another job. Its code.
 pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
     let disk = std::mem::replace(&mut pair.disk().mood, Mood::Fine);
+    pair.eyes().flip(false);
     let clear = Fault::Clear { fault: None };
     let _ = pair.fault_now(FaultOrder { name: "clear", fault: clear, seconds: None });
     if matches!(disk, Mood::Silent) {
@@ -377,6 +294,7 @@ pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
         pair.run_until(4.0, |_| false);
     }
     pair.order(Order::Arm);
+    pair.order(Order::Resume);
     let ended = pair.reports().len();
     pair.submit(job(&stage.model, &true_poses(pair, &stage.model), seed, 1));
     pair.run_until(END_WITHIN_S, |pair| pair.reports().len() > ended);

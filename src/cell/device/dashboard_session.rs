@@ -110,6 +110,13 @@ impl DashboardSession {
         true
     }
 
+    /// Takes a command back that waits to be sent; false where it is on its way already, or unknown.
+    pub fn forget(&mut self, command: &Command) -> bool {
+        let waiting = self.waiting.len();
+        self.waiting.retain(|waits| waits != command);
+        self.waiting.len() < waiting
+    }
+
     /// Bytes arrived.
     pub fn received(&mut self, now: Timestamp, bytes: &[u8]) {
         self.splitter.push(bytes);

@@ -25,7 +25,7 @@ mod tests;
 use crate::cell::device::dashboard_session::DashboardSession;
 use crate::cell::device::outbox::earlier;
 use crate::cell::device::primary_session::PrimarySession;
-use crate::cell::device::program::{ProgramTemplate, TemplateError};
+use crate::cell::device::program::{Nonce, ProgramTemplate, TemplateError};
 use crate::cell::device::robot_types::{
     Link, ProgramEnd, Refused, RobotCommand, RobotEvent, RobotParameters, RobotState,
 };
@@ -33,6 +33,7 @@ use crate::cell::device::rtde_session::RtdeSession;
 use crate::cell::device::stream::Stream;
 use crate::motion::kinematics::DhParameters;
 use crate::time::{Duration, Timestamp};
+use crate::wire::dashboard::Command;
 use crate::wire::enumerations::{RobotMode, SafetyMode};
 use life::{Heartbeat, Program};
 use links::{ArmWait, Identity};
@@ -79,6 +80,12 @@ pub struct Robot {
     dh: DhParameters,
     reported: Reported,
     arm_waits: Vec<ArmWait>,
+    /// Commands on their way whose answers count for nothing, oldest first: a stop came between.
+    dropped: Vec<Command>,
+    /// Nonce of the program that was uploaded last.
+    uploaded: Option<Nonce>,
+    /// That of a program that was given up before it was seen to end.
+    left_behind: Option<Nonce>,
     exception: Option<ProgramEnd>,
     faults: VecDeque<Timestamp>,
     /// Time of the last advance.
@@ -112,6 +119,9 @@ impl Robot {
             dh: DhParameters::UR5E,
             reported: Reported::default(),
             arm_waits: Vec::new(),
+            dropped: Vec::new(),
+            uploaded: None,
+            left_behind: None,
             exception: None,
             faults: VecDeque::new(),
             last_advance: Timestamp::ZERO,

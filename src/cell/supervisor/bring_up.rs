@@ -65,6 +65,10 @@ impl Supervisor {
             alarm(out, format!("disarmed: {message} for {} s", NOT_READY_LIMIT.as_secs()));
             let seconds = NOT_READY_LIMIT.as_secs();
             self.end_round(Err(RoundFault::NotReady { what: message.clone(), seconds }), out);
+            let remedy = match remedy.contains("celld arm") {
+                true => format!("{remedy} and submit again"),
+                false => format!("{remedy}; then `celld arm` and submit again"),
+            };
             self.finish(now, JobEnd::Failed, Code::NotReady.because(message, remedy), out);
         }
     }

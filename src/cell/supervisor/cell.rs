@@ -11,15 +11,14 @@ use crate::cell::device::gripper::GripperEvent;
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent};
 use crate::cell::orders::Order;
-use crate::cell::supervisor::gates::{self, Closed};
+use crate::cell::supervisor::gates::{self, Closed, motion_speed};
 use crate::cell::supervisor::input::{Action, Input, Notice, Outside, Record};
 use crate::cell::supervisor::ledger::Ledger;
 use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult};
-use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, Visit};
+use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, UntilItStands, Visit};
 use crate::cell::supervisor::round::Round;
-use crate::cell::supervisor::trouble::motion_speed;
 use crate::geometry::pose::Pose2;
 use crate::time::{Duration, Timestamp};
 use crate::vision::observe::Observation;
@@ -58,7 +57,9 @@ pub struct Supervisor {
     pub(crate) waiting_since: Timestamp,
     /// The order whose answer is what the gripper says next.
     pub(crate) release_order: Option<u64>,
-    /// The robot has stopped since it was last ordered to.
+    /// Orders that are answered, or go on, once the arm stands.
+    pub(crate) until_it_stands: Vec<UntilItStands>,
+    /// The robot has reported standstill since it was last ordered to stop.
     pub(crate) stands: bool,
     /// [`Action::End`] was given.
     pub(crate) ended: bool,
@@ -88,7 +89,8 @@ impl Supervisor {
             waiting_for: None,
             waiting_since: Timestamp::ZERO,
             release_order: None,
-            stands: false,
+            until_it_stands: Vec::new(),
+            stands: true,
             ended: false,
             held_back: Vec::new(),
         }
@@ -101,7 +103,8 @@ impl Supervisor {
 
     /// True when a job may be handed over.
     pub fn wants_job(&self) -> bool {
-        self.job.is_none() && self.round.is_none() && self.ledger.is_clear() && !self.mode.ending()
+        let works = matches!(self.phase, Phase::Work(_));
+        self.job.is_none() && self.round.is_none() && self.ledger.is_clear() && !self.mode.ending() && !works
     }
 
     /// True when nothing moves, nothing is waited for and nothing is to be done.
@@ -149,7 +152,8 @@ impl Supervisor {
 
     /// Takes one input and says what to do.
     pub fn step(&mut self, now: Timestamp, outside: &Outside, input: Input) -> Vec<Action> {
-        let actions = self.decide(now, outside, input);
+        let mut actions = self.decide(now, outside, input);
+        self.watch_standing(now, outside, &mut actions);
         self.hold_while_paused(outside, actions)
     }
 
@@ -178,7 +182,7 @@ impl Supervisor {
     /// An order is answered last, by what has become of it.
     fn on_order(&mut self, now: Timestamp, outside: &Outside, number: u64, order: Order) -> Vec<Action> {
         let mut out = Vec::new();
-        let refusal = self.take_order(now, number, &order, &mut out);
+        let refusal = self.take_order(now, outside, number, &order, &mut out);
         self.pursue(now, outside, &mut out);
         let reply = refusal.or_else(|| self.answer(&order));
         out.extend(reply.map(|reply| Action::Reply { number, reply }));
@@ -281,6 +285,8 @@ impl Supervisor {
             return;
         }
         if self.job.is_some() && self.mode.paused() {
+            // The pause is the reason now, whatever was waited for before.
+            self.waiting_for = None;
             return;
         }
         let open = gates::any_motion(self.mode.armed(), outside, self.nonce);

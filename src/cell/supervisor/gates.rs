@@ -24,6 +24,7 @@ impl Closed {
             Closed::Local => "switch the pendant to Remote Control, then `celld arm`",
             Closed::Program => "look at the pendant for the program's error, then `celld arm`",
             Closed::Paused => "press play at the pendant, or `celld abort`",
+            Closed::NotPlaying(_) => "look at the pendant for what the program does, or `celld abort`",
             Closed::Disarmed => "`celld arm` once the cell is clear",
             Closed::Gripper => {
                 "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, `ping` it"
@@ -55,6 +56,9 @@ pub enum Closed {
     /// The program is paused at the pendant.
     #[error("the program is paused")]
     Paused,
+    /// The program neither plays nor is paused.
+    #[error("the program does not play: the controller is {0}")]
+    NotPlaying(String),
     /// Nobody armed the cell.
     #[error("the cell is disarmed")]
     Disarmed,
@@ -97,10 +101,14 @@ pub fn any_motion(armed: bool, outside: &Outside, nonce: Option<Nonce>) -> Resul
     if nonce.is_none_or(|nonce| robot.nonce != nonce.number()) {
         return Err(Closed::Program);
     }
-    if robot.runtime_state != RuntimeState::Playing {
-        return Err(Closed::Paused);
+    match robot.runtime_state {
+        RuntimeState::Playing => Ok(()),
+        RuntimeState::Pausing | RuntimeState::Paused => Err(Closed::Paused),
+        RuntimeState::Stopping
+        | RuntimeState::Stopped
+        | RuntimeState::Resuming
+        | RuntimeState::Unknown(_) => Err(Closed::NotPlaying(robot.runtime_state.to_string().to_lowercase())),
     }
-    Ok(())
 }
 
 /// What every motion with an empty gripper needs besides: that it is known to be empty.
@@ -136,4 +144,13 @@ pub fn manipulate(
     } else {
         Ok(())
     }
+}
+
+/// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does not
+/// play.
+pub(crate) fn motion_speed(outside: &Outside) -> f64 {
+    outside.robot.map_or(0.0, |robot| {
+        let playing = robot.runtime_state == RuntimeState::Playing;
+        if playing { robot.target_speed_fraction.clamp(0.0, 1.0) } else { 0.0 }
+    })
 }

@@ -7,10 +7,11 @@ use crate::cell::code::Code;
 use crate::cell::device::gripper::{Channels, GripperCommand, GripperEvent};
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::cell::{Supervisor, say};
-use crate::cell::supervisor::input::Action;
+use crate::cell::supervisor::gates::motion_speed;
+use crate::cell::supervisor::input::{Action, Outside};
 use crate::cell::supervisor::mode::{Mode, Pace};
 use crate::cell::supervisor::order::JobEnd;
-use crate::cell::supervisor::phase::{Phase, WorkStage};
+use crate::cell::supervisor::phase::{Phase, Then, WorkStage};
 use crate::time::Timestamp;
 
 impl Supervisor {
@@ -18,13 +19,14 @@ impl Supervisor {
     pub(crate) fn take_order(
         &mut self,
         now: Timestamp,
+        outside: &Outside,
         number: u64,
         order: &Order,
         out: &mut Vec<Action>,
     ) -> Option<Reply> {
         match order {
             Order::Arm => return self.on_arm(out),
-            Order::Disarm => self.on_disarm(out),
+            Order::Disarm => self.on_disarm(now, outside, out),
             Order::Approve(id) => return self.on_verdict(now, id, true, out),
             Order::Reject(id) => return self.on_verdict(now, id, false, out),
             Order::Cancel(id) => return self.on_cancel(id),
@@ -39,8 +41,11 @@ impl Supervisor {
                 self.mode.set_park(true);
                 self.waiting_since = now;
             }
-            Order::Abort => self.on_abort(now, out),
-            Order::Release(channels) => self.on_release_order(now, number, *channels, out),
+            Order::Abort => {
+                self.on_abort(now, out);
+                self.answer_when_it_stands(now, number, Then::Say);
+            }
+            Order::Release(channels) => self.on_release_order(now, outside, number, *channels, out),
             Order::Recover => {
                 let help = "clear the stop at the pendant, look at the arm, then `celld arm`";
                 return Some(Reply::refuse(format!("recover is not built yet: {help}")));
@@ -73,6 +78,7 @@ impl Supervisor {
                 }
             });
         }
+        self.give_up_releases(out);
         // Whoever arms has looked at the table; what stood on it may be gone, and only a look can tell.
         self.foreign_height = 0.0;
         self.drift_told = false;
@@ -81,7 +87,12 @@ impl Supervisor {
     }
 
     /// A pick-n-place under way is finished, then nothing moves; whoever disarms may put hands on the table.
-    fn on_disarm(&mut self, out: &mut Vec<Action>) {
+    /// What is held in the middle of a motion does not go on by itself later: it is stopped.
+    fn on_disarm(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+        if self.moving() && motion_speed(outside) == 0.0 {
+            let reason = Code::Aborted.because("the operator disarmed the cell while the arm was held", "");
+            return self.stop_all(now, JobEnd::Interrupted, reason, out);
+        }
         self.mode.disarm();
         self.seen = None;
         let begun = match &self.phase {
@@ -160,10 +171,8 @@ impl Supervisor {
                 Some(_) => "one pick-n-place, then a pause",
                 None => "no job is under way; the next one pauses after one pick-n-place",
             }),
-            Order::Abort => Reply::accept("stopped and disarmed"),
             Order::Park => self.answer_park(),
-            Order::Release(_) => return None,
-            Order::Recover => return None,
+            Order::Abort | Order::Release(_) | Order::Recover => return None,
         })
     }
 
@@ -178,18 +187,34 @@ impl Supervisor {
         }
     }
 
-    fn on_release_order(&mut self, now: Timestamp, number: u64, channels: Channels, out: &mut Vec<Action>) {
+    /// What is let go in motion flies, and a carry must not go on without its object: the arm stands first.
+    fn on_release_order(
+        &mut self,
+        now: Timestamp,
+        outside: &Outside,
+        number: u64,
+        channels: Channels,
+        out: &mut Vec<Action>,
+    ) {
+        self.seen = None;
         if self.moving() {
-            // What is let go in motion flies; and a carry must not go on without its object.
-            let reason = Code::Released.because("the operator released the vacuum", "");
+            let reason = Code::Released.because("the operator releases the vacuum", "");
             self.stop_all(now, JobEnd::Interrupted, reason, out);
+        } else if self.stands
+            && outside.robot.is_none_or(|robot| !outside.robot_fresh || robot.stands_still())
+        {
+            return self.release(number, channels, out);
         }
+        self.answer_when_it_stands(now, number, Then::Release(channels));
+    }
+
+    /// Switches the vacuum off; the answer is what the gripper says.
+    pub(crate) fn release(&mut self, number: u64, channels: Channels, out: &mut Vec<Action>) {
         if let Some(earlier) = self.release_order.replace(number) {
             let reply = Reply::accept("another release was ordered meanwhile");
             out.push(Action::Reply { number: earlier, reply });
         }
         say(out, format!("vacuum off by the operator's order, {}", channels.word()));
-        self.seen = None;
         out.push(Action::Gripper(GripperCommand::Release { channels }));
     }
 

@@ -2,6 +2,7 @@
 //!
 //! Plain data; the transitions are in the modules named after the phases.
 
+use crate::cell::device::gripper::Channels;
 use crate::cell::supervisor::input::CameraTrouble;
 use crate::cell::supervisor::order::JobOrder;
 use crate::geometry::pose::Pose2;
@@ -98,6 +99,23 @@ pub(crate) enum WorkStage {
     GivingUp,
     /// The grip failed: going up empty.
     Withdrawing,
+}
+
+/// What comes once the arm stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Then {
+    /// The answer.
+    Say,
+    /// The vacuum goes off; the gripper has the answer.
+    Release(Channels),
+}
+
+/// An order that waits for the arm to stand.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct UntilItStands {
+    pub number: u64,
+    pub since: Timestamp,
+    pub then: Then,
 }
 
 /// One remaining action of the route.

@@ -1,28 +1,9 @@
-//! A calibration round: slow moves to given poses, one picture at each.
+//! A calibration round as data: the poses to visit, how far it is, and why it ended early.
 //!
-//! In: the poses and the taught box; the order to begin is the operator's leave to move (design, section 7,
-//! rule 1, class *calibrate*). Out: a picture request at each pose where the arm stands still, and at the end
-//! the on-robot program ended and the cell disarmed, whatever happened. The gates and the bring-up are those
-//! of every other motion.
+//! What the supervisor does with it is in `visits`.
 
-use crate::cell::device::robot_types::RobotCommand;
-use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::input::{Action, CameraTrouble, Outside};
-use crate::cell::supervisor::phase::{Phase, Visit};
-use crate::motion::kinematics::forward;
-use crate::motion::slow::{CalibrationBox, SlowFault, slow_move};
-use crate::time::{Duration, Timestamp};
+use crate::motion::slow::{CalibrationBox, SlowFault};
 use crate::units::Joints;
-
-/// The arm counts as still below this joint speed, rad/s, for this long.
-const STILL_RAD_S: f64 = 5e-4;
-const SETTLE: Duration = Duration::from_millis(500);
-
-/// For one pose, at full speed.
-const POSE_WITHIN: Duration = Duration::from_secs(120);
-
-/// For one picture; a camera gives up by itself before.
-const PICTURE_WITHIN: Duration = Duration::from_secs(120);
 
 /// A round to be carried out.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,77 +41,14 @@ pub enum RoundFault {
 /// A round under way.
 #[derive(Debug)]
 pub(crate) struct Round {
-    order: RoundOrder,
+    pub order: RoundOrder,
     /// Index of the pose that is visited.
-    at: usize,
+    pub at: usize,
 }
 
 impl Round {
     /// Number of the pose, from 1, and how many there are.
     pub fn progress(&self) -> (usize, usize) {
         (self.at + 1, self.order.poses.len())
-    }
-}
-
-impl Supervisor {
-    pub(crate) fn on_round(&mut self, now: Timestamp, order: RoundOrder) {
-        self.waiting_since = now;
-        self.round = Some(Round { order, at: 0 });
-        self.mode.arm();
-    }
-
-    /// Sends the arm to the next pose; after the last one the round is over.
-    pub(crate) fn begin_visit(&mut self, outside: &Outside, out: &mut Vec<Action>) {
-        let (Some(round), Some(robot)) = (&self.round, outside.robot) else { return };
-        let Some(target) = round.order.poses.get(round.at).copied() else {
-            return self.end_round(Ok(()), out);
-        };
-        match slow_move(&self.model.arm, round.order.room.as_ref(), round.at + 1, &robot.q, target) {
-            Ok(path) => {
-                out.push(Action::Robot(RobotCommand::Stream(path)));
-                self.enter(Phase::Visit(Visit::Moving), POSE_WITHIN);
-            }
-            Err(fault) => self.end_round(Err(fault.into()), out),
-        }
-    }
-
-    /// While settling: asks for the picture once the arm has stood still long enough.
-    pub(crate) fn watch_visit(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
-        let Phase::Visit(Visit::Settling { still_since }) = &mut self.phase else { return };
-        let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
-        if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
-            *still_since = None;
-            return;
-        }
-        let since = *still_since.get_or_insert(now);
-        if now.since(since) >= SETTLE {
-            let pose = self.round.as_ref().map_or(0, |round| round.at + 1);
-            let base_from_flange = forward(&self.model.arm.dh, &robot.q);
-            out.push(Action::Picture { pose, base_from_flange });
-            self.enter(Phase::Visit(Visit::Picturing), PICTURE_WITHIN);
-        }
-    }
-
-    pub(crate) fn on_pictured(&mut self, result: Result<(), CameraTrouble>, out: &mut Vec<Action>) {
-        if !matches!(self.phase, Phase::Visit(Visit::Picturing)) {
-            return;
-        }
-        self.phase = Phase::Ready;
-        match (result, &mut self.round) {
-            (Ok(()), Some(round)) => round.at += 1,
-            (Err(trouble), _) => self.end_round(Err(RoundFault::Camera(trouble.message)), out),
-            (Ok(()), None) => {}
-        }
-    }
-
-    /// Ends the round, if there is one: the program ends, nothing moves any more.
-    pub(crate) fn end_round(&mut self, result: Result<(), RoundFault>, out: &mut Vec<Action>) {
-        if self.round.take().is_none() {
-            return;
-        }
-        self.phase = Phase::Ready;
-        self.mode.disarm();
-        out.push(Action::Robot(RobotCommand::EndProgram));
-        out.push(Action::RoundOver(result));
     }
 }

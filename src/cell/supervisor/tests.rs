@@ -31,9 +31,9 @@ use std::f64::consts::TAU;
 
 const HOME: Joints = Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]);
 
-fn model() -> CellModel {
+fn object() -> CellObject {
     let marker = MarkerSpec { family: "tag36h11".into(), id: 0, size: 0.03, offset: Pose2::default() };
-    let object = CellObject {
+    CellObject {
         id: "a".into(),
         footprint: Footprint::rectangle(0.06, 0.06).expect("valid"),
         impedance: None,
@@ -42,7 +42,28 @@ fn model() -> CellModel {
         marker,
         grip_point: [0.0, 0.0],
         grip_yaw: None,
-    };
+    }
+}
+
+fn tolerances() -> Tolerances {
+    Tolerances {
+        goal_position: 1e-3,
+        goal_angle: 0.01,
+        expected_position: 2e-3,
+        expected_angle: 0.02,
+        observation_age: Duration::from_secs(30),
+        reference: DriftLimits { residual_m: 1e-3, shift_m: 5e-4, turn_rad: 1e-3 },
+        reference_seen: 3,
+        measurement_std: 1e-3,
+        retries: 1,
+        settle: Duration::from_millis(100),
+        look_deadline: Duration::from_secs(20),
+        phase_deadline: Duration::from_secs(20),
+        plan_grace: Duration::from_secs(5),
+    }
+}
+
+fn model() -> CellModel {
     CellModel {
         addresses: DeviceAddresses { robot: "10.0.0.2".into(), gripper: "10.0.0.3:502".into() },
         arm: ArmModel {
@@ -79,22 +100,8 @@ fn model() -> CellModel {
         keep_out: Vec::new(),
         ignore_markers: vec![78],
         foreign: ForeignRule::Refuse { depth_needed: false },
-        objects: vec![object],
-        tolerances: Tolerances {
-            goal_position: 1e-3,
-            goal_angle: 0.01,
-            expected_position: 2e-3,
-            expected_angle: 0.02,
-            observation_age: Duration::from_secs(30),
-            reference: DriftLimits { residual_m: 1e-3, shift_m: 5e-4, turn_rad: 1e-3 },
-            reference_seen: 3,
-            measurement_std: 1e-3,
-            retries: 1,
-            settle: Duration::from_millis(100),
-            look_deadline: Duration::from_secs(20),
-            phase_deadline: Duration::from_secs(20),
-            plan_grace: Duration::from_secs(5),
-        },
+        objects: vec![object()],
+        tolerances: tolerances(),
         grip: GripSettings {
             channels: Channels::A,
             vacuum_target: 0.6,
@@ -552,3 +559,4 @@ fn a_plan_approved_late_waits_for_a_new_look() {
 
 mod faults;
 mod foreign;
+mod standing;

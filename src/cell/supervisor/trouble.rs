@@ -7,6 +7,7 @@
 use crate::cell::code::Code;
 use crate::cell::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
 use crate::cell::supervisor::cell::{Reason, Supervisor, alarm, say};
+use crate::cell::supervisor::gates::motion_speed;
 use crate::cell::supervisor::input::{Action, CameraTrouble, Outside};
 use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::cell::supervisor::mode::{EndFault, Mode};
@@ -14,7 +15,7 @@ use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{Look, LookStage, Phase};
 use crate::cell::supervisor::round::RoundFault;
 use crate::time::{Duration, Timestamp};
-use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use crate::wire::enumerations::{RobotMode, SafetyMode};
 
 /// After this long a held motion is given up: nobody can say what happened on the table meanwhile.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
@@ -121,8 +122,19 @@ impl Supervisor {
         event: RobotEvent,
         out: &mut Vec<Action>,
     ) {
-        if let RobotEvent::ProgramRunning { .. } = event {
-            return self.bring_up(outside, out);
+        match event {
+            RobotEvent::ProgramRunning { .. } => return self.bring_up(outside, out),
+            RobotEvent::Paused if self.moving() => {
+                let seconds = LONGEST_PAUSE.as_secs();
+                return alarm(
+                    out,
+                    format!(
+                        "the program is paused in the middle of a motion: play within {seconds} s goes on with it, \
+                         `celld abort` ends it"
+                    ),
+                );
+            }
+            _ => {}
         }
         let Some(reason) = self.trouble_of(event) else { return };
         if self.moving() || matches!(self.phase, Phase::BringUp(_)) {
@@ -244,15 +256,6 @@ impl Supervisor {
         let remedy = if reason.remedy.is_empty() { AFTER_A_STOP.to_string() } else { reason.remedy.clone() };
         self.finish(now, end, Reason { remedy, ..reason }, out);
     }
-}
-
-/// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does not
-/// play.
-pub(crate) fn motion_speed(outside: &Outside) -> f64 {
-    outside.robot.map_or(0.0, |robot| {
-        let playing = robot.runtime_state == RuntimeState::Playing;
-        if playing { robot.target_speed_fraction.clamp(0.0, 1.0) } else { 0.0 }
-    })
 }
 
 /// What in the robot's state forbids going on with a motion.

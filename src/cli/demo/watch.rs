@@ -5,7 +5,8 @@
 
 use crate::cell::supervisor::order::JobReport;
 use crate::cli::recorder::Recorder;
-use crate::daemon::shell::{Observer, Scene, Shown};
+use crate::daemon::heard::Shown;
+use crate::daemon::shell::{Observer, Scene};
 use crate::geometry::pose::Pose2;
 use crate::report::run::LogRow;
 use crate::time::Timestamp;

@@ -83,7 +83,7 @@ impl Robot {
         self.ask_dashboard(now, command.clone())?;
         // A stop may have come between: the command counts anew, and so does its time.
         self.arm_waits.retain(|wait| wait.command != command);
-        self.arm_waits.push(ArmWait { what, command, goal, deadline: now + ARM_WITHIN });
+        self.arm_waits.push(ArmWait { what, command, goal, answered: false, deadline: now + ARM_WITHIN });
         Ok(())
     }
 

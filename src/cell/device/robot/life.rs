@@ -91,7 +91,8 @@ impl Program {
         }
     }
 
-    fn wants_heartbeat(&self) -> bool {
+    /// A program of ours may be on the controller and reads its registers in its next frame.
+    fn reads_registers(&self) -> bool {
         match self {
             Program::Starting { .. }
             | Program::Running { .. }
@@ -100,6 +101,10 @@ impl Program {
             | Program::Ending { .. } => true,
             Program::Absent | Program::Clearing { .. } | Program::Halting { .. } => false,
         }
+    }
+
+    fn wants_heartbeat(&self) -> bool {
+        self.reads_registers()
     }
 }
 
@@ -152,13 +157,15 @@ impl Robot {
         self.exception = None;
         self.stream.clear();
         self.setup = Setup::default();
+        (self.uploaded, self.left_behind) = (Some(nonce), None);
         let sent = self.primary.upload(&self.template.render(nonce));
         self.program = Program::Starting { nonce, deadline, upload_again: !sent, retried };
         self.heartbeat.next = Some(now);
     }
 
-    /// Stops the arm by the quickest way there is.
+    /// Stops the arm by the quickest way there is. What was wanted of power and brakes is wanted no more.
     pub(super) fn stop(&mut self, now: Timestamp) {
+        self.drop_arm_waits();
         let state = self.state.as_ref();
         let runtime = state.map(|state| state.runtime_state);
         match &mut self.program {
@@ -181,10 +188,14 @@ impl Robot {
         }
     }
 
-    /// Stops by dashboard and by silence.
+    /// Stops by dashboard and by silence. The opcode goes out as well: a program that is paused, and that the
+    /// dashboard cannot end, reads it in the first frame after somebody presses play.
     pub(super) fn halt(&mut self, now: Timestamp, reason: Option<ProgramEnd>, asked: bool) {
         self.stream.clear();
         self.setup.deadline = None;
+        if self.program.reads_registers() {
+            self.write_at_once(Opcode::Stop);
+        }
         // If the dashboard is not there, silence alone has to do.
         let _ = self.dashboard.ask_first(now, Command::Stop);
         self.program = Program::Halting { reason, asked, deadline: now + HALT_WITHIN };
@@ -216,6 +227,8 @@ impl Robot {
 
     /// Our program is over, whatever the reason: nothing streamed to it counts any more.
     fn program_ended(&mut self, reason: ProgramEnd) {
+        let over = self.state.as_ref().is_some_and(|state| state.runtime_state == RuntimeState::Stopped);
+        self.left_behind = self.uploaded.filter(|_| !over);
         self.program = Program::Absent;
         self.stream.clear();
         self.setup = Setup::default();
@@ -303,7 +316,7 @@ impl Robot {
         let Some(state) = self.state.clone() else { return };
         let over = state.runtime_state == RuntimeState::Stopped;
         match &self.program {
-            Program::Absent => {}
+            Program::Absent => self.follow_left_behind(&state),
             Program::Clearing { nonce, .. } => {
                 if over {
                     let nonce = *nonce;
@@ -340,6 +353,19 @@ impl Robot {
                     self.halted();
                 }
             }
+        }
+    }
+
+    /// A program that was given up may still be on the controller, paused: it finds a stop in its registers if
+    /// somebody presses play. One that plays without heartbeats ends by its own watchdog.
+    fn follow_left_behind(&mut self, state: &RobotState) {
+        if state.runtime_state == RuntimeState::Stopped {
+            self.left_behind = None;
+        }
+        if self.left_behind.is_some_and(|nonce| nonce.number() == state.nonce) {
+            self.left_behind = None;
+            self.stream.start(state.accepted);
+            self.write_at_once(Opcode::Stop);
         }
     }
 

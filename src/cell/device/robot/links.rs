@@ -40,6 +40,8 @@ pub struct ArmWait {
     pub command: Command,
     /// When it is done.
     pub goal: ArmGoal,
+    /// The controller has accepted it.
+    pub answered: bool,
     /// Until when.
     pub deadline: Timestamp,
 }
@@ -109,6 +111,7 @@ impl Robot {
     /// The dashboard connection is gone; commands without an answer failed.
     pub(super) fn lose_dashboard(&mut self, reason: &str) {
         self.dashboard.disconnected();
+        self.dropped.clear();
         self.remote_control_before = self.remote_control.take().or(self.remote_control_before);
         if let Some(state) = &mut self.state {
             state.remote_control = None;
@@ -131,6 +134,10 @@ impl Robot {
     }
 
     fn dashboard_reply(&mut self, now: Timestamp, command: Command, reply: Reply) {
+        if let Some(at) = self.dropped.iter().position(|dropped| *dropped == command) {
+            self.dropped.remove(at);
+            return;
+        }
         match (command, reply) {
             (Command::PolyscopeVersion, Reply::Text(text)) => self.identify(|i| i.version = Some(text)),
             (Command::GetSerialNumber, Reply::Text(text)) => self.identify(|i| i.serial = Some(text)),
@@ -143,8 +150,22 @@ impl Robot {
                 self.report(RobotEvent::Completed { what: "close safety popup" });
             }
             // Power, brakes and unlock: accepted is not done, the arm's modes tell.
-            (_, Reply::Accepted(_)) => {}
+            (command, Reply::Accepted(_)) => {
+                self.arm_waits.iter_mut().filter(|wait| wait.command == command).for_each(|wait| {
+                    wait.answered = true;
+                });
+            }
             (command, refusal) => self.dashboard_refused(&command, &refusal),
+        }
+    }
+
+    /// A stop came: power and brakes are wanted no more. What was sent already is answered still, and the
+    /// answer must not count for the same command sent again later.
+    pub(super) fn drop_arm_waits(&mut self) {
+        for wait in std::mem::take(&mut self.arm_waits) {
+            if !self.dashboard.forget(&wait.command) && !wait.answered {
+                self.dropped.push(wait.command);
+            }
         }
     }
 

@@ -329,6 +329,11 @@ impl Fake {
         self.int(Register::OutputInt(number))
     }
 
+    /// The opcode that the program finds in its next frame.
+    pub fn opcode(&self) -> i32 {
+        self.int(Register::InputInt(25))
+    }
+
     pub fn set_out(&mut self, number: u8, value: i32) {
         self.registers.insert(Register::OutputInt(number), Value::Int32(value));
     }

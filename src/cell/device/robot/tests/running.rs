@@ -416,3 +416,44 @@ fn a_pc_that_finds_nothing_after_it_was_held_up_trusts_nothing_old() {
     let path = RobotCommand::Stream(path(HOME, 1));
     assert_eq!(rig.robot.command(rig.now, path), Err(Refused::Stale));
 }
+
+#[test]
+fn a_paused_program_that_cannot_be_ended_finds_a_stop_in_its_registers() {
+    let mut rig = Rig::running();
+    rig.command(RobotCommand::Stream(path(HOME, 12)));
+    rig.run_ms(60);
+    rig.fake.runtime_state = 4;
+    rig.run_ms(20);
+    rig.drop_link(Link::Dashboard);
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(20);
+    assert_eq!(rig.fake.opcode(), 5, "the program reads it in the first frame after play");
+}
+
+#[test]
+fn a_paused_program_that_was_left_behind_is_stopped_when_the_link_is_back() {
+    let mut rig = Rig::running();
+    rig.command(RobotCommand::Stream(path(HOME, 12)));
+    rig.run_ms(60);
+    rig.fake.runtime_state = 4;
+    rig.run_ms(20);
+    rig.drop_link(Link::Dashboard);
+    rig.drop_link(Link::Rtde);
+    assert!(rig.ended().is_some(), "{:?}", rig.events);
+    assert_ne!(rig.fake.opcode(), 5);
+    rig.connect(Link::Rtde);
+    rig.run_ms(200);
+    assert_eq!(rig.fake.opcode(), 5);
+}
+
+#[test]
+fn a_stop_takes_back_what_was_wanted_of_power_and_brakes() {
+    let mut rig = Rig::ready();
+    rig.fake.robot_mode = 3;
+    rig.fake.answers.insert("power on".into(), "Powering on".into());
+    rig.run_ms(4);
+    rig.command(RobotCommand::PowerOn);
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(31_000);
+    assert!(!rig.events.iter().any(|event| matches!(event, RobotEvent::Refused { .. })), "{:?}", rig.events);
+}

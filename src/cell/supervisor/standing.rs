@@ -1,0 +1,76 @@
+//! Orders that wait for the arm to stand: an abort is answered then, a release goes out then.
+//!
+//! In: the orders, the robot's state after a stop. Out: answers that say what is so, and the release. A person
+//! who reads "stopped" reaches into the cell, and one who releases holds the object: neither may happen while
+//! the arm still brakes. Where it is not known to stand within [`STANDS_WITHIN`], the answer says that.
+
+use crate::cell::orders::Reply;
+use crate::cell::supervisor::cell::Supervisor;
+use crate::cell::supervisor::input::{Action, Outside};
+use crate::cell::supervisor::phase::{Then, UntilItStands};
+use crate::time::{Duration, Timestamp};
+
+/// Longer than a stop by opcode and one by dashboard after it.
+const STANDS_WITHIN: Duration = Duration::from_millis(5500);
+
+impl Supervisor {
+    /// The order with this number waits for the arm to stand.
+    pub(crate) fn answer_when_it_stands(&mut self, now: Timestamp, number: u64, then: Then) {
+        self.until_it_stands.push(UntilItStands { number, since: now, then });
+    }
+
+    /// Carries out and answers what waited, as soon as the arm stands or is not known to in time.
+    pub(crate) fn watch_standing(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+        let fresh = outside.robot.filter(|_| outside.robot_fresh);
+        let stands = self.stands && fresh.is_some_and(|robot| robot.stands_still());
+        for waits in std::mem::take(&mut self.until_it_stands) {
+            let late = now.since(waits.since) >= STANDS_WITHIN;
+            if !stands && !late {
+                self.until_it_stands.push(waits);
+                continue;
+            }
+            match waits.then {
+                // Of a robot that is silent nothing is known, and its program has been without a heartbeat for
+                // long enough to have stopped: a person must be able to take the object.
+                Then::Release(channels) if stands || fresh.is_none() => {
+                    self.release(waits.number, channels, out);
+                }
+                Then::Release(_) => out.push(Action::Reply {
+                    number: waits.number,
+                    reply: Reply::refuse(
+                        "not released: the arm has not come to rest; stop it, then try again",
+                    ),
+                }),
+                Then::Say => {
+                    let reply = stopped(stands, fresh.is_some());
+                    out.push(Action::Reply { number: waits.number, reply });
+                }
+            }
+        }
+    }
+
+    /// The cell is armed: a release that still waits would come in the middle of a motion.
+    pub(crate) fn give_up_releases(&mut self, out: &mut Vec<Action>) {
+        let (releases, others) = std::mem::take(&mut self.until_it_stands)
+            .into_iter()
+            .partition(|waits| matches!(waits.then, Then::Release(_)));
+        self.until_it_stands = others;
+        out.extend(Vec::into_iter(releases).map(|waits: UntilItStands| Action::Reply {
+            number: waits.number,
+            reply: Reply::refuse("not released: the cell was armed meanwhile"),
+        }));
+    }
+}
+
+/// The answer to an abort.
+fn stopped(stands: bool, robot_answers: bool) -> Reply {
+    match (stands, robot_answers) {
+        (true, _) => Reply::accept("stopped and disarmed"),
+        (false, true) => Reply::refuse(
+            "disarmed, but the arm has not come to rest: keep away from it, use the emergency stop",
+        ),
+        (false, false) => Reply::refuse(
+            "disarmed; the robot does not answer, so the arm is not known to stand: use the emergency stop",
+        ),
+    }
+}

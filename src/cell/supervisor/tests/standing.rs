@@ -1,0 +1,108 @@
+//! What waits for the arm to stand: the answer to an abort, and the air after a release in motion.
+
+use super::faults::working;
+use super::*;
+use crate::cell::device::gripper::GripperEvent;
+
+fn vents(actions: &[Action]) -> bool {
+    actions.iter().any(|action| matches!(action, Action::Gripper(GripperCommand::Release { .. })))
+}
+
+fn moving_arm(bench: &mut Bench) {
+    bench.robot.qd = [0.4, 0.0, 0.0, 0.0, 0.0, 0.0];
+}
+
+#[test]
+fn an_abort_is_answered_when_the_arm_stands() {
+    let mut bench = working();
+    moving_arm(&mut bench);
+    let mut actions = bench.feed(order(Order::Abort));
+    assert!(actions.iter().any(|action| matches!(action, Action::Robot(RobotCommand::Stop))), "{actions:?}");
+    actions.extend(bench.ticks(10));
+    actions.extend(bench.feed(Input::Robot(RobotEvent::Stopped)));
+    assert_eq!(answer(&actions), None, "the joints still turn");
+    bench.robot.qd = [0.0; 6];
+    assert_eq!(answer(&bench.ticks(1)), Some(Reply::accept("stopped and disarmed")));
+    assert_eq!(answer(&bench.ticks(500)), None, "once");
+}
+
+#[test]
+fn an_abort_that_stops_nothing_is_refused() {
+    for silent in [false, true] {
+        let mut bench = working();
+        moving_arm(&mut bench);
+        bench.feed(order(Order::Abort));
+        bench.silent = silent;
+        // 5.5 s, a tick being 20 ms.
+        assert_eq!(answer(&bench.ticks(270)), None);
+        let reply = answer(&bench.ticks(10)).expect("an answer");
+        assert!(!reply.accepted && reply.message.contains("use the emergency stop"), "{reply:?}");
+        assert_eq!(reply.message.contains("does not answer"), silent, "{reply:?}");
+    }
+}
+
+#[test]
+fn a_release_in_motion_stops_the_arm_first() {
+    let mut bench = working();
+    moving_arm(&mut bench);
+    let mut actions = bench.feed(order(Order::Release(Channels::Both)));
+    assert_eq!(ended(&actions), Some((JobEnd::Interrupted, "released".into())));
+    actions.extend(bench.ticks(20));
+    // A second one, in haste.
+    actions.extend(bench.feed(order(Order::Release(Channels::Both))));
+    assert!(!vents(&actions), "the arm still moves: {actions:?}");
+    bench.robot.qd = [0.0; 6];
+    assert!(!vents(&bench.ticks(1)), "the robot has not reported standstill");
+    assert!(vents(&bench.feed(Input::Robot(RobotEvent::Stopped))));
+    let released = bench.feed(Input::Gripper(GripperEvent::Released));
+    assert!(answer(&released).expect("an answer").accepted);
+}
+
+#[test]
+fn a_release_waits_for_whatever_moves_the_arm_and_not_for_ever() {
+    let mut bench = Bench::new();
+    moving_arm(&mut bench);
+    let mut actions = bench.feed(order(Order::Release(Channels::Both)));
+    actions.extend(bench.ticks(290));
+    assert!(!vents(&actions), "{actions:?}");
+    let reply = answer(&actions).expect("an answer");
+    assert!(!reply.accepted && reply.message.contains("not come to rest"), "{reply:?}");
+}
+
+#[test]
+fn what_hangs_on_a_silent_robot_can_be_taken() {
+    let mut bench = working();
+    bench.silent = true;
+    let mut actions = bench.feed(order(Order::Release(Channels::Both)));
+    actions.extend(bench.ticks(270));
+    assert!(!vents(&actions), "the program's watchdog may still be stopping the arm");
+    assert!(vents(&bench.ticks(10)));
+}
+
+#[test]
+fn arming_ends_a_release_that_waits() {
+    let mut bench = working();
+    moving_arm(&mut bench);
+    bench.feed(order(Order::Release(Channels::Both)));
+    let armed = bench.feed(order(Order::Arm));
+    let reply = answer(&armed).expect("an answer");
+    assert!(!reply.accepted && reply.message.contains("armed meanwhile"), "{reply:?}");
+    bench.robot.qd = [0.0; 6];
+    let mut all = bench.feed(Input::Robot(RobotEvent::Stopped));
+    all.extend(bench.ticks(300));
+    assert!(!vents(&all), "{all:?}");
+}
+
+#[test]
+fn disarming_a_held_arm_stops_it_for_good() {
+    let mut bench = working();
+    bench.robot.runtime_state = RuntimeState::Paused;
+    let paused = bench.feed(Input::Robot(RobotEvent::Paused));
+    let told = paused.iter().any(|a| matches!(a, Action::Say(notice) if notice.alarm));
+    assert!(told, "a person reads that play goes on with the motion: {paused:?}");
+    let disarmed = bench.feed(order(Order::Disarm));
+    assert!(disarmed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{disarmed:?}");
+    assert_eq!(ended(&disarmed), Some((JobEnd::Interrupted, "aborted".into())));
+    bench.robot.runtime_state = RuntimeState::Playing;
+    assert_eq!(streams(&bench.ticks(200)), 0);
+}

@@ -1,0 +1,53 @@
+//! What the loop receives from sockets, workers and the state folder.
+//!
+//! Plain data, below all of them, so that none of them has to know the loop.
+
+use crate::cell::device::robot_types::Link;
+use crate::cell::event::Event;
+use crate::vision::calibrate::Sample;
+use crate::vision::image::Image;
+use crate::vision::observe::{Observation, View};
+use tokio::net::TcpStream;
+
+/// Something for the loop.
+pub enum Heard {
+    /// For the machine.
+    Event(Event),
+    /// A connection was made, or could not be.
+    Made(Made),
+    /// For whoever shows or records.
+    Shown(Shown),
+}
+
+/// What a worker has to show.
+#[derive(Debug)]
+pub enum Shown {
+    /// The last frame of a look pose.
+    Picture {
+        /// What it shows.
+        image: Image,
+        /// Camera pose and markers.
+        views: Vec<View>,
+    },
+    /// The table as measured.
+    Observed(Box<Observation>),
+    /// A picture of a calibration round.
+    Sample {
+        /// The pose's number, from 1.
+        pose: usize,
+        /// The picture taken there.
+        image: Image,
+        /// Where the flange was and which markers were found.
+        sample: Sample,
+    },
+}
+
+/// A connection that was made, or why not.
+pub struct Made {
+    /// To what.
+    pub link: Link,
+    /// Which attempt; what an earlier one leads to is dropped.
+    pub attempt: u64,
+    /// The connection.
+    pub result: std::io::Result<TcpStream>,
+}
