@@ -10,7 +10,9 @@ use crate::cli::daemon::machine_parameters;
 use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config, sim_file};
 use crate::cli::sim::{FOCAL_PX, faults_of, sim_config};
 use crate::cli::task::{complain, print};
+use crate::config::cell::CellConfig;
 use crate::config::setup::CUP_MARGIN_M;
+use crate::config::simulated::SimFile;
 use crate::jobs::policy::JobObjective;
 use crate::pair::eyes::Eye;
 use crate::pair::outcome::{Outcome, Phase};
@@ -114,9 +116,17 @@ pub fn stage(seed: u64, eye: Eye) -> Result<Stage, String> {
         config.foreign = crate::cell::supervisor::model::ForeignRule::Off;
     }
     let file = sim_file(&instance, &config, &choice)?;
-    let sim = sim_config(&file, choice.bind, RobotPorts::ANY);
-    let parameters = machine_parameters(&config, seed.wrapping_add(1));
-    Stage::new(&config, sim, parameters, seed)
+    stage_of(&config, &file, seed)
+}
+
+/// The closed loop's cell as two configurations have it: the daemon's and the simulator's.
+///
+/// # Errors
+/// What does not fit together.
+pub fn stage_of(config: &CellConfig, sim: &SimFile, seed: u64) -> Result<Stage, String> {
+    let sim = sim_config(sim, IpAddr::V4(Ipv4Addr::LOCALHOST), RobotPorts::ANY);
+    let parameters = machine_parameters(config, seed.wrapping_add(1));
+    Stage::new(config, sim, parameters, seed)
 }
 
 /// Runs the subcommand; returns the exit code.

@@ -16,5 +16,6 @@ mod program_protocol;
 mod public_bounds;
 mod render;
 mod robot_session;
+mod sights;
 mod slow_disk;
 mod third_party;

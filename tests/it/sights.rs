@@ -1,0 +1,164 @@
+//! Things without a marker in the closed loop, seen by the real detector and by depth in rendered pictures:
+//! nothing moves while one is on the table, or nothing comes near it.
+//!
+//! The example cell of `config/`, calibrated as well as a round leaves it, in virtual time. What is compared
+//! is the truth of the simulated world, in every frame.
+
+use celld::cell::code::Code;
+use celld::cell::orders::Order;
+use celld::cell::supervisor::model::ForeignRule;
+use celld::cell::supervisor::order::{ApprovalRule, JobOrder};
+use celld::cli::simulate::stage_of;
+use celld::config::load::{load_cell, load_sim};
+use celld::geometry::pose::Pose2;
+use celld::pair::eyes::Eye;
+use celld::pair::run::bring_up;
+use celld::pair::{Choice, Pair};
+use celld::planning::plan::Objective;
+use celld::planning::solver::SolverKind;
+use celld::sim::faults::read::read_posted;
+use celld::sim::world::lock;
+use celld::time::Duration;
+use std::path::Path;
+
+const MUG: &str = r#"{"do": "world.foreign", "args":
+    {"shape": "mug", "size_m": [0.08, 0.08], "height_m": 0.09, "pose": [0.23, 0.22, 0]}}"#;
+
+/// Middle, half an edge and height of the box that stands between the lid's start and its goal, m.
+const BOX: [f64; 2] = [0.285, 0.295];
+const HALF_M: f64 = 0.03;
+const HEIGHT_M: f64 = 0.045;
+const LID_RADIUS_M: f64 = 0.045;
+const MARGIN_M: f64 = 0.01;
+
+/// The example cell, armed, with pictures for eyes.
+fn example(foreign: ForeignRule) -> Result<Pair, String> {
+    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
+    let mut cell = load_cell(&config.join("cell.yaml")).map_err(|error| error.to_string())?;
+    cell.foreign = foreign;
+    let sim = load_sim(&config.join("sim.yaml")).map_err(|error| error.to_string())?;
+    let stage = stage_of(&cell, &sim, 1)?;
+    let choice = Choice { eye: Eye::Pictures, ..Choice::of(1) };
+    let mut pair = Pair::new(stage, choice).map_err(|error| error.to_string())?;
+    assert!(bring_up(&mut pair), "the cell comes up");
+    pair.order(Order::Arm);
+    Ok(pair)
+}
+
+fn fault(pair: &mut Pair, text: &str) -> Result<(), String> {
+    for planned in read_posted(text).map_err(|complaints| complaints.to_string())? {
+        pair.fault(planned).map_err(|error| error.to_string())?;
+    }
+    Ok(())
+}
+
+/// Wants the lid there.
+fn submit(pair: &mut Pair, id: &str, [x, y]: [f64; 2]) {
+    pair.submit(JobOrder {
+        id: id.to_string(),
+        goals: vec![("lid".to_string(), Pose2::new(x, y, 0.0))],
+        objective: Objective::Pp,
+        solver: SolverKind::Auto,
+        time_limit: Duration::from_secs(2),
+        seed: 1,
+        approval: ApprovalRule::NoPlan,
+    });
+}
+
+/// Until a further job has ended; its code and its moves.
+fn ended(pair: &mut Pair, mut meanwhile: impl FnMut(&Pair)) -> (Code, usize, String) {
+    let before = pair.reports().len();
+    let over = pair.run_until(300.0, |pair| {
+        meanwhile(pair);
+        pair.reports().len() > before
+    });
+    assert!(over, "the job ends: {:?}", pair.notices());
+    pair.reports().last().map_or((Code::Aborted, 0, String::new()), |report| {
+        (report.code, report.moves, report.message.clone())
+    })
+}
+
+fn said(pair: &Pair, what: &str) -> bool {
+    pair.notices().iter().any(|notice| notice.text.contains(what))
+}
+
+/// The number after a word in a sentence.
+fn number(sentence: &str, after: &str) -> f64 {
+    let digits = sentence.split(after).nth(1).unwrap_or_default();
+    let digits: String = digits.chars().take_while(char::is_ascii_digit).collect();
+    digits.parse().unwrap_or(f64::NAN)
+}
+
+/// A mug that nobody told the cell of keeps everything where it is, for as long as it stands there.
+#[test]
+fn nothing_moves_while_something_without_a_marker_stands_on_the_table() {
+    let mut pair = example(ForeignRule::Refuse { depth_needed: true }).unwrap();
+    // There at first, and taken away while the cell looks again.
+    fault(&mut pair, MUG).unwrap();
+    submit(&mut pair, "one", [0.30, 0.38]);
+    let seen = pair.run_until(60.0, |pair| said(pair, "belongs to nothing the cell knows; looking again"));
+    assert!(seen, "{:?}", pair.notices());
+    fault(&mut pair, r#"{"do": "clear", "args": {"fault": "world.foreign"}}"#).unwrap();
+    let (code, moves, _) = ended(&mut pair, |_| ());
+    assert_eq!((code, moves), (Code::Done, 1), "{:?}", pair.notices());
+
+    // There to stay: the job ends, told where and how high, and nothing was moved.
+    fault(&mut pair, MUG).unwrap();
+    submit(&mut pair, "two", [0.40, 0.38]);
+    let (code, moves, message) = ended(&mut pair, |_| ());
+    assert_eq!((code, moves), (Code::ForeignObject, 0), "{message}");
+    for (after, truth) in [("x = ", 230.0), ("y = ", 220.0), ("something ", 90.0)] {
+        assert!((number(&message, after) - truth).abs() < 8.0, "{message}");
+    }
+
+    // Taken away, work goes on.
+    fault(&mut pair, r#"{"do": "clear"}"#).unwrap();
+    submit(&mut pair, "three", [0.40, 0.38]);
+    assert_eq!(ended(&mut pair, |_| ()).0, Code::Done);
+    assert_eq!(pair.breaches(), []);
+}
+
+/// Distance of a place from the box, seen from above, m.
+fn beside([x, y]: [f64; 2]) -> f64 {
+    let out = |at: f64, middle: f64| ((at - middle).abs() - HALF_M).max(0.0);
+    out(x, BOX[0]).hypot(out(y, BOX[1]))
+}
+
+#[test]
+fn an_obstacle_without_a_marker_is_worked_round_and_nothing_comes_near_it() {
+    let mut pair = example(ForeignRule::Obstacle { margin_m: MARGIN_M }).unwrap();
+    let thing = format!(
+        r#"{{"do": "world.foreign", "args":
+            {{"shape": "box", "size_m": [0.06, 0.06], "height_m": {HEIGHT_M}, "pose": [{}, {}, 0]}}}}"#,
+        BOX[0], BOX[1]
+    );
+    fault(&mut pair, &thing).unwrap();
+    pair.run_until(0.1, |_| false);
+    let stranger = |pair: &Pair| {
+        let world = lock(&pair.simulator().core().world);
+        let found = world.objects().iter().find(|body| body.id.starts_with("foreign"));
+        found.map(|body| (body.id.clone(), body.table_from_object))
+    };
+    let stood = stranger(&pair).expect("the box stands there");
+
+    // The least air under the lid while it is over the box.
+    let mut air: Option<f64> = None;
+    submit(&mut pair, "round", [0.225, 0.205]);
+    let (code, moves, message) = ended(&mut pair, |pair| {
+        let world = lock(&pair.simulator().core().world);
+        let lid = world.object("lid").map(|lid| lid.table_from_object.translation.vector);
+        if let Some(at) = lid.filter(|at| beside([at.x, at.y]) < LID_RADIUS_M) {
+            air = Some(air.map_or(at.z, |least: f64| least.min(at.z)));
+        }
+    });
+    assert_eq!((code, moves), (Code::Done, 1), "{message}");
+    assert!(said(&pair, "is kept clear of"), "{:?}", pair.notices());
+    let air = air.expect("the way leads over the box") - HEIGHT_M;
+    assert!(air > 0.5 * MARGIN_M, "carried {air} m over the box");
+    assert_eq!(stranger(&pair), Some(stood.clone()), "nobody touched it");
+    let world = lock(&pair.simulator().core().world);
+    let lid = world.object("lid").expect("the lid").pose();
+    assert!((lid.x - 0.225).hypot(lid.y - 0.205) < 3e-3, "{lid:?}");
+    assert!(!world.events().any(|event| format!("{event:?}").contains(&stood.0)), "nobody touched it");
+    assert_eq!(pair.breaches(), []);
+}
