@@ -24,6 +24,8 @@ pub mod vision;
 
 pub mod motion;
 
+pub mod calibration;
+
 pub mod cell;
 
 pub mod perception;
@@ -39,8 +41,6 @@ pub mod config;
 pub mod sim;
 
 pub mod daemon;
-
-pub mod calibration;
 
 pub mod pair;
 

@@ -25,14 +25,15 @@ const TABLE: &[Row] = &[
     Row { module: "geometry", uses: Uses::Only(&["units"]), pure: true },
     Row { module: "tabletop", uses: Uses::Only(&["units", "geometry", "document"]), pure: true },
     Row { module: "planning", uses: Uses::Only(&["units", "geometry", "tabletop"]), pure: true },
-    Row {
-        module: "vision",
-        uses: Uses::Only(&["units", "time", "geometry", "tabletop", "document"]),
-        pure: true,
-    },
+    Row { module: "vision", uses: Uses::Only(&["units", "time", "geometry", "tabletop"]), pure: true },
     Row {
         module: "motion",
         uses: Uses::Only(&["units", "time", "geometry", "tabletop", "planning"]),
+        pure: true,
+    },
+    Row {
+        module: "calibration",
+        uses: Uses::Only(&["units", "time", "document", "geometry", "vision", "motion"]),
         pure: true,
     },
     Row { module: "cell", uses: Uses::AllAbove { but: &["urscript"], also: &[] }, pure: true },
@@ -85,8 +86,7 @@ const TABLE: &[Row] = &[
         pure: false,
     },
     Row { module: "daemon", uses: Uses::AllAbove { but: &["sim"], also: &[] }, pure: false },
-    Row { module: "calibration", uses: Uses::AllAbove { but: &["sim"], also: &[] }, pure: false },
-    Row { module: "pair", uses: Uses::AllAbove { but: &["daemon", "calibration"], also: &[] }, pure: false },
+    Row { module: "pair", uses: Uses::AllAbove { but: &["daemon"], also: &[] }, pure: false },
     Row { module: "bench", uses: Uses::AllAbove { but: &[], also: &[] }, pure: false },
     Row { module: "cli", uses: Uses::AllAbove { but: &[], also: &[] }, pure: false },
 ];

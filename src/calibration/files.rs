@@ -1,215 +1,219 @@
-//! The three calibration files together: read, checked against each other, the configuration and the arm;
-//! written.
+//! Calibration files: what was measured, how well, with which devices, when.
 //!
-//! In: the paths of the configuration. Out: [`CalibrationSet`], or every complaint about all three files at
-//! once. A calibration is only as good as the agreement of camera, hand and table: files of different rounds,
-//! of another camera or arm, or of markers that have been moved since are refused.
+//! In: YAML (or JSON) text. Out: checked values, or every complaint with line and column; and the text of a
+//! new file. Told by their top-level key: `camera` (the lens), `hand_eye` (where the camera sits), `table`
+//! (table under the robot). Lengths in m, angles in rad, rotations as unit quaternions [x, y, z, w]. Nothing
+//! measured has a default, and a rotation that is none, or a camera half a metre off the flange, is refused.
+//! Pure: files are opened by the caller.
 
-use crate::cell::event::Arm;
-use crate::config::cell::{CalibrationFiles, CameraMount, CellConfig};
-use crate::config::setup::{Measured, reference_markers};
-use crate::document::Complaints;
-use crate::io::files::{FileError, write_atomic};
-use crate::vision::calibration::camera::CameraCalibration;
-use crate::vision::calibration::hand_eye::{HandEyeCalibration, Provenance};
-use crate::vision::calibration::table::TableCalibration;
-use crate::vision::observe::ReferenceMarker;
-use std::path::Path;
+pub mod camera;
+pub mod hand_eye;
+pub mod round;
+pub mod set;
+pub mod table;
+pub mod touches;
 
-/// Distance (m) and angle (rad) by which a survey may differ from the configuration's: rounding in the files.
-const SAME_PLACE: (f64, f64) = (1e-6, 1e-6);
+use crate::document::decode::{At, Decoder, Fields};
+use crate::document::tree::Node;
+use crate::document::write::Out;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
-/// Camera, hand-eye and table of one calibration round.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CalibrationSet {
+/// The version of all three formats.
+pub const VERSION: i64 = 1;
+
+/// Kinds of calibration file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
     /// The lens.
-    pub camera: CameraCalibration,
+    Camera,
     /// Where the camera sits.
-    pub hand_eye: HandEyeCalibration,
+    HandEye,
     /// The table under the robot.
-    pub table: TableCalibration,
+    Table,
+    /// Points of the table that the tool's tip touched.
+    Touches,
+    /// A recorded round.
+    Round,
 }
 
-impl CalibrationSet {
-    /// Reads all three files.
-    ///
-    /// # Errors
-    /// Everything that is wrong with any of them, one complaint a line.
-    pub fn read(config: &CellConfig) -> Result<CalibrationSet, String> {
-        let files = &config.calibration;
-        let camera = read(&files.camera, CameraCalibration::parse);
-        let hand_eye = read(&files.hand_eye, HandEyeCalibration::parse);
-        let table = read(&files.table, TableCalibration::parse);
-        match (camera, hand_eye, table) {
-            (Ok(camera), Ok(hand_eye), Ok(table)) => {
-                let set = CalibrationSet { camera, hand_eye, table };
-                let faults = set.faults(config);
-                if faults.is_empty() { Ok(set) } else { Err(faults.join("\n")) }
-            }
-            (camera, hand_eye, table) => {
-                let faults = [camera.err(), hand_eye.err(), table.err()];
-                Err(faults.into_iter().flatten().collect::<Vec<_>>().join("\n"))
-            }
-        }
-    }
+/// Tells the kind by the top-level key, `None` if it is no calibration file.
+pub fn kind(top: &Node) -> Option<Kind> {
+    // The results come first: they keep what they were made of under the other keys.
+    let kinds = [
+        ("camera", Kind::Camera),
+        ("hand_eye", Kind::HandEye),
+        ("table", Kind::Table),
+        ("touches", Kind::Touches),
+        ("samples", Kind::Round),
+    ];
+    let measured = top.get("version").is_some() && top.get("date").is_some();
+    kinds.into_iter().find(|(key, _)| measured && top.get(key).is_some()).map(|(_, kind)| kind)
+}
 
-    /// What does not fit together.
-    fn faults(&self, config: &CellConfig) -> Vec<String> {
-        let CalibrationFiles { hand_eye, table, .. } = &config.calibration;
-        let mut faults = Vec::new();
-        let mut differ = |path: &Path, what: &str, made_with: &str, now: &str| {
-            if made_with != now {
-                let path = path.display();
-                faults.push(format!(
-                    "{path}: made with {what} {made_with}, now it is {now}; run `celld calibrate`"
-                ));
-            }
-        };
-        let now = match &config.camera {
-            CameraMount::Flange { .. } => "flange",
-            CameraMount::Fixed { .. } => "fixed",
-        };
-        differ(hand_eye, "mount", self.hand_eye.mount.word(), now);
-        let (hand, flat) = (&self.hand_eye.provenance, &self.table.provenance);
-        differ(hand_eye, "camera", &hand.camera_serial, &self.camera.model.serial);
-        differ(table, "camera", &flat.camera_serial, &self.camera.model.serial);
-        differ(table, "robot", &flat.robot_serial, &hand.robot_serial);
-        differ(table, "kinematics", &flat.kinematics_checksum, &hand.kinematics_checksum);
-        let survey = reference_markers(config);
-        if !same_survey(&self.table.reference_markers, &survey) {
-            faults.push(format!(
-                "{}: made with other reference markers than the configuration's; run `celld calibrate`",
-                table.display()
-            ));
-        }
-        faults
-    }
+/// Complains unless `version` is there and known.
+fn check_version(fields: &Fields, decoder: &mut Decoder) -> Option<()> {
+    let at = fields.required("version", decoder)?;
+    decoder.integer(&at, VERSION..=VERSION).map(|_| ())
+}
 
-    /// That the calibration was made with this arm.
-    ///
-    /// # Errors
-    /// A sentence that names both arms.
-    pub fn check_arm(&self, config: &CellConfig, arm: &Arm) -> Result<(), String> {
-        let made_with = &self.hand_eye.provenance;
-        if made_with.robot_serial == arm.serial && made_with.kinematics_checksum == arm.checksum {
-            return Ok(());
-        }
-        Err(format!(
-            "{}: made with robot {} (kinematics {}), but this is {} ({}); run `celld calibrate`",
-            config.calibration.hand_eye.display(),
-            made_with.robot_serial,
-            made_with.kinematics_checksum,
-            arm.serial,
-            arm.checksum
-        ))
+/// A text of 1 to 100 characters.
+fn short_text(fields: &Fields, key: &str, decoder: &mut Decoder) -> Option<String> {
+    let at = fields.required(key, decoder)?;
+    let text = decoder.text(&at)?;
+    if (1..=100).contains(&text.chars().count()) {
+        return Some(text);
     }
+    decoder.complain_at(&at, "the text is empty or longer than 100 characters", "");
+    None
+}
 
-    /// The numbers that the daemon works with; the kinematics are the controller's.
-    pub fn measured(&self, arm: &Arm) -> Measured {
-        Measured {
-            dh: arm.dh,
-            base_from_table: self.table.base_from_table,
-            mount: self.hand_eye.mount,
-            camera: self.camera.model.clone(),
-        }
-    }
+/// How large an error may be, and its unit. A calibration that is worse is of no use to a cell that places
+/// within a millimetre or two, and a file that says so was not meant to be worked with: it is refused where
+/// it is read.
+#[derive(Clone, Copy, Debug)]
+struct Most(f64, &'static str);
 
-    /// Writes all three files and returns their paths.
-    ///
-    /// # Errors
-    /// The first that could not be written.
-    pub fn write<'a>(&self, files: &'a CalibrationFiles) -> Result<[&'a Path; 3], FileError> {
-        let written: [(&Path, String); 3] = [
-            (&files.camera, self.camera.to_yaml()),
-            (&files.hand_eye, self.hand_eye.to_yaml()),
-            (&files.table, self.table.to_yaml()),
-        ];
-        for (path, text) in &written {
-            if let Some(folder) = path.parent() {
-                crate::io::files::create_folder(folder)?;
-            }
-            write_atomic(path, text.as_bytes())?;
-        }
-        Ok(written.map(|(path, _)| path))
+/// Standard deviations and fit errors of lengths: 5 mm.
+const FIT_M: Most = Most(0.005, "m");
+/// Of angles: a degree, 5 mm at the lever of 0.3 m with which the solver weighs them.
+const FIT_RAD: Most = Most(0.0175, "rad");
+/// Root mean square corner error of a whole fit.
+const FIT_PX: Most = Most(5.0, "px");
+/// Error of a single sample that was used, on the table.
+const SAMPLE_M: Most = Most(0.02, "m");
+/// The same in the picture.
+const SAMPLE_PX: Most = Most(20.0, "px");
+
+/// Of a sample that was left out: any error will do, for it has no part in the result.
+fn unlimited(Most(_, unit): Most) -> Most {
+    Most(f64::INFINITY, unit)
+}
+
+/// An error that may be absent.
+fn optional_size(fields: &Fields, key: &str, most: Most, decoder: &mut Decoder) -> Option<Option<f64>> {
+    match fields.optional(key) {
+        Some(at) => at_most(&at, most, decoder).map(Some),
+        None => Some(None),
     }
 }
 
-/// Whose calibration it is.
-pub fn provenance(camera_serial: &str, arm: &Arm, date: &str) -> Provenance {
-    Provenance {
-        camera_serial: camera_serial.to_string(),
-        robot_serial: arm.serial.clone(),
-        kinematics_checksum: arm.checksum.clone(),
-        date: date.to_string(),
+/// An error that has to be there.
+fn size(fields: &Fields, key: &str, most: Most, decoder: &mut Decoder) -> Option<f64> {
+    let at = fields.required(key, decoder)?;
+    at_most(&at, most, decoder)
+}
+
+fn at_most(at: &At, Most(most, unit): Most, decoder: &mut Decoder) -> Option<f64> {
+    let value = decoder.non_negative(at, unit)?;
+    if value <= most {
+        return Some(value);
+    }
+    let message = format!("{value:.3e} {unit} is too large an error to work with, at most {most} {unit}");
+    decoder.complain_at(at, message, "calibrate again: celld calibrate --config FILE");
+    None
+}
+
+/// A transform: `{translation_m: [x, y, z], rotation_xyzw: [x, y, z, w]}`, no further than `reach_m`.
+fn transform(at: &At, reach_m: f64, decoder: &mut Decoder) -> Option<Isometry3<f64>> {
+    let fields = decoder.map(at, &["translation_m", "rotation_xyzw"])?;
+    let translation = fields.required("translation_m", decoder);
+    let rotation = fields.required("rotation_xyzw", decoder);
+    let translation = translation.and_then(|at| {
+        let [x, y, z] = decoder.numbers::<3>(&at)?;
+        let far = x.hypot(y).hypot(z);
+        if far > reach_m {
+            let help =
+                format!("at most {reach_m} m is plausible here: lengths are in metres, not millimetres");
+            decoder.complain_at(&at, format!("{far:.3} m away"), help);
+            return None;
+        }
+        Some(Translation3::new(x, y, z))
+    });
+    let rotation = rotation.and_then(|at| {
+        let [x, y, z, w] = decoder.numbers::<4>(&at)?;
+        let quaternion = Quaternion::new(w, x, y, z);
+        if (quaternion.norm() - 1.0).abs() > 1e-6 {
+            let message = format!("a quaternion of length {:.6} is no rotation", quaternion.norm());
+            decoder.complain_at(&at, message, "its length has to be 1; the order is x, y, z, w");
+            return None;
+        }
+        Some(UnitQuaternion::from_quaternion(quaternion))
+    });
+    Some(Isometry3::from_parts(translation?, rotation?))
+}
+
+/// The transform as [`transform`] reads it.
+fn transform_out(transform: &Isometry3<f64>) -> Out {
+    let t = transform.translation.vector;
+    let q = transform.rotation.coords;
+    Out::map(vec![
+        ("translation_m", Out::numbers(&[t.x, t.y, t.z])),
+        ("rotation_xyzw", Out::numbers(&[q.x, q.y, q.z, q.w])),
+    ])
+}
+
+/// Adds a number if there is one.
+fn push_number(pairs: &mut Vec<(&str, Out)>, key: &'static str, value: Option<f64>) {
+    if let Some(value) = value.filter(|value| value.is_finite()) {
+        pairs.push((key, Out::Number(value)));
     }
 }
 
-fn same_survey(made_with: &[ReferenceMarker], now: &[ReferenceMarker]) -> bool {
-    let same = |a: &ReferenceMarker, b: &ReferenceMarker| {
-        let (distance, angle) = SAME_PLACE;
-        a.id == b.id
-            && (a.size - b.size).abs() <= distance
-            && a.pose.distance(&b.pose) <= distance
-            && a.pose.angle_difference(&b.pose) <= angle
-    };
-    made_with.len() == now.len() && made_with.iter().all(|a| now.iter().any(|b| same(a, b)))
+/// A number to be written; what is not finite becomes a number so large that [`at_most`] refuses the file.
+fn finite(value: f64) -> Out {
+    Out::Number(if value.is_finite() { value } else { f64::MAX })
 }
 
-fn read<T>(path: &Path, parse: impl Fn(&str, &str) -> Result<T, Complaints>) -> Result<T, String> {
-    let text = crate::config::load::read_text(path).map_err(|reason| {
-        format!("{}: {reason}; `celld calibrate` makes the calibration files", path.display())
-    })?;
-    parse(&text, &path.display().to_string()).map_err(|complaints| complaints.to_string())
+fn counted(value: usize) -> Out {
+    Out::Integer(i64::try_from(value).unwrap_or(i64::MAX))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::load::load_cell;
+    use crate::document::parse;
 
-    /// The example cell with its files copied, so that they can be spoilt.
-    fn example() -> (tempfile::TempDir, CellConfig) {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let mut config = load_cell(&root.join("config/cell.yaml")).unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        let copy = |path: &mut std::path::PathBuf| {
-            let to = folder.path().join(path.file_name().unwrap());
-            std::fs::copy(&*path, &to).unwrap();
-            *path = to;
-        };
-        let files = &mut config.calibration;
-        [&mut files.camera, &mut files.hand_eye, &mut files.table].into_iter().for_each(copy);
-        (folder, config)
-    }
-
-    fn spoil(path: &Path, from: &str, to: &str) {
-        let text = std::fs::read_to_string(path).unwrap();
-        assert!(text.contains(from), "{text}");
-        std::fs::write(path, text.replace(from, to)).unwrap();
+    fn read(text: &str) -> Result<Isometry3<f64>, String> {
+        let node = parse(text, "t.yaml").unwrap();
+        let mut decoder = Decoder::new("t.yaml");
+        let value = transform(&At::top(&node), 0.5, &mut decoder);
+        decoder.finish(value).map_err(|complaints| complaints.to_string())
     }
 
     #[test]
-    fn the_example_fits_together_and_a_mixed_set_does_not() {
-        let (_folder, config) = example();
-        CalibrationSet::read(&config).unwrap();
-        let mut moved = config.clone();
-        moved.reference_markers[0].pose.x += 1e-3;
-        assert!(CalibrationSet::read(&moved).unwrap_err().contains("other reference markers"));
-        spoil(&config.calibration.camera, "sim-d405", "sim-d406");
-        let told = CalibrationSet::read(&config).unwrap_err();
-        assert!(told.contains("hand_eye.yaml: made with camera sim-d405"), "{told}");
-        assert!(told.contains("table.yaml: made with camera sim-d405"), "{told}");
+    fn a_transform_keeps_every_digit() {
+        let pose =
+            Isometry3::new(nalgebra::Vector3::new(0.1, -0.07, 0.03), nalgebra::Vector3::new(0.1, 2.0, -0.4));
+        let back = read(&transform_out(&pose).to_yaml(1)).unwrap();
+        assert!((back.translation.vector - pose.translation.vector).norm() == 0.0);
+        assert!(back.rotation.angle_to(&pose.rotation) < 1e-15);
     }
 
     #[test]
-    fn all_files_are_judged_in_one_go() {
-        let (_folder, config) = example();
-        std::fs::remove_file(&config.calibration.camera).unwrap();
-        spoil(&config.calibration.hand_eye, "robot_serial", "robot_seral");
-        spoil(&config.calibration.table, "std_m:", "std_mm:");
-        let told = CalibrationSet::read(&config).unwrap_err();
-        for part in ["camera.yaml", "`celld calibrate` makes", "robot_seral", "std_mm"] {
-            assert!(told.contains(part), "{part} in {told}");
-        }
+    fn millimetres_and_stretched_rotations_are_refused_at_their_place() {
+        let told = read("translation_m: [0, -70, 30]\nrotation_xyzw: [0, 0, 0, 2]\n").unwrap_err();
+        assert!(
+            told.contains("t.yaml:1:16: translation_m: 76.158 m away") && told.contains("not millimetres"),
+            "{told}"
+        );
+        assert!(told.contains("t.yaml:2:16: rotation_xyzw: a quaternion of length 2.0"), "{told}");
+        let told = read("translation_m: [0, 0]\n").unwrap_err();
+        assert!(
+            told.contains("2 values, 3 are wanted") && told.contains("\"rotation_xyzw\" is missing"),
+            "{told}"
+        );
+    }
+
+    #[test]
+    fn the_kind_is_told_by_the_keys() {
+        let told = |text: &str| kind(&parse(text, "f").unwrap());
+        assert_eq!(told("version: 1\ndate: d\ntable: {}\n"), Some(Kind::Table));
+        assert_eq!(told("version: 1\ndate: d\nhand_eye: {}\n"), Some(Kind::HandEye));
+        assert_eq!(told("version: 1\ndate: d\ntable: {}\ntouches: {}\n"), Some(Kind::Table));
+        assert_eq!(told("version: 1\ndate: d\ntouches: []\n"), Some(Kind::Touches));
+        assert_eq!(told("version: 1\ndate: d\nhand_eye: {}\nsamples: []\n"), Some(Kind::HandEye));
+        assert_eq!(told("version: 1\ndate: d\nsamples: []\n"), Some(Kind::Round));
+        assert_eq!(told("version: 1\ncamera: {address: x}\n"), None);
+        assert_eq!(told("objects: []\n"), None);
     }
 }

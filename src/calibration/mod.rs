@@ -1,11 +1,12 @@
-//! Calibration of a cell: its files, what is fitted, which poses are proposed, which are visited.
+//! Calibration of a cell: where its camera sits, where its table lies, what its lens is.
 //!
-//! `files`: camera, hand-eye and table files, read, checked against each other and written. `fit`: mount and
-//! table from a round's samples. `propose`: poses inside a taught box. `visit`: what is made of the pictures
-//! of a round. `empty`: pictures of the empty table, for cameras without depth. The mathematics is
-//! `vision::calibrate`; the arm is moved by the machine (`cell::supervisor::round`).
+//! The steps in their order: `drawn` is the cell as the configuration draws it, where everything starts;
+//! `propose` finds poses inside a taught box; `visit` collects what the camera saw from each; `fit` turns the
+//! samples into camera, table and lens, with their errors; `files` keeps the results as text and tells
+//! whether they fit together. Pure: the arm is moved by the machine (`cell::supervisor::round`), files are
+//! read and written by `config` and `cli::calibrate`, and OpenCV is called by `vision::cv` alone.
 
-pub mod empty;
+pub mod drawn;
 pub mod files;
 pub mod fit;
 pub mod propose;

@@ -1,12 +1,9 @@
-//! The pictures of a calibration round as they come.
+//! What is made of the pictures of a calibration round as they come.
 //!
-//! In: what the shell shows during a round. Out: the samples in the order of the poses; whoever wants to say
-//! something about each, or to keep it, is called with it.
+//! In: one [`Stop`] after the other. Out: the samples in the order of the poses; whoever wants to say
+//! something about each, or to keep it, is called with it. Pure.
 
-use crate::daemon::heard::Shown;
-use crate::daemon::shell::{Observer, Scene};
-use crate::time::Timestamp;
-use crate::vision::calibrate::Sample;
+use crate::calibration::fit::Sample;
 use crate::vision::image::Image;
 
 /// One stop of a calibration round.
@@ -31,17 +28,14 @@ impl<'a> Samples<'a> {
         Samples { progress, samples: Vec::new() }
     }
 
+    /// Takes in the next stop.
+    pub fn add(&mut self, stop: &Stop) {
+        (self.progress)(stop);
+        self.samples.push(stop.sample.clone());
+    }
+
     /// What was collected.
     pub fn into_vec(self) -> Vec<Sample> {
         self.samples
-    }
-}
-
-impl Observer for Samples<'_> {
-    fn on(&mut self, _now: Timestamp, scene: Scene) {
-        if let Scene::Shown(Shown::Sample { pose, image, sample }) = scene {
-            (self.progress)(&Stop { pose: *pose, image, sample });
-            self.samples.push(sample.clone());
-        }
     }
 }

@@ -12,7 +12,10 @@ mod finish;
 mod take;
 pub mod touch;
 
-use crate::calibration::files::provenance;
+use crate::calibration::files::camera::CameraCalibration;
+use crate::calibration::files::hand_eye::Provenance;
+use crate::calibration::files::round::{RecordedSample, Round};
+use crate::calibration::fit::Sample;
 use crate::calibration::propose;
 use crate::calibration::visit::{Samples, Stop};
 use crate::cell::event::Arm;
@@ -22,7 +25,7 @@ use crate::cli::detect::{read_camera, read_picture};
 use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::config::setup::nominal_model;
+use crate::config::setup::{arm_model, drawn, nominal_model};
 use crate::daemon::workers::{Eyes, Sight};
 use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
@@ -30,10 +33,7 @@ use crate::io::camera::supervised::Supervised;
 use crate::io::clock::unix_now_s;
 use crate::io::files;
 use crate::jobs::utc;
-use crate::vision::calibrate::Sample;
-use crate::vision::calibration::camera::CameraCalibration;
-use crate::vision::calibration::hand_eye::Provenance;
-use crate::vision::calibration::round::{RecordedSample, Round};
+use crate::motion::kinematics::DhParameters;
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detector};
 use crate::vision::image::Image;
@@ -183,8 +183,10 @@ fn hand_eye(args: &HandEyeArgs, stop: Arc<AtomicBool>) -> u8 {
 /// Proposed poses as the text that goes into the configuration.
 fn on_paper(config: &CellConfig, count: usize) -> Result<String, String> {
     // Before a camera is waited for.
-    propose::check(config)?;
-    let proposal = propose::on_paper(config, &known_lens(config)?, count)?;
+    let drawn = drawn(config);
+    propose::check(&drawn)?;
+    let arm = arm_model(config, DhParameters::UR5E, config.base_from_table);
+    let proposal = propose::on_paper(&drawn, &known_lens(config)?, &arm, count)?;
     complain(&proposal.sentence());
     Ok(proposal.yaml())
 }
@@ -206,7 +208,7 @@ fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<At
         }
     };
     // Before the arm moves for nothing.
-    let proposing = proposed.map_or(Ok(()), |_| propose::check(&config).map_err(bad_input));
+    let proposing = proposed.map_or(Ok(()), |_| propose::check(&drawn(&config)).map_err(bad_input));
     if let Err(fault) = proposing.and_then(|()| args.tie.fitted(&config)) {
         complain(&fault.message);
         return fault.code;
@@ -275,7 +277,8 @@ async fn live(
         None => config.calibration_poses.clone(),
         Some(count) => {
             let state = shell.robot_state().ok_or("the robot does not say where it is")?;
-            let proposal = propose::from_here(config, &lens.model, &arm, state.q, count)?;
+            let arm = arm_model(config, arm.dh, config.base_from_table);
+            let proposal = propose::from_here(&drawn(config), &lens.model, &arm, state.q, count)?;
             complain(&proposal.sentence());
             complain(proposal.yaml().trim_end());
             proposal.poses
@@ -306,7 +309,12 @@ async fn live(
 }
 
 fn of_arm(lens: &CameraModel, arm: &Arm) -> Provenance {
-    provenance(&lens.serial, arm, &utc::text(unix_now_s()))
+    Provenance {
+        camera_serial: lens.serial.clone(),
+        robot_serial: arm.serial.clone(),
+        kinematics_checksum: arm.checksum.clone(),
+        date: utc::text(unix_now_s()),
+    }
 }
 
 /// The cell's camera, and the lens to work with. A camera that tells no lens needs a measured one first.
@@ -340,21 +348,8 @@ fn lens(config: &CellConfig, own: CameraModel) -> Result<CameraCalibration, Stri
         // A broken file is for its owner to mend: it would be written over in the end.
         let known = lens_file(path)?;
         if known.measured.is_some() {
-            let fits = (known.model.serial.as_str(), known.model.width, known.model.height);
-            if fits == (own.serial.as_str(), own.width, own.height) {
-                return Ok(known);
-            }
-            return Err(format!(
-                "{}: measured for camera {} at {} x {}, but this is {} at {} x {}: run `celld calibrate camera` for it, \
-                 or delete the file to work with the camera's own numbers",
-                path.display(),
-                known.model.serial,
-                known.model.width,
-                known.model.height,
-                own.serial,
-                own.width,
-                own.height
-            ));
+            known.check_camera(&path.display().to_string(), &own)?;
+            return Ok(known);
         }
     }
     let (source, date) = ("factory intrinsics".to_string(), utc::text(unix_now_s()));

@@ -5,6 +5,7 @@
 //! for. Out: one line for each complaint, with file, line and column, on stdout; exit code 2 if there is any.
 //! Nothing is changed and no daemon is needed.
 
+use crate::calibration::files;
 use crate::cli::task::outln;
 use crate::config::cell::CellConfig;
 use crate::config::load::{load_cell, load_sim, read_text};
@@ -15,7 +16,6 @@ use crate::jobs::job_file::{JobContext, read_job};
 use crate::jobs::policy::Approval;
 use crate::sim::faults::read::read_faults;
 use crate::tabletop::parse::parse_with_sound_goals;
-use crate::vision::calibration;
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 
@@ -106,7 +106,7 @@ fn check(path: &Path, with: With) -> Result<Kind, String> {
 /// The kind of file that has such top-level keys.
 pub fn kind_of(top: &Node) -> Option<Kind> {
     let has = |key: &str| top.get(key).is_some();
-    if calibration::kind(top).is_some() {
+    if files::kind(top).is_some() {
         Some(Kind::Calibration)
     } else if has("devices") || has("limits") {
         Some(Kind::Config)
@@ -152,22 +152,18 @@ fn check_as(kind: Kind, path: &Path, text: &str, source: &str, with: With) -> Re
 fn check_calibration(text: &str, source: &str) -> Result<(), String> {
     let told = |complaints: Complaints| complaints.to_string();
     let node = parse(text, source).map_err(told)?;
-    match calibration::kind(&node) {
-        Some(calibration::Kind::Camera) => {
-            calibration::camera::CameraCalibration::parse(text, source).map(drop).map_err(told)
+    match files::kind(&node) {
+        Some(files::Kind::Camera) => {
+            files::camera::CameraCalibration::parse(text, source).map(drop).map_err(told)
         }
-        Some(calibration::Kind::HandEye) => {
-            calibration::hand_eye::HandEyeCalibration::parse(text, source).map(drop).map_err(told)
+        Some(files::Kind::HandEye) => {
+            files::hand_eye::HandEyeCalibration::parse(text, source).map(drop).map_err(told)
         }
-        Some(calibration::Kind::Table) => {
-            calibration::table::TableCalibration::parse(text, source).map(drop).map_err(told)
+        Some(files::Kind::Table) => {
+            files::table::TableCalibration::parse(text, source).map(drop).map_err(told)
         }
-        Some(calibration::Kind::Touches) => {
-            calibration::touches::Touches::parse(text, source).map(drop).map_err(told)
-        }
-        Some(calibration::Kind::Round) => {
-            calibration::round::Round::parse(text, source).map(drop).map_err(told)
-        }
+        Some(files::Kind::Touches) => files::touches::Touches::parse(text, source).map(drop).map_err(told),
+        Some(files::Kind::Round) => files::round::Round::parse(text, source).map(drop).map_err(told),
         None => Err(format!(
             "{source}:1:1: no calibration file has these keys; it has `version`, `date` and one of `camera`, `hand_eye`, `table`, `touches`, `samples`"
         )),

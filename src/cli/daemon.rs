@@ -4,13 +4,14 @@
 //! configuration or calibration files are exit 2, before any device is touched; a second daemon on one state
 //! folder is 1.
 
-use crate::calibration::empty::compare_with_empty;
-use crate::calibration::files::CalibrationSet;
+use crate::calibration::files::set::CalibrationSet;
 use crate::cell::device::robot_types::RobotParameters;
 use crate::cell::machine::MachineParameters;
 use crate::cli::recorder::Recorder;
 use crate::cli::task::complain;
+use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::{CellConfig, RecordingConfig};
+use crate::config::empty::compare_with_empty;
 use crate::config::load::load_cell;
 use crate::config::setup::{cell_model, cell_objects, gripper_parameters, scene};
 use crate::daemon::cameras;
@@ -52,7 +53,7 @@ const RTDE_HZ: f64 = 125.0;
 /// Runs the daemon until Ctrl-C or SIGTERM; returns the exit code.
 pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
     let read = load_cell(&args.config).map_err(|error| error.to_string()).and_then(|config| {
-        let calibration = CalibrationSet::read(&config)?;
+        let calibration = read_calibration(&config)?;
         refuse_recorded_camera(&config)?;
         cell_objects(&config).map_err(|error| error.to_string())?;
         Ok((config, calibration))
@@ -174,8 +175,7 @@ async fn daemon(
     }
     let stopped = || stop.load(Ordering::Relaxed);
     let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;
-    calibration.check_arm(&config, &arm)?;
-    let measured = calibration.measured(&arm);
+    let measured = measured(&config, &calibration, &arm)?;
     let model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     let camera = cameras::open_when_there(&config.devices, &measured.camera);
     let (camera, away) = camera.map_err(|error| chain(&error))?;

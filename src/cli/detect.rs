@@ -7,11 +7,11 @@
 
 mod table;
 
+use crate::calibration::files::camera::CameraCalibration;
 use crate::document::chain::chain;
 use crate::io::files;
 use crate::units::{deg_from_rad, mm_from_m};
 use crate::vision::annotate;
-use crate::vision::calibration::camera::CameraCalibration;
 use crate::vision::camera::CameraModel;
 use crate::vision::cv;
 use crate::vision::detect::{DetectSettings, Detection, Detector, Family};

@@ -5,7 +5,8 @@
 //! [`CalibrationBox`], or `None` with a complaint kept. Only what the printed board's maker (`celld markers`)
 //! decides by itself has a default.
 
-use crate::config::cell::{CalibrationFiles, CameraMount};
+use crate::calibration::drawn::CameraMount;
+use crate::config::cell::CalibrationFiles;
 use crate::config::check::Places;
 use crate::config::fields::{joints_deg, list, optional, path, required_number, transform};
 use crate::config::parts::CellParts;

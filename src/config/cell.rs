@@ -5,6 +5,7 @@
 //! No field that is measured, and no speed or acceleration, has a `Default`: a cell that nobody measured
 //! must not start.
 
+use crate::calibration::drawn::CameraMount;
 use crate::cell::supervisor::model::ForeignRule;
 pub use crate::config::camera::CameraDevice;
 use crate::geometry::pose::Pose2;
@@ -13,7 +14,6 @@ use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::slow::CalibrationBox;
 use crate::tabletop::instance::{KeepOut, ObjectSpec};
 use crate::units::{ATMOSPHERE_PA, Joints};
-use crate::vision::board::Board;
 use crate::vision::image::quality::PictureLimits;
 use crate::vision::observe::ObserveLimits;
 use nalgebra::Isometry3;
@@ -186,27 +186,6 @@ impl GripperConfig {
         let area_m2 = |cup: &CupConfig| std::f64::consts::PI * cup.diameter_m * cup.diameter_m / 4.0;
         self.vacuum_min * ATMOSPHERE_PA * cups.iter().map(area_m2).sum::<f64>()
     }
-}
-
-/// Where the camera sits, nominally; the calibration files hold the measured transforms.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum CameraMount {
-    /// On the wrist.
-    Flange {
-        /// Nominal mount.
-        flange_from_camera: Isometry3<f64>,
-    },
-    /// Over the table; the look poses keep the arm out of its picture.
-    Fixed {
-        /// Nominal mount.
-        base_from_camera: Isometry3<f64>,
-        /// What the hand carries before it to calibrate it.
-        board: Board,
-        /// The board's frame (lower left corner of its lower left square, x along the lower edge, z out of
-        /// the print) in the flange frame, m, within 2 cm and 10 degrees: for poses to be proposed by.
-        /// Calibration finds it by itself.
-        flange_from_board: Option<Isometry3<f64>>,
-    },
 }
 
 /// Paths of the calibration files, absolute.

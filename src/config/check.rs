@@ -4,9 +4,10 @@
 //! takes the parts it needs and is left out when one of them is missing, so that one wrong key hides no other
 //! fault. Pure.
 
+use crate::calibration::drawn::CameraMount;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration::check_board;
-use crate::config::cell::{CameraMount, CupConfig, Devices, GripperConfig, MotionLimits};
+use crate::config::cell::{CupConfig, Devices, GripperConfig, MotionLimits};
 use crate::config::parts::CellParts;
 use crate::document::Location;
 use crate::document::decode::Decoder;

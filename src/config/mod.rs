@@ -1,9 +1,11 @@
 //! Checked configuration of the cell and of the simulator.
 
+pub mod calibrated;
 mod calibration;
 pub mod camera;
 pub mod cell;
 pub mod check;
+pub mod empty;
 mod fields;
 pub mod load;
 mod parts;

@@ -3,10 +3,11 @@
 //! In: what the decoders of `read_cell` found. Out: [`CellConfig`] when nothing is missing. The checks across
 //! parts run on this, so that a wrong unit in one place does not hide a marker used twice in another. Pure.
 
+use crate::calibration::drawn::CameraMount;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::config::cell::{
-    CalibrationFiles, CameraMount, CellConfig, Devices, GripperConfig, MotionLimits, PlannerConfig,
-    RecordingConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
+    CalibrationFiles, CellConfig, Devices, GripperConfig, MotionLimits, PlannerConfig, RecordingConfig,
+    ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
 };
 use crate::jobs::policy::Approval;
 use crate::motion::slow::CalibrationBox;

@@ -3,12 +3,14 @@
 //! In: a checked [`CellConfig`], what calibration found, the kinematics the controller reported. Out: plain
 //! structs; no other part of the daemon reads the configuration. Pure.
 
+use crate::calibration::drawn::{CameraMount, Drawn};
+use crate::calibration::files::hand_eye::Mount;
 use crate::cell::device::gripper::{Channels, GripperParameters};
 use crate::cell::event::Arm;
 use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
-use crate::config::cell::{CameraMount, CellConfig, CupChannel};
+use crate::config::cell::{CellConfig, CupChannel};
 use crate::config::check::needed_force_n;
 use crate::geometry::pose::Pose2;
 use crate::motion::kinematics::DhParameters;
@@ -18,7 +20,6 @@ use crate::perception::Scene;
 use crate::tabletop::instance::{ObjectSpec, Workspace};
 use crate::tabletop::room::{Cup, Grip, place_for_cups};
 use crate::time::Duration;
-use crate::vision::calibration::hand_eye::Mount;
 use crate::vision::camera::CameraModel;
 use crate::vision::foreign::search::{ForeignSearch, Inventory};
 use crate::vision::foreign::{Area, ForeignLimits, HeightMapError, KnownBody, OwnBody};
@@ -278,6 +279,17 @@ pub fn reference_markers(config: &CellConfig) -> Vec<ReferenceMarker> {
         pose: m.pose,
     };
     config.reference_markers.iter().map(marker).collect()
+}
+
+/// Where a calibration starts, and what poses are proposed for.
+pub fn drawn(config: &CellConfig) -> Drawn {
+    Drawn {
+        camera: config.camera,
+        base_from_table: config.base_from_table,
+        reference: reference_markers(config),
+        table_m: [config.workspace.width_m, config.workspace.height_m],
+        room: config.calibration_box,
+    }
 }
 
 /// What perception looks for.

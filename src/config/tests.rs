@@ -1,6 +1,7 @@
 //! The example files are sound, and every kind of mistake is told with its place.
 
-use crate::config::cell::{CameraMount, CellConfig, CupChannel};
+use crate::calibration::drawn::CameraMount;
+use crate::config::cell::{CellConfig, CupChannel};
 use crate::config::read_cell::{CELL_KEYS, read_cell};
 use crate::config::read_sim::{DEFAULT_ERRORS, SIM_KEYS, read_sim};
 use crate::document::Complaints;

@@ -4,7 +4,7 @@
 
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
-use crate::vision::calibrate::Sample;
+use crate::calibration::fit::Sample;
 use crate::vision::image::Image;
 use crate::vision::observe::{Observation, View};
 use tokio::net::TcpStream;

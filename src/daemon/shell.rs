@@ -7,6 +7,7 @@
 //! `celld demo` and `celld calibrate` are composed from the same calls: [`Shell::open`], [`Shell::identify`],
 //! [`Shell::commission`], [`Shell::round`], [`Shell::run`].
 
+use crate::calibration::visit::{Samples, Stop};
 use crate::cell::device::robot_types::RobotState;
 use crate::cell::event::{Arm, Effect, Event, News};
 use crate::cell::machine::{Machine, MachineParameters};
@@ -49,6 +50,14 @@ pub enum Scene<'a> {
 pub trait Observer {
     /// One thing at the cell's time `now`.
     fn on(&mut self, now: Timestamp, scene: Scene);
+}
+
+impl Observer for Samples<'_> {
+    fn on(&mut self, _now: Timestamp, scene: Scene) {
+        if let Scene::Shown(Shown::Sample { pose, image, sample }) = scene {
+            self.add(&Stop { pose: *pose, image, sample });
+        }
+    }
 }
 
 /// Why the arm did not become known, or a round did not begin.

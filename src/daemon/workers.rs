@@ -4,6 +4,7 @@
 //! them. Workers run at a lower priority than the loop that keeps the robot's heartbeat, and planning has a
 //! stop flag that the loop raises.
 
+use crate::calibration::fit::Sample;
 use crate::cell::code::Code;
 use crate::cell::event::Event;
 use crate::cell::planner::answer;
@@ -16,7 +17,6 @@ use crate::io::clock::Clock;
 use crate::io::{files, priority};
 use crate::perception::doubts::{self, SHOTS_MAX, Shot};
 use crate::perception::{Perception, PerceptionError, Picture};
-use crate::vision::calibrate::Sample;
 use crate::vision::detect::Detector;
 use crate::vision::observe::{Observation, View};
 use nalgebra::Isometry3;

@@ -6,6 +6,7 @@
 //! and a hundredth of a degree; the lens is the camera's own word. This is the one place of the loop that
 //! reads the truth before the end.
 
+use crate::calibration::files::hand_eye::Mount;
 use crate::cell::machine::MachineParameters;
 use crate::cell::supervisor::model::CellModel;
 use crate::config::cell::CellConfig;
@@ -16,7 +17,6 @@ use crate::sim::camera::CameraSetup;
 use crate::sim::cell::SimConfig;
 use crate::sim::controller::ControllerConfig;
 use crate::sim::world::spec::{CameraMount, WorldSpec};
-use crate::vision::calibration::hand_eye::Mount;
 use crate::vision::camera::CameraModel;
 use nalgebra::{Isometry3, Vector3};
 use rand::{RngExt, SeedableRng};

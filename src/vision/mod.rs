@@ -1,15 +1,12 @@
-//! Images, marker detection, object poses with their uncertainty, calibration mathematics.
+//! Images, marker detection, object poses with their uncertainty, things without a marker.
 //!
 //! The path of a picture: `image` (pixels) -> `detect` (marker corners; `refine` makes them exact) ->
 //! `observe` (what lies where, how sure). `camera` is the lens as numbers, `cv` what we let OpenCV compute
-//! with them, `calibrate` where camera and table are, `calibration` the files that keep it, `foreign` what
-//! carries no marker, `annotate` the picture for people, `marker` the print itself. Pure; OpenCV is called in
-//! `cv` alone and the AprilTag library in `detect` alone.
+//! with them, `foreign` what carries no marker, `annotate` the picture for people, `marker` the print itself.
+//! Pure; OpenCV is called in `cv` alone and the AprilTag library in `detect` alone.
 
 pub mod annotate;
 pub mod board;
-pub mod calibrate;
-pub mod calibration;
 pub mod camera;
 pub mod cv;
 pub mod detect;

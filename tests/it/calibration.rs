@@ -5,6 +5,9 @@
 use crate::cell::{
     CELLD, LOG, celld, configuration, copy_calibration, result_of, start_daemon, text, wait_until,
 };
+use celld::calibration::files::hand_eye::{HandEyeCalibration, Mount};
+use celld::calibration::files::round::Round;
+use celld::calibration::files::table::TableCalibration;
 use celld::cli::sim::sim_config;
 use celld::config::load::{load_cell, load_sim};
 use celld::config::setup::arm_model;
@@ -14,9 +17,6 @@ use celld::sim::robot_server::RobotPorts;
 use celld::sim::world::lock;
 use celld::sim::world::spec::CameraMount;
 use celld::units::Joints;
-use celld::vision::calibration::hand_eye::{HandEyeCalibration, Mount};
-use celld::vision::calibration::round::Round;
-use celld::vision::calibration::table::TableCalibration;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};

@@ -9,10 +9,9 @@
 use crate::bench::vision::render::{Lens, Print};
 use crate::bench::vision::scene::{bench_camera, looking_down};
 use crate::bench::vision::tally::quantile;
+use crate::calibration::fit::hand_eye::solve_hand_eye;
+use crate::calibration::fit::{CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample};
 use crate::geometry::pose::Pose2;
-use crate::vision::calibrate::{
-    CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample, solve_hand_eye,
-};
 use crate::vision::detect::{Detection, Family};
 use crate::vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Vector3};

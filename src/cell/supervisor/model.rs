@@ -3,6 +3,7 @@
 //! In: checked configuration, calibration, and the kinematics that the controller reported. Out: plain data.
 //! Lengths in m, angles in rad, masses in kg.
 
+use crate::calibration::files::hand_eye::Mount;
 use crate::cell::device::gripper::Channels;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
@@ -11,7 +12,6 @@ use crate::motion::pick_n_place::CycleParameters;
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::Duration;
 use crate::units::Joints;
-use crate::vision::calibration::hand_eye::Mount;
 use crate::vision::observe::reference::DriftLimits;
 use nalgebra::{Isometry3, Vector3};
 

@@ -1,5 +1,6 @@
 //! What the machine must never do, played through with made-up devices.
 
+use crate::calibration::files::hand_eye::Mount;
 use crate::cell::code::Code;
 use crate::cell::device::gripper::{Channels, GripperCommand};
 use crate::cell::device::registers::ProgramStatus;
@@ -21,7 +22,6 @@ use crate::planning::solver::SolverKind;
 use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use crate::time::{Duration, Timestamp};
 use crate::units::Joints;
-use crate::vision::calibration::hand_eye::Mount;
 use crate::vision::foreign::{ForeignObject, ForeignReport, Hole};
 use crate::vision::observe::reference::{DriftLimits, LookShift, ReferenceCheck, ReferenceError};
 use crate::vision::observe::{ObjectEstimate, Observation};

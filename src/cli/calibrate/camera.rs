@@ -4,6 +4,8 @@
 //! `camera.yaml` with the error of every picture, and the same on stderr. Exit codes: 0 written, 1 the
 //! pictures do not determine the lens, 2 bad input.
 
+use crate::calibration::files::camera::CameraCalibration;
+use crate::calibration::fit::lens::{BoardView, LensSettings, LensSolution, solve_lens};
 use crate::cli::calibrate::take::take;
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::daemon::open_camera;
@@ -17,8 +19,6 @@ use crate::io::clock::unix_now_s;
 use crate::io::files;
 use crate::jobs::utc;
 use crate::vision::board::Board;
-use crate::vision::calibrate::lens::{BoardView, LensSettings, LensSolution, solve_lens};
-use crate::vision::calibration::camera::CameraCalibration;
 use crate::vision::detect::{DetectSettings, Detector, Family};
 use crate::vision::image::Image;
 use std::path::{Path, PathBuf};

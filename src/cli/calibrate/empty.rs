@@ -4,6 +4,7 @@
 //! folder that the configuration names under `calibration: {empty: ...}`. Nothing is solved: the daemon
 //! compares its looks with these pictures.
 
+use crate::calibration::fit::Sample;
 use crate::cli::calibrate::{SAMPLES, live};
 use crate::cli::daemon::with_runtime;
 use crate::cli::task::complain;
@@ -12,7 +13,6 @@ use crate::config::load::load_cell;
 use crate::document::chain::chain;
 use crate::io::files;
 use crate::tabletop::instance::ObjectSpec;
-use crate::vision::calibrate::Sample;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

@@ -4,13 +4,13 @@
 //! In: a camera, the board, a person who moves it. Out: numbered pictures in a folder. A picture in which
 //! nothing can be measured is told and not kept, so that nobody finds out after the last one.
 
+use crate::calibration::fit::lens::{BoardView, LensSettings, uncovered};
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::task::complain;
 use crate::document::chain::chain;
 use crate::io::camera::{CameraSource, FaultKind};
 use crate::io::files;
 use crate::vision::board::Board;
-use crate::vision::calibrate::lens::{BoardView, LensSettings, uncovered};
 use crate::vision::detect::{DetectSettings, Detector};
 use std::path::Path;
 

@@ -5,7 +5,8 @@ use super::*;
 use crate::bench::vision::calibrated::{bench_board, board_picture};
 use crate::bench::vision::render::Lens;
 use crate::bench::vision::scene::bench_camera;
-use crate::calibration::files::CalibrationSet;
+use crate::calibration::files::set::CalibrationSet;
+use crate::config::calibrated::read_calibration;
 use crate::config::setup::reference_markers;
 use camera::{CameraArgs, calibrate};
 use nalgebra::Isometry3;
@@ -103,7 +104,7 @@ fn record(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::bench::vision::render::{Ground, Print, render};
     use crate::bench::vision::scene::{DEGRADE, looking_down};
     use crate::vision::detect::Family;
-    let set = CalibrationSet::read(config).unwrap();
+    let set = read_calibration(config).unwrap();
     let [mount, table] = [flange_from_camera(&set), set.table.base_from_table];
     let mut random = ChaCha8Rng::seed_from_u64(2);
     let lens = Lens::new(set.camera.model.clone(), &mut random);
@@ -144,13 +145,13 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
         recorded(&config, args).and_then(|taken| finish(&config, taken, args, wanted))
     };
     solve(&args, Wanted::MountAndTable).unwrap();
-    let found = CalibrationSet::read(&config).unwrap();
+    let found = read_calibration(&config).unwrap();
     let off = flange_from_camera(&found).inverse() * mount;
     assert!(off.translation.vector.norm() < 5e-4 && off.rotation.angle() < 1.7e-3, "{off}");
     assert!((found.table.base_from_table.inverse() * table).translation.vector.norm() < 5e-4);
     assert_eq!(found.hand_eye.samples.len(), 9, "one was dropped");
     solve(&args, Wanted::Table).unwrap();
-    let kept = CalibrationSet::read(&config).unwrap();
+    let kept = read_calibration(&config).unwrap();
     assert_eq!(kept.hand_eye, found.hand_eye, "the mount is kept");
     let told = |args: &RoundArgs| solve(args, Wanted::MountAndTable).unwrap_err();
     assert!(told(&RoundArgs { drop: vec![40], ..args.clone() }).message.contains("samples 1 to 10"));
@@ -176,15 +177,15 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
 fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::bench::vision::render::{Ground, Print, render};
     use crate::bench::vision::scene::DEGRADE;
-    use crate::config::cell::CameraMount;
-    use crate::vision::calibrate::fixed::board_markers;
+    use crate::calibration::drawn::CameraMount;
+    use crate::calibration::fit::fixed::board_markers;
     use crate::vision::detect::Family;
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
     let CameraMount::Fixed { base_from_camera, board, .. } = config.camera else { panic!("fixed") };
     let text = std::fs::read_to_string(&config.calibration.camera).unwrap();
     let camera = CameraCalibration::parse(&text, "camera.yaml").unwrap();
     let text = std::fs::read_to_string(&config.calibration.table).unwrap();
-    let flat = crate::vision::calibration::table::TableCalibration::parse(&text, "table.yaml").unwrap();
+    let flat = crate::calibration::files::table::TableCalibration::parse(&text, "table.yaml").unwrap();
     let (table, provenance) = (flat.base_from_table, flat.provenance);
     let base_from_camera =
         base_from_camera * Isometry3::new(Vector3::new(0.004, -0.006, 0.01), Vector3::new(0.02, -0.01, 0.03));
@@ -225,7 +226,7 @@ fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
 
 #[test]
 fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
-    use crate::config::cell::CameraMount;
+    use crate::calibration::drawn::CameraMount;
     use crate::vision::board::Board;
     use crate::vision::detect::Family;
     let folder = tempfile::tempdir().unwrap();
@@ -238,7 +239,7 @@ fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
         flange_from_board: None,
     };
     assert!(
-        CalibrationSet::read(&config).unwrap_err().contains("made with mount flange, now it is fixed"),
+        read_calibration(&config).unwrap_err().contains("made with mount flange, now it is fixed"),
         "the files of the camera on the hand are not this one's"
     );
     let round = folder.path().join("round");
@@ -249,7 +250,7 @@ fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
     let told = solve(&args_of(&round, vec![]), Wanted::Table).unwrap_err();
     assert!(told.message.contains("made with `mount: flange`"), "{told:?}");
     solve(&args_of(&round, vec![3]), Wanted::MountAndTable).unwrap();
-    let found = CalibrationSet::read(&config).unwrap();
+    let found = read_calibration(&config).unwrap();
     let text = std::fs::read_to_string(&config.calibration.hand_eye).unwrap();
     assert!(text.contains("mount: fixed") && text.contains("base_from_camera"), "{text}");
     let anywhere = Isometry3::translation(1.0, 2.0, 3.0);
@@ -260,7 +261,7 @@ fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
     assert!(off.translation.vector.norm() < 1e-3 && off.rotation.angle() < 2e-3, "{off}");
     assert_eq!(found.hand_eye.samples.len(), 11, "one was dropped");
     solve(&args_of(&round, vec![]), Wanted::Table).unwrap();
-    let kept = CalibrationSet::read(&config).unwrap();
+    let kept = read_calibration(&config).unwrap();
     assert_eq!(kept.hand_eye, found.hand_eye, "the camera's place is kept");
     // The board is not there, or another one.
     if let CameraMount::Fixed { board, .. } = &mut config.camera {
@@ -274,12 +275,12 @@ fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
 
 #[test]
 fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
-    use crate::vision::calibration::touches::{Place, RecordedTouch, Spot, Target, Touches};
+    use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
     let folder = tempfile::tempdir().unwrap();
     let config = cell(folder.path());
     let round = folder.path().join("round");
     let [_, table] = record(&config, &round);
-    let provenance = CalibrationSet::read(&config).unwrap().hand_eye.provenance;
+    let provenance = read_calibration(&config).unwrap().hand_eye.provenance;
     let survey = reference_markers(&config);
     let touch = |id: u32, at: Spot, off_m: f64| {
         let target = Target::Marker { id, at };
@@ -317,7 +318,7 @@ fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
     assert!(told.unwrap_err().message.contains("touches 1 to 5"));
     assert_eq!(std::fs::read_to_string(&config.calibration.table).unwrap(), before, "nothing was written");
     solve(&args).unwrap();
-    let found = CalibrationSet::read(&config).unwrap();
+    let found = read_calibration(&config).unwrap();
     assert_eq!(found.table.touches.unwrap().residuals_m.len(), 4);
     assert!((found.table.base_from_table.inverse() * table).translation.vector.norm() < 5e-4);
     std::fs::write(&path, touches.to_yaml().replace("robot_serial: ", "robot_serial: other")).unwrap();
@@ -326,12 +327,12 @@ fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
 
 #[test]
 fn touches_that_cannot_place_the_table_are_told_before_anything_moves() {
-    use crate::vision::calibration::touches::{Place, RecordedTouch, Spot, Target, Touches};
+    use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
     let folder = tempfile::tempdir().unwrap();
     let config = cell(folder.path());
     let survey = reference_markers(&config);
     let path = folder.path().join("touches.yaml");
-    let provenance = CalibrationSet::read(&config).unwrap().hand_eye.provenance;
+    let provenance = read_calibration(&config).unwrap().hand_eye.provenance;
     let write = |touched: &[(u32, f64)]| {
         let touch = |&(id, off_m): &(u32, f64)| {
             let target = Target::Marker { id, at: Spot::Centre };

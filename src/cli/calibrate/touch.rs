@@ -5,6 +5,10 @@
 //! error by touch alone. `tied` later holds the file against the table that the camera sees; a disagreement
 //! above the limits is an error, and nothing is written.
 
+use crate::calibration::files::hand_eye::Provenance;
+use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
+use crate::calibration::fit::HandEye;
+use crate::calibration::fit::touch::{Tie, TieLimits, TouchFit, TouchSettings, fit_touches, tie};
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::daemon::{open_shell, with_runtime};
 use crate::cli::task::complain;
@@ -18,10 +22,6 @@ use crate::io::files;
 use crate::jobs::utc;
 use crate::motion::kinematics::{DhParameters, forward};
 use crate::units::{deg_from_rad, mm_from_m, rad_from_deg};
-use crate::vision::calibrate::HandEye;
-use crate::vision::calibrate::touch::{Tie, TieLimits, TouchFit, TouchSettings, fit_touches, tie};
-use crate::vision::calibration::hand_eye::Provenance;
-use crate::vision::calibration::touches::{Place, RecordedTouch, Spot, Target, Touches};
 use clap::Args;
 use nalgebra::{Isometry3, Point3};
 use std::path::{Path, PathBuf};
@@ -261,14 +261,7 @@ impl Fitted {
     /// # Errors
     /// It is another one, or its kinematics were measured anew.
     pub(super) fn check_robot(&self, taken: &Provenance) -> Result<(), Fault> {
-        let Touches { robot_serial, kinematics_checksum, .. } = &self.touches;
-        if (robot_serial, kinematics_checksum) == (&taken.robot_serial, &taken.kinematics_checksum) {
-            return Ok(());
-        }
-        Err(bad_input(format!(
-            "{}: touched with robot {robot_serial} (kinematics {kinematics_checksum}), but the pictures are of {} ({})",
-            self.name, taken.robot_serial, taken.kinematics_checksum
-        )))
+        self.touches.check_robot(&self.name, taken).map_err(bad_input)
     }
 }
 

@@ -4,14 +4,15 @@
 //! In: an instance whose objects fit the cell, addresses, a seed. Out: a [`CellConfig`] with nominal values
 //! and a [`SimFile`] whose truth deviates from them by the seed. Nothing measured passes between the two.
 
+use crate::calibration::drawn::CameraMount;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::cli::demo::teach::{
     BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
 };
 use crate::cli::sim::{FOCAL_PX, PICTURE};
 use crate::config::cell::{
-    CalibrationFiles, CameraDevice, CameraMount, CellConfig, CupChannel, CupConfig, Devices, GripperConfig,
-    MotionLimits, PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
+    CalibrationFiles, CameraDevice, CellConfig, CupChannel, CupConfig, Devices, GripperConfig, MotionLimits,
+    PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
 };
 use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::config::read_sim::DEFAULT_ERRORS;

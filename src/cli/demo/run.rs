@@ -3,8 +3,10 @@
 //! In: an instance that fits the cell. Out: [`DemoOutcome`]; files are written by `output`. Calibration comes
 //! first, as in a real cell: the daemon's nominal numbers are off by millimetres.
 
-use crate::calibration::fit::solve;
-use crate::calibration::visit::Samples;
+use crate::calibration::files::hand_eye::Mount;
+use crate::calibration::fit::HandEye;
+use crate::calibration::fit::solve::on_the_flange;
+use crate::calibration::visit::{Samples, Stop};
 use crate::cell::orders::Reply;
 use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::order::{ApprovalRule, JobOrder};
@@ -16,7 +18,7 @@ use crate::cli::demo::watch::Watch;
 use crate::cli::recorder::Recorder;
 use crate::cli::sim::sim_config;
 use crate::config::cell::{CameraDevice, CellConfig, Devices};
-use crate::config::setup::{Measured, cell_model, nominal_model, scene};
+use crate::config::setup::{Measured, cell_model, drawn, nominal_model, scene};
 use crate::daemon::cameras::open_camera;
 use crate::daemon::keeper::objective_of;
 use crate::daemon::shell::Shell;
@@ -36,8 +38,6 @@ use crate::sim::robot_server::RobotPorts;
 use crate::sim::world::lock;
 use crate::tabletop::instance::Instance;
 use crate::time::{Duration, Timestamp};
-use crate::vision::calibrate::HandEye;
-use crate::vision::calibration::hand_eye::Mount;
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detector};
 use std::path::Path;
@@ -164,11 +164,12 @@ async fn calibrate(
     });
     shell.commission(nominal_model(config, &arm, &lens), false);
     let round = RoundOrder { poses: config.calibration_poses.clone(), room: config.calibration_box };
-    let progress: &dyn Fn(&crate::calibration::visit::Stop) =
+    let progress: &dyn Fn(&Stop) =
         &|stop| eprintln!("  pose {}: {} markers", stop.pose, stop.sample.detections.len());
     let mut samples = Samples::new(progress);
     shell.round(round, &mut samples, &stopped).await.map_err(|error| chain(&error))?;
-    let calibration = solve(config, &lens, &samples.into_vec(), None).map_err(|error| chain(&error))?;
+    let calibration = on_the_flange(&drawn(config), &lens, &samples.into_vec(), None);
+    let calibration = calibration.map_err(|error| chain(&error))?;
     eprintln!(
         "calibrated: {:.2} px, {:.2} mm held out",
         calibration.reprojection_px_rms,

@@ -5,9 +5,10 @@
 //! Out: sentences, JSON and outlines to draw. Where the picture was taken is told by the reference markers in
 //! it.
 
+use crate::calibration::drawn::CameraMount;
 use crate::cli::capture::{perception, told};
 use crate::cli::detect::{read_bytes, read_camera};
-use crate::config::cell::{CameraMount, CellConfig};
+use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::config::setup::{inventory, reference_markers};
 use crate::document::chain::chain;

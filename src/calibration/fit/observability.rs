@@ -6,9 +6,9 @@
 //! place along the common axis cannot be told from the table's, and OpenCV's solvers return a number all the
 //! same.
 
+use crate::calibration::fit::problem::{Fit, Problem};
+use crate::calibration::fit::{CalibrateError, HandEyeSettings};
 use crate::units::mm_from_m;
-use crate::vision::calibrate::problem::{Fit, Problem};
-use crate::vision::calibrate::{CalibrateError, HandEyeSettings};
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector3};
 
 /// Lever by which a rotation error counts as a distance, m: about the distance to the table.

@@ -5,8 +5,8 @@
 //! alone would be too proud of itself: all corners of a sample share the arm's error, which only leaving
 //! whole samples out brings to light.
 
-use crate::vision::calibrate::problem::{Fit, Problem, Stop};
-use crate::vision::calibrate::{HandEye, HandEyeGuess, HandEyeSettings, SampleResidual, TransformStd};
+use crate::calibration::fit::problem::{Fit, Problem, Stop};
+use crate::calibration::fit::{HandEye, HandEyeGuess, HandEyeSettings, SampleResidual, TransformStd};
 use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
 
 /// Everything a person needs to believe or doubt the fit.

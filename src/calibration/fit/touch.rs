@@ -6,8 +6,8 @@
 //! compares with the table that the camera sees and weighs the two by their covariances. Touching knows
 //! nothing of lens and mount, so the two can only agree when both are right. Pure.
 
+use crate::calibration::fit::TransformStd;
 use crate::units::{deg_from_rad, mm_from_m};
-use crate::vision::calibrate::TransformStd;
 use crate::vision::observe::square::cross;
 use nalgebra::{
     Isometry3, Matrix3, Matrix3x6, Matrix6, Point3, Rotation3, SymmetricEigen, Translation3, UnitQuaternion,

@@ -3,11 +3,11 @@
 //! In: text. Out: [`CameraCalibration`], or complaints with line and column; and the text of a new file. The
 //! serial number decides whose calibration it is: the daemon refuses a camera with another one. Pure.
 
+use crate::calibration::files;
+use crate::calibration::fit::lens::{LensSample, LensSolution};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::write::Out;
 use crate::document::{Complaints, parse};
-use crate::vision::calibrate::lens::{LensSample, LensSolution};
-use crate::vision::calibration;
 use crate::vision::camera::CameraModel;
 
 /// A camera's numbers and where they come from.
@@ -59,6 +59,25 @@ impl CameraCalibration {
         }
     }
 
+    /// That these numbers are of the camera that tells `own` about itself, at its picture size; `name` is the
+    /// file's.
+    ///
+    /// # Errors
+    /// A sentence that says how they differ.
+    pub fn check_camera(&self, name: &str, own: &CameraModel) -> Result<(), String> {
+        let known = &self.model;
+        let same = (known.serial.as_str(), known.width, known.height)
+            == (own.serial.as_str(), own.width, own.height);
+        if same {
+            return Ok(());
+        }
+        Err(format!(
+            "{name}: measured for camera {} at {} x {}, but this is {} at {} x {}: run `celld calibrate camera` for it, \
+             or delete the file to work with the camera's own numbers",
+            known.serial, known.width, known.height, own.serial, own.width, own.height
+        ))
+    }
+
     /// Reads the text of a file; `name` is for the complaints.
     ///
     /// # Errors
@@ -74,7 +93,7 @@ impl CameraCalibration {
     pub fn to_yaml(&self) -> String {
         let model = &self.model;
         let mut pairs = vec![
-            ("version", Out::Integer(calibration::VERSION)),
+            ("version", Out::Integer(files::VERSION)),
             (
                 "camera",
                 Out::map(vec![
@@ -89,12 +108,12 @@ impl CameraCalibration {
             ("source", Out::Text(self.source.clone())),
             ("date", Out::Text(self.date.clone())),
         ];
-        calibration::push_number(&mut pairs, "reprojection_px", self.reprojection_px);
+        files::push_number(&mut pairs, "reprojection_px", self.reprojection_px);
         if let Some(measured) = &self.measured {
             pairs.push((
                 "residuals",
                 Out::map(vec![
-                    ("held_out_px", calibration::finite(measured.held_out_px)),
+                    ("held_out_px", files::finite(measured.held_out_px)),
                     ("std_px", Out::numbers(&measured.std_px)),
                 ]),
             ));
@@ -108,13 +127,12 @@ impl CameraCalibration {
 fn decode(top: &At, decoder: &mut Decoder) -> Option<CameraCalibration> {
     let known = ["version", "camera", "source", "date", "reprojection_px", "residuals", "samples"];
     let fields = decoder.map(top, &known)?;
-    let version = calibration::check_version(&fields, decoder);
+    let version = files::check_version(&fields, decoder);
     let camera = fields.required("camera", decoder);
     let model = camera.and_then(|at| model(&at, decoder));
-    let source = calibration::short_text(&fields, "source", decoder);
-    let date = calibration::short_text(&fields, "date", decoder);
-    let reprojection_px =
-        calibration::optional_size(&fields, "reprojection_px", calibration::FIT_PX, decoder);
+    let source = files::short_text(&fields, "source", decoder);
+    let date = files::short_text(&fields, "date", decoder);
+    let reprojection_px = files::optional_size(&fields, "reprojection_px", files::FIT_PX, decoder);
     let measured = match fields.optional("residuals") {
         Some(at) => measured(&at, &fields, decoder).map(Some),
         None => Some(None),
@@ -126,7 +144,7 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<CameraCalibration> {
 
 fn measured(at: &At, top: &Fields, decoder: &mut Decoder) -> Option<Measured> {
     let fields = decoder.map(at, &["held_out_px", "std_px"])?;
-    let held_out_px = calibration::size(&fields, "held_out_px", calibration::FIT_PX, decoder);
+    let held_out_px = files::size(&fields, "held_out_px", files::FIT_PX, decoder);
     let std_px = fields.required("std_px", decoder).and_then(|at| decoder.numbers::<4>(&at));
     let items = top.required("samples", decoder).and_then(|at| decoder.sequence(&at));
     let samples: Vec<_> = items?.iter().map(|item| sample(item, decoder)).collect();
@@ -139,13 +157,13 @@ fn measured(at: &At, top: &Fields, decoder: &mut Decoder) -> Option<Measured> {
 
 fn sample(at: &At, decoder: &mut Decoder) -> Option<LensSample> {
     let fields = decoder.map(at, &["name", "corners", "residual_px", "held_out_px", "rejected"])?;
-    let name = calibration::short_text(&fields, "name", decoder);
+    let name = files::short_text(&fields, "name", decoder);
     let corners = fields.required("corners", decoder).and_then(|at| decoder.integer(&at, 0..=1_000_000));
     let rejected = fields.required("rejected", decoder).and_then(|at| decoder.boolean(&at));
-    let most = calibration::SAMPLE_PX;
-    let most = if rejected == Some(false) { most } else { calibration::unlimited(most) };
-    let residual_px = calibration::size(&fields, "residual_px", most, decoder);
-    let held_out_px = calibration::optional_size(&fields, "held_out_px", most, decoder);
+    let most = files::SAMPLE_PX;
+    let most = if rejected == Some(false) { most } else { files::unlimited(most) };
+    let residual_px = files::size(&fields, "residual_px", most, decoder);
+    let held_out_px = files::optional_size(&fields, "held_out_px", most, decoder);
     Some(LensSample {
         name: name?,
         corners: usize::try_from(corners?).ok()?,
@@ -158,17 +176,17 @@ fn sample(at: &At, decoder: &mut Decoder) -> Option<LensSample> {
 fn sample_out(sample: &LensSample) -> Out {
     let mut pairs = vec![
         ("name", Out::Text(sample.name.clone())),
-        ("corners", calibration::counted(sample.corners)),
-        ("residual_px", calibration::finite(sample.residual_px)),
+        ("corners", files::counted(sample.corners)),
+        ("residual_px", files::finite(sample.residual_px)),
     ];
-    calibration::push_number(&mut pairs, "held_out_px", sample.held_out_px);
+    files::push_number(&mut pairs, "held_out_px", sample.held_out_px);
     pairs.push(("rejected", Out::Boolean(sample.rejected)));
     Out::map(pairs)
 }
 
 fn model(at: &At, decoder: &mut Decoder) -> Option<CameraModel> {
     let fields = decoder.map(at, &MODEL_KEYS)?;
-    let serial = calibration::short_text(&fields, "serial", decoder);
+    let serial = files::short_text(&fields, "serial", decoder);
     let width = edge(&fields, "width", decoder);
     let height = edge(&fields, "height", decoder);
     let focal = fields.required("focal_px", decoder).and_then(|at| decoder.numbers::<2>(&at));

@@ -1,14 +1,14 @@
 //! The pictures of the empty table that `celld calibrate empty` took, for looks without depth.
 //!
-//! In: the configuration's folder, the calibration. Out: the search for foreign objects knows how the empty
+//! In: the configuration, the calibration. Out: the search for foreign objects knows how the empty
 //! table looks from the look poses; or a sentence that names the file.
 
+use crate::calibration::files::round::Round;
 use crate::cell::event::Arm;
 use crate::config::cell::CellConfig;
 use crate::config::setup::Measured;
 use crate::document::chain::chain;
 use crate::io::files;
-use crate::vision::calibration::round::Round;
 use crate::vision::foreign::search::ForeignSearch;
 use crate::vision::image::Image;
 use nalgebra::Isometry3;

@@ -4,14 +4,14 @@
 //! the text of a new file. The survey is kept with the result: a marker glued elsewhere later shows as a
 //! difference from the config. Pure.
 
+use crate::calibration::files;
+use crate::calibration::files::hand_eye::{Provenance, Residuals};
+use crate::calibration::fit::touch::{Tie, TouchFit};
+use crate::calibration::fit::{HandEye, TransformStd};
 use crate::document::decode::{At, Decoder};
 use crate::document::write::Out;
 use crate::document::{Complaints, parse};
 use crate::geometry::pose::Pose2;
-use crate::vision::calibrate::touch::{Tie, TouchFit};
-use crate::vision::calibrate::{HandEye, TransformStd};
-use crate::vision::calibration;
-use crate::vision::calibration::hand_eye::{Provenance, Residuals};
 use crate::vision::observe::ReferenceMarker;
 use nalgebra::Isometry3;
 
@@ -96,13 +96,13 @@ impl TableCalibration {
     pub fn to_yaml(&self) -> String {
         let markers = Out::List(self.reference_markers.iter().map(marker_out).collect());
         let mut pairs = vec![
-            ("version", Out::Integer(calibration::VERSION)),
+            ("version", Out::Integer(files::VERSION)),
             (
                 "table",
                 Out::map(vec![
-                    ("base_from_table", calibration::transform_out(&self.base_from_table)),
-                    ("std_m", calibration::finite(self.std.translation_m)),
-                    ("std_rad", calibration::finite(self.std.rotation_rad)),
+                    ("base_from_table", files::transform_out(&self.base_from_table)),
+                    ("std_m", files::finite(self.std.translation_m)),
+                    ("std_rad", files::finite(self.std.rotation_rad)),
                 ]),
             ),
             ("reference_markers", markers),
@@ -121,7 +121,7 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<TableCalibration> {
     let mut known = vec!["version", "table", "reference_markers", "residuals", "touches"];
     known.extend(Provenance::KEYS);
     let fields = decoder.map(top, &known)?;
-    let version = calibration::check_version(&fields, decoder);
+    let version = files::check_version(&fields, decoder);
     let placed = fields.required("table", decoder).and_then(|at| placed(&at, decoder));
     let markers = fields.required("reference_markers", decoder).and_then(|at| markers(&at, decoder));
     let provenance = Provenance::decode(&fields, decoder);
@@ -146,9 +146,9 @@ impl Touched {
     fn to_out(&self) -> Out {
         Out::map(vec![
             ("residuals_m", Out::numbers(&self.residuals_m)),
-            ("touch_std_m", calibration::finite(self.touch_std_m)),
+            ("touch_std_m", files::finite(self.touch_std_m)),
             ("touch_less_camera_m", Out::numbers(&self.shift_m)),
-            ("touch_less_camera_rad", calibration::finite(self.turn_rad)),
+            ("touch_less_camera_rad", files::finite(self.turn_rad)),
         ])
     }
 }
@@ -158,12 +158,12 @@ fn touched(at: &At, decoder: &mut Decoder) -> Option<Touched> {
     let fields = decoder.map(at, &known)?;
     let residuals = fields.required(known[0], decoder).and_then(|at| decoder.sequence(&at));
     let residuals = residuals.map(|items| {
-        let size = |item| calibration::at_most(item, calibration::SAMPLE_M, decoder);
+        let size = |item| files::at_most(item, files::SAMPLE_M, decoder);
         items.iter().map(size).collect::<Vec<_>>()
     });
-    let touch_std_m = calibration::size(&fields, known[1], calibration::FIT_M, decoder);
+    let touch_std_m = files::size(&fields, known[1], files::FIT_M, decoder);
     let shift_m = fields.required(known[2], decoder).and_then(|at| decoder.numbers::<3>(&at));
-    let turn_rad = calibration::size(&fields, known[3], calibration::FIT_RAD, decoder);
+    let turn_rad = files::size(&fields, known[3], files::FIT_RAD, decoder);
     Some(Touched {
         residuals_m: residuals?.into_iter().collect::<Option<_>>()?,
         touch_std_m: touch_std_m?,
@@ -175,9 +175,9 @@ fn touched(at: &At, decoder: &mut Decoder) -> Option<Touched> {
 fn placed(at: &At, decoder: &mut Decoder) -> Option<(Isometry3<f64>, TransformStd)> {
     let fields = decoder.map(at, &["base_from_table", "std_m", "std_rad"])?;
     let table = fields.required("base_from_table", decoder);
-    let table = table.and_then(|at| calibration::transform(&at, REACH_M, decoder));
-    let std_m = calibration::size(&fields, "std_m", calibration::FIT_M, decoder);
-    let std_rad = calibration::size(&fields, "std_rad", calibration::FIT_RAD, decoder);
+    let table = table.and_then(|at| files::transform(&at, REACH_M, decoder));
+    let std_m = files::size(&fields, "std_m", files::FIT_M, decoder);
+    let std_rad = files::size(&fields, "std_rad", files::FIT_RAD, decoder);
     Some((table?, TransformStd { translation_m: std_m?, rotation_rad: std_rad? }))
 }
 

@@ -5,10 +5,10 @@
 //! beside it and are opened by the caller. A round can be solved again at leisure, with samples dropped,
 //! without moving the arm. Pure.
 
+use crate::calibration::files::{self, hand_eye::Provenance};
 use crate::document::decode::{At, Decoder};
 use crate::document::write::Out;
 use crate::document::{Complaints, parse};
-use crate::vision::calibration::{self, hand_eye::Provenance};
 use nalgebra::Isometry3;
 
 /// A recorded round.
@@ -46,12 +46,12 @@ impl Round {
 
     /// The text of the file.
     pub fn to_yaml(&self) -> String {
-        let mut pairs = vec![("version", Out::Integer(calibration::VERSION))];
+        let mut pairs = vec![("version", Out::Integer(files::VERSION))];
         self.provenance.write(&mut pairs);
         let sample = |sample: &RecordedSample| {
             Out::map(vec![
                 ("image", Out::Text(sample.image.clone())),
-                ("base_from_flange", calibration::transform_out(&sample.base_from_flange)),
+                ("base_from_flange", files::transform_out(&sample.base_from_flange)),
             ])
         };
         pairs.push(("samples", Out::List(self.samples.iter().map(sample).collect())));
@@ -64,7 +64,7 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<Round> {
     let mut known = vec!["version", "samples"];
     known.extend(Provenance::KEYS);
     let fields = decoder.map(top, &known)?;
-    let version = calibration::check_version(&fields, decoder);
+    let version = files::check_version(&fields, decoder);
     let provenance = Provenance::decode(&fields, decoder);
     let items = fields.required("samples", decoder).and_then(|at| decoder.sequence(&at));
     let samples: Vec<_> = items?.iter().map(|item| sample(item, decoder)).collect();
@@ -75,8 +75,8 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<Round> {
 fn sample(at: &At, decoder: &mut Decoder) -> Option<RecordedSample> {
     let fields = decoder.map(at, &["image", "base_from_flange"])?;
     let flange = fields.required("base_from_flange", decoder);
-    let flange = flange.and_then(|at| calibration::transform(&at, REACH_M, decoder));
-    let image = calibration::short_text(&fields, "image", decoder)?;
+    let flange = flange.and_then(|at| files::transform(&at, REACH_M, decoder));
+    let image = files::short_text(&fields, "image", decoder)?;
     // A file beside this one and nowhere else.
     if image.contains(['/', '\\']) || image == ".." {
         decoder.complain_at(

@@ -5,11 +5,12 @@
 //! or a point of the table. Where the tip was is told by the flange's pose and the tip's offset from it, or
 //! by what the pendant shows with the tip as its TCP, so that a file can also be typed from a notebook. Pure.
 
+use crate::calibration::files;
+use crate::calibration::files::hand_eye::Provenance;
+use crate::calibration::fit::touch::Touch;
 use crate::document::decode::{At, Decoder};
 use crate::document::write::Out;
 use crate::document::{Complaints, parse};
-use crate::vision::calibrate::touch::Touch;
-use crate::vision::calibration;
 use crate::vision::marker;
 use crate::vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Point3};
@@ -155,6 +156,21 @@ impl Touches {
         self.touches.iter().map(resolve).collect()
     }
 
+    /// That the robot that touched is the one of the pictures; `name` is the file's.
+    ///
+    /// # Errors
+    /// It is another one, or its kinematics were measured anew.
+    pub fn check_robot(&self, name: &str, taken: &Provenance) -> Result<(), String> {
+        let Touches { robot_serial, kinematics_checksum, .. } = self;
+        if (robot_serial, kinematics_checksum) == (&taken.robot_serial, &taken.kinematics_checksum) {
+            return Ok(());
+        }
+        Err(format!(
+            "{name}: touched with robot {robot_serial} (kinematics {kinematics_checksum}), but the pictures are of {} ({})",
+            taken.robot_serial, taken.kinematics_checksum
+        ))
+    }
+
     /// Reads the text of a file; `name` is for the complaints.
     ///
     /// # Errors
@@ -169,7 +185,7 @@ impl Touches {
     /// The text of the file.
     pub fn to_yaml(&self) -> String {
         let mut pairs = vec![
-            ("version", Out::Integer(calibration::VERSION)),
+            ("version", Out::Integer(files::VERSION)),
             ("robot_serial", Out::Text(self.robot_serial.clone())),
             ("kinematics_checksum", Out::Text(self.kinematics_checksum.clone())),
             ("date", Out::Text(self.date.clone())),
@@ -191,7 +207,7 @@ fn touch_out(touch: &RecordedTouch) -> Out {
         Target::Point(point) => vec![("point_m", Out::numbers(&point))],
     };
     pairs.push(match &touch.place {
-        Place::Flange(flange) => ("base_from_flange", calibration::transform_out(flange)),
+        Place::Flange(flange) => ("base_from_flange", files::transform_out(flange)),
         Place::Tip(tip) => ("tip_m", Out::numbers(tip)),
     });
     Out::map(pairs)
@@ -200,9 +216,9 @@ fn touch_out(touch: &RecordedTouch) -> Out {
 fn decode(top: &At, decoder: &mut Decoder) -> Option<Touches> {
     let known = ["version", "robot_serial", "kinematics_checksum", "date", "flange_from_tip_m", "touches"];
     let fields = decoder.map(top, &known)?;
-    let version = calibration::check_version(&fields, decoder);
-    let [robot, kinematics, date] = ["robot_serial", "kinematics_checksum", "date"]
-        .map(|key| calibration::short_text(&fields, key, decoder));
+    let version = files::check_version(&fields, decoder);
+    let [robot, kinematics, date] =
+        ["robot_serial", "kinematics_checksum", "date"].map(|key| files::short_text(&fields, key, decoder));
     let tip = match fields.optional("flange_from_tip_m") {
         Some(at) => point(&at, TIP_M, decoder).map(Some),
         None => Some(None),
@@ -242,7 +258,7 @@ fn touch(at: &At, no_tip: bool, decoder: &mut Decoder) -> Option<RecordedTouch> 
                 let help = "add flange_from_tip_m: [x, y, z], or give `tip_m` instead";
                 decoder.complain_at(&place, "the flange says nothing without the tip's offset from it", help);
             }
-            calibration::transform(&place, REACH_M, decoder).map(Place::Flange)
+            files::transform(&place, REACH_M, decoder).map(Place::Flange)
         }
         (None, Some(at)) => point(&at, REACH_M, decoder).map(Place::Tip),
         _ => {

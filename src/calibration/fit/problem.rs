@@ -5,7 +5,7 @@
 //! the loop is pure pinhole arithmetic. Unknowns: small motions of the camera in its own frame and of the
 //! table in its own frame.
 
-use crate::vision::calibrate::{HandEyeGuess, HandEyeSettings, Sample};
+use crate::calibration::fit::{HandEyeGuess, HandEyeSettings, Sample};
 use crate::vision::camera::CameraModel;
 use crate::vision::cv::CvError;
 use crate::vision::marker;

@@ -7,12 +7,11 @@
 //! observability gate and one report serve both. The table then comes from the reference markers with the
 //! camera's place kept. Pure.
 
+use crate::calibration::fit::hand_eye::{closed_form, solve_hand_eye};
+use crate::calibration::fit::problem::Problem;
+use crate::calibration::fit::{CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample, TransformStd};
 use crate::geometry::pose::Pose2;
 use crate::vision::board::Board;
-use crate::vision::calibrate::problem::Problem;
-use crate::vision::calibrate::{
-    CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample, TransformStd, closed_form, solve_hand_eye,
-};
 use crate::vision::camera::CameraModel;
 use crate::vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Matrix6};

@@ -4,13 +4,14 @@
 //! [`HandEyeCalibration`], or complaints; and the text of a new file. Camera and robot serial numbers and the
 //! checksum of the robot's kinematics tell when it no longer holds. Pure.
 
+use crate::calibration::drawn::CameraMount;
+use crate::calibration::files;
+use crate::calibration::files::{FIT_M, FIT_PX, FIT_RAD, SAMPLE_M, SAMPLE_PX};
+use crate::calibration::fit::fixed::FixedCamera;
+use crate::calibration::fit::{HandEye, SampleResidual, TransformStd};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::write::Out;
 use crate::document::{Complaints, parse};
-use crate::vision::calibrate::fixed::FixedCamera;
-use crate::vision::calibrate::{HandEye, SampleResidual, TransformStd};
-use crate::vision::calibration;
-use crate::vision::calibration::{FIT_M, FIT_PX, FIT_RAD, SAMPLE_M, SAMPLE_PX};
 use nalgebra::Isometry3;
 
 /// The devices a calibration belongs to, and when it was made.
@@ -24,6 +25,15 @@ pub struct Provenance {
     pub kinematics_checksum: String,
     /// When the samples were taken.
     pub date: String,
+}
+
+impl Provenance {
+    /// True when camera, robot and its kinematics are the same.
+    pub fn same_devices(&self, other: &Provenance) -> bool {
+        self.camera_serial == other.camera_serial
+            && self.robot_serial == other.robot_serial
+            && self.kinematics_checksum == other.kinematics_checksum
+    }
 }
 
 /// How well the samples fit, as in [`HandEye`].
@@ -125,6 +135,28 @@ impl HandEyeCalibration {
         }
     }
 
+    /// That it is of a camera with this mount, and of camera and robot as they are `now`; `name` is the
+    /// file's.
+    ///
+    /// # Errors
+    /// A sentence that says how they differ.
+    pub fn check_devices(&self, name: &str, mount: &CameraMount, now: &Provenance) -> Result<(), String> {
+        let (made, wanted) = (&self.provenance, mount.word());
+        if self.mount.word() != wanted {
+            return Err(format!(
+                "{name}: made with `mount: {}`, but the configuration says {wanted}; run `celld calibrate hand-eye`",
+                self.mount.word()
+            ));
+        }
+        if made.same_devices(now) {
+            return Ok(());
+        }
+        Err(format!(
+            "{name}: made with camera {} on robot {}, but this is {} on {}; run `celld calibrate hand-eye`",
+            made.camera_serial, made.robot_serial, now.camera_serial, now.robot_serial
+        ))
+    }
+
     /// Reads the text of a file; `name` is for the complaints.
     ///
     /// # Errors
@@ -140,14 +172,14 @@ impl HandEyeCalibration {
     pub fn to_yaml(&self) -> String {
         let (key, transform) = self.mount.transform();
         let mut pairs = vec![
-            ("version", Out::Integer(calibration::VERSION)),
+            ("version", Out::Integer(files::VERSION)),
             (
                 "hand_eye",
                 Out::map(vec![
                     ("mount", Out::Text(self.mount.word().to_owned())),
-                    (key, calibration::transform_out(transform)),
-                    ("std_m", calibration::finite(self.std.translation_m)),
-                    ("std_rad", calibration::finite(self.std.rotation_rad)),
+                    (key, files::transform_out(transform)),
+                    ("std_m", files::finite(self.std.translation_m)),
+                    ("std_rad", files::finite(self.std.rotation_rad)),
                 ]),
             ),
         ];
@@ -166,7 +198,7 @@ impl Provenance {
     /// Reads the keys.
     pub fn decode(fields: &Fields, decoder: &mut Decoder) -> Option<Provenance> {
         let [camera, robot, kinematics, date] =
-            Provenance::KEYS.map(|key| calibration::short_text(fields, key, decoder));
+            Provenance::KEYS.map(|key| files::short_text(fields, key, decoder));
         Some(Provenance {
             camera_serial: camera?,
             robot_serial: robot?,
@@ -198,8 +230,8 @@ impl Residuals {
     pub fn decode(at: &At, decoder: &mut Decoder) -> Option<Residuals> {
         let keys = ["reprojection_px_rms", "held_out_rms_m", "held_out_max_m", "halves_m", "halves_rad"];
         let fields = decoder.map(at, &keys)?;
-        let reprojection = calibration::size(&fields, keys[0], FIT_PX, decoder);
-        let mut optional = |key, most| calibration::optional_size(&fields, key, most, decoder);
+        let reprojection = files::size(&fields, keys[0], FIT_PX, decoder);
+        let mut optional = |key, most| files::optional_size(&fields, key, most, decoder);
         let (rms, max) = (optional(keys[1], FIT_M), optional(keys[2], SAMPLE_M));
         let (halves, turn) = (optional(keys[3], FIT_M), optional(keys[4], FIT_RAD));
         Some(Residuals {
@@ -213,11 +245,11 @@ impl Residuals {
 
     /// The map.
     pub fn to_out(self) -> Out {
-        let mut pairs = vec![("reprojection_px_rms", calibration::finite(self.reprojection_px_rms))];
-        calibration::push_number(&mut pairs, "held_out_rms_m", self.held_out_rms_m);
-        calibration::push_number(&mut pairs, "held_out_max_m", self.held_out_max_m);
-        calibration::push_number(&mut pairs, "halves_m", self.halves_m);
-        calibration::push_number(&mut pairs, "halves_rad", self.halves_rad);
+        let mut pairs = vec![("reprojection_px_rms", files::finite(self.reprojection_px_rms))];
+        files::push_number(&mut pairs, "held_out_rms_m", self.held_out_rms_m);
+        files::push_number(&mut pairs, "held_out_max_m", self.held_out_max_m);
+        files::push_number(&mut pairs, "halves_m", self.halves_m);
+        files::push_number(&mut pairs, "halves_rad", self.halves_rad);
         Out::map(pairs)
     }
 }
@@ -226,7 +258,7 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<HandEyeCalibration> {
     let mut known = vec!["version", "hand_eye", "residuals", "samples"];
     known.extend(Provenance::KEYS);
     let fields = decoder.map(top, &known)?;
-    let version = calibration::check_version(&fields, decoder);
+    let version = files::check_version(&fields, decoder);
     let placed = fields.required("hand_eye", decoder).and_then(|at| placed(&at, decoder));
     let provenance = Provenance::decode(&fields, decoder);
     let residuals = fields.required("residuals", decoder).and_then(|at| Residuals::decode(&at, decoder));
@@ -255,9 +287,9 @@ fn placed(at: &At, decoder: &mut Decoder) -> Option<(Mount, TransformStd)> {
     let fields = decoder.map(at, &["mount", key, "std_m", "std_rad"])?;
     let camera = fields.required(key, decoder);
     let reach = if fixed { FIXED_REACH_M } else { REACH_M };
-    let camera = camera.and_then(|at| calibration::transform(&at, reach, decoder));
-    let std_m = calibration::size(&fields, "std_m", calibration::FIT_M, decoder);
-    let std_rad = calibration::size(&fields, "std_rad", calibration::FIT_RAD, decoder);
+    let camera = camera.and_then(|at| files::transform(&at, reach, decoder));
+    let std_m = files::size(&fields, "std_m", files::FIT_M, decoder);
+    let std_rad = files::size(&fields, "std_rad", files::FIT_RAD, decoder);
     let mount = match (camera?, fixed) {
         (base_from_camera, true) => Mount::Fixed { base_from_camera },
         (flange_from_camera, false) => Mount::Flange { flange_from_camera },
@@ -273,10 +305,10 @@ fn sample(at: &At, decoder: &mut Decoder) -> Option<SampleResidual> {
         decoder.integer(&at, 0..=1_000_000).and_then(|value| usize::try_from(value).ok())
     });
     let rejected = fields.required("rejected", decoder).and_then(|at| decoder.boolean(&at));
-    let most = |most| if rejected == Some(false) { most } else { calibration::unlimited(most) };
-    let residual_px = calibration::size(&fields, "residual_px", most(SAMPLE_PX), decoder);
-    let residual_m = calibration::size(&fields, "residual_m", most(SAMPLE_M), decoder);
-    let held_out_m = calibration::optional_size(&fields, "held_out_m", most(SAMPLE_M), decoder);
+    let most = |most| if rejected == Some(false) { most } else { files::unlimited(most) };
+    let residual_px = files::size(&fields, "residual_px", most(SAMPLE_PX), decoder);
+    let residual_m = files::size(&fields, "residual_m", most(SAMPLE_M), decoder);
+    let held_out_m = files::optional_size(&fields, "held_out_m", most(SAMPLE_M), decoder);
     Some(SampleResidual {
         sample: sample?,
         markers: markers?,
@@ -289,12 +321,12 @@ fn sample(at: &At, decoder: &mut Decoder) -> Option<SampleResidual> {
 
 fn sample_out(sample: &SampleResidual) -> Out {
     let mut pairs = vec![
-        ("sample", calibration::counted(sample.sample)),
-        ("markers", calibration::counted(sample.markers)),
-        ("residual_px", calibration::finite(sample.residual_px)),
-        ("residual_m", calibration::finite(sample.residual_m)),
+        ("sample", files::counted(sample.sample)),
+        ("markers", files::counted(sample.markers)),
+        ("residual_px", files::finite(sample.residual_px)),
+        ("residual_m", files::finite(sample.residual_m)),
     ];
-    calibration::push_number(&mut pairs, "held_out_m", sample.held_out_m);
+    files::push_number(&mut pairs, "held_out_m", sample.held_out_m);
     pairs.push(("rejected", Out::Boolean(sample.rejected)));
     Out::map(pairs)
 }
@@ -397,8 +429,8 @@ mod tests {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration/sim");
         let text = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
         HandEyeCalibration::parse(&text("hand_eye.yaml"), "hand_eye.yaml").unwrap();
-        calibration::table::TableCalibration::parse(&text("table.yaml"), "table.yaml").unwrap();
-        calibration::camera::CameraCalibration::parse(&text("camera.yaml"), "camera.yaml").unwrap();
+        files::table::TableCalibration::parse(&text("table.yaml"), "table.yaml").unwrap();
+        files::camera::CameraCalibration::parse(&text("camera.yaml"), "camera.yaml").unwrap();
     }
 
     #[test]

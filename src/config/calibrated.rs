@@ -1,0 +1,112 @@
+//! The calibration files on disk: where the configuration says they are.
+//!
+//! In: a checked [`CellConfig`]. Out: [`CalibrationSet`], or every complaint about all three files at once;
+//! the numbers that the daemon works with; files written. What is in them, and what fits together, is
+//! `calibration::files`.
+
+use crate::calibration::files::set::{CalibrationSet, FileText};
+use crate::cell::event::Arm;
+use crate::config::cell::{CalibrationFiles, CellConfig};
+use crate::config::load::read_text;
+use crate::config::setup::{Measured, reference_markers};
+use crate::io::files::{FileError, create_folder, write_atomic};
+use std::path::Path;
+
+/// Reads all three files.
+///
+/// # Errors
+/// Everything that is wrong with any of them, one complaint a line.
+pub fn read_calibration(config: &CellConfig) -> Result<CalibrationSet, String> {
+    let CalibrationFiles { camera, hand_eye, table, .. } = &config.calibration;
+    let file = |path: &Path| FileText { name: path.display().to_string(), text: read_text(path) };
+    let texts = [file(camera), file(hand_eye), file(table)];
+    CalibrationSet::parse(&texts, &config.camera, &reference_markers(config))
+}
+
+/// Writes all three files and returns their paths.
+///
+/// # Errors
+/// The first that could not be written.
+pub fn write_calibration<'a>(
+    set: &CalibrationSet,
+    files: &'a CalibrationFiles,
+) -> Result<[&'a Path; 3], FileError> {
+    let written: [(&Path, String); 3] = [
+        (&files.camera, set.camera.to_yaml()),
+        (&files.hand_eye, set.hand_eye.to_yaml()),
+        (&files.table, set.table.to_yaml()),
+    ];
+    for (path, text) in &written {
+        if let Some(folder) = path.parent() {
+            create_folder(folder)?;
+        }
+        write_atomic(path, text.as_bytes())?;
+    }
+    Ok(written.map(|(path, _)| path))
+}
+
+/// The numbers that the daemon works with; the kinematics are the controller's.
+///
+/// # Errors
+/// The calibration was made with another arm.
+pub fn measured(config: &CellConfig, set: &CalibrationSet, arm: &Arm) -> Result<Measured, String> {
+    set.check_arm(&config.calibration.hand_eye.display().to_string(), &arm.serial, &arm.checksum)?;
+    Ok(Measured {
+        dh: arm.dh,
+        base_from_table: set.table.base_from_table,
+        mount: set.hand_eye.mount,
+        camera: set.camera.model.clone(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load::load_cell;
+
+    /// The example cell with its files copied, so that they can be spoilt.
+    fn example() -> (tempfile::TempDir, CellConfig) {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut config = load_cell(&root.join("config/cell.yaml")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let copy = |path: &mut std::path::PathBuf| {
+            let to = folder.path().join(path.file_name().unwrap());
+            std::fs::copy(&*path, &to).unwrap();
+            *path = to;
+        };
+        let files = &mut config.calibration;
+        [&mut files.camera, &mut files.hand_eye, &mut files.table].into_iter().for_each(copy);
+        (folder, config)
+    }
+
+    fn spoil(path: &Path, from: &str, to: &str) {
+        let text = std::fs::read_to_string(path).unwrap();
+        assert!(text.contains(from), "{text}");
+        std::fs::write(path, text.replace(from, to)).unwrap();
+    }
+
+    #[test]
+    fn the_example_fits_together_and_a_mixed_set_does_not() {
+        let (_folder, config) = example();
+        read_calibration(&config).unwrap();
+        let mut moved = config.clone();
+        moved.reference_markers[0].pose.x += 1e-3;
+        assert!(read_calibration(&moved).unwrap_err().contains("other reference markers"));
+        spoil(&config.calibration.camera, "sim-d405", "sim-d406");
+        let told = read_calibration(&config).unwrap_err();
+        assert!(told.contains("hand_eye.yaml: made with camera sim-d405"), "{told}");
+        assert!(told.contains("table.yaml: made with camera sim-d405"), "{told}");
+    }
+
+    #[test]
+    fn all_files_are_judged_in_one_go() {
+        let (_folder, config) = example();
+        std::fs::remove_file(&config.calibration.camera).unwrap();
+        spoil(&config.calibration.hand_eye, "robot_serial", "robot_seral");
+        spoil(&config.calibration.table, "std_m:", "std_mm:");
+        let told = read_calibration(&config).unwrap_err();
+        for part in ["camera.yaml", "`celld calibrate` makes", "robot_seral", "std_mm"] {
+            assert!(told.contains(part), "{part} in {told}");
+        }
+    }
+}
