@@ -26,6 +26,7 @@ use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detection, Detector};
 use crate::vision::image::GrayImage;
 use crate::vision::observe::planar::{self, Target};
+use crate::vision::observe::sighting::sightings;
 use crate::vision::observe::{MarkedObject, ObserveLimits, View, fuse, observe};
 use nalgebra::{Isometry3, Vector3};
 use rand::SeedableRng;
@@ -299,7 +300,7 @@ impl Bench {
         sums: &mut tally::Sums,
     ) -> Result<(), String> {
         let limits = limits();
-        let sightings = planar::sightings(lens, views).map_err(|error| error.to_string())?;
+        let sightings = sightings(lens, views).map_err(|error| error.to_string())?;
         let target = Target {
             size_m: SIZE_M,
             height_m: HEIGHT_M,

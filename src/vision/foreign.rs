@@ -8,6 +8,7 @@
 //! colour. What is flat, thinner than the limit, smaller than the limit, or of a kind that the camera cannot
 //! measure (clear glass, black velvet, mirrors) is not found. Pure.
 
+pub mod body;
 pub mod change;
 pub mod field;
 pub mod height_map;
@@ -16,6 +17,7 @@ pub mod search;
 #[cfg(test)]
 mod tests;
 
+pub use body::KnownBody;
 pub use height_map::{Area, DepthLens, HeightMap, HeightMapError, OwnBody};
 pub use holes::Hole;
 
@@ -40,17 +42,6 @@ impl Default for ForeignLimits {
     fn default() -> ForeignLimits {
         ForeignLimits { height_m: 0.010, area_m2: 4e-4, edge_m: 0.008 }
     }
-}
-
-/// Something whose place is known.
-#[derive(Clone, Debug, PartialEq)]
-pub struct KnownBody {
-    /// Its outline seen from above, in its own frame.
-    pub footprint: Footprint,
-    /// Where it is, table frame.
-    pub pose: Pose2,
-    /// How high it stands, m.
-    pub height_m: f64,
 }
 
 /// Something that nothing explains.
@@ -154,7 +145,8 @@ pub fn find(
         }
     }
     let excess = closed(first, &tallest, &measured);
-    let mut objects: Vec<ForeignObject> = components(first, &excess)
+    let mut objects: Vec<ForeignObject> = first
+        .groups(&excess)
         .into_iter()
         .map(|cells| object(first, &cells, &tallest))
         .filter(|object| object.area_m2 >= limits.area_m2)
@@ -260,28 +252,6 @@ fn closed(map: &HeightMap, tallest: &[f32], measured: &[bool]) -> Vec<bool> {
         closed[cell] = map.neighbours(cell).filter(|near| excess[*near]).count() >= 4;
     }
     closed
-}
-
-/// Groups of cells that touch.
-pub(crate) fn components(map: &HeightMap, excess: &[bool]) -> Vec<Vec<usize>> {
-    let mut open = excess.to_vec();
-    let mut groups = Vec::new();
-    for start in 0..open.len() {
-        if !std::mem::take(&mut open[start]) {
-            continue;
-        }
-        let (mut group, mut next) = (Vec::new(), vec![start]);
-        while let Some(cell) = next.pop() {
-            group.push(cell);
-            for near in map.neighbours(cell) {
-                if std::mem::take(&mut open[near]) {
-                    next.push(near);
-                }
-            }
-        }
-        groups.push(group);
-    }
-    groups
 }
 
 fn object(map: &HeightMap, cells: &[usize], tallest: &[f32]) -> ForeignObject {

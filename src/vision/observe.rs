@@ -2,21 +2,22 @@
 //! trusted.
 //!
 //! In: the objects and reference markers that exist, the lens, [`View`]s (camera pose and detections),
-//! [`ObserveLimits`]. Out: [`Observation`]. Each view's corners are laid on the known plane of the marker
-//! (`planar`), the views are fused with outliers out (`fuse`), and all views together must agree that the
-//! marker lies level at its height (`level`): an object that landed on another one is *suspicious* and never
-//! among the trusted ones. Poses are in the table frame.
+//! [`ObserveLimits`]. Out: [`Observation`]. Each view's corners, with the lens taken out (`sighting`), are laid
+//! on the known plane of the marker (`planar`), the views are fused with outliers out (`fuse`), and all views
+//! together must agree that the marker lies level at its height (`level`): an object that landed on another
+//! one is *suspicious* and never among the trusted ones. Poses are in the table frame.
 
 pub mod arrangement;
 pub mod fuse;
+pub mod input;
 pub mod level;
 pub mod planar;
 pub mod reference;
+pub mod sighting;
 pub mod square;
 
-pub use arrangement::{
-    Duplicate, MarkedObject, ObjectEstimate, Observation, ObserveLimits, ReferenceMarker, Suspicious, View,
-};
+pub use arrangement::{Duplicate, ObjectEstimate, Observation, Suspicious};
+pub use input::{MarkedObject, ObserveLimits, ReferenceMarker, View};
 
 use crate::geometry::pose::Pose2;
 use crate::vision::camera::CameraModel;
@@ -59,7 +60,7 @@ pub fn observe(
 ) -> Result<Observation, ObserveError> {
     camera.check()?;
     let owners = owners(objects, reference)?;
-    let sightings = planar::sightings(camera, views)?;
+    let sightings = sighting::sightings(camera, views)?;
     let mut observation = Observation::default();
     for object in objects {
         let seen = sightings.get(&object.marker_id).map_or(&[][..], Vec::as_slice);
@@ -91,7 +92,7 @@ fn owners(
 /// Decides where one object lies and files it under the right heading of the observation.
 fn place(
     object: &MarkedObject,
-    seen: &[planar::Sighting],
+    seen: &[sighting::Sighting],
     views: &[View],
     limits: &ObserveLimits,
     observation: &mut Observation,

@@ -9,7 +9,8 @@ use crate::calibration::fit::{HandEyeGuess, HandEyeSettings, Sample};
 use crate::vision::camera::CameraModel;
 use crate::vision::cv::CvError;
 use crate::vision::marker;
-use crate::vision::observe::planar::{self, Sighting};
+use crate::vision::observe::planar;
+use crate::vision::observe::sighting::{self, Sighting};
 use crate::vision::observe::square::cross;
 use crate::vision::observe::{ReferenceMarker, View};
 use nalgebra::{
@@ -73,7 +74,7 @@ impl Problem {
                 time: crate::time::Timestamp::ZERO,
                 heights: None,
             };
-            let mut sightings = planar::sightings(camera, std::slice::from_ref(&view))?;
+            let mut sightings = sighting::sightings(camera, std::slice::from_ref(&view))?;
             let mut stop = Stop {
                 sample: index,
                 base_from_flange: sample.base_from_flange,

@@ -255,6 +255,28 @@ impl HeightMap {
             .map(|(low, at)| low + (at as f64 + 0.5) * CELL_M)
     }
 
+    /// Those of the `marked` cells that touch, group by group.
+    pub(crate) fn groups(&self, marked: &[bool]) -> Vec<Vec<usize>> {
+        let mut open = marked.to_vec();
+        let mut groups = Vec::new();
+        for start in 0..open.len() {
+            if !std::mem::take(&mut open[start]) {
+                continue;
+            }
+            let (mut group, mut next) = (Vec::new(), vec![start]);
+            while let Some(cell) = next.pop() {
+                group.push(cell);
+                for near in self.neighbours(cell) {
+                    if std::mem::take(&mut open[near]) {
+                        next.push(near);
+                    }
+                }
+            }
+            groups.push(group);
+        }
+        groups
+    }
+
     /// The cells next to a cell, also over the corners.
     pub fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> {
         let (columns, rows) = (self.columns, self.rows);

@@ -6,8 +6,8 @@
 //! and gaps too narrow for anything to stand in. Pure.
 
 use crate::geometry::polygon::contains;
-use crate::vision::foreign::height_map::CELL_M;
-use crate::vision::foreign::{HeightMap, KnownBody, components};
+use crate::vision::foreign::body::KnownBody;
+use crate::vision::foreign::height_map::{CELL_M, HeightMap};
 use serde::Serialize;
 
 /// Heights at which the line from a cell to the camera is tried against a known object, as shares of that
@@ -57,7 +57,7 @@ pub(crate) fn largest(map: &HeightMap, open: &[bool]) -> Option<Hole> {
         piece[cell] = true;
         map.neighbours(cell).for_each(|near| piece[near] = true);
     }
-    let cells = components(map, &piece).into_iter().max_by_key(Vec::len)?;
+    let cells = map.groups(&piece).into_iter().max_by_key(Vec::len)?;
     let mean =
         |axis: usize| cells.iter().map(|cell| map.centre(*cell)[axis]).sum::<f64>() / cells.len() as f64;
     Some(Hole { area_m2: cells.len() as f64 * CELL_M * CELL_M, centre: [mean(0), mean(1)] })

@@ -7,8 +7,10 @@
 //! hardly better than one, and the standard deviation says so. Pure.
 
 use crate::geometry::pose::{Pose2, wrap_angle};
-use crate::vision::observe::planar::{self, Placed, Sighting, Target};
-use crate::vision::observe::{ObserveLimits, View, square};
+use crate::vision::observe::input::{ObserveLimits, View};
+use crate::vision::observe::planar::{self, Placed, Target};
+use crate::vision::observe::sighting::Sighting;
+use crate::vision::observe::square;
 use nalgebra::{Matrix2, Matrix3, Vector3};
 
 /// The common pose of one marker.

@@ -6,9 +6,11 @@
 //! small markers seen frontally, significance alone would complain about harmless tenths of a degree.
 
 use crate::units::{deg_from_rad, mm_from_m};
-use crate::vision::observe::planar::{Placed, Sighting, Target};
+use crate::vision::observe::fuse;
+use crate::vision::observe::input::{ObserveLimits, View};
+use crate::vision::observe::planar::{Placed, Target};
+use crate::vision::observe::sighting::Sighting;
 use crate::vision::observe::square::{self, Freedom};
-use crate::vision::observe::{ObserveLimits, View, fuse};
 use nalgebra::Vector3;
 
 /// How level a marker lies.

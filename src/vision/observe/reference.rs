@@ -6,8 +6,10 @@
 //! sides cancels in their mean. The limits are the caller's ([`DriftLimits`]). Pure.
 
 use crate::geometry::pose::Pose2;
-use crate::vision::observe::planar::{self, Placed, Sighting, Target};
-use crate::vision::observe::{ObserveLimits, ReferenceMarker, View, fuse};
+use crate::vision::observe::fuse;
+use crate::vision::observe::input::{ObserveLimits, ReferenceMarker, View};
+use crate::vision::observe::planar::{self, Placed, Target};
+use crate::vision::observe::sighting::Sighting;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

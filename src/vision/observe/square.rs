@@ -6,8 +6,8 @@
 //! tilted: near a frontal view a tilt's own standard deviation lies, a difference of costs does not.
 
 use crate::vision::marker;
-use crate::vision::observe::View;
-use crate::vision::observe::planar::Sighting;
+use crate::vision::observe::input::View;
+use crate::vision::observe::sighting::Sighting;
 use nalgebra::{Isometry3, Matrix2x3, Matrix3, Matrix6, SMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
 
 /// What a fit may change.
