@@ -2,7 +2,7 @@
 //! long it takes.
 //!
 //! In: how many frames, a seed, detector settings. Out: [`Report`]. Frames are drawn by `render` from
-//! `scene`'s tables, five views a table; detection and `observe` run on them as in the cell. Accuracy is told
+//! `scene`'s tables, five views a table; `perception` looks at them as in the cell. Accuracy is told
 //! with the lens's true numbers and with those that a calibration from board pictures found (`calibrated`);
 //! times are those of one frame on a core, beside a plain call of the C library on the same frame. Beside it
 //! stand the figures of drift (`drift`), of what carries no marker (`foreign`) and of the camera's mount
@@ -20,14 +20,16 @@ pub mod tally;
 use crate::bench::vision::render::{Lens, Sheet, render};
 use crate::bench::vision::scene::{DEGRADE, HEIGHT_M, HEIGHT_OFF_M, SIZE_M, Scene, TILT_RAD, whole};
 use crate::bench::vision::tally::{Accuracy, Tally};
+use crate::document::chain::chain;
 use crate::geometry::pose::{Pose2, wrap_angle};
+use crate::perception::{self, Perception};
 use crate::time::Timestamp;
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detection, Detector};
 use crate::vision::image::GrayImage;
 use crate::vision::observe::planar::{self, Target};
 use crate::vision::observe::sighting::sightings;
-use crate::vision::observe::{MarkedObject, ObserveLimits, View, fuse, observe};
+use crate::vision::observe::{MarkedObject, ObserveLimits, View, fuse};
 use nalgebra::{Isometry3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -147,8 +149,9 @@ impl Bench {
         stop: &AtomicBool,
         done: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<Option<Report>, String> {
-        let eye =
-            if self.task.calibrated { Some(calibrated::calibrate(&self.lens, self.task)?) } else { None };
+        let Task { settings, seed, .. } = self.task;
+        let calibrate = || calibrated::calibrate(&self.lens, settings, seed);
+        let eye = self.task.calibrated.then(calibrate).transpose()?;
         let scenes = self.task.frames.div_ceil(scene::VIEWS);
         let through = AtomicUsize::new(0);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.task.threads).build();
@@ -219,18 +222,18 @@ impl Bench {
     }
 
     fn scene(&self, number: usize, eye: Option<&calibrated::Found>) -> Result<Tally, String> {
-        let settings = DetectSettings { threads: 1, ..self.task.settings };
-        let mut detector = Detector::new(settings).map_err(|error| error.to_string())?;
         let (scene, mut random) = self.table(number);
+        let mut perception = self.perception(&scene, 1)?;
         let mut tally = Tally::default();
         let mut views = Vec::new();
         for table_from_camera in &scene.views {
             let picture =
                 render(&self.lens, table_from_camera, &scene.ground, &scene.prints, DEGRADE, &mut random);
-            let detections = detector.detect(&picture).map_err(|error| error.to_string())?;
-            self.count(&scene, [number, views.len()], &detections, &mut tally);
             let time = Timestamp::from_nanos(views.len() as u64);
-            views.push(View { table_from_camera: *table_from_camera, detections, time, heights: None });
+            let view = perception.grey_view(&picture, *table_from_camera, time, None);
+            let view = view.map_err(|error| chain(&error))?;
+            self.count(&scene, [number, views.len()], &view.detections, &mut tally);
+            views.push(view);
         }
         self.judge(&scene, &self.lens.camera, &views, &mut tally.exact)?;
         if let Some(eye) = eye {
@@ -291,7 +294,18 @@ impl Bench {
         tally.false_ids.extend(strangers.map(|(detection, _)| slip(detection, true)));
     }
 
+    /// The cell's eyes before this table.
+    fn perception(&self, scene: &Scene, threads: u8) -> Result<Perception, String> {
+        let objects = scene.truths.iter().map(|truth| object(truth.id)).collect();
+        let known = perception::Scene { objects, limits: limits(), ..scene::bare(&self.lens.camera) };
+        let settings = DetectSettings { threads, ..self.task.settings };
+        Perception::new(known, settings).map_err(|error| chain(&error))
+    }
+
     /// How far off the poses are, of single views and of all views together.
+    ///
+    /// Below `perception` on purpose, by the functions that it calls: whether an error is as large as was
+    /// claimed is told by the whole covariance of each pose, and an observation gives deviations only.
     fn judge(
         &self,
         scene: &Scene,
@@ -335,23 +349,21 @@ impl Bench {
     /// core: medians over frames of the least time of several, in turns so that a busy machine slows all
     /// alike.
     fn times(&self) -> Result<[f64; 3], String> {
-        let detector = |threads| {
-            let settings = DetectSettings { threads, ..self.task.settings };
-            Detector::new(settings).map_err(|error| error.to_string())
-        };
-        let (mut one, mut two) = (detector(1)?, detector(2)?);
+        // The bare detector on purpose: what it costs beside the library's own call is the question.
+        let settings = DetectSettings { threads: 1, ..self.task.settings };
+        let mut library = Detector::new(settings).map_err(|error| error.to_string())?;
         let mut columns = [Vec::new(), Vec::new(), Vec::new()];
         for number in 0..TIMED.min(2 * self.task.frames) {
             let (scene, mut random) = self.table(number);
             let picture =
                 render(&self.lens, &scene.views[0], &scene.ground, &scene.prints, DEGRADE, &mut random);
-            let objects: Vec<MarkedObject> = scene.truths.iter().map(|truth| object(truth.id)).collect();
+            let (mut one, mut two) = (self.perception(&scene, 1)?, self.perception(&scene, 2)?);
             let mut least = [f64::INFINITY; 3];
             for _ in 0..TIMES {
                 let took = [
-                    self.whole_time(&mut one, &picture, &scene.views[0], &objects)?,
-                    self.whole_time(&mut two, &picture, &scene.views[0], &objects)?,
-                    library_time(&mut one, &picture)?,
+                    whole_time(&mut one, &picture, &scene.views[0])?,
+                    whole_time(&mut two, &picture, &scene.views[0])?,
+                    library_time(&mut library, &picture)?,
                 ];
                 least.iter_mut().zip(took).for_each(|(least, took)| *least = least.min(took));
             }
@@ -359,21 +371,18 @@ impl Bench {
         }
         Ok(columns.map(|mut column| tally::quantile(&mut column, 0.5)))
     }
+}
 
-    fn whole_time(
-        &self,
-        detector: &mut Detector,
-        picture: &GrayImage,
-        table_from_camera: &Isometry3<f64>,
-        objects: &[MarkedObject],
-    ) -> Result<f64, String> {
-        let started = Instant::now();
-        let detections = detector.detect(picture).map_err(|error| error.to_string())?;
-        let view =
-            View { table_from_camera: *table_from_camera, detections, time: Timestamp::ZERO, heights: None };
-        observe(objects, &[], &self.lens.camera, &[view], &limits()).map_err(|error| error.to_string())?;
-        Ok(started.elapsed().as_secs_f64() * 1e3)
-    }
+fn whole_time(
+    perception: &mut Perception,
+    picture: &GrayImage,
+    table_from_camera: &Isometry3<f64>,
+) -> Result<f64, String> {
+    let started = Instant::now();
+    let view = perception.grey_view(picture, *table_from_camera, Timestamp::ZERO, None);
+    let view = view.map_err(|error| chain(&error))?;
+    perception.observe(&[view]).map_err(|error| chain(&error))?;
+    Ok(started.elapsed().as_secs_f64() * 1e3)
 }
 
 fn library_time(detector: &mut Detector, picture: &GrayImage) -> Result<f64, String> {

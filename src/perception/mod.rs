@@ -12,9 +12,9 @@ pub mod place;
 use crate::time::Timestamp;
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectError, DetectSettings, Detection, Detector};
-use crate::vision::foreign::HeightMapError;
 use crate::vision::foreign::search::ForeignSearch;
-use crate::vision::image::{DepthImage, Image};
+use crate::vision::foreign::{HeightMap, HeightMapError};
+use crate::vision::image::{DepthImage, GrayImage, Image};
 use crate::vision::observe::reference::DriftLimits;
 use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
 use nalgebra::Isometry3;
@@ -35,6 +35,28 @@ pub struct Scene {
     pub foreign: Option<ForeignSearch>,
     /// From where on the camera counts as moved.
     pub drift: DriftLimits,
+}
+
+impl Scene {
+    /// What depth says of things without a marker, or where there is no depth, what colour says if it is
+    /// asked; `None` when the search is switched off or neither tells.
+    ///
+    /// # Errors
+    /// The depth picture is not of this lens.
+    pub fn heights(
+        &self,
+        depth: Option<&DepthImage>,
+        colour: Option<&Image>,
+        table_from_camera: &Isometry3<f64>,
+    ) -> Result<Option<Arc<HeightMap>>, PerceptionError> {
+        let Some(search) = &self.foreign else { return Ok(None) };
+        let map = match (depth, colour) {
+            (Some(depth), _) => Some(search.map(depth, table_from_camera)?),
+            (None, Some(colour)) => search.changed(colour, table_from_camera),
+            (None, None) => None,
+        };
+        Ok(map.map(Arc::new))
+    }
 }
 
 /// A picture as it came from a camera.
@@ -107,17 +129,27 @@ impl Perception {
         earlier: Option<&View>,
         last: bool,
     ) -> Result<View, PerceptionError> {
-        let grey = picture.image.gray();
+        let view = self.grey_view(&picture.image.gray(), table_from_camera, time, earlier)?;
+        let heights = self.scene.heights(picture.depth, last.then_some(picture.image), &table_from_camera)?;
+        Ok(View { heights, ..view })
+    }
+
+    /// The markers of a frame in grey levels, as [`Perception::view`] finds them; nothing of other things.
+    ///
+    /// # Errors
+    /// The detector failed.
+    pub fn grey_view(
+        &mut self,
+        grey: &GrayImage,
+        table_from_camera: Isometry3<f64>,
+        time: Timestamp,
+        earlier: Option<&View>,
+    ) -> Result<View, PerceptionError> {
         let detections = match earlier {
-            Some(View { detections, .. }) => self.detector.detect_again(&grey, detections)?,
-            None => self.detector.detect(&grey)?,
+            Some(View { detections, .. }) => self.detector.detect_again(grey, detections)?,
+            None => self.detector.detect(grey)?,
         };
-        let heights = match (&self.scene.foreign, picture.depth) {
-            (Some(search), Some(depth)) => Some(Arc::new(search.map(depth, &table_from_camera)?)),
-            (Some(search), None) if last => search.changed(picture.image, &table_from_camera).map(Arc::new),
-            _ => None,
-        };
-        Ok(View { table_from_camera, detections, time, heights })
+        Ok(View { table_from_camera, detections, time, heights: None })
     }
 
     /// The views of a look put together.

@@ -5,9 +5,9 @@
 //! calibrate hand-eye`; and how far off they are.
 
 use crate::bench::vision::render::{Ground, Lens, Print, render};
+use crate::bench::vision::scene;
 use crate::bench::vision::scene::{DEGRADE, looking_down};
 use crate::bench::vision::tally::Accuracy;
-use crate::bench::vision::{Task, scene};
 use crate::calibration::fit::hand_eye::solve_hand_eye;
 use crate::calibration::fit::lens::{BoardView, LensSettings, solve_lens};
 use crate::calibration::fit::{HandEyeGuess, HandEyeSettings, Sample};
@@ -81,12 +81,14 @@ impl Found {
 
 /// Calibrates lens and mount from pictures rendered through the true lens.
 ///
+/// The bare detector on purpose: calibration too works on markers alone, before there is a scene to perceive.
+///
 /// # Errors
 /// What the solvers say.
-pub fn calibrate(lens: &Lens, task: Task) -> Result<Found, String> {
-    let mut random = ChaCha8Rng::seed_from_u64(task.seed);
+pub fn calibrate(lens: &Lens, settings: DetectSettings, seed: u64) -> Result<Found, String> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(u64::MAX);
-    let settings = DetectSettings { threads: 2, ..task.settings };
+    let settings = DetectSettings { threads: 2, ..settings };
     let mut detector = Detector::new(settings).map_err(|error| error.to_string())?;
     let mut views = Vec::with_capacity(BOARD_VIEWS);
     for number in 0..BOARD_VIEWS {
@@ -208,11 +210,9 @@ mod tests {
 
     #[test]
     fn the_calibrated_lens_meets_the_figures() {
-        let task =
-            Task { frames: 1, seed: 5, settings: DetectSettings::default(), threads: 1, calibrated: true };
-        let mut random = ChaCha8Rng::seed_from_u64(task.seed);
+        let mut random = ChaCha8Rng::seed_from_u64(5);
         let lens = Lens::new(scene::bench_camera(), &mut random);
-        let found = calibrate(&lens, task).unwrap();
+        let found = calibrate(&lens, DetectSettings::default(), 5).unwrap();
         let errors = found.errors;
         println!("{errors:?}");
         assert!(errors.reprojection_px < 0.3 && errors.focal_error_percent < 0.2, "{errors:?}");

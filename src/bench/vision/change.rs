@@ -6,12 +6,10 @@
 //! light that is up to 15 % brighter or darker than when the table was empty. There are no shadows: the
 //! renderer has none.
 
-use crate::bench::vision::foreign::{AREA, Bench, CAMERA_HEIGHT_M, EYES_Y_M, WIDTH_M, jitter, same, tables};
+use crate::bench::vision::foreign::{Bench, CAMERA_HEIGHT_M, EYES_Y_M, WIDTH_M, jitter, look, same, tables};
 use crate::bench::vision::scene::looking_down;
 use crate::bench::vision::tally::quantile;
 use crate::sim::render::sensor::Exposure;
-use crate::vision::foreign::change::EmptyTable;
-use crate::vision::foreign::{ForeignLimits, HeightMap, find};
 use crate::vision::image::Image;
 use nalgebra::Isometry3;
 use rand::{RngExt, SeedableRng};
@@ -53,20 +51,24 @@ struct Outcome {
 /// # Errors
 /// What the lens says.
 pub fn run(scenes: usize, seed: u64, threads: usize, stop: &AtomicBool) -> Result<Option<Report>, String> {
-    let bench = Bench::new()?;
+    let mut bench = Bench::new()?;
     let poses = EYES_Y_M.map(|y| looking_down([WIDTH_M / 2.0, y], CAMERA_HEIGHT_M, [0.02, -0.03], 0.05));
-    let mut empty = EmptyTable::default();
-    for (look, pose) in (0..).zip(&poses) {
-        let image = picture(&bench, Vec::new(), pose, &Exposure::default(), [seed, u64::MAX - look]);
-        empty.add(&image, &bench.lens, pose, AREA);
-    }
+    let empty = |(look, pose): (u64, &Isometry3<f64>)| {
+        (picture(&bench, Vec::new(), pose, &Exposure::default(), [seed, u64::MAX - look]), *pose)
+    };
+    let empty: Vec<(Image, Isometry3<f64>)> = (0..).zip(&poses).map(empty).collect();
+    bench.compare_with(empty.iter().map(|(image, pose)| (image, *pose)));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     let pool = pool.map_err(|error| error.to_string())?;
-    let one = |number: usize| {
-        (!stop.load(Ordering::Relaxed)).then(|| scene(&bench, &empty, &poses, [seed, number as u64]))
+    let one = |number: usize| -> Result<Option<Outcome>, String> {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        scene(&bench, &poses, [seed, number as u64]).map(Some)
     };
-    let outcomes =
-        pool.install(|| (0..2 * scenes).into_par_iter().map(one).collect::<Option<Vec<Outcome>>>());
+    let outcomes = pool.install(|| {
+        (0..2 * scenes).into_par_iter().map(one).collect::<Result<Option<Vec<Outcome>>, String>>()
+    })?;
     Ok(outcomes.map(|outcomes| {
         let share = |count: usize| count as f64 / scenes.max(1) as f64;
         Report {
@@ -78,12 +80,7 @@ pub fn run(scenes: usize, seed: u64, threads: usize, stop: &AtomicBool) -> Resul
     }))
 }
 
-fn scene(
-    bench: &Bench,
-    empty: &EmptyTable,
-    poses: &[Isometry3<f64>; 2],
-    [seed, number]: [u64; 2],
-) -> Outcome {
+fn scene(bench: &Bench, poses: &[Isometry3<f64>; 2], [seed, number]: [u64; 2]) -> Result<Outcome, String> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(number);
     let kind = (number % 2 == 1).then_some(number as usize / 2 % 4);
@@ -98,19 +95,17 @@ fn scene(
         let truly = pose * jitter(REPEAT_STD, &mut random);
         images.push(picture(bench, prisms.clone(), &truly, &exposure, [seed, 2 * number + look]));
     }
+    let cell = bench.knowing(known);
     let started = Instant::now();
-    let changed = |(image, pose): (&Image, &Isometry3<f64>)| empty.changed(image, &bench.lens, pose, AREA);
-    let maps: Vec<HeightMap> = images.iter().zip(poses).map(changed).collect();
-    let maps: Vec<&HeightMap> = maps.iter().collect();
-    let seen = find(&maps, &known, &[], &ForeignLimits::default());
+    let seen = look(&cell, images.iter().zip(poses).map(|(image, pose)| (None, Some(image), pose)))?;
     let ms = started.elapsed().as_secs_f64() * 1e3;
     let is_it = |object| foreign.as_ref().is_some_and(|truth| same(object, truth));
-    Outcome {
+    Ok(Outcome {
         foreign: foreign.is_some(),
         found: seen.objects.iter().any(is_it),
         others: seen.objects.iter().any(|object| !is_it(object)),
         ms,
-    }
+    })
 }
 
 fn picture(

@@ -11,13 +11,15 @@
 
 use crate::bench::vision::hand_eye::Calibration;
 use crate::bench::vision::render::{Ground, Lens, Print, render};
-use crate::bench::vision::scene::{DEGRADE, bench_camera, looking_down};
+use crate::bench::vision::scene::{DEGRADE, bare, bench_camera, looking_down};
 use crate::bench::vision::tally::quantile;
+use crate::document::chain::chain;
 use crate::geometry::pose::Pose2;
+use crate::perception::{Perception, Scene, observe_views};
 use crate::time::Timestamp;
-use crate::vision::detect::{DetectSettings, Detection, Detector, Family};
+use crate::vision::detect::{DetectSettings, Detection, Family};
 use crate::vision::observe::reference::DriftLimits;
-use crate::vision::observe::{ObserveLimits, ReferenceMarker, View, observe};
+use crate::vision::observe::{ReferenceMarker, View};
 use nalgebra::{Isometry3, UnitVector3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -104,18 +106,18 @@ pub struct Untouched {
 /// Lens, markers and look poses.
 struct Bench {
     lens: Lens,
-    reference: Vec<ReferenceMarker>,
+    /// What the cell knows: lens, survey, limits.
+    known: Scene,
     prints: Vec<Print>,
     poses: [Isometry3<f64>; 2],
-    limits: DriftLimits,
 }
 
 /// How the markers of a picture become known.
 enum Eye {
     /// Projected, with noise.
     Corners,
-    /// Drawn and detected.
-    Pictures(Box<Detector>),
+    /// Drawn, and found by the cell's own eyes.
+    Pictures(Box<Perception>),
 }
 
 /// Runs with these limits; `None` when `stop` was set.
@@ -141,34 +143,10 @@ pub fn run(task: Task, limits: DriftLimits, stop: &AtomicBool) -> Result<Option<
         limit_mm: limits.shift_m * 1e3,
         limit_deg: limits.turn_rad.to_degrees(),
     };
-    let mut eye = Eye::Corners;
-    let exact = |truly: &Isometry3<f64>| *truly;
-    for trial in 0..task.trials + task.looks {
-        if stop.load(Ordering::Relaxed) {
-            return Ok(None);
-        }
-        let bumped = trial < task.trials;
-        let bump = if bumped { bump(trial, &mut random) } else { Isometry3::identity() };
-        let (drifted, share) = bench.look(&exact, &bump, &mut eye, &mut random)?;
-        if bumped {
-            report.noticed += usize::from(drifted);
-            report.least_excess = report.least_excess.min(share);
-        } else {
-            report.false_alarms += usize::from(drifted);
-            report.largest_share = report.largest_share.max(share);
-        }
-    }
-    let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    let mut eye = Eye::Pictures(Box::new(detector));
-    for trial in 0..task.rendered {
-        if stop.load(Ordering::Relaxed) {
-            return Ok(None);
-        }
-        let bumped = trial < report.rendered_trials;
-        let bump = if bumped { bump(trial, &mut random) } else { Isometry3::identity() };
-        let (drifted, _) = bench.look(&exact, &bump, &mut eye, &mut random)?;
-        report.rendered_noticed += usize::from(drifted && bumped);
-        report.rendered_false_alarms += usize::from(drifted && !bumped);
+    let counted = bench.projected_looks(task, stop, &mut random, &mut report)?
+        && bench.rendered_looks(task, stop, &mut random, &mut report)?;
+    if !counted {
+        return Ok(None);
     }
     let Some(within) = bench.untouched(task.calibrations, stop, &mut random, &mut |random| {
         let shift = direction(random).scale(random.random_range(0.0..MOUNT_M));
@@ -243,7 +221,67 @@ impl Bench {
         let prints = reference.iter().filter_map(print).collect();
         let middle = TABLE_M / 2.0;
         let poses = [0.14, TABLE_M - 0.14].map(|y| looking_down([middle, y], 0.5, [0.02, -0.03], 0.05));
-        Bench { lens: Lens::new(bench_camera(), random), reference, prints, poses, limits }
+        let lens = Lens::new(bench_camera(), random);
+        let known = Scene { reference, drift: limits, ..bare(&lens.camera) };
+        Bench { lens, known, prints, poses }
+    }
+
+    /// Bumped looks and looks with nothing wrong, by projected corners; false when `stop` was set.
+    fn projected_looks(
+        &self,
+        task: Task,
+        stop: &AtomicBool,
+        random: &mut ChaCha8Rng,
+        report: &mut Report,
+    ) -> Result<bool, String> {
+        for trial in 0..task.trials + task.looks {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(false);
+            }
+            let bumped = trial < task.trials;
+            let (drifted, share) = self.trial(bumped.then_some(trial), &mut Eye::Corners, random)?;
+            if bumped {
+                report.noticed += usize::from(drifted);
+                report.least_excess = report.least_excess.min(share);
+            } else {
+                report.false_alarms += usize::from(drifted);
+                report.largest_share = report.largest_share.max(share);
+            }
+        }
+        Ok(true)
+    }
+
+    /// The same with pictures, in which the cell's own eyes find the markers.
+    fn rendered_looks(
+        &self,
+        task: Task,
+        stop: &AtomicBool,
+        random: &mut ChaCha8Rng,
+        report: &mut Report,
+    ) -> Result<bool, String> {
+        let perception = Perception::new(self.known.clone(), DetectSettings::default());
+        let mut eye = Eye::Pictures(Box::new(perception.map_err(|error| chain(&error))?));
+        for trial in 0..task.rendered {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(false);
+            }
+            let bumped = trial < report.rendered_trials;
+            let (drifted, _) = self.trial(bumped.then_some(trial), &mut eye, random)?;
+            report.rendered_noticed += usize::from(drifted && bumped);
+            report.rendered_false_alarms += usize::from(drifted && !bumped);
+        }
+        Ok(true)
+    }
+
+    /// A look of a cell that is calibrated exactly, with the bump of this number or none.
+    fn trial(
+        &self,
+        bumped: Option<usize>,
+        eye: &mut Eye,
+        random: &mut ChaCha8Rng,
+    ) -> Result<(bool, f64), String> {
+        let bump = bumped.map_or_else(Isometry3::identity, |number| bump(number, random));
+        self.look(&|truly| *truly, &bump, eye, random)
     }
 
     /// One look with each of so many calibrations; `None` when `stop` was set.
@@ -281,32 +319,41 @@ impl Bench {
             let repeat = Vector3::new(normal(random), normal(random), normal(random)) * REPEAT_M;
             let truly = nominal * Isometry3::new(repeat, Vector3::zeros()) * bump;
             for _ in 0..FRAMES {
-                let detections = self.detections(&truly, eye, random)?;
-                let (table_from_camera, time) = (belief(nominal), Timestamp::ZERO);
-                views.push(View { table_from_camera, detections, time, heights: None });
+                views.push(self.view(&truly, belief(nominal), eye, random)?);
             }
         }
-        let seen = observe(&[], &self.reference, &self.lens.camera, &views, &ObserveLimits::default());
-        let check = seen.map_err(|error| error.to_string())?.reference;
+        let seen = observe_views(&self.known, &views);
+        let check = seen.map_err(|error| chain(&error))?.reference;
         let check = check.ok_or("a look showed no reference marker")?;
-        let share = check.worst_look(&self.limits).map_or(0.0, |(_, excess)| excess);
-        Ok((check.drifted(&self.limits), share.max(check.residual_rms_m / self.limits.residual_m)))
+        let limits = &self.known.drift;
+        let share = check.worst_look(limits).map_or(0.0, |(_, excess)| excess);
+        Ok((check.drifted(limits), share.max(check.residual_rms_m / limits.residual_m)))
     }
 
-    fn detections(
+    /// One frame with the camera truly there, for a cell that believes it elsewhere.
+    fn view(
         &self,
-        table_from_camera: &Isometry3<f64>,
+        truly: &Isometry3<f64>,
+        table_from_camera: Isometry3<f64>,
         eye: &mut Eye,
         random: &mut ChaCha8Rng,
-    ) -> Result<Vec<Detection>, String> {
-        if let Eye::Pictures(detector) = eye {
+    ) -> Result<View, String> {
+        let time = Timestamp::ZERO;
+        if let Eye::Pictures(perception) = eye {
             let ground = Ground::Plain(140.0);
-            let picture = render(&self.lens, table_from_camera, &ground, &self.prints, DEGRADE, random);
-            return detector.detect(&picture).map_err(|error| error.to_string());
+            let picture = render(&self.lens, truly, &ground, &self.prints, DEGRADE, random);
+            let view = perception.grey_view(&picture, table_from_camera, time, None);
+            return view.map_err(|error| chain(&error));
         }
+        let detections = self.projected(truly, random);
+        Ok(View { table_from_camera, detections, time, heights: None })
+    }
+
+    /// The markers' corners as the lens projects them, with noise.
+    fn projected(&self, table_from_camera: &Isometry3<f64>, random: &mut ChaCha8Rng) -> Vec<Detection> {
         let (width, height) = (f64::from(self.lens.camera.width), f64::from(self.lens.camera.height));
         let mut seen = Vec::new();
-        for (marker, print) in self.reference.iter().zip(&self.prints) {
+        for (marker, print) in self.known.reference.iter().zip(&self.prints) {
             let corners = print.corners(&self.lens, table_from_camera);
             let inside =
                 |[x, y]: &[f64; 2]| (4.0..width - 4.0).contains(x) && (4.0..height - 4.0).contains(y);
@@ -321,7 +368,7 @@ impl Bench {
                 ..Detection::default()
             });
         }
-        Ok(seen)
+        seen
     }
 }
 

@@ -4,25 +4,27 @@
 //! camera with its noise, holes, ragged edges and curved field; in one half of the scenes there is a box, a
 //! mug, an object tipped on its side or one that lies on its marker, at least 30 mm long and wide. What is
 //! known is known as the cell knows it: poses of objects and camera carry the errors of marker detection and
-//! calibration. Each table is looked at from two places, as the cell does. The code that decides is the
-//! cell's own.
+//! calibration. Each table is looked at from two places, as the cell does. What depth says is decided by
+//! `perception`, as in the cell.
 
-use crate::bench::vision::scene::{bench_camera, looking_down};
+use crate::bench::vision::scene::{bare, bench_camera, looking_down};
+use crate::document::chain::chain;
 use crate::geometry::collision::distance_between;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::contains;
 use crate::geometry::pose::Pose2;
+use crate::perception::{self, observe_views};
 use crate::sim::render::Renderer;
 use crate::sim::render::lens::CameraTruth;
 use crate::sim::render::scene::{Prism, Scene};
 use crate::sim::render::sensor::Exposure;
 use crate::sim::world::section::Section;
-use crate::vision::camera::CameraModel;
-use crate::vision::foreign::{
-    Area, DepthLens, ForeignLimits, ForeignObject, ForeignReport, HeightMap, KnownBody, find,
-};
-use crate::vision::image::DepthImage;
+use crate::time::Timestamp;
+use crate::vision::foreign::search::{ForeignSearch, Inventory};
+use crate::vision::foreign::{Area, ForeignLimits, ForeignObject, ForeignReport, KnownBody};
 use crate::vision::image::depth::UNIT_M;
+use crate::vision::image::{DepthImage, Image};
+use crate::vision::observe::View;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -102,11 +104,11 @@ pub struct Report {
 /// Kinds of foreign things, and how one is drawn.
 const KINDS: [&str; 4] = ["box", "mug", "tipped on its side", "on its marker"];
 
-/// Depth camera and lens of the bench.
+/// Depth camera of the bench, and what the cell knows of an empty table.
 pub(super) struct Bench {
     pub(super) renderer: Renderer,
-    camera: CameraModel,
-    pub(super) lens: DepthLens,
+    known: perception::Scene,
+    search: ForeignSearch,
 }
 
 /// A body of a scene: outline on the table, height, and how it is drawn.
@@ -185,8 +187,22 @@ impl Bench {
             distortion: camera.distortion,
             ..CameraTruth::ideal("bench", camera.width, camera.height, camera.fx)
         };
-        let lens = DepthLens::new(&camera).map_err(|error| error.to_string())?;
-        Ok(Bench { renderer: Renderer::new(truth), camera, lens })
+        let inventory =
+            Inventory { area: AREA, objects: Vec::new(), fixed: Vec::new(), ignored: Vec::new(), own: None };
+        let search = ForeignSearch::new(&camera, inventory, ForeignLimits::default());
+        let search = search.map_err(|error| chain(&error))?;
+        Ok(Bench { renderer: Renderer::new(truth), known: bare(&camera), search })
+    }
+
+    /// From now on looks are compared with these pictures of the empty table.
+    pub(super) fn compare_with<'a>(&mut self, empty: impl Iterator<Item = (&'a Image, Isometry3<f64>)>) {
+        self.search.compare_with(empty);
+    }
+
+    /// What the cell knows of a table on which these bodies stand.
+    pub(super) fn knowing(&self, bodies: Vec<KnownBody>) -> perception::Scene {
+        let foreign = Some(self.search.clone().with_fixed(bodies));
+        perception::Scene { foreign, ..self.known.clone() }
     }
 
     /// Scene `number`: the even ones are clean.
@@ -206,13 +222,9 @@ impl Bench {
             )?;
             taken.push((depth, eye * jitter(CAMERA_STD, &mut random)));
         }
+        let cell = self.knowing(known);
         let started = Instant::now();
-        let map = |(depth, believed): &(DepthImage, Isometry3<f64>)| {
-            HeightMap::new(depth, &self.lens, believed, AREA, None).map_err(|error| error.to_string())
-        };
-        let maps: Vec<HeightMap> = taken.iter().map(map).collect::<Result<_, String>>()?;
-        let maps: Vec<&HeightMap> = maps.iter().collect();
-        let seen: ForeignReport = find(&maps, &known, &[], &ForeignLimits::default());
+        let seen = look(&cell, taken.iter().map(|(depth, believed)| (Some(depth), None, believed)))?;
         let ms = started.elapsed().as_secs_f64() * 1e3;
         let is_it = |object: &&ForeignObject| foreign.as_ref().is_some_and(|truth| same(object, truth));
         let found = seen.objects.iter().find(is_it).zip(foreign.as_ref());
@@ -237,9 +249,25 @@ impl Bench {
         noise: [u64; 2],
     ) -> Result<DepthImage, String> {
         let drawn = self.renderer.expose_depth(scene, table_from_camera, &Exposure::default(), noise);
-        let (width, height) = (self.camera.width, self.camera.height);
+        let (width, height) = (self.known.camera.width, self.known.camera.height);
         DepthImage::from_units(width, height, &drawn.units, UNIT_M).map_err(|error| error.to_string())
     }
+}
+
+/// What a look shows of things without a marker: depth, or colour where there is none, from each place. No
+/// marker is drawn on these tables, so none is searched for.
+pub(super) fn look<'a>(
+    cell: &perception::Scene,
+    taken: impl Iterator<Item = (Option<&'a DepthImage>, Option<&'a Image>, &'a Isometry3<f64>)>,
+) -> Result<ForeignReport, String> {
+    let mut views = Vec::with_capacity(EYES_Y_M.len());
+    for (depth, colour, table_from_camera) in taken {
+        let heights = cell.heights(depth, colour, table_from_camera).map_err(|error| chain(&error))?;
+        let (table_from_camera, time) = (*table_from_camera, Timestamp::ZERO);
+        views.push(View { table_from_camera, detections: Vec::new(), time, heights });
+    }
+    let seen = observe_views(cell, &views).map_err(|error| chain(&error))?;
+    seen.foreign.ok_or_else(|| "neither depth nor colour told of the table".to_string())
 }
 
 /// A table, with something foreign of that kind on it: all that stands there, the foreign thing, and what is

@@ -8,11 +8,14 @@
 
 use crate::bench::vision::render::{Degrade, Ground, Lens, Print, Sheet};
 use crate::geometry::pose::Pose2;
+use crate::perception;
 use crate::report::raster;
 use crate::vision::camera::CameraModel;
 use crate::vision::detect::Family;
 use crate::vision::detect::family::Pattern;
 use crate::vision::image::Image;
+use crate::vision::observe::ObserveLimits;
+use crate::vision::observe::reference::DriftLimits;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -62,6 +65,18 @@ pub fn looking_down(at: [f64; 2], height_m: f64, tilt: [f64; 2], turn: f64) -> I
     let turned = UnitQuaternion::from_scaled_axis(Vector3::z() * turn);
     let tilted = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));
     Isometry3::from_parts(Translation3::new(at[0], at[1], height_m), tilted * turned * down)
+}
+
+/// What the cell's perception knows of a table on which nothing is expected: the lens.
+pub(super) fn bare(camera: &CameraModel) -> perception::Scene {
+    perception::Scene {
+        camera: camera.clone(),
+        objects: Vec::new(),
+        reference: Vec::new(),
+        limits: ObserveLimits::default(),
+        foreign: None,
+        drift: DriftLimits { residual_m: f64::INFINITY, shift_m: f64::INFINITY, turn_rad: f64::INFINITY },
+    }
 }
 
 /// One of our markers and where it really is.

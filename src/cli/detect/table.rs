@@ -26,7 +26,6 @@ use crate::vision::observe::{Observation, View};
 use nalgebra::Isometry3;
 use std::fmt::Write;
 use std::path::Path;
-use std::sync::Arc;
 
 /// A cell as far as pictures of its table go.
 pub(super) struct Cell {
@@ -63,14 +62,10 @@ impl Cell {
         let table_from_camera = where_taken(&lens, &reference_markers(&config), &detections)?;
         let depth = depth.map(read_depth).transpose()?;
         let search = depth.as_ref().map(|_| search(&config, &lens)).transpose()?;
-        let heights = match (&search, &depth) {
-            (Some(search), Some(depth)) => {
-                Some(Arc::new(search.map(depth, &table_from_camera).map_err(|error| chain(&error))?))
-            }
-            _ => None,
-        };
-        let view = View { table_from_camera, detections, time: Timestamp::ZERO, heights };
         let perception = perception(&config, lens.clone(), search)?;
+        let heights = perception.scene().heights(depth.as_ref(), None, &table_from_camera);
+        let heights = heights.map_err(|error| chain(&error))?;
+        let view = View { table_from_camera, detections, time: Timestamp::ZERO, heights };
         let seen = perception.observe(&[view]).map_err(|error| chain(&error))?;
         Ok(Table { seen, config, lens, table_from_camera })
     }

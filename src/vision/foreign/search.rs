@@ -52,6 +52,12 @@ impl ForeignSearch {
         Ok(ForeignSearch { lens: DepthLens::new(camera)?, inventory, limits, empty: None })
     }
 
+    /// The same search of a table on which these bodies stand and never move.
+    pub fn with_fixed(mut self, fixed: Vec<KnownBody>) -> ForeignSearch {
+        self.inventory.fixed = fixed;
+        self
+    }
+
     /// Compares colours with the empty table where there is no depth: its pictures, each with the camera's
     /// place.
     pub fn compare_with<'a>(&mut self, empty: impl Iterator<Item = (&'a Image, Isometry3<f64>)>) {
