@@ -7,9 +7,9 @@
 
 use crate::calibration::drawn::CameraMount;
 use crate::config::cell::CalibrationFiles;
-use crate::config::check::Places;
 use crate::config::fields::{joints_deg, list, optional, path, required_number, transform};
 use crate::config::parts::CellParts;
+use crate::config::places::Places;
 use crate::document::Location;
 use crate::document::decode::{At, Decoder};
 use crate::motion::kinematics::{DhParameters, forward};

@@ -9,6 +9,7 @@ use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration::check_board;
 use crate::config::cell::{CupConfig, Devices, GripperConfig, MotionLimits};
 use crate::config::parts::CellParts;
+use crate::config::places::Places;
 use crate::document::Location;
 use crate::document::decode::Decoder;
 use crate::document::tree::{Node, Value};
@@ -29,38 +30,6 @@ const FACTOR_ACCELERATING: f64 = 4.0;
 
 /// Angles tried between 0 and a half turn.
 const ANGLES: usize = 36;
-
-/// Finds the place of a key in the text, for complaints about values that were read long ago.
-pub(super) struct Places<'n> {
-    top: &'n Node,
-}
-
-impl<'n> Places<'n> {
-    pub(super) fn new(top: &'n Node) -> Places<'n> {
-        Places { top }
-    }
-
-    /// Place of `keys` inside each other; of the innermost that is there.
-    pub(super) fn at(&self, keys: &[&str]) -> Location {
-        let mut node = self.top;
-        for key in keys {
-            let inner = match key.parse::<usize>() {
-                Ok(index) => item(node, index),
-                Err(_) => node.get(key),
-            };
-            let Some(inner) = inner else { break };
-            node = inner;
-        }
-        node.at
-    }
-}
-
-fn item(node: &Node, index: usize) -> Option<&Node> {
-    match &node.value {
-        Value::Sequence(items) => items.get(index),
-        Value::Map(_) | Value::Scalar { .. } => None,
-    }
-}
 
 /// Complains about everything that does not fit.
 pub(super) fn check_cell(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
@@ -194,7 +163,7 @@ fn check_limits(decoder: &mut Decoder, limits: &MotionLimits, places: &Places) {
 /// Complains about reference markers that share a number with each other or with an object. Works on the
 /// tree, so that it finds them in markers and objects that are wrong otherwise.
 pub(super) fn check_reference_markers(decoder: &mut Decoder, places: &Places, objects: &[MarkerUse]) {
-    let Some(Value::Sequence(markers)) = places.top.get("reference_markers").map(|node| &node.value) else {
+    let Some(Value::Sequence(markers)) = places.top().get("reference_markers").map(|node| &node.value) else {
         return;
     };
     let number = |node: &Node| Some((node.get("id")?.scalar()?.parse::<i64>().ok()?, node.get("id")?.at));

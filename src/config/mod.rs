@@ -9,6 +9,8 @@ pub mod empty;
 mod fields;
 pub mod load;
 mod parts;
+mod pieces;
+mod places;
 pub mod read_cell;
 pub mod read_sim;
 pub mod setup;

@@ -10,12 +10,14 @@ use crate::config::camera::camera_device;
 use crate::config::cell::{
     CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig, Tolerances,
 };
-use crate::config::check::{Places, check_cell};
+use crate::config::check::check_cell;
 use crate::config::fields::{
-    each, gripper, host, joints_deg, list, optional, path, port, reference_markers, required_each,
-    required_number, required_positive, transform,
+    each, host, joints_deg, list, optional, path, port, required_each, required_number, required_positive,
+    transform,
 };
 use crate::config::parts::{CellParts, TableParts};
+use crate::config::pieces::{gripper, reference_markers};
+use crate::config::places::Places;
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
 use crate::jobs::policy::{Approval, decode_objective, decode_solver};

@@ -4,10 +4,10 @@
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
 use crate::config::calibration::{board, board_apart};
-use crate::config::check::{Places, check_reference_markers};
-use crate::config::fields::{
-    each, gripper, joints_deg, optional, port, reference_markers, required_number, transform,
-};
+use crate::config::check::check_reference_markers;
+use crate::config::fields::{each, joints_deg, optional, port, required_number, transform};
+use crate::config::pieces::{gripper, reference_markers};
+use crate::config::places::Places;
 use crate::config::simulated::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::{Complaints, parse};
