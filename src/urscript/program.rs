@@ -225,20 +225,9 @@ impl Program {
                 return Ok(if self.alive(MAIN) { Turn::Kept } else { Turn::ProgramEnded });
             }
             Event::EnterCritical => {
-                if !self.enter_critical(index) {
-                    return Ok(Turn::Over);
-                }
+                return Ok(if self.enter_critical(index) { Turn::Kept } else { Turn::Over });
             }
-            Event::ExitCritical => {
-                if self.holder.is_none_or(|(holder, _)| holder != id) {
-                    return Err(self.exception(index, "exit_critical without enter_critical".to_owned()));
-                }
-                self.exit_critical();
-                // Who lent it goes on as soon as it is free: not only if nobody takes it again at once.
-                if self.holder.is_none() && self.threads.iter().any(|other| other.lent > 0) {
-                    return Ok(Turn::Over);
-                }
-            }
+            Event::ExitCritical => return self.exit_critical(index),
             Event::Halt => return Ok(Turn::ProgramEnded),
             // The other threads have the rest of this frame, as with a pause from outside.
             Event::Pause => {
@@ -323,14 +312,20 @@ impl Program {
         }
     }
 
-    fn exit_critical(&mut self) {
+    /// The thread leaves the section, or one of its nestings.
+    fn exit_critical(&mut self, index: usize) -> Result<Turn, RuntimeException> {
+        let id = self.threads.get(index).map(|scheduled| scheduled.thread.id);
         match &mut self.holder {
-            Some((_, depth)) if *depth > 1 => *depth -= 1,
-            _ => {
+            Some((holder, depth)) if Some(*holder) == id && *depth > 1 => *depth -= 1,
+            Some((holder, _)) if Some(*holder) == id => {
                 self.holder = None;
                 self.hand_on();
             }
+            _ => return Err(self.exception(index, "exit_critical without enter_critical".to_owned())),
         }
+        // Who lent it goes on as soon as it is free: not only if nobody takes it again at once.
+        let lender_waits = self.holder.is_none() && self.threads.iter().any(|other| other.lent > 0);
+        Ok(if lender_waits { Turn::Over } else { Turn::Kept })
     }
 
     fn hand_on(&mut self) {

@@ -182,23 +182,12 @@ impl Thread {
                 let value = self.load(variable, shared)?;
                 self.stack.push(value);
             }
-            Instruction::Store(variable, qualifier) => {
-                let value = self.stored_value()?;
-                match self.place(variable, *qualifier, shared)? {
-                    // `local` declares anew, whatever had the name before.
-                    Some(target) if *qualifier != Qualifier::Local => operators::assign(target, value)?,
-                    place => *place = Some(value),
-                }
-            }
+            Instruction::Store(variable, qualifier) => self.store(variable, *qualifier, shared)?,
             Instruction::StoreInto(variable, qualifier, path) => {
                 self.store_into(variable, *qualifier, path, shared)?;
             }
             Instruction::Call(function, slots) => {
-                if self.calls.len() >= MAX_CALLS {
-                    return Err(format!("calls are nested deeper than {MAX_CALLS} levels"));
-                }
-                let parameters = self.take_arguments(slots, 0);
-                self.enter(code, *function, parameters);
+                self.call(code, *function, slots)?;
             }
             Instruction::Run(function, slots) => {
                 return Ok(Some(Event::Spawn(*function, self.take_arguments(slots, 0))));
@@ -238,6 +227,34 @@ impl Thread {
             | Instruction::Pop => self.compute(instruction)?,
         }
         Ok(None)
+    }
+
+    /// Puts a value into a variable.
+    #[inline]
+    fn store(
+        &mut self,
+        variable: &Variable,
+        qualifier: Qualifier,
+        shared: &mut Shared,
+    ) -> Result<(), String> {
+        let value = self.stored_value()?;
+        match self.place(variable, qualifier, shared)? {
+            // `local` declares anew, whatever had the name before.
+            Some(target) if qualifier != Qualifier::Local => operators::assign(target, value)?,
+            place => *place = Some(value),
+        }
+        Ok(())
+    }
+
+    /// Calls a function of the program.
+    #[inline]
+    fn call(&mut self, code: &Code, function: usize, slots: &[usize]) -> Result<(), String> {
+        if self.calls.len() >= MAX_CALLS {
+            return Err(format!("calls are nested deeper than {MAX_CALLS} levels"));
+        }
+        let parameters = self.take_arguments(slots, 0);
+        self.enter(code, function, parameters);
+        Ok(())
     }
 
     /// Instructions that only move within the function.
