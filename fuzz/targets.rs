@@ -11,12 +11,9 @@ use celld::cell::device::primary_session::PrimarySession;
 use celld::cell::device::rtde_session::RtdeSession;
 use celld::sim::controller::builtins::compile_program;
 use celld::sim::controller::{Controller, ControllerConfig};
-use celld::sim::faults::link::LinkState;
-use celld::sim::gripper_server;
-use celld::sim::robot_server::outlets::{Feed, Inlet};
-use celld::sim::robot_server::script_ports::{self, Port};
-use celld::sim::robot_server::{RobotShared, dashboard as dashboard_server, rtde as rtde_server};
-use celld::sim::world::World;
+use celld::sim::session::Port;
+use celld::sim::simulator::{Simulator, Transmission};
+use celld::sim::world::lock;
 use celld::sim::world::spec::{GripperSpec, WorldSpec};
 use celld::sim::world::vacuum::Channel;
 use celld::time::{Duration, Timestamp};
@@ -27,8 +24,6 @@ use celld::wire::rtde::{Frame, Reply, Request, Splitter, Version};
 use celld::wire::rtde_values::{Leftover, Recipe};
 use celld::wire::rtde_variables::OUTPUTS;
 use nalgebra::Isometry3;
-use std::net::Ipv4Addr;
-use std::sync::Arc;
 
 /// What a target does with the bytes it is given.
 pub type Target = fn(&[u8]);
@@ -56,11 +51,34 @@ fn pieces(data: &[u8]) -> Vec<&[u8]> {
     rest.chunks(length.max(1)).collect()
 }
 
-fn robot() -> Arc<RobotShared> {
-    let mut config = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
+fn simulator() -> Simulator {
+    let mut controller = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
     let program = "def work():\n while True:\n  sync()\n end\nend\n";
-    config.programs.insert("work".to_owned(), program.to_owned());
-    RobotShared::new(Controller::new(config), Ipv4Addr::LOCALHOST.into())
+    controller.programs.insert("work".to_owned(), program.to_owned());
+    let world = WorldSpec::bare(Isometry3::identity(), GripperSpec::one_cup(0.2));
+    Simulator::new(controller, world, 1, Vec::new()).expect("a sound cell")
+}
+
+/// Talks to a server of the simulator, `frames` frames after each piece; `heard` gets what it says, in the
+/// pieces in which it says it. The client then leaves.
+fn talk(port: Port, data: &[u8], frames: usize, mut heard: impl FnMut(&[u8])) -> Simulator {
+    let mut simulator = simulator();
+    let id = simulator.connect(port).expect("the server listens");
+    let mut listen = |simulator: &mut Simulator| {
+        while let Some(transmission) = simulator.transmit() {
+            if let Transmission::Bytes(_, bytes) = transmission {
+                heard(&bytes);
+            }
+        }
+    };
+    listen(&mut simulator);
+    for piece in pieces(data) {
+        simulator.receive(id, piece);
+        (0..frames).for_each(|_| simulator.advance());
+        listen(&mut simulator);
+    }
+    simulator.hang_up(id);
+    simulator
 }
 
 /// Gives a client of ours the bytes a second apart, and takes what it has to say; `$before` is done before
@@ -79,11 +97,6 @@ macro_rules! hear {
     }};
 }
 
-/// What the simulator has queued for a connection.
-fn sent(inlet: &mut Inlet) -> Vec<u8> {
-    std::iter::from_fn(|| inlet.queue.try_recv().ok()).flat_map(|parcel| parcel.bytes().to_vec()).collect()
-}
-
 /// Packages of both directions in both versions; then a connection to the simulator; then a client of ours.
 pub fn rtde(data: &[u8]) {
     let fields = OUTPUTS.iter().map(|(name, kind)| ((*name).to_owned(), *kind)).collect();
@@ -99,23 +112,9 @@ pub fn rtde(data: &[u8]) {
             }
         }
     }
-    let shared = robot();
-    let mut inlet = shared.outlets().open(Feed::Rtde, false, None);
-    let mut session = rtde_server::Session::new(inlet.id);
-    for piece in pieces(data) {
-        let Ok(answers) = session.receive(&shared, piece) else { break };
-        answers.iter().for_each(|answer| must_be_readable(answer));
-        session.answered(&shared);
-        shared.frame(None);
-        let mut splitter = Splitter::default();
-        splitter.push(&sent(&mut inlet));
-        while let Some(frame) = splitter.next_frame().expect("what we send has a length") {
-            must_be_readable(&frame.encode());
-        }
-    }
-    session.close(&shared);
+    let simulator = talk(Port::Rtde, data, 1, must_be_readable);
     assert!(
-        !shared.controller().core.registers.claimed("input_int_register_24"),
+        !simulator.core().robot.controller().core.registers.claimed("input_int_register_24"),
         "a claim has outlived its client"
     );
     hear!(RtdeSession::new(500.0), data, |_: &mut RtdeSession, _| {});
@@ -141,16 +140,7 @@ pub fn dashboard(data: &[u8]) {
             let _ = DashboardReply::parse(&command, &line).map(|reply| reply.line(&command));
         }
     }
-    let shared = robot();
-    let mut session = dashboard_server::Session::new(&shared.controller());
-    for piece in pieces(data) {
-        let Ok(replies) = session.receive(&shared, piece) else { break };
-        assert!(replies.is_empty() || replies.ends_with('\n'), "{replies:?}");
-        (0..3).for_each(|_| shared.frame(None));
-        if session.over() {
-            break;
-        }
-    }
+    talk(Port::Dashboard, data, 3, |replies| assert!(replies.ends_with(b"\n"), "{replies:?}"));
     hear!(DashboardSession::default(), data, |client: &mut DashboardSession, now| {
         let _ = client.ask(now, Command::SafetyMode);
     });
@@ -169,20 +159,12 @@ pub fn primary(data: &[u8]) {
             }
         }
     }
-    let shared = robot();
-    let port = Port { feed: Feed::Primary, read_only: false };
-    let (mut inlet, mut session) = script_ports::Session::open(&shared, port);
     let mut heard = PrimarySplitter::default();
-    for piece in pieces(data) {
-        if session.receive(&shared, piece).is_err() {
-            break;
-        }
-        (0..3).for_each(|_| shared.frame(None));
-        heard.push(&sent(&mut inlet));
+    let mut simulator = talk(Port::Primary, data, 3, |bytes| {
+        heard.push(bytes);
         while heard.next_package().expect("what we send can be read").is_some() {}
-    }
-    session.finish(&shared);
-    (0..FRAMES).for_each(|_| shared.frame(None));
+    });
+    (0..FRAMES).for_each(|_| simulator.advance());
     hear!(PrimarySession::default(), data, |_: &mut PrimarySession, _| {});
 }
 
@@ -203,18 +185,12 @@ pub fn urscript(data: &[u8]) {
 
 /// Requests to the gripper, with the world's time going on.
 pub fn modbus(data: &[u8]) {
-    let spec = WorldSpec::bare(Isometry3::identity(), GripperSpec::one_cup(0.2));
-    let mut world = World::new(spec, 1).expect("a sound world");
-    let mut session = gripper_server::Session::default();
-    let mut now_s = 0.0;
-    for piece in pieces(data) {
-        let Ok(answers) = session.receive(&mut world, &LinkState::default(), piece) else { break };
-        let mut splitter = modbus::Splitter::default();
-        splitter.push(&answers);
+    let mut splitter = modbus::Splitter::default();
+    let simulator = talk(Port::Gripper, data, 1, |answers| {
+        splitter.push(answers);
         while splitter.next_adu().expect("what we send is Modbus").is_some() {}
-        now_s += 0.002;
-        world.step(now_s, 0.002, &Isometry3::translation(0.0, 0.0, 1.0));
-    }
+    });
+    let world = lock(&simulator.core().world);
     for channel in Channel::ALL {
         assert!(world.vacuum_reading_per_mille(channel) <= 1000, "more than a vacuum");
     }

@@ -10,9 +10,10 @@ use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
 use crate::pair::modbus::{Answer, Master};
-use crate::sim::core::{ConnectionId, Port, Simulator, Transmission};
 use crate::sim::faults::link::LinkState;
 use crate::sim::motion::FRAME_SECONDS;
+use crate::sim::session::Port;
+use crate::sim::simulator::{ConnectionId, Simulator, Transmission};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
@@ -98,6 +99,7 @@ impl Network {
             Port::Rtde => rtde,
             Port::Dashboard => dashboard,
             Port::Primary | Port::Secondary | Port::Realtime => primary,
+            Port::PrimaryReadOnly | Port::SecondaryReadOnly | Port::RealtimeReadOnly => primary,
             Port::Gripper => gripper,
         }
     }

@@ -8,8 +8,9 @@
 //! switched off (a fault) answers 503; other faults of the camera are asked of the world at every frame.
 
 use crate::sim::camera::{CameraSetup, Window};
-use crate::sim::faults::link::{Link, LinkListener};
+use crate::sim::faults::link::Link;
 use crate::sim::render::Renderer;
+use crate::sim::serve::stream::LinkListener;
 use crate::sim::world::{SharedWorld, lock};
 use axum::body::Bytes;
 use axum::extract::State;

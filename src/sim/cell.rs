@@ -1,14 +1,11 @@
-//! The whole simulated cell: controller, world, gripper and camera behind their sockets, and the thread that
-//! keeps their time.
+//! The whole simulated cell as a process runs it: controller, world, gripper and camera behind their sockets,
+//! and the thread that keeps their time.
 //!
 //! In: [`SimConfig`]. Out: [`RunningSim`], which has the addresses, the world for reports and tests, and the
-//! time factor that was reached. A frame is 2 ms of simulated time and is due every 2 ms / factor of wall
-//! time. Frames that come late push the later ones back instead of being made up for in a burst: clients
-//! would see time jump. With a factor above 1 the clients' processes may be the slow ones; then simulated
-//! time is held, within bounds, while a client that writes regularly is late or one that reads is behind.
+//! time factor that was reached. This only puts together: [`frames`] advances the [`Core`],
+//! [`crate::sim::serve`] carries bytes between sockets and the sessions on it.
 
 use crate::io::clock::Pace;
-use crate::io::priority;
 use crate::sim::camera::CameraSetup;
 use crate::sim::camera_server;
 use crate::sim::control_server;
@@ -17,36 +14,19 @@ use crate::sim::core::Core;
 use crate::sim::faults::desk::FaultDesk;
 use crate::sim::faults::link::LinkName;
 use crate::sim::faults::{FaultError, Planned};
-use crate::sim::gripper_server;
-use crate::sim::motion::FRAME_SECONDS;
-use crate::sim::robot_server::{self, ListenError, RobotAddresses, RobotPorts, RobotServers, RobotShared};
+use crate::sim::frames::{self, Progress};
+use crate::sim::robot_server::shared::RobotShared;
+use crate::sim::robot_server::{RobotAddresses, RobotPorts};
+use crate::sim::script_sockets::TcpScriptSockets;
+use crate::sim::serve::{ListenError, Servers, listen};
+use crate::sim::session::Port;
 use crate::sim::world::spec::{WorldError, WorldSpec};
 use crate::sim::world::{SharedWorld, World};
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
-use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-
-/// Longest that simulated time is held for a client, wall time.
-const LONGEST_HOLD: Duration = Duration::from_millis(250);
-
-/// Longest that simulated time waits for a daemon that follows it, wall time; below `io::clock`'s own
-/// patience.
-const LONGEST_WAIT: Duration = Duration::from_millis(1500);
-
-/// How often a held frame looks whether it may go on.
-const HOLD_POLL: Duration = Duration::from_micros(200);
-
-/// Lateness that is still made up for: below the wake-up jitter of the system time would run slow, above it
-/// frames are pushed back. At factor 20 this is a burst of five frames at most.
-const TOLERATED_LATENESS: Duration = Duration::from_micros(500);
-
-/// Frames in a row after none of which there was time to sleep, at which real-time priority is given up.
-const MOST_SLEEPLESS: u32 = 50;
 
 /// What is simulated and where it listens.
 #[derive(Clone, Debug)]
@@ -113,23 +93,11 @@ pub struct SimAddresses {
 pub struct RunningSim {
     /// Where the servers listen.
     pub addresses: SimAddresses,
-    robot: Arc<RobotShared>,
-    world: WorldHandle,
-    desk: Arc<FaultDesk>,
-    pace: Arc<Pace>,
-    held_us: Arc<AtomicU64>,
+    core: Core,
+    progress: Arc<Progress>,
     stop: watch::Sender<bool>,
     frames: Option<JoinHandle<()>>,
-    servers: Option<(RobotServers, JoinSet<()>)>,
-}
-
-/// The world behind a handle that prints as its name: it is long.
-struct WorldHandle(SharedWorld);
-
-impl std::fmt::Debug for WorldHandle {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("World")
-    }
+    servers: Option<(Servers, JoinSet<()>)>,
 }
 
 /// Starts the simulation.
@@ -140,66 +108,42 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
     if !(0.01..=1000.0).contains(&config.time_factor) {
         return Err(SimError::TimeFactor(config.time_factor));
     }
-    let robot = RobotShared::new(Controller::new(config.controller), config.bind);
-    let core = Core::new(robot, World::new(config.world, config.seed)?, config.time_factor);
+    let mut controller = Controller::new(config.controller);
+    controller.core.sockets = Box::new(TcpScriptSockets::from_address(config.bind));
+    let core = Core::new(controller, World::new(config.world, config.seed)?, config.time_factor);
     core.desk.submit(config.faults)?;
-    let Core { robot, world, desk } = core.clone();
     let (stop, stopped) = watch::channel(false);
-    let modbus = listen("gripper", config.bind, config.modbus_port).await?;
+    let gripper = listen(Port::Gripper.name(), config.bind, config.modbus_port).await?;
     let camera = listen("camera", config.bind, config.camera_port).await?;
     let control = match config.control_port {
         Some(port) => Some(listen("control server", config.bind, port).await?),
         None => None,
     };
-    let servers = robot_server::serve(&robot, config.bind, &config.ports, &stopped).await?;
+    let mut servers = Servers::default();
     let addresses = SimAddresses {
-        robot: servers.addresses,
-        modbus: modbus.1,
+        robot: servers.take_robot(&core, config.bind, &config.ports, &stopped).await?,
+        modbus: gripper.1,
         camera: camera.1,
         control: control.as_ref().map(|(_, address)| *address),
     };
+    servers.take(gripper, &core, Port::Gripper, &stopped);
     let mut tasks = JoinSet::new();
-    let link = |name| robot.links.get(name).clone();
-    let gripper = gripper_server::serve(modbus.0, world.clone(), link(LinkName::Gripper), until(&stopped));
-    tasks.spawn(gripper);
-    let seen = link(LinkName::Camera);
-    let pictures = camera_server::serve(camera.0, config.camera, world.clone(), seen, until(&stopped));
+    let (world, link) = (core.world.clone(), core.robot.links.get(LinkName::Camera).clone());
+    let pictures = camera_server::serve(camera.0, config.camera, world, link, until(&stopped));
     tasks.spawn(async move { report("camera server", pictures.await) });
     if let Some((listener, _)) = control {
-        let control = control_server::serve(listener, world.clone(), desk.clone(), until(&stopped));
+        let (world, desk) = (core.world.clone(), core.desk.clone());
+        let control = control_server::serve(listener, world, desk, until(&stopped));
         tasks.spawn(async move { report("control server", control.await) });
     }
-    let (pace, held_us) =
-        (Arc::new(Pace::new(robot.controller().core.timestamp())), Arc::new(AtomicU64::new(0)));
+    let progress = Arc::new(Progress::new(core.robot.controller().core.timestamp()));
     let frames = {
-        let (pace, held_us) = (pace.clone(), held_us.clone());
-        let factor = config.time_factor;
-        let body = move || run_frames(&core, (&pace, &held_us), factor, &stopped);
+        let (core, progress, factor) = (core.clone(), progress.clone(), config.time_factor);
+        let body = move || frames::run(&core, &progress, factor, &stopped);
         std::thread::Builder::new().name("sim-frames".to_owned()).spawn(body).map_err(SimError::Thread)?
     };
-    Ok(RunningSim {
-        addresses,
-        robot,
-        world: WorldHandle(world),
-        desk,
-        pace,
-        held_us,
-        stop,
-        frames: Some(frames),
-        servers: Some((servers, tasks)),
-    })
-}
-
-async fn listen(
-    server: &'static str,
-    bind: IpAddr,
-    port: u16,
-) -> Result<(TcpListener, SocketAddr), ListenError> {
-    let address = SocketAddr::new(bind, port);
-    let failed = |source| ListenError { server, address, source };
-    let listener = TcpListener::bind(address).await.map_err(failed)?;
-    let address = listener.local_addr().map_err(failed)?;
-    Ok((listener, address))
+    let (frames, servers) = (Some(frames), Some((servers, tasks)));
+    Ok(RunningSim { addresses, core, progress, stop, frames, servers })
 }
 
 /// Resolves when the simulation ends.
@@ -220,32 +164,32 @@ fn report<E: std::fmt::Display>(server: &'static str, result: Result<(), E>) {
 impl RunningSim {
     /// The world: true poses for the final report and for tests.
     pub fn world(&self) -> SharedWorld {
-        self.world.0.clone()
+        self.core.world.clone()
     }
 
     /// The controller and its connections: faults and tests.
     pub fn robot(&self) -> &Arc<RobotShared> {
-        &self.robot
+        &self.core.robot
     }
 
     /// Faults: tests.
     pub fn desk(&self) -> &Arc<FaultDesk> {
-        &self.desk
+        &self.core.desk
     }
 
     /// Simulated seconds per second since the start.
     pub fn factor_reached(&self) -> f64 {
-        self.pace.factor()
+        self.progress.pace.factor()
     }
 
     /// Simulated time as it goes on, for a daemon in the same process.
     pub fn pace(&self) -> Arc<Pace> {
-        self.pace.clone()
+        self.progress.pace.clone()
     }
 
     /// Seconds of wall time for which simulated time was held for clients.
     pub fn seconds_held(&self) -> f64 {
-        self.held_us.load(Ordering::Relaxed) as f64 * 1e-6
+        self.progress.seconds_held()
     }
 
     /// Ends all connections and the frame thread.
@@ -268,112 +212,6 @@ impl Drop for RunningSim {
     }
 }
 
-/// When the next frame is due.
-struct Schedule {
-    period: Duration,
-    due: Instant,
-    /// When the frame that is being made was due before it was pushed back.
-    intended: Instant,
-}
-
-impl Schedule {
-    fn new(factor: f64, now: Instant) -> Schedule {
-        let period = Duration::from_secs_f64(FRAME_SECONDS / factor);
-        Schedule { period, due: now + period, intended: now }
-    }
-
-    /// Time to sleep until the frame that is due at `now`; a frame that is late by more than is tolerated
-    /// moves all later ones.
-    fn wait(&mut self, now: Instant) -> Duration {
-        let wait = self.due.saturating_duration_since(now);
-        self.intended = self.due;
-        if now > self.due + TOLERATED_LATENESS.max(self.period) {
-            self.due = now;
-        }
-        self.due += self.period;
-        wait
-    }
-}
-
-fn run_frames(
-    core: &Core,
-    (pace, held_us): (&Pace, &AtomicU64),
-    factor: f64,
-    stopped: &watch::Receiver<bool>,
-) {
-    // Clients measure silence on their own clocks; drawing pictures and planning can wait. Faster than real
-    // time this thread may fill a core, which would then be lost to the clients it is meant for.
-    if factor > 1.0 {
-        priority::raise()
-    } else {
-        priority::real_time()
-    }
-    // The default slack of 50 us is half a frame at factor 20. Without it the pace is merely less even.
-    let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1000));
-    let mut schedule = Schedule::new(factor, Instant::now());
-    let (mut frames, mut sleepless): (u64, u32) = (0, 0);
-    while !*stopped.borrow() && stopped.has_changed().is_ok() {
-        if factor > 1.0 {
-            let held = hold(&core.robot, stopped);
-            held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
-        }
-        wait_for_follower(pace, held_us, stopped);
-        core.advance(Some(schedule.intended));
-        frames += 1;
-        pace.reached(Duration::from_secs_f64(frames as f64 * FRAME_SECONDS));
-        let wait = schedule.wait(Instant::now());
-        sleepless = if wait.is_zero() { sleepless + 1 } else { 0 };
-        if sleepless == MOST_SLEEPLESS && factor <= 1.0 {
-            // Frames that take longer than they last would leave nothing to ordinary threads.
-            tracing::warn!("this computer is too slow for real time: the simulation gives up its priority");
-            priority::ordinary();
-            priority::raise();
-        }
-        if !wait.is_zero() {
-            std::thread::sleep(wait);
-        }
-    }
-}
-
-/// Waits for a daemon in the same process that reads this simulation's clock; what it has not heard of must
-/// not look stale to it.
-fn wait_for_follower(pace: &Pace, held_us: &AtomicU64, stopped: &watch::Receiver<bool>) {
-    let start = Instant::now();
-    while pace.ahead() {
-        if start.elapsed() >= LONGEST_WAIT || *stopped.borrow() {
-            pace.give_up();
-            break;
-        }
-        std::thread::sleep(HOLD_POLL);
-        held_us.fetch_add(HOLD_POLL.as_micros() as u64, Ordering::Relaxed);
-    }
-}
-
-/// Waits while a client is late or behind; then gives those up, so that a dead one does not stop the time.
-fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
-    let (step, playing) = {
-        let controller = robot.controller();
-        (controller.core.step, controller.programs.playing())
-    };
-    // Only a running program listens for signs of life; without one a client may stop writing at any time.
-    let waiting = || {
-        let outlets = robot.outlets();
-        (playing && outlets.someone_is_late(step)) || outlets.someone_is_behind()
-    };
-    if !waiting() {
-        return Duration::ZERO;
-    }
-    let start = Instant::now();
-    while waiting() {
-        if start.elapsed() >= LONGEST_HOLD || *stopped.borrow() {
-            robot.outlets().give_up(step);
-            break;
-        }
-        std::thread::sleep(HOLD_POLL);
-    }
-    start.elapsed()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -383,6 +221,7 @@ mod tests {
     use crate::sim::world::spec::{CameraMount, GripperSpec};
     use nalgebra::Isometry3;
     use tokio::io::AsyncReadExt;
+    use tokio::net::TcpListener;
 
     fn config(bind: &str, time_factor: f64) -> SimConfig {
         let camera = CameraTruth::ideal("sim-1", 64, 36, 40.0);
@@ -404,19 +243,6 @@ mod tests {
             seed: 1,
             faults: Vec::new(),
         }
-    }
-
-    #[test]
-    fn frames_are_pushed_back_and_never_made_up_for_in_a_burst() {
-        let start = Instant::now();
-        let ms = Duration::from_millis;
-        let mut schedule = Schedule::new(1.0, start);
-        assert_eq!(schedule.wait(start), ms(2));
-        assert_eq!(schedule.wait(start + ms(3)), ms(1));
-        assert_eq!(schedule.wait(start + ms(7)), Duration::ZERO, "1 ms late");
-        assert_eq!(schedule.wait(start + ms(7)), ms(1), "little lateness is made up for");
-        assert_eq!(schedule.wait(start + ms(500)), Duration::ZERO);
-        assert_eq!(schedule.wait(start + ms(500)), ms(2), "much is not");
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

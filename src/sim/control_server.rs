@@ -102,13 +102,13 @@ async fn fault(State(control): State<Control>, body: Bytes) -> Response {
 mod tests {
     use super::*;
     use crate::sim::controller::{Controller, ControllerConfig};
-    use crate::sim::robot_server::RobotShared;
+    use crate::sim::robot_server::shared::RobotShared;
     use crate::sim::world::empty_world;
-    use std::net::{Ipv4Addr, SocketAddr};
+    use std::net::SocketAddr;
     use std::sync::Mutex;
 
     fn desk(world: &SharedWorld) -> Arc<FaultDesk> {
-        let robot = RobotShared::new(Controller::new(ControllerConfig::ur5e(1)), Ipv4Addr::LOCALHOST.into());
+        let robot = RobotShared::new(Controller::new(ControllerConfig::ur5e(1)));
         Arc::new(FaultDesk::new(robot, world.clone(), 1.0))
     }
 

@@ -1,4 +1,4 @@
-//! The gripper's Modbus TCP server: the registers of a vacuum gripper behind its compute box.
+//! The gripper's Modbus TCP server without its sockets: the registers of a vacuum gripper behind its compute box.
 //!
 //! In: requests of unit 65: read holding registers (0x03), write one (0x06) or several (0x10), from several
 //! masters. Out: register values, or the exceptions the protocol has for what the device does not offer.
@@ -7,16 +7,11 @@
 //! per mille, read only. A lost connection leaves the last command active, as on the device. Source:
 //! reference drivers of the device; the answer to other units (exception 0x0B) is our choice.
 
-use crate::sim::faults::link::{Link, LinkState, LinkStream};
+use crate::sim::faults::link::LinkState;
+use crate::sim::world::World;
 use crate::sim::world::vacuum::{Channel, HIGHEST_TARGET, VacuumMode};
-use crate::sim::world::{SharedWorld, World, lock};
 use crate::wire::bytes::WireError;
 use crate::wire::modbus::{Adu, Exception, Function, Splitter, register_bytes};
-use std::future::Future;
-use std::sync::Arc;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::{TcpListener, TcpStream};
-use tokio::task::JoinSet;
 
 /// The unit number the device answers to.
 pub const UNIT: u8 = 65;
@@ -28,49 +23,6 @@ pub const CURRENT_LIMIT_REGISTER: u16 = 2;
 pub const VACUUM_REGISTER: u16 = 258;
 /// Highest current limit, mA.
 const HIGHEST_CURRENT_MA: u16 = 1000;
-/// Masters at once; further ones are closed.
-const MAX_CONNECTIONS: usize = 32;
-/// Wait after a connection could not be accepted, which for want of file handles passes.
-const ACCEPT_AGAIN: std::time::Duration = std::time::Duration::from_millis(10);
-
-/// Serves masters until `stop` resolves.
-pub async fn serve(
-    listener: TcpListener,
-    world: SharedWorld,
-    link: Arc<Link>,
-    stop: impl Future<Output = ()> + Send + Sync + 'static,
-) {
-    let mut connections = JoinSet::new();
-    tokio::pin!(stop);
-    loop {
-        tokio::select! {
-            () = &mut stop => break,
-            accepted = listener.accept() => match accepted {
-                Ok((stream, _)) => {
-                    while connections.try_join_next().is_some() {}
-                    if connections.len() < MAX_CONNECTIONS && stream.set_nodelay(true).is_ok() {
-                        connections.spawn(connection(stream, world.clone(), link.clone()));
-                    }
-                }
-                Err(_) => tokio::time::sleep(ACCEPT_AGAIN).await,
-            },
-        }
-    }
-    connections.shutdown().await;
-}
-
-async fn connection(stream: TcpStream, world: SharedWorld, link: Arc<Link>) {
-    let mut stream = LinkStream::new(stream, &link);
-    let mut session = Session::default();
-    let mut buffer = vec![0; 4096];
-    while let Ok(count @ 1..) = stream.read(&mut buffer).await {
-        let heard = session.receive(&mut lock(&world), &link.state(), &buffer[..count]);
-        let Ok(answers) = heard else { return };
-        if stream.write_all(&answers).await.is_err() {
-            return;
-        }
-    }
-}
 
 /// One master's connection, without its socket.
 #[derive(Default)]
@@ -189,19 +141,25 @@ fn vacuum_channel(address: u16) -> Option<Channel> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sim::world::empty_world;
+    use crate::sim::controller::{Controller, ControllerConfig};
+    use crate::sim::core::Core;
+    use crate::sim::serve::{Servers, listen};
+    use crate::sim::session::Port;
+    use crate::sim::world::{SharedWorld, empty_world, lock};
     use nalgebra::Isometry3;
-    use std::net::SocketAddr;
-    use std::sync::Mutex;
+    use std::net::{Ipv4Addr, SocketAddr};
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::net::TcpStream;
+    use tokio::sync::watch;
     use tokio_modbus::client::{Context, Reader, Writer, tcp};
     use tokio_modbus::prelude::{ExceptionCode, Slave};
 
-    async fn started() -> (SocketAddr, SharedWorld) {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let address = listener.local_addr().unwrap();
-        let world = Arc::new(Mutex::new(empty_world(5)));
-        tokio::spawn(serve(listener, world.clone(), Arc::default(), std::future::pending()));
-        (address, world)
+    async fn started() -> (SocketAddr, SharedWorld, watch::Sender<bool>) {
+        let core = Core::new(Controller::new(ControllerConfig::ur5e(1)), empty_world(5), 1.0);
+        let door = listen("gripper", Ipv4Addr::LOCALHOST.into(), 0).await.unwrap();
+        let (address, (sender, shutdown)) = (door.1, watch::channel(false));
+        Servers::default().take(door, &core, Port::Gripper, &shutdown);
+        (address, core.world, sender)
     }
 
     async fn client(address: SocketAddr) -> Context {
@@ -216,7 +174,7 @@ mod tests {
 
     #[tokio::test]
     async fn grip_is_written_and_the_leaking_vacuum_read_back() {
-        let (address, world) = started().await;
+        let (address, world, _running) = started().await;
         let mut client = client(address).await;
         client.write_multiple_registers(0, &[0x013C, 0x0200]).await.unwrap().unwrap();
         assert_eq!(lock(&world).vacuum_command(Channel::A), (VacuumMode::Grip, 0.6));
@@ -232,7 +190,7 @@ mod tests {
 
     #[tokio::test]
     async fn what_the_device_does_not_offer_is_an_exception_and_changes_nothing() {
-        let (address, world) = started().await;
+        let (address, world, _running) = started().await;
         let mut client = client(address).await;
         let bad_value = Err(ExceptionCode::IllegalDataValue);
         let bad_address = Err(ExceptionCode::IllegalDataAddress);
@@ -251,7 +209,7 @@ mod tests {
 
     #[tokio::test]
     async fn garbage_ends_only_its_own_connection() {
-        let (address, _world) = started().await;
+        let (address, _world, _running) = started().await;
         let mut raw = TcpStream::connect(address).await.unwrap();
         raw.write_all(&[0xff; 64]).await.unwrap();
         raw.shutdown().await.unwrap();

@@ -16,6 +16,8 @@ pub mod core;
 
 pub mod faults;
 
+pub mod frames;
+
 pub mod gripper_server;
 
 pub mod motion;
@@ -25,5 +27,11 @@ pub mod render;
 pub mod robot_server;
 
 pub mod script_sockets;
+
+pub mod serve;
+
+pub mod session;
+
+pub mod simulator;
 
 pub mod world;

@@ -17,7 +17,7 @@ use crate::sim::faults::{
     WorldFault,
 };
 use crate::sim::motion::FRAME_SECONDS;
-use crate::sim::robot_server::RobotShared;
+use crate::sim::robot_server::shared::RobotShared;
 use crate::sim::world::disturb::{ChannelFaults, Leak};
 use crate::sim::world::vacuum::Channel;
 use crate::sim::world::{SharedWorld, World, lock};

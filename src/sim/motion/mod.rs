@@ -23,6 +23,9 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector6};
 /// Length of a controller frame, s.
 pub const FRAME_SECONDS: f64 = 0.002;
 
+/// Frames per second of simulated time.
+pub const FRAMES_PER_SECOND: u64 = 500;
+
 /// The arm as its controller knows it.
 #[derive(Clone, Debug)]
 pub struct Arm {

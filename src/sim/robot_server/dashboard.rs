@@ -6,31 +6,13 @@
 
 use crate::sim::controller::Controller;
 use crate::sim::controller::pendant::{INSTALLATION, LoadError, OperationalMode, PROGRAM_FOLDER};
-use crate::sim::faults::link::LinkStream;
-use crate::sim::robot_server::RobotShared;
+use crate::sim::robot_server::shared::RobotShared;
 use crate::wire::bytes::WireError;
 use crate::wire::dashboard::{Command, GREETING, LineSplitter, ProgramState, Reply};
 use crate::wire::enumerations::RuntimeState;
-use std::sync::Arc;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 /// Name that stands where no program has one.
 const NO_PROGRAM: &str = "<unnamed>";
-
-/// Serves one connection to its end.
-pub async fn connection(shared: Arc<RobotShared>, mut stream: LinkStream) {
-    let mut session = Session::new(&shared.controller());
-    if stream.write_all(format!("{GREETING}\n").as_bytes()).await.is_err() {
-        return;
-    }
-    let mut buffer = vec![0; 4096];
-    while let Ok(count @ 1..) = stream.read(&mut buffer).await {
-        let Ok(replies) = session.receive(&shared, &buffer[..count]) else { return };
-        if stream.write_all(replies.as_bytes()).await.is_err() || session.over() {
-            return;
-        }
-    }
-}
 
 /// One connection, without its socket.
 pub struct Session {
@@ -44,6 +26,11 @@ impl Session {
     pub fn new(controller: &Controller) -> Session {
         let switches = controller.core.modes.switches();
         Session { splitter: LineSplitter::default(), switches, over: false }
+    }
+
+    /// What a client hears first.
+    pub fn greeting() -> String {
+        format!("{GREETING}\n")
     }
 
     /// Carries out what arrived, one command at a time under the controller's lock; the replies.
@@ -194,3 +181,6 @@ fn program_name(controller: &Controller) -> &str {
         _ => name.unwrap_or(NO_PROGRAM),
     }
 }
+
+#[cfg(test)]
+mod tests;

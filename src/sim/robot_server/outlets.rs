@@ -2,19 +2,18 @@
 //! does not read.
 //!
 //! In: connections that subscribe, and the controller's state at the end of every frame. Out: bytes into one
-//! bounded queue per connection. A full queue means that the client is behind: its package is skipped, never
-//! stored elsewhere. An RTDE client that stays behind for 10 s is dropped, as on the controller; the others
-//! are not, because real clients keep a script connection open for hours without reading it.
-//! A connection with nothing in its queue is written to at once, from the thread that makes the frames; the
-//! queue and its task are for what the socket does not take. Clients with equal recipes share one encoding.
+//! bounded queue per connection ([`Line`]). A full queue means that the client is behind: its package is
+//! skipped, never stored elsewhere. An RTDE client that stays behind for 10 s is dropped, as on the
+//! controller; the others are not, because real clients keep a script connection open for hours without
+//! reading it. Clients with equal recipes share one encoding.
 //! Also here, because it concerns the same connections: when a client that writes inputs regularly is late,
 //! and how punctual packages are on their way out.
 
 use crate::sim::controller::outputs::Output;
 use crate::sim::controller::registers::ClientId;
-use crate::sim::controller::{Controller, FRAMES_PER_SECOND, realtime, robot_state};
-use crate::sim::faults::link::{LinkStream, Shortcut};
-use crate::sim::robot_server::RobotShared;
+use crate::sim::controller::{Controller, realtime, robot_state};
+use crate::sim::motion::FRAMES_PER_SECOND;
+use crate::sim::robot_server::line::{Bytes, Inlet, Line, Passed, Way};
 use crate::sim::robot_server::punctuality::Punctuality;
 use crate::wire::bytes::Writer;
 use crate::wire::primary::Package;
@@ -22,13 +21,8 @@ use crate::wire::primary_message::{Message, MessageBody};
 use crate::wire::primary_state::SubPackage;
 use crate::wire::rtde::{Reply, Version};
 use crate::wire::rtde_values::Recipe;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Instant;
-use tokio::io::{AsyncWriteExt, WriteHalf};
-use tokio::sync::{Notify, mpsc};
-
-/// Packages a connection may be behind.
-const QUEUE: usize = 128;
 
 /// Frames without room after which an RTDE client is dropped (10 s).
 const PATIENCE: u64 = 10 * FRAMES_PER_SECOND;
@@ -45,35 +39,6 @@ const SOURCE_ROBOT: i8 = -3;
 
 /// `requested type` of a popup that asks for nothing.
 const NO_VALUE: u32 = 8;
-
-/// Bytes on their way to a client.
-pub type Bytes = Arc<[u8]>;
-
-/// Bytes in a connection's queue, and when the frame they are from was due.
-#[derive(Debug)]
-pub struct Parcel {
-    bytes: Bytes,
-    due: Option<Instant>,
-}
-
-impl Parcel {
-    /// What goes to the client.
-    pub fn bytes(&self) -> &[u8] {
-        &self.bytes
-    }
-}
-
-impl From<Vec<u8>> for Parcel {
-    fn from(bytes: Vec<u8>) -> Parcel {
-        Parcel { bytes: bytes.into(), due: None }
-    }
-}
-
-impl From<Bytes> for Parcel {
-    fn from(bytes: Bytes) -> Parcel {
-        Parcel { bytes, due: None }
-    }
-}
 
 /// What a connection is fed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,90 +87,6 @@ struct Subscription {
     interval: u64,
 }
 
-/// The receiving end of a connection's queue, for its writer.
-#[derive(Debug)]
-pub struct Inlet {
-    /// The connection.
-    pub id: ClientId,
-    /// What to write.
-    pub queue: mpsc::Receiver<Parcel>,
-    /// Wakes when the connection is to be dropped at once.
-    pub dropped: Arc<Notify>,
-    /// For replies of the connection itself.
-    pub replies: Line,
-}
-
-impl Inlet {
-    /// The next bytes for the client, without waiting: for a simulator that is driven by calls.
-    pub fn take(&mut self) -> Option<Bytes> {
-        let parcel = self.queue.try_recv().ok()?;
-        *self.replies.backlog.lock() -= 1;
-        Some(parcel.bytes)
-    }
-}
-
-/// The sending end of a connection's queue. It counts what is queued and not written yet: while that is
-/// nothing, and the count is locked, no task writes to the socket.
-#[derive(Clone, Debug)]
-pub struct Line {
-    queue: mpsc::Sender<Parcel>,
-    backlog: Backlog,
-}
-
-/// How many parcels are queued and not written yet.
-#[derive(Clone, Debug, Default)]
-struct Backlog(Arc<Mutex<usize>>);
-
-impl Backlog {
-    fn lock(&self) -> MutexGuard<'_, usize> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Line {
-    /// Queues a parcel when there is room; false when the connection is over.
-    pub async fn send(&self, parcel: Parcel) -> bool {
-        *self.backlog.lock() += 1;
-        self.queue.send(parcel).await.is_ok()
-    }
-
-    /// Queues a parcel; false when there is no room.
-    pub fn try_send(&self, parcel: Parcel) -> bool {
-        let mut backlog = self.backlog.lock();
-        let queued = self.queue.try_send(parcel).is_ok();
-        *backlog += usize::from(queued);
-        queued
-    }
-
-    /// Writes to the socket at once if nothing is queued, and queues what it does not take.
-    fn pass(&self, shortcut: Option<&Shortcut>, bytes: &Bytes, due: Option<Instant>) -> Passed {
-        let mut backlog = self.backlog.lock();
-        let written = match shortcut {
-            Some(shortcut) if *backlog == 0 => shortcut.try_write(bytes),
-            _ => 0,
-        };
-        if written == bytes.len() {
-            return Passed::Written;
-        }
-        let rest = if written == 0 { bytes.clone() } else { Arc::from(&bytes[written..]) };
-        if self.queue.try_send(Parcel { bytes: rest, due }).is_err() {
-            return Passed::Refused;
-        }
-        *backlog += 1;
-        Passed::Queued
-    }
-}
-
-/// What became of a package.
-enum Passed {
-    /// The system has it.
-    Written,
-    /// The connection's task will write it, or its end.
-    Queued,
-    /// The client is too far behind.
-    Refused,
-}
-
 #[derive(Debug)]
 struct Outlet {
     id: ClientId,
@@ -213,8 +94,6 @@ struct Outlet {
     /// Its port takes no scripts.
     read_only: bool,
     line: Line,
-    shortcut: Option<Shortcut>,
-    dropped: Arc<Notify>,
     behind: u64,
     given_up: bool,
     subscription: Option<Subscription>,
@@ -247,27 +126,23 @@ pub struct Outlets {
 
 impl Outlets {
     /// Adds a connection; RTDE connections get data only after [`Outlets::subscribe`] and
-    /// [`Outlets::start`]. With a shortcut to its socket packages need not wait for its task.
-    pub fn open(&mut self, feed: Feed, read_only: bool, shortcut: Option<Shortcut>) -> Inlet {
+    /// [`Outlets::start`]. With a `way` to the client packages need not wait for its writer.
+    pub fn open(&mut self, feed: Feed, read_only: bool, way: Option<Arc<dyn Way>>) -> (ClientId, Inlet) {
         self.last_id += 1;
         let id = ClientId(self.last_id);
-        let (sender, queue) = mpsc::channel(QUEUE);
-        let line = Line { queue: sender, backlog: Backlog::default() };
-        let dropped = Arc::new(Notify::new());
+        let (line, inlet) = Line::open(way);
         self.outlets.push(Outlet {
             id,
             feed,
             read_only,
-            line: line.clone(),
-            shortcut,
-            dropped: dropped.clone(),
+            line,
             behind: 0,
             given_up: false,
             subscription: None,
             started: false,
             writes: Writes::default(),
         });
-        Inlet { id, queue, dropped, replies: line }
+        (id, inlet)
     }
 
     /// Removes a connection.
@@ -442,9 +317,9 @@ impl Outlets {
         self.outlets.retain(|outlet| {
             let hopeless = outlet.feed == Feed::Rtde && outlet.behind > PATIENCE;
             if hopeless {
-                outlet.dropped.notify_one();
+                outlet.line.hang_up();
             }
-            !hopeless && !outlet.line.queue.is_closed()
+            !hopeless && !outlet.line.is_closed()
         });
     }
 
@@ -457,7 +332,7 @@ impl Outlets {
         self.outlets.retain(|outlet| {
             let stays = outlet.feed == Feed::Rtde || outlet.read_only;
             if !stays {
-                outlet.dropped.notify_one();
+                outlet.line.hang_up();
             }
             stays
         });
@@ -466,7 +341,7 @@ impl Outlets {
 
 impl Outlet {
     fn is_behind(&self) -> bool {
-        self.started && !self.given_up && self.line.queue.capacity() < QUEUE / 2
+        self.started && !self.given_up && self.line.is_behind()
     }
 
     fn is_late(&self, step: u64) -> bool {
@@ -475,9 +350,9 @@ impl Outlet {
 
     /// Sends a package, or counts the frames it was to last if there is no room.
     fn send(&mut self, bytes: &Bytes, due: Option<Instant>) -> Passed {
-        self.given_up &= self.line.queue.capacity() < QUEUE / 2;
+        self.given_up &= self.line.is_behind();
         let frames = self.subscription.as_ref().map_or(1, |subscription| subscription.interval);
-        let passed = self.line.pass(self.shortcut.as_ref(), bytes, due);
+        let passed = self.line.pass(bytes, due);
         self.behind = if matches!(passed, Passed::Refused) { self.behind + frames } else { 0 };
         passed
     }
@@ -487,22 +362,6 @@ impl Outlet {
         let subscription = self.subscription.as_ref().filter(|_| self.started)?;
         let interval = forced_interval.unwrap_or(subscription.interval);
         step.is_multiple_of(interval).then(|| subscription.plan.clone())
-    }
-}
-
-/// Writes what is queued until the connection breaks.
-pub async fn write_all(mut inlet: Inlet, mut writer: WriteHalf<LinkStream>, shared: Arc<RobotShared>) {
-    // The own handle for replies would keep the queue open after the outlet is gone.
-    let backlog = inlet.replies.backlog.clone();
-    drop(inlet.replies);
-    while let Some(parcel) = inlet.queue.recv().await {
-        if writer.write_all(&parcel.bytes).await.is_err() {
-            return;
-        }
-        if let Some(due) = parcel.due {
-            shared.punctuality.record(due.elapsed());
-        }
-        *backlog.lock() -= 1;
     }
 }
 

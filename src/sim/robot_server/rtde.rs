@@ -6,12 +6,13 @@
 //! in use rely on. What is wrong with a package is said in a text message; only a broken length ends the
 //! connection.
 
+use crate::sim::controller::Controller;
 use crate::sim::controller::outputs;
 use crate::sim::controller::registers::{ClientId, Input};
-use crate::sim::controller::{Controller, FRAMES_PER_SECOND};
-use crate::sim::faults::link::LinkStream;
-use crate::sim::robot_server::RobotShared;
-use crate::sim::robot_server::outlets::{Feed, Plan, write_all};
+use crate::sim::motion::FRAMES_PER_SECOND;
+use crate::sim::robot_server::line::{Inlet, Way};
+use crate::sim::robot_server::outlets::{Feed, Plan};
+use crate::sim::robot_server::shared::RobotShared;
 use crate::wire::bytes::WireError;
 use crate::wire::rtde::{
     ControllerVersion, Level, MAX_NAMES, Reply, Request, Splitter, TextMessage, Version,
@@ -19,7 +20,6 @@ use crate::wire::rtde::{
 use crate::wire::rtde_values::{Leftover, Offer, Recipe};
 use crate::wire::rtde_variables;
 use std::sync::Arc;
-use tokio::io::AsyncReadExt;
 
 /// Frames between packages of a version 1 client, which cannot choose (125 Hz).
 const VERSION_1_INTERVAL: u64 = 4;
@@ -29,35 +29,6 @@ const MAX_RECIPES: usize = 255;
 
 /// First software version that bounds the list of names in a request.
 const BOUNDED_SINCE: u32 = 10;
-
-/// Serves one connection to its end.
-pub async fn connection(shared: Arc<RobotShared>, stream: LinkStream) {
-    let shortcut = stream.shortcut();
-    let (mut reader, writer) = tokio::io::split(stream);
-    let inlet = shared.outlets().open(Feed::Rtde, false, Some(shortcut));
-    let mut session = Session::new(inlet.id);
-    let (dropped, replies) = (inlet.dropped.clone(), inlet.replies.clone());
-    let mut writing = tokio::spawn(write_all(inlet, writer, shared.clone()));
-    let reading = async {
-        let mut buffer = vec![0; 16 * 1024];
-        while let Ok(count @ 1..) = reader.read(&mut buffer).await {
-            let Ok(answers) = session.receive(&shared, &buffer[..count]) else { return };
-            for answer in answers {
-                if !replies.send(answer.into()).await {
-                    return;
-                }
-            }
-            session.answered(&shared);
-        }
-    };
-    tokio::select! {
-        () = reading => {}
-        () = dropped.notified() => {}
-        _ = &mut writing => {}
-    }
-    session.close(&shared);
-    writing.abort();
-}
 
 /// An input recipe.
 struct InputRecipe {
@@ -76,9 +47,16 @@ pub struct Session {
 }
 
 impl Session {
-    /// A connection that has just been opened as an outlet.
-    pub fn new(id: ClientId) -> Session {
-        Session { id, version: Version::V1, inputs: Vec::new(), splitter: Splitter::default(), starts: false }
+    /// Adds the connection to the outlets.
+    pub fn open(shared: &RobotShared, way: Option<Arc<dyn Way>>) -> (Session, Inlet) {
+        let (id, inlet) = shared.outlets().open(Feed::Rtde, false, way);
+        let (version, splitter) = (Version::V1, Splitter::default());
+        (Session { id, version, inputs: Vec::new(), splitter, starts: false }, inlet)
+    }
+
+    /// The connection's number.
+    pub fn id(&self) -> ClientId {
+        self.id
     }
 
     /// Carries out what arrived; the answers, one package each.

@@ -1,17 +1,16 @@
 //! Connections to the primary, secondary and real-time interface: programs in, state and messages out.
 //!
-//! In: a stream. Out: uploads to the controller. Without remote control, and on a connection made before the
+//! In: a client's bytes. Out: uploads to the controller. Without remote control, and on a connection made before the
 //! last switch to it, uploads are refused with error C210, as the read-only connections of the controller do.
 //! The read-only ports send the same and throw away what they are sent.
 
+use crate::sim::controller::registers::ClientId;
 use crate::sim::controller::{builtins, robot_state};
-use crate::sim::faults::link::LinkStream;
-use crate::sim::robot_server::RobotShared;
-use crate::sim::robot_server::outlets::{Feed, Inlet, Line, encode_message, encode_state, write_all};
+use crate::sim::robot_server::line::{Inlet, Line};
+use crate::sim::robot_server::outlets::{Feed, encode_message, encode_state};
 use crate::sim::robot_server::script_channel::{ScriptChannel, TooLong, Upload};
+use crate::sim::robot_server::shared::RobotShared;
 use crate::wire::primary_message::{MessageBody, READ_ONLY};
-use std::sync::Arc;
-use tokio::io::AsyncReadExt;
 
 /// What a port sends, and whether it takes scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,32 +21,9 @@ pub struct Port {
     pub read_only: bool,
 }
 
-/// Serves one connection to its end.
-pub async fn connection(shared: Arc<RobotShared>, stream: LinkStream, port: Port) {
-    let (mut reader, writer) = tokio::io::split(stream);
-    let (inlet, mut session) = Session::open(&shared, port);
-    let (id, dropped) = (inlet.id, inlet.dropped.clone());
-    let mut writing = tokio::spawn(write_all(inlet, writer, shared.clone()));
-    let reading = async {
-        let mut buffer = vec![0; 64 * 1024];
-        while let Ok(count @ 1..) = reader.read(&mut buffer).await {
-            if session.receive(&shared, &buffer[..count]).is_err() {
-                return;
-            }
-        }
-        session.finish(&shared);
-    };
-    tokio::select! {
-        () = reading => {}
-        () = dropped.notified() => {}
-        _ = &mut writing => {}
-    }
-    shared.outlets().close(id);
-    writing.abort();
-}
-
 /// One connection, without its socket.
 pub struct Session {
+    id: ClientId,
     channel: ScriptChannel,
     port: Port,
     switches: u64,
@@ -56,9 +32,9 @@ pub struct Session {
 
 impl Session {
     /// Adds the connection to the outlets with its greeting: version, then what is sent once.
-    pub fn open(shared: &RobotShared, port: Port) -> (Inlet, Session) {
+    pub fn open(shared: &RobotShared, port: Port) -> (Session, Inlet) {
         let controller = shared.controller();
-        let inlet = shared.outlets().open(port.feed, port.read_only, None);
+        let (id, inlet) = shared.outlets().open(port.feed, port.read_only, None);
         if port.feed != Feed::Realtime {
             let [major, minor, bugfix, build] = controller.core.version();
             let version = MessageBody::Version {
@@ -78,7 +54,12 @@ impl Session {
             let _ = inlet.replies.try_send(encode_state(state).into());
         }
         let (switches, replies) = (controller.core.modes.switches(), inlet.replies.clone());
-        (inlet, Session { channel: ScriptChannel::default(), port, switches, replies })
+        (Session { id, channel: ScriptChannel::default(), port, switches, replies }, inlet)
+    }
+
+    /// The connection's number.
+    pub fn id(&self) -> ClientId {
+        self.id
     }
 
     /// Hands what arrived to the controller.
@@ -100,6 +81,11 @@ impl Session {
         if let Some(upload) = self.channel.finish() {
             self.carry_out(shared, upload);
         }
+    }
+
+    /// Removes the connection from the outlets.
+    pub fn close(&self, shared: &RobotShared) {
+        shared.outlets().close(self.id);
     }
 
     fn carry_out(&self, shared: &RobotShared, upload: Upload) {

@@ -230,7 +230,8 @@ async fn answers_come_late_in_pieces_or_not_whole() {
 
 #[tokio::test]
 async fn a_slice_is_never_larger_than_asked() {
-    use crate::sim::faults::link::{Link, LinkState, LinkStream};
+    use crate::sim::faults::link::{Link, LinkState};
+    use crate::sim::serve::stream::LinkStream;
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let mut peer = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
     let link = Link::default();

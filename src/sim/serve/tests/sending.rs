@@ -3,7 +3,9 @@
 //! link hold on both.
 
 use super::*;
-use crate::sim::faults::link::{Link, LinkState, LinkStream};
+use crate::sim::faults::link::{Link, LinkName, LinkState};
+use crate::sim::robot_server::line::Way;
+use crate::sim::robot_server::rtde;
 use crate::wire::rtde_variables::OUTPUTS;
 
 fn timestamp(values: &[Value]) -> f64 {
@@ -52,8 +54,7 @@ async fn packages_arrive_whole_and_in_order_whether_the_queue_is_used_or_not() {
 #[tokio::test]
 async fn data_follow_the_reply_to_their_start() {
     let bench = bench(18, running()).await;
-    let mut inlet = bench.shared.outlets().open(Feed::Rtde, false, None);
-    let mut session = rtde::Session::new(inlet.id);
+    let (mut session, mut inlet) = rtde::Session::open(&bench.shared, None);
     let names = vec!["timestamp".to_owned()];
     let requests = [Request::ProtocolVersion(2), Request::SetupOutputs { frequency_hz: Some(500.0), names }];
     let bytes = [requests[0].encode(Version::V1), requests[1].encode(Version::V2)].concat();
@@ -63,16 +64,16 @@ async fn data_follow_the_reply_to_their_start() {
     assert_eq!(session.receive(&bench.shared, &start).unwrap(), [Reply::Start(true).encode(Version::V2)]);
     // Frames go on between the reply and the moment it is on its way.
     bench.shared.frame(None);
-    assert!(inlet.queue.try_recv().is_err());
+    assert!(inlet.take().is_none());
     session.answered(&bench.shared);
     bench.shared.frame(None);
-    assert!(inlet.queue.try_recv().is_ok());
+    assert!(inlet.take().is_some());
     // A pause in the same packet as the start wins.
     let both = [start, Request::Pause.encode(Version::V2)].concat();
     assert_eq!(session.receive(&bench.shared, &both).unwrap().len(), 2);
     session.answered(&bench.shared);
     bench.shared.frame(None);
-    assert!(inlet.queue.try_recv().is_err());
+    assert!(inlet.take().is_none());
     session.close(&bench.shared);
 }
 

@@ -1,7 +1,9 @@
 //! The servers over real sockets, with the frames stepped by the test.
 
 use super::*;
-use crate::sim::controller::ControllerConfig;
+use crate::sim::controller::{Controller, ControllerConfig};
+use crate::sim::robot_server::outlets::{Feed, Outlets};
+use crate::sim::world::empty_world;
 use crate::wire::dashboard::GREETING;
 use crate::wire::primary::{Package, Splitter as PrimarySplitter};
 use crate::wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED};
@@ -9,16 +11,14 @@ use crate::wire::primary_state::SubPackage;
 use crate::wire::rtde::{Reply, Request, Splitter as RtdeSplitter, Version};
 use crate::wire::rtde_values::{Leftover, Offer, Recipe, Value, VariableType};
 use std::net::Ipv4Addr;
-use std::time::Duration;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
 mod sending;
-mod states;
 
 /// Longest a test waits for anything.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 struct Bench {
+    core: Core,
     shared: Arc<RobotShared>,
     at: RobotAddresses,
     _shutdown: watch::Sender<bool>,
@@ -28,10 +28,10 @@ struct Bench {
 async fn bench(test: u8, config: ControllerConfig) -> Bench {
     let [high, low] = ((std::process::id() % 65_000) as u16 + 256).to_be_bytes();
     let address = IpAddr::V4(Ipv4Addr::new(127, high, low, test));
-    let shared = RobotShared::new(Controller::new(config), Ipv4Addr::LOCALHOST.into());
+    let core = Core::new(Controller::new(config), empty_world(5), 1.0);
     let (sender, receiver) = watch::channel(false);
-    let servers = serve(&shared, address, &RobotPorts::REAL, &receiver).await.unwrap();
-    Bench { shared, at: servers.addresses, _shutdown: sender }
+    let at = Servers::default().take_robot(&core, address, &RobotPorts::REAL, &receiver).await.unwrap();
+    Bench { shared: core.robot.clone(), core, at, _shutdown: sender }
 }
 
 fn running() -> ControllerConfig {
@@ -71,9 +71,9 @@ impl Bench {
     }
 }
 
-struct Line(TcpStream);
+struct Lines(TcpStream);
 
-impl Line {
+impl Lines {
     async fn read(&mut self) -> String {
         let mut line = Vec::new();
         loop {
@@ -90,8 +90,8 @@ impl Line {
     }
 }
 
-async fn dashboard(bench: &Bench) -> Line {
-    let mut line = Line(TcpStream::connect(bench.at.dashboard).await.unwrap());
+async fn dashboard(bench: &Bench) -> Lines {
+    let mut line = Lines(TcpStream::connect(bench.at.dashboard).await.unwrap());
     assert_eq!(line.read().await, GREETING);
     line
 }
@@ -483,7 +483,7 @@ async fn an_rtde_client_that_does_not_read_is_dropped_and_a_script_client_is_not
     let mut good = Rtde::connect(&bench, Version::V2).await;
     let recipe = good.outputs(1.0, &["timestamp"]).await.unwrap();
     good.ask(Request::Start).await;
-    let connections = |b: &Bench| b.shared.outlets().outlets_of(outlets::Feed::Rtde);
+    let connections = |b: &Bench| b.shared.outlets().outlets_of(Feed::Rtde);
     bench.until(|b| (connections(b) == 1).then_some(())).await;
     assert!(bench.shared.outlets().counts().1 > 0, "nothing was skipped");
     bench.during(good.data(&recipe)).await;
@@ -494,14 +494,14 @@ async fn an_rtde_client_that_does_not_read_is_dropped_and_a_script_client_is_not
 #[tokio::test]
 async fn regular_writers_are_waited_for_and_dead_ones_forgotten() {
     let mut outlets = Outlets::default();
-    let inlet = outlets.open(outlets::Feed::Rtde, false, None);
+    let (id, _inlet) = outlets.open(Feed::Rtde, false, None);
     for step in (10..=100).step_by(10) {
-        outlets.wrote(inlet.id, step);
+        outlets.wrote(id, step);
     }
     assert!(!outlets.someone_is_late(130) && outlets.someone_is_late(131));
     outlets.give_up(131);
     assert!(!outlets.someone_is_late(1000));
-    outlets.wrote(inlet.id, 1000);
+    outlets.wrote(id, 1000);
     assert!(!outlets.someone_is_late(2000), "one package does not make a writer regular");
 }
 
@@ -529,7 +529,9 @@ async fn random_bytes_do_not_disturb_the_servers() {
 async fn a_taken_address_is_named() {
     let bench = bench(11, running()).await;
     let (_sender, receiver) = watch::channel(false);
-    let error = serve(&bench.shared, bench.at.rtde.ip(), &RobotPorts::REAL, &receiver).await.unwrap_err();
+    let mut servers = Servers::default();
+    let taken = servers.take_robot(&bench.core, bench.at.rtde.ip(), &RobotPorts::REAL, &receiver).await;
+    let error = taken.unwrap_err();
     assert!(
         error.to_string().contains("dashboard server") && error.to_string().contains(":29999"),
         "{error}"
