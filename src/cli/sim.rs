@@ -15,7 +15,7 @@ use crate::io::priority;
 use crate::sim::camera::{CameraSetup, CameraTiming};
 use crate::sim::cell::{SimConfig, SimError, start};
 use crate::sim::conformance;
-use crate::sim::controller::{ControllerConfig, calibrated};
+use crate::sim::controller::config::{ControllerConfig, calibrated};
 use crate::sim::faults::Planned;
 use crate::sim::faults::read::read_faults;
 use crate::sim::render::lens::CameraTruth;

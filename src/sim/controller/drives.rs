@@ -8,7 +8,7 @@
 
 use crate::motion::kinematics::link_frames;
 use crate::sim::controller::Controller;
-use crate::sim::controller::Core;
+use crate::sim::controller::core::Core;
 use crate::sim::motion::dynamics::{self, Link, Masses, UR5E_LINKS};
 use crate::units::Joints;
 use nalgebra::{Isometry3, Point3, Vector3, Vector6};

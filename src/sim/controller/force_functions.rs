@@ -1,28 +1,19 @@
 //! Built-ins of force: force mode, freedrive, force sensor, contact, masses and Jacobians.
 //!
 //! In: calls from running programs. Out: values, or the message of a runtime exception; and for force mode
-//! and freedrive a [`Compliance`] that [`Core::yield_to_forces`] turns into tool speed each frame. Modelled,
-//! not measured: a compliant axis moves at a speed in proportion to the force that is missing, up to its
-//! limit, with a time constant of 50 ms. Free in the air it so runs at its limit, and against a stiff wall it
-//! comes to rest at the force asked for. In freedrive the force asked for is none: the arm stands until
-//! something pushes it.
+//! and freedrive a [`Compliance`] that [`Core::yield_to_forces`] turns into tool speed each frame, taken up
+//! with a time constant of 50 ms.
 
 use crate::geometry::pose::isometry_from_ur_pose;
-use crate::sim::controller::Core;
+use crate::sim::controller::compliance::{Compliance, TaskFrame};
+use crate::sim::controller::core::Core;
 use crate::sim::controller::sensing::ExternalSensor;
 use crate::sim::motion::FRAME_SECONDS;
 use crate::sim::motion::dynamics;
 use crate::units::Joints;
 use crate::urscript::host::Call;
 use crate::urscript::value::Value;
-use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
-
-/// Speed of a compliant axis for each newton or newton metre that is missing, at gain 1: m/s and rad/s.
-const LINEAR_GAIN: f64 = 0.005;
-const ANGULAR_GAIN: f64 = 0.05;
-
-/// Fastest tool in freedrive, m/s and rad/s.
-const FREEDRIVE_LIMITS: [f64; 6] = [0.5, 0.5, 0.5, 1.5, 1.5, 1.5];
+use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
 
 /// Time in which a compliant axis takes up its speed, s.
 const RISE_SECONDS: f64 = 0.05;
@@ -31,57 +22,14 @@ const RISE_SECONDS: f64 = 0.05;
 const NEAR_SINGULAR: f64 = 0.06;
 const TOO_NEAR_SINGULAR: f64 = 0.03;
 
-/// Where the axes of a [`Compliance`] point.
-#[derive(Clone, Copy, Debug)]
-enum TaskFrame {
-    /// As given in the base frame.
-    Fixed(Isometry3<f64>),
-    /// y towards the given origin (type 1 of the manual).
-    Point(Isometry3<f64>),
-    /// x along the tool's motion in the given plane (type 3).
-    Motion(Isometry3<f64>),
-    /// The tool's own axes.
-    Tool,
-}
-
-/// How the tool gives way.
-#[derive(Clone, Copy, Debug)]
-pub struct Compliance {
-    frame: TaskFrame,
-    free: [bool; 6],
-    wrench: [f64; 6],
-    limits: [f64; 6],
-    freedrive: bool,
-}
-
-impl Compliance {
-    /// Guided by hand, instead of a force mode.
-    pub fn is_freedrive(&self) -> bool {
-        self.freedrive
-    }
-}
-
-/// Settings that outlive a force mode.
-#[derive(Clone, Copy, Debug)]
-pub struct ForceSettings {
-    damping: f64,
-    gain: f64,
-}
-
-impl Default for ForceSettings {
-    /// The manual's defaults.
-    fn default() -> ForceSettings {
-        ForceSettings { damping: 0.005, gain: 1.0 }
-    }
-}
-
 /// Carries out a built-in of this file; `None` if it is none of them.
 pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
     let done = match call.name {
         "force_mode" => force_mode(core, call),
         "freedrive_mode" => freedrive(core, call),
         "teach_mode" | "freedrive_mode_no_incorrect_payload_check" => {
-            core.compliance = Some(hand_guided([true; 6], TaskFrame::Fixed(Isometry3::identity())));
+            core.compliance =
+                Some(Compliance::hand_guided([true; 6], TaskFrame::Fixed(Isometry3::identity())));
             Ok(())
         }
         "end_force_mode" | "end_freedrive_mode" | "end_teach_mode" | "end_screw_driving" => {
@@ -133,10 +81,6 @@ fn force_mode(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     Ok(())
 }
 
-fn hand_guided(free: [bool; 6], frame: TaskFrame) -> Compliance {
-    Compliance { frame, free, wrench: [0.0; 6], limits: FREEDRIVE_LIMITS, freedrive: true }
-}
-
 fn freedrive(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     let free = match call.argument(0) {
         Some(_) => numbers::<6>(call, 0)?.map(|axis| axis != 0.0),
@@ -148,7 +92,7 @@ fn freedrive(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
         Some(Value::Text(name)) if &**name == "base" => TaskFrame::Fixed(Isometry3::identity()),
         Some(_) => TaskFrame::Fixed(isometry_from_ur_pose(numbers(call, 1)?)),
     };
-    core.compliance = Some(hand_guided(free, frame));
+    core.compliance = Some(Compliance::hand_guided(free, frame));
     Ok(())
 }
 
@@ -158,7 +102,7 @@ fn screw_driving(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     if !force.is_finite() || !limit.is_finite() {
         return Err("screw_driving: force and speed must be finite".to_owned());
     }
-    let mut compliance = hand_guided([false, false, true, false, false, false], TaskFrame::Tool);
+    let mut compliance = Compliance::hand_guided([false, false, true, false, false, false], TaskFrame::Tool);
     (compliance.wrench[2], compliance.limits[2], compliance.freedrive) = (force, limit.abs(), false);
     core.compliance = Some(compliance);
     Ok(())
@@ -260,59 +204,14 @@ impl Core {
 
     /// Force mode and freedrive: how fast the tool gives way in this frame.
     pub(crate) fn yield_to_forces(&mut self) {
-        let wanted = self.compliance.as_ref().map_or(Vector6::zeros(), |compliance| self.giving(compliance));
+        let wanted = self.compliance.as_ref().map_or(Vector6::zeros(), |compliance| {
+            let (tcp, speed) = (self.mover.arm.tcp(&self.mover.q()), self.mover.tcp_speed());
+            compliance.giving(&self.force_settings, &Vector6::from(self.tcp_force()), &tcp, &speed)
+        });
         let now = self.mover.drift();
         let part = (FRAME_SECONDS / RISE_SECONDS).min(1.0);
         let next = now + (wanted - now) * part;
         let rests = self.compliance.is_none() && next.norm() < 1e-6;
         self.mover.set_drift(if rests { Vector6::zeros() } else { next });
     }
-
-    /// Tool speed in the base frame, m/s and rad/s.
-    fn giving(&self, compliance: &Compliance) -> Vector6<f64> {
-        let axes = self.task_axes(&compliance.frame);
-        let force = Vector6::from(self.tcp_force());
-        let (linear, angular) = (force.fixed_rows::<3>(0), force.fixed_rows::<3>(3));
-        let felt = [axes.inverse() * linear, axes.inverse() * angular];
-        let scaling = match compliance.freedrive {
-            true => 1.0,
-            false => self.force_settings.gain * (1.0 - 0.5 * self.force_settings.damping),
-        };
-        let speed = |i: usize| {
-            let gain = if i < 3 { LINEAR_GAIN } else { ANGULAR_GAIN } * scaling;
-            let limit = compliance.limits[i];
-            let missing = compliance.wrench[i] + felt[i / 3][i % 3];
-            if compliance.free[i] { (missing * gain).clamp(-limit, limit) } else { 0.0 }
-        };
-        let linear = axes * Vector3::new(speed(0), speed(1), speed(2));
-        let angular = axes * Vector3::new(speed(3), speed(4), speed(5));
-        Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
-    }
-
-    /// Axes of a task frame in the base frame.
-    fn task_axes(&self, frame: &TaskFrame) -> UnitQuaternion<f64> {
-        let tcp = self.mover.arm.tcp(&self.mover.q());
-        match frame {
-            TaskFrame::Fixed(frame) => frame.rotation,
-            TaskFrame::Tool => tcp.rotation,
-            TaskFrame::Point(frame) => {
-                let towards = frame.translation.vector - tcp.translation.vector;
-                let z = frame.rotation * Vector3::z();
-                axes_of(&towards.cross(&z), &towards).unwrap_or(frame.rotation)
-            }
-            TaskFrame::Motion(frame) => {
-                let speed = self.mover.tcp_speed();
-                let z = frame.rotation * Vector3::z();
-                let along = speed.fixed_rows::<3>(0) - z * z.dot(&speed.fixed_rows::<3>(0));
-                axes_of(&along, &z.cross(&along)).unwrap_or(frame.rotation)
-            }
-        }
-    }
-}
-
-/// The rotation whose x and y axes point along two vectors at a right angle; `None` if one of them vanishes.
-fn axes_of(x: &Vector3<f64>, y: &Vector3<f64>) -> Option<UnitQuaternion<f64>> {
-    let (x, y) = (x.try_normalize(1e-6)?, y.try_normalize(1e-6)?);
-    let matrix = Matrix3::from_columns(&[x, y, x.cross(&y)]);
-    Some(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix)))
 }

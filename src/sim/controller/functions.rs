@@ -5,11 +5,13 @@
 
 use crate::geometry::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use crate::motion::kinematics::{forward, inverse_near};
+use crate::sim::controller::core::{Core, DEFAULT_STOP};
 use crate::sim::controller::registers::Input;
-use crate::sim::controller::{Core, DEFAULT_STOP, FRAMES_PER_SECOND};
+use crate::sim::controller::watchdog::{Watchdog, WatchdogAction};
 use crate::sim::controller::{
     force_functions, io_functions, motion_functions, setting_functions, socket_functions,
 };
+use crate::sim::motion::FRAMES_PER_SECOND;
 use crate::units::Joints;
 use crate::urscript::host::{Call, Host, Reply};
 use crate::urscript::value::{ThreadId, Value};
@@ -18,25 +20,6 @@ use nalgebra::Isometry3;
 
 /// Frames the arm must have stood still to count as steady (0.5 s).
 const STEADY_FRAMES: u64 = 250;
-
-/// What a watchdog does when its client falls silent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WatchdogAction {
-    /// Pauses the program.
-    Pause,
-    /// Ends the program.
-    Stop,
-}
-
-/// A script's watch over an input that a client has to keep writing.
-#[derive(Clone, Debug)]
-pub struct Watchdog {
-    input: Input,
-    limit: u64,
-    silent: u64,
-    last_package: u64,
-    action: Option<WatchdogAction>,
-}
 
 impl Host for Core {
     fn call(&mut self, mut call: Call<'_>) -> Result<Reply, String> {
@@ -87,13 +70,8 @@ impl Core {
     pub(crate) fn watchdog_action(&mut self) -> Option<WatchdogAction> {
         let mut action = None;
         for watchdog in &mut self.watchdogs {
-            let package = self.registers.last_written(watchdog.input);
-            watchdog.silent = if package == watchdog.last_package { watchdog.silent + 1 } else { 0 };
-            watchdog.last_package = package;
-            if watchdog.silent > watchdog.limit {
-                watchdog.silent = 0;
-                action = action.or(watchdog.action);
-            }
+            let due = watchdog.count(&self.registers);
+            action = action.or(due);
         }
         action
     }
@@ -309,11 +287,9 @@ fn set_watchdog(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     let Some(input) = input else {
         return Err(format!("rtde_set_watchdog: no client writes {name}"));
     };
-    core.watchdogs.retain(|watchdog| watchdog.input != input);
+    core.watchdogs.retain(|watchdog| watchdog.input() != input);
     if frequency > 0.0 {
-        let limit = (FRAMES_PER_SECOND as f64 / frequency).ceil().min(1e9) as u64;
-        let last_package = core.registers.last_written(input);
-        core.watchdogs.push(Watchdog { input, limit, silent: 0, last_package, action });
+        core.watchdogs.push(Watchdog::new(input, frequency, action, &core.registers));
     }
     Ok(())
 }

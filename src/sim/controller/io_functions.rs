@@ -3,7 +3,7 @@
 //! In: calls from running programs. Out: values, or the message of a runtime exception for a number out of
 //! range. Inputs read as false and 0: nothing is wired to the simulated control box.
 
-use crate::sim::controller::Core;
+use crate::sim::controller::core::Core;
 use crate::urscript::host::Call;
 use crate::urscript::value::Value;
 

@@ -8,6 +8,12 @@
 
 pub mod builtins;
 
+pub mod compliance;
+
+pub mod config;
+
+pub mod core;
+
 pub mod drives;
 
 pub mod force_functions;
@@ -42,170 +48,15 @@ pub mod socket_functions;
 
 pub mod sockets;
 
-use crate::geometry::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
-use crate::motion::kinematics::{ARM_MODELS, ArmModel, DhParameters, forward};
-use crate::sim::controller::force_functions::{Compliance, ForceSettings};
-use crate::sim::controller::modes::Modes;
-use crate::sim::controller::pendant::Pendant;
+pub mod watchdog;
+
+pub use crate::sim::controller::config::ControllerConfig;
+
+use crate::sim::controller::core::Core;
 use crate::sim::controller::programs::Programs;
-use crate::sim::controller::registers::Registers;
-use crate::sim::controller::sensing::Sensing;
-use crate::sim::controller::settings::Settings;
-use crate::sim::controller::sockets::{NoNetwork, ScriptSockets};
-use crate::sim::motion::mover::{HARD_RAMP_SECONDS, MoveId, Mover, SOFT_RAMP_SECONDS};
-use crate::sim::motion::{Arm, FRAME_SECONDS, MotionFault};
-use crate::units::Joints;
-use crate::urscript::value::ThreadId;
-use crate::wire::primary_message::MessageBody;
-use nalgebra::Isometry3;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use std::collections::{BTreeMap, VecDeque};
-use std::f64::consts::TAU;
-
-/// Frames per second of simulated time.
-pub const FRAMES_PER_SECOND: u64 = 500;
-
-/// Controller time at the first frame, s. Client libraries distrust timestamps below 40 s: a real controller
-/// restarts its RTDE service once while it boots.
-const FIRST_TIMESTAMP: f64 = 41.0;
-
-/// Messages kept for the primary interface until the servers fetch them.
-const MAX_MESSAGES: usize = 1000;
-
-/// Standard deviation of the arm's calibrated parameters about the nominal ones unless asked otherwise: m,
-/// rad.
-const CALIBRATION_STD_M: f64 = 5e-4;
-const CALIBRATION_STD_RAD: f64 = 0.05 / 360.0 * TAU;
-
-/// Braking of moves whose program went away, rad/s2.
-const DEFAULT_STOP: f64 = 4.0;
-
-/// What kind of controller is simulated.
-#[derive(Clone, Debug)]
-pub struct ControllerConfig {
-    /// Which arm.
-    pub arm: ArmModel,
-    /// Calibrated kinematics of this arm.
-    pub dh: DhParameters,
-    /// Where the arm stands at first.
-    pub start: Joints,
-    /// Digits.
-    pub serial_number: String,
-    /// As the dashboard names it, without the "e".
-    pub model: String,
-    /// Software version: major, minor, bug fix, build.
-    pub version: [u32; 4],
-    /// Arm powered and brakes open at the start; else powered off.
-    pub running: bool,
-    /// Remote control at the start.
-    pub remote: bool,
-    /// Tool centre point of the installation, in the flange frame.
-    pub tcp: [f64; 6],
-    /// Payload of the installation, kg.
-    pub payload: f64,
-    /// Seed of `random()`.
-    pub seed: u64,
-    /// Programs that `load` finds: name of the `.urp` file without its ending, and its script.
-    pub programs: BTreeMap<String, String>,
-}
-
-impl ControllerConfig {
-    /// A UR5e with software 5.26, calibrated by `seed`, powered off, in remote control, arm in a work pose.
-    pub fn ur5e(seed: u64) -> ControllerConfig {
-        ControllerConfig::of(&ARM_MODELS[0], seed)
-    }
-
-    /// The same with another arm.
-    pub fn of(arm: &ArmModel, seed: u64) -> ControllerConfig {
-        ControllerConfig {
-            arm: *arm,
-            dh: calibrated(&arm.dh, seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD),
-            start: Joints([0.0, -1.57, 1.57, -1.57, -1.57, 0.0]),
-            serial_number: "20235500001".to_owned(),
-            model: arm.name.trim_end_matches('e').to_owned(),
-            version: [5, 26, 0, 1_234_567],
-            running: false,
-            remote: true,
-            tcp: [0.0; 6],
-            payload: 0.0,
-            seed,
-            programs: BTreeMap::new(),
-        }
-    }
-}
-
-/// Nominal parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each length
-/// and `std_rad` (rad) of each angle.
-pub fn calibrated(nominal: &DhParameters, seed: u64, std_m: f64, std_rad: f64) -> DhParameters {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5572_3565);
-    // The sum of twelve uniform numbers is normal enough and needs no further crate.
-    let mut normal = |std: f64| (0..12).map(|_| rng.random::<f64>() - 0.5).sum::<f64>() * std;
-    let mut dh = *nominal;
-    for i in 0..6 {
-        dh.a[i] += normal(std_m);
-        dh.d[i] += normal(std_m);
-        dh.alpha[i] += normal(std_rad);
-        dh.theta[i] += normal(std_rad);
-    }
-    dh
-}
-
-/// The tool as the controller is told about it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Payload {
-    /// kg
-    pub mass: f64,
-    /// In the flange frame, m.
-    pub centre: [f64; 3],
-    /// kg m2: xx, yy, zz, xy, xz, yz.
-    pub inertia: [f64; 6],
-    /// Gravity in the base frame, m/s2.
-    pub gravity: [f64; 3],
-}
-
-/// Everything but the programs, so that a running program can act on it.
-#[derive(Debug)]
-pub struct Core {
-    /// What does not change.
-    pub config: ControllerConfig,
-    /// A secondary program is being carried out.
-    pub secondary: bool,
-    /// Power, brakes, safety, remote control.
-    pub modes: Modes,
-    /// Registers, inputs and outputs.
-    pub registers: Registers,
-    /// The arm.
-    pub mover: Mover,
-    /// Tool and gravity.
-    pub payload: Payload,
-    /// Tool centre point as set, m and rad.
-    pub tcp_offset: [f64; 6],
-    /// Frames since the start.
-    pub step: u64,
-    /// Text of a popup on the pendant.
-    pub popup: Option<String>,
-    /// Forces at the tool and the arm's recent past.
-    pub sensing: Sensing,
-    /// Force mode or freedrive, if one is on.
-    pub compliance: Option<Compliance>,
-    /// Damping and gain of force mode.
-    pub force_settings: ForceSettings,
-    /// What scripts set and ask back.
-    pub settings: Settings,
-    /// The network, for scripts' sockets.
-    pub sockets: Box<dyn ScriptSockets>,
-    /// What was chosen at the pendant.
-    pub pendant: Pendant,
-    messages: VecDeque<MessageBody>,
-    tcp_pose: [f64; 6],
-    /// Thread and move that have the arm.
-    owner: Option<(ThreadId, MoveId)>,
-    /// A thread was killed in a motion; the arm brakes unless something else commands it in this frame.
-    orphaned: bool,
-    watchdogs: Vec<functions::Watchdog>,
-    stop_asked: Option<String>,
-}
+use crate::sim::controller::sockets::NoNetwork;
+use crate::sim::motion::MotionFault;
+use crate::sim::motion::mover::{HARD_RAMP_SECONDS, SOFT_RAMP_SECONDS};
 
 /// The controller.
 #[derive(Debug)]
@@ -219,40 +70,8 @@ pub struct Controller {
 impl Controller {
     /// A controller just booted.
     pub fn new(config: ControllerConfig) -> Controller {
-        let arm = Arm::of(config.arm.joint_speed, config.dh);
-        let core = Core {
-            modes: Modes::new(config.running, config.remote),
-            registers: Registers::default(),
-            mover: Mover::new(arm, config.start),
-            payload: Payload {
-                mass: config.payload,
-                centre: [0.0; 3],
-                inertia: [0.0; 6],
-                gravity: [0.0, 0.0, crate::units::GRAVITY],
-            },
-            tcp_offset: [0.0; 6],
-            step: 0,
-            popup: None,
-            sensing: Sensing::default(),
-            compliance: None,
-            force_settings: ForceSettings::default(),
-            settings: Settings::default(),
-            sockets: Box::new(NoNetwork),
-            pendant: Pendant::default(),
-            messages: VecDeque::new(),
-            tcp_pose: [0.0; 6],
-            owner: None,
-            orphaned: false,
-            watchdogs: Vec::new(),
-            stop_asked: None,
-            config,
-            secondary: false,
-        };
-        let seed = core.config.seed;
-        let mut controller = Controller { core, programs: Programs::new(seed) };
-        controller.core.set_tcp(controller.core.config.tcp);
-        controller.core.refresh();
-        controller
+        let programs = Programs::new(config.seed);
+        Controller { core: Core::new(config), programs }
     }
 
     /// 2 ms of simulated time.
@@ -353,7 +172,7 @@ impl Controller {
         config.running = false;
         config.serial_number = serial.unwrap_or(config.serial_number);
         if let Some(seed) = kinematics {
-            config.dh = calibrated(&config.arm.dh, seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD);
+            config.recalibrate(seed);
         }
         self.core.sockets.close_all();
         let sockets = std::mem::replace(&mut self.core.sockets, Box::new(NoNetwork));
@@ -373,62 +192,6 @@ impl Controller {
         self.power_off();
         self.core.modes.restart_safety();
         self.core.safety_message();
-    }
-}
-
-impl Core {
-    /// Controller time, s.
-    pub fn timestamp(&self) -> f64 {
-        FIRST_TIMESTAMP + self.step as f64 * FRAME_SECONDS
-    }
-
-    /// TCP in the base frame as of the last frame.
-    pub fn tcp_pose(&self) -> [f64; 6] {
-        self.tcp_pose
-    }
-
-    /// `base_from_flange` as it really is.
-    pub fn base_from_flange(&self) -> Isometry3<f64> {
-        forward(&self.mover.arm.dh, &self.mover.q())
-    }
-
-    /// Pose the active move leads to; the present one when the arm is in none.
-    pub fn target_waypoint(&self) -> [f64; 6] {
-        self.mover.waypoint().map_or(self.tcp_pose, |pose| ur_pose_from_isometry(&pose))
-    }
-
-    /// Sets the tool centre point.
-    pub fn set_tcp(&mut self, pose: [f64; 6]) {
-        self.tcp_offset = pose;
-        self.mover.arm.flange_from_tcp = isometry_from_ur_pose(pose);
-    }
-
-    /// Fetches the messages that have come up since the last call.
-    pub fn take_messages(&mut self) -> Vec<MessageBody> {
-        self.messages.drain(..).collect()
-    }
-
-    /// Adds a message for the primary interface; the oldest goes when nobody fetches them.
-    pub fn message(&mut self, body: MessageBody) {
-        if self.messages.len() >= MAX_MESSAGES {
-            self.messages.pop_front();
-        }
-        self.messages.push_back(body);
-    }
-
-    /// An error code at level warning.
-    pub fn error_message(&mut self, code: i32, argument: i32, text: &str) {
-        let text = text.to_owned();
-        self.message(MessageBody::Error { code, argument, level: 2, data_type: 0, data: 0, text });
-    }
-
-    fn safety_message(&mut self) {
-        let mode = self.modes.safety_mode().code() as u8;
-        self.message(MessageBody::SafetyMode { code: 0, argument: 0, mode, data_type: 0, data: 0 });
-    }
-
-    fn refresh(&mut self) {
-        self.tcp_pose = ur_pose_from_isometry(&self.mover.arm.tcp(&self.mover.q()));
     }
 }
 

@@ -9,7 +9,7 @@
 
 use crate::geometry::pose::isometry_from_ur_pose;
 use crate::motion::kinematics::inverse_near;
-use crate::sim::controller::Core;
+use crate::sim::controller::core::Core;
 use crate::sim::motion::dynamics;
 use crate::sim::motion::mover::MoveId;
 use crate::sim::motion::segment::MoveLimits;

@@ -5,10 +5,6 @@
 //! controller keeps programs as `.urp` files with the generated URScript beside each as `.script`: here the
 //! scripts alone are the programs, named as the `.urp` would be. Pure: the folder was read before the start.
 
-use crate::sim::controller::{Core, builtins};
-use crate::urscript::code::Code;
-use std::sync::Arc;
-
 /// Where a controller keeps its programs, as it names them in replies.
 pub const PROGRAM_FOLDER: &str = "/programs/";
 
@@ -102,6 +98,16 @@ impl Pendant {
         role.is_some()
     }
 
+    /// Software version that is claimed, if it is not the true one.
+    pub fn claimed_version(&self) -> Option<[u32; 4]> {
+        self.version
+    }
+
+    /// Model that is claimed, if it is not the true one.
+    pub fn claimed_model(&self) -> Option<&str> {
+        self.model.as_deref()
+    }
+
     /// Claims another software version (a fault), or tells the true one again.
     pub fn pretend_version(&mut self, version: Option<[u32; 4]>) {
         self.version = version;
@@ -110,30 +116,5 @@ impl Pendant {
     /// Claims to be another robot (a fault), or tells the true model again.
     pub fn pretend_model(&mut self, model: Option<String>) {
         self.model = model;
-    }
-}
-
-impl Core {
-    /// Software version as clients are told: major, minor, bug fix, build.
-    pub fn version(&self) -> [u32; 4] {
-        self.pendant.version.unwrap_or(self.config.version)
-    }
-
-    /// Model as clients are told, in the dashboard's words: without the "e".
-    pub fn model(&self) -> &str {
-        self.pendant.model.as_deref().unwrap_or(&self.config.model)
-    }
-
-    /// Finds the program of a `.urp` file and compiles its script.
-    ///
-    /// # Errors
-    /// There is no script of that name, or it cannot be compiled.
-    pub fn open_program(&mut self, file: &str) -> Result<Arc<Code>, LoadError> {
-        let name = file.strip_prefix(PROGRAM_FOLDER).unwrap_or(file);
-        let stem = name.strip_suffix(".urp").ok_or(LoadError::NotFound)?;
-        let text = self.config.programs.get(stem).ok_or(LoadError::NotFound)?;
-        let code = builtins::compile_program(text).map_err(|_| LoadError::Wrong)?;
-        self.pendant.program = Some(format!("{PROGRAM_FOLDER}{name}"));
-        Ok(Arc::new(code))
     }
 }

@@ -4,7 +4,10 @@
 //! of the primary interface. A new main program replaces the running one, whose STOPPED message comes first;
 //! a runtime exception comes before the STOPPED of its program. A secondary program has one frame.
 
-use crate::sim::controller::{Core, DEFAULT_STOP};
+use crate::sim::controller::builtins;
+use crate::sim::controller::core::{Core, DEFAULT_STOP};
+use crate::sim::controller::pendant::{LoadError, PROGRAM_FOLDER};
+use crate::sim::controller::watchdog::WatchdogAction;
 use crate::urscript::ast::FunctionKind;
 use crate::urscript::code::Code;
 use crate::urscript::fault::{CompileError, RuntimeException};
@@ -234,10 +237,10 @@ impl Programs {
     fn watch(&mut self, core: &mut Core) {
         match core.watchdog_action() {
             None => {}
-            Some(crate::sim::controller::functions::WatchdogAction::Pause) => {
+            Some(WatchdogAction::Pause) => {
                 self.pause();
             }
-            Some(crate::sim::controller::functions::WatchdogAction::Stop) => {
+            Some(WatchdogAction::Stop) => {
                 self.stop(core);
             }
         }
@@ -276,6 +279,21 @@ impl Programs {
                 core.message(exception_message(&RuntimeException { at, message }));
             }
         }
+    }
+}
+
+impl Core {
+    /// Finds the program of a `.urp` file and compiles its script.
+    ///
+    /// # Errors
+    /// There is no script of that name, or it cannot be compiled.
+    pub fn open_program(&mut self, file: &str) -> Result<Arc<Code>, LoadError> {
+        let name = file.strip_prefix(PROGRAM_FOLDER).unwrap_or(file);
+        let stem = name.strip_suffix(".urp").ok_or(LoadError::NotFound)?;
+        let text = self.config.programs.get(stem).ok_or(LoadError::NotFound)?;
+        let code = builtins::compile_program(text).map_err(|_| LoadError::Wrong)?;
+        self.pendant.program = Some(format!("{PROGRAM_FOLDER}{name}"));
+        Ok(Arc::new(code))
     }
 }
 

@@ -7,7 +7,6 @@
 
 use crate::sim::controller::Controller;
 use crate::sim::controller::drives::actual_currents;
-use crate::sim::controller::force_functions::Compliance;
 use crate::sim::controller::outputs::{joint_mode, speed_scaling};
 use crate::wire::enumerations::SafetyMode;
 use crate::wire::primary_state::{
@@ -123,7 +122,7 @@ fn robot_mode(controller: &Controller) -> RobotModeData {
 /// What the joints are controlled by: position, hand guiding, force or torque (client interface guide).
 pub fn control_mode(controller: &Controller) -> u8 {
     let compliance = controller.core.compliance.as_ref();
-    match compliance.map(Compliance::is_freedrive) {
+    match compliance.map(|compliance| compliance.freedrive) {
         _ if controller.core.mover.is_driven() => 3,
         Some(true) => 1,
         Some(false) => 2,

@@ -5,7 +5,7 @@
 //! that does not exist. Nothing is wired to the simulated control box: configuration that would act on inputs
 //! is checked for its arguments and accepted, ports and signals keep what scripts write.
 
-use crate::sim::controller::Core;
+use crate::sim::controller::core::Core;
 use crate::sim::controller::settings::MAX_SIGNALS;
 use crate::urscript::host::Call;
 use crate::urscript::value::Value;

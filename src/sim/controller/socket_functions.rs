@@ -6,7 +6,7 @@
 //! is the default, and a peer that has gone ends a wait at once. Nothing here is an exception but a wrong
 //! argument.
 
-use crate::sim::controller::Core;
+use crate::sim::controller::core::Core;
 use crate::sim::controller::sockets::SocketState;
 use crate::sim::motion::FRAME_SECONDS;
 use crate::urscript::host::{Call, Reply};

@@ -1,9 +1,12 @@
 //! The controller frame by frame: programs that run, move and fail; stops; the messages clients wait for.
 
 use super::*;
+use crate::motion::kinematics::{ARM_MODELS, DhParameters, forward};
+use crate::sim::controller::config::calibrated;
 use crate::sim::controller::registers::{ClientId, Input};
+use crate::units::Joints;
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
-use crate::wire::primary_message::{PROGRAM_STARTED, PROGRAM_STOPPED};
+use crate::wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED};
 use crate::wire::rtde_values::Value;
 
 mod built_ins;
