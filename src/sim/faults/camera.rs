@@ -3,21 +3,9 @@
 //! In: the faults in force. Out: [`CameraFaults`], which the world keeps for the scene and the camera server
 //! asks for at every exposure.
 
-use crate::geometry::pose::Pose2;
-use crate::sim::faults::CameraFault;
+use crate::sim::faults::{CameraFault, ExtraPrint};
 use crate::sim::render::sensor::Exposure;
 use nalgebra::Isometry3;
-
-/// A print that somebody has put on the table.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ExtraPrint {
-    /// Number in the family tag36h11.
-    pub marker: u32,
-    /// Where: x, y in m and theta in rad, table frame.
-    pub pose: Pose2,
-    /// Edge of the black square, m; absent: as the print it repeats.
-    pub size_m: Option<f64>,
-}
 
 /// Everything that is wrong with the camera.
 #[derive(Clone, Debug, PartialEq)]

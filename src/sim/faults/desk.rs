@@ -18,8 +18,7 @@ use crate::sim::faults::{
 };
 use crate::sim::motion::FRAME_SECONDS;
 use crate::sim::robot_server::shared::RobotShared;
-use crate::sim::world::disturb::{ChannelFaults, Leak};
-use crate::sim::world::vacuum::Channel;
+use crate::sim::world::vacuum::{Channel, ChannelFaults, Leak};
 use crate::sim::world::{SharedWorld, World, lock};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;

@@ -13,7 +13,6 @@ pub mod read;
 pub mod schedule;
 
 use crate::geometry::pose::Pose2;
-use crate::sim::faults::camera::ExtraPrint;
 use crate::sim::faults::link::LinkName;
 use crate::sim::world::spec::ForeignBody;
 use crate::sim::world::vacuum::Channel;
@@ -249,6 +248,17 @@ pub enum CameraFault {
         /// rad per minute.
         rotation: Vector3<f64>,
     },
+}
+
+/// A print that somebody has put on the table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExtraPrint {
+    /// Number in the family tag36h11.
+    pub marker: u32,
+    /// Where: x, y in m and theta in rad, table frame.
+    pub pose: Pose2,
+    /// Edge of the black square, m; absent: as the print it repeats.
+    pub size_m: Option<f64>,
 }
 
 /// Objects moved by hand, and things left on the table.

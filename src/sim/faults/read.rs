@@ -9,10 +9,10 @@ use crate::document::tree::Value;
 use crate::document::{Complaints, Node, parse};
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
-use crate::sim::faults::camera::ExtraPrint;
 use crate::sim::faults::link::LinkName;
 use crate::sim::faults::{
-    CameraFault, Fault, Happening, Order, Phase, Planned, RobotFault, Toxic, Trigger, VacuumFault, WorldFault,
+    CameraFault, ExtraPrint, Fault, Happening, Order, Phase, Planned, RobotFault, Toxic, Trigger,
+    VacuumFault, WorldFault,
 };
 use crate::sim::world::spec::ForeignBody;
 use crate::sim::world::vacuum::{Channel, HIGHEST_TARGET};

@@ -8,7 +8,7 @@ use crate::geometry::pose::Pose2;
 use crate::sim::render::scene::{Print, Prism};
 use crate::sim::world::section::Section;
 use crate::sim::world::spec::{HandBoard, WorldError};
-use crate::sim::world::{Cells, cells_of};
+use crate::vision::image::tag36h11_bitmap;
 use nalgebra::Isometry3;
 use std::sync::Arc;
 
@@ -43,7 +43,7 @@ impl Plate {
         let middle = board.grid.map(|count| (pitch * f64::from(count) - board.gap_m) / 2.0);
         let centre = |index: u32| board.size_m / 2.0 + pitch * f64::from(index);
         let print = |(index, id): (usize, u32)| -> Result<Print, WorldError> {
-            let cells: Cells = cells_of("hand board", id)?;
+            let cells = tag36h11_bitmap(id).ok_or_else(|| WorldError::no_marker("hand board", id))?;
             let (column, row) = (index as u32 % board.grid[0], index as u32 / board.grid[0]);
             let pose = Pose2::new(centre(column) - middle[0], centre(row) - middle[1], 0.0);
             Ok(Print { cells, size_m: board.size_m, pose })

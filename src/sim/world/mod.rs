@@ -33,7 +33,6 @@ mod view;
 use crate::geometry::pose::Pose2;
 use crate::sim::faults::camera::CameraFaults;
 use crate::sim::render::scene::Cells;
-use crate::sim::world::disturb::ChannelFaults;
 use crate::sim::world::event::{Contact, Event, EventKind};
 use crate::sim::world::hand_board::Plate;
 use crate::sim::world::section::Section;
@@ -41,7 +40,7 @@ use crate::sim::world::spec::{
     ForeignBody, GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec,
 };
 use crate::sim::world::spec::{WorldError, WorldObject, WorldSpec};
-use crate::sim::world::vacuum::{Channel, Pump, VacuumMode};
+use crate::sim::world::vacuum::{Channel, ChannelFaults, Pump, VacuumMode};
 use crate::vision::image::tag36h11_bitmap;
 use nalgebra::{Isometry3, Vector3};
 use rand::SeedableRng;
@@ -398,7 +397,7 @@ impl World {
 }
 
 fn cells_of(what: &str, id: u32) -> Result<Cells, WorldError> {
-    tag36h11_bitmap(id).ok_or_else(|| WorldError::NoSuchMarker { what: what.to_string(), id })
+    tag36h11_bitmap(id).ok_or_else(|| WorldError::no_marker(what, id))
 }
 
 fn body(index: usize, object: WorldObject) -> Result<Body, WorldError> {

@@ -323,6 +323,13 @@ pub enum WorldError {
     },
 }
 
+impl WorldError {
+    /// `what` carries a marker that is not in the family.
+    pub fn no_marker(what: &str, id: u32) -> WorldError {
+        WorldError::NoSuchMarker { what: what.to_string(), id }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

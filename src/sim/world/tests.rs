@@ -3,9 +3,9 @@
 use super::*;
 use crate::geometry::footprint::Footprint;
 use crate::sim::faults::FaultError;
-use crate::sim::world::disturb::Leak;
 use crate::sim::world::grip::YIELD_M;
 use crate::sim::world::spec::{Cup, ForeignBody};
+use crate::sim::world::vacuum::Leak;
 use nalgebra::{Translation3, UnitQuaternion};
 use rand::RngExt;
 

@@ -53,6 +53,34 @@ pub enum VacuumMode {
     Idle,
 }
 
+/// What is wrong with a channel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ChannelFaults {
+    /// Air enters freely.
+    pub open: bool,
+    /// The pump no longer reaches what it did.
+    pub leak: Option<Leak>,
+}
+
+/// A leak.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Leak {
+    /// The most the pump reaches in the end, fraction.
+    pub vacuum: f64,
+    /// Time to fall to that, s.
+    pub falls_s: f64,
+}
+
+impl Leak {
+    /// The most the pump reaches after `age_s` seconds of leaking.
+    pub fn ceiling(&self, age_s: f64) -> f64 {
+        if age_s >= self.falls_s {
+            return self.vacuum;
+        }
+        HIGHEST_TARGET + (self.vacuum - HIGHEST_TARGET) * age_s / self.falls_s
+    }
+}
+
 /// State of one channel.
 #[derive(Clone, Debug)]
 pub struct Pump {
