@@ -230,6 +230,17 @@ async fn the_dashboard_brings_the_arm_up() {
 }
 
 #[tokio::test]
+async fn a_client_that_has_sent_its_last_byte_still_gets_its_answers() {
+    let bench = bench(19, running()).await;
+    let mut line = dashboard(&bench).await;
+    line.0.write_all(b"robotmode\nsafetymode\n").await.unwrap();
+    line.0.shutdown().await.unwrap();
+    let answers = async { [line.read().await, line.read().await, line.read().await] };
+    let answers = tokio::time::timeout(PATIENCE, answers).await.unwrap();
+    assert_eq!(answers, ["Robotmode: RUNNING", "Safetymode: NORMAL", ""]);
+}
+
+#[tokio::test]
 async fn local_mode_refuses_until_the_connection_is_made_anew() {
     let bench = bench(2, running()).await;
     let mut old = dashboard(&bench).await;
