@@ -22,7 +22,7 @@ pub use crate::planning::generate::arrange::{DENSEST_REJECTION, Method};
 pub const TABLE: Workspace = Workspace { width: 1.0, height: 1.0 };
 
 /// Most objects of one instance: what an instance file may hold.
-pub const MOST_OBJECTS: usize = crate::tabletop::parse::MAX_OBJECTS;
+pub const MOST_OBJECTS: usize = crate::tabletop::parts::MAX_OBJECTS;
 
 /// Times the outlines of a case are drawn anew when they find no arrangement.
 const MOST_DRAWS: usize = 4;

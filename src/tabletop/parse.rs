@@ -11,19 +11,14 @@ use std::collections::HashMap;
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::tree::Value;
 use crate::document::{Complaint, Complaints, Location, Node, parse};
-use crate::tabletop::arrangement::{Layout, Place};
+use crate::tabletop::arrangement::Place;
 use crate::tabletop::decode;
-use crate::tabletop::instance::{Instance, KeepOut, ObjectSpec, Workspace};
+use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
+use crate::tabletop::parts::{Header, MAX_OBJECTS, Parts, ShapeLookup};
 use crate::tabletop::public_data;
-
-/// Most objects in one instance: every pair of starts is compared.
-pub const MAX_OBJECTS: usize = 1000;
 
 /// Keys of an instance file.
 pub const INSTANCE_KEYS: &[&str] = &["workspace", "clearance", "overlap_tolerance", "keep_out", "objects"];
-
-/// How a named shape's file is found: the name without `.json`; its text, if there is one.
-pub type ShapeLookup<'a> = &'a dyn Fn(&str) -> Option<String>;
 
 /// What a file is read for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -143,50 +138,6 @@ fn read(text: &str, source: &str, shapes: ShapeLookup, role: Role) -> Result<Ins
     let mut decoder = Decoder::new(source);
     let parts = parts(&mut decoder, &node, shapes, role);
     decoder.finish(parts.and_then(Parts::instance))
-}
-
-/// What could be read of a file: every part by itself, so that one fault does not hide others.
-pub(crate) struct Parts {
-    pub header: Header,
-    pub objects: Vec<Option<ObjectSpec>>,
-    pub places: Vec<Place>,
-}
-
-/// An instance without its objects; what could not be read is absent.
-#[derive(Clone, Debug)]
-pub struct Header {
-    /// Where objects may lie.
-    pub workspace: Option<Workspace>,
-    /// Gap between objects, m.
-    pub clearance: Option<f64>,
-    /// Overlap taken as given, m.
-    pub overlap_tolerance: Option<f64>,
-    /// Regions to leave free.
-    pub keep_out: Vec<Option<KeepOut>>,
-}
-
-impl Parts {
-    /// The whole, if every part is there.
-    fn instance(self) -> Option<Instance> {
-        Some(Instance {
-            workspace: self.header.workspace?,
-            clearance: self.header.clearance?,
-            overlap_tolerance: self.header.overlap_tolerance?,
-            keep_out: self.header.keep_out.into_iter().collect::<Option<_>>()?,
-            objects: self.objects.into_iter().collect::<Option<_>>()?,
-        })
-    }
-
-    /// For the check of the arrangements.
-    pub(crate) fn layout(&self) -> Layout<'_> {
-        Layout {
-            workspace: self.header.workspace,
-            overlap_tolerance: self.header.overlap_tolerance,
-            keep_out: &self.header.keep_out,
-            objects: self.objects.iter().map(Option::as_ref).collect(),
-            places: &self.places,
-        }
-    }
 }
 
 fn parts(decoder: &mut Decoder, node: &Node, shapes: ShapeLookup, role: Role) -> Option<Parts> {

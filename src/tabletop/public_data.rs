@@ -17,7 +17,7 @@ use crate::geometry::polygon::{Point, Polygon, PolygonFault, cross, signed_area,
 use crate::geometry::pose::Pose2;
 use crate::tabletop::arrangement::Place;
 use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
-use crate::tabletop::parse::{Header, MAX_OBJECTS, Parts, ShapeLookup};
+use crate::tabletop::parts::{Header, MAX_OBJECTS, Parts, ShapeLookup};
 
 /// Their length units in a metre; divided by, not multiplied with the inverse, so that 700 becomes 0.7.
 const UNITS_PER_M: f64 = 1000.0;
