@@ -7,81 +7,24 @@
 //! clock.
 
 mod arrange;
+mod recipe;
 mod shapes;
 
 use crate::geometry::footprint::{Footprint, FootprintFault};
 use crate::planning::generate::arrange::{Arranged, arrange};
 use crate::planning::generate::shapes::draw_shapes;
-use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
+use crate::tabletop::instance::{Instance, ObjectSpec};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 pub use crate::planning::generate::arrange::{DENSEST_REJECTION, Method};
-
-/// The table of every generated instance, m.
-pub const TABLE: Workspace = Workspace { width: 1.0, height: 1.0 };
+pub use crate::planning::generate::recipe::{RatioLaw, Recipe, Scenario, TABLE};
 
 /// Most objects of one instance: what an instance file may hold.
 pub const MOST_OBJECTS: usize = crate::tabletop::parts::MAX_OBJECTS;
 
 /// Times the outlines of a case are drawn anew when they find no arrangement.
 const MOST_DRAWS: usize = 4;
-
-/// A scenario of the paper.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Scenario {
-    /// Ellipses and rectangles of random area and side ratio.
-    Rand,
-    /// Two large squares and many small ones, of a ninth of their area.
-    Sq,
-}
-
-impl Scenario {
-    /// The word on the command line and in tables.
-    pub fn word(self) -> &'static str {
-        match self {
-            Scenario::Rand => "rand",
-            Scenario::Sq => "sq",
-        }
-    }
-
-    /// The scenario of that word.
-    pub fn from_word(word: &str) -> Option<Scenario> {
-        [Scenario::Rand, Scenario::Sq].into_iter().find(|scenario| scenario.word() == word)
-    }
-}
-
-/// How side ratios are drawn in RAND; the two differ in distribution.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum RatioLaw {
-    /// As the paper writes: longer side over shorter side, uniform in [1, 3].
-    Paper,
-    /// As the published instances were made: side over other side, uniform in [0.33, 1]. More near-squares.
-    Public,
-}
-
-impl RatioLaw {
-    /// The word on the command line and in files.
-    pub fn word(self) -> &'static str {
-        match self {
-            RatioLaw::Paper => "paper",
-            RatioLaw::Public => "public",
-        }
-    }
-}
-
-/// What is generated.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Recipe {
-    /// RAND or SQ.
-    pub scenario: Scenario,
-    /// Number of objects; at least 3 for SQ.
-    pub objects: usize,
-    /// Share of the table that the objects cover, over 0 and under 1.
-    pub density: f64,
-    /// Law of the side ratios; SQ has none and ignores it.
-    pub ratios: RatioLaw,
-}
 
 /// An instance and how it was found.
 #[derive(Clone, Debug)]

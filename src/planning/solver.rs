@@ -9,102 +9,18 @@ use crate::planning::bound::{self, LowerBound};
 use crate::planning::check::CheckedPlan;
 use crate::planning::effort::Effort;
 use crate::planning::object_set::ObjectSet;
-use crate::planning::plan::{Action, Objective, Status};
+use crate::planning::plan::{Objective, Status};
 use crate::planning::problem::{Problem, ProblemObject, Witness};
 use crate::planning::scene::Scene;
+use crate::planning::solver::control::reaches;
 use crate::planning::solver::incumbent::Incumbent;
 
+pub use crate::planning::solver::control::{Control, PlanSeconds, SolverKind, cost};
+
 mod aid;
+mod control;
 mod incumbent;
 mod search;
-
-/// The solvers of the paper, and ours.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum SolverKind {
-    /// Total buffer minimisation.
-    Tbm,
-    /// Running buffer minimisation.
-    Rbm,
-    /// Total buffer minimisation with object weights.
-    Etbm,
-    /// Running buffer minimisation with object weights.
-    Erbm,
-    /// Monte Carlo tree search.
-    Mcts,
-    /// Monte Carlo tree search with object weights.
-    Emcts,
-    /// Our own anytime solver.
-    Auto,
-}
-
-impl SolverKind {
-    /// The word on the command line and in files.
-    pub fn word(self) -> &'static str {
-        match self {
-            SolverKind::Tbm => "tbm",
-            SolverKind::Rbm => "rbm",
-            SolverKind::Etbm => "etbm",
-            SolverKind::Erbm => "erbm",
-            SolverKind::Mcts => "mcts",
-            SolverKind::Emcts => "emcts",
-            SolverKind::Auto => "auto",
-        }
-    }
-
-    /// The kind of that word.
-    pub fn from_word(word: &str) -> Option<SolverKind> {
-        use SolverKind::{Auto, Emcts, Erbm, Etbm, Mcts, Rbm, Tbm};
-        [Tbm, Rbm, Etbm, Erbm, Mcts, Emcts, Auto].into_iter().find(|kind| kind.word() == word)
-    }
-}
-
-/// Estimated seconds of a whole plan.
-pub type PlanSeconds<'a> = &'a (dyn Fn(&[Action]) -> f64 + Sync);
-
-/// What limits a search, and who hears of its progress.
-pub struct Control<'a> {
-    /// Deterministic steps (sampled poses, search nodes) after which the search ends.
-    pub work_limit: Option<u64>,
-    /// Asked often; true ends the search: the caller's clock, Ctrl-C.
-    pub stop: &'a (dyn Fn() -> bool + Sync),
-    /// Called with each better plan and its cost, after the plan was checked.
-    pub on_plan: &'a (dyn Fn(&[Action], f64) + Sync),
-    /// Called when `auto` has proved a higher bound.
-    pub on_bound: &'a (dyn Fn(f64) + Sync),
-    /// Stop at the first plan. Those built on TRLB (TBM, RBM, ETBM, ERBM) always do.
-    pub first: bool,
-    /// RBM and ERBM take the first primitive plan of minimum peak, however many objects it buffers; TRLB
-    /// clears no places for objects that find none.
-    pub strict_paper: bool,
-    /// Where `auto` searches on several threads; the others use the caller's alone. No result depends on it,
-    /// unless the clock ends the search.
-    pub pool: Option<&'a rayon::ThreadPool>,
-    /// A plan made before, when objects may have lain elsewhere; empty for none. `auto` begins with what is
-    /// still possible of it, in order, and the shortest way from there; the others take no notice.
-    pub known_plan: &'a [Action],
-    /// For the objective `time`: seconds of a plan.
-    pub seconds: Option<PlanSeconds<'a>>,
-    /// For the objective `time`: seconds that no single move can undercut; 0 is always valid.
-    pub least_move_seconds: f64,
-}
-
-impl<'a> Control<'a> {
-    /// No limit but `stop`, nobody listening.
-    pub fn until(stop: &'a (dyn Fn() -> bool + Sync)) -> Control<'a> {
-        Control {
-            work_limit: None,
-            stop,
-            on_plan: &|_, _| (),
-            on_bound: &|_| (),
-            first: false,
-            strict_paper: false,
-            pool: None,
-            known_plan: &[],
-            seconds: None,
-            least_move_seconds: 0.0,
-        }
-    }
-}
 
 /// How a search ended.
 #[derive(Clone, Debug)]
@@ -137,15 +53,6 @@ pub enum SolveError {
     /// The objective `time` without anybody who knows times.
     #[error("the objective time needs a cell that knows how long its moves take; use pp or ti here")]
     NoTimes,
-}
-
-/// Cost of a plan in an objective.
-pub fn cost(problem: &Problem, objective: Objective, control: &Control, actions: &[Action]) -> f64 {
-    match (objective, control.seconds) {
-        (Objective::Ti, _) => actions.iter().map(|action| problem.objects[action.object].impedance).sum(),
-        (Objective::Time, Some(seconds)) => seconds(actions),
-        (Objective::Pp | Objective::Time, _) => actions.len() as f64,
-    }
 }
 
 /// The lower bound on the cost of every plan in an objective.
@@ -218,11 +125,6 @@ pub fn solve(
         None => Status::Timeout,
     };
     Ok(Outcome { status, plan, cost, lower_bound, witness: None, work: effort.done() })
-}
-
-/// Equal but for the rounding of sums.
-fn reaches(cost: f64, bound: f64) -> bool {
-    cost <= bound + 1e-9 * bound.abs().max(1.0)
 }
 
 #[cfg(test)]

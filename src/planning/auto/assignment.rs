@@ -5,7 +5,7 @@
 //! object away from its end, and the feedback vertex set of their graph.
 
 use crate::geometry::pose::Pose2;
-use crate::planning::auto::roll_out::node_limit;
+use crate::planning::auto::aside::node_limit;
 use crate::planning::auto::table::Table;
 use crate::planning::buffers::Arrangement;
 use crate::planning::feedback;

@@ -6,8 +6,8 @@
 //! that have to be put aside anyway costs nothing. Many places are priced roughly, the best of them by that
 //! bound.
 
+use crate::planning::auto::aside::node_limit;
 use crate::planning::auto::parking;
-use crate::planning::auto::roll_out::node_limit;
 use crate::planning::auto::table::Table;
 use crate::planning::effort::Effort;
 use crate::planning::feedback;

@@ -6,6 +6,7 @@
 //! the best. Between the rounds the lower bound is raised (`bound::room`), as long as that can end the
 //! search. So nothing but seed and steps decides what is found, however many threads there are.
 
+pub mod aside;
 pub mod assignment;
 pub mod contest;
 pub mod member;

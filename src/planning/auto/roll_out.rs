@@ -6,6 +6,7 @@
 //! is a lower bound for all that can follow from here, and cuts. Where no member finds an ideal place, sets
 //! without it are tried, then places that cost another move, then places that others have to leave first.
 
+use crate::planning::auto::aside::{NUDGE, STEADFAST, node_limit};
 use crate::planning::auto::contest::{Contest, Contested};
 use crate::planning::auto::parking::{self, Care, Shapes, Wish};
 use crate::planning::auto::stops::Stop;
@@ -24,21 +25,8 @@ use std::sync::Arc;
 /// Feedback vertex sets tried before an object is parked at a price.
 const SETS: usize = 3;
 
-/// Nodes of the search for a feedback vertex set: enough for a proof on the tables that the paper has. Of
-/// more vertices than a machine word holds a proof may take seconds, and a step of a roll-out is to take less
-/// than milliseconds.
-pub fn node_limit(vertices: usize) -> u64 {
-    if vertices <= 64 { 20_000 } else { 500 }
-}
-
 /// Stops planned in one roll-out.
 const MOST_STOPS: usize = 4;
-
-/// Weight of a move that is not to be put aside, in moves.
-pub const STEADFAST: f64 = 30.0;
-
-/// Weights are changed by this share to choose among sets of equal cost.
-pub const NUDGE: f64 = 1e-7;
 
 /// Where to, and at what price.
 pub struct Task<'a> {

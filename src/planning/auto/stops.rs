@@ -5,8 +5,8 @@
 //! closes costs a feedback vertex: the place is priced by the minimum feedback vertex set of the graph with
 //! the stop in it.
 
+use crate::planning::auto::aside::{STEADFAST, node_limit};
 use crate::planning::auto::parking;
-use crate::planning::auto::roll_out::{STEADFAST, node_limit};
 use crate::planning::auto::table::Table;
 use crate::planning::effort::Effort;
 use crate::planning::feedback;

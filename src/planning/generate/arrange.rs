@@ -11,7 +11,7 @@
 use crate::geometry::collision::{Placed, inside};
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
-use crate::planning::generate::TABLE;
+use crate::planning::generate::recipe::TABLE;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};

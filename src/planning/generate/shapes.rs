@@ -5,7 +5,7 @@
 //! an area uniform in [0.05, 1]; SQ has two large squares, then small ones of a ninth of their area.
 
 use crate::geometry::footprint::{Footprint, FootprintFault};
-use crate::planning::generate::{RatioLaw, Recipe, Scenario, TABLE};
+use crate::planning::generate::recipe::{RatioLaw, Recipe, Scenario, TABLE};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::PI;

@@ -12,6 +12,7 @@
 //! sampled first decide much, and so that a long search does not fill the memory; once a plan is known,
 //! states from which no better one can be reached are left out.
 
+mod rule;
 mod table;
 mod tree;
 
@@ -26,12 +27,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-/// The constant C of MCTS, for rewards between 0 and 1. Chosen on the public instances of density 0.4 with 20
-/// to 40 objects: 0.1 finds plans 5 % shorter in five times the time, 0.01 longer ones faster.
-pub const MCTS_EXPLORATION: f64 = 0.03;
-
-/// The constant C of EMCTS, for rewards between 0 and 1; chosen like that of MCTS.
-pub const EMCTS_EXPLORATION: f64 = 0.03;
+pub use crate::planning::mcts::rule::{EMCTS_EXPLORATION, MCTS_EXPLORATION, Rule};
 
 /// Nodes after which the first tree is dropped: enough for most problems, so that a tree that started badly
 /// does not hold up the search.
@@ -40,48 +36,6 @@ pub const FIRST_TREE: usize = 20_000;
 /// Nodes after which any tree is dropped (about 1 kB each). Each tree may have twice as many as the one
 /// before.
 pub const LARGEST_TREE: usize = 160_000;
-
-/// Numbers by object that tell MCTS and EMCTS apart.
-#[derive(Clone, Debug)]
-pub struct Rule {
-    /// Factor of the exploration term for the action that serves the object: C, or C (1 + w / sum of w).
-    pub exploration: Vec<f64>,
-    /// What the object adds to the reward while it is at its goal; all together 1.
-    pub rewards: Vec<f64>,
-    /// Cost of one move, positive: plans that cannot beat the best one in this sum are not looked for.
-    pub costs: Vec<f64>,
-}
-
-impl Rule {
-    /// MCTS: every object counts alike.
-    pub fn plain(count: usize) -> Rule {
-        Rule {
-            exploration: vec![MCTS_EXPLORATION; count],
-            rewards: shares(&vec![1.0; count]),
-            costs: vec![1.0; count],
-        }
-    }
-
-    /// EMCTS under PP: weights (HeCP) in the exploration term, positive, one an object.
-    pub fn exploring(weights: &[f64]) -> Rule {
-        let exploration = shares(weights).iter().map(|share| EMCTS_EXPLORATION * (1.0 + share)).collect();
-        Rule { exploration, ..Rule::plain(weights.len()) }
-    }
-
-    /// EMCTS under TI: weights (HeTI) in reward and cost, positive, one an object.
-    pub fn rewarding(weights: &[f64]) -> Rule {
-        Rule {
-            exploration: vec![EMCTS_EXPLORATION; weights.len()],
-            rewards: shares(weights),
-            costs: weights.to_vec(),
-        }
-    }
-}
-
-fn shares(weights: &[f64]) -> Vec<f64> {
-    let sum: f64 = weights.iter().sum();
-    weights.iter().map(|weight| weight / sum).collect()
-}
 
 /// What the caller makes of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

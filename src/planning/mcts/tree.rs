@@ -5,7 +5,7 @@
 //! actions from the root to a state. Two paths to one state share its node, with its visits and rewards; each
 //! node keeps the cheapest way to it that is known. A node below which nothing is left to find is closed.
 
-use crate::planning::mcts::Rule;
+use crate::planning::mcts::rule::Rule;
 use crate::planning::object_set::ObjectSet;
 use std::collections::HashMap;
 use std::sync::Arc;

@@ -8,6 +8,7 @@ use super::properties::{actions, mixed, random_problems, run};
 use super::*;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
+use crate::planning::plan::Action;
 use crate::planning::random_tables::{optimum_with_outside, random_instance, table};
 use crate::planning::travel::NOMINAL;
 use crate::tabletop::instance::{Instance, KeepOut, ObjectSpec};

@@ -14,8 +14,8 @@ use crate::planning::plan::{Action, ActionKind, Objective};
 use crate::planning::problem::{Problem, ProblemObject};
 use crate::planning::scene::Scene;
 use crate::planning::solver::aid;
+use crate::planning::solver::control::{Control, SolverKind, cost, reaches};
 use crate::planning::solver::search::{self, Setting};
-use crate::planning::solver::{Control, SolverKind, cost, reaches};
 use crate::planning::trlb::Move;
 
 /// The best plan so far, and who decides whether another one is better.

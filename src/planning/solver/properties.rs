@@ -4,7 +4,7 @@ use super::*;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::planning::generate::{RatioLaw, Recipe, Scenario, generate};
-use crate::planning::plan::ActionKind;
+use crate::planning::plan::{Action, ActionKind};
 use crate::planning::random_tables::{random_instance, table};
 use crate::tabletop::instance::{Instance, KeepOut, ObjectSpec};
 use rand::SeedableRng;

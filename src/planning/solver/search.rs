@@ -14,7 +14,7 @@ use crate::planning::plan::Objective;
 use crate::planning::primitive::Step;
 use crate::planning::primitive::{Preference, RunningBuffer};
 use crate::planning::scene::Scene;
-use crate::planning::solver::SolverKind;
+use crate::planning::solver::control::SolverKind;
 use crate::planning::total_buffers::TotalBuffers;
 use crate::planning::trlb::{Move, Planner, Trlb};
 use crate::planning::weights;
@@ -30,7 +30,7 @@ pub(super) type Offer<'a> = dyn FnMut(&[Move]) -> Verdict + 'a;
 pub(super) struct Setting {
     /// The objective, which decides about weights.
     pub(super) objective: Objective,
-    /// As [`crate::planning::solver::Control::strict_paper`].
+    /// As [`crate::planning::solver::control::Control::strict_paper`].
     pub(super) strict_paper: bool,
 }
 

@@ -3,7 +3,7 @@
 use super::*;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
-use crate::planning::plan::ActionKind;
+use crate::planning::plan::{Action, ActionKind};
 use crate::tabletop::instance::{Instance, KeepOut, ObjectSpec, Workspace};
 use std::sync::Mutex;
 
