@@ -9,7 +9,7 @@ use std::collections::HashMap;
 
 use saphyr_parser::{Event, Parser, ScalarStyle, Span, StrInput};
 
-use crate::document::{Complaint, Complaints, Location};
+use crate::document::complaint::{Complaint, Complaints, Location};
 
 /// Longest text accepted, bytes.
 pub const MAX_BYTES: usize = 16 << 20;
