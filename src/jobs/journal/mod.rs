@@ -5,20 +5,21 @@
 //! intent whose motion began. Folders follow this database (`jobs::spool`), never the other way round; only a
 //! file in `incoming` that is not known here is new.
 
+mod claim;
 pub(in crate::jobs) mod places;
 pub(in crate::jobs) mod rows;
 mod steps;
 #[cfg(test)]
 mod tests;
 
-use crate::io::files::FileIdentity;
-use crate::jobs::journal::rows::{
-    JOB_COLUMNS, JobRow, encode, free_id, interrupted, job_row, source_text, storable,
-};
-use crate::jobs::record::{JobRecord, JobResult, JobSpec, JobState, StepRecord};
+use crate::jobs::journal::claim::free_id;
+use crate::jobs::journal::rows::{JOB_COLUMNS, JobRow, encode, interrupted, job_row, source_text, storable};
+use crate::jobs::record::{JobRecord, JobResult, JobState, StepRecord};
 use rusqlite::{Connection, OpenFlags, Transaction, params};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+
+pub use crate::jobs::journal::claim::{Claim, NewJob};
 
 /// Number in `PRAGMA user_version`; a database of another number is refused, not converted.
 const SCHEMA_VERSION: i64 = 1;
@@ -127,43 +128,6 @@ pub enum JournalError {
         column: &'static str,
         /// What was there.
         value: String,
-    },
-}
-
-/// A checked job file about to be claimed.
-#[derive(Clone, Debug)]
-pub struct NewJob<'a> {
-    /// From the file, or made from time, name and hash.
-    pub id: &'a str,
-    /// Name of the file.
-    pub name: &'a str,
-    /// Hash of the file, lower-case hex.
-    pub sha256: &'a str,
-    /// The file, verbatim.
-    pub text: &'a str,
-    /// What it asks for.
-    pub spec: &'a JobSpec,
-    /// The very file in `incoming`.
-    pub source: FileIdentity,
-}
-
-/// What came of a claim.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Claim {
-    /// It is ours now, and on disk.
-    Claimed {
-        /// The job's unique id.
-        id: String,
-    },
-    /// The same content is known under this id.
-    Duplicate {
-        /// The first job.
-        of: String,
-    },
-    /// The id is known with other content.
-    Conflict {
-        /// The first job.
-        with: String,
     },
 }
 

@@ -1,13 +1,12 @@
-//! Rows of the journal database as records and back, and the lookup that makes claims happen once.
+//! Rows of the journal database as records and back.
 //!
 //! In: rows, records. Out: records, JSON text. A job whose file is being moved is recognised by the file's
 //! identity (device, inode, size, time), so a crash between commit and rename is not a duplicate.
 
 use crate::cell::code::Code;
 use crate::io::files::FileIdentity;
-use crate::jobs::journal::{Claim, NewJob};
 use crate::jobs::record::{JobRecord, JobResult, JobStatus, ObjectResult, StepPhase, StepRecord};
-use rusqlite::{OptionalExtension, Row, Transaction};
+use rusqlite::Row;
 
 /// The columns of a job, text not decoded yet.
 pub(super) struct JobRow {
@@ -44,36 +43,6 @@ pub(super) fn job_row(row: &Row) -> Result<JobRow, rusqlite::Error> {
         ended: row.get(10)?,
         result: row.get(11)?,
     })
-}
-
-/// The id under which a job can be claimed, or what is known already.
-///
-/// An id that the file states is held to: the same content again is a repeated submission, other content a
-/// mistake. With `rerun: true`, and for names made here, a number makes the id unique.
-pub(super) fn free_id(
-    transaction: &Transaction,
-    job: &NewJob,
-) -> Result<Result<String, Claim>, rusqlite::Error> {
-    let sha256_of = |id: &str| -> Result<Option<String>, rusqlite::Error> {
-        let select = "SELECT sha256 FROM jobs WHERE id = ?1";
-        transaction.query_row(select, [id], |row| row.get(0)).optional()
-    };
-    let Some(sha256) = sha256_of(job.id)? else {
-        return Ok(Ok(job.id.to_owned()));
-    };
-    if job.spec.id.is_some() && !job.spec.rerun {
-        let id = job.id.to_owned();
-        let same = sha256 == job.sha256;
-        return Ok(Err(if same { Claim::Duplicate { of: id } } else { Claim::Conflict { with: id } }));
-    }
-    let mut number = 2_u32;
-    loop {
-        let id = format!("{}.{number}", job.id);
-        if sha256_of(&id)?.is_none() {
-            return Ok(Ok(id));
-        }
-        number += 1;
-    }
 }
 
 /// A file's identity as the database keeps it.

@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::geometry::pose::Pose2;
-use crate::jobs::record::{JobStatus, StepIntent, StepKind};
+use crate::io::files::FileIdentity;
+use crate::jobs::record::{JobSpec, JobStatus, StepIntent, StepKind};
 
 const NOW: f64 = 1_795_248_000.0;
 

@@ -9,6 +9,7 @@
 //! Rules: a file is taken when it has not changed for a settle time; links, FIFOs, folders and files with a
 //! second name are never opened and stay where they are; nothing is ever overwritten.
 
+mod names;
 mod place;
 mod scan;
 #[cfg(test)]
@@ -25,13 +26,10 @@ use std::fmt::Write as _;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-pub use scan::id_of_file;
+pub use crate::jobs::spool::names::{id_of_file, is_plain_name};
 
 /// Folders below `STATE/jobs`.
 pub const FOLDERS: [&str; 6] = ["incoming", "hold", "active", "done", "failed", "rejected"];
-
-/// Name endings of files that are still being written by somebody.
-const UNFINISHED: [&str; 5] = [".tmp", ".part", ".swp", "~", ".crdownload"];
 
 /// Why the spool stopped working. A single bad file is never a reason.
 #[derive(Debug, thiserror::Error)]
@@ -264,15 +262,4 @@ impl Spool {
         }
         Ok(())
     }
-}
-
-/// True for names that a job or its file may have: `[A-Za-z0-9._-]{1,80}`, not hidden.
-pub fn is_plain_name(name: &str) -> bool {
-    let plain = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'.' | b'_' | b'-');
-    (1..=80).contains(&name.len()) && !name.starts_with('.') && name.bytes().all(plain)
-}
-
-/// Names that are left alone: hidden, or still being written by somebody.
-fn is_unfinished_name(name: &str) -> bool {
-    name.starts_with('.') || UNFINISHED.iter().any(|ending| name.ends_with(ending))
 }

@@ -7,13 +7,11 @@ use crate::cell::code::Code;
 use crate::io::files::{FileError, FileIdentity, Unfit, identify, read_regular, remove};
 use crate::jobs::journal::places::NewRejection;
 use crate::jobs::journal::{Claim, Journal, NewJob};
-use crate::jobs::spool::{
-    ReadJob, Refusal, Spool, SpoolError, SpoolEvent, Watched, is_plain_name, is_unfinished_name,
-};
-use crate::jobs::utc;
+use crate::jobs::spool::names::{id_of_file, is_plain_name, is_unfinished_name, plain_name};
+use crate::jobs::spool::{ReadJob, Refusal, Spool, SpoolError, SpoolEvent, Watched};
 use crate::time::Timestamp;
 use sha2::{Digest, Sha256};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// An entry of `incoming`. `name` is for people and records; `path` may hold bytes that are not text.
 pub(super) struct Entry {
@@ -289,27 +287,6 @@ impl Spool {
     pub(super) fn reason_path(&self, stored: &str) -> PathBuf {
         self.rejected(&format!("{stored}.reason.yaml"))
     }
-}
-
-/// `name` with every other character replaced, short and not hidden.
-fn plain_name(name: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-') { c } else { '_' };
-    let text: String = name.chars().map(plain).take(80).collect();
-    if text.is_empty() { "unnamed".to_owned() } else { text }
-}
-
-/// The id of a job that states none: `<utc>-<name>-<first 8 of the hash>`, or the file's name if it is of
-/// that form already, as `celld submit` names its files.
-pub fn id_of_file(name: &str, sha256: &str, unix_s: f64) -> String {
-    let stem = Path::new(name).file_stem().map(|stem| stem.to_string_lossy().into_owned());
-    let stem: String = stem.unwrap_or_default().chars().take(60).collect();
-    let hash = sha256.get(..8).unwrap_or(sha256);
-    let named = stem.get(17..).is_some_and(|rest| rest.contains(&format!("-{hash}")));
-    if named && stem.as_bytes().get(16) == Some(&b'-') && stem.as_bytes().get(15) == Some(&b'Z') {
-        return stem;
-    }
-    let stem: String = stem.chars().take(40).collect();
-    format!("{}-{stem}-{hash}", utc::compact(unix_s))
 }
 
 /// Lower-case hex.
