@@ -96,52 +96,33 @@ pub fn read_cell(
 }
 
 fn parts(
-    decoder: &mut Decoder,
+    d: &mut Decoder,
     fields: &Fields,
     folder: &Path,
     read_file: &ReadFile,
     beside: &mut Complaints,
 ) -> CellParts {
-    if let Some(at) = fields.required("version", decoder) {
-        decoder.integer(&at, 1..=1);
+    if let Some(at) = fields.required("version", d) {
+        d.integer(&at, 1..=1);
     }
-    let devices = fields.required("devices", decoder).and_then(|at| devices(decoder, &at, folder));
-    let table = table(decoder, fields);
-    let catalogue = fields
-        .required("objects", decoder)
-        .map(|at| catalogue(decoder, &at, folder, read_file, beside))
-        .unwrap_or_default();
-    let reference_markers =
-        fields.required("reference_markers", decoder).and_then(|at| reference_markers(decoder, &at));
-    let gripper = fields.required("gripper", decoder).and_then(|at| gripper(decoder, &at));
-    let flange_from_tool = transform(decoder, fields, "flange_from_tool");
-    let base_from_table = transform(decoder, fields, "base_from_table");
-    let camera = fields.required("camera", decoder).and_then(|at| calibration::camera(decoder, &at));
-    let look_poses = required_each(decoder, fields, "look_poses_deg", joints_deg);
-    let calibration_poses = required_each(decoder, fields, "calibration_poses_deg", joints_deg);
-    let park_pose = required_joints(decoder, fields, "park_pose_deg");
-    let work_pose = required_joints(decoder, fields, "work_pose_deg");
-    let calibration_box = optional(decoder, fields, "calibration_box", None, |decoder, at| {
-        calibration::calibration_box(decoder, at).map(Some)
-    });
-    let calibration =
-        fields.required("calibration", decoder).and_then(|at| calibration::files(decoder, &at, folder));
-    let (joint_range, limits) =
-        fields.required("limits", decoder).map_or((None, None), |at| limits(decoder, &at));
-    let tolerances = fields.required("tolerances", decoder).and_then(|at| tolerances(decoder, &at));
-    let planner = fields.required("planner", decoder).and_then(|at| planner(decoder, &at));
-    let approvals = [Approval::Never, Approval::Job, Approval::Always].map(|value| (value.word(), value));
-    let approval =
-        optional(decoder, fields, "approval", Approval::Always, |decoder, at| decoder.choice(at, &approvals));
-    let arm_at_start = optional(decoder, fields, "arm_at_start", false, |decoder, at| decoder.boolean(at));
-    let simulation = optional(decoder, fields, "simulation", None, |d, at| simulation(d, at).map(Some));
-    let recording = optional(decoder, fields, "recording", None, |d, at| recording(d, at, folder).map(Some));
-    let ignore_markers = optional(decoder, fields, "ignore_markers", Vec::new(), |decoder, at| {
-        list(decoder, at, |decoder, at| decoder.integer(at, 0..=586).map(|id| id as u32))
-    });
-    let foreign = optional(decoder, fields, "foreign", ForeignRule::Refuse { depth_needed: false }, foreign);
-    let goal_folder =
-        optional(decoder, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder));
+    let devices = fields.required("devices", d).and_then(|at| devices(d, &at, folder));
+    let table = table(d, fields);
+    let objects = fields.required("objects", d);
+    let catalogue = objects.map(|at| catalogue(d, &at, folder, read_file, beside)).unwrap_or_default();
+    let reference_markers = fields.required("reference_markers", d).and_then(|at| reference_markers(d, &at));
+    let gripper = fields.required("gripper", d).and_then(|at| gripper(d, &at));
+    let flange_from_tool = transform(d, fields, "flange_from_tool");
+    let base_from_table = transform(d, fields, "base_from_table");
+    let camera = fields.required("camera", d).and_then(|at| calibration::camera(d, &at));
+    let look_poses = required_each(d, fields, "look_poses_deg", joints_deg);
+    let calibration_poses = required_each(d, fields, "calibration_poses_deg", joints_deg);
+    let park_pose = required_joints(d, fields, "park_pose_deg");
+    let work_pose = required_joints(d, fields, "work_pose_deg");
+    let calibration_box =
+        optional(d, fields, "calibration_box", None, |d, at| calibration::calibration_box(d, at).map(Some));
+    let calibration = fields.required("calibration", d).and_then(|at| calibration::files(d, &at, folder));
+    let (joint_range, limits) = fields.required("limits", d).map_or((None, None), |at| limits(d, &at));
+    let refuse = ForeignRule::Refuse { depth_needed: false };
     CellParts {
         devices,
         table,
@@ -160,21 +141,30 @@ fn parts(
         calibration,
         joint_range,
         limits,
-        tolerances,
-        planner,
-        approval,
-        arm_at_start,
-        simulation,
-        recording,
-        goal_folder,
-        ignore_markers,
-        foreign,
+        tolerances: fields.required("tolerances", d).and_then(|at| tolerances(d, &at)),
+        planner: fields.required("planner", d).and_then(|at| planner(d, &at)),
+        approval: optional(d, fields, "approval", Approval::Always, approval),
+        arm_at_start: optional(d, fields, "arm_at_start", false, |d, at| d.boolean(at)),
+        simulation: optional(d, fields, "simulation", None, |d, at| simulation(d, at).map(Some)),
+        recording: optional(d, fields, "recording", None, |d, at| recording(d, at, folder).map(Some)),
+        ignore_markers: optional(d, fields, "ignore_markers", Vec::new(), |d, at| list(d, at, marker_number)),
+        foreign: optional(d, fields, "foreign", refuse, foreign),
+        goal_folder: optional(d, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder)),
     }
 }
 
 fn required_joints(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<Joints> {
     let at = fields.required(key, decoder)?;
     joints_deg(decoder, &at)
+}
+
+fn approval(decoder: &mut Decoder, at: &At) -> Option<Approval> {
+    let approvals = [Approval::Never, Approval::Job, Approval::Always].map(|value| (value.word(), value));
+    decoder.choice(at, &approvals)
+}
+
+fn marker_number(decoder: &mut Decoder, at: &At) -> Option<u32> {
+    decoder.integer(at, 0..=586).map(|id| id as u32)
 }
 
 fn devices(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Devices> {
