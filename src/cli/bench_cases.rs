@@ -1,11 +1,10 @@
 //! The cases of the planning benchmark: generated ones, or the public instances.
 //!
-//! In: the arguments that choose cells and cases. Out: ids of a cell's cases, and the problem of a case. A
+//! In: where the cases come from. Out: ids of a cell's cases, and the problem of a case. A
 //! generated case is made anew from its seed each time: a table of results needs no folder of instances
 //! beside it.
 
 use crate::bench::cells::{Cell, Unit};
-use crate::cli::bench_planning::BenchPlanningArgs;
 use crate::cli::task::TaskArgs;
 use crate::planning::generate::{RatioLaw, Recipe, Scenario, generate};
 use crate::planning::object_set::ObjectSet;
@@ -40,14 +39,6 @@ pub enum Source {
 }
 
 impl Source {
-    /// The source that the arguments name.
-    pub fn new(args: &BenchPlanningArgs) -> Source {
-        match &args.data {
-            Some(data) => Source::Public { data: data.clone(), ids: args.ids.clone(), count: args.count },
-            None => Source::Generated { seed: args.instance_seed, count: args.count, ratios: args.ratios },
-        }
-    }
-
     /// Says what of a cell cannot be had.
     ///
     /// # Errors

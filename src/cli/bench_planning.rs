@@ -151,7 +151,7 @@ pub fn run(args: &BenchPlanningArgs, stop: &AtomicBool) -> u8 {
 }
 
 fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
-    let source = Source::new(args);
+    let source = source(args);
     let measured = args.baseline.as_ref().map(|path| read_baseline(path)).transpose()?;
     let units = wanted(args, &source, measured.as_deref())?;
     let (file, found) = match &args.out {
@@ -178,6 +178,14 @@ fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
         return Ok(130);
     }
     Ok(0)
+}
+
+/// Where the cases come from.
+fn source(args: &BenchPlanningArgs) -> Source {
+    match &args.data {
+        Some(data) => Source::Public { data: data.clone(), ids: args.ids.clone(), count: args.count },
+        None => Source::Generated { seed: args.instance_seed, count: args.count, ratios: args.ratios },
+    }
 }
 
 fn limits(args: &BenchPlanningArgs, cell: &Cell) -> Limits {

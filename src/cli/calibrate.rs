@@ -21,7 +21,7 @@ use crate::calibration::visit::{Samples, Stop};
 use crate::cell::event::Arm;
 use crate::cell::supervisor::round::RoundOrder;
 use crate::cli::daemon::{open_camera, open_shell, with_runtime};
-use crate::cli::detect::{read_camera, read_picture};
+use crate::cli::pictures::{read_camera, read_picture};
 use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;

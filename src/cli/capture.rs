@@ -6,7 +6,7 @@
 //! (with `--partial` the others are written), 2 bad input.
 
 use crate::cli::daemon::open_camera;
-use crate::cli::detect::{read_camera, read_picture};
+use crate::cli::pictures::{read_camera, read_picture};
 use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;

@@ -7,7 +7,7 @@
 
 mod table;
 
-use crate::calibration::files::camera::CameraCalibration;
+use crate::cli::pictures::{read_camera, read_picture};
 use crate::document::chain::chain;
 use crate::io::files;
 use crate::units::{deg_from_rad, mm_from_m};
@@ -21,9 +21,6 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-
-/// Largest picture file read, bytes.
-const PICTURE_MAX: u64 = 256 << 20;
 
 /// Arguments of `celld detect`.
 #[derive(Debug, clap::Args)]
@@ -152,20 +149,6 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
     Ok((text, found.len()))
 }
 
-pub(super) fn read_picture(path: &Path) -> Result<Image, String> {
-    Image::decode(&read_bytes(path)?).map_err(|error| format!("{}: {}", path.display(), chain(&error)))
-}
-
-fn read_bytes(path: &Path) -> Result<Vec<u8>, String> {
-    files::read_bytes(path, PICTURE_MAX).map_err(|error| chain(&error))
-}
-
-pub(super) fn read_camera(path: &Path) -> Result<CameraModel, String> {
-    let (text, _) = files::read_regular(path, 1 << 20).map_err(|error| chain(&error))?;
-    let calibration = CameraCalibration::parse(&text, &path.display().to_string());
-    calibration.map(|calibration| calibration.model).map_err(|complaints| complaints.to_string())
-}
-
 fn pose(camera: &CameraModel, detection: &Detection, size_m: f64) -> Option<Pose> {
     let best = cv::square_poses(camera, &detection.corners, size_m).ok()?.into_iter().next()?;
     let centre = best.camera_from_target.translation.vector;
@@ -220,6 +203,7 @@ fn json(path: &Path, image: &Image, found: &[Found], seen: Option<&Observation>)
 mod tests {
     use super::*;
     use crate::geometry::pose::Pose2;
+    use crate::calibration::files::camera::CameraCalibration;
     use crate::vision::image::DepthImage;
     use crate::vision::image::depth::UNIT_M;
     use crate::vision::marker;

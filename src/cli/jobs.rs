@@ -4,20 +4,18 @@
 //! with the daemon off; every other command is refused then, and never stored for a later daemon.
 
 use crate::cell::orders::Reply;
+use crate::cli::client::{ClientError, StateArg, complain};
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
-use crate::document::chain::chain;
 use crate::io::clock::unix_now_s;
-use crate::io::files::FileError;
 use crate::jobs::command::{Command, RecoverHow, ReleaseChannel, Sent};
-use crate::jobs::journal::{Journal, JournalError};
+use crate::jobs::journal::Journal;
 use crate::jobs::record::{JobRecord, quoted};
-use crate::jobs::state::{StateError, StateFolder};
+use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
 use crate::jobs::utc;
 use crate::report::text::{columns, or_dash};
 use clap::{Args, Subcommand, ValueEnum};
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// How long a daemon may take to answer.
@@ -25,20 +23,6 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 
 /// How often the answer is looked for.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-
-/// Where the daemon is found.
-#[derive(Args, Clone, Debug)]
-pub struct StateArg {
-    /// The state folder.
-    #[arg(long, default_value = "./state")]
-    pub state: PathBuf,
-}
-
-impl StateArg {
-    pub(super) fn folder(&self) -> StateFolder {
-        StateFolder::new(&self.state)
-    }
-}
 
 /// Output for people or programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -150,23 +134,6 @@ pub enum ChannelArg {
     B,
 }
 
-/// Why a command did not come about. All are exit code 1.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum ClientError {
-    #[error("no daemon runs on the state folder {0}; start it with `celld run --config ... --state {0}`")]
-    NoDaemon(PathBuf),
-    #[error("the daemon did not take the command within {0} s; see `celld status`")]
-    NoAnswer(u64),
-    #[error("the daemon took the command and did not answer within {0} s; see `celld status`")]
-    NoReply(u64),
-    #[error(transparent)]
-    State(#[from] StateError),
-    #[error(transparent)]
-    Files(#[from] FileError),
-    #[error(transparent)]
-    Journal(#[from] JournalError),
-}
-
 /// Carries out a client command and returns the exit code.
 pub fn run(command: ClientCommand) -> u8 {
     let told = match command {
@@ -182,12 +149,6 @@ pub fn run(command: ClientCommand) -> u8 {
         Ok(code) => code,
         Err(error) => complain(&error),
     }
-}
-
-/// The error with its causes on stderr; exit code 1.
-pub(super) fn complain(error: &ClientError) -> u8 {
-    eprintln!("{}", chain(error));
-    1
 }
 
 fn to_send(command: ClientCommand) -> (StateFolder, Command) {

@@ -6,7 +6,7 @@
 //! Exit code 0 when handed in (with `--wait`: when done), 1 when the job did not succeed, 2 when it is wrong.
 
 use crate::cli::check::beside;
-use crate::cli::jobs::{ClientError, StateArg, complain};
+use crate::cli::client::{ClientError, StateArg, complain};
 use crate::cli::task::outln;
 use crate::config::load::read_text;
 use crate::io::clock::unix_now_s;

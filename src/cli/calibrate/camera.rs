@@ -9,8 +9,8 @@ use crate::calibration::fit::lens::{BoardView, LensSettings, LensSolution, solve
 use crate::cli::calibrate::take::take;
 use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::daemon::open_camera;
-use crate::cli::detect::read_picture;
 use crate::cli::markers::{grid, millimetres};
+use crate::cli::pictures::read_picture;
 use crate::cli::task::complain;
 use crate::config::load::load_cell;
 use crate::document::chain::chain;

@@ -7,7 +7,7 @@
 
 use crate::calibration::drawn::CameraMount;
 use crate::cli::capture::{perception, told};
-use crate::cli::detect::{read_bytes, read_camera};
+use crate::cli::pictures::{read_bytes, read_camera};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::config::setup::{inventory, reference_markers};

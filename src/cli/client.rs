@@ -1,0 +1,47 @@
+//! What the commands that reach the daemon through the state folder have in common.
+//!
+//! In: `--state` on the command line; faults. Out: the state folder, and a fault with its causes on stderr.
+
+use crate::document::chain::chain;
+use crate::io::files::FileError;
+use crate::jobs::journal::JournalError;
+use crate::jobs::state::{StateError, StateFolder};
+use clap::Args;
+use std::path::PathBuf;
+
+/// Where the daemon is found.
+#[derive(Args, Clone, Debug)]
+pub struct StateArg {
+    /// The state folder.
+    #[arg(long, default_value = "./state")]
+    pub state: PathBuf,
+}
+
+impl StateArg {
+    pub(super) fn folder(&self) -> StateFolder {
+        StateFolder::new(&self.state)
+    }
+}
+
+/// Why a command did not come about. All are exit code 1.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ClientError {
+    #[error("no daemon runs on the state folder {0}; start it with `celld run --config ... --state {0}`")]
+    NoDaemon(PathBuf),
+    #[error("the daemon did not take the command within {0} s; see `celld status`")]
+    NoAnswer(u64),
+    #[error("the daemon took the command and did not answer within {0} s; see `celld status`")]
+    NoReply(u64),
+    #[error(transparent)]
+    State(#[from] StateError),
+    #[error(transparent)]
+    Files(#[from] FileError),
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+}
+
+/// The error with its causes on stderr; exit code 1.
+pub(super) fn complain(error: &ClientError) -> u8 {
+    eprintln!("{}", chain(error));
+    1
+}
