@@ -20,7 +20,7 @@ use crate::config::setup::arm_model;
 use crate::config::simulated::{SimFile, SimMount, SimPorts};
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::kinematics::{ARM_MODELS, DhParameters};
-use crate::tabletop::instance::Instance;
+use crate::tabletop::instance::{Instance, ObjectSpec};
 use crate::units::Joints;
 use crate::vision::image::quality::PictureLimits;
 use nalgebra::Isometry3;
@@ -37,6 +37,20 @@ pub const CUP_DIAMETER_M: f64 = 0.02;
 
 /// Elbow up over the table: the posture of all work.
 const HOME: Joints = Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]);
+
+/// What the arm may do at most: well below a UR5e's own limits.
+const LIMITS: MotionLimits = MotionLimits {
+    joint_speed: 1.5,
+    joint_acceleration: 3.0,
+    tool_speed: 0.25,
+    tool_acceleration: 1.2,
+    joint_range: [(-TAU, TAU); 6],
+    link_floor_m: 0.03,
+    press_m: 5e-4,
+    lift_height_m: 0.03,
+    approach_height_m: 0.04,
+    blend_m: 0.015,
+};
 
 /// What the demo may choose.
 #[derive(Clone, Debug)]
@@ -63,40 +77,20 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
     let (width, height) = (instance.workspace.width, instance.workspace.height);
     let base_from_table = Isometry3::translation(-width / 2.0, BASE_BEHIND_M, 0.0);
     let flange_from_camera = Isometry3::translation(0.0, -0.07, 0.03);
-    let mut objects = instance.objects.clone();
-    for object in &mut objects {
-        if !object.fixed {
-            object.start = None;
-        }
-        object.goal = None;
-    }
     let mut config = CellConfig {
-        devices: Devices {
-            robot_host: choice.bind.to_string(),
-            gripper_host: choice.bind.to_string(),
-            gripper_port: 502,
-            camera: CameraDevice::Simulator { host: choice.bind.to_string(), port: 8080, depth: true },
-            picture_limits: PictureLimits::STANDARD,
-        },
+        devices: devices(choice),
         workspace: WorkspaceConfig {
             width_m: width,
             height_m: height,
             clearance_m: instance.clearance.max(0.002),
             keep_out: instance.keep_out.clone(),
         },
-        objects,
+        objects: catalogue(instance),
         reference_markers: reference_markers(width, height)
             .into_iter()
             .map(|(id, pose)| ReferenceMarkerConfig { id, size_m: REFERENCE_SIZE_M, pose })
             .collect(),
-        gripper: GripperConfig {
-            cups: vec![CupConfig { channel: CupChannel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP_DIAMETER_M }],
-            body_polygon: vec![[-0.035, -0.035], [0.035, -0.035], [0.035, 0.035], [-0.035, 0.035]],
-            body_height_m: 0.08,
-            vacuum_min: 0.5,
-            mass_kg: 0.95,
-            centre_of_gravity_m: [0.0, -0.01, 0.07],
-        },
+        gripper: gripper(),
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         base_from_table,
         camera: CameraMount::Flange { flange_from_camera },
@@ -111,32 +105,9 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             table: out.join("calibration/table.yaml"),
             empty: None,
         },
-        limits: MotionLimits {
-            joint_speed: 1.5,
-            joint_acceleration: 3.0,
-            tool_speed: 0.25,
-            tool_acceleration: 1.2,
-            joint_range: [(-TAU, TAU); 6],
-            link_floor_m: 0.03,
-            press_m: 5e-4,
-            lift_height_m: 0.03,
-            approach_height_m: 0.04,
-            blend_m: 0.015,
-        },
-        tolerances: Tolerances {
-            goal_position_m: 0.0014,
-            goal_angle_rad: 0.7f64.to_radians(),
-            observation_age_s: 60.0,
-            reference_residual_m: 0.001,
-            reference_shift_m: REFERENCE_SHIFT_M,
-            reference_turn_rad: REFERENCE_TURN_DEG.to_radians(),
-        },
-        planner: PlannerConfig {
-            solver: choice.solver.clone(),
-            objective: choice.objective,
-            time_limit_s: choice.time_limit_s,
-            seed: choice.seed,
-        },
+        limits: LIMITS,
+        tolerances: tolerances(),
+        planner: planner(choice),
         approval: Approval::Never,
         arm_at_start: true,
         simulation: Some(SimulationConfig { clock_factor: choice.time_factor }),
@@ -153,6 +124,60 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
     config.look_poses = look_poses(&model, &flange_from_camera, (width, height), angle, LOOK_DISTANCE_M)?;
     config.calibration_poses = calibration_poses(&model, &flange_from_camera, (width, height));
     Ok(config)
+}
+
+fn devices(choice: &DemoChoice) -> Devices {
+    let host = choice.bind.to_string();
+    Devices {
+        robot_host: host.clone(),
+        gripper_host: host.clone(),
+        gripper_port: 502,
+        camera: CameraDevice::Simulator { host, port: 8080, depth: true },
+        picture_limits: PictureLimits::STANDARD,
+    }
+}
+
+/// What the objects are, without where they lie: the camera finds that.
+fn catalogue(instance: &Instance) -> Vec<ObjectSpec> {
+    let mut objects = instance.objects.clone();
+    for object in &mut objects {
+        if !object.fixed {
+            object.start = None;
+        }
+        object.goal = None;
+    }
+    objects
+}
+
+fn gripper() -> GripperConfig {
+    GripperConfig {
+        cups: vec![CupConfig { channel: CupChannel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP_DIAMETER_M }],
+        body_polygon: vec![[-0.035, -0.035], [0.035, -0.035], [0.035, 0.035], [-0.035, 0.035]],
+        body_height_m: 0.08,
+        vacuum_min: 0.5,
+        mass_kg: 0.95,
+        centre_of_gravity_m: [0.0, -0.01, 0.07],
+    }
+}
+
+fn tolerances() -> Tolerances {
+    Tolerances {
+        goal_position_m: 0.0014,
+        goal_angle_rad: 0.7f64.to_radians(),
+        observation_age_s: 60.0,
+        reference_residual_m: 0.001,
+        reference_shift_m: REFERENCE_SHIFT_M,
+        reference_turn_rad: REFERENCE_TURN_DEG.to_radians(),
+    }
+}
+
+fn planner(choice: &DemoChoice) -> PlannerConfig {
+    PlannerConfig {
+        solver: choice.solver.clone(),
+        objective: choice.objective,
+        time_limit_s: choice.time_limit_s,
+        seed: choice.seed,
+    }
 }
 
 /// The simulator's side; its truth comes from the seed.
