@@ -82,12 +82,14 @@ pub fn read_text(path: &Path) -> Result<String, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::document::edit::replace_once;
 
     #[test]
     fn programs_are_the_scripts_of_the_folder_beside_the_file() {
         let folder = tempfile::tempdir().unwrap();
         let config = folder.path().join("sim.yaml");
-        let text = include_str!("../../config/sim.yaml").replace("programs: {}", "programs: {folder: mine}");
+        let sim = include_str!("../../config/sim.yaml");
+        let text = replace_once(sim, "\nprograms: {}", "\nprograms: {folder: mine}");
         std::fs::write(&config, text).unwrap();
         let told = load_sim(&config).unwrap_err().to_string();
         assert!(told.contains("mine") && told.contains("No such file"), "{told}");

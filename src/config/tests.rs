@@ -5,6 +5,7 @@ use crate::config::cell::{CellConfig, CupChannel};
 use crate::config::read_cell::{CELL_KEYS, read_cell};
 use crate::config::read_sim::{DEFAULT_ERRORS, SIM_KEYS, read_sim};
 use crate::document::Complaints;
+use crate::document::edit::{replace_first, replace_once};
 use std::path::Path;
 
 const CELL: &str = include_str!("../../config/cell.yaml");
@@ -23,8 +24,7 @@ fn cell(text: &str) -> Result<CellConfig, Complaints> {
 /// Changes one thing in the example and expects one complaint that contains `expected`.
 #[track_caller]
 fn check(from: &str, to: &str, expected: &str) {
-    assert!(CELL.contains(from), "the example has no {from:?}");
-    let complaints = cell(&CELL.replacen(from, to, 1)).unwrap_err();
+    let complaints = cell(&replace_first(CELL, from, to)).unwrap_err();
     let told = complaints.to_string();
     assert!(told.contains(expected), "{told}");
     assert_eq!(complaints.0.len(), 1, "{told}");
@@ -82,29 +82,28 @@ fn examples_show_and_comment_every_key() {
 
 #[test]
 fn a_search_by_depth_needs_a_camera_that_is_asked_for_it() {
-    let blind = CELL.replace("8090, depth: true}", "8090}");
+    let blind = replace_once(CELL, "8090, depth: true}", "8090}");
     let told = cell(&blind).unwrap_err().to_string();
     assert!(
         told.contains("devices.camera: the search") && told.contains("set `depth: true` in `devices.camera`"),
         "{told}"
     );
-    let compared = blind.replace("table.yaml}", "table.yaml, empty: ../calibration/sim/empty}");
-    assert_ne!(compared, blind);
+    let compared = replace_once(&blind, "table.yaml}", "table.yaml, empty: ../calibration/sim/empty}");
     let config = cell(&compared).expect("refused by colour");
     assert!(config.calibration.empty.is_some_and(|folder| folder.ends_with("calibration/sim/empty")));
     let driven_over =
-        compared.replace("foreign: {mode: refuse}", "foreign: {mode: obstacle, margin_m: 0.01}");
+        replace_once(&compared, "foreign: {mode: refuse}", "foreign: {mode: obstacle, margin_m: 0.01}");
     assert!(cell(&driven_over).is_err(), "colour does not tell how high a thing is");
     for rule in ["", "foreign: {mode: off}"] {
-        assert!(cell(&blind.replace("foreign: {mode: refuse}", rule)).is_ok(), "{rule}");
+        assert!(cell(&replace_once(&blind, "foreign: {mode: refuse}", rule)).is_ok(), "{rule}");
     }
-    assert!(cell(&blind.replace("mode: refuse", "mode: obstacle, margin_m: 0.01")).is_err());
+    assert!(cell(&replace_once(&blind, "{mode: refuse}", "{mode: obstacle, margin_m: 0.01}")).is_err());
 }
 
 #[test]
 fn a_missing_key_is_named() {
     for key in ["limits", "gripper", "flange_from_tool", "reference_markers", "planner", "clearance"] {
-        let without = CELL.replace(&format!("\n{key}:"), &format!("\nx-{key}:"));
+        let without = replace_once(CELL, &format!("\n{key}:"), &format!("\nx-{key}:"));
         let told = cell(&without).unwrap_err().to_string();
         assert!(told.contains(&format!("key \"{key}\" is missing")), "{told}");
         assert!(told.contains(&format!("x-{key}: unknown key")), "{told}");
@@ -145,18 +144,19 @@ fn limits_are_not_optional() {
     for key in ["joint_speed_deg_s", "joint_acceleration_deg_s2", "tool_speed_m_s", "tool_acceleration_m_s2"]
     {
         let line = CELL.lines().find(|line| line.trim_start().starts_with(key)).unwrap();
-        let told = cell(&CELL.replace(line, "")).unwrap_err().to_string();
+        let told = cell(&replace_once(CELL, line, "")).unwrap_err().to_string();
         assert!(told.contains(&format!("key \"{key}\" is missing")), "{told}");
     }
 }
 
 #[test]
 fn parts_that_do_not_fit_are_told() {
-    let told = cell(&CELL.replacen("host: 127.0.0.2}", "host: 192.168.1.20}", 1)).unwrap_err().to_string();
+    let told = cell(&replace_once(CELL, "host: 127.0.0.2}", "host: 192.168.1.20}")).unwrap_err().to_string();
     assert!(told.contains("simulation: the robot is at \"192.168.1.20\""), "{told}");
-    let real = CELL.replace("simulation: {clock_factor: 1}", "simulation: null");
+    let real = replace_once(CELL, "simulation: {clock_factor: 1}", "simulation: null");
     assert!(cell(&real).is_ok());
-    let told = cell(&real.replace("arm_at_start: false", "arm_at_start: true")).unwrap_err().to_string();
+    let told =
+        cell(&replace_once(&real, "arm_at_start: false", "arm_at_start: true")).unwrap_err().to_string();
     assert!(told.contains("only a simulated cell may be armed at start"), "{told}");
     check("id: 1, size: 0.036", "id: 0, size: 0.036", "marker 0 is used twice");
     check("id: 500, size", "id: 3, size", "marker 3 is also that of object \"lid\"");
@@ -171,12 +171,13 @@ fn parts_that_do_not_fit_are_told() {
     let at_rest = 0.3 * 101_325.0 * std::f64::consts::PI * 0.01 * 0.01 / (4.0 * 9.81);
     check("mass: 0.12", &format!("mass: {at_rest:.3}"), "its cups hold");
     check("    mass: 0.12\n", "    mass: 0.12\n    fixed: true\n", "is not told where it stands");
-    let told = cell(&CELL.replace("diameter: 0.02", "diameter: 0.06")).unwrap_err().to_string();
+    let told = cell(&replace_once(CELL, "diameter: 0.02", "diameter: 0.06")).unwrap_err().to_string();
     assert!(told.contains("no place on \"plank-1\"") && !told.contains("no place on \"block\""), "{told}");
     check("blend_m: 0.02 ", "blend_m: 0.05 ", "rounds the corner");
     check("    mass: 0.12\n", "", "has no mass (kg)");
     check("park_pose_deg: [-91.7", "park_pose_deg: [361", "joint 1 at 361.0 degrees is outside its range");
-    let told = cell(&CELL.replace("keep_out: []", "keep_out: []\nkeep_ut: []")).unwrap_err().to_string();
+    let told =
+        cell(&replace_once(CELL, "keep_out: []", "keep_out: []\nkeep_ut: []")).unwrap_err().to_string();
     assert!(told.contains("keep_ut: unknown key; did you mean \"keep_out\"?"), "{told}");
 }
 
@@ -193,13 +194,15 @@ fn a_catalogue_in_a_file_is_judged_with_its_own_places() {
 
 #[test]
 fn a_wrong_key_hides_no_fault_elsewhere() {
-    let text = CELL
-        .replacen("height: 0.02\n", "height: 20 mm\n", 1)
-        .replacen("{id: 501, size", "{id: 500, size", 1)
-        .replacen("{id: 502, size: 0.03", "{id: 0, size: wide", 1)
-        .replacen("joint_speed_deg_s: 60 ", "joint_speed_deg_s: fast ", 1)
-        .replacen("work_pose_deg: [-91.7", "work_pose_deg: [361", 1)
-        .replacen("id: 2, size: 0.05,", "id: 2, size: 0.07,", 1);
+    let changes = [
+        ("height: 0.02\n", "height: 20 mm\n"),
+        ("{id: 501, size", "{id: 500, size"),
+        ("{id: 502, size: 0.03", "{id: 0, size: wide"),
+        ("joint_speed_deg_s: 60 ", "joint_speed_deg_s: fast "),
+        ("work_pose_deg: [-91.7", "work_pose_deg: [361"),
+        ("id: 2, size: 0.05,", "id: 2, size: 0.07,"),
+    ];
+    let text = changes.iter().fold(CELL.to_owned(), |text, (from, to)| replace_first(&text, from, to));
     let told = cell(&text).unwrap_err();
     for wanted in [
         "objects[0].height: \"20 mm\" is not a number",
@@ -219,7 +222,7 @@ fn a_wrong_key_hides_no_fault_elsewhere() {
 fn a_fixed_camera_names_the_board_on_the_hand() {
     let with = |board: &str| {
         let fixed = format!("mount: fixed\n  board: {{{board}}}\n  base_from");
-        cell(&CELL.replace("mount: flange\n  flange_from", &fixed))
+        cell(&replace_once(CELL, "mount: flange\n  flange_from", &fixed))
     };
     let fixed = with("columns: 5, rows: 4, size: 0.02, first_id: 100").unwrap();
     let CameraMount::Fixed { board, flange_from_board, .. } = fixed.camera else {
@@ -244,29 +247,28 @@ fn a_fixed_camera_names_the_board_on_the_hand() {
     let told = |how: &str| clamped(how).unwrap_err().to_string();
     assert!(told("translation: [0, 0, 0], quaternion: [0, 0, 0, 2]").contains("camera.flange_from_board"));
     assert!(told("translation: [0, 0], quaternion: [1, 0, 0, 0]").contains("2 values, 3 are wanted"));
-    let on_the_hand = CELL.replace("mount: flange\n", "mount: flange\n  flange_from_board: {}\n");
+    let on_the_hand = replace_once(CELL, "mount: flange\n", "mount: flange\n  flange_from_board: {}\n");
     assert!(cell(&on_the_hand).unwrap_err().to_string().contains("flange_from_board"));
 }
 
 #[test]
 fn a_camera_that_stands_is_compared_with_the_empty_table_from_one_look_pose() {
     let stands = "mount: fixed\n  board: {columns: 5, rows: 4, size: 0.02, first_id: 100}\n  base_from";
-    let fixed = CELL.replace("mount: flange\n  flange_from", stands);
-    let compared = |text: &str| text.replace("sim/table.yaml}", "sim/table.yaml, empty: ../empty}");
-    assert_ne!(compared(CELL), CELL);
+    let fixed = replace_once(CELL, "mount: flange\n  flange_from", stands);
+    let compared = |text: &str| replace_once(text, "sim/table.yaml}", "sim/table.yaml, empty: ../empty}");
     assert!(cell(&compared(CELL)).is_ok() && cell(&fixed).is_ok());
     let told = cell(&compared(&fixed)).unwrap_err();
     assert_eq!(told.0.len(), 1, "{told}");
     assert!(told.to_string().contains("look_poses_deg: 2 look poses before a camera that stands"), "{told}");
     let second = "  - [-106.6, -96.2, 97.0, -90.8, -90.0, -16.6]\n";
-    assert!(fixed.contains(second) && cell(&compared(&fixed.replace(second, ""))).is_ok());
+    assert!(cell(&compared(&replace_once(&fixed, second, ""))).is_ok());
 }
 
 #[test]
 fn a_box_may_be_taught_by_its_corners() {
     let corners = "{corners_deg: [[-121.6, -128.7, 116.1, -77.4, -90, -31.6], [-77.4, -70.1, 64.8, -55.1, -109.6, 40.8], \
                    [-91.7, -91.7, 108.9, -108.9, -90, 0]]}";
-    let text = CELL.replace("{low: [-0.40, 0.12, 0.25], high: [0.40, 0.70, 0.75]}", corners);
+    let text = replace_once(CELL, "{low: [-0.40, 0.12, 0.25], high: [0.40, 0.70, 0.75]}", corners);
     let found = cell(&text).unwrap().calibration_box.unwrap();
     // Where the drawing's arm has its flange in those poses.
     for (found, wanted) in
@@ -274,7 +276,8 @@ fn a_box_may_be_taught_by_its_corners() {
     {
         assert!((found - wanted).abs() < 1e-3, "{found} {wanted}");
     }
-    let one = CELL.replace(
+    let one = replace_once(
+        CELL,
         "{low: [-0.40, 0.12, 0.25], high: [0.40, 0.70, 0.75]}",
         "{corners_deg: [[-121.6, -128.7, 116.1, -77.4, -90, -31.6]]}",
     );
@@ -285,17 +288,17 @@ fn a_box_may_be_taught_by_its_corners() {
 #[test]
 fn all_cups_have_to_sit_on_an_object() {
     let far = "cups: [{channel: A, x: 0, y: 0, diameter: 0.02}, {channel: B, x: 0.2, y: 0, diameter: 0.02}]";
-    let text = CELL.replace("cups: [{channel: A, x: 0, y: 0, diameter: 0.02}]", far);
+    let text = replace_once(CELL, "cups: [{channel: A, x: 0, y: 0, diameter: 0.02}]", far);
     let told = cell(&text).unwrap_err();
     assert_eq!(told.0.len(), 4, "{told}");
     assert!(told.to_string().contains("no place on \"lid\" takes all 2 cups with 1 mm to spare"), "{told}");
-    let near = text.replace("x: 0.2, y: 0,", "x: 0.025, y: 0,");
+    let near = replace_once(&text, "x: 0.2, y: 0,", "x: 0.025, y: 0,");
     assert!(cell(&near).is_ok());
 }
 
 #[test]
 fn goals_may_overlap_by_what_the_camera_cannot_tell() {
-    let text = CELL.replace("goal_position_m: 0.002 ", "goal_position_m: 0.1 ");
+    let text = replace_once(CELL, "goal_position_m: 0.002 ", "goal_position_m: 0.1 ");
     let cell = cell(&text).unwrap();
     let allowed_m = cell.goal_context(&[]).overlap_tolerance_m;
     assert!((0.0005..=0.0015).contains(&allowed_m), "{allowed_m} m");
@@ -304,8 +307,7 @@ fn goals_may_overlap_by_what_the_camera_cannot_tell() {
 /// Changes one thing in the example simulation and expects one complaint that begins with `expected`.
 #[track_caller]
 fn check_sim(from: &str, to: &str, expected: &str) {
-    assert!(SIM.contains(from), "the example has no {from:?}");
-    let complaints = read_sim(&SIM.replacen(from, to, 1), "sim.yaml").unwrap_err();
+    let complaints = read_sim(&replace_first(SIM, from, to), "sim.yaml").unwrap_err();
     let told = complaints.to_string();
     assert_eq!(complaints.0.len(), 1, "{told}");
     assert!(told.contains(expected), "{told}");
@@ -331,15 +333,14 @@ fn the_simulated_camera_may_stand_and_the_hand_carry_a_board() {
     let place = "{translation: [0, 0.43, 0.75], quaternion: [1, 0, 0, 0]}";
     let with = |camera: &str, board: &str| {
         let flange = "flange_from_camera: {translation: [0, -0.07, 0.03], quaternion: [0, 0, 0, 1]}";
-        assert!(SIM.contains(flange));
         let held = format!("hand_board: {{board: {{{board}}}, flange_from_board: {place}}}");
-        read_sim(&SIM.replace(flange, &format!("{camera}\n{held}")), "sim.yaml")
+        read_sim(&replace_once(SIM, flange, &format!("{camera}\n{held}")), "sim.yaml")
     };
     let (stands, grid) = (format!("base_from_camera: {place}"), "columns: 5, rows: 4, size: 0.02");
     // As the example has it in its comments.
-    let shown =
-        SIM.replace("flange_from_camera:", "# flange:").replace("# base_from_camera:", "base_from_camera:");
-    let read = read_sim(&shown.replace("# hand_board:", "hand_board:"), "sim.yaml").unwrap();
+    let shown = replace_once(SIM, "flange_from_camera:", "# flange:");
+    let shown = replace_once(&shown, "# base_from_camera:", "base_from_camera:");
+    let read = read_sim(&replace_once(&shown, "# hand_board:", "hand_board:"), "sim.yaml").unwrap();
     let held = read.hand_board.unwrap();
     assert_eq!((held.board.count(), held.board.first_id), (20, 100));
     let SimMount::Fixed(base_from_camera) = read.camera else { panic!("{:?}", read.camera) };

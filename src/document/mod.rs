@@ -8,6 +8,9 @@
 pub mod chain;
 mod complaint;
 pub mod decode;
+#[cfg(test)]
+#[path = "../../tests/it/edit.rs"]
+pub(crate) mod edit;
 pub mod tree;
 pub mod write;
 

@@ -256,6 +256,7 @@ fn millimetres(metres: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::document::edit::replace_once;
     use crate::geometry::footprint::Footprint;
 
     fn complaints(text: &str) -> String {
@@ -282,7 +283,11 @@ mod tests {
         let touching =
             "objects:\n  - {id: plank-1, pose: [0.1, 0.1, 0]}\n  - {id: plank-2, pose: [0.2, 0.1, 0]}\n";
         assert_eq!(complaints(touching), "2 fine");
-        assert_eq!(complaints(&touching.replace("0.2,", "0.1996,")), "2 fine", "0.4 mm are measurement");
+        assert_eq!(
+            complaints(&replace_once(touching, "0.2,", "0.1996,")),
+            "2 fine",
+            "0.4 mm are measurement"
+        );
         assert_eq!(complaints("objects:\n  - {id: plank-1, pose_deg: [0.02, 0.05, 90]}\n"), "1 fine");
         let instance = "workspace: {width: 1, height: 1}\nobjects:\n  - {id: plank-1, footprint: {disc: {radius: 0.1}}, goal: [0.1, 0.1, 0]}\n  - {id: other, footprint: {disc: {radius: 0.1}}}\n";
         assert_eq!(complaints(instance), "1 fine");
@@ -312,8 +317,8 @@ mod tests {
         ] {
             assert!(several.contains(wanted), "{wanted}:\n{several}");
         }
-        let top =
-            complaints(&file(&["id: plank-1, goal: [0.1, 0.1, 0]"]).replace("height: 1", "height: 1 m"));
+        let fine = file(&["id: plank-1, goal: [0.1, 0.1, 0]"]);
+        let top = complaints(&replace_once(&fine, "height: 1", "height: 1 m"));
         assert!(top.contains("goal.yaml:1:31: workspace.height: \"1 m\" is not a number"), "{top}");
     }
 

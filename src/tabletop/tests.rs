@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::document::Complaints;
+use crate::document::edit::replace_once;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::tabletop::instance::Instance;
@@ -67,82 +68,71 @@ fn defaults_are_those_of_the_design() {
     assert!(object.goal.is_none() && object.marker.is_none() && object.impedance.is_none() && !object.fixed);
 }
 
+/// Key and value, the text the complaint has to point at, and how the complaint goes on.
+const COMPLAINTS: &[(&str, &str, &str)] = &[
+    ("fotprint: {disc: {radius: 0.1}}", "fotprint", ".fotprint: unknown key; did you mean \"footprint\"?"),
+    ("footprint: {disc: {radius: -1}}", "-1", ".footprint.disc.radius: -1 m is not over 0"),
+    ("footprint: {disc: {radius: .nan}}", ".nan", ".footprint.disc.radius: .nan is not a finite number"),
+    (
+        "footprint: {disc: {radius: 30 mm}}",
+        "30 mm",
+        ".footprint.disc.radius: \"30 mm\" is not a number; write the number alone, without \"mm\"",
+    ),
+    (
+        "footprint: {disc: {radius: 300}}",
+        "300",
+        ".footprint.disc.radius: 300 m is out of range; lengths are in m",
+    ),
+    ("footprint: {disc: {}}", "{}", ".footprint.disc: key \"radius\" is missing; add it"),
+    (
+        "footprint: {square: {}}",
+        "square",
+        ".footprint.square: unknown key; known keys: rectangle, disc, ellipse, polygon",
+    ),
+    ("footprint: 3", "3", ".footprint: \"3\" where a map of keys and values is wanted"),
+    (
+        "footprint: [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]",
+        "[0.1, 0], [0, 0.1]",
+        ".footprint[2]: the outline crosses itself: the edge from point 0 meets the edge from point 2; reorder",
+    ),
+    ("footprint: [[0, 0], [0.1, x]]", "x", ".footprint[1][1]: \"x\" is not a number"),
+    ("footprint: [[0, 0], [0.1, 0]]", "[[0", ".footprint: a polygon needs at least 3 points, this one has 2"),
+    (
+        "footprint: [[0, 0], [0.1, 0], [0.1, 0], [0, 0.1]]",
+        "[0.1, 0], [0, 0.1]",
+        ".footprint[2]: points 1 and 2 coincide",
+    ),
+    (
+        "footprint: {disc: {radius: 0.1}, ellipse: {length: 1, width: 1}}",
+        "{disc",
+        ".footprint: a footprint has exactly one of",
+    ),
+    ("start: [0.5, 0.5]", "[0.5", ".start: 2 values, 3 are wanted"),
+    ("start: [500, 50000, 0]", "[500", ".start: 500 m, 50000 m, 0 rad is out of range; lengths are in m"),
+    ("start_deg: [0.5, 0.5, inf]", "inf", ".start_deg[2]: inf is not a finite number"),
+    ("start: [0.5, 0.5, 'x']", "'x'", ".start[2]: text in quotes where a number without quotes is wanted"),
+    ("fixed: maybe", "maybe", ".fixed: \"maybe\" where true or false is wanted"),
+    ("impedance: 0", "0", ".impedance: 0 is not over 0"),
+    ("mass: -2", "-2", ".mass: -2 kg is not over 0"),
+    ("group: [a]", "[a]", ".group: a list where a text is wanted"),
+    (
+        "marker: {id: 900, size: 0.03}",
+        "900",
+        ".marker.id: 900 is out of range; it has to be between 0 and 586",
+    ),
+    (
+        "marker: {family: aruco, id: 9, size: 0.03}",
+        "aruco",
+        ".marker.family: \"aruco\" is not known here; one of: tag36h11",
+    ),
+    ("marker: {id: 9}", "{id", ".marker: key \"size\" is missing"),
+    ("marker: {id: 9, size: 30}", "30", ".marker.size: 30 m is out of range"),
+    ("grippable: [[0, 0], [1, 0], [0.5, 0]]", "[1, 0]", ".grippable[1]: the outline crosses itself"),
+];
+
 #[test]
 fn every_kind_of_complaint_has_its_line_and_column() {
-    // The key and value, the text the complaint has to point at, and how the complaint goes on.
-    let cases = [
-        (
-            "fotprint: {disc: {radius: 0.1}}",
-            "fotprint",
-            ".fotprint: unknown key; did you mean \"footprint\"?",
-        ),
-        ("footprint: {disc: {radius: -1}}", "-1", ".footprint.disc.radius: -1 m is not over 0"),
-        ("footprint: {disc: {radius: .nan}}", ".nan", ".footprint.disc.radius: .nan is not a finite number"),
-        (
-            "footprint: {disc: {radius: 30 mm}}",
-            "30 mm",
-            ".footprint.disc.radius: \"30 mm\" is not a number; write the number alone, without \"mm\"",
-        ),
-        (
-            "footprint: {disc: {radius: 300}}",
-            "300",
-            ".footprint.disc.radius: 300 m is out of range; lengths are in m",
-        ),
-        ("footprint: {disc: {}}", "{}", ".footprint.disc: key \"radius\" is missing; add it"),
-        (
-            "footprint: {square: {}}",
-            "square",
-            ".footprint.square: unknown key; known keys: rectangle, disc, ellipse, polygon",
-        ),
-        ("footprint: 3", "3", ".footprint: \"3\" where a map of keys and values is wanted"),
-        (
-            "footprint: [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]",
-            "[0.1, 0], [0, 0.1]",
-            ".footprint[2]: the outline crosses itself: the edge from point 0 meets the edge from point 2; reorder",
-        ),
-        ("footprint: [[0, 0], [0.1, x]]", "x", ".footprint[1][1]: \"x\" is not a number"),
-        (
-            "footprint: [[0, 0], [0.1, 0]]",
-            "[[0",
-            ".footprint: a polygon needs at least 3 points, this one has 2",
-        ),
-        (
-            "footprint: [[0, 0], [0.1, 0], [0.1, 0], [0, 0.1]]",
-            "[0.1, 0], [0, 0.1]",
-            ".footprint[2]: points 1 and 2 coincide",
-        ),
-        (
-            "footprint: {disc: {radius: 0.1}, ellipse: {length: 1, width: 1}}",
-            "{disc",
-            ".footprint: a footprint has exactly one of",
-        ),
-        ("start: [0.5, 0.5]", "[0.5", ".start: 2 values, 3 are wanted"),
-        ("start: [500, 50000, 0]", "[500", ".start: 500 m, 50000 m, 0 rad is out of range; lengths are in m"),
-        ("start_deg: [0.5, 0.5, inf]", "inf", ".start_deg[2]: inf is not a finite number"),
-        (
-            "start: [0.5, 0.5, 'x']",
-            "'x'",
-            ".start[2]: text in quotes where a number without quotes is wanted",
-        ),
-        ("fixed: maybe", "maybe", ".fixed: \"maybe\" where true or false is wanted"),
-        ("impedance: 0", "0", ".impedance: 0 is not over 0"),
-        ("mass: -2", "-2", ".mass: -2 kg is not over 0"),
-        ("group: [a]", "[a]", ".group: a list where a text is wanted"),
-        (
-            "marker: {id: 900, size: 0.03}",
-            "900",
-            ".marker.id: 900 is out of range; it has to be between 0 and 586",
-        ),
-        (
-            "marker: {family: aruco, id: 9, size: 0.03}",
-            "aruco",
-            ".marker.family: \"aruco\" is not known here; one of: tag36h11",
-        ),
-        ("marker: {id: 9}", "{id", ".marker: key \"size\" is missing"),
-        ("marker: {id: 9, size: 30}", "30", ".marker.size: 30 m is out of range"),
-        ("grippable: [[0, 0], [1, 0], [0.5, 0]]", "[1, 0]", ".grippable[1]: the outline crosses itself"),
-    ];
-    for (line, needle, expected) in cases {
+    for (line, needle, expected) in COMPLAINTS {
         let text = with(line);
         let written = text.lines().nth(3).expect("line 4");
         let column = written.find(needle).expect("needle") + 1;
@@ -195,7 +185,7 @@ objects:
             .starts_with("t.yaml:5:54: objects[2].start: \"c\" reaches over the table's edge by 50.000 mm")
     );
     // A tolerance makes the start acceptable; the goals are wrong for a job, not for an instance.
-    let tolerant = text.replace("objects:", "overlap_tolerance: 0.051\nobjects:");
+    let tolerant = replace_once(text, "objects:", "overlap_tolerance: 0.051\nobjects:");
     assert!(read(&tolerant).is_ok());
     let goals = parse_with_sound_goals(&tolerant, "t.yaml", &|_| None).expect_err("goals").0;
     let goals: Vec<String> = goals.iter().map(ToString::to_string).collect();
@@ -236,7 +226,7 @@ fn a_second_file_of_ours_gives_goals_by_name() {
     let goal = with("footprint: {disc: {radius: 0.1}}\n    start: [0.3, 0.3, 1]");
     let pair = parse_pair((&start, "s"), (&goal, "g"), &|_| None).expect("valid");
     assert_eq!(pair.objects[0].goal, Some(Pose2::new(0.3, 0.3, 1.0)));
-    let stranger = goal.replace("id: a", "id: z");
+    let stranger = replace_once(&goal, "id: a", "id: z");
     let told = parse_pair((&start, "s"), (&stranger, "g"), &|_| None).expect_err("unknown").to_string();
     assert!(told.contains("object \"z\" is not in s"), "{told}");
 }
@@ -297,7 +287,7 @@ fn disc_and_stick_tasks_are_pairs() {
     assert_eq!(pair.objects[0].goal, Some(Pose2::new(0.7, 0.5, 0.0)));
     let alone = read(&disc(100.0)).expect_err("half a task").to_string();
     assert!(alone.contains("--goal GOAL.json"), "{alone}");
-    let other = disc(700.0).replace("50,\"Object_S", "60,\"Object_S");
+    let other = replace_once(&disc(700.0), "50,\"Object_S", "60,\"Object_S");
     assert!(parse_pair((&disc(100.0), "s"), (&other, "g"), &|_| None).is_err());
     let mixed = parse_pair((&disc(100.0), "s"), (FULL, "g"), &|_| None).expect_err("mixed").to_string();
     assert!(mixed.contains("different kinds"), "{mixed}");

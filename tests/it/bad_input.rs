@@ -2,6 +2,7 @@
 //! ends with exit code 2 and says file, line, column, what is wrong and what to change. Besides, wrong
 //! options that must end with 2 before anything starts.
 
+use crate::edit::replace_first;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -120,7 +121,7 @@ fn every_fault_is_told_with_file_line_and_column() {
     let folder = tempfile::tempdir().expect("a folder");
     for (base, from, to, at, words) in CASES {
         let start = base.find(from).unwrap_or_else(|| panic!("{from:?} is not in the sound text"));
-        let text = base.replacen(from, to, 1);
+        let text = replace_first(base, from, to);
         let index = start + text[start..].find(at).expect("the place is in the text");
         let (path, told) = told(folder.path(), "bad.yaml", &text);
         let wanted = format!("{path}:{}: ", place(&text, index));
@@ -162,7 +163,7 @@ fn syntax_errors_have_a_place_in_every_kind_of_file() {
 fn three_faults_of_one_file_are_told_in_one_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let spoilt = |text: &str, changes: [(&str, &str); 3]| {
-        changes.iter().fold(text.to_owned(), |text, (from, to)| text.replacen(from, to, 1))
+        changes.iter().fold(text.to_owned(), |text, (from, to)| replace_first(&text, from, to))
     };
     let files = [
         (

@@ -3,6 +3,7 @@
 //! Names begin with `cell_`, so that the test runner gives each the machine for itself. Every simulation has
 //! a loopback address of its own, because the robot's port numbers are fixed.
 
+use crate::edit::{replace_once, replace_times};
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -92,16 +93,18 @@ pub(crate) fn configuration(folder: &Path, address: &str, factor: u32) -> (PathB
     let config = folder.join("config");
     std::fs::create_dir(&config).expect("created");
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
-    for entry in std::fs::read_dir(source).expect("the examples").flatten() {
-        let text = std::fs::read_to_string(entry.path()).expect("text");
-        let text = text
-            .replace("127.0.0.2", address)
-            .replace("time_factor: 1\n", &format!("time_factor: {factor}\n"))
-            .replace("clock_factor: 1}", &format!("clock_factor: {factor}}}"))
-            .replace("\napproval: always", "\napproval: never");
-        std::fs::write(config.join(entry.file_name()), text).expect("written");
-    }
-    (config.join("cell.yaml"), config.join("sim.yaml"))
+    let example = |name: &str| std::fs::read_to_string(source.join(name)).expect("an example");
+    let cell = replace_times(&example("cell.yaml"), "127.0.0.2", address, 3);
+    let cell = replace_once(&cell, "clock_factor: 1}", &format!("clock_factor: {factor}}}"));
+    let cell = replace_once(&cell, "\napproval: always", "\napproval: never");
+    let sim = replace_once(&example("sim.yaml"), "127.0.0.2", address);
+    let sim = replace_once(&sim, "\ntime_factor: 1\n", &format!("\ntime_factor: {factor}\n"));
+    let write = |name: &str, text: String| {
+        let path = config.join(name);
+        std::fs::write(&path, text).expect("written");
+        path
+    };
+    (write("cell.yaml", cell), write("sim.yaml", sim))
 }
 
 pub(crate) fn start_sim(config: &Path) -> Running {

@@ -1,5 +1,6 @@
 //! `celld plan` and `celld verify` from files to files, with the exit codes of the design.
 
+use crate::edit::replace_once;
 use celld::cli::plan::{PlanArgs, run as plan};
 use celld::cli::verify::{VerifyArgs, run as verify};
 use celld::planning::plan::{PlanFile, Status};
@@ -99,15 +100,15 @@ fn every_false_claim_is_found() {
 #[test]
 fn exit_codes_tell_how_it_ended() {
     let files = Files::new();
-    let overlapping = files.write("a.yaml", &SWAP.replace("[0.2, 0.25, 30]", "[0.55, 0.25, 30]"));
+    let overlapping = files.write("a.yaml", &replace_once(SWAP, "[0.2, 0.25, 30]", "[0.55, 0.25, 30]"));
     assert_eq!(files.plan(&overlapping, &[], false), 1);
     let file = read(&files.path("plan.json"));
     assert_eq!((file.status, file.cost, file.moves), (Status::Infeasible, None, None));
     assert!(file.witness.is_some_and(|witness| witness.contains("left")));
     assert_eq!(files.verify(&overlapping), 1);
-    let on_top = files.write("b.yaml", &SWAP.replace("start: [0.6,", "start: [0.22,"));
+    let on_top = files.write("b.yaml", &replace_once(SWAP, "start: [0.6,", "start: [0.22,"));
     assert_eq!(files.plan(&on_top, &[], false), 2);
-    let unknown_key = files.write("c.yaml", &SWAP.replace("objects:", "objetcs:"));
+    let unknown_key = files.write("c.yaml", &replace_once(SWAP, "objects:", "objetcs:"));
     assert_eq!(files.plan(&unknown_key, &[], false), 2);
     assert_eq!(files.plan("/nowhere/at/all.yaml", &[], false), 2);
     let good = files.write("swap.yaml", SWAP);

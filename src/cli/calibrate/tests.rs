@@ -8,6 +8,7 @@ use crate::bench::vision::scene::bench_camera;
 use crate::calibration::files::set::CalibrationSet;
 use crate::config::calibrated::read_calibration;
 use crate::config::setup::reference_markers;
+use crate::document::edit::{replace_once, replace_times};
 use camera::{CameraArgs, calibrate};
 use nalgebra::Isometry3;
 use rand::SeedableRng;
@@ -163,10 +164,11 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
     assert!(solve(&args, Wanted::Table).unwrap_err().message.contains("calibrate hand-eye"));
     // Intrinsics of another camera beside the pictures.
     let lens = std::fs::read_to_string(round.join("camera.yaml")).unwrap();
-    std::fs::write(round.join("camera.yaml"), lens.replace("serial: sim-d405", "serial: other")).unwrap();
+    std::fs::write(round.join("camera.yaml"), replace_once(&lens, "serial: sim-d405", "serial: other"))
+        .unwrap();
     assert!(told(&args).message.contains("recorded with camera sim-d405"));
     // And of another size.
-    let small = lens.replace("width: 1280", "width: 1290");
+    let small = replace_once(&lens, "width: 1280", "width: 1290");
     std::fs::write(round.join("camera.yaml"), small).unwrap();
     std::fs::remove_file(&config.calibration.camera).unwrap();
     assert!(told(&args).message.contains("01.png: the picture is 1280 x 720"));
@@ -321,70 +323,84 @@ fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
     let found = read_calibration(&config).unwrap();
     assert_eq!(found.table.touches.unwrap().residuals_m.len(), 4);
     assert!((found.table.base_from_table.inverse() * table).translation.vector.norm() < 5e-4);
-    std::fs::write(&path, touches.to_yaml().replace("robot_serial: ", "robot_serial: other")).unwrap();
+    let other = replace_once(&touches.to_yaml(), "robot_serial: ", "robot_serial: other");
+    std::fs::write(&path, other).unwrap();
     assert!(solve(&args).unwrap_err().message.contains("touched with robot"));
 }
 
+/// Touches of markers of the example cell by its robot, each so far off its marker along x, m.
+fn touches_of(config: &CellConfig, provenance: &Provenance, touched: &[(u32, f64)]) -> String {
+    use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
+    let survey = reference_markers(config);
+    let touch = |&(id, off_m): &(u32, f64)| {
+        let target = Target::Marker { id, at: Spot::Centre };
+        let at = target.on_table(&survey).map_or([0.0; 3], |at| [at.x + off_m, at.y, at.z]);
+        RecordedTouch { target, place: Place::Tip(at) }
+    };
+    let touches = Touches {
+        robot_serial: provenance.robot_serial.clone(),
+        kinematics_checksum: provenance.kinematics_checksum.clone(),
+        date: "2026-11-21".into(),
+        flange_from_tip_m: None,
+        touches: touched.iter().map(touch).collect(),
+    };
+    touches.to_yaml()
+}
+
+fn tie_to(touches: &Path, drop_touch: &[usize]) -> touch::TieArgs {
+    let touches = Some(touches.to_path_buf());
+    touch::TieArgs { touches, drop_touch: drop_touch.to_vec(), tie_mm: 1.0, tie_deg: 0.2 }
+}
+
+/// Four corners of the table, touched where they are.
+const FOUR: [(u32, f64); 4] = [(500, 0.0), (501, 0.0), (503, 0.0), (502, 0.0)];
+
+/// What is touched and left out, the exit code, and words of the reason.
+type UnfitTouches = (&'static [(u32, f64)], &'static [usize], u8, &'static str);
+
+const UNFIT_TOUCHES: [UnfitTouches; 5] = [
+    (&[(500, 0.0), (501, 0.0), (77, 0.0)], &[], 2, "77"),
+    (&FOUR, &[5], 2, "touches 1 to 4"),
+    (&FOUR, &[1, 2], 1, "at least 3 are needed"),
+    (&[(500, 0.0), (504, 0.0), (508, 0.0), (501, 0.0)], &[], 1, "on one line"),
+    (&[(500, 0.0), (501, 0.0), (503, 0.0), (502, 0.02)], &[], 1, "miss their points"),
+];
+
 #[test]
 fn touches_that_cannot_place_the_table_are_told_before_anything_moves() {
-    use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
     let folder = tempfile::tempdir().unwrap();
     let config = cell(folder.path());
-    let survey = reference_markers(&config);
     let path = folder.path().join("touches.yaml");
     let provenance = read_calibration(&config).unwrap().hand_eye.provenance;
-    let write = |touched: &[(u32, f64)]| {
-        let touch = |&(id, off_m): &(u32, f64)| {
-            let target = Target::Marker { id, at: Spot::Centre };
-            let at = target.on_table(&survey).map_or([0.0; 3], |at| [at.x + off_m, at.y, at.z]);
-            RecordedTouch { target, place: Place::Tip(at) }
-        };
-        let touches = Touches {
-            robot_serial: provenance.robot_serial.clone(),
-            kinematics_checksum: provenance.kinematics_checksum.clone(),
-            date: "2026-11-21".into(),
-            flange_from_tip_m: None,
-            touches: touched.iter().map(touch).collect(),
-        };
-        std::fs::write(&path, touches.to_yaml()).unwrap();
-    };
-    let tie = |drop_touch: &[usize]| touch::TieArgs {
-        touches: Some(path.clone()),
-        drop_touch: drop_touch.to_vec(),
-        tie_mm: 1.0,
-        tie_deg: 0.2,
-    };
-    let (four, none) = ([(500, 0.0), (501, 0.0), (503, 0.0), (502, 0.0)], [].as_slice());
-    /// A marker, and by how much its touch misses it, m.
-    type Touched<'a> = &'a [(u32, f64)];
-    let cases: [(Touched, &[usize], u8, &str); 5] = [
-        (&[(500, 0.0), (501, 0.0), (77, 0.0)], none, 2, "77"),
-        (&four, &[5], 2, "touches 1 to 4"),
-        (&four, &[1, 2], 1, "at least 3 are needed"),
-        (&[(500, 0.0), (504, 0.0), (508, 0.0), (501, 0.0)], none, 1, "on one line"),
-        (&[(500, 0.0), (501, 0.0), (503, 0.0), (502, 0.02)], none, 1, "miss their points"),
-    ];
     // Nobody listens at these addresses: asking a device first would end with another code.
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read_to_string(root.join("config/cell.yaml")).unwrap();
     let file = folder.path().join("cell.yaml");
-    std::fs::write(&file, text.replace("127.0.0.2", "127.7.1.14")).unwrap();
-    for (touched, dropped, code, words) in cases {
-        write(touched);
-        let told = tie(dropped).fitted(&config).unwrap_err();
+    std::fs::write(&file, replace_times(&text, "127.0.0.2", "127.7.1.16", 3)).unwrap();
+    for (touched, dropped, code, words) in UNFIT_TOUCHES {
+        std::fs::write(&path, touches_of(&config, &provenance, touched)).unwrap();
+        let tie = tie_to(&path, dropped);
+        let told = tie.fitted(&config).unwrap_err();
         assert!(told.code == code && told.message.contains(words), "{told:?}");
-        let args =
-            RoundArgs { config: file.clone(), from: None, record: None, drop: vec![], tie: tie(dropped) };
+        let args = RoundArgs { config: file.clone(), from: None, record: None, drop: vec![], tie };
         assert_eq!(round(&args, Wanted::Table, None, Arc::default()), code, "{words}");
     }
-    write(&four);
-    let fitted = tie(&[]).fitted(&config).unwrap().unwrap();
+}
+
+#[test]
+fn touches_and_mount_of_another_robot_are_told_before_anything_moves() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = cell(folder.path());
+    let path = folder.path().join("touches.yaml");
+    let provenance = read_calibration(&config).unwrap().hand_eye.provenance;
+    std::fs::write(&path, touches_of(&config, &provenance, &FOUR)).unwrap();
+    let tie = tie_to(&path, &[]);
+    let fitted = tie.fitted(&config).unwrap().unwrap();
     fitted.check_robot(&provenance).unwrap();
     let other = Provenance { robot_serial: "other".into(), ..provenance.clone() };
     assert!(fitted.check_robot(&other).unwrap_err().message.contains("touched with robot"));
     // The arm and the camera answer: then what was made with others is told, and the mount too.
-    let mut args = args_of(Path::new("."), vec![]);
-    args.tie = tie(&[]);
+    let args = RoundArgs { tie, ..args_of(Path::new("."), vec![]) };
     fits_arm(&config, &args, Wanted::Table, &provenance).unwrap();
     assert!(fits_arm(&config, &args, Wanted::MountAndTable, &other).unwrap_err().message.contains("touched"));
     std::fs::remove_file(&config.calibration.hand_eye).unwrap();

@@ -1,6 +1,7 @@
 //! One fault hides no other: what is sound in a file is judged, whatever is wrong beside it.
 
 use super::{read, told};
+use crate::document::edit::{replace_first, replace_once};
 use crate::tabletop::parse::parse_pair;
 
 fn pair_told(start: &str, goal: &str) -> Vec<String> {
@@ -25,7 +26,7 @@ objects:
 
 #[test]
 fn overlaps_are_told_beside_wrong_keys() {
-    let text = TASK.replace("[0.7, 0.2, 0]", "[0.3, 0.2, 0]");
+    let text = replace_once(TASK, "[0.7, 0.2, 0]", "[0.3, 0.2, 0]");
     let text = format!(
         "{text}  - {{id: c, footprint: {{disc: {{radius: 0.1 m}}}}, start: [0.2, 0.2, 0]}}\ncolour: red\n"
     );
@@ -38,14 +39,14 @@ fn overlaps_are_told_beside_wrong_keys() {
         ],
     );
     // Without a sound tolerance nothing can be said about overlaps.
-    let text = format!("overlap_tolerance: much\n{}", text.replace("colour: red\n", ""));
+    let text = format!("overlap_tolerance: much\n{}", replace_once(&text, "colour: red\n", ""));
     assert!(!told(&text).iter().any(|line| line.contains("overlaps")));
 }
 
 #[test]
 fn marker_numbers_are_compared_as_numbers() {
     for same in ["7", "07", "+7", "0007"] {
-        let told = told(&TASK.replace("id: 8", &format!("id: {same}")));
+        let told = told(&replace_once(TASK, "id: 8", &format!("id: {same}")));
         check(
             &told,
             &["t.yaml:4:82: objects[1].marker.id: marker 7 is used twice, first by object \"a\" in line 3"],
@@ -55,7 +56,8 @@ fn marker_numbers_are_compared_as_numbers() {
 
 #[test]
 fn an_object_of_a_task_has_a_start() {
-    let text = TASK.replace("start: [0.7, 0.2, 0], ", "").replace("start: [0.2, 0.2, 0]", "start: null");
+    let without_start = replace_once(TASK, "start: [0.7, 0.2, 0], ", "");
+    let text = replace_once(&without_start, "start: [0.2, 0.2, 0]", "start: null");
     check(
         &told(&text),
         &[
@@ -64,15 +66,16 @@ fn an_object_of_a_task_has_a_start() {
         ],
     );
     // The second file of a pair says only where things go.
-    let goal = TASK.replace("start: [0.7, 0.2, 0], ", "").replace("start: [0.2", "goal: [0.5");
+    let goal = replace_once(&without_start, "start: [0.2", "goal: [0.5");
     let task = parse_pair((TASK, "s"), (&goal, "g"), &|_| None).expect("valid");
     assert_eq!(task.objects.iter().filter(|object| object.goal.is_some()).count(), 1);
 }
 
 #[test]
 fn both_files_of_a_pair_are_judged_and_strangers_named_where_they_stand() {
-    let start = TASK.replace("[0.7, 0.2, 0]", "[0.7, 0.2]");
-    let goal = TASK.replace("id: b", "id: z").replacen("radius: 0.1", "radius: wide", 1);
+    let start = replace_once(TASK, "[0.7, 0.2, 0]", "[0.7, 0.2]");
+    let goal = replace_once(TASK, "id: b", "id: z");
+    let goal = replace_first(&goal, "radius: 0.1", "radius: wide");
     check(
         &pair_told(&start, &goal),
         &[
@@ -113,7 +116,8 @@ fn what_public_files_say_of_themselves_is_read() {
     let wrong = |count: &str| pair_told(&discs("[100, 500], [300, 500]", count), &good);
     check(&wrong("\"abc\""), &["s:2:47: number_of_objects: text in quotes where a whole number"]);
     check(&wrong("3"), &["s:2:47: number_of_objects: 3 objects are stated, 2 are listed"]);
-    let dense = pair_told(&good.replace("\"Workspace_Density\": 0.1", "\"Workspace_Density\": 30"), &good);
+    let dense =
+        pair_told(&replace_once(&good, "\"Workspace_Density\": 0.1", "\"Workspace_Density\": 30"), &good);
     check(&dense, &["s:1:68: Workspace_Density: 30 of the table is out of range"]);
     // The published desk states 0.
     assert!(parse_pair((&discs("[100, 500], [300, 500]", "0"), "s"), (&good, "g"), &|_| None).is_ok());
