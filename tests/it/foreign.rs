@@ -8,6 +8,7 @@ use crate::cell::{
     LOG, PATIENCE, Running, celld, configuration, copy_calibration, fault, result_of, start_daemon,
     start_sim, text, wait_until,
 };
+use crate::edit::replace_once;
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
@@ -18,17 +19,12 @@ const HEIGHT_M: f64 = 0.045;
 const LID_RADIUS_M: f64 = 0.045;
 const MARGIN_M: f64 = 0.01;
 
-/// How often a job is handed in again that was stopped because a busy machine kept the robot's states from
-/// coming.
-const HANDED_IN: usize = 6;
-
 /// The example cell with its calibration and `changes` to its text.
 fn cell_with(folder: &Path, address: &str, changes: &[(&str, &str)]) -> (PathBuf, PathBuf) {
     let (cell, sim) = configuration(folder, address, 1);
     let mut yaml = std::fs::read_to_string(&cell).expect("the configuration");
     for (from, to) in changes {
-        assert!(yaml.contains(from), "{from}");
-        yaml = yaml.replace(from, to);
+        yaml = replace_once(&yaml, from, to);
     }
     std::fs::write(&cell, yaml).expect("written");
     copy_calibration(folder);
@@ -56,24 +52,16 @@ impl Daemon<'_> {
     /// The result of a job that wants the lid there; `meanwhile` is called again and again until it has
     /// ended.
     fn job(&self, id: &str, [x, y]: [f64; 2], meanwhile: impl Fn()) -> String {
-        let mut result = String::new();
-        for attempt in 0..HANDED_IN {
-            let id = format!("{id}-{attempt}");
-            let goal = format!("goal:\n  objects:\n    - {{id: lid, pose: [{x}, {y}, 0]}}\n");
-            let file = self.state.join("jobs/incoming").join(format!("{id}.yaml"));
-            std::fs::write(file, format!("version: 1\nid: {id}\n{goal}")).expect("written");
-            wait_until("the cell is armed", || celld(&["arm"], self.folder).status.code() == Some(0));
-            let ended = || ["done", "failed"].into_iter().find_map(|end| result_of(&self.state, end, &id));
-            wait_until("the job ends", || {
-                meanwhile();
-                ended().is_some()
-            });
-            result = ended().expect("a result");
-            if !result.contains("robot's state stopped coming") {
-                break;
-            }
-        }
-        result
+        let goal = format!("goal:\n  objects:\n    - {{id: lid, pose: [{x}, {y}, 0]}}\n");
+        let file = self.state.join("jobs/incoming").join(format!("{id}.yaml"));
+        std::fs::write(file, format!("version: 1\nid: {id}\n{goal}")).expect("written");
+        wait_until("the cell is armed", || celld(&["arm"], self.folder).status.code() == Some(0));
+        let ended = || ["done", "failed"].into_iter().find_map(|end| result_of(&self.state, end, id));
+        wait_until("the job ends", || {
+            meanwhile();
+            ended().is_some()
+        });
+        ended().expect("a result")
     }
 }
 
@@ -145,6 +133,40 @@ fn cell_works_round_an_obstacle_without_a_marker_and_nothing_comes_near_it() {
     assert_eq!(after["events"].as_array().expect("events").iter().find(touched), None);
 }
 
+/// The table is bare: without pictures of it the daemon says what to do, and does not start; then they are
+/// taken. Returns their list, `samples.yaml`.
+fn take_the_empty_table(folder: &Path, cell: &str, sim: &Path) -> PathBuf {
+    let full = std::fs::read_to_string(sim).expect("the simulator's configuration");
+    let (head, rest) = full.split_once("objects:\n").expect("objects");
+    let (_, tail) = rest.split_once("# Markers fixed").expect("reference markers");
+    let bare = sim.with_file_name("bare.yaml");
+    std::fs::write(&bare, format!("{head}objects: []\n\n# Markers fixed{tail}")).expect("written");
+    let _sim = start_sim(&bare);
+    let refused = celld(&["run", "--config", cell], folder);
+    assert!(text(&refused.stderr).contains("celld calibrate empty"), "{}", text(&refused.stderr));
+    let taken = celld(&["calibrate", "empty", "--config", cell], folder);
+    assert_eq!(taken.status.code(), Some(0), "{}", text(&taken.stderr));
+    folder.join("empty/samples.yaml")
+}
+
+/// Pictures of another camera or robot, or cut short, are none of this table.
+fn refuses_pictures_of_another_table(folder: &Path, cell: &str, samples: &Path) {
+    let taken = std::fs::read_to_string(samples).expect("written");
+    assert_eq!(taken.matches(".png").count(), 2, "one for each look pose: {taken}");
+    for (from, to, wanted) in [
+        ("camera_serial: ", "camera_serial: other-", "taken with camera"),
+        ("robot_serial: ", "robot_serial: other-", "taken with robot"),
+        ("01.png", "03.png", "03.png"),
+    ] {
+        std::fs::write(samples, replace_once(&taken, from, to)).expect("written");
+        let refused = celld(&["run", "--config", cell], folder);
+        let said = text(&refused.stderr);
+        assert!(said.contains(wanted) && said.contains("celld calibrate empty"), "{said}");
+        assert_ne!(refused.status.code(), Some(0));
+    }
+    std::fs::write(samples, &taken).expect("written");
+}
+
 #[test]
 fn cell_finds_what_was_not_on_the_empty_table_by_its_colour() {
     let address = "127.7.6.4";
@@ -152,38 +174,9 @@ fn cell_finds_what_was_not_on_the_empty_table_by_its_colour() {
     let changes = [("8090, depth: true}", "8090}"), ("table.yaml}", "table.yaml, empty: ../empty}")];
     let (cell, sim) = cell_with(folder.path(), address, &changes);
     let cell_text = cell.display().to_string();
-    // Without the pictures the daemon says what to do, and does not start.
-    let full = std::fs::read_to_string(&sim).expect("the simulator's configuration");
-    let (head, rest) = full.split_once("objects:\n").expect("objects");
-    let (_, tail) = rest.split_once("# Markers fixed").expect("reference markers");
-    let bare = sim.with_file_name("bare.yaml");
-    std::fs::write(&bare, format!("{head}objects: []\n\n# Markers fixed{tail}")).expect("written");
-    {
-        let _sim = start_sim(&bare);
-        let refused = celld(&["run", "--config", &cell_text], folder.path());
-        assert!(text(&refused.stderr).contains("celld calibrate empty"), "{}", text(&refused.stderr));
-        let taken = celld(&["calibrate", "empty", "--config", &cell_text], folder.path());
-        assert_eq!(taken.status.code(), Some(0), "{}", text(&taken.stderr));
-        assert!(folder.path().join("empty/samples.yaml").is_file());
-    }
-    let samples = folder.path().join("empty/samples.yaml");
-    let taken = std::fs::read_to_string(&samples).expect("written");
-    assert_eq!(taken.matches(".png").count(), 2, "one for each look pose: {taken}");
+    let samples = take_the_empty_table(folder.path(), &cell_text, &sim);
     let _sim = start_sim(&sim);
-    // Pictures of another camera or robot, or cut short, are none of this table.
-    for (from, to, wanted) in [
-        ("camera_serial: ", "camera_serial: other-", "taken with camera"),
-        ("robot_serial: ", "robot_serial: other-", "taken with robot"),
-        ("01.png", "03.png", "03.png"),
-    ] {
-        assert!(taken.contains(from), "{taken}");
-        std::fs::write(&samples, taken.replace(from, to)).expect("written");
-        let refused = celld(&["run", "--config", &cell_text], folder.path());
-        let said = text(&refused.stderr);
-        assert!(said.contains(wanted) && said.contains("celld calibrate empty"), "{said}");
-        assert_ne!(refused.status.code(), Some(0));
-    }
-    std::fs::write(&samples, &taken).expect("written");
+    refuses_pictures_of_another_table(folder.path(), &cell_text, &samples);
     let daemon = Daemon::start(folder.path(), &cell);
     let result = daemon.job("clean", [0.30, 0.38], || {});
     assert!(result.contains("status: done") && result.contains("moves: 1"), "{result} {}", daemon.said());

@@ -52,7 +52,7 @@ fn slow_disk(folder: &Path) -> PathBuf {
 #[test]
 fn cell_keeps_its_heartbeat_on_a_slow_disk() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim) = configuration(folder.path(), "127.7.6.2", 1);
+    let (cell, sim) = configuration(folder.path(), "127.7.6.3", 1);
     copy_calibration(folder.path());
     let _sim = start_sim(&sim);
     let (library, marks) = (slow_disk(folder.path()), folder.path().join("marks"));
