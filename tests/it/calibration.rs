@@ -5,6 +5,7 @@
 use crate::cell::{
     CELLD, LOG, celld, configuration, copy_calibration, result_of, start_daemon, text, wait_until,
 };
+use crate::edit::replace_once;
 use celld::calibration::files::hand_eye::{HandEyeCalibration, Mount};
 use celld::calibration::files::round::Round;
 use celld::calibration::files::table::TableCalibration;
@@ -21,7 +22,7 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, ChildStderr, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -127,118 +128,166 @@ fn while_watched<T>(sim: &RunningSim, work: impl FnOnce() -> T) -> (T, Vec<Vecto
     })
 }
 
+/// A cell whose camera is on the hand, its devices running, and the truth about it.
+struct OnHand<'a> {
+    folder: &'a Path,
+    cell: String,
+    runtime: tokio::runtime::Runtime,
+    sim: RunningSim,
+    dh: DhParameters,
+    flange_from_camera: Isometry3<f64>,
+    base_from_table: Isometry3<f64>,
+}
+
+impl OnHand<'_> {
+    fn start<'a>(folder: &'a Path, address: &str) -> OnHand<'a> {
+        let (cell, sim_path) = configuration(folder, address, 2);
+        let file = load_sim(&sim_path).expect("the simulation");
+        let config = sim_config(&file, address.parse().expect("an address"), RobotPorts::REAL);
+        let (dh, base_from_table) = (config.controller.dh, config.world.base_from_table);
+        let CameraMount::Flange(flange_from_camera) = config.camera.mount else { panic!("on the flange") };
+        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
+        let sim = runtime.block_on(start(config)).expect("the simulation starts");
+        let cell = cell.display().to_string();
+        OnHand { folder, cell, runtime, sim, dh, flange_from_camera, base_from_table }
+    }
+
+    /// `celld calibrate` with these words: its exit code, and what it says on stdout and stderr.
+    fn calibrate(&self, words: &[&str]) -> (Option<i32>, String, String) {
+        let [what, rest @ ..] = words else { panic!("what to calibrate") };
+        let ran = celld(&[&["calibrate", what, "--config", &self.cell], rest].concat(), self.folder);
+        (ran.status.code(), text(&ran.stdout), text(&ran.stderr))
+    }
+
+    /// `celld calibrate touches` with these words, which waits for a person, and what it says.
+    fn touching(&self, words: &[&str]) -> (Child, BufReader<ChildStderr>) {
+        let mut touches = Command::new(CELLD)
+            .args(["calibrate", "touches", "--config", &self.cell])
+            .args(words)
+            .current_dir(self.folder)
+            .stdin(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the binary runs");
+        let told = BufReader::new(touches.stderr.take().expect("piped"));
+        (touches, told)
+    }
+
+    /// Poses as text, and no motion without a word.
+    fn proposes_on_paper(&self) {
+        let (code, printed, said) = self.calibrate(&["hand-eye", "--propose"]);
+        assert_eq!(code, Some(0), "{said}");
+        assert_eq!(printed.matches("\n  - [").count(), 15, "{printed}");
+        let (code, _, said) = self.calibrate(&["hand-eye", "--visit"]);
+        assert_eq!(code, Some(2));
+        assert!(said.contains("add --yes"), "{said}");
+    }
+
+    /// Visits poses of its own in the box, kept in the folder `round`, and finds the camera.
+    fn finds_its_camera(&self) {
+        let visit = || self.calibrate(&["hand-eye", "--visit", "--yes", "--record", "round"]);
+        let ((code, _, said), way) = while_watched(&self.sim, visit);
+        assert_eq!(code, Some(0), "{said}");
+        assert_stayed_in(Path::new(&self.cell), &self.folder.join("round"), &way);
+        let Mount::Flange { flange_from_camera } = hand_eye_of(self.folder).mount else {
+            panic!("on the flange")
+        };
+        let (mm, deg) = off(&flange_from_camera, &self.flange_from_camera);
+        println!("camera off by {mm:.3} mm, {deg:.4} degrees\n{said}");
+        assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
+    }
+
+    /// Touches points that the tip really meets at those poses, to a tenth of a millimetre, as a person would
+    /// note them; they are kept in `touches.yaml`.
+    fn is_touched(&self) {
+        let touched = TOUCHED_FROM.map(|degrees| Joints(degrees.map(f64::to_radians)));
+        let point = |q: &Joints| self.base_from_table.inverse() * forward(&self.dh, q) * Point3::from(TIP);
+        let points =
+            touched.map(|q| point(&q)).map(|p| format!("{:.4}/{:.4}/{:.4}", p.x, p.y, p.z)).join(",");
+        let words = ["--points", &points, "--tip-mm", "2,-1,150", "--save", "touches.yaml"];
+        let (mut touches, mut told) = self.touching(&words);
+        let mut enter = touches.stdin.take().expect("piped");
+        let mut line = String::new();
+        for (number, q) in touched.iter().enumerate() {
+            while !line.contains(&format!("touch {}/4", number + 1)) {
+                line.clear();
+                assert!(told.read_line(&mut line).expect("text") > 0, "it asks for touch {}", number + 1);
+            }
+            jog(&self.sim, self.sim.addresses.robot.secondary, q);
+            enter.write_all(b"\n").expect("pressed");
+        }
+        let mut rest = String::new();
+        told.read_to_string(&mut rest).expect("text");
+        assert_eq!(touches.wait().expect("it ends").code(), Some(0), "{rest}");
+        println!("{rest}");
+    }
+
+    /// Ties the table to touches of that file and to the round before.
+    fn tie(&self) -> (Option<i32>, String) {
+        let (code, _, said) = self.calibrate(&["table", "--from", "round", "--touches", "touches.yaml"]);
+        (code, said)
+    }
+
+    fn table_is_tied(&self) {
+        let (code, said) = self.tie();
+        assert_eq!(code, Some(0), "{said}");
+        let table = table_of(self.folder);
+        let (mm, deg) = off(&table.base_from_table, &self.base_from_table);
+        println!("table off by {mm:.3} mm, {deg:.4} degrees\n{said}");
+        assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
+        let by_touch = table.touches.expect("it says that it was touched");
+        assert!(by_touch.residuals_m.len() == 4 && by_touch.residuals_m.iter().all(|m| *m < 5e-4));
+    }
+
+    /// Touches of another robot are told as soon as this one has said which it is; nothing moves for them.
+    fn refuses_touches_of_another_robot(&self) {
+        let touched = std::fs::read_to_string(self.folder.join("touches.yaml")).expect("written");
+        let other = replace_once(&touched, "robot_serial: ", "robot_serial: other-");
+        std::fs::write(self.folder.join("other.yaml"), other).expect("written");
+        let stands = self.sim.robot().controller().core.base_from_flange();
+        let (code, _, said) = self.calibrate(&["table", "--touches", "other.yaml"]);
+        assert!(code == Some(1) && said.contains("touched with robot other-"), "{said}");
+        assert!(!said.contains("pose 1/"), "{said}");
+        assert_eq!(self.sim.robot().controller().core.base_from_flange(), stands);
+    }
+
+    /// A tip that is 3 mm longer than was said, which hands turned differently bring to light: nothing is
+    /// written.
+    fn refuses_a_longer_tip(&self) {
+        let before = written(self.folder, "table.yaml");
+        let path = self.folder.join("touches.yaml");
+        let touched = std::fs::read_to_string(&path).expect("written");
+        std::fs::write(&path, replace_once(&touched, "0.15]", "0.153]")).expect("written");
+        let (code, said) = self.tie();
+        assert!(code == Some(1) && said.contains("the tip's"), "{said}");
+        assert_eq!(written(self.folder, "table.yaml"), before);
+    }
+
+    /// Ctrl-C while it waits for the person ends it, with nothing written.
+    fn ends_with_ctrl_c_while_it_waits(&self) {
+        let (mut waiting, mut told) = self.touching(&["--points", "500,501,502", "--save", "none.yaml"]);
+        told.read_line(&mut String::new()).expect("text");
+        let interrupt = format!("kill -INT {}", waiting.id());
+        assert!(Command::new("sh").args(["-c", &interrupt]).status().expect("sh").success());
+        let mut rest = String::new();
+        told.read_to_string(&mut rest).expect("text");
+        assert_eq!(waiting.wait().expect("it ends").code(), Some(130), "{rest}");
+        assert!(!self.folder.join("none.yaml").exists());
+    }
+}
+
 #[test]
 fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim_path) = configuration(folder.path(), ADDRESS, 2);
-    let cell = cell.display().to_string();
-    let file = load_sim(&sim_path).expect("the simulation");
-    let config = sim_config(&file, ADDRESS.parse().expect("an address"), RobotPorts::REAL);
-    let (dh, base_from_table) = (config.controller.dh, config.world.base_from_table);
-    let CameraMount::Flange(flange_from_camera) = config.camera.mount else { panic!("on the flange") };
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
-    let sim = runtime.block_on(start(config)).expect("the simulation starts");
-
-    // On paper first: poses as text, and no motion without a word.
-    let printed = celld(&["calibrate", "hand-eye", "--config", &cell, "--propose"], folder.path());
-    assert_eq!(printed.status.code(), Some(0), "{}", text(&printed.stderr));
-    assert_eq!(text(&printed.stdout).matches("\n  - [").count(), 15, "{}", text(&printed.stdout));
-    let unsure = celld(&["calibrate", "hand-eye", "--config", &cell, "--visit"], folder.path());
-    assert_eq!(unsure.status.code(), Some(2));
-    assert!(text(&unsure.stderr).contains("add --yes"), "{}", text(&unsure.stderr));
-
-    let visit = ["calibrate", "hand-eye", "--config", &cell, "--visit", "--yes", "--record", "round"];
-    let (visited, way) = while_watched(&sim, || celld(&visit, folder.path()));
-    let said = text(&visited.stderr);
-    assert_eq!(visited.status.code(), Some(0), "{said}");
-    assert_stayed_in(Path::new(&cell), &folder.path().join("round"), &way);
-    let Mount::Flange { flange_from_camera: found } = hand_eye_of(folder.path()).mount else {
-        panic!("on the flange")
-    };
-    let (mm, deg) = off(&found, &flange_from_camera);
-    println!("camera off by {mm:.3} mm, {deg:.4} degrees\n{said}");
-    assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
-
-    // Points that the tip really meets at those poses, to a tenth of a millimetre, as a person would note
-    // them.
-    let touched = TOUCHED_FROM.map(|degrees| Joints(degrees.map(f64::to_radians)));
-    let point = |q: &Joints| base_from_table.inverse() * forward(&dh, q) * Point3::from(TIP);
-    let points = touched.map(|q| point(&q)).map(|p| format!("{:.4}/{:.4}/{:.4}", p.x, p.y, p.z)).join(",");
-    let mut touches = Command::new(CELLD)
-        .args(["calibrate", "touches", "--config", &cell, "--points", &points])
-        .args(["--tip-mm", "2,-1,150", "--save", "touches.yaml"])
-        .current_dir(folder.path())
-        .stdin(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the binary runs");
-    let mut enter = touches.stdin.take().expect("piped");
-    let mut told = BufReader::new(touches.stderr.take().expect("piped"));
-    let mut line = String::new();
-    for (number, q) in touched.iter().enumerate() {
-        while !line.contains(&format!("touch {}/4", number + 1)) {
-            line.clear();
-            assert!(told.read_line(&mut line).expect("text") > 0, "it asks for touch {}", number + 1);
-        }
-        jog(&sim, sim.addresses.robot.secondary, q);
-        enter.write_all(b"\n").expect("pressed");
-    }
-    let mut rest = String::new();
-    told.read_to_string(&mut rest).expect("text");
-    assert_eq!(touches.wait().expect("it ends").code(), Some(0), "{rest}");
-
-    let tie = ["calibrate", "table", "--config", &cell, "--from", "round", "--touches", "touches.yaml"];
-    let tied = celld(&tie, folder.path());
-    let said = text(&tied.stderr);
-    assert_eq!(tied.status.code(), Some(0), "{rest}\n{said}");
-    let table = table_of(folder.path());
-    let (mm, deg) = off(&table.base_from_table, &base_from_table);
-    println!("table off by {mm:.3} mm, {deg:.4} degrees\n{rest}\n{said}");
-    assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
-    let by_touch = table.touches.expect("it says that it was touched");
-    assert!(by_touch.residuals_m.len() == 4 && by_touch.residuals_m.iter().all(|m| *m < 5e-4));
-
-    // Touches of another robot are told as soon as this one has said which it is; nothing moves for them.
-    let touched = std::fs::read_to_string(folder.path().join("touches.yaml")).expect("written");
-    let other = touched.replace("robot_serial: ", "robot_serial: other-");
-    assert_ne!(other, touched);
-    std::fs::write(folder.path().join("other.yaml"), other).expect("written");
-    let stands = sim.robot().controller().core.base_from_flange();
-    let tie_live = ["calibrate", "table", "--config", &cell, "--touches", "other.yaml"];
-    let refused = celld(&tie_live, folder.path());
-    let said = text(&refused.stderr);
-    assert!(refused.status.code() == Some(1) && said.contains("touched with robot other-"), "{said}");
-    assert!(!said.contains("pose 1/"), "{said}");
-    assert_eq!(sim.robot().controller().core.base_from_flange(), stands);
-
-    // A tip that is 3 mm longer than was said, which hands turned differently bring to light: nothing is
-    // written.
-    let before = written(folder.path(), "table.yaml");
-    let longer = touched.replace("0.15]", "0.153]");
-    assert_ne!(longer, touched);
-    std::fs::write(folder.path().join("touches.yaml"), longer).expect("written");
-    let refused = celld(&tie, folder.path());
-    let said = text(&refused.stderr);
-    assert!(refused.status.code() == Some(1) && said.contains("the tip's"), "{said}");
-    assert_eq!(written(folder.path(), "table.yaml"), before);
-
-    // Ctrl-C while it waits for the person ends it, with nothing written.
-    let mut waiting = Command::new(CELLD)
-        .args(["calibrate", "touches", "--config", &cell, "--points", "500,501,502", "--save", "none.yaml"])
-        .current_dir(folder.path())
-        .stdin(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the binary runs");
-    let mut told = BufReader::new(waiting.stderr.take().expect("piped"));
-    told.read_line(&mut line).expect("text");
-    let interrupt = format!("kill -INT {}", waiting.id());
-    assert!(Command::new("sh").args(["-c", &interrupt]).status().expect("sh").success());
-    let mut rest = String::new();
-    told.read_to_string(&mut rest).expect("text");
-    assert_eq!(waiting.wait().expect("it ends").code(), Some(130), "{rest}");
-    assert!(!folder.path().join("none.yaml").exists());
-    runtime.block_on(sim.shutdown());
+    let cell = OnHand::start(folder.path(), ADDRESS);
+    cell.proposes_on_paper();
+    cell.finds_its_camera();
+    cell.is_touched();
+    cell.table_is_tied();
+    cell.refuses_touches_of_another_robot();
+    cell.refuses_a_longer_tip();
+    cell.ends_with_ctrl_c_while_it_waits();
+    cell.runtime.block_on(cell.sim.shutdown());
 }
 
 /// A camera over the table sees the whole of it at once, with the arm turned away; the cell works from that.
@@ -406,7 +455,7 @@ fn cell_with_a_camera_that_stands_is_calibrated_by_the_board_that_the_hand_carri
     assert_eq!(celld(&again, folder.path()).status.code(), Some(0));
     let before = written(folder.path(), "hand_eye.yaml");
     let yaml = std::fs::read_to_string(&cell).expect("text");
-    std::fs::write(&cell, yaml.replace("first_id: 100", "first_id: 200")).expect("written");
+    std::fs::write(&cell, replace_once(&yaml, "first_id: 100", "first_id: 200")).expect("written");
     let refused = celld(&again, folder.path());
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused.stderr));
     assert!(text(&refused.stderr).contains("show the board on the hand"), "{}", text(&refused.stderr));
@@ -421,8 +470,7 @@ fn cell_with_a_camera_that_stands_is_shown_the_board_from_poses_of_its_own() {
         start_standing(folder.path(), "127.7.1.14");
     let edit = |from: &str, to: &str| {
         let yaml = std::fs::read_to_string(&cell).expect("text");
-        assert_eq!(yaml.matches(from).count(), 1, "{from}");
-        std::fs::write(&cell, yaml.replace(from, to)).expect("written");
+        std::fs::write(&cell, replace_once(&yaml, from, to)).expect("written");
     };
     let config = cell.display().to_string();
     let visit = ["calibrate", "hand-eye", "--config", &config, "--visit", "--yes", "--record", "round"];
