@@ -73,7 +73,7 @@ demo: setup
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
 
-# Without nextest the closed-loop tests (cell_*) run after the others, one at a time: they need the cores.
+# Without nextest the closed-loop tests (cell_*, robot_session) run after the others, one at a time: they need the cores.
 test: export CELLD_CLIENTS := $(CLIENTS)
 test: setup clients
 	cargo fmt --check
@@ -82,7 +82,8 @@ test: setup clients
 	@if cargo nextest --version >/dev/null 2>&1; then \
 	  echo "cargo nextest run"; cargo nextest run; \
 	else \
-	  echo "cargo test"; cargo test -- --skip cell_; cargo test --test it cell_ -- --test-threads=1; \
+	  echo "cargo test"; cargo test -- --skip cell_ --skip robot_session::; \
+	  cargo test --test it -- cell_ robot_session:: --test-threads=1; \
 	fi
 
 bench: setup

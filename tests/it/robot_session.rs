@@ -21,11 +21,8 @@ use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
-use tokio::sync::{Mutex, MutexGuard};
 
-/// A stall of either side by 200 ms of simulated time stops the arm, so only one simulation runs at a time.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::const_new(());
-
+/// How much faster than the clock on the wall these simulations run.
 const FACTOR: f64 = 3.0;
 /// Simulated seconds after which a wait has failed.
 const PATIENCE_S: f64 = 60.0;
@@ -60,17 +57,15 @@ struct Cell {
     began: Instant,
     events: Vec<RobotEvent>,
     dh: DhParameters,
-    _alone: MutexGuard<'static, ()>,
 }
 
 impl Cell {
     async fn new(running: bool) -> Cell {
-        let alone = ONE_AT_A_TIME.lock().await;
         let sim = start(config(running)).await.unwrap();
         let robot = Robot::new(RobotParameters::full_rate()).unwrap();
         let began = Instant::now();
         let (links, dh) = (BTreeMap::new(), DhParameters::UR5E);
-        let mut cell = Cell { sim, robot, links, began, events: Vec::new(), dh, _alone: alone };
+        let mut cell = Cell { sim, robot, links, began, events: Vec::new(), dh };
         for link in Link::ALL {
             cell.connect(link);
         }
