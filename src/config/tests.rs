@@ -97,7 +97,10 @@ fn a_search_by_depth_needs_a_camera_that_is_asked_for_it() {
     for rule in ["", "foreign: {mode: off}"] {
         assert!(cell(&replace_once(&blind, "foreign: {mode: refuse}", rule)).is_ok(), "{rule}");
     }
-    assert!(cell(&replace_once(&blind, "{mode: refuse}", "{mode: obstacle, margin_m: 0.01}")).is_err());
+    assert!(
+        cell(&replace_once(&blind, "foreign: {mode: refuse}", "foreign: {mode: obstacle, margin_m: 0.01}"))
+            .is_err()
+    );
 }
 
 #[test]
