@@ -3,11 +3,27 @@
 //! In: a context. Out: handles that free themselves and plain values. As in `sdk`, every call's error is
 //! looked at first.
 
-use super::{
-    EXTENSION_DEPTH_SENSOR, Functions, Handle, PLAYBACK_STOPPED, STREAM_COLOUR, SdkError, streams::Pipeline,
-    streams::streams_in, text_at,
+use super::library::{
+    EXTENSION_DEPTH_SENSOR, Functions, Handle, PLAYBACK_STOPPED, STREAM_COLOUR, Sdk, SdkError, Version,
+    text_at,
 };
+use super::profiles::streams_in;
 use std::ffi::c_int;
+
+impl Sdk {
+    /// A context: what knows the cameras that are connected.
+    ///
+    /// # Errors
+    /// The SDK's.
+    pub fn context(&self) -> Result<Context, SdkError> {
+        let Version { major, minor, patch } = self.version;
+        let number = (major * 10_000 + minor * 100 + patch) as c_int;
+        let handle = self.own("rs2_create_context", self.functions.rs2_delete_context, |f, e| unsafe {
+            (f.rs2_create_context)(number, e)
+        })?;
+        Ok(Context(handle))
+    }
+}
 
 /// What knows the cameras.
 pub struct Context(pub(super) Handle);
@@ -32,18 +48,6 @@ impl Context {
                 .map(Device)
             })
             .collect()
-    }
-
-    /// A pipeline that is not running.
-    ///
-    /// # Errors
-    /// The SDK's.
-    pub fn pipeline(&self) -> Result<Pipeline, SdkError> {
-        let delete = self.0.sdk.functions.rs2_delete_pipeline;
-        let handle = self
-            .0
-            .child("rs2_create_pipeline", delete, |f, at, e| unsafe { (f.rs2_create_pipeline)(at, e) })?;
-        Ok(Pipeline(handle))
     }
 }
 

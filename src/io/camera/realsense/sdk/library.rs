@@ -1,19 +1,7 @@
-//! The C interface of librealsense2, loaded at run time: one binary works with and without the SDK.
+//! The library itself: found, opened, its functions by their C names, and the one way to call them.
 //!
-//! In: where the library is, or nothing. Out: handles that free themselves, and results instead of error
-//! pointers. Every call that can fail hands the SDK a place for its error and looks at it before anything
-//! else; every pointer that comes back is checked; sizes that the SDK tells are compared with what the
-//! picture needs before a byte is read. All unsafe code for the camera is in this file and the two below it:
-//! `devices` (what is connected, its settings) and `streams` (what it sends). The declarations follow the
-//! headers of SDK 2.59; functions that were there in 2.51 already are used alone.
-
-#![allow(unsafe_code, reason = "a C interface; what makes each call sound is said where it is made")]
-
-mod devices;
-mod streams;
-
-pub use devices::{Context, Device, Sensor};
-pub use streams::{Align, Config, Frames, Picture, Pipeline, Profile, Stream};
+//! In: where the library is, or nothing. Out: [`Sdk`], results instead of error pointers, and `Handle`, which
+//! frees what the SDK made.
 
 use libloading::Library;
 use libloading::os::unix::{Library as UnixLibrary, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
@@ -44,9 +32,9 @@ pub const INFO_NAME: c_int = 0;
 /// `rs2_camera_info`.
 pub const INFO_SERIAL: c_int = 1;
 /// `rs2_extension`.
-const EXTENSION_DEPTH_SENSOR: c_int = 7;
+pub(super) const EXTENSION_DEPTH_SENSOR: c_int = 7;
 /// `rs2_playback_status`: all data was read.
-const PLAYBACK_STOPPED: c_int = 3;
+pub(super) const PLAYBACK_STOPPED: c_int = 3;
 /// `rs2_exception_type`.
 const CAMERA_DISCONNECTED: c_int = 1;
 
@@ -130,9 +118,9 @@ pub enum SdkError {
     },
 }
 
-type Pointer = *mut c_void;
-type ErrorPlace = *mut Pointer;
-type Delete = unsafe extern "C" fn(Pointer);
+pub(super) type Pointer = *mut c_void;
+pub(super) type ErrorPlace = *mut Pointer;
+pub(super) type Delete = unsafe extern "C" fn(Pointer);
 
 /// `rs2_intrinsics`.
 #[repr(C)]
@@ -160,7 +148,7 @@ pub struct Intrinsics {
 macro_rules! functions {
     ($($name:ident($($argument:ty),*) $(-> $result:ty)?;)*) => {
         #[allow(non_snake_case)]
-        struct Functions { $($name: unsafe extern "C" fn($($argument),*) $(-> $result)?,)* }
+        pub(super) struct Functions { $(pub(super) $name: unsafe extern "C" fn($($argument),*) $(-> $result)?,)* }
 
         impl Functions {
             fn of(library: &Library, name: &str) -> Result<Functions, SdkError> {
@@ -249,7 +237,7 @@ functions! {
 
 impl Functions {
     /// Makes a call and looks at its error before its result.
-    fn call<T>(&self, call: impl FnOnce(&Functions, ErrorPlace) -> T) -> Result<T, SdkError> {
+    pub(super) fn call<T>(&self, call: impl FnOnce(&Functions, ErrorPlace) -> T) -> Result<T, SdkError> {
         let mut error: Pointer = null_mut();
         let result = call(self, &raw mut error);
         if error.is_null() {
@@ -273,21 +261,21 @@ impl Functions {
 ///
 /// # Safety
 /// `text` is null or points to a string that ends with a zero byte.
-unsafe fn text_at(text: *const c_char) -> String {
+pub(super) unsafe fn text_at(text: *const c_char) -> String {
     if text.is_null() {
         return String::new();
     }
     unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned()
 }
 
-fn c_text(text: &str) -> Result<CString, SdkError> {
+pub(super) fn c_text(text: &str) -> Result<CString, SdkError> {
     CString::new(text).map_err(|_| SdkError::Text { text: text.to_string() })
 }
 
 /// The loaded library.
 #[derive(Clone)]
 pub struct Sdk {
-    functions: Arc<Functions>,
+    pub(super) functions: Arc<Functions>,
     /// What the library says it is.
     pub version: Version,
 }
@@ -328,47 +316,7 @@ impl Sdk {
         Ok(Sdk { functions: Arc::new(functions), version })
     }
 
-    /// A context: what knows the cameras that are connected.
-    ///
-    /// # Errors
-    /// The SDK's.
-    pub fn context(&self) -> Result<Context, SdkError> {
-        let Version { major, minor, patch } = self.version;
-        let number = (major * 10_000 + minor * 100 + patch) as c_int;
-        let handle = self.own("rs2_create_context", self.functions.rs2_delete_context, |f, e| unsafe {
-            (f.rs2_create_context)(number, e)
-        })?;
-        Ok(Context(handle))
-    }
-
-    /// What to play or stream.
-    ///
-    /// # Errors
-    /// The SDK's.
-    pub fn config(&self) -> Result<Config, SdkError> {
-        let handle = self.own("rs2_create_config", self.functions.rs2_delete_config, |f, e| unsafe {
-            (f.rs2_create_config)(e)
-        })?;
-        Ok(Config(handle))
-    }
-
-    /// What lays depth over colour, pixel by pixel.
-    ///
-    /// # Errors
-    /// The SDK's.
-    pub fn align_to_colour(&self) -> Result<Align, SdkError> {
-        let f = &self.functions;
-        let block = self.own("rs2_create_align", f.rs2_delete_processing_block, |f, e| unsafe {
-            (f.rs2_create_align)(STREAM_COLOUR, e)
-        })?;
-        let queue = self.own("rs2_create_frame_queue", f.rs2_delete_frame_queue, |f, e| unsafe {
-            (f.rs2_create_frame_queue)(1, e)
-        })?;
-        f.call(|f, e| unsafe { (f.rs2_start_processing_queue)(block.at(), queue.at(), e) })?;
-        Ok(Align { block, queue })
-    }
-
-    fn own(
+    pub(super) fn own(
         &self,
         function: &'static str,
         delete: Delete,
@@ -405,8 +353,8 @@ fn python_of(name: &str) -> Option<String> {
 }
 
 /// Something of the SDK's that is ours to free.
-struct Handle {
-    sdk: Sdk,
+pub(super) struct Handle {
+    pub(super) sdk: Sdk,
     pointer: NonNull<c_void>,
     delete: Delete,
 }
@@ -416,22 +364,30 @@ struct Handle {
 unsafe impl Send for Handle {}
 
 impl Handle {
-    fn new(sdk: &Sdk, function: &'static str, delete: Delete, pointer: Pointer) -> Result<Handle, SdkError> {
+    pub(super) fn new(
+        sdk: &Sdk,
+        function: &'static str,
+        delete: Delete,
+        pointer: Pointer,
+    ) -> Result<Handle, SdkError> {
         let pointer = NonNull::new(pointer)
             .ok_or_else(|| SdkError::Nonsense { function, what: "nothing".to_string() })?;
         Ok(Handle { sdk: sdk.clone(), pointer, delete })
     }
 
-    fn at(&self) -> Pointer {
+    pub(super) fn at(&self) -> Pointer {
         self.pointer.as_ptr()
     }
 
-    fn call<T>(&self, call: impl FnOnce(&Functions, Pointer, ErrorPlace) -> T) -> Result<T, SdkError> {
+    pub(super) fn call<T>(
+        &self,
+        call: impl FnOnce(&Functions, Pointer, ErrorPlace) -> T,
+    ) -> Result<T, SdkError> {
         let pointer = self.at();
         self.sdk.functions.call(|functions, error| call(functions, pointer, error))
     }
 
-    fn child(
+    pub(super) fn child(
         &self,
         function: &'static str,
         delete: Delete,

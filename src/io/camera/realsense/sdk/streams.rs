@@ -3,13 +3,58 @@
 //! In: what is wanted. Out: frames as bytes that were counted before they were read. As in `sdk`, every
 //! call's error is looked at first; frames and lists free themselves.
 
-use super::{Device, Handle, Intrinsics, Pointer, STREAM_COLOUR, STREAM_DEPTH, Sdk, SdkError, c_text};
-use std::ffi::{c_int, c_uint, c_void};
+use super::devices::{Context, Device};
+use super::library::{Handle, Intrinsics, Pointer, STREAM_COLOUR, STREAM_DEPTH, Sdk, SdkError, c_text};
+use super::profiles::{Stream, profile_at, stream_of, streams_in};
+use std::ffi::{c_int, c_uint};
 use std::path::Path;
-use std::ptr::{NonNull, null_mut};
+use std::ptr::null_mut;
+
+impl Sdk {
+    /// What to play or stream.
+    ///
+    /// # Errors
+    /// The SDK's.
+    pub fn config(&self) -> Result<Config, SdkError> {
+        let handle = self.own("rs2_create_config", self.functions.rs2_delete_config, |f, e| unsafe {
+            (f.rs2_create_config)(e)
+        })?;
+        Ok(Config(handle))
+    }
+
+    /// What lays depth over colour, pixel by pixel.
+    ///
+    /// # Errors
+    /// The SDK's.
+    pub fn align_to_colour(&self) -> Result<Align, SdkError> {
+        let f = &self.functions;
+        let block = self.own("rs2_create_align", f.rs2_delete_processing_block, |f, e| unsafe {
+            (f.rs2_create_align)(STREAM_COLOUR, e)
+        })?;
+        let queue = self.own("rs2_create_frame_queue", f.rs2_delete_frame_queue, |f, e| unsafe {
+            (f.rs2_create_frame_queue)(1, e)
+        })?;
+        f.call(|f, e| unsafe { (f.rs2_start_processing_queue)(block.at(), queue.at(), e) })?;
+        Ok(Align { block, queue })
+    }
+}
+
+impl Context {
+    /// A pipeline that is not running.
+    ///
+    /// # Errors
+    /// The SDK's.
+    pub fn pipeline(&self) -> Result<Pipeline, SdkError> {
+        let delete = self.0.sdk.functions.rs2_delete_pipeline;
+        let handle = self
+            .0
+            .child("rs2_create_pipeline", delete, |f, at, e| unsafe { (f.rs2_create_pipeline)(at, e) })?;
+        Ok(Pipeline(handle))
+    }
+}
 
 /// What a pipeline is to stream.
-pub struct Config(pub(super) Handle);
+pub struct Config(Handle);
 
 impl Config {
     /// The camera with this serial number.
@@ -46,7 +91,7 @@ impl Config {
 }
 
 /// What brings frames.
-pub struct Pipeline(pub(super) Handle);
+pub struct Pipeline(Handle);
 
 impl Pipeline {
     /// Starts streaming.
@@ -92,19 +137,6 @@ impl Pipeline {
 /// What a pipeline streams.
 pub struct Profile(Handle);
 
-/// One stream of a profile.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Stream {
-    /// `STREAM_...`.
-    pub kind: c_int,
-    /// `FORMAT_...`.
-    pub format: c_int,
-    /// Frames a second.
-    pub rate: u32,
-    /// Lens and size, of streams of pictures.
-    pub intrinsics: Option<Intrinsics>,
-}
-
 impl Profile {
     /// The camera.
     ///
@@ -141,34 +173,6 @@ impl Profile {
         }
         Ok(streams)
     }
-}
-
-fn profile_at(list: &Handle, index: c_int) -> Result<NonNull<c_void>, SdkError> {
-    let function = "rs2_get_stream_profile";
-    let profile = list.call(|f, at, e| unsafe { (f.rs2_get_stream_profile)(at, index, e) })?;
-    NonNull::new(profile).ok_or_else(|| SdkError::Nonsense { function, what: "nothing".to_string() })
-}
-
-/// The streams of a list of profiles.
-pub(super) fn streams_in(list: &Handle) -> Result<Vec<Stream>, SdkError> {
-    let count = list.call(|f, at, e| unsafe { (f.rs2_get_stream_profiles_count)(at, e) })?;
-    (0..count)
-        .map(|index| {
-            let profile = profile_at(list, index)?;
-            // The profile belongs to the list.
-            stream_of(&list.sdk, profile.as_ptr())
-        })
-        .collect()
-}
-
-/// Kind and format of a profile that is alive.
-fn stream_of(sdk: &Sdk, profile: Pointer) -> Result<Stream, SdkError> {
-    let mut values: [c_int; 5] = [0; 5];
-    let [kind, format, index, id, rate] = values.each_mut().map(std::ptr::from_mut);
-    sdk.functions
-        .call(|f, e| unsafe { (f.rs2_get_stream_profile_data)(profile, kind, format, index, id, rate, e) })?;
-    let rate = u32::try_from(values[4]).unwrap_or(0);
-    Ok(Stream { kind: values[0], format: values[1], rate, intrinsics: None })
 }
 
 /// Frames of one moment.
@@ -252,8 +256,8 @@ impl Picture {
 
 /// What lays depth over colour.
 pub struct Align {
-    pub(super) block: Handle,
-    pub(super) queue: Handle,
+    block: Handle,
+    queue: Handle,
 }
 
 impl Align {
