@@ -6,88 +6,21 @@
 //! one JSON object; some of the frames as pictures with the truth about their corners where that is asked
 //! for. Exit code 0, 2 for usage, 130 after Ctrl-C.
 
+mod args;
 mod parts;
 
 use crate::bench::vision::tally::Accuracy;
 use crate::bench::vision::{Bench, Report, Task};
+use crate::cli::bench_vision::args::{Figures, Part};
 use crate::cli::task::{complain, print};
 use crate::io::files;
 use crate::vision::detect::DetectSettings;
 use indicatif::ProgressBar;
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-/// Arguments of `celld bench vision`.
-#[derive(Clone, Debug, clap::Args)]
-pub struct BenchVisionArgs {
-    /// Frames, five views of a table each
-    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    frames: u32,
-    /// Seed of tables, cameras and noise
-    #[arg(long, value_name = "S", default_value_t = 0)]
-    seed: u64,
-    /// Tables at the same time
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
-    threads: u16,
-    /// Search on a picture this much smaller
-    #[arg(long, value_name = "F", default_value_t = DetectSettings::default().decimate)]
-    decimate: f32,
-    /// Sharpen that picture by so many pixels
-    #[arg(long, value_name = "PX", default_value_t = DetectSettings::default().sharpen_px)]
-    sharpen: f32,
-    /// Exponent of the curve over the grey levels before squares are searched, 0.25 to 2; below 1 lifts the
-    /// dark ones
-    #[arg(long, value_name = "G", default_value_t = DetectSettings::default().tone)]
-    tone: f32,
-    /// Take the library's corners instead of our own fit
-    #[arg(long)]
-    library_corners: bool,
-    /// With the lens's true numbers only
-    #[arg(long)]
-    no_calibration: bool,
-    /// Write the first frames of the first N tables here, with the truth about their corners (truth.json)
-    #[arg(long, value_name = "DIR")]
-    save: Option<PathBuf>,
-    /// Which figures, comma-separated
-    #[arg(long, value_delimiter = ',', value_enum, default_values_t = Part::ALL)]
-    part: Vec<Part>,
-    /// Tables with something foreign, and as many without
-    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    scenes: u32,
-    /// Looks with a bumped camera
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
-    trials: u32,
-    /// Looks with a camera where it should be
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
-    looks: u32,
-    /// Looks that are rendered and detected, half of them with a bumped camera
-    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(0..=100_000))]
-    rendered: u32,
-    /// Rounds of twenty poses for the camera's mount
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    rounds: u32,
-    /// How to print the figures
-    #[arg(long, default_value = "text", value_parser = ["text", "json"])]
-    format: String,
-}
-
-/// Parts of the benchmark.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Part {
-    /// Detection and poses.
-    Markers,
-    /// Bumped cameras.
-    Drift,
-    /// Things without a marker.
-    Foreign,
-    /// The camera's place on the flange.
-    HandEye,
-}
-
-impl Part {
-    const ALL: [Part; 4] = [Part::Markers, Part::Drift, Part::Foreign, Part::HandEye];
-}
+pub use crate::cli::bench_vision::args::BenchVisionArgs;
 
 /// Frames that `--save` writes at most.
 const SAVED: usize = 60;
@@ -137,9 +70,6 @@ fn run_all(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<String>, 
     }
     Ok(Some(if args.format == "json" { format!("{}\n", serde_json::Value::Object(json)) } else { text }))
 }
-
-/// A part's table, and its figures.
-type Figures = (String, serde_json::Value);
 
 fn markers(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<Figures>, String> {
     let settings = DetectSettings {

@@ -8,7 +8,9 @@
 
 pub mod camera;
 mod empty;
+mod fault;
 mod finish;
+mod round;
 mod take;
 pub mod touch;
 
@@ -38,7 +40,9 @@ use crate::vision::camera::CameraModel;
 use crate::vision::detect::{DetectSettings, Detector};
 use crate::vision::image::Image;
 use clap::{Args, Subcommand};
+use fault::{Fault, bad_input};
 use finish::{finish, known_mount};
+use round::{RoundArgs, SAMPLES, Taken, Wanted};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -96,25 +100,6 @@ Tie the table to the tool as well: touch at least three marked points far apart,
 Touch knows nothing of lens and mount. Expect touches within 0.5 mm, and touch and camera to agree within 1 mm and
 0.2 degrees; above --tie-mm or --tie-deg nothing is written.";
 
-/// A round over the reference markers.
-#[derive(Args, Clone, Debug)]
-pub struct RoundArgs {
-    /// The cell's configuration, with nominal camera mount, table and calibration poses.
-    #[arg(long, default_value = "config/cell.yaml", value_name = "FILE")]
-    config: PathBuf,
-    /// Solve a round recorded in this folder instead of moving the arm.
-    #[arg(long, value_name = "DIR", conflicts_with = "record")]
-    from: Option<PathBuf>,
-    /// Keep the round's pictures and poses in this folder.
-    #[arg(long, value_name = "DIR")]
-    record: Option<PathBuf>,
-    /// Leave these samples out, by their numbers in the report: 3,7
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    drop: Vec<usize>,
-    #[command(flatten)]
-    tie: touch::TieArgs,
-}
-
 /// A round for camera and table, from taught or proposed poses.
 #[derive(Args, Clone, Debug)]
 pub struct HandEyeArgs {
@@ -133,23 +118,13 @@ pub struct HandEyeArgs {
     yes: bool,
 }
 
-/// Poses and names of a recorded round's pictures, in its folder.
-const SAMPLES: &str = "samples.yaml";
-
-/// What is asked of a round.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Wanted {
-    MountAndTable,
-    Table,
-}
-
 /// Calibrates; returns the exit code.
 pub fn run(args: &CalibrateArgs, stop: Arc<AtomicBool>) -> u8 {
     match &args.what {
         None => round(&args.round, Wanted::MountAndTable, None, stop),
         Some(What::HandEye(args)) => hand_eye(args, stop),
         Some(What::Table(args)) => round(args, Wanted::Table, None, stop),
-        Some(What::Empty(args)) => empty::run(args, stop),
+        Some(What::Empty(args)) => empty_table(args, stop),
         Some(What::Camera(args)) => camera::run(args),
         Some(What::Touches(args)) => touch::run(args, stop),
     }
@@ -230,31 +205,21 @@ fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<At
     })
 }
 
+/// Takes the pictures of the empty table.
+fn empty_table(args: &empty::EmptyArgs, stop: Arc<AtomicBool>) -> u8 {
+    let Some((config, folder)) = empty::prepare(args) else { return 2 };
+    with_runtime(stop, move |stop| async move {
+        let taken = live(&config, Some(&folder), None, &|_| Ok(()), stop).await?;
+        empty::judge(&config, &folder, &taken.samples)
+    })
+}
+
 /// What a round rests on that was made before: the touches and the mount have to be this arm's.
 fn fits_arm(config: &CellConfig, args: &RoundArgs, wanted: Wanted, arm: &Provenance) -> Result<(), Fault> {
     if wanted == Wanted::Table {
         known_mount(config, arm).map_err(bad_input)?;
     }
     args.tie.fitted(config)?.map_or(Ok(()), |touched| touched.check_robot(arm))
-}
-
-/// Why there is no calibration, and the exit code that says so.
-#[derive(Debug)]
-struct Fault {
-    message: String,
-    code: u8,
-}
-
-fn bad_input(message: String) -> Fault {
-    Fault { message, code: 2 }
-}
-
-/// A round as it was taken.
-#[derive(Debug)]
-struct Taken {
-    lens: CameraCalibration,
-    provenance: Provenance,
-    samples: Vec<Sample>,
 }
 
 /// Moves the arm round: to the taught poses, or to so many proposed ones. Pictures and poses are kept in the

@@ -4,7 +4,7 @@
 //! In: the arguments. Out: each part's table for people and its figures as JSON; `None` after Ctrl-C.
 
 use crate::bench::vision::{change, drift, foreign, hand_eye};
-use crate::cli::bench_vision::{BenchVisionArgs, Figures};
+use crate::cli::bench_vision::args::{BenchVisionArgs, Figures};
 use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::vision::observe::reference::DriftLimits;
 use indicatif::ProgressBar;

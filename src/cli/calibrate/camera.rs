@@ -6,8 +6,8 @@
 
 use crate::calibration::files::camera::CameraCalibration;
 use crate::calibration::fit::lens::{BoardView, LensSettings, LensSolution, solve_lens};
+use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::calibrate::take::take;
-use crate::cli::calibrate::{Fault, bad_input};
 use crate::cli::daemon::open_camera;
 use crate::cli::markers::{grid, millimetres};
 use crate::cli::pictures::read_picture;

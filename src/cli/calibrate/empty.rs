@@ -5,17 +5,14 @@
 //! compares its looks with these pictures.
 
 use crate::calibration::fit::Sample;
-use crate::cli::calibrate::{SAMPLES, live};
-use crate::cli::daemon::with_runtime;
+use crate::cli::calibrate::round::SAMPLES;
 use crate::cli::task::complain;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::document::chain::chain;
 use crate::io::files;
 use crate::tabletop::instance::ObjectSpec;
-use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::path::{Path, PathBuf};
 
 /// Shown under `celld calibrate empty --help`.
 pub(super) const HELP: &str = "\
@@ -31,29 +28,28 @@ pub struct EmptyArgs {
     config: PathBuf,
 }
 
-/// Takes the pictures; returns the exit code.
-pub fn run(args: &EmptyArgs, stop: Arc<AtomicBool>) -> u8 {
-    let mut config = match load_cell(&args.config) {
-        Ok(config) => config,
-        Err(error) => {
-            complain(&error.to_string());
-            return 2;
-        }
-    };
+/// The cell as it goes round its look poses, and the folder for the pictures; without, it has been told why.
+pub(super) fn prepare(args: &EmptyArgs) -> Option<(CellConfig, PathBuf)> {
+    let mut config = load_cell(&args.config).map_err(|error| complain(&error.to_string())).ok()?;
     let Some(folder) = config.calibration.empty.clone() else {
         let path = args.config.display();
         complain(&format!("{path}: name a folder for the pictures, `empty: FOLDER` under `calibration`"));
-        return 2;
+        return None;
     };
     config.calibration_poses.clone_from(&config.look_poses);
     complain("the arm goes round its look poses; the table is to be clear but for the reference markers");
-    with_runtime(stop, move |stop| async move {
-        let taken = live(&config, Some(&folder), None, &|_| Ok(()), stop).await?;
-        let Some(seen) = not_empty(&config, &taken.samples) else { return Ok(()) };
-        // The daemon must not take it for what belongs there.
-        files::remove(&folder.join(SAMPLES)).map_err(|error| chain(&error))?;
-        Err(seen)
-    })
+    Some((config, folder))
+}
+
+/// Leaves the pictures in the folder if the table was empty.
+///
+/// # Errors
+/// What was seen on it.
+pub(super) fn judge(config: &CellConfig, folder: &Path, samples: &[Sample]) -> Result<(), String> {
+    let Some(seen) = not_empty(config, samples) else { return Ok(()) };
+    // The daemon must not take it for what belongs there.
+    files::remove(&folder.join(SAMPLES)).map_err(|error| chain(&error))?;
+    Err(seen)
 }
 
 /// The sentence about an object whose marker is seen, if there is one.

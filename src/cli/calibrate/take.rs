@@ -5,7 +5,7 @@
 //! nothing can be measured is told and not kept, so that nobody finds out after the last one.
 
 use crate::calibration::fit::lens::{BoardView, LensSettings, uncovered};
-use crate::cli::calibrate::{Fault, bad_input};
+use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::task::complain;
 use crate::document::chain::chain;
 use crate::io::camera::{CameraSource, FaultKind};

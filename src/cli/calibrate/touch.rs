@@ -9,7 +9,7 @@ use crate::calibration::files::hand_eye::Provenance;
 use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
 use crate::calibration::fit::HandEye;
 use crate::calibration::fit::touch::{Tie, TieLimits, TouchFit, TouchSettings, fit_touches, tie};
-use crate::cli::calibrate::{Fault, bad_input};
+use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::daemon::{open_shell, with_runtime};
 use crate::cli::task::complain;
 use crate::config::cell::CellConfig;

@@ -1,0 +1,49 @@
+//! A round: what is asked of it, and what it was.
+//!
+//! In: the command line; lens, arm and samples. Out: what taking a round and solving it have in common.
+
+use crate::cli::calibrate::touch::TieArgs;
+use crate::calibration::fit::Sample;
+use crate::calibration::files::camera::CameraCalibration;
+use crate::calibration::files::hand_eye::Provenance;
+use clap::Args;
+use std::path::PathBuf;
+
+/// A round over the reference markers.
+#[derive(Args, Clone, Debug)]
+pub struct RoundArgs {
+    /// The cell's configuration, with nominal camera mount, table and calibration poses.
+    #[arg(long, default_value = "config/cell.yaml", value_name = "FILE")]
+    pub(super) config: PathBuf,
+    /// Solve a round recorded in this folder instead of moving the arm.
+    #[arg(long, value_name = "DIR", conflicts_with = "record")]
+    pub(super) from: Option<PathBuf>,
+    /// Keep the round's pictures and poses in this folder.
+    #[arg(long, value_name = "DIR")]
+    pub(super) record: Option<PathBuf>,
+    /// Leave these samples out, by their numbers in the report: 3,7
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub(super) drop: Vec<usize>,
+    #[command(flatten)]
+    pub(super) tie: TieArgs,
+}
+
+/// Poses and names of a recorded round's pictures, in its folder.
+pub(super) const SAMPLES: &str = "samples.yaml";
+
+/// What is asked of a round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Wanted {
+    /// Where the camera sits, and the table.
+    MountAndTable,
+    /// The table alone.
+    Table,
+}
+
+/// A round as it was taken.
+#[derive(Debug)]
+pub(super) struct Taken {
+    pub(super) lens: CameraCalibration,
+    pub(super) provenance: Provenance,
+    pub(super) samples: Vec<Sample>,
+}
