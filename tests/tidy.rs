@@ -4,6 +4,8 @@
 //! enforce layers inside one crate, so this test reads the sources instead. The table below is the one
 //! place that says which module may use which; if a row hurts, change the row knowingly, not the code.
 
+#[path = "tidy/imports.rs"]
+mod imports;
 #[path = "tidy/planted.rs"]
 mod planted;
 #[path = "tidy/rules.rs"]
@@ -94,6 +96,9 @@ const TABLE: &[Row] = &[
 /// Source lines a file may have before it has to be split.
 const MOST_LINES: usize = 600;
 
+/// Lines a function may have, from its `fn` to its closing brace.
+const MOST_FUNCTION_LINES: usize = 60;
+
 #[track_caller]
 fn none(breaches: Vec<String>) {
     assert!(breaches.is_empty(), "{} breach(es):\n{}", breaches.len(), breaches.join("\n"));
@@ -137,6 +142,18 @@ fn files_open_with_a_doc_and_stay_short() {
         breaches.extend(rules::length_breach(&file, MOST_LINES));
     }
     none(breaches);
+}
+
+#[test]
+fn functions_stay_short() {
+    none(
+        tree::rust_files().iter().flat_map(|file| rules::long_functions(file, MOST_FUNCTION_LINES)).collect(),
+    );
+}
+
+#[test]
+fn files_import_in_no_circle() {
+    none(imports::circles(&tree::sources()));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 //!
 //! In: small made-up sources. Out: proof that a green tidy test means something.
 
+use crate::imports;
 use crate::rules::{self, Row, Uses};
 use crate::scan;
 use crate::tree::File;
@@ -189,4 +190,95 @@ fn a_written_table_that_drifts_is_flagged() {
     flagged(rules::written_table_breaches(MINIATURE, good), &[]);
     let drifted = good.replace("`low`, `side::open` |", "`low` |");
     flagged(rules::written_table_breaches(MINIATURE, &drifted), &["`high`"]);
+}
+
+fn circles(files: &[(&str, &str)]) -> Vec<String> {
+    let files: Vec<File> = files.iter().map(|(path, text)| File::planted(path, text)).collect();
+    imports::circles(&files)
+}
+
+#[test]
+fn a_circle_of_imports_is_flagged_with_what_ties_it() {
+    let found = circles(&[
+        ("src/a.rs", "pub mod x;\npub mod y;\npub mod z;"),
+        ("src/a/x.rs", "\nuse crate::{a::{y::{Y, Y2}, z}, b::B};\nfn f(_: z::Z) {}"),
+        ("src/a/y.rs", "fn f() -> super::z::Z { super::z::Z }"),
+        ("src/a/z.rs", "use crate::a::x::X;"),
+        ("src/b.rs", "pub struct B;"),
+    ]);
+    flagged(found.clone(), &["circle of 3 files"]);
+    let ties = [
+        "src/a/x.rs:2: `crate::a::y::Y` of src/a/y.rs",
+        "src/a/x.rs:2: `crate::a::z` of src/a/z.rs",
+        "src/a/y.rs:1: `super::z::Z` of src/a/z.rs",
+        "src/a/z.rs:1: `crate::a::x::X` of src/a/x.rs",
+    ];
+    assert_eq!(found[0].lines().skip(1).map(str::trim).collect::<Vec<_>>(), ties);
+}
+
+#[test]
+fn a_parent_and_a_child_that_import_from_each_other_are_a_circle() {
+    let child = ("src/a/x.rs", "use super::Fault;");
+    for parent in [
+        "mod x;\nfn f() { x::g() }",
+        "mod x;\npub use x::X;",
+        "mod x;\nuse self::x::X;",
+        "mod x;\nmod inner { use super::x::X; }",
+        "mod x;\nuse crate::a::x as other;",
+    ] {
+        flagged(circles(&[("src/a.rs", parent), child]), &["circle of 2 files"]);
+        flagged(circles(&[("src/a/mod.rs", parent), child]), &["circle of 2 files"]);
+    }
+    // By way of a module that was imported: `deep` is of `x`, and not of the file that names it.
+    let by_name = [
+        ("src/a.rs", "use crate::b;\nfn f() { b::deep::g() }"),
+        ("src/b.rs", "pub mod deep;"),
+        ("src/b/deep.rs", "use crate::a::A;"),
+    ];
+    flagged(circles(&by_name), &["circle of 2 files"]);
+}
+
+#[test]
+fn what_is_no_circle_of_imports_is_left_alone() {
+    for files in [
+        // Declared and not named.
+        [("src/a.rs", "mod x;"), ("src/a/x.rs", "use crate::a::Fault;")],
+        // Down only, however often.
+        [("src/a.rs", "mod x;\nuse x::X;\nfn f() { x::g() }"), ("src/a/x.rs", "use crate::b;")],
+        // In tests, and in files of theirs.
+        [("src/a.rs", "mod x;\nuse x::X;"), ("src/a/x.rs", "#[cfg(test)]\nmod t { use crate::a::A; }")],
+        [("src/a.rs", "#[cfg(test)]\nmod x;\n#[cfg(test)]\nuse x::X;"), ("src/a/x.rs", "use super::*;")],
+        // Words, and who may see.
+        [("src/a.rs", "mod x;\nuse x::X;"), ("src/a/x.rs", "// crate::a::A\nconst S: &str = \"crate::a\";")],
+        [("src/a.rs", "mod x;\nuse x::X;"), ("src/a/x.rs", "pub(in crate::a) fn f() {}")],
+        // Within one file.
+        [("src/a.rs", "mod inner { use super::A; }\nfn f() { crate::a::g(); self::g() }"), ("src/b.rs", "")],
+        [("src/a.rs", "mod x;\nuse x::X;"), ("src/a/x.rs", "mod inner { use super::X; }")],
+    ] {
+        flagged(circles(&files), &[]);
+    }
+}
+
+#[test]
+fn long_functions_are_flagged_wherever_they_stand() {
+    let long = |text: &str| rules::long_functions(&File::planted("a.rs", text), 3);
+    let body = "{\n    g();\n    g();\n}";
+    flagged(long(&format!("fn f() {body}")), &["a.rs:1: `f` has 4 lines"]);
+    flagged(
+        long(&format!("impl A {{\n    /// Doc.\n    #[inline]\n    pub fn f(a: [u8; 2]) -> u8 {body}\n}}")),
+        &["a.rs:4: `f` has 4 lines"],
+    );
+    flagged(long(&format!("fn f() {{\n    fn g() {body}\n}}")), &["`f` has 6 lines", "`g` has 4 lines"]);
+    flagged(
+        long(&format!("#[cfg(test)]\nmod t {{ async fn f<T>()\nwhere T: Fn(u8) {body} }}")),
+        &["`f` has 5"],
+    );
+    for short in [
+        "/// Doc.\n\n#[inline]\n#[must_use]\nfn f() {\n    g();\n}",
+        "trait T {\n    fn f(\n        a: u8,\n        b: u8,\n    );\n}",
+        "type F = fn(\n    u8,\n    u8,\n) -> u8;",
+        "const S: &str = \"fn f() {\n\n\n\n}\";",
+    ] {
+        flagged(long(short), &[]);
+    }
 }

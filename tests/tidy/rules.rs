@@ -213,7 +213,7 @@ pub fn purity_breaches(table: &[Row], files: &[File]) -> Vec<String> {
 }
 
 /// Paths without ending of files declared by `#[cfg(test)] mod name;`.
-fn test_only_files(files: &[File]) -> Vec<String> {
+pub fn test_only_files(files: &[File]) -> Vec<String> {
     let mut stems = Vec::new();
     for file in files {
         let folder = match file.path.strip_suffix("/mod.rs") {
@@ -226,7 +226,8 @@ fn test_only_files(files: &[File]) -> Vec<String> {
     stems
 }
 
-fn belongs_to(path: &str, stem: &str) -> bool {
+/// True for the file of that path without ending, and for those below it.
+pub fn belongs_to(path: &str, stem: &str) -> bool {
     path.strip_prefix(stem).is_some_and(|rest| rest == ".rs" || rest.starts_with('/'))
 }
 
@@ -271,6 +272,21 @@ pub fn opening_breach(file: &File) -> Option<String> {
 pub fn length_breach(file: &File, most: usize) -> Option<String> {
     let lines = file.text.lines().count();
     (lines > most).then(|| format!("{}: {lines} lines; split it by subject (at most {most})", file.path))
+}
+
+/// Functions of more than `most` lines, from the `fn` to the closing brace.
+pub fn long_functions(file: &File, most: usize) -> Vec<String> {
+    let code = scan::blank_comments_and_literals(&file.text);
+    let functions = scan::functions(&code).into_iter().map(|f| (f.last_line + 1 - f.first_line, f));
+    let long = functions.filter(|(lines, _)| *lines > most);
+    let told = long.map(|(lines, function)| {
+        let scan::Function { name, first_line, .. } = function;
+        format!(
+            "{}:{first_line}: `{name}` has {lines} lines; give its parts names (at most {most})",
+            file.path
+        )
+    });
+    told.collect()
 }
 
 /// Marks of unfinished work, places kept free for figures among them. Put together here, so that this file

@@ -25,11 +25,6 @@ impl CodePath {
     }
 }
 
-/// 1-based line of a byte offset.
-pub fn line_of(text: &str, offset: usize) -> usize {
-    text.as_bytes()[..offset.min(text.len())].iter().filter(|b| **b == b'\n').count() + 1
-}
-
 /// The text with comments, string and character literals turned into spaces; newlines stay.
 pub fn blank_comments_and_literals(text: &str) -> String {
     let bytes = text.as_bytes();
@@ -150,15 +145,18 @@ struct Token<'a> {
     kind: Kind,
     text: &'a str,
     offset: usize,
+    /// From 1.
+    line: usize,
 }
 
 fn tokens(code: &str) -> Vec<Token<'_>> {
     let bytes = code.as_bytes();
     let mut found = Vec::new();
-    let mut at = 0;
+    let (mut at, mut line) = (0, 1);
     while at < bytes.len() {
         let start = at;
         let kind = if bytes[at].is_ascii_whitespace() {
+            line += usize::from(bytes[at] == b'\n');
             at += 1;
             continue;
         } else if is_word(bytes[at]) {
@@ -173,7 +171,7 @@ fn tokens(code: &str) -> Vec<Token<'_>> {
             at += 1;
             Kind::Other(bytes[start])
         };
-        found.push(Token { kind, text: &code[start..at], offset: start });
+        found.push(Token { kind, text: &code[start..at], offset: start, line });
     }
     found
 }
@@ -187,26 +185,20 @@ pub fn paths(code: &str) -> Vec<CodePath> {
     while at < tokens.len() {
         let starts =
             tokens[at].kind == Kind::Name && tokens.get(at + 1).map(|t| t.kind) == Some(Kind::PathSeparator);
-        at = if starts { unfold(&tokens, at, &[], code, &mut found) } else { at + 1 };
+        at = if starts { unfold(&tokens, at, &[], &mut found) } else { at + 1 };
     }
     found
 }
 
 /// Reads one path (tree) at `at` behind `prefix`, adds its leaves, gives the token behind it.
-fn unfold(
-    tokens: &[Token<'_>],
-    mut at: usize,
-    prefix: &[String],
-    code: &str,
-    found: &mut Vec<CodePath>,
-) -> usize {
+fn unfold(tokens: &[Token<'_>], mut at: usize, prefix: &[String], found: &mut Vec<CodePath>) -> usize {
     let mut segments = prefix.to_vec();
-    let (line, offset) = (line_of(code, tokens[at].offset), tokens[at].offset);
+    let Token { line, offset, .. } = tokens[at];
     loop {
         match tokens.get(at).map(|token| token.kind) {
             Some(Kind::Name) => segments.push(tokens[at].text.to_string()),
             Some(Kind::Other(b'*')) => segments.push("*".to_string()),
-            Some(Kind::Other(b'{')) => return unfold_group(tokens, at + 1, &segments, code, found),
+            Some(Kind::Other(b'{')) => return unfold_group(tokens, at + 1, &segments, found),
             // `a::<T>::b`: the generic part holds paths of its own and is read as such.
             _ => break,
         }
@@ -220,18 +212,12 @@ fn unfold(
     at
 }
 
-fn unfold_group(
-    tokens: &[Token<'_>],
-    mut at: usize,
-    prefix: &[String],
-    code: &str,
-    found: &mut Vec<CodePath>,
-) -> usize {
+fn unfold_group(tokens: &[Token<'_>], mut at: usize, prefix: &[String], found: &mut Vec<CodePath>) -> usize {
     while at < tokens.len() {
         match tokens[at].kind {
             Kind::Other(b'}') => return at + 1,
             Kind::Name | Kind::Other(b'*') | Kind::Other(b'{') => {
-                at = unfold(tokens, at, prefix, code, found);
+                at = unfold(tokens, at, prefix, found);
                 // `as other_name` belongs to the leaf just read.
                 if tokens.get(at).is_some_and(|token| token.text == "as") {
                     at += 2;
@@ -249,7 +235,7 @@ pub fn macro_calls(code: &str) -> Vec<(usize, String)> {
     let calls = tokens.windows(3).filter(|three| {
         three[0].kind == Kind::Name && three[1].text == "!" && matches!(three[2].text, "(" | "[" | "{")
     });
-    calls.map(|three| (line_of(code, three[0].offset), three[0].text.to_string())).collect()
+    calls.map(|three| (three[0].line, three[0].text.to_string())).collect()
 }
 
 /// Byte ranges of items behind `#[cfg(test)]`, up to their closing brace or semicolon.
@@ -304,6 +290,44 @@ pub fn test_only_file_modules(code: &str) -> Vec<String> {
         {
             found.push(name.text.to_string());
         }
+    }
+    found
+}
+
+/// Names of modules declared as files of their own (`mod name;`).
+pub fn file_modules(code: &str) -> Vec<String> {
+    let tokens = tokens(code);
+    let declared = tokens.windows(3).filter(|three| {
+        three[0].text == "mod" && three[1].kind == Kind::Name && three[2].kind == Kind::Other(b';')
+    });
+    declared.map(|three| three[1].text.to_string()).collect()
+}
+
+/// A function with a body.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Function {
+    pub name: String,
+    /// Line of its `fn`; attributes and docs stand before it.
+    pub first_line: usize,
+    /// Line of the brace that closes it.
+    pub last_line: usize,
+}
+
+/// Every function of blanked code, those inside others and in `impl` blocks too.
+pub fn functions(code: &str) -> Vec<Function> {
+    let tokens = tokens(code);
+    let mut found = Vec::new();
+    for at in 0..tokens.len().saturating_sub(1) {
+        // `fn(` is a type.
+        if tokens[at].text != "fn" || tokens[at + 1].kind != Kind::Name {
+            continue;
+        }
+        let Some(end) = item_end(&tokens, at).filter(|end| tokens[*end].text == "}") else { continue };
+        found.push(Function {
+            name: tokens[at + 1].text.to_string(),
+            first_line: tokens[at].line,
+            last_line: tokens[end].line,
+        });
     }
     found
 }
