@@ -4,7 +4,7 @@
 //! first two figures are of one thread; the others use all cores. Exit code 0; 1 when a rule was broken that
 //! is not known to be, a job did not end, or a seed gave two different runs.
 
-use crate::cli::simulate::stage;
+use crate::cli::simulate::table::stage;
 use crate::cli::task::{complain, print};
 use crate::pair::Choice;
 use crate::pair::eyes::Eye;

@@ -150,7 +150,7 @@ pub(super) fn open_shell(config: &CellConfig, seed: u64) -> Result<Shell, String
 }
 
 /// What the machine is made with.
-pub(super) fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {
+pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {
     let robot = RobotParameters { frequency_hz: RTDE_HZ, ..RobotParameters::full_rate() };
     MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }
 }

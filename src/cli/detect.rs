@@ -202,9 +202,9 @@ fn json(path: &Path, image: &Image, found: &[Found], seen: Option<&Observation>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::pose::Pose2;
     use crate::calibration::files::camera::CameraCalibration;
-    use crate::vision::image::DepthImage;
+    use crate::geometry::pose::Pose2;
+    use crate::vision::image::depth::DepthImage;
     use crate::vision::image::depth::UNIT_M;
     use crate::vision::marker;
 

@@ -2,9 +2,9 @@
 //!
 //! In: paths. Out: an image, its bytes, a camera model; or a sentence that names the file.
 
+use crate::calibration::files::camera::CameraCalibration;
 use crate::document::chain::chain;
 use crate::io::files;
-use crate::calibration::files::camera::CameraCalibration;
 use crate::vision::camera::CameraModel;
 use crate::vision::image::Image;
 use std::path::Path;

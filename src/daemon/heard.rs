@@ -2,9 +2,9 @@
 //!
 //! Plain data, below all of them, so that none of them has to know the loop.
 
+use crate::calibration::fit::Sample;
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
-use crate::calibration::fit::Sample;
 use crate::vision::image::Image;
 use crate::vision::observe::{Observation, View};
 use tokio::net::TcpStream;

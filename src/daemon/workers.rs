@@ -256,8 +256,8 @@ mod tests {
     use crate::vision::foreign::search::ForeignSearch;
     use crate::vision::foreign::search::Inventory;
     use crate::vision::foreign::{Area, ForeignLimits};
-    use crate::vision::image::DepthImage;
     use crate::vision::image::Image;
+    use crate::vision::image::depth::DepthImage;
     use crate::vision::observe::ObserveLimits;
     use crate::vision::observe::reference::DriftLimits;
 

@@ -23,7 +23,8 @@ pub mod watch;
 pub use fault::{CameraError, FaultKind};
 
 use crate::vision::camera::CameraModel;
-use crate::vision::image::{DepthImage, Image};
+use crate::vision::image::Image;
+use crate::vision::image::depth::DepthImage;
 
 /// A picture as it came from a camera.
 #[derive(Clone, Debug)]

@@ -211,7 +211,7 @@ fn see_picture(
     let depth = (last && perception.wants_depth()).then(|| moment.depth(renderer, number));
     let depth = depth.and_then(|depth| {
         let metres = depth.units.iter().map(|unit| f32::from(*unit) * 1e-4).collect();
-        crate::vision::image::DepthImage::from_metres(depth.width, depth.height, metres).ok()
+        crate::vision::image::depth::DepthImage::from_metres(depth.width, depth.height, metres).ok()
     });
     let picture = Picture { image: &image, depth: depth.as_ref() };
     let earlier = task.views.last();

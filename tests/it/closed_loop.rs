@@ -1,7 +1,7 @@
 //! The whole cell in virtual time: repeatable, as the page of reactions says, and the same with both eyes.
 
 use celld::cell::orders::Order;
-use celld::cli::simulate::stage;
+use celld::cli::simulate::table::stage;
 use celld::geometry::pose::Pose2;
 use celld::pair::eyes::Eye;
 use celld::pair::page::{PAGE, PAGE_SEED, expected, title};

@@ -8,7 +8,7 @@ use celld::cell::code::Code;
 use celld::cell::orders::Order;
 use celld::cell::supervisor::model::ForeignRule;
 use celld::cell::supervisor::order::{ApprovalRule, JobOrder};
-use celld::cli::simulate::stage_of;
+use celld::cli::simulate::table::stage_of;
 use celld::config::load::{load_cell, load_sim};
 use celld::geometry::pose::Pose2;
 use celld::pair::eyes::Eye;

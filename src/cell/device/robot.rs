@@ -13,12 +13,13 @@
 //! never calls a robot silent whose states wait in a socket.
 //!
 //! The work is split by subject: `links` takes what the link sessions report, `commands` what is asked for,
-//! `life` follows the program, `feed` gives it work.
+//! `life` follows the program, `feed` gives it work; `parts` is what they share.
 
 mod commands;
 mod feed;
 mod life;
 mod links;
+mod parts;
 #[cfg(test)]
 mod tests;
 
@@ -34,30 +35,11 @@ use crate::cell::device::stream::Stream;
 use crate::motion::kinematics::DhParameters;
 use crate::time::{Duration, Timestamp};
 use crate::wire::dashboard::Command;
-use crate::wire::enumerations::{RobotMode, SafetyMode};
-use life::{Heartbeat, Program};
-use links::{ArmWait, Identity};
+use parts::{ArmWait, Heartbeat, Identity, Program, Reported, SEND_WITHIN, Setup};
 use std::collections::VecDeque;
 
 /// Faults older than this are forgotten when they are counted.
 const FAULT_WINDOW: Duration = Duration::from_secs(60);
-
-/// Payload and TCP as the running program was told.
-#[derive(Default)]
-struct Setup {
-    payload: Option<(f64, [f64; 3])>,
-    tcp: Option<[f64; 6]>,
-    /// Set while a path waits for the controller to show them.
-    deadline: Option<Timestamp>,
-}
-
-/// What was reported last, so that changes are.
-#[derive(Default)]
-struct Reported {
-    mode: Option<RobotMode>,
-    safety: Option<SafetyMode>,
-    paused: bool,
-}
 
 /// The session. See the module.
 pub struct Robot {
@@ -212,7 +194,7 @@ impl Robot {
         let heartbeat = self.heartbeat.next().map(|at| (at, "heartbeat"));
         let program = self.program.deadline().map(|at| (at, "program"));
         let setup = self.setup.deadline.map(|at| (at, "payload and TCP"));
-        let held = self.held_since.map(|at| (at + feed::SEND_WITHIN, "commands held back"));
+        let held = self.held_since.map(|at| (at + SEND_WITHIN, "commands held back"));
         let waits = self.arm_waits.iter().map(|wait| wait.deadline).min().map(|at| (at, "arm"));
         [heartbeat, program, setup, held, waits].into_iter().fold(links, earlier)
     }

@@ -2,10 +2,10 @@
 //!
 //! In: the command line; lens, arm and samples. Out: what taking a round and solving it have in common.
 
-use crate::cli::calibrate::touch::TieArgs;
-use crate::calibration::fit::Sample;
 use crate::calibration::files::camera::CameraCalibration;
 use crate::calibration::files::hand_eye::Provenance;
+use crate::calibration::fit::Sample;
+use crate::cli::calibrate::touch::TieArgs;
 use clap::Args;
 use std::path::PathBuf;
 

@@ -3,7 +3,8 @@
 //! In: the first seed, how many jobs, and for a repetition which of the faults. Out: how the jobs and those
 //! after them ended, and for each failure the fewest faults it needs, with the command that repeats it.
 
-use super::{SimulateArgs, keep_trace, stage};
+use super::args::{SimulateArgs, keep_trace};
+use super::table::stage;
 use crate::cli::task::{complain, print};
 use crate::pair::eyes::Eye;
 use crate::pair::storm::{Aftermath, Strike, fewest, storm, strikes};

@@ -7,8 +7,9 @@
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use crate::vision::camera::CameraModel;
+use crate::vision::image::Image;
+use crate::vision::image::depth::DepthImage;
 use crate::vision::image::depth::UNIT_M;
-use crate::vision::image::{DepthImage, Image};
 use std::time::Duration;
 
 /// Largest answer read, bytes.

@@ -10,7 +10,7 @@
 use crate::vision::camera::CameraModel;
 use crate::vision::cv::{self, CvError};
 use crate::vision::foreign::field::{Field, Sample};
-use crate::vision::image::DepthImage;
+use crate::vision::image::depth::DepthImage;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 /// Edge of a cell, m: some ten points of a picture from half a metre, and 25 cells to the smallest thing

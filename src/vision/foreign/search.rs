@@ -11,7 +11,8 @@ use crate::vision::foreign::change::EmptyTable;
 use crate::vision::foreign::{
     Area, DepthLens, ForeignLimits, ForeignReport, HeightMap, HeightMapError, KnownBody, OwnBody, find,
 };
-use crate::vision::image::{DepthImage, Image};
+use crate::vision::image::Image;
+use crate::vision::image::depth::DepthImage;
 use crate::vision::observe::{Observation, View};
 use nalgebra::Isometry3;
 

@@ -2,7 +2,7 @@
 //! and curvature.
 
 use super::*;
-use crate::vision::image::DepthImage;
+use crate::vision::image::depth::DepthImage;
 use crate::vision::testing;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand::{RngExt, SeedableRng};

@@ -4,8 +4,7 @@
 
 use crate::cell::device::registers::{CommandRegisters, Opcode};
 use crate::cell::device::robot::Robot;
-use crate::cell::device::robot::life::Program;
-use crate::cell::device::robot::links::{ArmGoal, ArmWait};
+use crate::cell::device::robot::parts::{ArmGoal, ArmWait, Program};
 use crate::cell::device::robot_types::{Link, Refused, RobotCommand, RobotEvent, RobotState};
 use crate::motion::path::CheckedPath;
 use crate::time::{Duration, Timestamp};

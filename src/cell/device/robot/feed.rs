@@ -3,8 +3,8 @@
 //! In: what the program reports, the time. Out: commands in registers, events of what was carried out, and a
 //! stop where something takes too long.
 
-use crate::cell::device::robot::life::Program;
-use crate::cell::device::robot::{Robot, Setup};
+use crate::cell::device::robot::Robot;
+use crate::cell::device::robot::parts::{Program, SEND_WITHIN, Setup};
 use crate::cell::device::robot_types::{Link, ProgramEnd, Refused, RobotEvent, RobotState};
 use crate::cell::device::stream::Done;
 use crate::time::{Duration, Timestamp};
@@ -13,8 +13,6 @@ use nalgebra::{Isometry3, Vector3};
 
 /// From payload or TCP being set to the controller showing it.
 const SETUP_WITHIN: Duration = Duration::from_secs(1);
-/// Commands that the program could take may be held back (stale state, remote control unknown) this long.
-pub const SEND_WITHIN: Duration = Duration::from_secs(5);
 /// Least share of full speed at which deadlines run while the program plays: a slider at 1 % is slow, not
 /// forgiven for ever.
 const LEAST_SPEED_SHARE: f64 = 0.01;

@@ -5,7 +5,8 @@
 
 use crate::cell::device::program::{Nonce, program_name};
 use crate::cell::device::registers::{Opcode, ProgramStatus};
-use crate::cell::device::robot::{Robot, Setup};
+use crate::cell::device::robot::Robot;
+use crate::cell::device::robot::parts::{Program, Setup};
 use crate::cell::device::robot_types::{Link, ProgramEnd, Refused, RobotEvent, RobotState};
 use crate::time::{Duration, Timestamp};
 use crate::wire::dashboard::Command;
@@ -23,106 +24,6 @@ const STOP_WITHIN: Duration = Duration::from_secs(2);
 const END_WITHIN: Duration = Duration::from_secs(3);
 /// From the dashboard's `stop` to the program's end.
 const HALT_WITHIN: Duration = Duration::from_secs(3);
-
-/// Where the program is in its life.
-pub enum Program {
-    /// None of ours runs.
-    Absent,
-    /// Whatever runs is being stopped, then ours is uploaded.
-    Clearing {
-        /// Of ours.
-        nonce: Nonce,
-        /// For the other to stop.
-        deadline: Timestamp,
-    },
-    /// Uploaded, not proved.
-    Starting {
-        /// Looked for.
-        nonce: Nonce,
-        /// For the nonce.
-        deadline: Timestamp,
-        /// The link was read-only; the text goes out again once it is made anew.
-        upload_again: bool,
-        /// That has happened once.
-        retried: bool,
-    },
-    /// Proved by its nonce.
-    Running {
-        /// Its nonce.
-        nonce: Nonce,
-    },
-    /// The stop opcode is out.
-    Stopping {
-        /// Its number.
-        sequence: i32,
-        /// For standstill.
-        deadline: Timestamp,
-    },
-    /// Runs, stands still, takes nothing but its end.
-    Stopped,
-    /// Will end by itself.
-    Ending {
-        /// Why.
-        reason: ProgramEnd,
-        /// Until when.
-        deadline: Timestamp,
-    },
-    /// The dashboard's `stop` is out and the heartbeat is off.
-    Halting {
-        /// Why; `None` if the program was not ours.
-        reason: Option<ProgramEnd>,
-        /// Somebody waits for [`RobotEvent::Stopped`].
-        asked: bool,
-        /// Until when.
-        deadline: Timestamp,
-    },
-}
-
-impl Program {
-    /// When its patience ends.
-    pub fn deadline(&self) -> Option<Timestamp> {
-        match self {
-            Program::Absent | Program::Running { .. } | Program::Stopped => None,
-            Program::Clearing { deadline, .. }
-            | Program::Starting { deadline, .. }
-            | Program::Stopping { deadline, .. }
-            | Program::Ending { deadline, .. }
-            | Program::Halting { deadline, .. } => Some(*deadline),
-        }
-    }
-
-    /// A program of ours may be on the controller and reads its registers in its next frame.
-    fn reads_registers(&self) -> bool {
-        match self {
-            Program::Starting { .. }
-            | Program::Running { .. }
-            | Program::Stopping { .. }
-            | Program::Stopped
-            | Program::Ending { .. } => true,
-            Program::Absent | Program::Clearing { .. } | Program::Halting { .. } => false,
-        }
-    }
-
-    fn wants_heartbeat(&self) -> bool {
-        self.reads_registers()
-    }
-}
-
-/// The sign of life, and its echo.
-#[derive(Default)]
-pub struct Heartbeat {
-    count: i32,
-    next: Option<Timestamp>,
-    echo: i32,
-    echo_changed: Timestamp,
-}
-
-impl Heartbeat {
-    /// When the next is due.
-    pub fn next(&self) -> Option<Timestamp> {
-        self.next
-    }
-}
 
 impl Robot {
     /// Uploads the program, after stopping what runs.

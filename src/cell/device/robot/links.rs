@@ -5,57 +5,13 @@
 use crate::cell::device::dashboard_session::DashboardEvent;
 use crate::cell::device::primary_session::PrimaryEvent;
 use crate::cell::device::robot::Robot;
+use crate::cell::device::robot::parts::Identity;
 use crate::cell::device::robot_types::{Link, ProgramEnd, RobotEvent, RobotState};
 use crate::cell::device::rtde_session::RtdeEvent;
 use crate::motion::kinematics::DhParameters;
 use crate::time::Timestamp;
 use crate::wire::dashboard::{Command, Reply};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
-
-/// Answers to who the controller is.
-#[derive(Default)]
-pub struct Identity {
-    serial: Option<String>,
-    model: Option<String>,
-    version: Option<String>,
-    reported: bool,
-}
-
-/// What an accepted dashboard command has to lead to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ArmGoal {
-    /// Power is on.
-    PoweredOn,
-    /// The brakes are off.
-    Running,
-    /// The safety mode allows motion again.
-    Unlocked,
-}
-
-/// Waiting for the arm to do what the dashboard accepted.
-pub struct ArmWait {
-    /// For people.
-    pub what: &'static str,
-    /// The command that was sent.
-    pub command: Command,
-    /// When it is done.
-    pub goal: ArmGoal,
-    /// The controller has accepted it.
-    pub answered: bool,
-    /// Until when.
-    pub deadline: Timestamp,
-}
-
-impl ArmGoal {
-    /// True if the robot is there.
-    pub fn reached(self, state: &RobotState) -> bool {
-        match self {
-            ArmGoal::PoweredOn => matches!(state.robot_mode, RobotMode::Idle | RobotMode::Running),
-            ArmGoal::Running => state.robot_mode == RobotMode::Running,
-            ArmGoal::Unlocked => state.safety_mode.allows_motion(),
-        }
-    }
-}
 
 impl Robot {
     /// Takes everything the link sessions have to say.

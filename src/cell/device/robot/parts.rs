@@ -1,0 +1,174 @@
+//! What the robot's session is made of: the program's life, the heartbeat, requests to the arm, as plain data.
+//!
+//! Below the files that work with it, so that none of them needs another.
+
+use crate::cell::device::program::Nonce;
+use crate::cell::device::robot_types::{ProgramEnd, RobotState};
+use crate::time::{Duration, Timestamp};
+use crate::wire::dashboard::Command;
+use crate::wire::enumerations::{RobotMode, SafetyMode};
+
+/// Commands that the program could take may be held back (stale state, remote control unknown) this long.
+pub const SEND_WITHIN: Duration = Duration::from_secs(5);
+
+/// Where the program is in its life.
+pub enum Program {
+    /// None of ours runs.
+    Absent,
+    /// Whatever runs is being stopped, then ours is uploaded.
+    Clearing {
+        /// Of ours.
+        nonce: Nonce,
+        /// For the other to stop.
+        deadline: Timestamp,
+    },
+    /// Uploaded, not proved.
+    Starting {
+        /// Looked for.
+        nonce: Nonce,
+        /// For the nonce.
+        deadline: Timestamp,
+        /// The link was read-only; the text goes out again once it is made anew.
+        upload_again: bool,
+        /// That has happened once.
+        retried: bool,
+    },
+    /// Proved by its nonce.
+    Running {
+        /// Its nonce.
+        nonce: Nonce,
+    },
+    /// The stop opcode is out.
+    Stopping {
+        /// Its number.
+        sequence: i32,
+        /// For standstill.
+        deadline: Timestamp,
+    },
+    /// Runs, stands still, takes nothing but its end.
+    Stopped,
+    /// Will end by itself.
+    Ending {
+        /// Why.
+        reason: ProgramEnd,
+        /// Until when.
+        deadline: Timestamp,
+    },
+    /// The dashboard's `stop` is out and the heartbeat is off.
+    Halting {
+        /// Why; `None` if the program was not ours.
+        reason: Option<ProgramEnd>,
+        /// Somebody waits for [`RobotEvent::Stopped`].
+        asked: bool,
+        /// Until when.
+        deadline: Timestamp,
+    },
+}
+
+impl Program {
+    /// When its patience ends.
+    pub fn deadline(&self) -> Option<Timestamp> {
+        match self {
+            Program::Absent | Program::Running { .. } | Program::Stopped => None,
+            Program::Clearing { deadline, .. }
+            | Program::Starting { deadline, .. }
+            | Program::Stopping { deadline, .. }
+            | Program::Ending { deadline, .. }
+            | Program::Halting { deadline, .. } => Some(*deadline),
+        }
+    }
+
+    /// A program of ours may be on the controller and reads its registers in its next frame.
+    pub fn reads_registers(&self) -> bool {
+        match self {
+            Program::Starting { .. }
+            | Program::Running { .. }
+            | Program::Stopping { .. }
+            | Program::Stopped
+            | Program::Ending { .. } => true,
+            Program::Absent | Program::Clearing { .. } | Program::Halting { .. } => false,
+        }
+    }
+
+    pub fn wants_heartbeat(&self) -> bool {
+        self.reads_registers()
+    }
+}
+
+/// The sign of life, and its echo.
+#[derive(Default)]
+pub struct Heartbeat {
+    pub count: i32,
+    pub next: Option<Timestamp>,
+    pub echo: i32,
+    pub echo_changed: Timestamp,
+}
+
+impl Heartbeat {
+    /// When the next is due.
+    pub fn next(&self) -> Option<Timestamp> {
+        self.next
+    }
+}
+
+/// Answers to who the controller is.
+#[derive(Default)]
+pub struct Identity {
+    pub serial: Option<String>,
+    pub model: Option<String>,
+    pub version: Option<String>,
+    pub reported: bool,
+}
+
+/// What an accepted dashboard command has to lead to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ArmGoal {
+    /// Power is on.
+    PoweredOn,
+    /// The brakes are off.
+    Running,
+    /// The safety mode allows motion again.
+    Unlocked,
+}
+
+/// Waiting for the arm to do what the dashboard accepted.
+pub struct ArmWait {
+    /// For people.
+    pub what: &'static str,
+    /// The command that was sent.
+    pub command: Command,
+    /// When it is done.
+    pub goal: ArmGoal,
+    /// The controller has accepted it.
+    pub answered: bool,
+    /// Until when.
+    pub deadline: Timestamp,
+}
+
+impl ArmGoal {
+    /// True if the robot is there.
+    pub fn reached(self, state: &RobotState) -> bool {
+        match self {
+            ArmGoal::PoweredOn => matches!(state.robot_mode, RobotMode::Idle | RobotMode::Running),
+            ArmGoal::Running => state.robot_mode == RobotMode::Running,
+            ArmGoal::Unlocked => state.safety_mode.allows_motion(),
+        }
+    }
+}
+
+/// Payload and TCP as the running program was told.
+#[derive(Default)]
+pub struct Setup {
+    pub payload: Option<(f64, [f64; 3])>,
+    pub tcp: Option<[f64; 6]>,
+    /// Set while a path waits for the controller to show them.
+    pub deadline: Option<Timestamp>,
+}
+
+/// What was reported last, so that changes are.
+#[derive(Default)]
+pub struct Reported {
+    pub mode: Option<RobotMode>,
+    pub safety: Option<SafetyMode>,
+    pub paused: bool,
+}

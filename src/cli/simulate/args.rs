@@ -1,0 +1,55 @@
+//! Arguments of `celld simulate`, and the trace that they may want.
+
+use crate::pair::Pair;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// `celld simulate`
+#[derive(Args, Clone, Debug)]
+#[command(after_help = HELP)]
+pub struct SimulateArgs {
+    /// Seed of the cell's truth, of every delay and of the jobs
+    #[arg(long, default_value_t = 0)]
+    pub(super) seed: u64,
+    /// Jobs of two to four moves
+    #[arg(long, default_value_t = 3)]
+    pub(super) jobs: usize,
+    /// A fault file, as for `celld sim`; or `sweep`: every fault in every phase of a pick-n-place; or
+    /// `random`: one to three faults in every job, each job of the next seed
+    #[arg(long, value_name = "FILE|sweep|random")]
+    pub(super) faults: Option<PathBuf>,
+    /// Of the sweep: only cases whose number, name or phase contains this; of random faults: only these, by
+    /// number
+    #[arg(long, value_name = "TEXT")]
+    pub(super) only: Option<String>,
+    /// Of the sweep: write the page of reactions to this file
+    #[arg(long, value_name = "FILE")]
+    pub(super) write: Option<PathBuf>,
+    /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise
+    #[arg(long, value_enum, default_value_t = EyeArg::Corners)]
+    pub(super) eye: EyeArg,
+    /// Write what happened, line by line, to this file; the same seed writes the same bytes
+    #[arg(long, value_name = "FILE")]
+    pub(super) trace: Option<PathBuf>,
+}
+
+const HELP: &str = "\
+The machine that drives a real robot, the simulated cell, a network and a disk run on one thread without socket, file or
+clock: the same seed gives the same trace, byte for byte. After every 2 ms of simulated time the rules that hold at all times
+are checked against the simulated truth.";
+
+/// How the cell sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum EyeArg {
+    /// Rendered pictures with the real detector.
+    Pictures,
+    /// Marker corners with the detector's noise.
+    Corners,
+}
+
+/// Writes the trace where it is wanted.
+pub(super) fn keep_trace(args: &SimulateArgs, pair: &Pair) -> Result<(), String> {
+    let Some(path) = &args.trace else { return Ok(()) };
+    std::fs::write(path, pair.trace.lines().join("\n") + "\n")
+        .map_err(|error| format!("{}: {error}", path.display()))
+}
