@@ -73,8 +73,8 @@ const fn row(number: u8, name: &'static str, cause: Cause, seconds: f64, phases:
     Row { number, name, cause, seconds, phases, ends_work: false }
 }
 
-/// The table.
-pub const ROWS: &[Row] = &[
+/// The table; rows are known by their address.
+pub static ROWS: &[Row] = &[
     row(
         1,
         "RTDE connection reset",
