@@ -25,8 +25,8 @@ const LASTS_AT_MOST_S: f64 = 40.0;
 /// The job has ended, or waits for a person, within this time after the last fault, s.
 const END_WITHIN_S: f64 = 240.0;
 
-/// A cell that is disarmed for so long waits for a person, s.
-const DISARMED_S: f64 = 10.0;
+/// A cell that is disarmed or paused for so long waits for a person, s.
+const WAITS_S: f64 = 10.0;
 
 /// A fault that comes.
 #[derive(Clone, Copy, Debug)]
@@ -88,11 +88,11 @@ pub fn storm(stage: &Stage, seed: u64, strikes: &[Strike], keep: bool) -> Result
         pair.run_until(left.max(0.0), |_| false);
         bring_about(&mut pair, &strike.row);
     }
-    let mut disarmed_at = None;
+    let mut waits_since = None;
     let over = pair.run_until(END_WITHIN_S, |pair| {
-        let armed = pair.status().is_some_and(|status| status.armed);
-        disarmed_at = if armed { None } else { disarmed_at.or(Some(pair.seconds())) };
-        settled(pair, 0) || disarmed_at.is_some_and(|at| pair.seconds() > at + DISARMED_S)
+        let goes_on = pair.status().is_some_and(|status| status.armed && !status.paused);
+        waits_since = if goes_on { None } else { waits_since.or(Some(pair.seconds())) };
+        settled(pair, 0) || waits_since.is_some_and(|at| pair.seconds() > at + WAITS_S)
     });
     aftermath.code = pair.reports().first().map(|report| report.code);
     if !over {

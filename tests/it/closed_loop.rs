@@ -10,6 +10,7 @@ use celld::pair::storm::{storm, strikes};
 use celld::pair::sweep::{case, cases, judge};
 use celld::pair::work::job;
 use celld::pair::{Choice, Pair};
+use celld::sim::faults::read::read_posted;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 
 #[test]
@@ -69,6 +70,38 @@ fn no_rule_is_broken_and_no_job_lost_under_random_faults() {
         })
         .collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// A program that is paused cannot be stopped by its registers, and not by a dashboard that does not answer:
+/// whoever presses play later finds that it does not move on. Found by random faults.
+#[test]
+fn a_paused_program_does_not_move_on_after_a_stop() {
+    const DASHBOARD: &str = r#"{"do": "net.timeout", "args": {"link": "dashboard", "seconds": 20}}"#;
+    const RTDE: &str = r#"{"do": "net.reset_peer", "args": {"link": "rtde"}}"#;
+    // Play comes before the stop is given up, or after the link to the registers was lost as well.
+    for (seconds, faults) in [(2.5, [DASHBOARD].as_slice()), (12.0, &[DASHBOARD, RTDE])] {
+        let stage = stage(7, Eye::Corners).unwrap();
+        let mut pair = Pair::new(stage.clone(), Choice::of(7)).unwrap();
+        assert!(bring_up(&mut pair));
+        pair.order(Order::Arm);
+        pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), 7, 0));
+        let approaches = |pair: &Pair| pair.status().is_some_and(|now| now.text().starts_with("approaching"));
+        assert!(pair.run_until(60.0, approaches));
+        pair.run_until(0.3, |_| false);
+        let pause = format!(r#"{{"do": "ur.pause", "args": {{"seconds": {seconds}}}}}"#);
+        for text in [pause.as_str()].iter().chain(faults) {
+            for planned in read_posted(text).unwrap() {
+                pair.fault(planned).unwrap();
+            }
+        }
+        pair.run_until(1.0, |_| false);
+        let stood = pair.simulator().core().robot.controller().core.mover.q();
+        pair.order(Order::Abort);
+        pair.run_until(25.0, |_| false);
+        let stands = pair.simulator().core().robot.controller().core.mover.q();
+        assert_eq!(pair.breaches(), [], "{faults:?}");
+        assert!(stood.max_difference(&stands) < 1e-3, "{faults:?}");
+    }
 }
 
 /// What the fast eye shows is what the detector would have found: within half a millimetre and half a degree.

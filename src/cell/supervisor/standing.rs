@@ -4,6 +4,7 @@
 //! who reads "stopped" reaches into the cell, and one who releases holds the object: neither may happen while
 //! the arm still brakes. Where it is not known to stand within [`STANDS_WITHIN`], the answer says that.
 
+use crate::cell::device::robot_types::RobotState;
 use crate::cell::orders::Reply;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, Outside};
@@ -42,7 +43,7 @@ impl Supervisor {
                     ),
                 }),
                 Then::Say => {
-                    let reply = stopped(stands, fresh.is_some());
+                    let reply = stopped(stands, fresh);
                     out.push(Action::Reply { number: waits.number, reply });
                 }
             }
@@ -62,15 +63,18 @@ impl Supervisor {
     }
 }
 
-/// The answer to an abort.
-fn stopped(stands: bool, robot_answers: bool) -> Reply {
-    match (stands, robot_answers) {
-        (true, _) => Reply::accept("stopped and disarmed"),
-        (false, true) => Reply::refuse(
-            "disarmed, but the arm has not come to rest: keep away from it, use the emergency stop",
-        ),
-        (false, false) => Reply::refuse(
-            "disarmed; the robot does not answer, so the arm is not known to stand: use the emergency stop",
-        ),
-    }
+/// The answer to an abort; `robot` is its state, if that is fresh.
+fn stopped(stands: bool, robot: Option<&RobotState>) -> Reply {
+    let but = match robot {
+        _ if stands => return Reply::accept("stopped and disarmed"),
+        Some(robot) if robot.stands_still() => {
+            "disarmed, and the arm stands, but its program could not be ended: nobody may press play at the pendant \
+             before it is stopped there"
+        }
+        Some(_) => "disarmed, but the arm has not come to rest: keep away from it, use the emergency stop",
+        None => {
+            "disarmed; the robot does not answer, so the arm is not known to stand: use the emergency stop"
+        }
+    };
+    Reply::refuse(but)
 }

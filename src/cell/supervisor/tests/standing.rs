@@ -42,6 +42,14 @@ fn an_abort_that_stops_nothing_is_refused() {
 }
 
 #[test]
+fn an_arm_that_stands_with_a_program_that_cannot_be_ended_is_not_called_stopped() {
+    let mut bench = working();
+    bench.feed(order(Order::Abort));
+    let reply = answer(&bench.ticks(280)).expect("an answer");
+    assert!(!reply.accepted && reply.message.contains("the arm stands, but its program"), "{reply:?}");
+}
+
+#[test]
 fn a_release_in_motion_stops_the_arm_first() {
     let mut bench = working();
     moving_arm(&mut bench);
