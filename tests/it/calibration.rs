@@ -455,7 +455,8 @@ fn cell_with_a_camera_that_stands_is_calibrated_by_the_board_that_the_hand_carri
     assert_eq!(celld(&again, folder.path()).status.code(), Some(0));
     let before = written(folder.path(), "hand_eye.yaml");
     let yaml = std::fs::read_to_string(&cell).expect("text");
-    std::fs::write(&cell, replace_once(&yaml, "first_id: 100", "first_id: 200")).expect("written");
+    std::fs::write(&cell, replace_once(&yaml, "first_id: 100}}\n\n", "first_id: 200}}\n\n"))
+        .expect("written");
     let refused = celld(&again, folder.path());
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused.stderr));
     assert!(text(&refused.stderr).contains("show the board on the hand"), "{}", text(&refused.stderr));
