@@ -68,6 +68,10 @@ impl Supervisor {
         if self.mode.armed() {
             return Some(Reply::accept("armed already"));
         }
+        if !self.until_it_stands.is_empty() {
+            let why = "not armed: a stop is under way, and the arm is not known to stand yet; try again";
+            return Some(Reply::refuse(why));
+        }
         if !self.mode.arm() {
             return Some(match &self.mode {
                 Mode::Locked(reason) => Reply::refuse(format!(
@@ -78,7 +82,6 @@ impl Supervisor {
                 }
             });
         }
-        self.give_up_releases(out);
         // Whoever arms has looked at the table; what stood on it may be gone, and only a look can tell.
         self.foreign_height = 0.0;
         self.drift_told = false;
@@ -200,9 +203,7 @@ impl Supervisor {
         if self.moving() {
             let reason = Code::Released.because("the operator releases the vacuum", "");
             self.stop_all(now, JobEnd::Interrupted, reason, out);
-        } else if self.stands
-            && outside.robot.is_none_or(|robot| !outside.robot_fresh || robot.stands_still())
-        {
+        } else if self.arm_stands(outside) || (self.stands && !outside.robot_fresh) {
             return self.release(number, channels, out);
         }
         self.answer_when_it_stands(now, number, Then::Release(channels));

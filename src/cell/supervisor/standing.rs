@@ -10,6 +10,7 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, Outside};
 use crate::cell::supervisor::phase::{Then, UntilItStands};
 use crate::time::{Duration, Timestamp};
+use crate::wire::enumerations::RuntimeState;
 
 /// Longer than a stop by opcode and one by dashboard after it.
 const STANDS_WITHIN: Duration = Duration::from_millis(5500);
@@ -23,7 +24,7 @@ impl Supervisor {
     /// Carries out and answers what waited, as soon as the arm stands or is not known to in time.
     pub(crate) fn watch_standing(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
         let fresh = outside.robot.filter(|_| outside.robot_fresh);
-        let stands = self.stands && fresh.is_some_and(|robot| robot.stands_still());
+        let stands = self.arm_stands(outside);
         for waits in std::mem::take(&mut self.until_it_stands) {
             let late = now.since(waits.since) >= STANDS_WITHIN;
             if !stands && !late {
@@ -39,7 +40,8 @@ impl Supervisor {
                 Then::Release(_) => out.push(Action::Reply {
                     number: waits.number,
                     reply: Reply::refuse(
-                        "not released: the arm has not come to rest; stop it, then try again",
+                        "not released: the arm has not come to rest, or its program could not be ended: stop it at \
+                         the pendant, then try again",
                     ),
                 }),
                 Then::Say => {
@@ -50,16 +52,30 @@ impl Supervisor {
         }
     }
 
-    /// The cell is armed: a release that still waits would come in the middle of a motion.
-    pub(crate) fn give_up_releases(&mut self, out: &mut Vec<Action>) {
-        let (releases, others) = std::mem::take(&mut self.until_it_stands)
-            .into_iter()
-            .partition(|waits| matches!(waits.then, Then::Release(_)));
-        self.until_it_stands = others;
-        out.extend(Vec::into_iter(releases).map(|waits: UntilItStands| Action::Reply {
-            number: waits.number,
-            reply: Reply::refuse("not released: the cell was armed meanwhile"),
-        }));
+    /// The arm has come to rest, and nothing that celld has ordered moves it on: a stop has been confirmed, or no
+    /// program is there any more.
+    pub(crate) fn arm_stands(&self, outside: &Outside) -> bool {
+        let fresh = outside.robot.filter(|_| outside.robot_fresh);
+        fresh.is_some_and(|robot| {
+            robot.stands_still() && (self.stands || robot.runtime_state == RuntimeState::Stopped)
+        })
+    }
+
+    /// The daemon ends: who still waits for an answer gets what is known.
+    pub(crate) fn answer_at_the_end(&mut self, outside: &Outside, out: &mut Vec<Action>) {
+        let stands = self.arm_stands(outside);
+        let fresh = outside.robot.filter(|_| outside.robot_fresh);
+        for waits in std::mem::take(&mut self.until_it_stands) {
+            let reply = match waits.then {
+                Then::Say => stopped(stands, fresh),
+                Then::Release(_) => Reply::refuse("not released: celld ends"),
+            };
+            out.push(Action::Reply { number: waits.number, reply });
+        }
+        if let Some(number) = self.release_order.take() {
+            let reply = Reply::refuse("celld ends before the gripper has confirmed the release: look at it");
+            out.push(Action::Reply { number, reply });
+        }
     }
 }
 

@@ -68,6 +68,7 @@ impl Supervisor {
         if stands && written && !self.ended {
             let end = fault.clone().map_or(Ok(()), Err);
             self.ended = true;
+            self.answer_at_the_end(outside, out);
             out.push(Action::End(end));
         }
     }

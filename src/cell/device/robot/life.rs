@@ -266,6 +266,8 @@ impl Robot {
         if self.left_behind.is_some_and(|nonce| nonce.number() == state.nonce) {
             self.left_behind = None;
             self.stream.start(state.accepted);
+            // The number after the accepted one may be in the registers already, for a move.
+            self.stream.skip_sequence();
             self.write_at_once(Opcode::Stop);
         }
     }

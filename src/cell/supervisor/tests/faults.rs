@@ -26,6 +26,7 @@ fn after_a_stop_and_arming_a_new_program_is_started_and_the_next_job_runs() {
     let mut bench = working();
     let stopped = bench.feed(order(Order::Abort));
     assert_eq!(ended(&stopped), Some((JobEnd::Interrupted, "aborted".into())));
+    bench.feed(Input::Robot(RobotEvent::Stopped));
     // The register keeps the old program's number; the controller says that it ended.
     let reason = ProgramEnd::StoppedByUs;
     bench.feed(Input::Robot(RobotEvent::ProgramEnded { reason }));

@@ -65,6 +65,7 @@ fn what_only_its_colour_tells_of_may_be_of_any_height_so_nothing_moves_over_it()
     assert!(!bench.cell.status().armed, "a person has to look");
     bench.foreign = report(Vec::new(), 0.99);
     bench.feed(order(Order::Abort));
+    bench.feed(Input::Robot(RobotEvent::Stopped));
     assert!(goes(&mut bench).is_ok(), "taken away and armed");
 }
 
@@ -195,6 +196,7 @@ fn nothing_moves_below_what_is_taller_than_the_way_until_a_person_has_taken_it_a
         // Taken away and armed: the cell looks again and goes on.
         bench.foreign = report(Vec::new(), 0.99);
         bench.feed(order(Order::Abort));
+        bench.feed(Input::Robot(RobotEvent::Stopped));
         assert!(goes(&mut bench).is_ok(), "{rule:?}");
     }
 }

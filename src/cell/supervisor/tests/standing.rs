@@ -88,17 +88,27 @@ fn what_hangs_on_a_silent_robot_can_be_taken() {
 }
 
 #[test]
-fn arming_ends_a_release_that_waits() {
+fn nobody_arms_while_a_stop_is_under_way() {
     let mut bench = working();
     moving_arm(&mut bench);
     bench.feed(order(Order::Release(Channels::Both)));
-    let armed = bench.feed(order(Order::Arm));
-    let reply = answer(&armed).expect("an answer");
-    assert!(!reply.accepted && reply.message.contains("armed meanwhile"), "{reply:?}");
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert!(!reply.accepted && reply.message.contains("a stop is under way"), "{reply:?}");
     bench.robot.qd = [0.0; 6];
-    let mut all = bench.feed(Input::Robot(RobotEvent::Stopped));
-    all.extend(bench.ticks(300));
-    assert!(!vents(&all), "{all:?}");
+    assert!(vents(&bench.feed(Input::Robot(RobotEvent::Stopped))));
+    assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
+}
+
+#[test]
+fn who_waits_for_standstill_is_answered_when_celld_ends() {
+    let mut bench = working();
+    moving_arm(&mut bench);
+    bench.feed(order(Order::Abort));
+    let mut all = bench.feed(Input::Shutdown);
+    all.extend(bench.ticks(200));
+    assert!(all.iter().any(|action| matches!(action, Action::End(_))), "{all:?}");
+    let reply = answer(&all).expect("an answer");
+    assert!(!reply.accepted && reply.message.contains("not come to rest"), "{reply:?}");
 }
 
 #[test]
