@@ -1,10 +1,10 @@
 //! The tokio shell: it moves bytes, keeps time, runs the slow work on threads, and decides nothing.
 //!
-//! `shell`: the loop between machine and world; `heard`: what it receives. `sockets`: TCP to the controller and Modbus to the gripper.
-//! `workers`: perception and planning on threads of their own; `cameras`: the camera that the configuration
-//! names. `store`: the state folder on threads of its own; `keeper`: what is kept there. `setup`:
-//! configuration and calibration into the parameters of machine and perception. Nothing here knows whether it
-//! talks to a robot or to the simulator.
+//! `shell`: the loop between machine and world; `heard`: what it receives. `sockets`: TCP to the controller
+//! and Modbus to the gripper. `workers`: perception and planning on threads of their own; `cameras`: the
+//! camera that the configuration names. `store`: the state folder on threads of its own; `keeper`: what is
+//! kept there. `setup`: configuration and calibration into the parameters of machine and perception. Nothing
+//! here knows whether it talks to a robot or to the simulator.
 
 pub mod cameras;
 pub mod heard;

@@ -106,8 +106,8 @@ impl Eyes {
         self.task = Some(Task { number, left: frames, table_from_camera, views: Vec::new(), window });
     }
 
-    /// From now on corners are swayed so that the other pose that a flat marker could have fits them better: the
-    /// one tilted to the other side of the line of sight. Pictures have no such switch.
+    /// From now on corners are swayed so that the other pose that a flat marker could have fits them better:
+    /// the one tilted to the other side of the line of sight. Pictures have no such switch.
     pub fn flip(&mut self, flipped: bool) {
         self.flipped = flipped;
     }
@@ -290,11 +290,12 @@ fn corners_px(
     Some(corners)
 }
 
-/// How far corners are from those of the true pose towards those of the other, when the other shall fit better.
+/// How far corners are from those of the true pose towards those of the other, when the other shall fit
+/// better.
 const SWAYED: f64 = 0.55;
 
-/// Turns a plane about a point of it to the other side of the line of sight: the second pose with which a flat
-/// marker gives nearly the same corners.
+/// Turns a plane about a point of it to the other side of the line of sight: the second pose with which a
+/// flat marker gives nearly the same corners.
 fn other_tilt(camera_from_plane: &Isometry3<f64>, centre: Point3<f64>) -> Isometry3<f64> {
     let centre = camera_from_plane * centre;
     let normal = camera_from_plane.rotation * Vector3::z();

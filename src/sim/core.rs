@@ -1,8 +1,8 @@
 //! Controller, world and faults of the simulated cell, in step: what all sessions act on.
 //!
-//! In: [`Core::advance`] for 2 ms of simulated time. Out: the three parts, each behind its own lock, so that a
-//! client's request waits for no more than it concerns. Nothing here opens a socket or starts a thread: time
-//! is the number of calls.
+//! In: [`Core::advance`] for 2 ms of simulated time. Out: the three parts, each behind its own lock, so that
+//! a client's request waits for no more than it concerns. Nothing here opens a socket or starts a thread:
+//! time is the number of calls.
 
 use crate::sim::controller::Controller;
 use crate::sim::faults::desk::FaultDesk;

@@ -1,10 +1,10 @@
 //! The thread that keeps the simulated cell's time: pace, priority, and whom time waits for.
 //!
 //! In: the [`Core`], a time factor, a stop signal. Out: one [`Core::advance`] per frame, and [`Progress`]. A
-//! frame is 2 ms of simulated time and is due every 2 ms / factor of wall time. Frames that come late push the
-//! later ones back instead of being made up for in a burst: clients would see time jump. With a factor above 1
-//! the clients' processes may be the slow ones; then simulated time is held, within bounds, while a client
-//! that writes regularly is late or one that reads is behind.
+//! frame is 2 ms of simulated time and is due every 2 ms / factor of wall time. Frames that come late push
+//! the later ones back instead of being made up for in a burst: clients would see time jump. With a factor
+//! above 1 the clients' processes may be the slow ones; then simulated time is held, within bounds, while a
+//! client that writes regularly is late or one that reads is behind.
 
 use crate::io::clock::Pace;
 use crate::io::priority;

@@ -1,4 +1,5 @@
-//! The gripper's Modbus TCP server without its sockets: the registers of a vacuum gripper behind its compute box.
+//! The gripper's Modbus TCP server without its sockets: the registers of a vacuum gripper behind its compute
+//! box.
 //!
 //! In: requests of unit 65: read holding registers (0x03), write one (0x06) or several (0x10), from several
 //! masters. Out: register values, or the exceptions the protocol has for what the device does not offer.

@@ -1,9 +1,9 @@
 //! Pictures in memory: colour for people and recordings, grey for the detector, PNG and JPEG bytes in and
 //! out.
 //!
-//! In: rows of pixels, or the bytes of an image file. Out: [`Image`], [`GrayImage`], PNG bytes; depth pictures
-//! are in `depth`. Pure: bytes come as arguments, no file is touched. This is the only part of `vision` that the
-//! simulator uses, so it also holds the marker family's patterns (`tag36h11`).
+//! In: rows of pixels, or the bytes of an image file. Out: [`Image`], [`GrayImage`], PNG bytes; depth
+//! pictures are in `depth`. Pure: bytes come as arguments, no file is touched. This is the only part of
+//! `vision` that the simulator uses, so it also holds the marker family's patterns (`tag36h11`).
 
 pub mod depth;
 pub mod quality;

@@ -4,8 +4,8 @@
 //! and what it asks for. `mode`: whether and how the cell may move. `ledger`: records on their way to the
 //! disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve, pick,
 //! verify, place, look again; `bring_up`, `look`, `judge`, `work`, `visits`, `operator`, `standing` and
-//! `trouble` hold its parts. No clock, no socket: time and the devices' last word come in with every call, so that every stop,
-//! fault and late answer can be played through in a test.
+//! `trouble` hold its parts. No clock, no socket: time and the devices' last word come in with every call, so
+//! that every stop, fault and late answer can be played through in a test.
 
 mod bring_up;
 pub mod cell;

@@ -1,8 +1,9 @@
 //! Orders that wait for the arm to stand: an abort is answered then, a release goes out then.
 //!
-//! In: the orders, the robot's state after a stop. Out: answers that say what is so, and the release. A person
-//! who reads "stopped" reaches into the cell, and one who releases holds the object: neither may happen while
-//! the arm still brakes. Where it is not known to stand within [`STANDS_WITHIN`], the answer says that.
+//! In: the orders, the robot's state after a stop. Out: answers that say what is so, and the release. A
+//! person who reads "stopped" reaches into the cell, and one who releases holds the object: neither may
+//! happen while the arm still brakes. Where it is not known to stand within [`STANDS_WITHIN`], the answer
+//! says that.
 
 use crate::cell::device::robot_types::RobotState;
 use crate::cell::orders::Reply;
@@ -32,8 +33,8 @@ impl Supervisor {
                 continue;
             }
             match waits.then {
-                // Of a robot that is silent nothing is known, and its program has been without a heartbeat for
-                // long enough to have stopped: a person must be able to take the object.
+                // Of a robot that is silent nothing is known, and its program has been without a heartbeat
+                // for long enough to have stopped: a person must be able to take the object.
                 Then::Release(channels) if stands || fresh.is_none() => {
                     self.release(waits.number, channels, out);
                 }
@@ -52,8 +53,8 @@ impl Supervisor {
         }
     }
 
-    /// The arm has come to rest, and nothing that celld has ordered moves it on: a stop has been confirmed, or no
-    /// program is there any more.
+    /// The arm has come to rest, and nothing that celld has ordered moves it on: a stop has been confirmed,
+    /// or no program is there any more.
     pub(crate) fn arm_stands(&self, outside: &Outside) -> bool {
         let fresh = outside.robot.filter(|_| outside.robot_fresh);
         fresh.is_some_and(|robot| {

@@ -1,7 +1,7 @@
 //! Names of job files: which are taken, what they become, and the ids made of them.
 //!
-//! In: a name as somebody wrote it. Out: whether it may stand as it is, one that may, and the id of a job that
-//! states none.
+//! In: a name as somebody wrote it. Out: whether it may stand as it is, one that may, and the id of a job
+//! that states none.
 
 use crate::jobs::utc;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! What kind of controller is simulated: arm, calibration, software, installation.
 //!
-//! In: an arm model and a seed. Out: [`ControllerConfig`], whose calibrated kinematics differ from the nominal
-//! ones as those of real arms do. Pure.
+//! In: an arm model and a seed. Out: [`ControllerConfig`], whose calibrated kinematics differ from the
+//! nominal ones as those of real arms do. Pure.
 
 use crate::motion::kinematics::{ARM_MODELS, ArmModel, DhParameters};
 use crate::units::Joints;

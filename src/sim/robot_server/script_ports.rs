@@ -1,8 +1,8 @@
 //! Connections to the primary, secondary and real-time interface: programs in, state and messages out.
 //!
-//! In: a client's bytes. Out: uploads to the controller. Without remote control, and on a connection made before the
-//! last switch to it, uploads are refused with error C210, as the read-only connections of the controller do.
-//! The read-only ports send the same and throw away what they are sent.
+//! In: a client's bytes. Out: uploads to the controller. Without remote control, and on a connection made
+//! before the last switch to it, uploads are refused with error C210, as the read-only connections of the
+//! controller do. The read-only ports send the same and throw away what they are sent.
 
 use crate::sim::controller::registers::ClientId;
 use crate::sim::controller::{builtins, robot_state};

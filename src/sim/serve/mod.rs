@@ -2,8 +2,8 @@
 //!
 //! In: ports to listen on, the [`Core`] that something else advances. Out: the addresses, and tasks that run
 //! until the shutdown signal. Each connection has a task that reads and one that writes: a client that does
-//! not read can still send. All of them pass through their server's link ([`stream`]), where faults act; while
-//! a server is down nobody listens.
+//! not read can still send. All of them pass through their server's link ([`stream`]), where faults act;
+//! while a server is down nobody listens.
 
 pub mod stream;
 
@@ -30,8 +30,8 @@ const MAX_CONNECTIONS: usize = 32;
 /// Bytes read at once.
 const READ: usize = 64 * 1024;
 
-/// Longest that the last answers on a connection may take, wall time: a client that has said goodbye may never
-/// read them.
+/// Longest that the last answers on a connection may take, wall time: a client that has said goodbye may
+/// never read them.
 const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// Why the servers cannot start.

@@ -257,8 +257,8 @@ impl Robot {
         }
     }
 
-    /// A program that was given up may still be on the controller, paused: it finds a stop in its registers if
-    /// somebody presses play. One that plays without heartbeats ends by its own watchdog.
+    /// A program that was given up may still be on the controller, paused: it finds a stop in its registers
+    /// if somebody presses play. One that plays without heartbeats ends by its own watchdog.
     fn follow_left_behind(&mut self, state: &RobotState) {
         if state.runtime_state == RuntimeState::Stopped {
             self.left_behind = None;

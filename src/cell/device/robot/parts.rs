@@ -1,4 +1,5 @@
-//! What the robot's session is made of: the program's life, the heartbeat, requests to the arm, as plain data.
+//! What the robot's session is made of: the program's life, the heartbeat, requests to the arm, as plain
+//! data.
 //!
 //! Below the files that work with it, so that none of them needs another.
 
