@@ -24,6 +24,9 @@ pub enum Mood {
     Silent,
 }
 
+/// Frame in which a swallowed commit is due.
+const NEVER: u64 = u64::MAX / 2;
+
 /// The disk. See the module.
 pub struct Disk {
     rng: ChaCha8Rng,
@@ -45,7 +48,7 @@ impl Disk {
         let frames = match self.mood {
             Mood::Fine | Mood::Full | Mood::Broken => self.rng.random_range(1..=10),
             Mood::Slow(seconds) => (seconds * 500.0) as u64,
-            Mood::Silent => u64::MAX / 2,
+            Mood::Silent => NEVER,
         };
         let after = self.under_way.back().map_or(0, |(due, ..)| *due);
         self.under_way.push_back(((frame + frames).max(after), number, record));
@@ -70,6 +73,11 @@ impl Disk {
         let survivors = self.rng.random_range(0..=self.under_way.len());
         let survivors = if self.mood == Mood::Fine { survivors } else { 0 };
         self.durable.extend(self.under_way.drain(..).take(survivors).map(|(.., record)| record));
+    }
+
+    /// A commit never comes back, or would not if one began.
+    pub fn swallows(&self) -> bool {
+        self.mood == Mood::Silent || self.under_way.back().is_some_and(|(due, ..)| *due >= NEVER)
     }
 
     /// Everything on disk, in order.

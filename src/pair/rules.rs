@@ -152,6 +152,8 @@ pub struct Rules {
     /// A pick-n-place is under way, by the journal.
     picking: bool,
     last_state: u64,
+    /// The RTDE connection is gone since the last state.
+    rtde_gone: bool,
     last_read: u64,
     frame: u64,
     /// Records on their way to the disk, with whether motion waits for them.
@@ -222,8 +224,11 @@ impl Rules {
     /// Something has truly happened, whatever the machine is told of it.
     pub fn arrived(&mut self, event: &Event) {
         match event {
-            Event::Received(Link::Rtde, _) => self.last_state = self.frame,
-            Event::Disconnected(link, _) => self.lost = self.lost.or(Some((self.frame, *link))),
+            Event::Received(Link::Rtde, _) => (self.last_state, self.rtde_gone) = (self.frame, false),
+            Event::Disconnected(link, _) => {
+                self.lost = self.lost.or(Some((self.frame, *link)));
+                self.rtde_gone |= *link == Link::Rtde;
+            }
             Event::Observed(_, Ok(_)) => self.sight = self.frame,
             _ => {}
         }
@@ -360,7 +365,8 @@ impl Rules {
     /// A person has pressed play on a program that no stop could reach, because celld or its link is gone: it
     /// moves until its own watchdog stops it.
     fn played_unreached(&self) -> bool {
-        let unreached = self.frame > self.last_state + STATE_AGE_FRAMES
+        let unreached = self.rtde_gone
+            || self.frame > self.last_state + STATE_AGE_FRAMES
             || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at));
         unreached && self.played_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES)
     }

@@ -268,11 +268,12 @@ fn lose(pair: &mut Pair, loss: Loss) {
 /// The fault is over; a person clears what has to be cleared at the pendant, releases what is held, arms, and
 /// hands in another job. Its code.
 pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
-    let disk = std::mem::replace(&mut pair.disk().mood, Mood::Fine);
+    let swallows = pair.disk().swallows();
+    pair.disk().mood = Mood::Fine;
     pair.eyes().flip(false);
     let clear = Fault::Clear { fault: None };
     let _ = pair.fault_now(FaultOrder { name: "clear", fault: clear, seconds: None });
-    if matches!(disk, Mood::Silent) {
+    if swallows {
         // An entry that it has swallowed still ends celld.
         pair.run_until(DISK_GIVEN_UP_S, |pair| pair.ended().is_some());
     }

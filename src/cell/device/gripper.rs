@@ -61,6 +61,21 @@ impl Channels {
         }
     }
 
+    /// These and the others.
+    fn and(self, other: Channels) -> Channels {
+        if self == other { self } else { Channels::Both }
+    }
+
+    /// What is left of these without the others.
+    fn without(self, other: Channels) -> Option<Channels> {
+        match (self, other) {
+            (Channels::Both, Channels::A) => Some(Channels::B),
+            (Channels::Both, Channels::B) => Some(Channels::A),
+            (Channels::A, Channels::B) | (Channels::B, Channels::A) => Some(self),
+            (_, Channels::Both) | (Channels::A, Channels::A) | (Channels::B, Channels::B) => None,
+        }
+    }
+
     fn first_register(self) -> u16 {
         match self {
             Channels::A | Channels::Both => CONTROL,
@@ -233,6 +248,8 @@ enum Hold {
     Releasing {
         channels: Channels,
         deadline: Timestamp,
+        /// What the other channel goes on to hold.
+        still: Option<Channels>,
     },
 }
 
@@ -303,7 +320,15 @@ impl Gripper {
             }
             GripperCommand::Release { channels } => {
                 let deadline = now + self.parameters.release_within;
-                self.hold = Hold::Releasing { channels, deadline };
+                let (channels, still) = match self.hold {
+                    Hold::Holding { channels: held, .. } => (channels, held.without(channels)),
+                    // Two releases in haste: neither takes the place of the other.
+                    Hold::Releasing { channels: earlier, still, .. } => {
+                        (channels.and(earlier), still.and_then(|held| held.without(channels)))
+                    }
+                    Hold::Empty | Hold::Gripping { .. } | Hold::Failed => (channels, None),
+                };
+                self.hold = Hold::Releasing { channels, deadline, still };
                 // A grip that has not gone out yet must not follow the release.
                 self.waiting.clear();
                 self.again = None;
@@ -391,7 +416,7 @@ impl Gripper {
                 self.forget_writes();
                 self.outbox.report(GripperEvent::GripFailed { vacuum: channels.lowest(vacuum) });
             }
-            Hold::Releasing { channels, deadline } if now >= deadline => {
+            Hold::Releasing { channels, deadline, .. } if now >= deadline => {
                 self.hold = Hold::Failed;
                 self.forget_writes();
                 self.outbox.report(GripperEvent::ReleaseFailed { vacuum: channels.highest(vacuum) });
@@ -507,10 +532,13 @@ impl Gripper {
                     self.outbox.report(GripperEvent::VacuumLost { vacuum: lowest });
                 }
             }
-            Hold::Releasing { channels, .. } => {
+            Hold::Releasing { channels, still, .. } => {
                 // Before the command got through a low vacuum proves nothing: the pump may be on.
                 if self.written && channels.highest(vacuum) < RELEASED_BELOW {
-                    self.hold = Hold::Empty;
+                    self.hold = match *still {
+                        Some(channels) => Hold::Holding { channels, low_since: None },
+                        None => Hold::Empty,
+                    };
                     self.outbox.report(GripperEvent::Released);
                 }
             }

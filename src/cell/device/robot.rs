@@ -66,8 +66,8 @@ pub struct Robot {
     dropped: Vec<Command>,
     /// Nonce of the program that was uploaded last.
     uploaded: Option<Nonce>,
-    /// That of a program that was given up before it was seen to end.
-    left_behind: Option<Nonce>,
+    /// That of a program that was given up and has not been seen to end, and whether its stop is written.
+    left_behind: Option<(Nonce, bool)>,
     exception: Option<ProgramEnd>,
     faults: VecDeque<Timestamp>,
     /// Time of the last advance.

@@ -55,8 +55,8 @@ pub struct Supervisor {
     /// Reason for waiting that was said last, so that it is said once.
     pub(crate) waiting_for: Option<Closed>,
     pub(crate) waiting_since: Timestamp,
-    /// The order whose answer is what the gripper says next.
-    pub(crate) release_order: Option<u64>,
+    /// Releases whose answer is what the gripper says next.
+    pub(crate) release_orders: Vec<u64>,
     /// Orders that are answered, or go on, once the arm stands.
     pub(crate) until_it_stands: Vec<UntilItStands>,
     /// The robot has reported standstill since it was last ordered to stop.
@@ -88,7 +88,7 @@ impl Supervisor {
             last_now: Timestamp::ZERO,
             waiting_for: None,
             waiting_since: Timestamp::ZERO,
-            release_order: None,
+            release_orders: Vec::new(),
             until_it_stands: Vec::new(),
             stands: true,
             ended: false,
@@ -171,7 +171,7 @@ impl Supervisor {
             Input::Committed { number, result } => self.on_committed(now, outside, number, result, &mut out),
             Input::StoreLost(fault) => self.on_store_lost(now, fault, &mut out),
             Input::Job(order) => self.on_job(now, *order, &mut out),
-            Input::Round(order) => self.on_round(now, *order),
+            Input::Round(order) => self.on_round(now, *order, &mut out),
             Input::Order { number, order } => return self.on_order(now, outside, number, order),
             Input::Shutdown => self.on_shutdown(now, &mut out),
         }
@@ -179,12 +179,13 @@ impl Supervisor {
         out
     }
 
-    /// An order is answered last, by what has become of it.
+    /// An order is answered last, by what has become of it; one that waits for the arm to stand, then.
     fn on_order(&mut self, now: Timestamp, outside: &Outside, number: u64, order: Order) -> Vec<Action> {
         let mut out = Vec::new();
         let refusal = self.take_order(now, outside, number, &order, &mut out);
         self.pursue(now, outside, &mut out);
-        let reply = refusal.or_else(|| self.answer(&order));
+        let later = self.until_it_stands.iter().any(|waits| waits.number == number);
+        let reply = refusal.or_else(|| self.answer(&order).filter(|_| !later));
         out.extend(reply.map(|reply| Action::Reply { number, reply }));
         out
     }

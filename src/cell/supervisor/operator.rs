@@ -26,7 +26,7 @@ impl Supervisor {
     ) -> Option<Reply> {
         match order {
             Order::Arm => return self.on_arm(out),
-            Order::Disarm => self.on_disarm(now, outside, out),
+            Order::Disarm => self.on_disarm(now, outside, number, out),
             Order::Approve(id) => return self.on_verdict(now, id, true, out),
             Order::Reject(id) => return self.on_verdict(now, id, false, out),
             Order::Cancel(id) => return self.on_cancel(id),
@@ -64,13 +64,23 @@ impl Supervisor {
         })
     }
 
+    /// What a person has ordered for safe access and that is not over yet.
+    pub(crate) fn under_way(&self) -> Option<&'static str> {
+        if !self.until_it_stands.is_empty() {
+            Some("a stop is under way, and the arm is not known to stand yet")
+        } else if !self.release_orders.is_empty() {
+            Some("a release is under way, and the gripper has not confirmed it yet")
+        } else {
+            None
+        }
+    }
+
     fn on_arm(&mut self, out: &mut Vec<Action>) -> Option<Reply> {
         if self.mode.armed() {
             return Some(Reply::accept("armed already"));
         }
-        if !self.until_it_stands.is_empty() {
-            let why = "not armed: a stop is under way, and the arm is not known to stand yet; try again";
-            return Some(Reply::refuse(why));
+        if let Some(why) = self.under_way() {
+            return Some(Reply::refuse(format!("not armed: {why}; try again")));
         }
         if !self.mode.arm() {
             return Some(match &self.mode {
@@ -90,11 +100,17 @@ impl Supervisor {
     }
 
     /// A pick-n-place under way is finished, then nothing moves; whoever disarms may put hands on the table.
-    /// What is held in the middle of a motion does not go on by itself later: it is stopped.
-    fn on_disarm(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    /// What is held in the middle of a motion does not go on by itself later: it is stopped. So is a robot
+    /// that is being started: power, brakes and program would come after the answer.
+    fn on_disarm(&mut self, now: Timestamp, outside: &Outside, number: u64, out: &mut Vec<Action>) {
         if self.moving() && motion_speed(outside) == 0.0 {
             let reason = Code::Aborted.because("the operator disarmed the cell while the arm was held", "");
-            return self.stop_all(now, JobEnd::Interrupted, reason, out);
+            self.stop_all(now, JobEnd::Interrupted, reason, out);
+            return self.answer_when_it_stands(now, number, Then::Say);
+        }
+        if matches!(self.phase, Phase::BringUp(_)) {
+            self.stop_robot(out);
+            self.answer_when_it_stands(now, number, Then::Say);
         }
         self.mode.disarm();
         self.seen = None;
@@ -191,6 +207,8 @@ impl Supervisor {
     }
 
     /// What is let go in motion flies, and a carry must not go on without its object: the arm stands first.
+    /// Whoever orders it has hands at the gripper: an armed cell, which could begin a motion at any time, is
+    /// stopped and disarmed.
     fn on_release_order(
         &mut self,
         now: Timestamp,
@@ -200,7 +218,7 @@ impl Supervisor {
         out: &mut Vec<Action>,
     ) {
         self.seen = None;
-        if self.moving() {
+        if self.moving() || self.mode.armed() {
             let reason = Code::Released.because("the operator releases the vacuum", "");
             self.stop_all(now, JobEnd::Interrupted, reason, out);
         } else if self.arm_stands(outside) || (self.stands && !outside.robot_fresh) {
@@ -211,18 +229,15 @@ impl Supervisor {
 
     /// Switches the vacuum off; the answer is what the gripper says.
     pub(crate) fn release(&mut self, number: u64, channels: Channels, out: &mut Vec<Action>) {
-        if let Some(earlier) = self.release_order.replace(number) {
-            let reply = Reply::accept("another release was ordered meanwhile");
-            out.push(Action::Reply { number: earlier, reply });
-        }
+        self.release_orders.push(number);
         say(out, format!("vacuum off by the operator's order, {}", channels.word()));
         out.push(Action::Gripper(GripperCommand::Release { channels }));
     }
 
-    /// The gripper's word on a release that a person ordered.
+    /// The gripper's word on the releases that a person ordered.
     pub(crate) fn answer_release(&mut self, event: &GripperEvent, out: &mut Vec<Action>) {
         let reply = match event {
-            GripperEvent::Released => Reply::accept("vacuum off"),
+            GripperEvent::Released => Reply::accept("vacuum off; the cell is disarmed"),
             GripperEvent::ReleaseFailed { vacuum } => Reply::refuse(format!(
                 "the vacuum does not go: {:.0} %; see the gripper, what it holds may still hang there",
                 vacuum * 100.0
@@ -230,8 +245,8 @@ impl Supervisor {
             GripperEvent::Refused => Reply::refuse("the gripper takes no order: it does not answer"),
             _ => return,
         };
-        if let Some(number) = self.release_order.take() {
-            out.push(Action::Reply { number, reply });
+        for number in std::mem::take(&mut self.release_orders) {
+            out.push(Action::Reply { number, reply: reply.clone() });
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Orders that wait for the arm to stand: an abort is answered then, a release goes out then.
+//! Orders that wait for the arm to come to rest: an abort is answered then, a release goes out then.
 //!
 //! In: the orders, the robot's state after a stop. Out: answers that say what is so, and the release. A
 //! person who reads "stopped" reaches into the cell, and one who releases holds the object: neither may
@@ -73,7 +73,7 @@ impl Supervisor {
             };
             out.push(Action::Reply { number: waits.number, reply });
         }
-        if let Some(number) = self.release_order.take() {
+        for number in std::mem::take(&mut self.release_orders) {
             let reply = Reply::refuse("celld ends before the gripper has confirmed the release: look at it");
             out.push(Action::Reply { number, reply });
         }

@@ -243,15 +243,20 @@ impl Supervisor {
         }
     }
 
-    /// Stops the arm, keeps the vacuum, ends the job, disarms.
-    pub(crate) fn stop_all(&mut self, now: Timestamp, end: JobEnd, reason: Reason, out: &mut Vec<Action>) {
+    /// Stops the arm and takes back what was wanted of power, brakes and program.
+    pub(crate) fn stop_robot(&mut self, out: &mut Vec<Action>) {
         out.push(Action::Robot(RobotCommand::Stop));
         self.stands = false;
+        // The program ends or stands; its number in the registers proves nothing any more.
+        self.nonce = None;
+    }
+
+    /// Stops the arm, keeps the vacuum, ends the job, disarms.
+    pub(crate) fn stop_all(&mut self, now: Timestamp, end: JobEnd, reason: Reason, out: &mut Vec<Action>) {
+        self.stop_robot(out);
         self.phase = Phase::Ready;
         self.seen = None;
         self.mode.disarm();
-        // The program ends or stands; its number in the registers proves nothing any more.
-        self.nonce = None;
         alarm(out, format!("stopped and disarmed: {}", reason.message));
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
         let remedy = if reason.remedy.is_empty() { AFTER_A_STOP.to_string() } else { reason.remedy.clone() };

@@ -25,10 +25,14 @@ const POSE_WITHIN: Duration = Duration::from_secs(120);
 const PICTURE_WITHIN: Duration = Duration::from_secs(120);
 
 impl Supervisor {
-    pub(crate) fn on_round(&mut self, now: Timestamp, order: RoundOrder) {
+    /// Takes a round up and arms the cell for it, unless what keeps an operator from arming is there.
+    pub(crate) fn on_round(&mut self, now: Timestamp, order: RoundOrder, out: &mut Vec<Action>) {
         self.waiting_since = now;
         self.round = Some(Round { order, at: 0 });
-        self.mode.arm();
+        let why = self.under_way().or_else(|| (!self.mode.arm()).then_some("the cell cannot be armed"));
+        if let Some(why) = why {
+            self.end_round(Err(RoundFault::Robot(why.to_string())), out);
+        }
     }
 
     /// Sends the arm to the next pose; after the last one the round is over.

@@ -298,6 +298,43 @@ fn a_release_overtakes_a_grip_that_did_not_get_through() {
 }
 
 #[test]
+fn two_releases_in_haste_release_both_channels() {
+    let mut rig = Rig::new();
+    rig.vacuum = [600, 600];
+    rig.grip(Channels::Both);
+    rig.run_ms(60);
+    rig.events.clear();
+    rig.writes.clear();
+    rig.release(Channels::A);
+    rig.release(Channels::B);
+    rig.run_ms(30);
+    assert_eq!(rig.writes, [(0, vec![0, 0])]);
+    rig.vacuum = [20, 300];
+    rig.run_ms(30);
+    assert_eq!(rig.events, [], "B is not released yet");
+    rig.vacuum = [20, 20];
+    rig.run_ms(30);
+    assert_eq!(rig.events, [GripperEvent::Released]);
+}
+
+#[test]
+fn what_the_other_channel_holds_is_watched_on() {
+    let mut rig = Rig::new();
+    rig.vacuum = [600, 600];
+    rig.grip(Channels::Both);
+    rig.run_ms(60);
+    rig.events.clear();
+    rig.release(Channels::A);
+    rig.vacuum = [20, 600];
+    rig.run_ms(30);
+    assert_eq!(rig.events, [GripperEvent::Released]);
+    assert!(rig.gripper.holding());
+    rig.vacuum = [20, 100];
+    rig.run_ms(100);
+    assert_eq!(rig.events[1..], [GripperEvent::VacuumLost { vacuum: 0.1 }]);
+}
+
+#[test]
 fn a_low_vacuum_before_the_release_got_through_proves_nothing() {
     let mut rig = Rig::new();
     rig.grip(Channels::A);

@@ -67,8 +67,8 @@ impl Robot {
     /// Stops the arm by the quickest way there is. What was wanted of power and brakes is wanted no more.
     pub(super) fn stop(&mut self, now: Timestamp) {
         self.drop_arm_waits();
-        let state = self.state.as_ref();
-        let runtime = state.map(|state| state.runtime_state);
+        let runtime = self.state.as_ref().map(|state| state.runtime_state);
+        let keeps_still = self.keeps_still();
         match &mut self.program {
             Program::Running { .. } if runtime == Some(RuntimeState::Playing) => {
                 self.stream.clear();
@@ -77,7 +77,8 @@ impl Robot {
                 self.program = Program::Stopping { sequence, deadline: now + STOP_WITHIN };
             }
             Program::Stopping { .. } => {}
-            Program::Stopped => self.report(RobotEvent::Stopped),
+            Program::Stopped if keeps_still => self.report(RobotEvent::Stopped),
+            Program::Stopped => self.halt(now, Some(ProgramEnd::Replaced), true),
             Program::Halting { asked, .. } => *asked = true,
             Program::Absent if runtime == Some(RuntimeState::Stopped) => self.report(RobotEvent::Stopped),
             Program::Absent => self.halt(now, None, true),
@@ -129,7 +130,7 @@ impl Robot {
     /// Our program is over, whatever the reason: nothing streamed to it counts any more.
     fn program_ended(&mut self, reason: ProgramEnd) {
         let over = self.state.as_ref().is_some_and(|state| state.runtime_state == RuntimeState::Stopped);
-        self.left_behind = self.uploaded.filter(|_| !over);
+        self.left_behind = self.uploaded.filter(|_| !over).map(|nonce| (nonce, false));
         self.program = Program::Absent;
         self.stream.clear();
         self.setup = Setup::default();
@@ -139,6 +140,9 @@ impl Robot {
 
     /// RTDE is gone: nothing can be known or said any more, except `stop` on the dashboard.
     pub(super) fn program_lost_rtde(&mut self, now: Timestamp) {
+        if let Some((_, told)) = &mut self.left_behind {
+            *told = false;
+        }
         match &self.program {
             Program::Absent | Program::Halting { .. } => {}
             Program::Clearing { .. }
@@ -241,6 +245,12 @@ impl Robot {
             Program::Stopped => {
                 if over {
                     self.program_ended(ProgramEnd::StoppedByUs);
+                } else if !self.is_uploaded(&state) {
+                    self.program_ended(ProgramEnd::Replaced);
+                } else if !self.keeps_still() {
+                    let status = state.program_status;
+                    let reason = ProgramEnd::Overdue(format!("its status is {status:?} after its stop"));
+                    self.halt(now, Some(reason), false);
                 }
             }
             Program::Ending { reason, .. } => {
@@ -257,14 +267,28 @@ impl Robot {
         }
     }
 
+    fn is_uploaded(&self, state: &RobotState) -> bool {
+        self.uploaded.is_some_and(|nonce| nonce.number() == state.nonce)
+    }
+
+    /// The program that was stopped is still the one that is there, and it still stands.
+    fn keeps_still(&self) -> bool {
+        self.state.as_ref().is_some_and(|state| {
+            self.is_uploaded(state)
+                && matches!(state.program_status, ProgramStatus::Stopped | ProgramStatus::HeartbeatLost)
+        })
+    }
+
     /// A program that was given up may still be on the controller, paused: it finds a stop in its registers
     /// if somebody presses play. One that plays without heartbeats ends by its own watchdog.
     fn follow_left_behind(&mut self, state: &RobotState) {
         if state.runtime_state == RuntimeState::Stopped {
             self.left_behind = None;
         }
-        if self.left_behind.is_some_and(|nonce| nonce.number() == state.nonce) {
-            self.left_behind = None;
+        if let Some((nonce, told @ false)) = &mut self.left_behind
+            && nonce.number() == state.nonce
+        {
+            *told = true;
             self.stream.start(state.accepted);
             // The number after the accepted one may be in the registers already, for a move.
             self.stream.skip_sequence();

@@ -3,6 +3,7 @@
 use super::faults::working;
 use super::*;
 use crate::cell::device::gripper::GripperEvent;
+use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 
 fn vents(actions: &[Action]) -> bool {
     actions.iter().any(|action| matches!(action, Action::Gripper(GripperCommand::Release { .. })))
@@ -96,6 +97,7 @@ fn nobody_arms_while_a_stop_is_under_way() {
     assert!(!reply.accepted && reply.message.contains("a stop is under way"), "{reply:?}");
     bench.robot.qd = [0.0; 6];
     assert!(vents(&bench.feed(Input::Robot(RobotEvent::Stopped))));
+    bench.feed(Input::Gripper(GripperEvent::Released));
     assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
 }
 
@@ -121,6 +123,74 @@ fn disarming_a_held_arm_stops_it_for_good() {
     let disarmed = bench.feed(order(Order::Disarm));
     assert!(disarmed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{disarmed:?}");
     assert_eq!(ended(&disarmed), Some((JobEnd::Interrupted, "aborted".into())));
+    assert_eq!(answer(&disarmed), None, "the arm is not known to stand for good yet");
+    let stopped = bench.feed(Input::Robot(RobotEvent::Stopped));
+    assert_eq!(answer(&stopped), Some(Reply::accept("stopped and disarmed")));
     bench.robot.runtime_state = RuntimeState::Playing;
     assert_eq!(streams(&bench.ticks(200)), 0);
+}
+
+#[test]
+fn a_release_disarms_a_cell_that_could_move_off_at_once() {
+    let mut bench = Bench::new();
+    bench.feed(order(Order::Arm));
+    let ordered = bench.feed(order(Order::Release(Channels::Both)));
+    assert!(ordered.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{ordered:?}");
+    assert!(!bench.cell.mode().armed(), "hands are at the gripper");
+    assert!(vents(&bench.feed(Input::Robot(RobotEvent::Stopped))));
+    bench.job(false);
+    assert_eq!(streams(&bench.ticks(100)), 0);
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert!(!reply.accepted && reply.message.contains("a release is under way"), "{reply:?}");
+    assert!(answer(&bench.feed(Input::Gripper(GripperEvent::Released))).expect("an answer").accepted);
+    assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
+}
+
+#[test]
+fn both_of_two_releases_are_answered_by_what_the_gripper_says() {
+    let mut bench = Bench::new();
+    bench.feed(Input::Order { number: 1, order: Order::Release(Channels::A) });
+    let second = bench.feed(Input::Order { number: 2, order: Order::Release(Channels::B) });
+    assert_eq!(answer(&second), None, "{second:?}");
+    let failed = bench.feed(Input::Gripper(GripperEvent::ReleaseFailed { vacuum: 0.4 }));
+    let refused = |action: &Action| matches!(action, Action::Reply { reply, .. } if !reply.accepted);
+    assert_eq!(failed.iter().filter(|action| refused(action)).count(), 2, "{failed:?}");
+}
+
+#[test]
+fn disarming_while_the_robot_is_started_takes_everything_back_before_the_answer() {
+    let mut bench = Bench::new();
+    bench.robot.robot_mode = RobotMode::PowerOff;
+    bench.job(false);
+    let armed = bench.feed(order(Order::Arm));
+    assert!(armed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::PowerOn))), "{armed:?}");
+    let disarmed = bench.feed(order(Order::Disarm));
+    assert!(disarmed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{disarmed:?}");
+    assert_eq!((answer(&disarmed), ended(&disarmed)), (None, None), "the job waits for a person");
+    let stopped = bench.feed(Input::Robot(RobotEvent::Stopped));
+    assert_eq!(answer(&stopped), Some(Reply::accept("stopped and disarmed")));
+    bench.robot.robot_mode = RobotMode::Idle;
+    let after = bench.ticks(100);
+    assert!(!after.iter().any(|action| matches!(action, Action::Robot(_))), "{after:?}");
+}
+
+#[test]
+fn no_calibration_round_begins_where_an_operator_could_not_arm() {
+    let round = || Input::Round(Box::new(RoundOrder { poses: vec![HOME], room: None }));
+    let over = |actions: &[Action]| {
+        let mut ends = actions.iter().filter_map(|action| match action {
+            Action::RoundOver(result) => Some(result.clone()),
+            _ => None,
+        });
+        ends.next()
+    };
+    let mut bench = working();
+    moving_arm(&mut bench);
+    bench.feed(order(Order::Abort));
+    let refused = bench.feed(round());
+    assert!(matches!(over(&refused), Some(Err(RoundFault::Robot(_)))), "{refused:?}");
+    assert!(!bench.cell.mode().armed());
+    bench.feed(Input::Shutdown);
+    let ending = bench.feed(round());
+    assert!(matches!(over(&ending), Some(Err(RoundFault::Robot(_)))), "{ending:?}");
 }

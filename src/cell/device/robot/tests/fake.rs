@@ -334,6 +334,11 @@ impl Fake {
         self.int(Register::InputInt(25))
     }
 
+    /// What celld has written is gone.
+    pub fn clear_inputs(&mut self) {
+        self.registers.retain(|register, _| matches!(register, Register::OutputInt(_)));
+    }
+
     pub fn set_out(&mut self, number: u8, value: i32) {
         self.registers.insert(Register::OutputInt(number), Value::Int32(value));
     }

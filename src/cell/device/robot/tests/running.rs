@@ -441,9 +441,40 @@ fn a_paused_program_that_was_left_behind_is_stopped_when_the_link_is_back() {
     rig.drop_link(Link::Rtde);
     assert!(rig.ended().is_some(), "{:?}", rig.events);
     assert_ne!(rig.fake.opcode(), 5);
-    rig.connect(Link::Rtde);
-    rig.run_ms(200);
-    assert_eq!(rig.fake.opcode(), 5);
+    for _ in 0..2 {
+        rig.connect(Link::Rtde);
+        rig.run_ms(200);
+        assert_eq!(rig.fake.opcode(), 5, "as long as it has not been seen to end");
+        rig.drop_link(Link::Rtde);
+        rig.fake.clear_inputs();
+    }
+}
+
+#[test]
+fn a_stopped_program_is_stopped_again_where_another_runs_in_its_place() {
+    let mut rig = Rig::running();
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(20);
+    rig.events.clear();
+    rig.fake.set_out(24, 4711);
+    rig.run_ms(10);
+    assert_eq!(rig.ended().unwrap(), "another program took over");
+    assert!(!rig.fake.dashboard_lines.contains(&"stop".to_string()), "nobody has ordered that");
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(20);
+    assert!(rig.fake.dashboard_lines.contains(&"stop".to_string()));
+    assert!(rig.saw(&RobotEvent::Stopped), "{:?}", rig.events);
+}
+
+#[test]
+fn a_program_that_moves_after_its_stop_is_ended() {
+    let mut rig = Rig::running();
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(20);
+    rig.fake.set_out(27, 1);
+    rig.run_ms(20);
+    assert!(rig.fake.dashboard_lines.contains(&"stop".to_string()));
+    assert!(rig.ended().unwrap().contains("after its stop"), "{:?}", rig.events);
 }
 
 #[test]
