@@ -31,7 +31,12 @@ impl Supervisor {
             Order::Reject(id) => return self.on_verdict(now, id, false, out),
             Order::Cancel(id) => return self.on_cancel(id),
             Order::Pause if self.mode.paused() => return Some(Reply::accept("paused already")),
-            Order::Pause => self.mode.set_pace(Pace::Paused),
+            Order::Pause => {
+                self.mode.set_pace(Pace::Paused);
+                if !self.mode.paused() {
+                    return Some(self.not_armed("not paused, and nothing moves"));
+                }
+            }
             Order::Resume if !self.mode.paused() => return Some(Reply::accept("nothing was paused")),
             Order::Resume => self.mode.set_pace(Pace::Running),
             Order::Step if !self.mode.armed() => return Some(self.not_armed("no step")),

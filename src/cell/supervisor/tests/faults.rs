@@ -403,3 +403,15 @@ fn a_release_is_answered_by_what_the_gripper_says() {
     let reply = answer(&bench.feed(Input::Gripper(failed))).expect("an answer");
     assert!(!reply.accepted && reply.message.contains("40 %"), "{reply:?}");
 }
+
+#[test]
+fn a_cell_that_cannot_be_armed_says_so_to_every_order_about_motion() {
+    let mut bench = Bench::new();
+    let mut dh = bench.cell.model().arm.dh;
+    dh.d[0] += 0.001;
+    bench.feed(Input::Robot(RobotEvent::Kinematics { dh, checksum: [0; 6] }));
+    for wanted in [Order::Arm, Order::Pause, Order::Step, Order::Park] {
+        let reply = answer(&bench.feed(order(wanted.clone()))).expect("an answer");
+        assert!(!reply.accepted && reply.message.contains("another arm answers"), "{wanted:?}: {reply:?}");
+    }
+}
