@@ -7,7 +7,9 @@
 //! a picture has: a marker half hidden by the gripper, light, depth. A test compares both on the same tables.
 
 use crate::cell::code::Code;
+use crate::cell::event::Event;
 use crate::cell::supervisor::input::CameraTrouble;
+use crate::pair::stage::Stage;
 use crate::perception::{Perception, Picture, Scene, observe_views};
 use crate::sim::camera::{CameraSetup, Moment, Window};
 use crate::sim::render::Renderer;
@@ -15,8 +17,9 @@ use crate::sim::render::scene::{Cells, Print};
 use crate::sim::world::World;
 use crate::time::Timestamp;
 use crate::vision::detect::{DetectSettings, Detection, Family};
-use crate::vision::image::quality::{PictureLimits, judge, measure};
-use crate::vision::image::tag36h11_bitmap;
+use crate::vision::image::depth::DepthImage;
+use crate::vision::image::quality::{PictureFault, PictureLimits, judge, measure};
+use crate::vision::image::{Image, tag36h11_bitmap};
 use crate::vision::observe::{Observation, View};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -49,13 +52,32 @@ enum Sight {
     Corners(Box<(Scene, BTreeMap<Cells, u32>)>),
 }
 
-/// A look under way.
+/// A request under way.
 struct Task {
     number: u64,
+    window: Window,
+    wanted: Wanted,
+}
+
+enum Wanted {
+    Look(Look),
+    Picture { pose: usize, base_from_flange: Isometry3<f64> },
+}
+
+struct Look {
     left: usize,
     table_from_camera: Isometry3<f64>,
     views: Vec<View>,
-    window: Window,
+}
+
+/// A picture of a calibration round.
+pub struct RoundPicture {
+    /// Number of the pose, from 1.
+    pub pose: usize,
+    /// Where the flange was, by the robot's word.
+    pub base_from_flange: Isometry3<f64>,
+    /// `None` for eyes that have no pictures.
+    pub image: Option<Image>,
 }
 
 /// Camera and perception. See the module.
@@ -66,24 +88,25 @@ pub struct Eyes {
     frames: u64,
     task: Option<Task>,
     flipped: bool,
+    depth: bool,
+    pictures: Vec<RoundPicture>,
 }
 
-/// A look that is over, and how many seconds its evaluation takes.
-pub struct Looked {
-    /// Of the request.
-    pub number: u64,
-    /// Views, or why there are none.
-    pub result: Result<Vec<View>, CameraTrouble>,
-    /// Seconds until the cell has it.
+/// The answer to a request, and how many seconds the cell waits for it still.
+pub struct Seen {
+    /// For the machine.
+    pub event: Event,
+    /// Seconds.
     pub evaluation_s: f64,
 }
 
 impl Eyes {
-    /// Eyes of this kind for a scene as configured.
+    /// Eyes of this kind for a stage.
     ///
     /// # Errors
     /// The detector cannot be made.
-    pub fn new(eye: Eye, setup: CameraSetup, scene: Scene, seed: u64) -> Result<Eyes, String> {
+    pub fn new(eye: Eye, stage: &Stage, seed: u64) -> Result<Eyes, String> {
+        let (setup, scene) = (stage.camera.clone(), stage.scene.clone());
         let sight = match eye {
             Eye::Pictures => {
                 let renderer = Renderer::new(setup.truth.clone());
@@ -97,13 +120,26 @@ impl Eyes {
             }
         };
         let rng = ChaCha8Rng::seed_from_u64(seed ^ 0x6579_6573);
-        Ok(Eyes { setup, sight, rng, frames: 0, task: None, flipped: false })
+        let (depth, pictures) = (stage.depth, Vec::new());
+        Ok(Eyes { setup, sight, rng, frames: 0, task: None, flipped: false, depth, pictures })
     }
 
     /// Takes `frames` frames from now on; a look that was under way is forgotten.
     pub fn look(&mut self, now_s: f64, number: u64, frames: usize, table_from_camera: Isometry3<f64>) {
         let window = self.setup.timing.window(now_s);
-        self.task = Some(Task { number, left: frames, table_from_camera, views: Vec::new(), window });
+        let wanted = Wanted::Look(Look { left: frames, table_from_camera, views: Vec::new() });
+        self.task = Some(Task { number, window, wanted });
+    }
+
+    /// Takes one picture of a calibration round.
+    pub fn picture(&mut self, now_s: f64, number: u64, pose: usize, base_from_flange: Isometry3<f64>) {
+        let window = self.setup.timing.window(now_s);
+        self.task = Some(Task { number, window, wanted: Wanted::Picture { pose, base_from_flange } });
+    }
+
+    /// The pictures of calibration rounds so far, oldest first.
+    pub fn pictures(&self) -> &[RoundPicture] {
+        &self.pictures
     }
 
     /// From now on corners are swayed so that the other pose that a flat marker could have fits them better:
@@ -118,17 +154,8 @@ impl Eyes {
     }
 
     /// One frame of time.
-    pub fn step(&mut self, world: &World, now_s: f64) -> Option<Looked> {
-        let task = self.task.as_mut()?;
-        if now_s < task.window.ready_s {
-            return None;
-        }
-        let trouble = |code: Code| CameraTrouble {
-            code,
-            message: code.meaning().to_string(),
-            remedy: "look at the camera",
-            lasting: false,
-        };
+    pub fn step(&mut self, world: &World, now_s: f64) -> Option<Seen> {
+        let task = self.task.take_if(|task| now_s >= task.window.ready_s)?;
         let faults = world.camera_faults();
         let fault = match (faults.off, faults.frozen, faults.repeats) {
             (true, ..) => Some(Code::CameraUnplugged),
@@ -136,44 +163,76 @@ impl Eyes {
             (.., true) => Some(Code::CameraRepeats),
             _ => None,
         };
-        if let Some(code) = fault {
-            let number = task.number;
-            self.task = None;
-            return Some(Looked { number, result: Err(trouble(code)), evaluation_s: GIVEN_UP_AFTER_S });
-        }
         self.frames += 1;
         let moment = world.moment(&self.setup, &task.window);
-        let time = Timestamp::from_secs_f64(now_s);
-        let seen = match &mut self.sight {
-            Sight::Pictures(sight) => {
-                let (renderer, perception) = &mut **sight;
-                see_picture(renderer, perception, &moment, self.frames, task, time)
-            }
-            Sight::Corners(sight) => {
-                see_corners(&sight.1, &self.setup, &moment, self.flipped, &mut self.rng).map(|detections| {
-                    View { table_from_camera: task.table_from_camera, detections, time, heights: None }
-                })
-            }
-        };
-        let (from, to) = DETECTION_S;
-        let evaluation_s = self.rng.random_range(from..to);
-        match seen {
-            Err(code) => {
-                let number = task.number;
-                self.task = None;
-                Some(Looked { number, result: Err(trouble(code)), evaluation_s: GIVEN_UP_AFTER_S })
-            }
-            Ok(view) => {
-                task.views.push(view);
-                task.left = task.left.saturating_sub(1);
-                task.window = self.setup.timing.window(now_s);
-                if task.left > 0 {
-                    return None;
+        match task.wanted {
+            Wanted::Picture { pose, base_from_flange } => {
+                let result = fault.map_or(Ok(()), |code| Err(trouble(code)));
+                if result.is_ok() {
+                    let image = match &self.sight {
+                        Sight::Pictures(sight) => Some(moment.picture(&sight.0, self.frames)),
+                        Sight::Corners(_) => None,
+                    };
+                    self.pictures.push(RoundPicture { pose, base_from_flange, image });
                 }
-                let task = self.task.take()?;
-                Some(Looked { number: task.number, result: Ok(task.views), evaluation_s })
+                let evaluation_s = if result.is_ok() { 0.0 } else { GIVEN_UP_AFTER_S };
+                Some(Seen { event: Event::Pictured(task.number, result), evaluation_s })
+            }
+            Wanted::Look(look) => {
+                let seen = match fault {
+                    Some(code) => Err(code),
+                    None => self.see(&moment, &look, Timestamp::from_secs_f64(now_s)),
+                };
+                self.looked(task.number, look, seen, now_s)
             }
         }
+    }
+
+    fn see(&mut self, moment: &Moment, look: &Look, time: Timestamp) -> Result<View, Code> {
+        match &mut self.sight {
+            Sight::Pictures(sight) => {
+                let (renderer, perception) = &mut **sight;
+                let image = moment.picture(renderer, self.frames);
+                usable(&image)?;
+                let last = look.left <= 1;
+                let depth = self.depth && last && perception.wants_depth();
+                let depth = depth.then(|| moment.depth(renderer, self.frames)).and_then(|depth| {
+                    let metres = depth.units.iter().map(|unit| f32::from(*unit) * 1e-4).collect();
+                    DepthImage::from_metres(depth.width, depth.height, metres).ok()
+                });
+                let picture = Picture { image: &image, depth: depth.as_ref() };
+                let view = perception.view(picture, look.table_from_camera, time, look.views.last(), last);
+                view.map_err(|_| Code::DetectionFailed)
+            }
+            Sight::Corners(sight) => {
+                see_corners(&sight.1, &self.setup, moment, self.flipped, &mut self.rng).map(|detections| {
+                    View { table_from_camera: look.table_from_camera, detections, time, heights: None }
+                })
+            }
+        }
+    }
+
+    /// A frame of a look is evaluated: the answer, or the next frame.
+    fn looked(&mut self, number: u64, look: Look, seen: Result<View, Code>, now_s: f64) -> Option<Seen> {
+        let (from, to) = DETECTION_S;
+        let mut evaluation_s = self.rng.random_range(from..to);
+        let Look { left, table_from_camera, mut views } = look;
+        let result = match seen {
+            Err(code) => {
+                evaluation_s = GIVEN_UP_AFTER_S;
+                Err(trouble(code))
+            }
+            Ok(view) => {
+                views.push(view);
+                if left > 1 {
+                    let wanted = Wanted::Look(Look { left: left - 1, table_from_camera, views });
+                    self.task = Some(Task { number, window: self.setup.timing.window(now_s), wanted });
+                    return None;
+                }
+                Ok(views)
+            }
+        };
+        Some(Seen { event: Event::Looked(number, result), evaluation_s })
     }
 
     /// The views of a look put together.
@@ -189,33 +248,18 @@ impl Eyes {
     }
 }
 
-fn see_picture(
-    renderer: &Renderer,
-    perception: &mut Perception,
-    moment: &Moment,
-    number: u64,
-    task: &Task,
-    time: Timestamp,
-) -> Result<View, Code> {
-    let image = moment.picture(renderer, number);
-    judge(&measure(&image.gray()), &PictureLimits::STANDARD).map_err(|fault| {
-        use crate::vision::image::quality::PictureFault;
-        match fault {
-            PictureFault::Dark { .. } => Code::CameraDark,
-            PictureFault::Overexposed { .. } => Code::CameraOverexposed,
-            PictureFault::Flat { .. } => Code::CameraSeesNothing,
-            PictureFault::Blurred { .. } => Code::CameraBlurred,
-        }
-    })?;
-    let last = task.left <= 1;
-    let depth = (last && perception.wants_depth()).then(|| moment.depth(renderer, number));
-    let depth = depth.and_then(|depth| {
-        let metres = depth.units.iter().map(|unit| f32::from(*unit) * 1e-4).collect();
-        crate::vision::image::depth::DepthImage::from_metres(depth.width, depth.height, metres).ok()
-    });
-    let picture = Picture { image: &image, depth: depth.as_ref() };
-    let earlier = task.views.last();
-    perception.view(picture, task.table_from_camera, time, earlier, last).map_err(|_| Code::DetectionFailed)
+fn trouble(code: Code) -> CameraTrouble {
+    CameraTrouble { code, message: code.meaning().to_string(), remedy: "look at the camera", lasting: false }
+}
+
+/// What keeps a picture from being looked at.
+fn usable(image: &Image) -> Result<(), Code> {
+    judge(&measure(&image.gray()), &PictureLimits::STANDARD).map_err(|fault| match fault {
+        PictureFault::Dark { .. } => Code::CameraDark,
+        PictureFault::Overexposed { .. } => Code::CameraOverexposed,
+        PictureFault::Flat { .. } => Code::CameraSeesNothing,
+        PictureFault::Blurred { .. } => Code::CameraBlurred,
+    })
 }
 
 /// Markers by their corners, as an undisturbed detector would find them.

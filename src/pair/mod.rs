@@ -29,6 +29,7 @@ use crate::cell::orders::{Order, Reply};
 use crate::cell::planner::answer;
 use crate::cell::supervisor::input::{Notice, PlanAnswer, PlanRequest};
 use crate::cell::supervisor::order::{JobOrder, JobReport};
+use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::Status;
 use crate::pair::disk::Disk;
 use crate::pair::eyes::{Eye, Eyes};
@@ -149,6 +150,8 @@ pub struct Pair {
     runs: u64,
     /// The daemon has ended by itself.
     ended: Option<Result<(), String>>,
+    /// How the last calibration round ended.
+    round_over: Option<Result<(), RoundFault>>,
 }
 
 impl Pair {
@@ -159,8 +162,7 @@ impl Pair {
     pub fn new(stage: Stage, choice: Choice) -> Result<Pair, PairError> {
         let Choice { seed, eye, weather, keep_trace, .. } = choice;
         let simulator = Simulator::new(stage.controller.clone(), stage.world.clone(), seed, Vec::new())?;
-        let eyes =
-            Eyes::new(eye, stage.camera.clone(), stage.scene.clone(), seed).map_err(PairError::Eyes)?;
+        let eyes = Eyes::new(eye, &stage, seed).map_err(PairError::Eyes)?;
         Ok(Pair {
             network: Network::new(&simulator, seed, weather),
             machine: Machine::new(stage.parameters.clone())?,
@@ -184,6 +186,7 @@ impl Pair {
             status: None,
             runs: 0,
             ended: None,
+            round_over: None,
         })
     }
 
@@ -255,6 +258,18 @@ impl Pair {
     /// Hands in a job.
     pub fn submit(&mut self, order: JobOrder) {
         self.store.submit(order);
+    }
+
+    /// Has a calibration round carried out, as `celld calibrate` does; its pictures are with the eyes.
+    pub fn visit(&mut self, order: RoundOrder) {
+        self.round_over = None;
+        self.trace.line(self.frame, || format!("round of {} poses", order.poses.len()));
+        self.due.push(Event::Round(Box::new(order)));
+    }
+
+    /// How the last calibration round ended; `None` while it is under way.
+    pub fn round_over(&self) -> Option<&Result<(), RoundFault>> {
+        self.round_over.as_ref()
     }
 
     /// Gives an order; its number.
@@ -393,9 +408,9 @@ impl Pair {
         let core = self.simulator.core();
         let world = lock(&core.world);
         let now_s = world.now_s();
-        let Some(looked) = self.eyes.step(&world, now_s) else { return };
-        let due = self.frame + (looked.evaluation_s / FRAME_SECONDS) as u64 + 1;
-        self.later.push(Later { due, event: Event::Looked(looked.number, looked.result) });
+        let Some(seen) = self.eyes.step(&world, now_s) else { return };
+        let due = self.frame + (seen.evaluation_s / FRAME_SECONDS) as u64 + 1;
+        self.later.push(Later { due, event: seen.event });
     }
 
     fn take_later(&mut self, events: &mut Vec<Event>) {
@@ -437,8 +452,13 @@ impl Pair {
             Effect::WantJob => self.store.wanted(),
             Effect::Notify(news) => self.notify(news),
             Effect::End(how) => self.ended = Some(how.map_err(|fault| fault.to_string())),
-            // A plan takes no time of its own here, and rounds are played elsewhere.
-            Effect::CancelPlan | Effect::Picture { .. } | Effect::RoundOver(_) => {}
+            Effect::Picture { number, pose, base_from_flange } => {
+                let now_s = lock(&self.simulator.core().world).now_s();
+                self.eyes.picture(now_s, number, pose, base_from_flange);
+            }
+            Effect::RoundOver(result) => self.round_over = Some(result),
+            // A plan takes no time of its own here.
+            Effect::CancelPlan => {}
         }
     }
 

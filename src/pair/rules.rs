@@ -103,6 +103,9 @@ const MOVES_RAD_S: f64 = 0.005;
 /// A state may be this old when a motion begins: 100 ms at the order, then network and program.
 const STATE_AGE_FRAMES: u64 = 75;
 
+/// A link that brings no state for so long is gone, 90 ms: celld stops the arm after 100 ms.
+const SILENT_FRAMES: u64 = 45;
+
 /// A gripper that answers later than this counts as silent.
 const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 
@@ -146,7 +149,7 @@ pub struct Rules {
     stood: bool,
     /// Frames for which the arm has not moved.
     still: u64,
-    /// The program was paused in the last frame, and when it was played again.
+    /// The program was paused in the last frame, and when it was played again with no stop in reach.
     paused: bool,
     played_at: Option<u64>,
     /// A pick-n-place is under way, by the journal.
@@ -269,6 +272,8 @@ impl Rules {
             Effect::Reply { number, reply } => self.check_reply(*number, reply.accepted, machine),
             Effect::Notify(News::Notice(notice)) if notice.text.starts_with("stopped and disarmed") => {
                 (self.stopped_at, self.stood, self.picking) = (Some(frame), false, false);
+                // A move may be on its way just before its stop: the arm has stood when it stands after it.
+                self.still = 0;
                 self.disturbed = frame;
             }
             _ => {}
@@ -326,7 +331,7 @@ impl Rules {
             (moves, nonce, !ours, safe, local, controller.programs.paused())
         };
         if std::mem::replace(&mut self.paused, paused) && !paused {
-            self.played_at = Some(frame);
+            self.played_at = Some(frame).filter(|_| self.unreached());
         }
         self.still = if moves { 0 } else { self.still + 1 };
         self.local_since = if local { self.local_since.or(Some(frame)) } else { None };
@@ -362,13 +367,17 @@ impl Rules {
         self.stood |= self.still >= STOOD_FRAMES;
     }
 
-    /// A person has pressed play on a program that no stop could reach, because celld or its link is gone: it
-    /// moves until its own watchdog stops it.
+    /// No stop reaches the program now: celld or its link is gone.
+    fn unreached(&self) -> bool {
+        self.rtde_gone
+            || self.frame > self.last_state + SILENT_FRAMES
+            || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at))
+    }
+
+    /// A person has pressed play on a program that no stop could reach: it moves until its own watchdog stops
+    /// it.
     fn played_unreached(&self) -> bool {
-        let unreached = self.rtde_gone
-            || self.frame > self.last_state + STATE_AGE_FRAMES
-            || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at));
-        unreached && self.played_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES)
+        self.played_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES)
     }
 
     fn watch_gates(&mut self, simulator: &Simulator, safe: bool) {

@@ -38,6 +38,8 @@ pub struct Stage {
     pub model: CellModel,
     /// What perception knows.
     pub scene: Scene,
+    /// The camera measures depth.
+    pub depth: bool,
     /// Parameters of the machine.
     pub parameters: MachineParameters,
 }
@@ -79,7 +81,8 @@ impl Stage {
         let model = cell_model(config, &measured).map_err(|error: SetupError| error.to_string())?;
         let scene = scene(config, &measured).map_err(|error| chain(&error))?;
         let SimConfig { controller, world, camera, .. } = sim;
-        Ok(Stage { controller, world, camera, model, scene, parameters })
+        let depth = config.devices.camera.measures_depth();
+        Ok(Stage { controller, world, camera, model, scene, depth, parameters })
     }
 }
 

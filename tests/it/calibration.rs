@@ -2,9 +2,7 @@
 //! visited, points of the table touched, the table tied to both; and a cell that works from a camera that
 //! stands. What comes out is held against the world's truth, which only the test reads.
 
-use crate::cell::{
-    CELLD, LOG, celld, configuration, copy_calibration, result_of, start_daemon, text, wait_until,
-};
+use crate::cell::{CELLD, celld, configuration, text, wait_until};
 use crate::edit::replace_once;
 use celld::calibration::files::hand_eye::{HandEyeCalibration, Mount};
 use celld::calibration::files::round::Round;
@@ -12,6 +10,7 @@ use celld::calibration::files::table::TableCalibration;
 use celld::cli::sim::sim_config;
 use celld::config::load::{load_cell, load_sim};
 use celld::config::setup::arm_model;
+use celld::geometry::pose::Pose2;
 use celld::motion::kinematics::{DhParameters, forward};
 use celld::sim::cell::{RunningSim, start};
 use celld::sim::robot_server::RobotPorts;
@@ -274,6 +273,53 @@ impl OnHand<'_> {
         assert_eq!(waiting.wait().expect("it ends").code(), Some(130), "{rest}");
         assert!(!self.folder.join("none.yaml").exists());
     }
+
+    /// How the empty table looks, for a camera without depth: refused while objects are on it, taken once it
+    /// is bare. Without such pictures the daemon does not start, and says what to do.
+    fn takes_the_empty_table(&self) {
+        let path = Path::new(&self.cell);
+        let text = std::fs::read_to_string(path).expect("the configuration");
+        let text = replace_once(&text, "8090, depth: true}", "8090}");
+        std::fs::write(path, replace_once(&text, "table.yaml}", "table.yaml, empty: ../empty}"))
+            .expect("written");
+        let (_, said) = self.refuses_to_run();
+        assert!(said.contains("celld calibrate empty"), "{said}");
+        let (code, _, said) = self.calibrate(&["empty"]);
+        assert!(code == Some(1) && said.contains("the table is not empty"), "{said}");
+        let samples = self.folder.join("empty/samples.yaml");
+        assert!(said.contains("\"lid\"") && !samples.exists(), "{said}");
+
+        let world = self.sim.world();
+        let objects: Vec<String> = lock(&world).objects().iter().map(|body| body.id.clone()).collect();
+        for object in objects {
+            lock(&world).put(&object, &Pose2::new(2.0, 2.0, 0.0)).expect("it lies free");
+        }
+        let (code, _, said) = self.calibrate(&["empty"]);
+        assert_eq!(code, Some(0), "{said}");
+        let taken = std::fs::read_to_string(samples).expect("written");
+        assert_eq!(taken.matches(".png").count(), 2, "one for each look pose: {taken}");
+    }
+
+    /// Pictures of another camera or robot, or cut short, are none of this table.
+    fn refuses_pictures_of_another_table(&self) {
+        let samples = self.folder.join("empty/samples.yaml");
+        let taken = std::fs::read_to_string(&samples).expect("written");
+        for (from, to, wanted) in [
+            ("camera_serial: ", "camera_serial: other-", "taken with camera"),
+            ("robot_serial: ", "robot_serial: other-", "taken with robot"),
+            ("01.png", "03.png", "03.png"),
+        ] {
+            std::fs::write(&samples, replace_once(&taken, from, to)).expect("written");
+            let (code, said) = self.refuses_to_run();
+            assert!(said.contains(wanted) && said.contains("celld calibrate empty"), "{said}");
+            assert_ne!(code, Some(0));
+        }
+    }
+
+    fn refuses_to_run(&self) -> (Option<i32>, String) {
+        let ran = celld(&["run", "--config", &self.cell], self.folder);
+        (ran.status.code(), text(&ran.stderr))
+    }
 }
 
 #[test]
@@ -287,66 +333,9 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     cell.refuses_touches_of_another_robot();
     cell.refuses_a_longer_tip();
     cell.ends_with_ctrl_c_while_it_waits();
+    cell.takes_the_empty_table();
+    cell.refuses_pictures_of_another_table();
     cell.runtime.block_on(cell.sim.shutdown());
-}
-
-/// A camera over the table sees the whole of it at once, with the arm turned away; the cell works from that.
-#[test]
-fn cell_works_from_a_camera_that_stands() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let address = "127.7.1.10";
-    let (cell, sim_path) = configuration(folder.path(), address, 1);
-    let file = load_sim(&sim_path).expect("the simulation");
-    let mut config = sim_config(&file, address.parse().expect("an address"), RobotPorts::REAL);
-    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 3.12);
-    let table_from_camera = Isometry3::from_parts(Translation3::new(0.26, 0.25, 0.68), down);
-    config.camera.mount = CameraMount::Fixed(table_from_camera);
-    let base_from_camera = config.world.base_from_table * table_from_camera;
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
-    let sim = runtime.block_on(start(config)).expect("the simulation starts");
-
-    // The files that a calibration of this cell wrote, the camera's place apart; the table's real small error
-    // stays.
-    copy_calibration(folder.path());
-    let files = folder.path().join("calibration/sim");
-    let text = std::fs::read_to_string(files.join("hand_eye.yaml")).expect("text");
-    let on_hand = HandEyeCalibration::parse(&text, "hand_eye.yaml").expect("sound");
-    let stands = HandEyeCalibration { mount: Mount::Fixed { base_from_camera }, ..on_hand };
-    std::fs::write(files.join("hand_eye.yaml"), stands.to_yaml()).expect("written");
-    let text = std::fs::read_to_string(&cell).expect("text");
-    let looks = text.find("look_poses_deg:").expect("a key");
-    let after = text.find("# Where the arm waits.").expect("the next key");
-    let text =
-        format!("{}look_poses_deg: [[88.3, -110, 100, -80, -90, 0]]\n{}", &text[..looks], &text[after..]);
-    let camera = text.find("camera:\n  mount: flange").expect("a key");
-    let after = text.find("# Taught joint poses").expect("the next key");
-    let board = "{columns: 5, rows: 4, size: 0.02, first_id: 100}";
-    let near = "{translation: [0, 0.43, 0.7], quaternion: [1, 0, 0, 0]}";
-    let camera_key = format!("camera: {{mount: fixed, base_from_camera: {near}, board: {board}}}\n");
-    std::fs::write(&cell, format!("{}{camera_key}{}", &text[..camera], &text[after..])).expect("written");
-
-    let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let checked = celld(&["check", &cell.display().to_string()], folder.path());
-    assert_eq!(checked.status.code(), Some(0), "{}", said(&checked.stderr));
-    let _daemon = start_daemon(folder.path(), &cell);
-    let state = folder.path().join("state");
-    let incoming = state.join("jobs/incoming");
-    let log = || std::fs::read_to_string(folder.path().join(LOG)).unwrap_or_default();
-    let job = "version: 1\nid: one\ngoal:\n  objects:\n    - {id: lid, pose: [0.30, 0.38, 0]}\n";
-    std::fs::write(incoming.join("one.yaml"), job).expect("written");
-    wait_until("the cell is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));
-    wait_until("the job ends", || {
-        result_of(&state, "done", "one").or_else(|| result_of(&state, "failed", "one")).is_some()
-    });
-    let result = result_of(&state, "done", "one");
-    assert!(result.as_ref().is_some_and(|result| result.contains("moves: 1")), "{result:?}\n{}", log());
-    let world = sim.world();
-    let lid = lock(&world).objects().iter().find(|body| body.id == "lid").map(|body| body.pose());
-    let lid = lid.expect("it is on the table");
-    let off_mm = (lid.x - 0.30).hypot(lid.y - 0.38) * 1e3;
-    println!("the lid lies {off_mm:.2} mm off");
-    assert!(off_mm < 2.0, "{lid:?}");
-    runtime.block_on(sim.shutdown());
 }
 
 /// Where the hand carries the board to, table frame, m: its middle, and how it is turned about x, y and z,
@@ -436,64 +425,63 @@ fn start_standing(folder: &Path, address: &str) -> Standing {
     Standing { runtime, sim, cell, base_from_camera, base_from_table }
 }
 
-#[test]
-fn cell_with_a_camera_that_stands_is_calibrated_by_the_board_that_the_hand_carries() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let Standing { runtime, sim, cell, base_from_camera, base_from_table } =
-        start_standing(folder.path(), "127.7.1.13");
-    let cell = cell.display().to_string();
+impl Standing {
+    fn calibrate(&self, folder: &Path, words: &[&str]) -> (Option<i32>, String) {
+        let config = self.cell.display().to_string();
+        let ran = celld(&[&["calibrate", "hand-eye", "--config", &config], words].concat(), folder);
+        (ran.status.code(), text(&ran.stderr))
+    }
 
-    let measure = ["calibrate", "hand-eye", "--config", &cell, "--record", "round"];
-    let measured = celld(&measure, folder.path());
-    let said = text(&measured.stderr);
-    assert_eq!(measured.status.code(), Some(0), "{said}");
-    assert_stands(folder.path(), &base_from_camera, &base_from_table, &said);
-    assert_eq!(hand_eye_of(folder.path()).samples.len(), CARRIED_TO.len(), "{said}");
+    fn edit(&self, from: &str, to: &str) {
+        let yaml = std::fs::read_to_string(&self.cell).expect("text");
+        std::fs::write(&self.cell, replace_once(&yaml, from, to)).expect("written");
+    }
 
-    // The same round from its pictures; and with another board in the configuration nothing is believed.
-    let again = ["calibrate", "hand-eye", "--config", &cell, "--from", "round"];
-    assert_eq!(celld(&again, folder.path()).status.code(), Some(0));
-    let before = written(folder.path(), "hand_eye.yaml");
-    let yaml = std::fs::read_to_string(&cell).expect("text");
-    std::fs::write(&cell, replace_once(&yaml, "first_id: 100}}\n\n", "first_id: 200}}\n\n"))
-        .expect("written");
-    let refused = celld(&again, folder.path());
-    assert_eq!(refused.status.code(), Some(1), "{}", text(&refused.stderr));
-    assert!(text(&refused.stderr).contains("show the board on the hand"), "{}", text(&refused.stderr));
-    assert_eq!(written(folder.path(), "hand_eye.yaml"), before);
-    runtime.block_on(sim.shutdown());
+    /// From poses that a person taught; the clamp is not known.
+    fn finds_its_camera_from_taught_poses(&self, folder: &Path) {
+        let (code, said) = self.calibrate(folder, &["--record", "round"]);
+        assert_eq!(code, Some(0), "{said}");
+        assert_stands(folder, &self.base_from_camera, &self.base_from_table, &said);
+        assert_eq!(hand_eye_of(folder).samples.len(), CARRIED_TO.len(), "{said}");
+    }
+
+    /// The same round from its pictures; and with another board in the configuration nothing is believed.
+    fn believes_no_other_board(&self, folder: &Path) {
+        let again = ["--from", "round"];
+        assert_eq!(self.calibrate(folder, &again).0, Some(0));
+        let before = written(folder, "hand_eye.yaml");
+        self.edit("first_id: 100}}\n\n", "first_id: 200}}\n\n");
+        let (code, said) = self.calibrate(folder, &again);
+        assert!(code == Some(1) && said.contains("show the board on the hand"), "{said}");
+        assert_eq!(written(folder, "hand_eye.yaml"), before);
+        self.edit("first_id: 200}}\n\n", "first_id: 100}}\n\n");
+    }
+
+    /// Shown the board from poses of its own, once it knows roughly how the hand holds it.
+    fn finds_its_camera_from_poses_of_its_own(&self, folder: &Path) {
+        let visit = ["--visit", "--yes", "--record", "visited"];
+        let (code, said) = self.calibrate(folder, &visit);
+        assert!(code == Some(2) && said.contains("camera.flange_from_board is missing"), "{said}");
+        // As a person would measure the clamp: a centimetre and six degrees off.
+        let roughly = "{translation: [0.06, 0.043, 0.025], quaternion: [0.9986, 0.0523, 0, 0]}";
+        self.edit("first_id: 100}}\n\n", &format!("first_id: 100}}, flange_from_board: {roughly}}}\n\n"));
+        self.edit(
+            "calibration_box: {low: [-0.40, 0.12, 0.25], high: [0.40, 0.70, 0.75]}",
+            "calibration_box: {low: [-0.25, 0.2, 0.25], high: [0.25, 0.65, 0.55]}",
+        );
+        let ((code, said), way) = while_watched(&self.sim, || self.calibrate(folder, &visit));
+        assert_eq!(code, Some(0), "{said}");
+        assert_stayed_in(&self.cell, &folder.join("visited"), &way);
+        assert_stands(folder, &self.base_from_camera, &self.base_from_table, &said);
+    }
 }
 
 #[test]
-fn cell_with_a_camera_that_stands_is_shown_the_board_from_poses_of_its_own() {
+fn cell_with_a_camera_that_stands_is_calibrated_by_the_board_that_the_hand_carries() {
     let folder = tempfile::tempdir().expect("a folder");
-    let Standing { runtime, sim, cell, base_from_camera, base_from_table } =
-        start_standing(folder.path(), "127.7.1.14");
-    let edit = |from: &str, to: &str| {
-        let yaml = std::fs::read_to_string(&cell).expect("text");
-        std::fs::write(&cell, replace_once(&yaml, from, to)).expect("written");
-    };
-    let config = cell.display().to_string();
-    let visit = ["calibrate", "hand-eye", "--config", &config, "--visit", "--yes", "--record", "round"];
-    let refused = celld(&visit, folder.path());
-    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
-    assert!(
-        text(&refused.stderr).contains("camera.flange_from_board is missing"),
-        "{}",
-        text(&refused.stderr)
-    );
-
-    // As a person would measure the clamp: a centimetre and six degrees off.
-    let roughly = "{translation: [0.06, 0.043, 0.025], quaternion: [0.9986, 0.0523, 0, 0]}";
-    edit("first_id: 100}}\n\n", &format!("first_id: 100}}, flange_from_board: {roughly}}}\n\n"));
-    edit(
-        "calibration_box: {low: [-0.40, 0.12, 0.25], high: [0.40, 0.70, 0.75]}",
-        "calibration_box: {low: [-0.25, 0.2, 0.25], high: [0.25, 0.65, 0.55]}",
-    );
-    let (visited, way) = while_watched(&sim, || celld(&visit, folder.path()));
-    let said = text(&visited.stderr);
-    assert_eq!(visited.status.code(), Some(0), "{said}");
-    assert_stayed_in(&cell, &folder.path().join("round"), &way);
-    assert_stands(folder.path(), &base_from_camera, &base_from_table, &said);
-    runtime.block_on(sim.shutdown());
+    let cell = start_standing(folder.path(), "127.7.1.13");
+    cell.finds_its_camera_from_taught_poses(folder.path());
+    cell.believes_no_other_board(folder.path());
+    cell.finds_its_camera_from_poses_of_its_own(folder.path());
+    cell.runtime.block_on(cell.sim.shutdown());
 }

@@ -239,9 +239,3 @@ fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     let recordings = std::fs::read_dir(folder.path().join("recordings")).expect("the configured folder");
     assert!(recordings.flatten().any(|file| file.metadata().is_ok_and(|meta| meta.len() > 1000)));
 }
-
-/// Tells the simulator's control server of a fault, in JSON.
-pub(crate) fn fault(address: &str, text: &str) {
-    let answer = ureq::post(format!("http://{address}:8091/fault")).send(text);
-    assert_eq!(answer.expect("the control server").status().as_u16(), 200);
-}

@@ -1,6 +1,8 @@
 //! The whole cell in virtual time: repeatable, as the page of reactions says, and the same with both eyes.
 
 use celld::cell::orders::Order;
+use celld::cell::supervisor::round::RoundOrder;
+use celld::cell::supervisor::status::Doing;
 use celld::cli::simulate::table::stage;
 use celld::geometry::pose::Pose2;
 use celld::pair::eyes::Eye;
@@ -102,6 +104,49 @@ fn a_paused_program_does_not_move_on_after_a_stop() {
         let stands = pair.simulator().core().robot.controller().core.mover.q();
         assert_eq!(pair.breaches(), [], "{faults:?}");
         assert!(stood.max_difference(&stands) < 1e-3, "{faults:?}");
+    }
+}
+
+/// A calibration round moves under the same rules as every other motion, and leaves the cell disarmed,
+/// whatever happens on the way.
+#[test]
+fn a_calibration_round_ends_disarmed_whatever_happens() {
+    const CAMERA: &str = r#"{"do": "camera.off"}"#;
+    const CABLE: &str = r#"{"do": "net.reset_peer", "args": {"link": "rtde"}}"#;
+    const SAFETY: &str = r#"{"do": "ur.pstop"}"#;
+    let stage = stage(5, Eye::Corners).unwrap();
+    let poses = [stage.model.look_poses.clone(), vec![stage.model.park]].concat();
+    for (fault, order) in [
+        (None, None),
+        (Some(CAMERA), None),
+        (Some(CABLE), None),
+        (Some(SAFETY), None),
+        (None, Some(Order::Abort)),
+    ] {
+        let mut pair = Pair::new(stage.clone(), Choice::of(5)).unwrap();
+        assert!(bring_up(&mut pair));
+        pair.visit(RoundOrder { poses: poses.clone(), room: None });
+        let second =
+            |pair: &Pair| pair.status().is_some_and(|now| matches!(now.doing, Doing::Visiting(2, _)));
+        assert!(pair.run_until(120.0, second), "{:?}", pair.notices());
+        pair.run_until(0.2, |_| false);
+        for planned in fault.iter().flat_map(|text| read_posted(text).unwrap()) {
+            pair.fault(planned).unwrap();
+        }
+        let ordered = order.is_some();
+        if let Some(order) = order {
+            pair.order(order);
+        }
+        assert!(pair.run_until(300.0, |pair| pair.round_over().is_some()), "{:?}", pair.notices());
+        let sound = fault.is_none() && !ordered;
+        assert_eq!(pair.round_over().unwrap().is_ok(), sound, "{fault:?}: {:?}", pair.round_over());
+        let pictures = pair.eyes().pictures().len();
+        assert_eq!(pictures, if sound { poses.len() } else { 1 }, "{fault:?}");
+        pair.run_until(10.0, |_| false);
+        let playing = pair.simulator().core().robot.controller().programs.playing();
+        assert!(!playing || !sound, "the program has ended");
+        assert!(!pair.machine().supervisor().unwrap().mode().armed(), "{fault:?}");
+        assert_eq!(pair.breaches(), [], "{fault:?}");
     }
 }
 

@@ -9,7 +9,6 @@ mod cell;
 mod closed_loop;
 mod edit;
 mod faults;
-mod foreign;
 mod mutants;
 mod on_robot_program;
 mod plan_command;

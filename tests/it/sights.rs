@@ -1,5 +1,5 @@
-//! Things without a marker in the closed loop, seen by the real detector and by depth in rendered pictures:
-//! nothing moves while one is on the table, or nothing comes near it.
+//! What the cell sees in the closed loop, with rendered pictures, the real detector and depth: things without
+//! a marker, faults of the camera, a camera that stands.
 //!
 //! The example cell of `config/`, calibrated as well as a round leaves it, in virtual time. What is compared
 //! is the truth of the simulated world, in every frame.
@@ -8,17 +8,26 @@ use celld::cell::code::Code;
 use celld::cell::orders::Order;
 use celld::cell::supervisor::model::ForeignRule;
 use celld::cell::supervisor::order::{ApprovalRule, JobOrder};
+use celld::cell::supervisor::round::RoundOrder;
+use celld::cell::supervisor::status::Doing;
 use celld::cli::simulate::table::stage_of;
+use celld::config::cell::CellConfig;
 use celld::config::load::{load_cell, load_sim};
+use celld::config::simulated::{SimFile, SimMount};
 use celld::geometry::pose::Pose2;
 use celld::pair::eyes::Eye;
 use celld::pair::run::bring_up;
+use celld::pair::stage::Stage;
 use celld::pair::{Choice, Pair};
 use celld::planning::plan::Objective;
 use celld::planning::solver::SolverKind;
 use celld::sim::faults::read::read_posted;
+use celld::sim::world::event::EventKind;
 use celld::sim::world::lock;
 use celld::time::Duration;
+use celld::units::Joints;
+use celld::vision::image::Image;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::path::Path;
 
 const MUG: &str = r#"{"do": "world.foreign", "args":
@@ -31,18 +40,28 @@ const HEIGHT_M: f64 = 0.045;
 const LID_RADIUS_M: f64 = 0.045;
 const MARGIN_M: f64 = 0.01;
 
-/// The example cell, armed, with pictures for eyes.
-fn example(foreign: ForeignRule) -> Result<Pair, String> {
+/// The example cell and its simulation.
+fn configurations() -> Result<(CellConfig, SimFile), String> {
     let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
-    let mut cell = load_cell(&config.join("cell.yaml")).map_err(|error| error.to_string())?;
-    cell.foreign = foreign;
+    let cell = load_cell(&config.join("cell.yaml")).map_err(|error| error.to_string())?;
     let sim = load_sim(&config.join("sim.yaml")).map_err(|error| error.to_string())?;
-    let stage = stage_of(&cell, &sim, 1)?;
+    Ok((cell, sim))
+}
+
+/// A cell, armed, with pictures for eyes.
+fn armed(stage: Stage) -> Result<Pair, String> {
     let choice = Choice { eye: Eye::Pictures, ..Choice::of(1) };
     let mut pair = Pair::new(stage, choice).map_err(|error| error.to_string())?;
     assert!(bring_up(&mut pair), "the cell comes up");
     pair.order(Order::Arm);
     Ok(pair)
+}
+
+/// The example cell with this rule about things without a marker.
+fn example(foreign: ForeignRule) -> Result<Pair, String> {
+    let (mut cell, sim) = configurations()?;
+    cell.foreign = foreign;
+    armed(stage_of(&cell, &sim, 1)?)
 }
 
 fn fault(pair: &mut Pair, text: &str) -> Result<(), String> {
@@ -160,5 +179,107 @@ fn an_obstacle_without_a_marker_is_worked_round_and_nothing_comes_near_it() {
     let lid = world.object("lid").expect("the lid").pose();
     assert!((lid.x - 0.225).hypot(lid.y - 0.205) < 3e-3, "{lid:?}");
     assert!(!world.events().any(|event| format!("{event:?}").contains(&stood.0)), "nobody touched it");
+    assert_eq!(pair.breaches(), []);
+}
+
+/// Each fault of a camera is named while the arm stands and waits; when it is over, the job goes on by itself.
+#[test]
+fn every_fault_of_a_camera_is_named_and_nothing_is_touched_until_it_is_over() {
+    let mut pair = example(ForeignRule::Off).unwrap();
+    let cases = [
+        ("camera.off", "{}", Code::CameraUnplugged),
+        ("camera.freeze", "{}", Code::CameraFrozen),
+        ("camera.repeat", "{}", Code::CameraRepeats),
+        ("camera.gain", r#"{"gain": 0.1}"#, Code::CameraDark),
+        ("camera.gain", r#"{"gain": 50}"#, Code::CameraOverexposed),
+        ("camera.fog", r#"{"share": 0.95}"#, Code::CameraSeesNothing),
+        ("camera.blur", r#"{"sigma_px": 6}"#, Code::CameraBlurred),
+    ];
+    let truth = |pair: &Pair| {
+        let world = lock(&pair.simulator().core().world);
+        let grips = world.events().filter(|event| matches!(event.kind, EventKind::Gripped { .. })).count();
+        (world.object("lid").expect("the lid").pose(), grips)
+    };
+    for (number, (fault_name, args, code)) in cases.into_iter().enumerate() {
+        // There is always something to move, so that standing still means something.
+        let x = if number % 2 == 0 { 0.30 } else { 0.36 };
+        let before = truth(&pair);
+        fault(&mut pair, &format!(r#"{{"do": "{fault_name}", "args": {args}}}"#)).unwrap();
+        submit(&mut pair, code.word(), [x, 0.38]);
+        let named = |pair: &Pair| matches!(&pair.status().expect("a status").doing, Doing::Looking(.., Some(named)) if *named == code);
+        assert!(pair.run_until(60.0, named), "{code:?} is not named: {:?}", pair.reports().last());
+        assert_eq!(truth(&pair), before, "{code:?}: nothing is touched while nothing is seen");
+        fault(&mut pair, r#"{"do": "clear"}"#).unwrap();
+        assert_eq!(ended(&mut pair, |_| ()).0, Code::Done, "{code:?}");
+        assert!((truth(&pair).0.x - x).abs() < 3e-3, "{code:?}: the lid was carried after all");
+        assert!(pair.status().is_some_and(|status| status.armed), "{code:?}: a camera disarms nothing");
+    }
+    assert_eq!(pair.breaches(), []);
+}
+
+/// A camera over the table sees the whole of it at once, with the arm turned away; the cell works from that.
+#[test]
+fn a_cell_works_from_a_camera_that_stands() {
+    let (mut cell, mut sim) = configurations().unwrap();
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 3.12);
+    let table_from_camera = Isometry3::from_parts(Translation3::new(0.26, 0.25, 0.68), down);
+    sim.camera = SimMount::Fixed(sim.base_from_table * table_from_camera);
+    let turned_away = [88.3, -110.0, 100.0, -80.0, -90.0, 0.0];
+    cell.look_poses = vec![Joints(turned_away.map(f64::to_radians))];
+    let mut pair = armed(stage_of(&cell, &sim, 1).unwrap()).unwrap();
+    submit(&mut pair, "one", [0.30, 0.38]);
+    let (code, moves, message) = ended(&mut pair, |_| ());
+    assert_eq!((code, moves), (Code::Done, 1), "{message}: {:?}", pair.notices());
+    let lid = lock(&pair.simulator().core().world).object("lid").expect("the lid").pose();
+    assert!((lid.x - 0.30).hypot(lid.y - 0.38) < 2e-3, "{lid:?}");
+    assert_eq!(pair.breaches(), []);
+}
+
+/// The pictures that `celld calibrate empty` takes, from a round over the look poses of a bare table.
+fn of_the_empty_table(stage: &Stage) -> Result<Vec<(Image, Isometry3<f64>)>, String> {
+    let mut bare = stage.clone();
+    bare.world.objects.clear();
+    let choice = Choice { eye: Eye::Pictures, ..Choice::of(2) };
+    let mut pair = Pair::new(bare, choice).map_err(|error| error.to_string())?;
+    assert!(bring_up(&mut pair), "the cell comes up");
+    pair.visit(RoundOrder { poses: stage.model.look_poses.clone(), room: None });
+    assert!(pair.run_until(300.0, |pair| pair.round_over().is_some()), "{:?}", pair.notices());
+    assert_eq!(pair.round_over(), Some(&Ok(())));
+    assert_eq!(pair.breaches(), []);
+    let table_from_base = stage.model.arm.base_from_table.inverse();
+    let pictures = pair.eyes().pictures().iter().map(|picture| {
+        let image = picture.image.clone().ok_or("no picture")?;
+        Ok((image, table_from_base * stage.model.mount.base_from_camera(&picture.base_from_flange)))
+    });
+    pictures.collect()
+}
+
+/// Where there is no depth, a mug is found because the table looks different without it.
+#[test]
+fn colour_finds_what_was_not_on_the_empty_table() {
+    let (mut cell, sim) = configurations().unwrap();
+    cell.foreign = ForeignRule::Refuse { depth_needed: false };
+    let mut stage = stage_of(&cell, &sim, 1).unwrap();
+    stage.depth = false;
+    let empty = of_the_empty_table(&stage).unwrap();
+    assert_eq!(empty.len(), stage.model.look_poses.len());
+    let search = stage.scene.foreign.as_mut().expect("it is searched for");
+    search.compare_with(empty.iter().map(|(image, table_from_camera)| (image, *table_from_camera)));
+
+    let mut pair = armed(stage).unwrap();
+    submit(&mut pair, "clean", [0.30, 0.38]);
+    let (code, moves, message) = ended(&mut pair, |_| ());
+    assert_eq!((code, moves), (Code::Done, 1), "{message}");
+    fault(&mut pair, MUG).unwrap();
+    submit(&mut pair, "mug", [0.40, 0.38]);
+    let (code, moves, message) = ended(&mut pair, |_| ());
+    assert_eq!((code, moves), (Code::ForeignObject, 0), "{message}");
+    assert!(message.contains("how high it is"), "{message}");
+    assert!(pair.status().is_some_and(|status| !status.armed), "nobody knows how high it is");
+    fault(&mut pair, r#"{"do": "clear"}"#).unwrap();
+    pair.order(Order::Arm);
+    submit(&mut pair, "again", [0.40, 0.38]);
+    let (code, _, message) = ended(&mut pair, |_| ());
+    assert_eq!(code, Code::Done, "{message}");
     assert_eq!(pair.breaches(), []);
 }

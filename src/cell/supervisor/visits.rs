@@ -2,8 +2,8 @@
 //!
 //! In: the poses and the taught box; the order to begin is the operator's leave to move (design, section 7,
 //! rule 1, class *calibrate*). Out: a picture request at each pose where the arm stands still, and at the end
-//! the on-robot program ended and the cell disarmed, whatever happened. The gates and the bring-up are those
-//! of every other motion.
+//! the cell disarmed, whatever happened, and the on-robot program ended, or stopped where a stop ended the
+//! round. The gates and the bring-up are those of every other motion.
 
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::Supervisor;
