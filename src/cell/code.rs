@@ -157,7 +157,7 @@ const TABLE: [(Code, &str, &str); 60] = [
     (Code::Cancelled, "cancelled", "a person cancelled the job"),
     (Code::PlanRejected, "plan_rejected", "a person rejected the plan"),
     (Code::Aborted, "aborted", "a person stopped the cell"),
-    (Code::Released, "released", "a person switched the vacuum off while the arm moved"),
+    (Code::Released, "released", "a person had the vacuum switched off"),
     (Code::Shutdown, "shutdown", "celld was told to end"),
     (Code::NotReady, "not_ready", "robot or gripper was not ready for 60 s"),
     (Code::RobotStopped, "robot_stopped", "a safety stop, a lost link or the pendant stopped the robot"),

@@ -51,7 +51,7 @@ pub enum ClientCommand {
     },
     /// Allow motion.
     Arm(StateArg),
-    /// Forbid motion after the present step.
+    /// Forbid motion after the present step; a robot that is held or being started is stopped at once.
     Disarm(StateArg),
     /// Agree to a job's plan.
     Approve(JobArg),
@@ -69,7 +69,7 @@ pub enum ClientCommand {
     Abort(StateArg),
     /// Move to the park pose, gripper empty.
     Park(StateArg),
-    /// Vacuum off, wherever the arm is: what it holds falls.
+    /// Stop and disarm, then vacuum off, wherever the arm is: what it holds falls.
     Release {
         #[command(flatten)]
         state: StateArg,

@@ -7,10 +7,25 @@
 use std::ops::RangeInclusive;
 
 use crate::document::tree::{Entry, Node, Value};
-use crate::document::{Complaint, Complaints, Location};
+use crate::document::{Complaint, Complaints, Location, parse};
 
 /// Most complaints kept; a file that is wrong everywhere need not fill a screen per object.
 const MAX_COMPLAINTS: usize = 200;
+
+/// Reads a whole file; `name` is for the complaints.
+///
+/// # Errors
+/// Everything that is wrong with it.
+pub fn read<T>(
+    text: &str,
+    name: &str,
+    decode: impl FnOnce(&At, &mut Decoder) -> Option<T>,
+) -> Result<T, Complaints> {
+    let node = parse(text, name)?;
+    let mut decoder = Decoder::new(name);
+    let value = decode(&At::top(&node), &mut decoder);
+    decoder.finish(value)
+}
 
 /// Collects complaints about one text.
 #[derive(Debug)]

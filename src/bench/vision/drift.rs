@@ -120,6 +120,14 @@ enum Eye {
     Pictures(Box<Perception>),
 }
 
+/// What came of bumped looks and of looks with nothing wrong.
+struct Tally {
+    noticed: usize,
+    least_excess: f64,
+    false_alarms: usize,
+    largest_share: f64,
+}
+
 /// Runs with these limits; `None` when `stop` was set.
 ///
 /// # Errors
@@ -127,27 +135,16 @@ enum Eye {
 pub fn run(task: Task, limits: DriftLimits, stop: &AtomicBool) -> Result<Option<Report>, String> {
     let mut random = ChaCha8Rng::seed_from_u64(task.seed);
     let bench = Bench::new(limits, &mut random);
-    let mut report = Report {
-        trials: task.trials,
-        noticed: 0,
-        least_excess: f64::INFINITY,
-        looks: task.looks,
-        false_alarms: 0,
-        largest_share: 0.0,
-        rendered_trials: task.rendered / 2,
-        rendered_noticed: 0,
-        rendered_looks: task.rendered - task.rendered / 2,
-        rendered_false_alarms: 0,
-        within: Untouched::default(),
-        calibrated: Untouched::default(),
-        limit_mm: limits.shift_m * 1e3,
-        limit_deg: limits.turn_rad.to_degrees(),
-    };
-    let counted = bench.projected_looks(task, stop, &mut random, &mut report)?
-        && bench.rendered_looks(task, stop, &mut random, &mut report)?;
-    if !counted {
+    let Some(projected) = bench.tally([task.trials, task.looks], &mut Eye::Corners, stop, &mut random)?
+    else {
         return Ok(None);
-    }
+    };
+    let perception = Perception::new(bench.known.clone(), DetectSettings::default());
+    let mut eyes = Eye::Pictures(Box::new(perception.map_err(|error| chain(&error))?));
+    let (rendered_trials, rendered_looks) = (task.rendered / 2, task.rendered - task.rendered / 2);
+    let Some(rendered) = bench.tally([rendered_trials, rendered_looks], &mut eyes, stop, &mut random)? else {
+        return Ok(None);
+    };
     let Some(within) = bench.untouched(task.calibrations, stop, &mut random, &mut |random| {
         let shift = direction(random).scale(random.random_range(0.0..MOUNT_M));
         let turn = direction(random).scale(random.random_range(0.0..MOUNT_RAD));
@@ -164,7 +161,22 @@ pub fn run(task: Task, limits: DriftLimits, stop: &AtomicBool) -> Result<Option<
     else {
         return Ok(None);
     };
-    Ok(Some(Report { within, calibrated, ..report }))
+    Ok(Some(Report {
+        trials: task.trials,
+        noticed: projected.noticed,
+        least_excess: projected.least_excess,
+        looks: task.looks,
+        false_alarms: projected.false_alarms,
+        largest_share: projected.largest_share,
+        rendered_trials,
+        rendered_noticed: rendered.noticed,
+        rendered_looks,
+        rendered_false_alarms: rendered.false_alarms,
+        within,
+        calibrated,
+        limit_mm: limits.shift_m * 1e3,
+        limit_deg: limits.turn_rad.to_degrees(),
+    }))
 }
 
 /// From where the camera truly is to where the cell believes it.
@@ -226,51 +238,31 @@ impl Bench {
         Bench { lens, known, prints, poses }
     }
 
-    /// Bumped looks and looks with nothing wrong, by projected corners; false when `stop` was set.
-    fn projected_looks(
+    /// So many bumped looks and then so many with nothing wrong; `None` when `stop` was set.
+    fn tally(
         &self,
-        task: Task,
+        [bumped, sound]: [usize; 2],
+        eye: &mut Eye,
         stop: &AtomicBool,
         random: &mut ChaCha8Rng,
-        report: &mut Report,
-    ) -> Result<bool, String> {
-        for trial in 0..task.trials + task.looks {
+    ) -> Result<Option<Tally>, String> {
+        let mut tally =
+            Tally { noticed: 0, least_excess: f64::INFINITY, false_alarms: 0, largest_share: 0.0 };
+        for trial in 0..bumped + sound {
             if stop.load(Ordering::Relaxed) {
-                return Ok(false);
+                return Ok(None);
             }
-            let bumped = trial < task.trials;
-            let (drifted, share) = self.trial(bumped.then_some(trial), &mut Eye::Corners, random)?;
-            if bumped {
-                report.noticed += usize::from(drifted);
-                report.least_excess = report.least_excess.min(share);
+            let bump = Some(trial).filter(|trial| *trial < bumped);
+            let (drifted, share) = self.trial(bump, eye, random)?;
+            if bump.is_some() {
+                tally.noticed += usize::from(drifted);
+                tally.least_excess = tally.least_excess.min(share);
             } else {
-                report.false_alarms += usize::from(drifted);
-                report.largest_share = report.largest_share.max(share);
+                tally.false_alarms += usize::from(drifted);
+                tally.largest_share = tally.largest_share.max(share);
             }
         }
-        Ok(true)
-    }
-
-    /// The same with pictures, in which the cell's own eyes find the markers.
-    fn rendered_looks(
-        &self,
-        task: Task,
-        stop: &AtomicBool,
-        random: &mut ChaCha8Rng,
-        report: &mut Report,
-    ) -> Result<bool, String> {
-        let perception = Perception::new(self.known.clone(), DetectSettings::default());
-        let mut eye = Eye::Pictures(Box::new(perception.map_err(|error| chain(&error))?));
-        for trial in 0..task.rendered {
-            if stop.load(Ordering::Relaxed) {
-                return Ok(false);
-            }
-            let bumped = trial < report.rendered_trials;
-            let (drifted, _) = self.trial(bumped.then_some(trial), &mut eye, random)?;
-            report.rendered_noticed += usize::from(drifted && bumped);
-            report.rendered_false_alarms += usize::from(drifted && !bumped);
-        }
-        Ok(true)
+        Ok(Some(tally))
     }
 
     /// A look of a cell that is calibrated exactly, with the bump of this number or none.

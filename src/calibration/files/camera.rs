@@ -5,9 +5,9 @@
 
 use crate::calibration::files;
 use crate::calibration::fit::lens::{LensSample, LensSolution};
-use crate::document::decode::{At, Decoder, Fields};
+use crate::document::Complaints;
+use crate::document::decode::{At, Decoder, Fields, read};
 use crate::document::write::Out;
-use crate::document::{Complaints, parse};
 use crate::vision::camera::CameraModel;
 
 /// A camera's numbers and where they come from.
@@ -83,10 +83,7 @@ impl CameraCalibration {
     /// # Errors
     /// Everything that is wrong with it.
     pub fn parse(text: &str, name: &str) -> Result<CameraCalibration, Complaints> {
-        let node = parse(text, name)?;
-        let mut decoder = Decoder::new(name);
-        let value = decode(&At::top(&node), &mut decoder);
-        decoder.finish(value)
+        read(text, name, decode)
     }
 
     /// The text of the file.

@@ -9,9 +9,9 @@ use crate::calibration::files;
 use crate::calibration::files::{FIT_M, FIT_PX, FIT_RAD, SAMPLE_M, SAMPLE_PX};
 use crate::calibration::fit::fixed::FixedCamera;
 use crate::calibration::fit::{HandEye, SampleResidual, TransformStd};
-use crate::document::decode::{At, Decoder, Fields};
+use crate::document::Complaints;
+use crate::document::decode::{At, Decoder, Fields, read};
 use crate::document::write::Out;
-use crate::document::{Complaints, parse};
 use nalgebra::Isometry3;
 
 /// The devices a calibration belongs to, and when it was made.
@@ -162,10 +162,7 @@ impl HandEyeCalibration {
     /// # Errors
     /// Everything that is wrong with it.
     pub fn parse(text: &str, name: &str) -> Result<HandEyeCalibration, Complaints> {
-        let node = parse(text, name)?;
-        let mut decoder = Decoder::new(name);
-        let value = decode(&At::top(&node), &mut decoder);
-        decoder.finish(value)
+        read(text, name, decode)
     }
 
     /// The text of the file.

@@ -6,9 +6,9 @@
 //! without moving the arm. Pure.
 
 use crate::calibration::files::{self, hand_eye::Provenance};
-use crate::document::decode::{At, Decoder};
+use crate::document::Complaints;
+use crate::document::decode::{At, Decoder, read};
 use crate::document::write::Out;
-use crate::document::{Complaints, parse};
 use nalgebra::Isometry3;
 
 /// A recorded round.
@@ -38,10 +38,7 @@ impl Round {
     /// # Errors
     /// Everything that is wrong with it.
     pub fn parse(text: &str, name: &str) -> Result<Round, Complaints> {
-        let node = parse(text, name)?;
-        let mut decoder = Decoder::new(name);
-        let value = decode(&At::top(&node), &mut decoder);
-        decoder.finish(value)
+        read(text, name, decode)
     }
 
     /// The text of the file.

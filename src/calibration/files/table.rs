@@ -8,9 +8,9 @@ use crate::calibration::files;
 use crate::calibration::files::hand_eye::{Provenance, Residuals};
 use crate::calibration::fit::touch::{Tie, TouchFit};
 use crate::calibration::fit::{HandEye, TransformStd};
-use crate::document::decode::{At, Decoder};
+use crate::document::Complaints;
+use crate::document::decode::{At, Decoder, read};
 use crate::document::write::Out;
-use crate::document::{Complaints, parse};
 use crate::geometry::pose::Pose2;
 use crate::vision::observe::ReferenceMarker;
 use nalgebra::Isometry3;
@@ -86,10 +86,7 @@ impl TableCalibration {
     /// # Errors
     /// Everything that is wrong with it.
     pub fn parse(text: &str, name: &str) -> Result<TableCalibration, Complaints> {
-        let node = parse(text, name)?;
-        let mut decoder = Decoder::new(name);
-        let value = decode(&At::top(&node), &mut decoder);
-        decoder.finish(value)
+        read(text, name, decode)
     }
 
     /// The text of the file.

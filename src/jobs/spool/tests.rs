@@ -403,3 +403,29 @@ fn an_interrupted_step_ends_the_job_with_a_named_state() {
     let text = fs::read_to_string(bench.state.path().join("jobs/failed/2026-11/a/result.yaml")).unwrap();
     assert!(text.contains("status: interrupted"), "{text}");
 }
+
+/// Row 39 of the table of faults: the wall clock is set by a year, forwards and back.
+#[test]
+fn a_clock_that_jumps_changes_neither_that_ids_differ_nor_the_order_of_jobs() {
+    const YEAR_S: f64 = 365.25 * 86_400.0;
+    let mut bench = Bench::new();
+    let mut ids = Vec::new();
+    for (round, unix_s) in (0..).zip([NOW, NOW - YEAR_S, NOW, NOW + YEAR_S, NOW]) {
+        bench.drop_file("tidy.yaml", &format!("goal {round}"));
+        for at_ms in [round * 10_000, round * 10_000 + 500] {
+            let now = Timestamp::ZERO + Duration::from_millis(at_ms);
+            let events = bench.spool.scan(&mut bench.journal, &read, now, unix_s).unwrap();
+            ids.extend(events.into_iter().map(|event| match event {
+                SpoolEvent::Claimed { id, .. } => id,
+                other => panic!("{other:?}"),
+            }));
+        }
+    }
+    assert_eq!(ids.iter().collect::<std::collections::BTreeSet<_>>().len(), 5, "{ids:?}");
+    for id in &ids {
+        let next = bench.journal.next_ready(NOW - YEAR_S).unwrap().expect("it waits");
+        assert_eq!(next.id, *id);
+        bench.journal.start(id, NOW).unwrap();
+        bench.journal.finish(id, &result(id, JobStatus::Done), NOW - YEAR_S).unwrap();
+    }
+}

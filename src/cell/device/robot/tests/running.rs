@@ -417,14 +417,20 @@ fn a_pc_that_finds_nothing_after_it_was_held_up_trusts_nothing_old() {
     assert_eq!(rig.robot.command(rig.now, path), Err(Refused::Stale));
 }
 
-#[test]
-fn a_paused_program_that_cannot_be_ended_finds_a_stop_in_its_registers() {
+/// Paused in the middle of a path, and no dashboard to end the program by.
+fn paused_without_dashboard() -> Rig {
     let mut rig = Rig::running();
     rig.command(RobotCommand::Stream(path(HOME, 12)));
     rig.run_ms(60);
     rig.fake.runtime_state = 4;
     rig.run_ms(20);
     rig.drop_link(Link::Dashboard);
+    rig
+}
+
+#[test]
+fn a_paused_program_that_cannot_be_ended_finds_a_stop_in_its_registers() {
+    let mut rig = paused_without_dashboard();
     rig.command(RobotCommand::Stop);
     rig.run_ms(20);
     assert_eq!(rig.fake.opcode(), 5, "the program reads it in the first frame after play");
@@ -432,12 +438,7 @@ fn a_paused_program_that_cannot_be_ended_finds_a_stop_in_its_registers() {
 
 #[test]
 fn a_paused_program_that_was_left_behind_is_stopped_when_the_link_is_back() {
-    let mut rig = Rig::running();
-    rig.command(RobotCommand::Stream(path(HOME, 12)));
-    rig.run_ms(60);
-    rig.fake.runtime_state = 4;
-    rig.run_ms(20);
-    rig.drop_link(Link::Dashboard);
+    let mut rig = paused_without_dashboard();
     rig.drop_link(Link::Rtde);
     assert!(rig.ended().is_some(), "{:?}", rig.events);
     assert_ne!(rig.fake.opcode(), 5);
