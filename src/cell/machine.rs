@@ -260,6 +260,7 @@ impl Machine {
             robot: self.robot.state(),
             robot_fresh: self.robot.fresh(now),
             program_settled: self.robot.program_settled(),
+            arm_settled: self.robot.arm_settled(),
             gripper_answers: self.gripper_answers,
             vacuum: self.gripper.reading().filter(|(at, _)| now.since(*at) <= VACUUM_AGE).map(|(_, v)| v),
         };

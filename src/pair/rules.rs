@@ -6,13 +6,13 @@
 //! answers and the sight that a pick rests on. A rule that the machine's own word could satisfy would prove
 //! nothing.
 
-use crate::cell::device::gripper::ModbusRequest;
+use crate::cell::device::gripper::{Channels, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::{Effect, Event, News};
 use crate::cell::machine::Machine;
-use crate::cell::orders::Order;
+use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::status::Status;
+use crate::cell::supervisor::status::{Doing, Status};
 use crate::sim::faults::link::LinkName;
 use crate::sim::faults::{Fault, Order as FaultOrder, RobotFault};
 use crate::sim::simulator::Simulator;
@@ -60,11 +60,13 @@ pub enum Rule {
     SafetyAcknowledged,
     /// A motion begins although the pendant was switched to local control a while ago.
     MotionInLocalControl,
+    /// Power, brakes or a program are ordered of the robot although the cell is disarmed.
+    StartedWhileDisarmed,
 }
 
 impl Rule {
     /// All of them.
-    pub const ALL: [Rule; 18] = [
+    pub const ALL: [Rule; 19] = [
         Rule::MotionWhileDisarmed,
         Rule::MotionBeforeCommit,
         Rule::MotionOnStaleState,
@@ -83,6 +85,7 @@ impl Rule {
         Rule::ArmedThroughLinkLoss,
         Rule::SafetyAcknowledged,
         Rule::MotionInLocalControl,
+        Rule::StartedWhileDisarmed,
     ];
 }
 
@@ -113,7 +116,10 @@ const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 const STOP_FRAMES: u64 = 1250;
 
 /// An arm that has not moved for so long has stood.
-const STOOD_FRAMES: u64 = 50;
+const STOOD_FRAMES: u64 = 10;
+
+/// What began while its stop was on the way may last this long.
+const OVERTAKEN_FRAMES: u64 = 500;
 
 /// The on-robot program's watchdog and the stop after it.
 const WATCHDOG_FRAMES: u64 = 350;
@@ -145,18 +151,20 @@ pub struct Rules {
     breaches: Vec<Breach>,
     moved: bool,
     stopped_at: Option<u64>,
-    /// It has stood since.
-    stood: bool,
-    /// Frames for which the arm has not moved.
+    /// Frames for which the arm has not moved, and when it last began to, from standstill.
     still: u64,
+    began_at: u64,
     /// The program was paused in the last frame, and when it was played again with no stop in reach.
     paused: bool,
     played_at: Option<u64>,
     /// A pick-n-place is under way, by the journal.
     picking: bool,
     last_state: u64,
-    /// The RTDE connection is gone since the last state.
+    /// The RTDE connection is gone since the last state; and when states came again after that.
     rtde_gone: bool,
+    back_at: Option<u64>,
+    /// Bytes of a package that is not complete.
+    package: Vec<u8>,
     last_read: u64,
     frame: u64,
     /// Records on their way to the disk, with whether motion waits for them.
@@ -164,8 +172,10 @@ pub struct Rules {
     written: BTreeSet<u64>,
     /// Without an answer yet, with the frame in which they were given.
     orders: BTreeMap<u64, (u64, Order)>,
-    /// Releases that a person ordered and that are not answered yet.
+    /// Releases that a person ordered and that are not answered yet, and when the last one was, or was
+    /// forgotten with its daemon.
     releases: u32,
+    released_at: Option<u64>,
     vacuum: [Option<VacuumMode>; 2],
     held_since: Option<u64>,
     sight: u64,
@@ -212,6 +222,7 @@ impl Rules {
         self.written.clear();
         self.orders.clear();
         (self.stopped_at, self.lost) = (None, None);
+        self.released_at = Some(self.frame).filter(|_| self.releases > 0).or(self.released_at);
         (self.releases, self.picking) = (0, false);
         self.restarted_at = Some(self.frame);
         self.disturbed = self.frame;
@@ -227,13 +238,30 @@ impl Rules {
     /// Something has truly happened, whatever the machine is told of it.
     pub fn arrived(&mut self, event: &Event) {
         match event {
-            Event::Received(Link::Rtde, _) => (self.last_state, self.rtde_gone) = (self.frame, false),
+            Event::Received(Link::Rtde, bytes) => self.rtde_arrived(bytes),
+            Event::Connected(Link::Rtde) => self.package.clear(),
             Event::Disconnected(link, _) => {
                 self.lost = self.lost.or(Some((self.frame, *link)));
                 self.rtde_gone |= *link == Link::Rtde;
             }
             Event::Observed(_, Ok(_)) => self.sight = self.frame,
             _ => {}
+        }
+    }
+
+    /// States of the robot, told from everything else that comes over RTDE: a length of two bytes, then `U`.
+    fn rtde_arrived(&mut self, bytes: &[u8]) {
+        self.package.extend(bytes);
+        while let [high, low, kind, ..] = *self.package {
+            let length = usize::from(u16::from_be_bytes([high, low])).max(3);
+            if self.package.len() < length {
+                return;
+            }
+            self.package.drain(..length);
+            if kind == b'U' {
+                self.back_at = Some(self.frame).filter(|_| self.silent()).or(self.back_at);
+                (self.last_state, self.rtde_gone) = (self.frame, false);
+            }
         }
     }
 
@@ -254,8 +282,8 @@ impl Rules {
                 self.open.insert(*number, !matches!(record, Record::Ended(_)));
                 match record {
                     Record::Intent { .. } => self.picking = true,
-                    Record::Done { .. } | Record::Ended(_) => self.picking = false,
-                    Record::Gripped { .. } | Record::Released { .. } => {}
+                    Record::Done { .. } => self.picking = false,
+                    Record::Gripped { .. } | Record::Released { .. } | Record::Ended(_) => {}
                 }
                 match record {
                     Record::Intent { object, .. } if self.sight <= self.disturbed => {
@@ -267,13 +295,13 @@ impl Rules {
                     Record::Intent { .. } | Record::Ended(_) => {}
                 }
             }
-            Effect::Send(Link::Dashboard, bytes) => self.check_line(bytes),
+            Effect::Send(Link::Dashboard, bytes) => self.check_line(bytes, machine),
+            Effect::Send(Link::Primary, _) => self.check_started("a program", machine),
             Effect::Registers(ModbusRequest::Read { .. }) => self.last_read = frame,
-            Effect::Reply { number, reply } => self.check_reply(*number, reply.accepted, machine),
+            Effect::Reply { number, reply } => self.check_reply(*number, reply, machine),
+            Effect::End(_) => self.check_end(),
             Effect::Notify(News::Notice(notice)) if notice.text.starts_with("stopped and disarmed") => {
-                (self.stopped_at, self.stood, self.picking) = (Some(frame), false, false);
-                // A move may be on its way just before its stop: the arm has stood when it stands after it.
-                self.still = 0;
+                (self.stopped_at, self.picking) = (Some(frame), false);
                 self.disturbed = frame;
             }
             _ => {}
@@ -281,14 +309,33 @@ impl Rules {
     }
 
     /// Safety stops are acknowledged by a person.
-    fn check_line(&mut self, bytes: &[u8]) {
+    fn check_line(&mut self, bytes: &[u8], machine: &Machine) {
         let line = String::from_utf8_lossy(bytes).to_lowercase();
         if ["unlock protective stop", "restart safety"].iter().any(|word| line.contains(word)) {
             self.breach(Rule::SafetyAcknowledged, line.trim().to_string());
         }
+        if ["power on", "brake release"].iter().any(|word| line.contains(word)) {
+            self.check_started(line.trim(), machine);
+        }
     }
 
-    fn check_reply(&mut self, number: u64, accepted: bool, machine: &Machine) {
+    fn check_started(&mut self, what: &str, machine: &Machine) {
+        if !machine.supervisor().is_some_and(|supervisor| supervisor.mode().armed()) {
+            self.breach(Rule::StartedWhileDisarmed, what.to_string());
+        }
+    }
+
+    /// Whoever has given an order that has arrived is answered before the daemon ends.
+    fn check_end(&mut self) {
+        let given = |at: u64| at + 1 < self.frame;
+        let open = self.orders.values().find(|(at, _)| given(*at)).map(|(_, order)| format!("{order:?}"));
+        if let Some(order) = open {
+            self.breach(Rule::OrderUnanswered, order);
+        }
+    }
+
+    fn check_reply(&mut self, number: u64, reply: &Reply, machine: &Machine) {
+        let accepted = reply.accepted;
         let Some((_, order)) = self.orders.remove(&number) else {
             return self.breach(Rule::AnswerWithoutOrder, format!("order {number}"));
         };
@@ -299,21 +346,37 @@ impl Rules {
                 self.breach(Rule::ArmedWithGateClosed, gate.to_string());
             }
         }
+        let stands = !reply.message.starts_with("stopped") || !self.moved;
         let fine = match order {
             Order::Arm => accepted == mode.armed(),
-            Order::Disarm | Order::Abort => !accepted || !mode.armed(),
-            Order::Pause => !accepted || mode.paused() || mode.ending(),
+            Order::Disarm => {
+                // Plainly disarmed: no pick-n-place is finished first.
+                self.picking &= reply.message != "disarmed";
+                !mode.armed() && (!accepted || stands)
+            }
+            Order::Abort => !mode.armed() && (!accepted || !self.moved),
+            Order::Pause => !accepted || mode.paused(),
             Order::Resume => !accepted || !mode.paused(),
             Order::Park | Order::Step => !accepted || mode.armed(),
-            Order::Release(_) => {
+            Order::Release(channels) => {
                 self.disturbed = self.frame;
                 self.releases = self.releases.saturating_sub(1);
-                true
+                !accepted || (!mode.armed() && self.is_off(channels))
             }
             Order::Approve(_) | Order::Reject(_) | Order::Cancel(_) | Order::Recover => true,
         };
         if !fine {
-            self.breach(Rule::AnswerNotTrue, format!("{order:?} accepted: {accepted}, {mode:?}"));
+            self.breach(Rule::AnswerNotTrue, format!("{order:?}: {reply:?}, {mode:?}"));
+        }
+    }
+
+    /// These channels do not grip, in truth.
+    fn is_off(&self, channels: Channels) -> bool {
+        let [a, b] = self.vacuum.map(|mode| mode != Some(VacuumMode::Grip));
+        match channels {
+            Channels::A => a,
+            Channels::B => b,
+            Channels::Both => a && b,
         }
     }
 
@@ -333,7 +396,12 @@ impl Rules {
         if std::mem::replace(&mut self.paused, paused) && !paused {
             self.played_at = Some(frame).filter(|_| self.unreached());
         }
+        if moves && self.still >= STOOD_FRAMES {
+            self.began_at = frame;
+        }
         self.still = if moves { 0 } else { self.still + 1 };
+        let works = status.is_some_and(|status| matches!(status.doing, Doing::Working(..)));
+        self.picking &= moves || works;
         self.local_since = if local { self.local_since.or(Some(frame)) } else { None };
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
@@ -355,29 +423,39 @@ impl Rules {
     /// After a stop nothing moves before the cell is armed.
     fn check_stopped(&mut self, moves: bool) {
         let Some(at) = self.stopped_at else { return };
-        if moves
-            && !self.stranger
-            && !self.played_unreached()
-            && (self.stood || self.frame > at + STOP_FRAMES)
-        {
-            let detail = if self.stood { "it had stood since" } else { "it never stood" };
+        let detail = if self.began_at > at + ON_ITS_WAY_FRAMES {
+            "it began after its stop"
+        } else if self.frame > at + STOP_FRAMES {
+            "it never stood"
+        } else if self.began_at > at && self.frame > self.began_at + OVERTAKEN_FRAMES {
+            "it began while the stop was on its way, and went on"
+        } else {
+            return;
+        };
+        if moves && !self.stranger && !self.played_unreached() {
             self.breach(Rule::MotionAfterStop, detail.to_string());
             self.stopped_at = None;
         }
-        self.stood |= self.still >= STOOD_FRAMES;
     }
 
-    /// No stop reaches the program now: celld or its link is gone.
+    fn silent(&self) -> bool {
+        self.rtde_gone || self.frame > self.last_state + SILENT_FRAMES
+    }
+
+    /// No stop has reached the program: celld or its link was gone before there was a reason for one.
     fn unreached(&self) -> bool {
-        self.rtde_gone
-            || self.frame > self.last_state + SILENT_FRAMES
+        let reachable = self.stopped_at.is_some_and(|at| at < self.last_state);
+        (self.silent() && !reachable)
             || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at))
     }
 
     /// A person has pressed play on a program that no stop could reach: it moves until its own watchdog stops
-    /// it.
+    /// it, or the link is back and the stop arrives.
     fn played_unreached(&self) -> bool {
-        self.played_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES)
+        self.played_at.is_some_and(|at| {
+            let back = self.back_at.is_some_and(|back| back >= at && self.frame > back + ON_ITS_WAY_FRAMES);
+            self.frame <= at + WATCHDOG_FRAMES && !back
+        })
     }
 
     fn watch_gates(&mut self, simulator: &Simulator, safe: bool) {
@@ -461,7 +539,8 @@ impl Rules {
         if !off.is_empty() && self.moved {
             self.breach(Rule::VacuumOffInMotion, format!("{off:?}"));
         }
-        if !off.is_empty() && self.releases == 0 && over.is_some_and(|height| height > PLACED_WITHIN_M) {
+        let ordered = self.releases > 0 || self.released_at.is_some_and(|at| frame <= at + ON_ITS_WAY_FRAMES);
+        if !off.is_empty() && !ordered && over.is_some_and(|height| height > PLACED_WITHIN_M) {
             self.breach(Rule::VacuumOffAway, format!("{:.0} mm over its place", over.unwrap_or(0.0) * 1e3));
         }
         self.held_since = if held { self.held_since.or(Some(frame)) } else { None };

@@ -321,12 +321,14 @@ impl Gripper {
             GripperCommand::Release { channels } => {
                 let deadline = now + self.parameters.release_within;
                 let (channels, still) = match self.hold {
-                    Hold::Holding { channels: held, .. } => (channels, held.without(channels)),
+                    Hold::Holding { channels: held, .. } | Hold::Gripping { channels: held, .. } => {
+                        (channels, held.without(channels))
+                    }
                     // Two releases in haste: neither takes the place of the other.
                     Hold::Releasing { channels: earlier, still, .. } => {
                         (channels.and(earlier), still.and_then(|held| held.without(channels)))
                     }
-                    Hold::Empty | Hold::Gripping { .. } | Hold::Failed => (channels, None),
+                    Hold::Empty | Hold::Failed => (channels, None),
                 };
                 self.hold = Hold::Releasing { channels, deadline, still };
                 // A grip that has not gone out yet must not follow the release.
@@ -416,8 +418,9 @@ impl Gripper {
                 self.forget_writes();
                 self.outbox.report(GripperEvent::GripFailed { vacuum: channels.lowest(vacuum) });
             }
-            Hold::Releasing { channels, deadline, .. } if now >= deadline => {
-                self.hold = Hold::Failed;
+            Hold::Releasing { channels, deadline, still } if now >= deadline => {
+                self.hold =
+                    still.map_or(Hold::Failed, |channels| Hold::Holding { channels, low_since: None });
                 self.forget_writes();
                 self.outbox.report(GripperEvent::ReleaseFailed { vacuum: channels.highest(vacuum) });
             }

@@ -35,7 +35,7 @@ use crate::cell::device::stream::Stream;
 use crate::motion::kinematics::DhParameters;
 use crate::time::{Duration, Timestamp};
 use crate::wire::dashboard::Command;
-use parts::{ArmWait, Heartbeat, Identity, Program, Reported, SEND_WITHIN, Setup};
+use parts::{ArmWait, Heartbeat, Identity, PoweringOff, Program, Reported, SEND_WITHIN, Setup};
 use std::collections::VecDeque;
 
 /// Faults older than this are forgotten when they are counted.
@@ -64,6 +64,10 @@ pub struct Robot {
     arm_waits: Vec<ArmWait>,
     /// Commands on their way whose answers count for nothing, oldest first: a stop came between.
     dropped: Vec<Command>,
+    /// Since when power or brakes are on their way.
+    powers_since: Option<Timestamp>,
+    /// A stop has taken power and brakes back, and the arm is not known to be off yet.
+    powering_off: Option<PoweringOff>,
     /// Nonce of the program that was uploaded last.
     uploaded: Option<Nonce>,
     /// That of a program that was given up and has not been seen to end, and whether its stop is written.
@@ -102,6 +106,8 @@ impl Robot {
             reported: Reported::default(),
             arm_waits: Vec::new(),
             dropped: Vec::new(),
+            powers_since: None,
+            powering_off: None,
             uploaded: None,
             left_behind: None,
             exception: None,
@@ -219,6 +225,11 @@ impl Robot {
         matches!(self.program, Program::Absent | Program::Running { .. } | Program::Stopped)
     }
 
+    /// True unless power or brakes that a stop took back may still come on.
+    pub fn arm_settled(&self) -> bool {
+        self.powering_off.is_none()
+    }
+
     /// Number of the path that was taken last; its events carry it.
     pub fn last_batch(&self) -> u32 {
         self.stream.last_batch()
@@ -236,6 +247,7 @@ impl Robot {
         self.follow_program(now);
         self.take_progress(now, passed);
         self.check_arm_waits(now);
+        self.follow_powering_off(now);
         self.send_heartbeat(now);
         self.send_commands(now);
     }

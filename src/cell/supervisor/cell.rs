@@ -7,7 +7,7 @@
 //! too: it waits for the number of its record.
 
 use crate::cell::code::Code;
-use crate::cell::device::gripper::GripperEvent;
+use crate::cell::device::gripper::{Channels, GripperEvent};
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent};
 use crate::cell::orders::Order;
@@ -56,7 +56,7 @@ pub struct Supervisor {
     pub(crate) waiting_for: Option<Closed>,
     pub(crate) waiting_since: Timestamp,
     /// Releases whose answer is what the gripper says next.
-    pub(crate) release_orders: Vec<u64>,
+    pub(crate) release_orders: Vec<(u64, Channels)>,
     /// Orders that are answered, or go on, once the arm stands.
     pub(crate) until_it_stands: Vec<UntilItStands>,
     /// The robot has reported standstill since it was last ordered to stop.
@@ -152,8 +152,12 @@ impl Supervisor {
 
     /// Takes one input and says what to do.
     pub fn step(&mut self, now: Timestamp, outside: &Outside, input: Input) -> Vec<Action> {
+        let order = match &input {
+            Input::Order { number, .. } => Some(*number),
+            _ => None,
+        };
         let mut actions = self.decide(now, outside, input);
-        self.watch_standing(now, outside, &mut actions);
+        self.watch_standing(now, outside, order, &mut actions);
         self.hold_while_paused(outside, actions)
     }
 
@@ -171,7 +175,7 @@ impl Supervisor {
             Input::Committed { number, result } => self.on_committed(now, outside, number, result, &mut out),
             Input::StoreLost(fault) => self.on_store_lost(now, fault, &mut out),
             Input::Job(order) => self.on_job(now, *order, &mut out),
-            Input::Round(order) => self.on_round(now, *order, &mut out),
+            Input::Round(order) => self.on_round(now, outside, *order, &mut out),
             Input::Order { number, order } => return self.on_order(now, outside, number, order),
             Input::Shutdown => self.on_shutdown(now, &mut out),
         }
@@ -285,7 +289,8 @@ impl Supervisor {
             self.waiting_for = None;
             return;
         }
-        if self.job.is_some() && self.mode.paused() {
+        // To park is an order of its own, which a pause does not hold back.
+        if self.job.is_some() && self.mode.paused() && !self.mode.parks() {
             // The pause is the reason now, whatever was waited for before.
             self.waiting_for = None;
             return;
@@ -316,6 +321,7 @@ impl Supervisor {
         self.stands |= matches!(event, RobotEvent::Stopped);
         match event {
             RobotEvent::PathFinished { .. } => match &mut self.phase {
+                Phase::Look(Look { void: true, .. }) => self.phase = Phase::Ready,
                 Phase::Look(_) => self.look_pose_reached(),
                 Phase::Visit(visit) => *visit = Visit::Settling { still_since: None },
                 Phase::Work(_) => self.work_path_finished(now, out),
@@ -339,6 +345,8 @@ impl Supervisor {
         }
         if matches!(self.phase, Phase::Work(_)) {
             self.work_gripper(now, event, out);
+        } else if matches!(event, GripperEvent::VacuumLost { .. }) {
+            alarm(out, "what the gripper held has fallen: see where it lies");
         }
     }
 

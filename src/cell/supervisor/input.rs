@@ -25,6 +25,8 @@ pub struct Outside<'a> {
     pub robot_fresh: bool,
     /// No program is being started, stopped or ended, so that a new one may be started.
     pub program_settled: bool,
+    /// Neither power nor brakes that a stop took back may still come on.
+    pub arm_settled: bool,
     /// The gripper answered within its deadline.
     pub gripper_answers: bool,
     /// Vacuum of the channels (fraction), if it was read lately.

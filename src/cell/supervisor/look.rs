@@ -56,7 +56,7 @@ impl Supervisor {
         match self.transfer_to(&robot.q, target) {
             Ok(path) => {
                 out.push(Action::Robot(RobotCommand::Stream(path)));
-                let look = Look { view, stage: LookStage::Moving, views, trouble: None };
+                let look = Look { view, stage: LookStage::Moving, views, trouble: None, void: false };
                 self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
             }
             Err(fault) => self.no_way_to_look(now, view, &fault.to_string(), out),

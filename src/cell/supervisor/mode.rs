@@ -95,7 +95,9 @@ impl Mode {
     /// Motion is not allowed any more; a wish to park is forgotten, a pause is kept.
     pub fn disarm(&mut self) {
         if self.armed() {
-            *self = Mode::Disarmed { paused: self.paused() };
+            // A single step that never came to its end leaves the pause that was promised after it.
+            let paused = !matches!(self, Mode::Armed { pace: Pace::Running, .. });
+            *self = Mode::Disarmed { paused };
         }
     }
 
@@ -152,6 +154,9 @@ mod tests {
         let mut mode = Mode::Armed { pace: Pace::OneMove, park: false };
         mode.step_over();
         assert!(mode.paused());
+        let mut mode = Mode::Armed { pace: Pace::OneMove, park: false };
+        mode.disarm();
+        assert!(mode.arm() && mode.paused(), "also when it was broken off");
         let mut mode = Mode::Armed { pace: Pace::Running, park: false };
         mode.step_over();
         assert!(!mode.paused());

@@ -25,14 +25,21 @@ impl Supervisor {
         out: &mut Vec<Action>,
     ) -> Option<Reply> {
         match order {
-            Order::Arm => return self.on_arm(out),
+            Order::Arm => return self.on_arm(outside, out),
             Order::Disarm => self.on_disarm(now, outside, number, out),
             Order::Approve(id) => return self.on_verdict(now, id, true, out),
             Order::Reject(id) => return self.on_verdict(now, id, false, out),
             Order::Cancel(id) => return self.on_cancel(id),
+            Order::Pause | Order::Step | Order::Park if self.round.is_some() => {
+                let why = "no: a calibration round is under way; `celld abort` ends it";
+                return Some(Reply::refuse(why));
+            }
             Order::Pause if self.mode.paused() => return Some(Reply::accept("paused already")),
             Order::Pause => {
                 self.mode.set_pace(Pace::Paused);
+                if !matches!(self.phase, Phase::Park) {
+                    self.mode.set_park(false);
+                }
                 if !self.mode.paused() {
                     return Some(self.not_armed("not paused, and nothing moves"));
                 }
@@ -70,8 +77,8 @@ impl Supervisor {
     }
 
     /// What a person has ordered for safe access and that is not over yet.
-    pub(crate) fn under_way(&self) -> Option<&'static str> {
-        if !self.until_it_stands.is_empty() {
+    pub(crate) fn under_way(&self, outside: &Outside) -> Option<&'static str> {
+        if self.stopping(outside) {
             Some("a stop is under way, and the arm is not known to stand yet")
         } else if !self.release_orders.is_empty() {
             Some("a release is under way, and the gripper has not confirmed it yet")
@@ -80,11 +87,11 @@ impl Supervisor {
         }
     }
 
-    fn on_arm(&mut self, out: &mut Vec<Action>) -> Option<Reply> {
+    fn on_arm(&mut self, outside: &Outside, out: &mut Vec<Action>) -> Option<Reply> {
         if self.mode.armed() {
             return Some(Reply::accept("armed already"));
         }
-        if let Some(why) = self.under_way() {
+        if let Some(why) = self.under_way(outside) {
             return Some(Reply::refuse(format!("not armed: {why}; try again")));
         }
         if !self.mode.arm() {
@@ -97,7 +104,8 @@ impl Supervisor {
                 }
             });
         }
-        // Whoever arms has looked at the table; what stood on it may be gone, and only a look can tell.
+        // Whoever arms has been at the table: what stood on it may be gone, and only a look can tell.
+        self.seen = None;
         self.foreign_height = 0.0;
         self.drift_told = false;
         say(out, "armed");
@@ -108,13 +116,17 @@ impl Supervisor {
     /// What is held in the middle of a motion does not go on by itself later: it is stopped. So is a robot
     /// that is being started: power, brakes and program would come after the answer.
     fn on_disarm(&mut self, now: Timestamp, outside: &Outside, number: u64, out: &mut Vec<Action>) {
-        if self.moving() && motion_speed(outside) == 0.0 {
-            let reason = Code::Aborted.because("the operator disarmed the cell while the arm was held", "");
+        let held = self.moving() && motion_speed(outside) == 0.0;
+        if held || self.round.is_some() {
+            let what = if held { "while the arm was held" } else { "in a calibration round" };
+            let reason = Code::Aborted.because(format!("the operator disarmed the cell {what}"), "");
             self.stop_all(now, JobEnd::Interrupted, reason, out);
             return self.answer_when_it_stands(now, number, Then::Say);
         }
         if matches!(self.phase, Phase::BringUp(_)) {
             self.stop_robot(out);
+        }
+        if self.stopping(outside) {
             self.answer_when_it_stands(now, number, Then::Say);
         }
         self.mode.disarm();
@@ -124,8 +136,10 @@ impl Supervisor {
             Phase::Work(work) => !matches!(work.stage, WorkStage::NotingIntent(_)),
             _ => self.follows_a_path(),
         };
-        if matches!(self.phase, Phase::BringUp(_) | Phase::Work(_)) && !begun {
-            self.phase = Phase::Ready;
+        match &mut self.phase {
+            Phase::BringUp(_) | Phase::Work(_) | Phase::Look(_) if !begun => self.phase = Phase::Ready,
+            Phase::Look(look) => look.void = true,
+            _ => {}
         }
         say(out, if begun { "disarmed once the present motion is over" } else { "disarmed" });
     }
@@ -187,10 +201,14 @@ impl Supervisor {
             }),
             Order::Pause => Reply::accept(match &self.phase {
                 Phase::Work(_) => "pauses after the present pick-n-place",
+                Phase::Park => "the arm goes on to its park pose, then nothing moves",
                 _ if self.job.is_some() => "pauses before the next pick-n-place",
                 _ => "paused; no job is under way",
             }),
-            Order::Resume => Reply::accept("goes on"),
+            Order::Resume => Reply::accept(match self.mode.armed() {
+                true => "goes on",
+                false => "the pause is over; the cell is disarmed, `celld arm` lets it move",
+            }),
             Order::Step => Reply::accept(match &self.job {
                 Some(_) => "one pick-n-place, then a pause",
                 None => "no job is under way; the next one pauses after one pick-n-place",
@@ -203,6 +221,8 @@ impl Supervisor {
     fn answer_park(&self) -> Reply {
         match (&self.phase, &self.waiting_for) {
             (Phase::Park, _) => Reply::accept("parks now"),
+            (Phase::Plan, _) => Reply::accept("parks as soon as the planning is over"),
+            (Phase::Approve, _) => Reply::accept("parks as soon as the plan is approved or rejected"),
             (Phase::Ready, Some(reason)) => Reply::accept(format!("parks as soon as it may move: {reason}")),
             (Phase::Ready, None) if !self.mode.parks() => {
                 Reply::refuse("not parked: the park pose cannot be reached from here")
@@ -234,24 +254,31 @@ impl Supervisor {
 
     /// Switches the vacuum off; the answer is what the gripper says.
     pub(crate) fn release(&mut self, number: u64, channels: Channels, out: &mut Vec<Action>) {
-        self.release_orders.push(number);
+        self.release_orders.push((number, channels));
         say(out, format!("vacuum off by the operator's order, {}", channels.word()));
         out.push(Action::Gripper(GripperCommand::Release { channels }));
     }
 
     /// The gripper's word on the releases that a person ordered.
     pub(crate) fn answer_release(&mut self, event: &GripperEvent, out: &mut Vec<Action>) {
-        let reply = match event {
-            GripperEvent::Released => Reply::accept("vacuum off; the cell is disarmed"),
+        let reply = |channels: Channels| match event {
+            GripperEvent::Released => Reply::accept(match channels {
+                Channels::Both => "vacuum off; the cell is disarmed".to_string(),
+                one => format!("vacuum off, {} only; the cell is disarmed", one.word()),
+            }),
             GripperEvent::ReleaseFailed { vacuum } => Reply::refuse(format!(
                 "the vacuum does not go: {:.0} %; see the gripper, what it holds may still hang there",
                 vacuum * 100.0
             )),
-            GripperEvent::Refused => Reply::refuse("the gripper takes no order: it does not answer"),
-            _ => return,
+            _ => Reply::refuse("the gripper takes no order: it does not answer"),
         };
-        for number in std::mem::take(&mut self.release_orders) {
-            out.push(Action::Reply { number, reply: reply.clone() });
+        let ends = matches!(
+            event,
+            GripperEvent::Released | GripperEvent::ReleaseFailed { .. } | GripperEvent::Refused
+        );
+        let answered = if ends { std::mem::take(&mut self.release_orders) } else { Vec::new() };
+        for (number, channels) in answered {
+            out.push(Action::Reply { number, reply: reply(channels) });
         }
     }
 }

@@ -48,6 +48,8 @@ pub(crate) struct Look {
     pub views: Vec<View>,
     /// Why there is no picture from here yet.
     pub trouble: Option<CameraTrouble>,
+    /// The cell was disarmed on the way: what was seen before proves nothing.
+    pub void: bool,
 }
 
 /// How far a look is.

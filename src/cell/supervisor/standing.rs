@@ -22,13 +22,21 @@ impl Supervisor {
         self.until_it_stands.push(UntilItStands { number, since: now, then });
     }
 
-    /// Carries out and answers what waited, as soon as the arm stands or is not known to in time.
-    pub(crate) fn watch_standing(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    /// Carries out and answers what waited, as soon as the arm stands or is not known to in time. What is
+    /// known of the robot is from before `order`, which is judged by what comes after it.
+    pub(crate) fn watch_standing(
+        &mut self,
+        now: Timestamp,
+        outside: &Outside,
+        order: Option<u64>,
+        out: &mut Vec<Action>,
+    ) {
         let fresh = outside.robot.filter(|_| outside.robot_fresh);
         let stands = self.arm_stands(outside);
+        self.stands |= stands && order.is_none();
         for waits in std::mem::take(&mut self.until_it_stands) {
             let late = now.since(waits.since) >= STANDS_WITHIN;
-            if !stands && !late {
+            if (!stands && !late) || order == Some(waits.number) {
                 self.until_it_stands.push(waits);
                 continue;
             }
@@ -46,7 +54,7 @@ impl Supervisor {
                     ),
                 }),
                 Then::Say => {
-                    let reply = stopped(stands, fresh);
+                    let reply = stopped(stands, fresh, outside.arm_settled);
                     out.push(Action::Reply { number: waits.number, reply });
                 }
             }
@@ -58,8 +66,15 @@ impl Supervisor {
     pub(crate) fn arm_stands(&self, outside: &Outside) -> bool {
         let fresh = outside.robot.filter(|_| outside.robot_fresh);
         fresh.is_some_and(|robot| {
-            robot.stands_still() && (self.stands || robot.runtime_state == RuntimeState::Stopped)
+            robot.stands_still()
+                && outside.arm_settled
+                && (self.stands || robot.runtime_state == RuntimeState::Stopped)
         })
+    }
+
+    /// A stop was ordered and is not confirmed.
+    pub(crate) fn stopping(&self, outside: &Outside) -> bool {
+        !self.until_it_stands.is_empty() || !self.stands || !outside.arm_settled
     }
 
     /// The daemon ends: who still waits for an answer gets what is known.
@@ -68,22 +83,26 @@ impl Supervisor {
         let fresh = outside.robot.filter(|_| outside.robot_fresh);
         for waits in std::mem::take(&mut self.until_it_stands) {
             let reply = match waits.then {
-                Then::Say => stopped(stands, fresh),
+                Then::Say => stopped(stands, fresh, outside.arm_settled),
                 Then::Release(_) => Reply::refuse("not released: celld ends"),
             };
             out.push(Action::Reply { number: waits.number, reply });
         }
-        for number in std::mem::take(&mut self.release_orders) {
+        for (number, _) in std::mem::take(&mut self.release_orders) {
             let reply = Reply::refuse("celld ends before the gripper has confirmed the release: look at it");
             out.push(Action::Reply { number, reply });
         }
     }
 }
 
-/// The answer to an abort; `robot` is its state, if that is fresh.
-fn stopped(stands: bool, robot: Option<&RobotState>) -> Reply {
+/// The answer to an abort; `robot` is its state, if that is fresh, `settled` whether power and brakes are as
+/// they stay.
+fn stopped(stands: bool, robot: Option<&RobotState>, settled: bool) -> Reply {
     let but = match robot {
         _ if stands => return Reply::accept("stopped and disarmed"),
+        Some(_) if !settled => {
+            "disarmed, but power and brakes were ordered before and may still come on: keep away from the arm until              the pendant shows that it is off"
+        }
         Some(robot) if robot.stands_still() => {
             "disarmed, and the arm stands, but its program could not be ended: nobody may press play at the pendant \
              before it is stopped there"

@@ -130,6 +130,8 @@ struct Bench {
     now: Timestamp,
     /// Nothing that is committed gets to the disk.
     slow_disk: bool,
+    /// Power and brakes are as they stay.
+    arm_settled: bool,
 }
 
 /// `count` reference markers, all `shift_m` off along x.
@@ -190,6 +192,7 @@ impl Bench {
             foreign: None,
             now: Timestamp::from_secs_f64(1.0),
             slow_disk: false,
+            arm_settled: true,
         }
     }
 
@@ -214,6 +217,7 @@ impl Bench {
             robot: Some(&self.robot),
             robot_fresh: !self.silent,
             program_settled: true,
+            arm_settled: self.arm_settled,
             gripper_answers: self.gripper_answers,
             vacuum: Some(self.vacuum),
         };

@@ -23,6 +23,9 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 /// How long the arm may take to stop after the order to end.
 const STOP_WITHIN: Duration = Duration::from_secs(3);
 
+/// How long the end waits for the gripper's word on a release that a person ordered.
+const RELEASE_WITHIN: Duration = Duration::from_secs(6);
+
 /// What a person does after a stop.
 const AFTER_A_STOP: &str = "see that the cell is safe and nothing hangs on the gripper, then `celld arm`";
 
@@ -59,13 +62,14 @@ impl Supervisor {
         }
     }
 
-    /// The daemon may end when the arm stands and everything is written; and when that was waited for long
-    /// enough.
+    /// The daemon may end when the arm stands, the gripper has confirmed what was ordered and everything is
+    /// written; and when that was waited for long enough.
     fn watch_end(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
         let Mode::Ending { since, fault } = &self.mode else { return };
         let stands = self.stands || outside.robot.is_none() || now.since(*since) >= STOP_WITHIN;
         let written = self.ledger.is_clear() || fault.is_some();
-        if stands && written && !self.ended {
+        let released = self.release_orders.is_empty() || now.since(*since) >= RELEASE_WITHIN;
+        if stands && written && released && !self.ended {
             let end = fault.clone().map_or(Ok(()), Err);
             self.ended = true;
             self.answer_at_the_end(outside, out);

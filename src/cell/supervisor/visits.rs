@@ -26,10 +26,17 @@ const PICTURE_WITHIN: Duration = Duration::from_secs(120);
 
 impl Supervisor {
     /// Takes a round up and arms the cell for it, unless what keeps an operator from arming is there.
-    pub(crate) fn on_round(&mut self, now: Timestamp, order: RoundOrder, out: &mut Vec<Action>) {
+    pub(crate) fn on_round(
+        &mut self,
+        now: Timestamp,
+        outside: &Outside,
+        order: RoundOrder,
+        out: &mut Vec<Action>,
+    ) {
         self.waiting_since = now;
         self.round = Some(Round { order, at: 0 });
-        let why = self.under_way().or_else(|| (!self.mode.arm()).then_some("the cell cannot be armed"));
+        let why =
+            self.under_way(outside).or_else(|| (!self.mode.arm()).then_some("the cell cannot be armed"));
         if let Some(why) = why {
             self.end_round(Err(RoundFault::Robot(why.to_string())), out);
         }

@@ -80,6 +80,9 @@ impl Robot {
             return Ok(());
         }
         self.ask_dashboard(now, command.clone())?;
+        if goal != ArmGoal::Unlocked {
+            self.powers_since = Some(now);
+        }
         // A stop may have come between: the command counts anew, and so does its time.
         self.arm_waits.retain(|wait| wait.command != command);
         self.arm_waits.push(ArmWait { what, command, goal, answered: false, deadline: now + ARM_WITHIN });

@@ -66,7 +66,7 @@ impl Robot {
 
     /// Stops the arm by the quickest way there is. What was wanted of power and brakes is wanted no more.
     pub(super) fn stop(&mut self, now: Timestamp) {
-        self.drop_arm_waits();
+        self.drop_arm_waits(now);
         let runtime = self.state.as_ref().map(|state| state.runtime_state);
         let keeps_still = self.keeps_still();
         match &mut self.program {

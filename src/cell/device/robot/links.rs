@@ -5,13 +5,18 @@
 use crate::cell::device::dashboard_session::DashboardEvent;
 use crate::cell::device::primary_session::PrimaryEvent;
 use crate::cell::device::robot::Robot;
-use crate::cell::device::robot::parts::Identity;
+use crate::cell::device::robot::parts::{Identity, PoweringOff};
 use crate::cell::device::robot_types::{Link, ProgramEnd, RobotEvent, RobotState};
 use crate::cell::device::rtde_session::RtdeEvent;
 use crate::motion::kinematics::DhParameters;
-use crate::time::Timestamp;
+use crate::time::{Duration, Timestamp};
 use crate::wire::dashboard::{Command, Reply};
 use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+
+/// The real arm takes 3 to 8 s to power on and 2 to 5 s to release its brakes.
+const POWERED_WITHIN: Duration = Duration::from_secs(15);
+/// An arm that has been off for so long after `power off` was accepted stays off.
+const STAYS_OFF: Duration = Duration::from_secs(1);
 
 impl Robot {
     /// Takes everything the link sessions have to say.
@@ -102,6 +107,11 @@ impl Robot {
             (Command::RobotMode, Reply::RobotMode(mode)) => self.modes_without_rtde(now, Some(mode), None),
             (Command::SafetyMode, Reply::SafetyMode(mode)) => self.modes_without_rtde(now, None, Some(mode)),
             (Command::Stop, Reply::Accepted(_)) => self.dashboard_stopped(),
+            (Command::PowerOff, Reply::Accepted(_)) => {
+                if let Some(powering) = &mut self.powering_off {
+                    powering.accepted = true;
+                }
+            }
             (Command::CloseSafetyPopup, Reply::Accepted(_)) => {
                 self.report(RobotEvent::Completed { what: "close safety popup" });
             }
@@ -116,13 +126,33 @@ impl Robot {
     }
 
     /// A stop came: power and brakes are wanted no more. What was sent already is answered still, and the
-    /// answer must not count for the same command sent again later.
-    pub(super) fn drop_arm_waits(&mut self) {
+    /// answer must not count for the same command sent again later; nor may the brakes open seconds after a
+    /// person was told that the arm stands.
+    pub(super) fn drop_arm_waits(&mut self, now: Timestamp) {
         for wait in std::mem::take(&mut self.arm_waits) {
-            if !self.dashboard.forget(&wait.command) && !wait.answered {
+            if self.dashboard.forget(&wait.command) {
+                self.powers_since = None;
+            } else if !wait.answered {
                 self.dropped.push(wait.command);
             }
         }
+        if self.powers_since.take().is_some_and(|since| now.since(since) < POWERED_WITHIN) {
+            // Without a dashboard what was sent comes true, and the time that it takes at most passes.
+            let _ = self.dashboard.ask_first(now, Command::PowerOff);
+            let until = now + POWERED_WITHIN;
+            self.powering_off = Some(PoweringOff { accepted: false, off_since: None, until });
+        }
+    }
+
+    /// Whether the arm is off, and stays so, after a stop took power and brakes back.
+    pub(super) fn follow_powering_off(&mut self, now: Timestamp) {
+        let off = self.state.as_ref().is_some_and(|state| state.robot_mode == RobotMode::PowerOff);
+        self.powering_off.take_if(|powering| {
+            // Right after the answer the last state may be from before what was ordered first.
+            let counts = powering.accepted && off;
+            powering.off_since = powering.off_since.or(Some(now)).filter(|_| counts);
+            now >= powering.until || powering.off_since.is_some_and(|since| now.since(since) >= STAYS_OFF)
+        });
     }
 
     fn dashboard_refused(&mut self, command: &Command, reply: &Reply) {
@@ -249,6 +279,7 @@ impl Robot {
     pub(super) fn check_arm_waits(&mut self, now: Timestamp) {
         for wait in std::mem::take(&mut self.arm_waits) {
             if self.state.as_ref().is_some_and(|state| wait.goal.reached(state)) {
+                self.powers_since = None;
                 self.report(RobotEvent::Completed { what: wait.what });
             } else if now >= wait.deadline {
                 let reply = "accepted, but not done in time".into();

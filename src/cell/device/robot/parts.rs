@@ -146,6 +146,16 @@ pub struct ArmWait {
     pub deadline: Timestamp,
 }
 
+/// What was sent for power and brakes comes true by itself unless `power off` follows it.
+pub struct PoweringOff {
+    /// The controller has accepted it.
+    pub accepted: bool,
+    /// Since then, and the arm is off.
+    pub off_since: Option<Timestamp>,
+    /// By then whatever was sent before has come true at the latest.
+    pub until: Timestamp,
+}
+
 impl ArmGoal {
     /// True if the robot is there.
     pub fn reached(self, state: &RobotState) -> bool {

@@ -415,3 +415,26 @@ fn a_cell_that_cannot_be_armed_says_so_to_every_order_about_motion() {
         assert!(!reply.accepted && reply.message.contains("another arm answers"), "{wanted:?}: {reply:?}");
     }
 }
+
+#[test]
+fn parking_is_not_held_back_by_a_pause_and_a_pause_takes_it_back() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.feed(order(Order::Arm));
+    bench.ticks(20);
+    bench.feed(order(Order::Pause));
+    bench.feed(order(Order::Park));
+    assert_eq!(streams(&bench.look()), 1);
+    assert!(answer(&bench.feed(order(Order::Park))).expect("an answer").message == "parks now");
+    let mut bench = working();
+    bench.feed(order(Order::Park));
+    bench.feed(order(Order::Pause));
+    assert!(!bench.cell.mode().parks(), "who pauses expects that nothing moves after the pick-n-place");
+}
+
+#[test]
+fn what_falls_while_no_job_is_under_way_is_an_alarm() {
+    let mut bench = Bench::new();
+    let lost = crate::cell::device::gripper::GripperEvent::VacuumLost { vacuum: 0.1 };
+    assert!(said(&bench.feed(Input::Gripper(lost)), "has fallen"));
+}

@@ -161,17 +161,110 @@ fn both_of_two_releases_are_answered_by_what_the_gripper_says() {
 fn disarming_while_the_robot_is_started_takes_everything_back_before_the_answer() {
     let mut bench = Bench::new();
     bench.robot.robot_mode = RobotMode::PowerOff;
+    bench.robot.runtime_state = RuntimeState::Stopped;
     bench.job(false);
     let armed = bench.feed(order(Order::Arm));
     assert!(armed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::PowerOn))), "{armed:?}");
     let disarmed = bench.feed(order(Order::Disarm));
     assert!(disarmed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{disarmed:?}");
     assert_eq!((answer(&disarmed), ended(&disarmed)), (None, None), "the job waits for a person");
-    let stopped = bench.feed(Input::Robot(RobotEvent::Stopped));
-    assert_eq!(answer(&stopped), Some(Reply::accept("stopped and disarmed")));
-    bench.robot.robot_mode = RobotMode::Idle;
+    // The session has sent `power off`, and the arm is not off yet.
+    bench.arm_settled = false;
+    assert_eq!(answer(&bench.ticks(10)), None);
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert!(!reply.accepted && reply.message.contains("a stop is under way"), "{reply:?}");
+    bench.arm_settled = true;
+    assert_eq!(answer(&bench.ticks(1)), Some(Reply::accept("stopped and disarmed")));
     let after = bench.ticks(100);
     assert!(!after.iter().any(|action| matches!(action, Action::Robot(_))), "{after:?}");
+}
+
+#[test]
+fn power_and_brakes_that_may_still_come_are_not_called_stopped() {
+    let mut bench = Bench::new();
+    bench.robot.runtime_state = RuntimeState::Stopped;
+    bench.feed(order(Order::Abort));
+    bench.arm_settled = false;
+    let reply = answer(&bench.ticks(300)).expect("an answer");
+    assert!(!reply.accepted && reply.message.contains("may still come on"), "{reply:?}");
+}
+
+#[test]
+fn disarmed_is_not_said_while_an_earlier_stop_still_brakes() {
+    let mut bench = working();
+    moving_arm(&mut bench);
+    bench.feed(order(Order::Abort));
+    let disarmed = bench.feed(Input::Order { number: 2, order: Order::Disarm });
+    assert_eq!(answer(&disarmed), None, "{disarmed:?}");
+    bench.robot.qd = [0.0; 6];
+    let stopped = bench.feed(Input::Robot(RobotEvent::Stopped));
+    let told =
+        |a: &&Action| matches!(a, Action::Reply { reply, .. } if reply.message == "stopped and disarmed");
+    assert_eq!(stopped.iter().filter(told).count(), 2, "{stopped:?}");
+}
+
+#[test]
+fn nobody_arms_while_the_arm_brakes_after_a_fault() {
+    let mut bench = working();
+    moving_arm(&mut bench);
+    bench.feed(Input::Robot(RobotEvent::Safety { mode: SafetyMode::ProtectiveStop }));
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert!(!reply.accepted && reply.message.contains("a stop is under way"), "{reply:?}");
+    bench.robot.qd = [0.0; 6];
+    bench.feed(Input::Robot(RobotEvent::Stopped));
+    assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
+}
+
+#[test]
+fn what_was_seen_before_the_cell_was_disarmed_is_seen_anew() {
+    // In the last pose, on the way to one, and with everything known.
+    for stage in 0..3 {
+        let mut bench = Bench::new();
+        bench.job(true);
+        bench.feed(order(Order::Arm));
+        assert_eq!(streams(&bench.ticks(20)), 1);
+        if stage > 0 {
+            bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+            bench.ticks(10);
+        }
+        if stage > 1 {
+            bench.feed(Input::Captured(Ok(Vec::new())));
+        }
+        bench.feed(order(Order::Disarm));
+        let late = match stage {
+            0 => Input::Robot(RobotEvent::PathFinished { batch: 1 }),
+            1 => Input::Captured(Ok(Vec::new())),
+            _ => Input::Observed(Ok(Box::default())),
+        };
+        let late = bench.feed(late);
+        assert!(!late.iter().any(|a| matches!(a, Action::Observe(_) | Action::Plan(_))), "{stage}: {late:?}");
+        let mut after = bench.feed(order(Order::Arm));
+        after.extend(bench.ticks(20));
+        assert!(!after.iter().any(|a| matches!(a, Action::Plan(_))), "{stage}: {after:?}");
+        let looks = streams(&after) + after.iter().filter(|a| matches!(a, Action::Capture { .. })).count();
+        assert!(looks > 0, "{stage}: the table is looked at: {after:?}");
+    }
+    let mut bench = working();
+    assert!(bench.cell.observation().is_some());
+    bench.cell.mode.disarm();
+    bench.feed(order(Order::Arm));
+    assert!(bench.cell.observation().is_none());
+}
+
+#[test]
+fn a_calibration_round_ends_with_its_cell_disarmed_and_takes_no_pace() {
+    let mut bench = Bench::new();
+    let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
+    bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
+    assert_eq!(streams(&bench.ticks(20)), 1);
+    for wanted in [Order::Pause, Order::Step, Order::Park] {
+        let reply = answer(&bench.feed(order(wanted))).expect("an answer");
+        assert!(!reply.accepted && reply.message.contains("`celld abort` ends it"), "{reply:?}");
+    }
+    let disarmed = bench.feed(order(Order::Disarm));
+    assert!(disarmed.iter().any(|a| matches!(a, Action::RoundOver(Err(_)))), "{disarmed:?}");
+    assert!(disarmed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{disarmed:?}");
+    assert_eq!(answer(&disarmed), None);
 }
 
 #[test]
@@ -193,4 +286,25 @@ fn no_calibration_round_begins_where_an_operator_could_not_arm() {
     bench.feed(Input::Shutdown);
     let ending = bench.feed(round());
     assert!(matches!(over(&ending), Some(Err(RoundFault::Robot(_)))), "{ending:?}");
+}
+
+#[test]
+fn celld_ends_after_the_gripper_has_confirmed_a_release_and_not_never() {
+    for confirmed in [true, false] {
+        let mut bench = working();
+        moving_arm(&mut bench);
+        bench.feed(order(Order::Release(Channels::Both)));
+        bench.feed(Input::Shutdown);
+        bench.robot.qd = [0.0; 6];
+        let mut all = bench.feed(Input::Robot(RobotEvent::Stopped));
+        all.extend(bench.ticks(20));
+        assert!(vents(&all) && !all.iter().any(|action| matches!(action, Action::End(_))), "{all:?}");
+        if confirmed {
+            let released = bench.feed(Input::Gripper(GripperEvent::Released));
+            assert!(answer(&released).expect("an answer").accepted, "{released:?}");
+        }
+        let end = bench.ticks(if confirmed { 2 } else { 310 });
+        assert!(end.iter().any(|action| matches!(action, Action::End(_))), "{end:?}");
+        assert_eq!(answer(&end).map(|reply| reply.accepted), (!confirmed).then_some(false), "{end:?}");
+    }
 }

@@ -482,10 +482,39 @@ fn a_program_that_moves_after_its_stop_is_ended() {
 fn a_stop_takes_back_what_was_wanted_of_power_and_brakes() {
     let mut rig = Rig::ready();
     rig.fake.robot_mode = 3;
-    rig.fake.answers.insert("power on".into(), "Powering on".into());
+    for (line, reply) in [("power on", "Powering on"), ("power off", "Powering off")] {
+        rig.fake.answers.insert(line.into(), reply.into());
+    }
     rig.run_ms(4);
     rig.command(RobotCommand::PowerOn);
+    rig.fake.robot_mode = 4;
     rig.command(RobotCommand::Stop);
+    rig.run_ms(100);
+    assert!(rig.fake.dashboard_lines.contains(&"power off".to_string()), "{:?}", rig.fake.dashboard_lines);
+    assert!(!rig.robot.arm_settled(), "it boots");
+    rig.fake.robot_mode = 3;
+    rig.run_ms(900);
+    assert!(!rig.robot.arm_settled(), "it may be a state from before");
+    rig.run_ms(200);
+    assert!(rig.robot.arm_settled());
     rig.run_ms(31_000);
     assert!(!rig.events.iter().any(|event| matches!(event, RobotEvent::Refused { .. })), "{:?}", rig.events);
+}
+
+#[test]
+fn power_that_cannot_be_taken_back_is_waited_for() {
+    let mut rig = Rig::ready();
+    rig.fake.robot_mode = 5;
+    rig.fake.answers.insert("brake release".into(), "Brake releasing".into());
+    rig.run_ms(4);
+    rig.command(RobotCommand::ReleaseBrakes);
+    rig.drop_link(Link::Dashboard);
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(1000);
+    let lost = rig.robot.arm_settled();
+    rig.fake.robot_mode = 7;
+    rig.run_ms(13_000);
+    assert!(!lost && !rig.robot.arm_settled(), "the brakes may open");
+    rig.run_ms(2_000);
+    assert!(rig.robot.arm_settled());
 }
