@@ -5,6 +5,8 @@
 //! sweep of faults all know the same words; `docs/results.md` is written from [`Code::ALL`], and a test holds
 //! it to that.
 
+use crate::vision::image::quality::PictureFault;
+
 /// Where a code appears.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
@@ -81,6 +83,16 @@ pub enum Code {
 }
 
 impl Code {
+    /// What keeps a picture from being looked at.
+    pub fn of_picture(fault: &PictureFault) -> Code {
+        match fault {
+            PictureFault::Dark { .. } => Code::CameraDark,
+            PictureFault::Overexposed { .. } => Code::CameraOverexposed,
+            PictureFault::Flat { .. } => Code::CameraSeesNothing,
+            PictureFault::Blurred { .. } => Code::CameraBlurred,
+        }
+    }
+
     /// Every code, in the order of the table.
     pub const ALL: [Code; TABLE.len()] = {
         assert!(Code::NotText as usize + 1 == TABLE.len(), "the table has every code");

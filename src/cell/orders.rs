@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub enum Order {
     /// Allow motion.
     Arm,
-    /// Forbid motion once the present pick-n-place is over.
+    /// Forbid motion once the present pick-n-place is over; a robot that is held or being started is stopped.
     Disarm,
     /// The plan shown for this job may be carried out.
     Approve(String),
@@ -29,7 +29,7 @@ pub enum Order {
     Abort,
     /// Go to the park pose.
     Park,
-    /// Switch the vacuum off, whatever is held.
+    /// Stop, disarm, and switch the vacuum off, whatever is held.
     Release(Channels),
     /// Leave a fault.
     Recover,

@@ -106,7 +106,7 @@ mod tests {
     use crate::io::camera::realsense::RealSenseSettings;
     use crate::io::camera::uvc::UvcSettings;
     use crate::vision::image::Image;
-    use crate::vision::image::quality::PictureLimits;
+    use crate::vision::image::quality::{PictureFault, PictureLimits};
     use std::path::PathBuf;
 
     fn devices(camera: CameraDevice) -> Devices {
@@ -135,6 +135,21 @@ mod tests {
         assert!(trouble.message.contains("2.png") && trouble.remedy.contains("light"), "{trouble:?}");
         let trouble = trouble_of(&camera.grab().unwrap_err());
         assert_eq!((trouble.code, trouble.lasting), (Code::RecordingEnded, true));
+    }
+
+    #[test]
+    fn every_fault_of_a_picture_has_the_code_that_the_closed_loop_knows() {
+        for fault in [
+            PictureFault::Dark { light: 1, limit: 50 },
+            PictureFault::Overexposed { glare: 0.9, limit: 0.2 },
+            PictureFault::Flat { contrast: 1, limit: 30 },
+            PictureFault::Blurred { edge_px: 9.0, limit: 6.0 },
+        ] {
+            let code = Code::of_picture(&fault);
+            let error = CameraError::Unusable { place: "camera".into(), sequence: 1, fault };
+            assert_eq!(trouble_of(&error).code, code);
+            assert_eq!(error.kind().code(), code.word());
+        }
     }
 
     #[test]

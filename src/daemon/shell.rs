@@ -201,8 +201,8 @@ impl Shell {
         self.store = Some(Store::open(keeper, orders, self.clock.clone(), self.heard_in.clone()));
     }
 
-    /// Carries out a calibration round. The arm stands still afterwards and the program has ended, whatever
-    /// happened.
+    /// Carries out a calibration round. The arm stands still afterwards, and the program has ended, or was
+    /// stopped and takes nothing but its end.
     ///
     /// # Errors
     /// What kept the robot from coming up or interrupted the round.

@@ -22,7 +22,7 @@ const MAX_AT_ONCE: usize = 4;
 pub enum Command {
     /// Allow motion.
     Arm,
-    /// Forbid motion after the present step.
+    /// Forbid motion after the present step; a robot that is held or being started is stopped at once.
     Disarm,
     /// Agree to a job's plan.
     Approve {
@@ -49,7 +49,7 @@ pub enum Command {
     Abort,
     /// Move to the park pose, gripper empty.
     Park,
-    /// Vacuum off, wherever the arm is.
+    /// Stop and disarm, then vacuum off, wherever the arm is.
     Release {
         /// Absent: both.
         channel: Option<ReleaseChannel>,

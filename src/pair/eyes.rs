@@ -18,7 +18,7 @@ use crate::sim::world::World;
 use crate::time::Timestamp;
 use crate::vision::detect::{DetectSettings, Detection, Family};
 use crate::vision::image::depth::DepthImage;
-use crate::vision::image::quality::{PictureFault, PictureLimits, judge, measure};
+use crate::vision::image::quality::{PictureLimits, judge, measure};
 use crate::vision::image::{Image, tag36h11_bitmap};
 use crate::vision::observe::{Observation, View};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -167,15 +167,16 @@ impl Eyes {
         let moment = world.moment(&self.setup, &task.window);
         match task.wanted {
             Wanted::Picture { pose, base_from_flange } => {
+                let image = match &self.sight {
+                    Sight::Pictures(sight) => Some(moment.picture(&sight.0, self.frames)),
+                    Sight::Corners(_) => None,
+                };
+                let fault = fault.or_else(|| image.as_ref().and_then(|image| usable(image).err()));
+                let evaluation_s = if fault.is_some() { GIVEN_UP_AFTER_S } else { 0.0 };
                 let result = fault.map_or(Ok(()), |code| Err(trouble(code)));
                 if result.is_ok() {
-                    let image = match &self.sight {
-                        Sight::Pictures(sight) => Some(moment.picture(&sight.0, self.frames)),
-                        Sight::Corners(_) => None,
-                    };
                     self.pictures.push(RoundPicture { pose, base_from_flange, image });
                 }
-                let evaluation_s = if result.is_ok() { 0.0 } else { GIVEN_UP_AFTER_S };
                 Some(Seen { event: Event::Pictured(task.number, result), evaluation_s })
             }
             Wanted::Look(look) => {
@@ -254,12 +255,7 @@ fn trouble(code: Code) -> CameraTrouble {
 
 /// What keeps a picture from being looked at.
 fn usable(image: &Image) -> Result<(), Code> {
-    judge(&measure(&image.gray()), &PictureLimits::STANDARD).map_err(|fault| match fault {
-        PictureFault::Dark { .. } => Code::CameraDark,
-        PictureFault::Overexposed { .. } => Code::CameraOverexposed,
-        PictureFault::Flat { .. } => Code::CameraSeesNothing,
-        PictureFault::Blurred { .. } => Code::CameraBlurred,
-    })
+    judge(&measure(&image.gray()), &PictureLimits::STANDARD).map_err(|fault| Code::of_picture(&fault))
 }
 
 /// Markers by their corners, as an undisturbed detector would find them.

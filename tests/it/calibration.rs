@@ -2,7 +2,7 @@
 //! visited, points of the table touched, the table tied to both; and a cell that works from a camera that
 //! stands. What comes out is held against the world's truth, which only the test reads.
 
-use crate::cell::{CELLD, celld, configuration, text, wait_until};
+use crate::cell::{CELLD, celld, configuration, result_of, start_daemon, text, wait_until};
 use crate::edit::replace_once;
 use celld::calibration::files::hand_eye::{HandEyeCalibration, Mount};
 use celld::calibration::files::round::Round;
@@ -10,12 +10,13 @@ use celld::calibration::files::table::TableCalibration;
 use celld::cli::sim::sim_config;
 use celld::config::load::{load_cell, load_sim};
 use celld::config::setup::arm_model;
+use celld::geometry::footprint::Footprint;
 use celld::geometry::pose::Pose2;
 use celld::motion::kinematics::{DhParameters, forward};
 use celld::sim::cell::{RunningSim, start};
 use celld::sim::robot_server::RobotPorts;
 use celld::sim::world::lock;
-use celld::sim::world::spec::CameraMount;
+use celld::sim::world::spec::{CameraMount, ForeignBody};
 use celld::units::Joints;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -300,6 +301,29 @@ impl OnHand<'_> {
         assert_eq!(taken.matches(".png").count(), 2, "one for each look pose: {taken}");
     }
 
+    /// The daemon compares its looks with these pictures: a mug is found, and what made the look doubtful is
+    /// drawn. Nothing is left to compare with once they were taken again of a table that was not empty.
+    fn finds_a_mug_by_its_colour(&self) {
+        let daemon = start_daemon(self.folder, Path::new(&self.cell));
+        let lid = Pose2::new(0.36, 0.38, 0.0);
+        lock(&self.sim.world()).put("lid", &lid).expect("it lies free");
+        let footprint = Footprint::disc(0.04).expect("valid");
+        let mug = ForeignBody { footprint, height_m: 0.09, pose: Pose2::new(0.23, 0.22, 0.0) };
+        lock(&self.sim.world()).put_foreign(&mug);
+        wait_until("the cell is armed", || celld(&["arm"], self.folder).status.code() == Some(0));
+        let job = "version: 1\nid: mug\ngoal:\n  objects:\n    - {id: lid, pose: [0.3, 0.38, 0]}\n";
+        std::fs::write(self.folder.join("state/jobs/incoming/mug.yaml"), job).expect("written");
+        let ended = || result_of(&self.folder.join("state"), "failed", "mug");
+        wait_until("the job ends", || ended().is_some());
+        let result = ended().expect("a result");
+        assert!(result.contains("code: \"foreign_object\"") && result.contains("moves: 0"), "{result}");
+        assert!(self.folder.join("state/doubt-1.png").is_file(), "the look is drawn");
+        drop(daemon);
+        let (code, _, said) = self.calibrate(&["empty"]);
+        assert!(code == Some(1) && said.contains("the table is not empty"), "{said}");
+        assert!(!self.folder.join("empty/samples.yaml").exists(), "{said}");
+    }
+
     /// Pictures of another camera or robot, or cut short, are none of this table.
     fn refuses_pictures_of_another_table(&self) {
         let samples = self.folder.join("empty/samples.yaml");
@@ -314,6 +338,7 @@ impl OnHand<'_> {
             assert!(said.contains(wanted) && said.contains("celld calibrate empty"), "{said}");
             assert_ne!(code, Some(0));
         }
+        std::fs::write(&samples, &taken).expect("written");
     }
 
     fn refuses_to_run(&self) -> (Option<i32>, String) {
@@ -335,6 +360,7 @@ fn cell_calibrates_itself_in_a_taught_box_and_the_table_is_tied_to_touches() {
     cell.ends_with_ctrl_c_while_it_waits();
     cell.takes_the_empty_table();
     cell.refuses_pictures_of_another_table();
+    cell.finds_a_mug_by_its_colour();
     cell.runtime.block_on(cell.sim.shutdown());
 }
 
@@ -474,6 +500,20 @@ impl Standing {
         assert_stayed_in(&self.cell, &folder.join("visited"), &way);
         assert_stands(folder, &self.base_from_camera, &self.base_from_table, &said);
     }
+
+    /// The daemon takes the camera's place from what was measured, and looks from one pose.
+    fn works_with_what_it_found(&self, folder: &Path) {
+        let yaml = std::fs::read_to_string(&self.cell).expect("text");
+        let from = yaml.find("look_poses_deg:").expect("a key");
+        let to = from + yaml[from..].find("# Where the arm waits.").expect("the next key");
+        let away = "look_poses_deg: [[88.3, -110, 100, -80, -90, 0]]\n";
+        std::fs::write(&self.cell, format!("{}{away}{}", &yaml[..from], &yaml[to..])).expect("written");
+        let config = self.cell.display().to_string();
+        let checked = celld(&["check", &config], folder);
+        assert_eq!(checked.status.code(), Some(0), "{}", text(&checked.stderr));
+        let _daemon = start_daemon(folder, &self.cell);
+        wait_until("the cell is armed", || celld(&["arm"], folder).status.code() == Some(0));
+    }
 }
 
 #[test]
@@ -483,5 +523,6 @@ fn cell_with_a_camera_that_stands_is_calibrated_by_the_board_that_the_hand_carri
     cell.finds_its_camera_from_taught_poses(folder.path());
     cell.believes_no_other_board(folder.path());
     cell.finds_its_camera_from_poses_of_its_own(folder.path());
+    cell.works_with_what_it_found(folder.path());
     cell.runtime.block_on(cell.sim.shutdown());
 }

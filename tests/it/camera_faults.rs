@@ -128,6 +128,9 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
     assert!(result.contains("cable") && result.contains("asked again 2 x, connected anew 2 x"), "{result}");
     let status = desk.status();
     assert!(status.contains("armed") && !status.contains("disarmed"), "{status}");
+    fault("{do: clear}");
+    let result = desk.job("again", 0.40, || {});
+    assert!(result.contains("status: done"), "{result}");
     desk.nothing_has_disarmed_it();
 
     drop(daemon);

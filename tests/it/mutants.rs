@@ -55,6 +55,12 @@ enum Fault {
     OldNonceAccepted,
     /// A job that was handed out is forgotten.
     JobLost,
+    /// An abort is answered while the arm still brakes.
+    StoppedTooSoon,
+    /// A release is called done, and the vacuum stays.
+    ReleaseSaid,
+    /// The robot is powered on in a disarmed cell.
+    StartsDisarmed,
 }
 
 /// By what a fault is found.
@@ -66,7 +72,7 @@ enum Found {
     ByMissingEnd,
 }
 
-const FAULTS: [(Fault, Found); 15] = [
+const FAULTS: [(Fault, Found); 18] = [
     (Fault::CommitNotAwaited, Found::By(Rule::AcknowledgedNotWritten)),
     (Fault::CommitLost, Found::By(Rule::AcknowledgedNotWritten)),
     (Fault::VacuumOpenedInMotion, Found::By(Rule::VacuumOffInMotion)),
@@ -82,6 +88,9 @@ const FAULTS: [(Fault, Found); 15] = [
     (Fault::GateLeftOut, Found::By(Rule::MotionInLocalControl)),
     (Fault::OldNonceAccepted, Found::By(Rule::MotionOfOldProgram)),
     (Fault::JobLost, Found::ByMissingEnd),
+    (Fault::StoppedTooSoon, Found::By(Rule::AnswerNotTrue)),
+    (Fault::ReleaseSaid, Found::By(Rule::AnswerNotTrue)),
+    (Fault::StartsDisarmed, Found::By(Rule::StartedWhileDisarmed)),
 ];
 
 /// The adapter that plants a fault.
@@ -90,6 +99,7 @@ struct Mutant {
     frames: u64,
     seen: Option<Box<Observation>>,
     ignored: Option<u64>,
+    answered: Option<u64>,
     read: Option<Vec<u16>>,
     stopped: u64,
     /// Numbers of the first program and of the one that celld means.
@@ -104,7 +114,16 @@ const VENT: [u16; 2] = [0, 0];
 
 impl Mutant {
     fn new(fault: Fault) -> Mutant {
-        Mutant { fault, frames: 0, seen: None, ignored: None, read: None, stopped: 0, nonces: None }
+        Mutant {
+            fault,
+            frames: 0,
+            seen: None,
+            ignored: None,
+            answered: None,
+            read: None,
+            stopped: 0,
+            nonces: None,
+        }
     }
 
     fn vent() -> Effect {
@@ -116,6 +135,10 @@ impl Adapter for Mutant {
     fn event(&mut self, event: Event, events: &mut Vec<Event>) {
         match (self.fault, event) {
             (Fault::DisarmIgnored, Event::Order(number, Order::Disarm)) => self.ignored = Some(number),
+            (Fault::StoppedTooSoon, Event::Order(number, Order::Abort)) => {
+                (self.ignored, self.answered) = (Some(number), Some(number));
+                events.push(Event::Order(number, Order::Abort));
+            }
             (Fault::SightOld, Event::Observed(number, Ok(seen))) => {
                 self.seen = Some(seen.clone());
                 events.push(Event::Observed(number, Ok(seen)));
@@ -154,6 +177,17 @@ impl Adapter for Mutant {
             (Fault::OldNonceAccepted, Effect::Send(Link::Primary, bytes)) => {
                 effects.push(Effect::Send(Link::Primary, self.with_the_old_nonce(bytes)));
             }
+            (Fault::StoppedTooSoon, Effect::Reply { number, .. }) if self.answered == Some(number) => {}
+            (Fault::ReleaseSaid, Effect::Registers(ModbusRequest::Write { values, .. }))
+                if values[..] == VENT =>
+            {
+                made_up.push(Event::Registers(Ok(Vec::new())));
+            }
+            (Fault::ReleaseSaid, Effect::Reply { number, reply })
+                if reply.message.contains("does not go") =>
+            {
+                effects.push(Effect::Reply { number, reply: Reply::accept("vacuum off") });
+            }
             (Fault::AnsweredTwice, Effect::Reply { number, reply }) => {
                 effects.push(Effect::Reply { number, reply: reply.clone() });
                 effects.push(Effect::Reply { number, reply });
@@ -184,11 +218,15 @@ impl Adapter for Mutant {
         self.frames += 1;
         let armed = machine.supervisor().is_some_and(|cell| cell.mode().armed());
         if let Some(number) = self.ignored.take() {
-            effects.push(Effect::Reply { number, reply: Reply::accept("disarmed") });
+            let word = if self.fault == Fault::DisarmIgnored { "disarmed" } else { "stopped and disarmed" };
+            effects.push(Effect::Reply { number, reply: Reply::accept(word) });
         }
         match self.fault {
             Fault::VacuumOpenedInMotion if armed && self.frames.is_multiple_of(400) => {
                 effects.push(Mutant::vent())
+            }
+            Fault::StartsDisarmed if !armed && self.frames == self.stopped + 500 => {
+                effects.push(Effect::Send(Link::Dashboard, b"power on\n".to_vec()));
             }
             Fault::ArmsItself if !armed && self.frames == self.stopped + 500 => {
                 made_up.push(Event::Order(999_999, Order::Arm));

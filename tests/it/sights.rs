@@ -4,6 +4,7 @@
 //! The example cell of `config/`, calibrated as well as a round leaves it, in virtual time. What is compared
 //! is the truth of the simulated world, in every frame.
 
+use celld::calibration::drawn::CameraMount;
 use celld::cell::code::Code;
 use celld::cell::orders::Order;
 use celld::cell::supervisor::model::ForeignRule;
@@ -26,6 +27,8 @@ use celld::sim::world::event::EventKind;
 use celld::sim::world::lock;
 use celld::time::Duration;
 use celld::units::Joints;
+use celld::vision::board::Board;
+use celld::vision::detect::Family;
 use celld::vision::image::Image;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::path::Path;
@@ -224,6 +227,10 @@ fn a_cell_works_from_a_camera_that_stands() {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 3.12);
     let table_from_camera = Isometry3::from_parts(Translation3::new(0.26, 0.25, 0.68), down);
     sim.camera = SimMount::Fixed(sim.base_from_table * table_from_camera);
+    let base_from_camera = sim.base_from_table * table_from_camera;
+    let family = Family::Tag36h11;
+    let board = Board { family, columns: 5, rows: 4, size_m: 0.02, gap_m: 0.005, first_id: 100 };
+    cell.camera = CameraMount::Fixed { base_from_camera, board, flange_from_board: None };
     let turned_away = [88.3, -110.0, 100.0, -80.0, -90.0, 0.0];
     cell.look_poses = vec![Joints(turned_away.map(f64::to_radians))];
     let mut pair = armed(stage_of(&cell, &sim, 1).unwrap()).unwrap();

@@ -29,7 +29,7 @@ impl Closed {
             Closed::Gripper => {
                 "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, `ping` it"
             }
-            Closed::Holding(_) => "hold the object by hand, then `celld release --yes`",
+            Closed::Holding(_) => "hold the object by hand, `celld release --yes`, then `celld arm`",
             Closed::NotObserved | Closed::NotApproved => "nothing: the cell goes on by itself",
         }
     }
