@@ -285,9 +285,12 @@ impl OnHand<'_> {
             .expect("written");
         let (_, said) = self.refuses_to_run();
         assert!(said.contains("celld calibrate empty"), "{said}");
+        // What was taken earlier is no picture of this table either.
+        let samples = self.folder.join("empty/samples.yaml");
+        std::fs::create_dir_all(self.folder.join("empty")).expect("created");
+        std::fs::write(&samples, "version: 1\n").expect("written");
         let (code, _, said) = self.calibrate(&["empty"]);
         assert!(code == Some(1) && said.contains("the table is not empty"), "{said}");
-        let samples = self.folder.join("empty/samples.yaml");
         assert!(said.contains("\"lid\"") && !samples.exists(), "{said}");
 
         let world = self.sim.world();
@@ -302,11 +305,9 @@ impl OnHand<'_> {
     }
 
     /// The daemon compares its looks with these pictures: a mug is found, and what made the look doubtful is
-    /// drawn. Nothing is left to compare with once they were taken again of a table that was not empty.
+    /// drawn.
     fn finds_a_mug_by_its_colour(&self) {
         let daemon = start_daemon(self.folder, Path::new(&self.cell));
-        let lid = Pose2::new(0.36, 0.38, 0.0);
-        lock(&self.sim.world()).put("lid", &lid).expect("it lies free");
         let footprint = Footprint::disc(0.04).expect("valid");
         let mug = ForeignBody { footprint, height_m: 0.09, pose: Pose2::new(0.23, 0.22, 0.0) };
         lock(&self.sim.world()).put_foreign(&mug);
@@ -319,9 +320,6 @@ impl OnHand<'_> {
         assert!(result.contains("code: \"foreign_object\"") && result.contains("moves: 0"), "{result}");
         assert!(self.folder.join("state/doubt-1.png").is_file(), "the look is drawn");
         drop(daemon);
-        let (code, _, said) = self.calibrate(&["empty"]);
-        assert!(code == Some(1) && said.contains("the table is not empty"), "{said}");
-        assert!(!self.folder.join("empty/samples.yaml").exists(), "{said}");
     }
 
     /// Pictures of another camera or robot, or cut short, are none of this table.
