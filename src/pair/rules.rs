@@ -495,7 +495,9 @@ impl Rules {
 
     /// The arm begins to move.
     fn check_begin(&mut self, machine: &Machine, nonce: i32) {
-        if self.played_unreached() {
+        let restarted = self.restarted_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES);
+        // What was streamed before celld was gone goes on until the program's watchdog ends it.
+        if self.played_unreached() || restarted {
             return;
         }
         let Some(supervisor) = machine.supervisor() else {

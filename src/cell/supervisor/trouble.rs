@@ -41,7 +41,12 @@ impl Supervisor {
         if let Some(message) = motion_trouble(now, outside).filter(|_| self.moving()) {
             return self.stop_all(now, JobEnd::Interrupted, Code::RobotStopped.because(message, ""), out);
         }
-        if self.held_for(now, outside) > LONGEST_PAUSE {
+        let held = self.held_for(now, outside);
+        if held > Duration::ZERO && !self.mode.armed() {
+            let message = "the arm was held after the cell was disarmed: it does not go on by itself later";
+            return self.stop_all(now, JobEnd::Interrupted, Code::Aborted.because(message, ""), out);
+        }
+        if held > LONGEST_PAUSE {
             let message = "the program was paused for too long: the table may have changed";
             let reason = Code::PausedTooLong.because(message, "");
             return self.stop_all(now, JobEnd::Interrupted, reason, out);

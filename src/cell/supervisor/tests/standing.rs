@@ -114,6 +114,17 @@ fn who_waits_for_standstill_is_answered_when_celld_ends() {
 }
 
 #[test]
+fn an_arm_that_is_held_after_disarming_does_not_go_on() {
+    let mut bench = working();
+    assert!(answer(&bench.feed(order(Order::Disarm))).expect("an answer").message.contains("finished first"));
+    assert_eq!(ended(&bench.ticks(50)), None);
+    bench.robot.runtime_state = RuntimeState::Paused;
+    let held = bench.ticks(3);
+    assert!(held.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{held:?}");
+    assert_eq!(ended(&held), Some((JobEnd::Interrupted, "aborted".into())));
+}
+
+#[test]
 fn disarming_a_held_arm_stops_it_for_good() {
     let mut bench = working();
     bench.robot.runtime_state = RuntimeState::Paused;
