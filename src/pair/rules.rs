@@ -160,9 +160,11 @@ pub struct Rules {
     /// A pick-n-place is under way, by the journal.
     picking: bool,
     last_state: u64,
-    /// The RTDE connection is gone since the last state; and when states came again after that.
+    /// The RTDE connection is gone since the last state; when states came again after that, and the last one
+    /// before.
     rtde_gone: bool,
     back_at: Option<u64>,
+    silent_since: u64,
     /// Bytes of a package that is not complete.
     package: Vec<u8>,
     last_read: u64,
@@ -259,7 +261,9 @@ impl Rules {
             }
             self.package.drain(..length);
             if kind == b'U' {
-                self.back_at = Some(self.frame).filter(|_| self.silent()).or(self.back_at);
+                if self.silent() {
+                    (self.back_at, self.silent_since) = (Some(self.frame), self.last_state);
+                }
                 (self.last_state, self.rtde_gone) = (self.frame, false);
             }
         }
@@ -444,8 +448,11 @@ impl Rules {
 
     /// No stop has reached the program: celld or its link was gone before there was a reason for one.
     fn unreached(&self) -> bool {
-        let reachable = self.stopped_at.is_some_and(|at| at < self.last_state);
-        (self.silent() && !reachable)
+        // A link that has just come back has not brought the stop yet.
+        let just_back = self.back_at.is_some_and(|back| self.frame <= back + ON_ITS_WAY_FRAMES);
+        let last = if just_back { self.silent_since } else { self.last_state };
+        let reachable = self.stopped_at.is_some_and(|at| at < last);
+        ((self.silent() || just_back) && !reachable)
             || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at))
     }
 

@@ -63,7 +63,7 @@ fn every_fault_in_every_phase_has_the_reaction_that_the_page_gives() {
 #[test]
 fn no_rule_is_broken_and_no_job_lost_under_random_faults() {
     // The last ones once failed.
-    let seeds: Vec<u64> = (0..24).chain([50028, 51167, 52484, 4_000_099, 4_001_773]).collect();
+    let seeds: Vec<u64> = (0..24).chain([50028, 51167, 52484, 4_000_099, 4_001_773, 4_003_777]).collect();
     let wrong: Vec<String> = seeds
         .par_iter()
         .flat_map_iter(|seed| {
