@@ -64,8 +64,8 @@ pub struct Robot {
     arm_waits: Vec<ArmWait>,
     /// Commands on their way whose answers count for nothing, oldest first: a stop came between.
     dropped: Vec<Command>,
-    /// Since when power or brakes are on their way.
-    powers_since: Option<Timestamp>,
+    /// Power or brakes were ordered, and the arm is not known to be ready.
+    powers: bool,
     /// A stop has taken power and brakes back, and the arm is not known to be off yet.
     powering_off: Option<PoweringOff>,
     /// Nonce of the program that was uploaded last.
@@ -106,7 +106,7 @@ impl Robot {
             reported: Reported::default(),
             arm_waits: Vec::new(),
             dropped: Vec::new(),
-            powers_since: None,
+            powers: false,
             powering_off: None,
             uploaded: None,
             left_behind: None,

@@ -81,7 +81,7 @@ impl Robot {
         }
         self.ask_dashboard(now, command.clone())?;
         if goal != ArmGoal::Unlocked {
-            self.powers_since = Some(now);
+            self.powers = true;
         }
         // A stop may have come between: the command counts anew, and so does its time.
         self.arm_waits.retain(|wait| wait.command != command);

@@ -131,12 +131,12 @@ impl Robot {
     pub(super) fn drop_arm_waits(&mut self, now: Timestamp) {
         for wait in std::mem::take(&mut self.arm_waits) {
             if self.dashboard.forget(&wait.command) {
-                self.powers_since = None;
+                self.powers = false;
             } else if !wait.answered {
                 self.dropped.push(wait.command);
             }
         }
-        if self.powers_since.take().is_some_and(|since| now.since(since) < POWERED_WITHIN) {
+        if std::mem::take(&mut self.powers) {
             // Without a dashboard what was sent comes true, and the time that it takes at most passes.
             let _ = self.dashboard.ask_first(now, Command::PowerOff);
             let until = now + POWERED_WITHIN;
@@ -146,7 +146,10 @@ impl Robot {
 
     /// Whether the arm is off, and stays so, after a stop took power and brakes back.
     pub(super) fn follow_powering_off(&mut self, now: Timestamp) {
-        let off = self.state.as_ref().is_some_and(|state| state.robot_mode == RobotMode::PowerOff);
+        let mode = self.state.as_ref().map(|state| state.robot_mode);
+        // An arm that is ready stays powered: a stop in its work is none of its bring-up.
+        self.powers &= mode != Some(RobotMode::Running);
+        let off = mode == Some(RobotMode::PowerOff);
         self.powering_off.take_if(|powering| {
             // Right after the answer the last state may be from before what was ordered first.
             let counts = powering.accepted && off;
@@ -279,7 +282,7 @@ impl Robot {
     pub(super) fn check_arm_waits(&mut self, now: Timestamp) {
         for wait in std::mem::take(&mut self.arm_waits) {
             if self.state.as_ref().is_some_and(|state| wait.goal.reached(state)) {
-                self.powers_since = None;
+                self.powers = false;
                 self.report(RobotEvent::Completed { what: wait.what });
             } else if now >= wait.deadline {
                 let reply = "accepted, but not done in time".into();

@@ -518,3 +518,31 @@ fn power_that_cannot_be_taken_back_is_waited_for() {
     rig.run_ms(2_000);
     assert!(rig.robot.arm_settled());
 }
+
+#[test]
+fn power_is_taken_back_however_late_and_never_from_an_arm_that_works() {
+    let power_off = |rig: &Rig| rig.fake.dashboard_lines.contains(&"power off".to_string());
+    let mut rig = Rig::ready();
+    rig.fake.robot_mode = 3;
+    rig.fake.answers.insert("power on".into(), "Powering on".into());
+    rig.run_ms(4);
+    rig.command(RobotCommand::PowerOn);
+    rig.run_ms(31_000);
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(20);
+    assert!(power_off(&rig), "a controller that boots for a minute would power the arm then");
+
+    let mut rig = Rig::ready();
+    rig.fake.robot_mode = 5;
+    rig.fake.answers.insert("brake release".into(), "Brake releasing".into());
+    rig.run_ms(4);
+    rig.command(RobotCommand::ReleaseBrakes);
+    rig.drop_link(Link::Dashboard);
+    rig.fake.robot_mode = 7;
+    rig.run_ms(20);
+    rig.connect(Link::Dashboard);
+    rig.run_ms(200);
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(200);
+    assert!(!power_off(&rig), "it may be braking with an object in the hand");
+}
