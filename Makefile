@@ -6,7 +6,8 @@ SHELL := /bin/bash
 
 # Found missing by the build otherwise: clang is run by the OpenCV bindings' generator, the others are the
 # OpenCV modules celld calls. Not libapriltag-dev: the crate brings the C sources it was made for.
-# python3-venv runs the third-party clients of the tests; their RealSense SDK needs libusb and the interpreter as a library.
+# python3-venv runs the third-party clients of the tests; their RealSense SDK needs libusb and the interpreter
+# as a library.
 PACKAGES := clang pkg-config python3-venv libpython3.11 libusb-1.0-0 libopencv-core-dev libopencv-imgproc-dev libopencv-imgcodecs-dev \
             libopencv-calib3d-dev libopencv-videoio-dev
 
@@ -18,8 +19,8 @@ SOLVERS ?= paper
 COUNT ?= 3
 LIMIT ?= 2
 
-# `make fuzz`: seconds for each protocol. Coverage comes from options of the stable compiler; naming the target keeps
-# them away from build scripts.
+# `make fuzz`: seconds for each protocol. Coverage comes from options of the stable compiler; naming the
+# target keeps them away from build scripts.
 SECONDS ?= 600
 FUZZ_TARGETS ?= rtde dashboard primary urscript modbus
 FUZZ_FLAGS := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
@@ -73,7 +74,8 @@ demo: setup
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
 
-# Without nextest the closed-loop tests (cell_*, robot_session) run after the others, one at a time: they need the cores.
+# Without nextest the closed-loop tests (cell_*, robot_session) run after the others, one at a time: they need
+# the cores.
 test: export CELLD_CLIENTS := $(CLIENTS)
 test: setup clients
 	cargo fmt --check
@@ -95,7 +97,8 @@ figures: setup
 	  --count $(COUNT) --time-limit $(LIMIT) --out out/figures/limit-$(LIMIT)s.csv
 	cargo run --release --quiet -- bench figures out/figures/limit-$(LIMIT)s.csv --out out/figures
 
-# New inputs are kept in target/fuzz/found, crashes in target/fuzz/crashes; fuzz/README.md says what to do with them.
+# New inputs are kept in target/fuzz/found, crashes in target/fuzz/crashes; fuzz/README.md says what to do
+# with them.
 fuzz: setup
 	host=$$(rustc -vV | sed -n 's/^host: //p'); \
 	RUSTFLAGS="$(FUZZ_FLAGS)" cargo build --release --manifest-path fuzz/Cargo.toml --target-dir target/fuzz --target $$host; \

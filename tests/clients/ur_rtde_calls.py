@@ -59,7 +59,8 @@ def fresh(call):
     return call()
 
 
-# The client leaves the arguments of these four away: they are for where the arm is. Matrices come column by column.
+# The client leaves the arguments of these four away: they are for where the arm is. Matrices come column by
+# column.
 jacobian = fresh(lambda: control.getJacobian(HOME, [0.0] * 6))
 check("getJacobian has 36 numbers", len(jacobian) == 36, len(jacobian))
 if len(jacobian) == 36:
@@ -187,8 +188,9 @@ check("reuploadScript after the stop", control.reuploadScript())
 wait_until("and the program runs", control.isProgramRunning)
 check("and it moves", control.moveJ(HOME, 1.05, 1.4))
 
-# Connecting again. (Connections that break are not waited for here: the client then connects again from the thread that
-# receives and from the one that calls, and at times each waits for the answer that the other has taken.)
+# Connecting again. (Connections that break are not waited for here: the client then connects again from the
+# thread that receives and from the one that calls, and at times each waits for the answer that the other has
+# taken.)
 control.stopScript()
 control.disconnect()
 check("disconnect", not control.isConnected())
@@ -204,6 +206,7 @@ check("calls say so", not control.moveJ(HOME, 1.05, 1.4))
 control.disconnect()
 check("disconnect again", not control.isConnected())
 
-# Not asked here: FLAG_UPPER_RANGE_REGISTERS. This release of the client then uploads a program that listens to the upper
-# registers, while its own recipes go on naming the lower ones, so that no command of it arrives, whatever the controller.
+# Not asked here: FLAG_UPPER_RANGE_REGISTERS. This release of the client then uploads a program that listens
+# to the upper registers, while its own recipes go on naming the lower ones, so that no command of it arrives,
+# whatever the controller.
 finish()

@@ -153,8 +153,8 @@ same_pose("servoL follows poses", receive.getActualTCPPose(), shifted(pose, 0.0,
 control.servoStop()
 check("servoC", control.servoC(shifted(pose, 0.0, 0.03, 0.02), 0.25, 1.2, 0.0))
 wait_until("servoC reaches its pose", lambda: math.dist(receive.getActualTCPPose()[:3], shifted(pose, 0.0, 0.03, 0.02)[:3]) < 1e-3)
-# The client does not take its command back after servoC, and its program waits for that: on any controller the next
-# call is refused once, after the client's own timeout.
+# The client does not take its command back after servoC, and its program waits for that: on any controller
+# the next call is refused once, after the client's own timeout.
 wait_until("servoC is ended by servoStop", control.servoStop)
 
 # Speeds.

@@ -185,7 +185,8 @@ fn an_obstacle_without_a_marker_is_worked_round_and_nothing_comes_near_it() {
     assert_eq!(pair.breaches(), []);
 }
 
-/// Each fault of a camera is named while the arm stands and waits; when it is over, the job goes on by itself.
+/// Each fault of a camera is named while the arm stands and waits; when it is over, the job goes on by
+/// itself.
 #[test]
 fn every_fault_of_a_camera_is_named_and_nothing_is_touched_until_it_is_over() {
     let mut pair = example(ForeignRule::Off).unwrap();
