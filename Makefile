@@ -78,13 +78,15 @@ DATA := $(or $(CELLD_DATA),../shared/data)
 # the cores.
 test: export CELLD_CLIENTS := $(CLIENTS)
 test: setup clients
-	cargo fmt --check
-	cargo clippy --all-targets -- -D warnings
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --quiet --workspace --no-deps --lib
+	cargo test --quiet --doc --workspace
 	@[ -d "$(DATA)" ] || echo "SKIPPED: tests on the public instances and camera recordings, no folder $(DATA) (set CELLD_DATA)"
 	@if cargo nextest --version >/dev/null 2>&1; then \
-	  echo "cargo nextest run"; cargo nextest run; \
+	  echo "cargo nextest run"; cargo nextest run --workspace; \
 	else \
-	  echo "cargo test"; cargo test -- --skip cell_ --skip robot_session::; \
+	  echo "cargo test"; cargo test --workspace --all-targets -- --skip cell_ --skip robot_session::; \
 	  cargo test --test it -- cell_ robot_session:: --test-threads=1; \
 	fi
 

@@ -6,11 +6,11 @@
 //! beforehand; placing is measured by itself. Then whole checks of a pose among many objects, with three
 //! broad phases (`broad`).
 
-use celld::geometry::collision::Placed;
-use celld::geometry::footprint::Footprint;
-use celld::geometry::pose::Pose2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rearrange::geometry::collision::Placed;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
 use std::hint::black_box;
 use std::time::Instant;
 

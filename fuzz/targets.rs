@@ -6,24 +6,24 @@
 //! codec are read, and the simulator's sessions are talked to as if over a socket, with controller frames in
 //! between.
 
+use cell_values::time::{Duration, Timestamp};
 use celld::cell::device::dashboard_session::DashboardSession;
 use celld::cell::device::primary_session::PrimarySession;
 use celld::cell::device::rtde_session::RtdeSession;
-use celld::sim::controller::builtins::compile_program;
-use celld::sim::controller::{Controller, ControllerConfig};
-use celld::sim::session::Port;
-use celld::sim::simulator::{Simulator, Transmission};
-use celld::sim::world::lock;
-use celld::sim::world::spec::{GripperSpec, WorldSpec};
-use celld::sim::world::vacuum::Channel;
-use celld::time::{Duration, Timestamp};
-use celld::wire::dashboard::{Command, LineSplitter, Reply as DashboardReply};
-use celld::wire::modbus;
-use celld::wire::primary::Splitter as PrimarySplitter;
-use celld::wire::rtde::{Frame, Reply, Request, Splitter, Version};
-use celld::wire::rtde_values::{Leftover, Recipe};
-use celld::wire::rtde_variables::OUTPUTS;
 use nalgebra::Isometry3;
+use ur_sim::controller::builtins::compile_program;
+use ur_sim::controller::{Controller, ControllerConfig};
+use ur_sim::session::Port;
+use ur_sim::simulator::{Simulator, Transmission};
+use ur_sim::world::lock;
+use ur_sim::world::spec::{GripperSpec, WorldSpec};
+use ur_sim::world::vacuum::Channel;
+use ur_wire::dashboard::{Command, LineSplitter, Reply as DashboardReply};
+use ur_wire::modbus;
+use ur_wire::primary::Splitter as PrimarySplitter;
+use ur_wire::rtde::{Frame, Reply, Request, Splitter, Version};
+use ur_wire::rtde_values::{Leftover, Recipe};
+use ur_wire::rtde_variables::OUTPUTS;
 
 /// What a target does with the bytes it is given.
 pub type Target = fn(&[u8]);

@@ -7,12 +7,12 @@
 //! the discs. All three have to answer alike.
 
 use crate::{PAIRS, SEED, nanoseconds};
-use celld::geometry::collision::Placed;
-use celld::geometry::footprint::Footprint;
-use celld::geometry::pose::Pose2;
-use celld::planning::generate::{RatioLaw, Recipe, Scenario, generate};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rearrange::geometry::collision::Placed;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::generate::{RatioLaw, Recipe, Scenario, generate};
 use std::cell::Cell;
 
 const DENSITY: f64 = 0.4;

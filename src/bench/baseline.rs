@@ -9,9 +9,9 @@
 
 use crate::bench::cells::{Cell, Unit};
 use crate::bench::table::{Key, Row, density_word};
-use crate::planning::plan::Objective;
-use crate::planning::solver::SolverKind;
 use crate::report::text::columns;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 use std::collections::BTreeMap;
 
 /// Cells whose cost over bound is larger than theirs by more than this share are listed.
@@ -277,7 +277,7 @@ fn worse(cells: &BTreeMap<(&str, Name), Vec<&Pair>>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::planning::plan::Status;
+    use rearrange::planning::plan::Status;
 
     const HEAD_LINE: &str =
         "set,label,density,n,instance,method,cap_s,status,actions,ratio,ti_cost,wall_s,lb_pp";

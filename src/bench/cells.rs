@@ -5,8 +5,8 @@
 //! and each cell's cases are spread over all machines.
 
 use crate::bench::table::{Key, density_word};
-use crate::planning::plan::Objective;
-use crate::planning::solver::SolverKind;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 
 /// One point of a figure: cases of the same kind.
 #[derive(Clone, Debug, PartialEq)]

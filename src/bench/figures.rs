@@ -8,9 +8,9 @@
 
 use crate::bench::cells::Cell;
 use crate::bench::table::{Row, density_word};
-use crate::planning::plan::Objective;
-use crate::planning::solver::SolverKind;
 use crate::report::chart::{Curve, Figure, Look, Mark, Panel, Point, Scale};
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 use std::collections::BTreeMap;
 
 /// What a figure varies.

@@ -5,13 +5,13 @@
 //! each other on one machine slow each other down.
 
 use crate::bench::table::{Key, Row};
-use crate::geometry::footprint::Footprint;
-use crate::geometry::pose::Pose2;
-use crate::planning::check::CheckedPlan;
-use crate::planning::plan::{Action, Objective, Status};
-use crate::planning::problem::Problem;
-use crate::planning::solver::{Control, SolveError, SolverKind, solve};
-use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::check::CheckedPlan;
+use rearrange::planning::plan::{Action, Objective, Status};
+use rearrange::planning::problem::Problem;
+use rearrange::planning::solver::{Control, SolveError, SolverKind, solve};
+use rearrange::tabletop::instance::{Instance, ObjectSpec, Workspace};
 use std::sync::Mutex;
 use std::time::Instant;
 

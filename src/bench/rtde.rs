@@ -9,15 +9,15 @@
 use crate::bench::rtde_client::{Client, Seen, bring_up, play, watch};
 use crate::bench::rtde_process::Simulator;
 use crate::cell::device::rtde_session::output_names;
-use crate::io::priority;
-use crate::sim::robot_server::punctuality::{Delays, Punctuality};
-use crate::wire::rtde::{Reply, Splitter, Version};
-use crate::wire::rtde_values::{Leftover, Recipe, Value};
-use crate::wire::rtde_variables::output_type;
+use cell_edge::priority;
 use serde::Serialize;
 use std::net::IpAddr;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
+use ur_sim::robot_server::punctuality::{Delays, Punctuality};
+use ur_wire::rtde::{Reply, Splitter, Version};
+use ur_wire::rtde_values::{Leftover, Recipe, Value};
+use ur_wire::rtde_variables::output_type;
 
 /// A controller frame.
 const FRAME: Duration = Duration::from_millis(2);

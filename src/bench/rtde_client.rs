@@ -3,11 +3,11 @@
 //! In: an address and names of outputs. Out: values as they come, and counts of what was missed. Deliberately
 //! not the daemon's session: the benchmark must not wait for states that only the daemon needs.
 
-use crate::wire::rtde::{Reply, Request, Splitter, Version};
-use crate::wire::rtde_values::{Leftover, Offer, Recipe, Value};
 use std::io::{Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
+use ur_wire::rtde::{Reply, Request, Splitter, Version};
+use ur_wire::rtde_values::{Leftover, Offer, Recipe, Value};
 
 /// Longest wait for anything from the simulator.
 pub const PATIENCE: Duration = Duration::from_secs(20);

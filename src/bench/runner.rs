@@ -6,7 +6,7 @@
 use crate::bench::cells::Unit;
 use crate::bench::planning::{Limits, run_case};
 use crate::bench::table::Row;
-use crate::planning::problem::Problem;
+use rearrange::planning::problem::Problem;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -77,9 +77,9 @@ impl Runner<'_> {
 mod tests {
     use super::*;
     use crate::bench::cells::{Cell, units};
-    use crate::planning::generate::{RatioLaw, Recipe, Scenario, generate};
-    use crate::planning::plan::Objective;
-    use crate::planning::solver::SolverKind;
+    use rearrange::planning::generate::{RatioLaw, Recipe, Scenario, generate};
+    use rearrange::planning::plan::Objective;
+    use rearrange::planning::solver::SolverKind;
 
     fn some_units() -> Vec<Unit> {
         let cell = Cell { scenario: "rand".into(), density: 0.2, objects: 5, objective: Objective::Pp };

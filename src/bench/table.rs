@@ -3,8 +3,8 @@
 //! In: rows, or CSV text (one file, or several one after the other: a repeated head is skipped). Out: CSV
 //! text, or rows, or every line that is none, with its number. No field holds a comma, so nothing is quoted.
 
-use crate::planning::plan::{Objective, Status};
-use crate::planning::solver::SolverKind;
+use rearrange::planning::plan::{Objective, Status};
+use rearrange::planning::solver::SolverKind;
 use std::collections::HashSet;
 
 /// Head of the CSV table.

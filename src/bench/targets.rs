@@ -6,8 +6,8 @@
 
 use crate::bench::cells::Cell;
 use crate::bench::table::{Row, density_word};
-use crate::planning::plan::{Objective, Status};
 use crate::report::text::{columns, seconds};
+use rearrange::planning::plan::{Objective, Status};
 use std::collections::BTreeMap;
 
 /// How good the plans are to be at the end.

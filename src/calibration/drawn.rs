@@ -4,8 +4,8 @@
 //! In: what the configuration says of camera, table and survey. Out: plain data. Pure.
 
 use crate::motion::slow::CalibrationBox;
-use crate::vision::board::Board;
-use crate::vision::observe::ReferenceMarker;
+use cell_vision::board::Board;
+use cell_vision::observe::ReferenceMarker;
 use nalgebra::Isometry3;
 
 /// Where the camera sits, nominally; the calibration files hold the measured transforms.

@@ -13,10 +13,10 @@ pub mod set;
 pub mod table;
 pub mod touches;
 
-use crate::document::decode::{At, Decoder, Fields};
-use crate::document::tree::Node;
-use crate::document::write::Out;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use rearrange::document::decode::{At, Decoder, Fields};
+use rearrange::document::tree::Node;
+use rearrange::document::write::Out;
 
 /// The version of all three formats.
 pub const VERSION: i64 = 1;
@@ -171,7 +171,7 @@ fn counted(value: usize) -> Out {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::document::parse;
+    use rearrange::document::parse;
 
     fn read(text: &str) -> Result<Isometry3<f64>, String> {
         let node = parse(text, "t.yaml").unwrap();

@@ -18,9 +18,9 @@ pub mod report;
 pub mod solve;
 pub mod touch;
 
-use crate::vision::camera::CameraModelError;
-use crate::vision::cv::CvError;
-use crate::vision::detect::Detection;
+use cell_vision::camera::CameraModelError;
+use cell_vision::cv::CvError;
+use cell_vision::detect::Detection;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 

@@ -4,7 +4,7 @@
 //! `propose` finds poses inside a taught box; `visit` collects what the camera saw from each; `fit` turns the
 //! samples into camera, table and lens, with their errors; `files` keeps the results as text and tells
 //! whether they fit together. Pure: the arm is moved by the machine (`cell::supervisor::round`), files are
-//! read and written by `config` and `cli::calibrate`, and OpenCV is called by `vision::cv` alone.
+//! read and written by `config` and `cli::calibrate`, and OpenCV is called by `cell_vision::cv` alone.
 
 pub mod drawn;
 pub mod files;

@@ -16,12 +16,12 @@ use crate::calibration::fit::fixed::{FixedGuess, board_markers, solve_fixed};
 use crate::calibration::fit::hand_eye::solve_hand_eye;
 use crate::calibration::fit::{CalibrateError, HandEyeGuess, HandEyeSettings, Sample, TransformStd};
 use crate::calibration::propose::scene::{Carried, SEEN_MIN, Scene};
-use crate::document::chain::chain;
-use crate::motion::kinematics::forward;
 use crate::motion::path::ArmModel;
 use crate::motion::slow::{CalibrationBox, slow_move};
-use crate::units::{Joints, deg_from_rad, mm_from_m};
-use crate::vision::camera::CameraModel;
+use cell_values::units::{Joints, deg_from_rad, mm_from_m};
+use cell_vision::camera::CameraModel;
+use rearrange::document::chain::chain;
+use ur_arm::kinematics::forward;
 
 /// Tilts tried, largest first, rad: what the perspective of a marker is told by.
 const TILTS: [f64; 3] = [0.45, 0.35, 0.25];

@@ -4,7 +4,7 @@
 //! something about each, or to keep it, is called with it. Pure.
 
 use crate::calibration::fit::Sample;
-use crate::vision::image::Image;
+use cell_values::image::Image;
 
 /// One stop of a calibration round.
 pub struct Stop<'a> {

@@ -5,7 +5,7 @@
 //! sweep of faults all know the same words; `docs/results.md` is written from [`Code::ALL`], and a test holds
 //! it to that.
 
-use crate::vision::image::quality::PictureFault;
+use cell_values::image::quality::PictureFault;
 
 /// Where a code appears.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

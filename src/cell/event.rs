@@ -13,10 +13,10 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::Status;
-use crate::geometry::pose::Pose2;
-use crate::motion::kinematics::DhParameters;
-use crate::vision::observe::{Observation, View};
+use cell_vision::observe::{Observation, View};
 use nalgebra::Isometry3;
+use rearrange::geometry::pose::Pose2;
+use ur_arm::kinematics::DhParameters;
 
 /// Something happened.
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@
 
 use crate::cell::device::outbox::earlier;
 use crate::cell::device::robot_types::Link;
-use crate::time::{Duration, Timestamp};
+use cell_values::time::{Duration, Timestamp};
 
 /// First and longest pause between two attempts to connect.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));

@@ -18,10 +18,10 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, Input, Outside, Record};
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::status::Status;
-use crate::geometry::pose::Pose2;
-use crate::motion::kinematics::DhParameters;
-use crate::time::{Duration, Timestamp};
+use cell_values::time::{Duration, Timestamp};
+use rearrange::geometry::pose::Pose2;
 use std::collections::VecDeque;
+use ur_arm::kinematics::DhParameters;
 
 /// A vacuum read longer ago than this says nothing: idle channels are read ten times a second.
 const VACUUM_AGE: Duration = Duration::from_millis(500);

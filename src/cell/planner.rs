@@ -4,9 +4,9 @@
 //! steps. Out: a plan that passed the independent checker, or why there is none. Pure.
 
 use crate::cell::supervisor::input::{PlanAnswer, PlanRequest};
-use crate::planning::plan::{Action, Status};
-use crate::planning::problem::Problem;
-use crate::planning::solver::{Control, solve};
+use rearrange::planning::plan::{Action, Status};
+use rearrange::planning::problem::Problem;
+use rearrange::planning::solver::{Control, solve};
 
 /// One planning run. `over` ends it, and so does the work limit; `seconds` says how long it has taken.
 pub fn answer(

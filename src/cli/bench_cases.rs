@@ -6,10 +6,10 @@
 
 use crate::bench::cells::{Cell, Unit};
 use crate::cli::task::TaskArgs;
-use crate::planning::generate::{RatioLaw, Recipe, Scenario, generate};
-use crate::planning::object_set::ObjectSet;
-use crate::planning::problem::Problem;
-use crate::planning::solver::SolveError;
+use rearrange::planning::generate::{RatioLaw, Recipe, Scenario, generate};
+use rearrange::planning::object_set::ObjectSet;
+use rearrange::planning::problem::Problem;
+use rearrange::planning::solver::SolveError;
 use std::path::{Path, PathBuf};
 
 /// The pairs of arrangements of discs and sticks that are taken first: those that the targets name.

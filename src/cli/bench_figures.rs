@@ -7,11 +7,12 @@
 use crate::bench::figures::{FIGURES, Spec, figure};
 use crate::bench::table::{Row, Table};
 use crate::cli::bench_planning::{figure_parser, figures};
-use crate::cli::task::{complain, outln, read_text};
-use crate::document::chain::chain;
-use crate::io::files::{create_folder, write_atomic};
+use crate::cli::task::outln;
 use crate::report::chart::figure_svg;
 use crate::report::raster::png;
+use cell_edge::files::{create_folder, write_atomic};
+use cell_edge::terminal::{complain, read_text};
+use rearrange::document::chain::chain;
 use std::path::PathBuf;
 
 /// Pixels of the PNG to one unit of the SVG.

@@ -5,7 +5,6 @@
 //! is not known to be, a job did not end, or a seed gave two different runs.
 
 use crate::cli::simulate::table::stage;
-use crate::cli::task::{complain, print};
 use crate::pair::Choice;
 use crate::pair::eyes::Eye;
 use crate::pair::page::{PAGE, PAGE_SEED, expected};
@@ -13,6 +12,7 @@ use crate::pair::reactions::KNOWN;
 use crate::pair::run::run_jobs;
 use crate::pair::storm::{storm, strikes};
 use crate::pair::sweep::{case, cases, judge};
+use cell_edge::terminal::{complain, print};
 use rayon::iter::{IntoParallelIterator, IntoParallelRefIterator, ParallelIterator};
 use std::time::Instant;
 

@@ -17,13 +17,13 @@ use crate::bench::targets::{self, Selection, TARGETS, Target};
 use crate::cli::bench_cases::Source;
 use crate::cli::generate::ratios_parser;
 use crate::cli::plan::{objective_parser, seconds};
-use crate::cli::task::{complain, print, read_text};
-use crate::planning::generate::RatioLaw;
-use crate::planning::plan::{Objective, Status};
-use crate::planning::solver::SolverKind;
 use crate::report::text::seconds as duration;
+use cell_edge::terminal::{complain, print, read_text};
 use clap::builder::PossibleValuesParser;
 use indicatif::{ProgressBar, ProgressStyle};
+use rearrange::planning::generate::RatioLaw;
+use rearrange::planning::plan::{Objective, Status};
+use rearrange::planning::solver::SolverKind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 

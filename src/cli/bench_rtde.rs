@@ -5,8 +5,8 @@
 //! something did not work.
 
 use crate::bench::rtde::{Setup, run as measure, table};
-use crate::cli::task::{complain, print};
 use crate::cli::values;
+use cell_edge::terminal::{complain, print};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
@@ -20,7 +20,7 @@ pub struct BenchRtdeArgs {
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=30))]
     clients: u16,
     /// Time factor of the fast measurement
-    #[arg(long, value_name = "F", default_value_t = 20.0, value_parser = values::time_factor)]
+    #[arg(long, value_name = "F", default_value_t = 20.0, value_parser = ur_sim::command::time_factor)]
     time_factor: f64,
     /// The simulator's configuration
     #[arg(long, default_value = "config/sim.yaml", value_name = "FILE")]

@@ -7,22 +7,22 @@
 
 use crate::cli::daemon::open_camera;
 use crate::cli::pictures::{read_camera, read_picture};
-use crate::cli::task::{complain, print};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::config::setup::{drift_limits, reference_markers};
-use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
-use crate::io::files;
 use crate::jobs::job_file::goal_yaml;
 use crate::perception::place::where_taken;
 use crate::perception::{Perception, Scene};
-use crate::time::Timestamp;
-use crate::vision::camera::CameraModel;
-use crate::vision::detect::DetectSettings;
-use crate::vision::foreign::search::ForeignSearch;
-use crate::vision::image::Image;
-use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, View};
+use cell_edge::files;
+use cell_edge::terminal::{complain, print};
+use cell_values::image::Image;
+use cell_values::time::Timestamp;
+use cell_vision::camera::CameraModel;
+use cell_vision::detect::DetectSettings;
+use cell_vision::foreign::search::ForeignSearch;
+use cell_vision::observe::{MarkedObject, Observation, ObserveLimits, View};
+use rearrange::document::chain::chain;
 use std::path::PathBuf;
 
 /// Arguments of `celld capture`.
@@ -168,11 +168,11 @@ mod tests {
     use super::*;
     use crate::bench::vision::render::{Ground, Lens, Print, render};
     use crate::bench::vision::scene::{DEGRADE, looking_down};
-    use crate::geometry::pose::Pose2;
     use crate::jobs::goal::parse_goal_file;
-    use crate::vision::detect::Family;
+    use cell_vision::detect::Family;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
+    use rearrange::geometry::pose::Pose2;
     use std::path::Path;
 
     /// A picture of the example cell from above, with some of its objects in a row; returns where they lie.

@@ -8,16 +8,18 @@
 use crate::calibration::files;
 use crate::cli::task::outln;
 use crate::config::cell::CellConfig;
-use crate::config::load::{load_cell, load_sim, read_text};
-use crate::document::tree::Node;
-use crate::document::{Complaints, parse};
+use crate::config::load::load_cell;
 use crate::jobs::goal::parse_goal_file;
 use crate::jobs::job_file::{JobContext, read_job};
 use crate::jobs::policy::Approval;
-use crate::sim::faults::read::read_faults;
-use crate::tabletop::parse::parse_with_sound_goals;
+use cell_parts::file::read_text;
 use clap::{Args, ValueEnum};
+use rearrange::document::tree::Node;
+use rearrange::document::{Complaints, parse};
+use rearrange::tabletop::parse::parse_with_sound_goals;
 use std::path::{Path, PathBuf};
+use ur_sim::config::load::load_sim;
+use ur_sim::faults::read::read_faults;
 
 /// Arguments of `celld check`.
 #[derive(Args, Debug)]

@@ -2,11 +2,11 @@
 //!
 //! In: `--state` on the command line; faults. Out: the state folder, and a fault with its causes on stderr.
 
-use crate::document::chain::chain;
-use crate::io::files::FileError;
 use crate::jobs::journal::JournalError;
 use crate::jobs::state::{StateError, StateFolder};
+use cell_edge::files::FileError;
 use clap::Args;
+use rearrange::document::chain::chain;
 use std::path::PathBuf;
 
 /// Where the daemon is found.

@@ -8,16 +8,16 @@
 mod table;
 
 use crate::cli::pictures::{read_camera, read_picture};
-use crate::document::chain::chain;
-use crate::io::files;
-use crate::units::{deg_from_rad, mm_from_m};
-use crate::vision::annotate;
-use crate::vision::camera::CameraModel;
-use crate::vision::cv;
-use crate::vision::detect::{DetectSettings, Detection, Detector, Family};
-use crate::vision::image::Image;
-use crate::vision::observe::Observation;
+use cell_edge::files;
+use cell_values::image::Image;
+use cell_values::units::{deg_from_rad, mm_from_m};
+use cell_vision::annotate;
+use cell_vision::camera::CameraModel;
+use cell_vision::cv;
+use cell_vision::detect::{DetectSettings, Detection, Detector, Family};
+use cell_vision::observe::Observation;
 use nalgebra::Vector3;
+use rearrange::document::chain::chain;
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -93,7 +93,7 @@ struct Pose {
 pub fn run(args: &DetectArgs) -> u8 {
     match detect(args) {
         Ok((text, found)) => {
-            crate::cli::task::print(&text);
+            cell_edge::terminal::print(&text);
             u8::from(found == 0)
         }
         Err(message) => {
@@ -203,10 +203,10 @@ fn json(path: &Path, image: &Image, found: &[Found], seen: Option<&Observation>)
 mod tests {
     use super::*;
     use crate::calibration::files::camera::CameraCalibration;
-    use crate::geometry::pose::Pose2;
-    use crate::vision::image::depth::DepthImage;
-    use crate::vision::image::depth::UNIT_M;
-    use crate::vision::marker;
+    use cell_values::image::depth::DepthImage;
+    use cell_values::image::depth::UNIT_M;
+    use cell_vision::marker;
+    use rearrange::geometry::pose::Pose2;
 
     fn args(image: PathBuf) -> DetectArgs {
         DetectArgs {
@@ -266,13 +266,13 @@ mod tests {
 
     /// The example cell's table with its block at (0.15, 0.3), and a mug at (0.35, 0.2): picture and depth.
     fn drawn_table(folder: &Path) -> (PathBuf, PathBuf) {
-        use crate::sim::render::Renderer;
-        use crate::sim::render::lens::CameraTruth;
-        use crate::sim::render::scene::{Print, Prism, Scene, look_at};
-        use crate::sim::render::sensor::Exposure;
-        use crate::sim::world::section::Section;
-        use crate::vision::image::tag36h11_bitmap;
+        use cell_values::image::tag36h11_bitmap;
         use std::sync::Arc;
+        use ur_sim::render::Renderer;
+        use ur_sim::render::lens::CameraTruth;
+        use ur_sim::render::scene::{Print, Prism, Scene, look_at};
+        use ur_sim::render::sensor::Exposure;
+        use ur_sim::world::section::Section;
         let config = crate::config::load::load_cell(&example()).unwrap();
         let lens = read_camera(&config.calibration.camera).unwrap();
         let print =

@@ -4,12 +4,13 @@
 //! says how it was made; the paths on standard output. Exit code 0, or 2 with what is wrong.
 
 use crate::cli::plan::seconds;
-use crate::cli::task::{complain, outln};
-use crate::document::chain::chain;
-use crate::io::files::{create_folder, write_atomic};
-use crate::planning::generate::{RatioLaw, Recipe, Scenario, generate};
-use crate::tabletop::write::to_yaml;
+use crate::cli::task::outln;
+use cell_edge::files::{create_folder, write_atomic};
+use cell_edge::terminal::complain;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use rearrange::document::chain::chain;
+use rearrange::planning::generate::{RatioLaw, Recipe, Scenario, generate};
+use rearrange::tabletop::write::to_yaml;
 use std::path::PathBuf;
 
 /// Arguments of `celld generate`.

@@ -7,7 +7,6 @@ use crate::cell::orders::Reply;
 use crate::cli::client::{ClientError, StateArg, complain};
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
-use crate::io::clock::unix_now_s;
 use crate::jobs::command::{Command, RecoverHow, ReleaseChannel, Sent};
 use crate::jobs::journal::Journal;
 use crate::jobs::record::{JobRecord, quoted};
@@ -15,6 +14,7 @@ use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
 use crate::jobs::utc;
 use crate::report::text::{columns, or_dash};
+use cell_edge::clock::unix_now_s;
 use clap::{Args, Subcommand, ValueEnum};
 use std::time::{Duration, Instant};
 

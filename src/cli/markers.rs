@@ -3,11 +3,11 @@
 //! In: family, numbers or a grid, size, paper. Out: one PDF, or one SVG a sheet, each with a ruler to check
 //! the print by. Exit codes: 0 written, 2 bad input.
 
-use crate::cli::task::{complain, print};
-use crate::io::files;
 use crate::report::prints::{self, Paper, Sheet};
-use crate::vision::board::Board;
-use crate::vision::detect::Family;
+use cell_edge::files;
+use cell_edge::terminal::{complain, print};
+use cell_vision::board::Board;
+use cell_vision::detect::Family;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `celld markers`.

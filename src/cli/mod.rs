@@ -12,7 +12,6 @@ pub mod bench_vision;
 pub mod calibrate;
 pub mod capture;
 pub mod check;
-pub mod check_script;
 pub mod client;
 pub mod daemon;
 pub mod demo;
@@ -24,7 +23,6 @@ pub mod markers;
 mod pictures;
 pub mod plan;
 pub mod recorder;
-pub mod sim;
 pub mod simulate;
 pub mod submit;
 pub mod task;
@@ -51,7 +49,7 @@ enum Command {
     /// Run the daemon: job files in, a tidy table out
     Run(daemon::RunArgs),
     /// Simulated UR5e, VGC10 and camera behind the real protocols
-    Sim(sim::SimArgs),
+    Sim(ur_sim::command::SimArgs),
     /// Whole cells in virtual time, checked against the rules that always hold
     Simulate(simulate::SimulateArgs),
     /// Calibrate lens, camera mount and table, live or from recorded pictures
@@ -94,12 +92,12 @@ enum Bench {
 /// Parses the process's arguments and runs the subcommand.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    start_log();
+    cell_edge::terminal::start_log();
     let stop = Arc::new(AtomicBool::new(false));
     ExitCode::from(match cli.command {
         Command::Demo(args) => demo::run(&args, stop),
         Command::Run(args) => daemon::run(&args, stop),
-        Command::Sim(args) => sim::run(&args),
+        Command::Sim(args) => ur_sim::command::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Calibrate(args) => calibrate::run(&args, stop),
         Command::Detect(args) => detect::run(&args),
@@ -122,26 +120,4 @@ pub fn main() -> ExitCode {
         Command::Bench(Bench::Loop(args)) => bench_loop::run(&args),
         Command::Client(command) => jobs::run(command),
     })
-}
-
-/// `celld-sim`: the simulator alone.
-#[derive(Parser, Debug)]
-#[command(name = "celld-sim", version, about = "Simulated UR5e, VGC10 and camera behind the real protocols")]
-struct SimulatorCli {
-    #[command(flatten)]
-    args: sim::SimArgs,
-}
-
-/// Parses the process's arguments and runs the simulator: `celld sim` without the rest.
-pub fn simulator() -> ExitCode {
-    let cli = SimulatorCli::parse();
-    start_log();
-    ExitCode::from(sim::run(&cli.args))
-}
-
-/// Logs go to stderr; `CELLD_LOG` chooses what (`info`, `celld::daemon=debug`, ...).
-fn start_log() {
-    let filter = tracing_subscriber::EnvFilter::try_from_env("CELLD_LOG")
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("error"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
 }

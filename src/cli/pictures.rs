@@ -3,10 +3,10 @@
 //! In: paths. Out: an image, its bytes, a camera model; or a sentence that names the file.
 
 use crate::calibration::files::camera::CameraCalibration;
-use crate::document::chain::chain;
-use crate::io::files;
-use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
+use cell_edge::files;
+use cell_values::image::Image;
+use cell_vision::camera::CameraModel;
+use rearrange::document::chain::chain;
 use std::path::Path;
 
 /// Largest picture file read, bytes.

@@ -5,17 +5,18 @@
 //! input, 130 after Ctrl-C before there was a plan. The clock is read here and nowhere below.
 
 use crate::bench::planning::thread_pool;
-use crate::cli::task::{TaskArgs, complain, print};
-use crate::planning::check::CheckedPlan;
-use crate::planning::object_set::ObjectSet;
-use crate::planning::plan::{Action, ActionKind, Objective, PlanFile, Status};
-use crate::planning::problem::Problem;
-use crate::planning::scene::Scene;
-use crate::planning::solver::{Control, Outcome, SolverKind, lower_bound, solve};
-use crate::planning::travel::NOMINAL;
+use crate::cli::task::TaskArgs;
 use crate::report::plan_svg::plan_svg;
+use cell_edge::terminal::{complain, print};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
+use rearrange::planning::check::CheckedPlan;
+use rearrange::planning::object_set::ObjectSet;
+use rearrange::planning::plan::{Action, ActionKind, Objective, PlanFile, Status};
+use rearrange::planning::problem::Problem;
+use rearrange::planning::scene::Scene;
+use rearrange::planning::solver::{Control, Outcome, SolverKind, lower_bound, solve};
+use rearrange::planning::travel::NOMINAL;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -159,7 +160,7 @@ fn search(
     args: &PlanArgs,
     problem: &Problem,
     stop: &AtomicBool,
-) -> Result<(Outcome, Timing), crate::planning::solver::SolveError> {
+) -> Result<(Outcome, Timing), rearrange::planning::solver::SolveError> {
     let limit = args.time_limit.unwrap_or(if args.solver == SolverKind::Auto { 10.0 } else { 600.0 });
     let begun = Instant::now();
     let first_plan = Mutex::new(None);

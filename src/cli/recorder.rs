@@ -7,12 +7,12 @@
 
 use crate::daemon::heard::Shown;
 use crate::daemon::shell::Scene;
-use crate::io::clock::unix_now_s;
-use crate::io::priority;
 use crate::io::recording::{PictureFormat, RecordedObject, Recording, RecordingError, Severity};
-use crate::time::{Duration, Timestamp};
-use crate::vision::image::Image;
-use crate::vision::observe::Observation;
+use cell_edge::clock::unix_now_s;
+use cell_edge::priority;
+use cell_values::image::Image;
+use cell_values::time::{Duration, Timestamp};
+use cell_vision::observe::Observation;
 use serde_json::json;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
@@ -50,7 +50,7 @@ impl Recorder {
     pub fn create(path: &Path, pictures: bool) -> Recorder {
         let (recording, fault) = match Recording::create(path, unix_now_s()) {
             Ok(recording) => (Some(recording), None),
-            Err(error) => (None, Some(crate::document::chain::chain(&error))),
+            Err(error) => (None, Some(rearrange::document::chain::chain(&error))),
         };
         Recorder {
             recording,
@@ -143,12 +143,12 @@ impl Recorder {
     }
 
     fn keep_fault(&mut self, error: &RecordingError) {
-        self.fault.get_or_insert_with(|| crate::document::chain::chain(error));
+        self.fault.get_or_insert_with(|| rearrange::document::chain::chain(error));
     }
 }
 
 fn recorded(observation: &Observation) -> Vec<RecordedObject> {
-    let object = |o: &crate::vision::observe::ObjectEstimate| RecordedObject {
+    let object = |o: &cell_vision::observe::ObjectEstimate| RecordedObject {
         id: o.id.clone(),
         x: o.pose.x,
         y: o.pose.y,

@@ -8,8 +8,6 @@ mod args;
 mod storms;
 pub mod table;
 
-use crate::cli::sim::faults_of;
-use crate::cli::task::{complain, print};
 use crate::pair::eyes::Eye;
 use crate::pair::outcome::{Outcome, Phase};
 use crate::pair::page::{self, PAGE, PAGE_SEED, expected, title};
@@ -19,11 +17,13 @@ use crate::pair::sweep::{case, cases, judge};
 use crate::pair::{Choice, Pair};
 pub use args::SimulateArgs;
 use args::{EyeArg, keep_trace};
+use cell_edge::terminal::{complain, print};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::path::Path;
 use std::time::Instant;
 use table::stage;
+use ur_sim::command::faults_of;
 
 /// Runs the subcommand; returns the exit code.
 pub fn run(args: &SimulateArgs) -> u8 {

@@ -8,9 +8,6 @@
 use crate::cli::check::beside;
 use crate::cli::client::{ClientError, StateArg, complain};
 use crate::cli::task::outln;
-use crate::config::load::read_text;
-use crate::io::clock::unix_now_s;
-use crate::io::files::{create_folder, remove, rename_new, temporary_name, write_atomic};
 use crate::jobs::job_file::{JobContext, job_yaml, read_job};
 use crate::jobs::journal::Journal;
 use crate::jobs::policy::Approval;
@@ -18,6 +15,9 @@ use crate::jobs::record::{JobRecord, JobSpec, JobState, JobStatus};
 use crate::jobs::spool::id_of_file;
 use crate::jobs::state::StateFolder;
 use crate::jobs::utc;
+use cell_edge::clock::unix_now_s;
+use cell_edge::files::{create_folder, remove, rename_new, temporary_name, write_atomic};
+use cell_parts::file::read_text;
 use clap::Args;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
@@ -65,7 +65,7 @@ fn prepare(path: &Path, text: &str, source: &str) -> Result<(JobSpec, String), S
     let read_goal = |name: &str| read_text(&beside(path, name));
     let context = JobContext { goal: None, approval: Approval::Never, read_goal: &read_goal };
     let job = read_job(text, source, &context).map_err(|complaints| complaints.to_string())?;
-    let names_a_file = crate::document::parse(text, source)
+    let names_a_file = rearrange::document::parse(text, source)
         .is_ok_and(|node| node.get("goal").is_some_and(|goal| goal.get("file").is_some()));
     let text = if names_a_file { job_yaml(&job) } else { text.to_owned() };
     Ok((job, text))
@@ -168,7 +168,7 @@ fn look(state: &StateFolder, handed: &Handed) -> Result<Found, ClientError> {
 
 fn tell_end(job: &JobRecord, status: JobStatus) -> u8 {
     match &job.result {
-        Some(result) => crate::cli::task::print(&result.to_yaml()),
+        Some(result) => cell_edge::terminal::print(&result.to_yaml()),
         None => outln!("{}: {}", job.id, status.word()),
     }
     if status == JobStatus::Done { 0 } else { 1 }
@@ -178,7 +178,7 @@ fn tell_end(job: &JobRecord, status: JobStatus) -> u8 {
 mod tests {
     use super::*;
     use crate::jobs::spool::{Spool, SpoolEvent, SpoolSettings};
-    use crate::time::Timestamp;
+    use cell_values::time::Timestamp;
 
     const NOW: f64 = 1_795_248_000.0;
 

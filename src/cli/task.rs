@@ -3,15 +3,11 @@
 //! In: paths from the command line. Out: a [`Problem`], or the text of everything that is wrong with the
 //! files, each complaint with its place. Shape names come out of a file, so only plain names are looked up.
 
-use crate::io::files::read_named;
-use crate::planning::problem::Problem;
-use crate::tabletop::instance::Instance;
-use crate::tabletop::parse::{parse_instance, parse_pair};
-use std::io::Write;
+use cell_edge::terminal::read_text;
+use rearrange::planning::problem::Problem;
+use rearrange::tabletop::instance::Instance;
+use rearrange::tabletop::parse::{parse_instance, parse_pair};
 use std::path::{Path, PathBuf};
-
-/// Larger files are no instances; reading them would only fill the memory.
-pub const LARGEST_FILE_BYTES: u64 = 32 << 20;
 
 /// Where a task is.
 #[derive(Clone, Debug, clap::Args)]
@@ -59,26 +55,6 @@ impl TaskArgs {
     }
 }
 
-/// The text of a plain file of reasonable size.
-///
-/// # Errors
-/// One line with the path and what to do.
-pub fn read_text(path: &Path) -> Result<String, String> {
-    read_named(path, LARGEST_FILE_BYTES)
-        .map_err(|error| format!("{}: cannot be read: {}", path.display(), error.reason()))
-}
-
-/// Writes results to standard output. A reader that has gone away is no error of ours.
-pub fn print(text: &str) {
-    let mut out = std::io::stdout().lock();
-    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
-}
-
-/// Writes complaints and progress to standard error.
-pub fn complain(text: &str) {
-    let _ = writeln!(std::io::stderr().lock(), "{text}");
-}
-
 fn prefixed(path: &Path, lines: &str) -> String {
     lines.lines().map(|line| format!("{}: {line}", path.display())).collect::<Vec<_>>().join("\n")
 }
@@ -102,7 +78,7 @@ fn shape_text(folder: &Path, name: &str) -> Option<String> {
 /// A line of results on standard output, as `println!`, without the panic when the reader has gone away.
 macro_rules! outln {
     ($($arguments:tt)*) => {
-        $crate::cli::task::print(&format!("{}\n", format_args!($($arguments)*)))
+        cell_edge::terminal::print(&format!("{}\n", format_args!($($arguments)*)))
     };
 }
 pub(crate) use outln;

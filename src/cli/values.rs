@@ -5,25 +5,12 @@
 //! option's name and ends with exit code 2. The ranges are those of the same keys in the configuration.
 
 use crate::jobs::policy::{JobObjective, SOLVER_WORDS, unknown_word};
+use cell_edge::terminal::within;
 use std::net::IpAddr;
-use std::ops::RangeInclusive;
-
-/// A number in a range; `unit` is for the message.
-fn within(text: &str, range: RangeInclusive<f64>, unit: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if range.contains(&value) => Ok(value),
-        _ => Err(format!("give a number between {} and {} {unit}", range.start(), range.end())),
-    }
-}
 
 /// A planning budget, s.
 pub fn planning_seconds(text: &str) -> Result<f64, String> {
     within(text, 0.001..=86_400.0, "s")
-}
-
-/// Simulated seconds per second.
-pub fn time_factor(text: &str) -> Result<f64, String> {
-    within(text, 0.01..=1000.0, "simulated seconds per second")
 }
 
 /// Edge of a demo table, m.
@@ -66,9 +53,9 @@ mod tests {
         for text in ["-1", "nan", "inf", "1e30", "0", "", "2 s"] {
             let told = planning_seconds(text).unwrap_err();
             assert_eq!(told, "give a number between 0.001 and 86400 s", "{text}");
-            assert!(time_factor(text).is_err(), "{text}");
+            assert!(ur_sim::command::time_factor(text).is_err(), "{text}");
         }
-        assert_eq!((planning_seconds("2.5"), time_factor("5")), (Ok(2.5), Ok(5.0)));
+        assert_eq!((planning_seconds("2.5"), ur_sim::command::time_factor("5")), (Ok(2.5), Ok(5.0)));
         assert!(table_size("3").is_err() && table_size("0.5") == Ok(0.5));
     }
 

@@ -4,13 +4,14 @@
 //! file says of itself is true, and which given overlaps were taken as they are. Exit code 0 when all is
 //! well, 1 when a fault was found, 2 for files that cannot be read.
 
-use crate::cli::task::{TaskArgs, complain, print, read_text};
-use crate::planning::check::{self, CheckedPlan, GivenIn};
-use crate::planning::object_set::ObjectSet;
-use crate::planning::plan::{Action, Objective, PlanFile, Status};
-use crate::planning::problem::Problem;
-use crate::planning::scene::Scene;
-use crate::planning::solver;
+use crate::cli::task::TaskArgs;
+use cell_edge::terminal::{complain, print, read_text};
+use rearrange::planning::check::{self, CheckedPlan, GivenIn};
+use rearrange::planning::object_set::ObjectSet;
+use rearrange::planning::plan::{Action, Objective, PlanFile, Status};
+use rearrange::planning::problem::Problem;
+use rearrange::planning::scene::Scene;
+use rearrange::planning::solver;
 use std::path::PathBuf;
 
 /// Arguments of `celld verify`.

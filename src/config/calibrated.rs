@@ -7,9 +7,9 @@
 use crate::calibration::files::set::{CalibrationSet, FileText};
 use crate::cell::event::Arm;
 use crate::config::cell::{CalibrationFiles, CellConfig};
-use crate::config::load::read_text;
 use crate::config::setup::{Measured, reference_markers};
-use crate::io::files::{FileError, create_folder, write_atomic};
+use cell_edge::files::{FileError, create_folder, write_atomic};
+use cell_parts::file::read_text;
 use std::path::Path;
 
 /// Reads all three files.

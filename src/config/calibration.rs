@@ -7,16 +7,16 @@
 
 use crate::calibration::drawn::CameraMount;
 use crate::config::cell::CalibrationFiles;
-use crate::config::fields::{joints_deg, list, optional, path, required_number, transform};
 use crate::config::parts::CellParts;
-use crate::config::places::Places;
-use crate::document::Location;
-use crate::document::decode::{At, Decoder};
-use crate::motion::kinematics::{DhParameters, forward};
 use crate::motion::slow::CalibrationBox;
-use crate::vision::board::{Board, GAP};
-use crate::vision::detect::Family;
+use cell_parts::fields::{joints_deg, list, path, transform};
+use cell_parts::grid::{MarkerGrid, board, board_apart};
+use cell_parts::places::Places;
+use cell_vision::board::Board;
+use cell_vision::detect::Family;
+use rearrange::document::decode::{At, Decoder};
 use std::path::Path;
+use ur_arm::kinematics::{DhParameters, forward};
 
 /// Least edge of a box in which poses are proposed, m: less leaves no room to turn in.
 const LEAST_EDGE_M: f64 = 0.05;
@@ -32,7 +32,7 @@ pub(super) fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
         _ => {
             let fields = decoder.map(at, &["mount", "base_from_camera", "board", "flange_from_board"])?;
             let base_from_camera = transform(decoder, &fields, "base_from_camera");
-            let board = fields.required("board", decoder).and_then(|at| board(decoder, &at));
+            let board = fields.required("board", decoder).and_then(|at| board(decoder, &at)).map(printed);
             let clamped = fields.optional("flange_from_board").is_some();
             let flange_from_board =
                 if clamped { Some(transform(decoder, &fields, "flange_from_board")?) } else { None };
@@ -41,37 +41,10 @@ pub(super) fn camera(decoder: &mut Decoder, at: &At) -> Option<CameraMount> {
     }
 }
 
-/// The board that the hand carries before a fixed camera. Of the family that the table's markers are of, so
-/// that one detector finds both.
-pub(super) fn board(decoder: &mut Decoder, at: &At) -> Option<Board> {
-    let fields = decoder.map(at, &["columns", "rows", "size", "gap", "first_id"])?;
-    let mut count = |key: &str| {
-        let at = fields.required(key, decoder)?;
-        decoder.integer(&at, 1..=24).and_then(|count| u32::try_from(count).ok())
-    };
-    let (columns, rows) = (count("columns"), count("rows"));
-    let size_m = required_number(decoder, &fields, "size", 0.003..=0.5, "m");
-    let printed = size_m.map_or(0.0, |size| GAP * size);
-    let gap_m = optional(decoder, &fields, "gap", printed, |d, at| d.number_in(at, 0.0..=0.5, "m"));
-    let last = i64::from(crate::vision::image::tag36h11::COUNT) - 1;
-    let first_id = optional(decoder, &fields, "first_id", 0, |d, at| d.integer(at, 0..=last));
-    let board = Board {
-        family: Family::Tag36h11,
-        columns: columns?,
-        rows: rows?,
-        size_m: size_m?,
-        gap_m: gap_m?,
-        first_id: u32::try_from(first_id?).ok()?,
-    };
-    if i64::from(board.first_id + board.count()) > last + 1 {
-        decoder.complain_at(
-            at,
-            format!("markers {} and on are not in the family", last + 1),
-            "lower first_id, or take a smaller board",
-        );
-        return None;
-    }
-    Some(board)
+/// The board that is printed for a grid of the configuration.
+fn printed(grid: MarkerGrid) -> Board {
+    let MarkerGrid { columns, rows, size_m, gap_m, first_id } = grid;
+    Board { family: Family::Tag36h11, columns, rows, size_m, gap_m, first_id }
 }
 
 /// Complains about markers of the hand's board that also lie on the table.
@@ -79,25 +52,13 @@ pub(super) fn check_board(decoder: &mut Decoder, parts: &CellParts, places: &Pla
     let Some(CameraMount::Fixed { board, .. }) = &parts.camera else { return };
     let reference = parts.reference_markers.iter().flatten().map(|marker| i64::from(marker.id));
     let objects = parts.object_markers.iter().map(|marker| marker.number);
-    board_apart(decoder, board, reference.chain(objects), (places.at(&["camera", "board"]), "camera.board"));
-}
-
-/// Complains at `place` (where it stands, its keys) about a board of whose markers one also lies on the
-/// table.
-pub(super) fn board_apart(
-    decoder: &mut Decoder,
-    board: &Board,
-    mut on_table: impl Iterator<Item = i64>,
-    (at, path): (Location, &str),
-) {
-    let on_board = |number: i64| {
-        (i64::from(board.first_id)..i64::from(board.first_id + board.count())).contains(&number)
-    };
-    if let Some(number) = on_table.find(|number| on_board(*number)) {
-        let message = format!("marker {number} of the board is also on the table");
-        let help = "print the board with other numbers: celld markers --board 5x4 --first-id 100";
-        decoder.complain(at, path, message, help);
-    }
+    let numbers = i64::from(board.first_id)..i64::from(board.first_id + board.count());
+    board_apart(
+        decoder,
+        numbers,
+        reference.chain(objects),
+        (places.at(&["camera", "board"]), "camera.board"),
+    );
 }
 
 pub(super) fn files(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CalibrationFiles> {

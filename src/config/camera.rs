@@ -4,12 +4,12 @@
 //! usable picture. What is measured of a camera, its lens and its place, is in calibration files and not
 //! here; size, rate and serial number are asked for because a calibration holds for them alone.
 
-use crate::config::fields::{host, optional, path, port, required_number, required_positive};
-use crate::document::decode::{At, Decoder, Fields};
 use crate::io::camera::Exposure;
 use crate::io::camera::realsense::RealSenseSettings;
 use crate::io::camera::uvc::UvcSettings;
-use crate::vision::image::quality::PictureLimits;
+use cell_parts::fields::{host, optional, path, port, required_number, required_positive};
+use cell_values::image::quality::PictureLimits;
+use rearrange::document::decode::{At, Decoder, Fields};
 use std::path::{Path, PathBuf};
 
 /// Where pictures come from.
@@ -221,7 +221,7 @@ fn picture_limits(decoder: &mut Decoder, at: &At) -> Option<PictureLimits> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::document::parse;
+    use rearrange::document::parse;
 
     fn read(text: &str) -> Result<(CameraDevice, PictureLimits), String> {
         let node = parse(text, "cell.yaml").unwrap();

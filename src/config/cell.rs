@@ -8,15 +8,16 @@
 use crate::calibration::drawn::CameraMount;
 use crate::cell::supervisor::model::ForeignRule;
 pub use crate::config::camera::CameraDevice;
-use crate::geometry::pose::Pose2;
 use crate::jobs::goal::GoalContext;
 use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::slow::CalibrationBox;
-use crate::tabletop::instance::{KeepOut, ObjectSpec};
-use crate::units::{ATMOSPHERE_PA, Joints};
-use crate::vision::image::quality::PictureLimits;
-use crate::vision::observe::ObserveLimits;
+use cell_parts::gripper::GripperConfig;
+use cell_parts::reference::ReferenceMarkerConfig;
+use cell_values::image::quality::PictureLimits;
+use cell_values::units::Joints;
+use cell_vision::observe::ObserveLimits;
 use nalgebra::Isometry3;
+use rearrange::tabletop::instance::{KeepOut, ObjectSpec};
 use std::path::PathBuf;
 
 /// One robot cell, as `celld run` needs it.
@@ -128,64 +129,6 @@ pub struct WorkspaceConfig {
     pub clearance_m: f64,
     /// Places that stay free.
     pub keep_out: Vec<KeepOut>,
-}
-
-/// A marker fixed to the table.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ReferenceMarkerConfig {
-    /// Number within tag36h11.
-    pub id: u32,
-    /// Edge of the black square, m.
-    pub size_m: f64,
-    /// Surveyed pose in the table frame.
-    pub pose: Pose2,
-}
-
-/// The two suction channels of the VGC10.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum CupChannel {
-    /// Channel A.
-    A,
-    /// Channel B.
-    B,
-}
-
-/// One suction cup in the tool frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CupConfig {
-    /// The channel that feeds it.
-    pub channel: CupChannel,
-    /// Centre, m.
-    pub x_m: f64,
-    /// Centre, m.
-    pub y_m: f64,
-    /// Diameter of the lip, m.
-    pub diameter_m: f64,
-}
-
-/// The gripper.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GripperConfig {
-    /// At least one.
-    pub cups: Vec<CupConfig>,
-    /// Outline of the body in the tool frame, m: what must not touch the neighbours of a gripped object.
-    pub body_polygon: Vec<[f64; 2]>,
-    /// Height of the body's lower face above the cup lips, m.
-    pub body_height_m: f64,
-    /// Least relative vacuum (0 to 1) that counts as gripped.
-    pub vacuum_min: f64,
-    /// Mass of gripper and camera on the flange, kg.
-    pub mass_kg: f64,
-    /// Centre of that mass in the flange frame, m.
-    pub centre_of_gravity_m: [f64; 3],
-}
-
-impl GripperConfig {
-    /// Force with which `cups` hold at `vacuum_min`, N.
-    pub fn holding_force_n(&self, cups: &[CupConfig]) -> f64 {
-        let area_m2 = |cup: &CupConfig| std::f64::consts::PI * cup.diameter_m * cup.diameter_m / 4.0;
-        self.vacuum_min * ATMOSPHERE_PA * cups.iter().map(area_m2).sum::<f64>()
-    }
 }
 
 /// Paths of the calibration files, absolute.

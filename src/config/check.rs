@@ -7,18 +7,18 @@
 use crate::calibration::drawn::CameraMount;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration::check_board;
-use crate::config::cell::{CupConfig, Devices, GripperConfig, MotionLimits};
+use crate::config::cell::{Devices, MotionLimits};
 use crate::config::parts::CellParts;
-use crate::config::places::Places;
-use crate::document::Location;
-use crate::document::decode::Decoder;
-use crate::document::tree::{Node, Value};
-use crate::geometry::footprint::Footprint;
-use crate::geometry::pose::Pose2;
-use crate::tabletop::instance::{ObjectSpec, Workspace};
-use crate::tabletop::parse::MarkerUse;
-use crate::tabletop::room::{Cup, place_for_cups};
-use crate::units::{GRAVITY, Joints, deg_from_rad, mm_from_m};
+use cell_parts::gripper::{CupConfig, GripperConfig};
+use cell_parts::places::Places;
+use cell_parts::reference::check_reference_markers;
+use cell_values::units::{GRAVITY, Joints, deg_from_rad, mm_from_m};
+use rearrange::document::Location;
+use rearrange::document::decode::Decoder;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use rearrange::tabletop::instance::{ObjectSpec, Workspace};
+use rearrange::tabletop::room::{Cup, place_for_cups};
 use std::net::IpAddr;
 
 /// Space that every cup keeps to the rim of the face it sits on, m.
@@ -157,29 +157,6 @@ fn check_limits(decoder: &mut Decoder, limits: &MotionLimits, places: &Places) {
         );
         let at = places.at(&["limits", "blend_m"]);
         decoder.complain(at, "limits.blend_m", message, "make it smaller than limits.lift_height_m");
-    }
-}
-
-/// Complains about reference markers that share a number with each other or with an object. Works on the
-/// tree, so that it finds them in markers and objects that are wrong otherwise.
-pub(super) fn check_reference_markers(decoder: &mut Decoder, places: &Places, objects: &[MarkerUse]) {
-    let Some(Value::Sequence(markers)) = places.top().get("reference_markers").map(|node| &node.value) else {
-        return;
-    };
-    let number = |node: &Node| Some((node.get("id")?.scalar()?.parse::<i64>().ok()?, node.get("id")?.at));
-    let mut seen: Vec<i64> = Vec::new();
-    for (index, marker) in markers.iter().enumerate() {
-        let Some((number, at)) = number(marker) else { continue };
-        let path = format!("reference_markers[{index}].id");
-        if seen.contains(&number) {
-            let message = format!("marker {number} is used twice");
-            decoder.complain(at, &path, message, "give each place a marker of its own");
-        }
-        if let Some(object) = objects.iter().find(|object| object.number == number) {
-            let message = format!("marker {number} is also that of object {:?}", object.owner);
-            decoder.complain(at, &path, message, "give one of them another marker");
-        }
-        seen.push(number);
     }
 }
 

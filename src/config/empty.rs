@@ -7,11 +7,11 @@ use crate::calibration::files::round::Round;
 use crate::cell::event::Arm;
 use crate::config::cell::CellConfig;
 use crate::config::setup::Measured;
-use crate::document::chain::chain;
-use crate::io::files;
-use crate::vision::foreign::search::ForeignSearch;
-use crate::vision::image::Image;
+use cell_edge::files;
+use cell_values::image::Image;
+use cell_vision::foreign::search::ForeignSearch;
 use nalgebra::Isometry3;
+use rearrange::document::chain::chain;
 use std::path::Path;
 
 /// Largest picture that is read, bytes.

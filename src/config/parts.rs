@@ -6,15 +6,17 @@
 use crate::calibration::drawn::CameraMount;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::config::cell::{
-    CalibrationFiles, CellConfig, Devices, GripperConfig, MotionLimits, PlannerConfig, RecordingConfig,
-    ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
+    CalibrationFiles, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig,
+    Tolerances, WorkspaceConfig,
 };
 use crate::jobs::policy::Approval;
 use crate::motion::slow::CalibrationBox;
-use crate::tabletop::instance::{KeepOut, ObjectSpec, Workspace};
-use crate::tabletop::parse::MarkerUse;
-use crate::units::Joints;
+use cell_parts::gripper::GripperConfig;
+use cell_parts::reference::ReferenceMarkerConfig;
+use cell_values::units::Joints;
 use nalgebra::Isometry3;
+use rearrange::tabletop::instance::{KeepOut, ObjectSpec, Workspace};
+use rearrange::tabletop::parse::MarkerUse;
 use std::path::PathBuf;
 
 /// What could be read. A list is there when the key holds one; its entries are there when they are sound.

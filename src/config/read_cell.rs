@@ -11,20 +11,21 @@ use crate::config::cell::{
     CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig, Tolerances,
 };
 use crate::config::check::check_cell;
-use crate::config::fields::{
+use crate::config::parts::{CellParts, TableParts};
+use crate::jobs::policy::{Approval, decode_objective, decode_solver};
+use cell_parts::fields::{
     each, host, joints_deg, list, optional, path, port, required_each, required_number, required_positive,
     transform,
 };
-use crate::config::parts::{CellParts, TableParts};
-use crate::config::pieces::{gripper, reference_markers};
-use crate::config::places::Places;
-use crate::document::decode::{At, Decoder, Fields};
-use crate::document::{Complaints, parse};
-use crate::jobs::policy::{Approval, decode_objective, decode_solver};
-use crate::tabletop::decode;
-use crate::tabletop::instance::ObjectSpec;
-use crate::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
-use crate::units::{Joints, rad_from_deg};
+use cell_parts::gripper::gripper;
+use cell_parts::places::Places;
+use cell_parts::reference::reference_markers;
+use cell_values::units::{Joints, rad_from_deg};
+use rearrange::document::decode::{At, Decoder, Fields};
+use rearrange::document::{Complaints, parse};
+use rearrange::tabletop::decode;
+use rearrange::tabletop::instance::ObjectSpec;
+use rearrange::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
 use std::path::Path;
 
 /// Keys of the file.

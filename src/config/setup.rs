@@ -10,22 +10,23 @@ use crate::cell::event::Arm;
 use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
-use crate::config::cell::{CellConfig, CupChannel};
+use crate::config::cell::CellConfig;
 use crate::config::check::needed_force_n;
-use crate::geometry::pose::Pose2;
-use crate::motion::kinematics::DhParameters;
 use crate::motion::path::{ArmLimits, ArmModel};
 use crate::motion::pick_n_place::{CycleParameters, PickNPlace, plan};
 use crate::perception::Scene;
-use crate::tabletop::instance::{ObjectSpec, Workspace};
-use crate::tabletop::room::{Cup, Grip, place_for_cups};
-use crate::time::Duration;
-use crate::vision::camera::CameraModel;
-use crate::vision::foreign::search::{ForeignSearch, Inventory};
-use crate::vision::foreign::{Area, ForeignLimits, HeightMapError, KnownBody, OwnBody};
-use crate::vision::observe::reference::DriftLimits;
-use crate::vision::observe::{MarkedObject, ObserveLimits, ReferenceMarker};
+use cell_parts::gripper::CupChannel;
+use cell_values::time::Duration;
+use cell_vision::camera::CameraModel;
+use cell_vision::foreign::search::{ForeignSearch, Inventory};
+use cell_vision::foreign::{Area, ForeignLimits, HeightMapError, KnownBody, OwnBody};
+use cell_vision::observe::reference::DriftLimits;
+use cell_vision::observe::{MarkedObject, ObserveLimits, ReferenceMarker};
 use nalgebra::{Isometry3, Vector3};
+use rearrange::geometry::pose::Pose2;
+use rearrange::tabletop::instance::{ObjectSpec, Workspace};
+use rearrange::tabletop::room::{Cup, Grip, place_for_cups};
+use ur_arm::kinematics::DhParameters;
 
 /// What calibration found and the controller reported.
 #[derive(Clone, Debug)]
@@ -209,7 +210,7 @@ pub fn arm_model(config: &CellConfig, dh: DhParameters, base_from_table: Isometr
 /// The cups as the fit needs them.
 pub fn cups(config: &CellConfig) -> Vec<Cup> {
     let cup =
-        |cup: &crate::config::cell::CupConfig| Cup { x: cup.x_m, y: cup.y_m, radius: cup.diameter_m / 2.0 };
+        |cup: &cell_parts::gripper::CupConfig| Cup { x: cup.x_m, y: cup.y_m, radius: cup.diameter_m / 2.0 };
     config.gripper.cups.iter().map(cup).collect()
 }
 
@@ -273,7 +274,7 @@ pub fn gripper_parameters(config: &CellConfig) -> GripperParameters {
 
 /// The surveyed reference markers.
 pub fn reference_markers(config: &CellConfig) -> Vec<ReferenceMarker> {
-    let marker = |m: &crate::config::cell::ReferenceMarkerConfig| ReferenceMarker {
+    let marker = |m: &cell_parts::reference::ReferenceMarkerConfig| ReferenceMarker {
         id: m.id,
         size: m.size_m,
         pose: m.pose,

@@ -1,15 +1,14 @@
 //! The example files are sound, and every kind of mistake is told with its place.
 
 use crate::calibration::drawn::CameraMount;
-use crate::config::cell::{CellConfig, CupChannel};
+use crate::config::cell::CellConfig;
 use crate::config::read_cell::{CELL_KEYS, read_cell};
-use crate::config::read_sim::{DEFAULT_ERRORS, SIM_KEYS, read_sim};
-use crate::document::Complaints;
-use crate::document::edit::{replace_first, replace_once};
+use crate::jobs::edit::{replace_first, replace_once};
+use cell_parts::gripper::CupChannel;
+use rearrange::document::Complaints;
 use std::path::Path;
 
 const CELL: &str = include_str!("../../config/cell.yaml");
-const SIM: &str = include_str!("../../config/sim.yaml");
 
 fn cell(text: &str) -> Result<CellConfig, Complaints> {
     let read = |path: &Path| match path.to_str() {
@@ -48,35 +47,13 @@ fn the_example_cell_is_sound() {
     assert!(!cell.look_poses.is_empty() && cell.calibration_poses.len() >= 8);
 }
 
+/// Every key is explained in the example, which shows every key.
 #[test]
-fn the_example_simulation_is_sound_and_fits_the_cell() {
-    let sim = read_sim(SIM, "sim.yaml").unwrap_or_else(|complaints| panic!("{complaints}"));
-    let cell = cell(CELL).unwrap();
-    assert_eq!(sim.errors, DEFAULT_ERRORS);
-    assert_eq!(sim.reference_markers, cell.reference_markers);
-    assert_eq!(sim.gripper, cell.gripper);
-    assert_eq!(sim.base_from_table, cell.base_from_table);
-    assert_eq!(sim.flange_from_tool, cell.flange_from_tool);
-    assert_eq!(
-        (sim.bind.as_str(), sim.ports.modbus),
-        (cell.devices.robot_host.as_str(), cell.devices.gripper_port)
-    );
-    for (simulated, known) in sim.objects.iter().zip(&cell.objects) {
-        assert_eq!((&simulated.id, &simulated.footprint), (&known.id, &known.footprint));
-        assert_eq!((simulated.height, &simulated.marker), (known.height, &known.marker));
-        assert!(sim.start_of(&known.id).is_some());
-    }
-}
-
-/// Every key in the examples is explained, and the examples show every key.
-#[test]
-fn examples_show_and_comment_every_key() {
-    for (text, keys) in [(CELL, CELL_KEYS), (SIM, SIM_KEYS)] {
-        for key in keys {
-            // One that excludes another is shown as a comment.
-            let shown = |line: &str| line.strip_prefix("# ").unwrap_or(line).starts_with(&format!("{key}:"));
-            assert!(text.lines().any(shown), "{key} is not shown");
-        }
+fn the_example_shows_and_comments_every_key() {
+    for key in CELL_KEYS {
+        // One that excludes another is shown as a comment.
+        let shown = |line: &str| line.strip_prefix("# ").unwrap_or(line).starts_with(&format!("{key}:"));
+        assert!(CELL.lines().any(shown), "{key} is not shown");
     }
 }
 
@@ -305,54 +282,4 @@ fn goals_may_overlap_by_what_the_camera_cannot_tell() {
     let cell = cell(&text).unwrap();
     let allowed_m = cell.goal_context(&[]).overlap_tolerance_m;
     assert!((0.0005..=0.0015).contains(&allowed_m), "{allowed_m} m");
-}
-
-/// Changes one thing in the example simulation and expects one complaint that begins with `expected`.
-#[track_caller]
-fn check_sim(from: &str, to: &str, expected: &str) {
-    let complaints = read_sim(&replace_first(SIM, from, to), "sim.yaml").unwrap_err();
-    let told = complaints.to_string();
-    assert_eq!(complaints.0.len(), 1, "{told}");
-    assert!(told.contains(expected), "{told}");
-}
-
-#[test]
-fn parts_of_a_simulation_that_do_not_fit_are_told() {
-    check_sim("{id: 501, size", "{id: 0500, size", "reference_markers[1].id: marker 500 is used twice");
-    check_sim("{id: 501, size", "{id: 2, size", "marker 2 is also that of object \"block\"");
-    check_sim(
-        "[0.34, 0.14, -60]",
-        "[0.12, 0.14, -60]",
-        "objects[1].start: \"plank-2\" overlaps \"plank-1\" by",
-    );
-    check_sim("[0.36, 0.38, 0]", "[0.36, 0.48, 0]", "\"lid\" reaches over the table's edge by 25.000 mm");
-    check_sim("bind: 127.0.0.2", "bind: localhost", "bind: \"localhost\" is not an IP address");
-    check_sim("noise_levels: 2.0", "noise_levels: 0", "noise_levels: 0 grey levels is out of range");
-}
-
-#[test]
-fn the_simulated_camera_may_stand_and_the_hand_carry_a_board() {
-    use crate::config::simulated::SimMount;
-    let place = "{translation: [0, 0.43, 0.75], quaternion: [1, 0, 0, 0]}";
-    let with = |camera: &str, board: &str| {
-        let flange = "flange_from_camera: {translation: [0, -0.07, 0.03], quaternion: [0, 0, 0, 1]}";
-        let held = format!("hand_board: {{board: {{{board}}}, flange_from_board: {place}}}");
-        read_sim(&replace_once(SIM, flange, &format!("{camera}\n{held}")), "sim.yaml")
-    };
-    let (stands, grid) = (format!("base_from_camera: {place}"), "columns: 5, rows: 4, size: 0.02");
-    // As the example has it in its comments.
-    let shown = replace_once(SIM, "flange_from_camera:", "# flange:");
-    let shown = replace_once(&shown, "# base_from_camera:", "base_from_camera:");
-    let read = read_sim(&replace_once(&shown, "# hand_board:", "hand_board:"), "sim.yaml").unwrap();
-    let held = read.hand_board.unwrap();
-    assert_eq!((held.board.count(), held.board.first_id), (20, 100));
-    let SimMount::Fixed(base_from_camera) = read.camera else { panic!("{:?}", read.camera) };
-    assert_eq!(base_from_camera.translation.z, 0.75);
-    assert_eq!(with(&stands, &format!("{grid}, first_id: 100")).unwrap().camera, read.camera);
-    let told = |camera: &str, board: &str| with(camera, board).unwrap_err().to_string();
-    assert!(told(&stands, grid).contains("hand_board.board: marker 0 of the board is also on the table"));
-    assert!(told(&stands, "columns: 5, rows: 4, size: 0.02, first_id: 495").contains("marker 500"));
-    let both = format!("{stands}\nflange_from_camera: {place}");
-    assert!(told(&both, &format!("{grid}, first_id: 100")).contains("on the flange or stands, not both"));
-    assert!(told("", &format!("{grid}, first_id: 100")).contains("flange_from_camera"));
 }

@@ -6,7 +6,6 @@
 use crate::cell::code::Code;
 use crate::cell::supervisor::input::CameraTrouble;
 use crate::config::cell::{CameraDevice, Devices};
-use crate::document::chain::chain;
 use crate::io::camera::folder::FolderCamera;
 use crate::io::camera::http::HttpCamera;
 use crate::io::camera::late::LateCamera;
@@ -16,7 +15,8 @@ use crate::io::camera::supervised::Supervised;
 use crate::io::camera::uvc::UvcCamera;
 use crate::io::camera::video::VideoCamera;
 use crate::io::camera::{CameraError, CameraSource, FaultKind};
-use crate::vision::camera::CameraModel;
+use cell_vision::camera::CameraModel;
+use rearrange::document::chain::chain;
 use std::time::Duration;
 
 /// How long a frame of the simulator may take, wall time: it may have to be rendered on a busy computer.
@@ -105,8 +105,8 @@ mod tests {
     use crate::io::camera::Exposure;
     use crate::io::camera::realsense::RealSenseSettings;
     use crate::io::camera::uvc::UvcSettings;
-    use crate::vision::image::Image;
-    use crate::vision::image::quality::{PictureFault, PictureLimits};
+    use cell_values::image::Image;
+    use cell_values::image::quality::{PictureFault, PictureLimits};
     use std::path::PathBuf;
 
     fn devices(camera: CameraDevice) -> Devices {

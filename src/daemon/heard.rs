@@ -5,8 +5,8 @@
 use crate::calibration::fit::Sample;
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
-use crate::vision::image::Image;
-use crate::vision::observe::{Observation, View};
+use cell_values::image::Image;
+use cell_vision::observe::{Observation, View};
 use tokio::net::TcpStream;
 
 /// Something for the loop.

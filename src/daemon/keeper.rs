@@ -12,7 +12,6 @@ use crate::cell::supervisor::order::{ApprovalRule, JobEnd, JobOrder, JobReport};
 use crate::cell::supervisor::status::{Doing, Status};
 use crate::config::cell::CellConfig;
 use crate::daemon::store::{Keeper, Orders};
-use crate::io::clock::unix_now_s;
 use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
@@ -22,9 +21,10 @@ use crate::jobs::record::{JobRecord, JobResult, JobState, JobStatus, ObjectResul
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status;
-use crate::planning::plan::{ActionKind, Objective};
-use crate::planning::solver::SolverKind;
-use crate::time::{Duration, Timestamp};
+use cell_edge::clock::unix_now_s;
+use cell_values::time::{Duration, Timestamp};
+use rearrange::planning::plan::{ActionKind, Objective};
+use rearrange::planning::solver::SolverKind;
 use std::collections::VecDeque;
 
 /// Why the state folder cannot be kept.
@@ -38,7 +38,7 @@ pub enum KeeperError {
     Spool(#[from] SpoolError),
     /// The command folder.
     #[error("the command folder cannot be used")]
-    Files(#[from] crate::io::files::FileError),
+    Files(#[from] cell_edge::files::FileError),
 }
 
 /// Journal, job folders and status of one state folder.
@@ -256,7 +256,7 @@ fn result_of(report: &JobReport) -> JobResult {
 
 impl Keeper for StateKeeper {
     fn commit(&mut self, record: &Record) -> Result<(), String> {
-        self.write(record).map_err(|error| crate::document::chain::chain(&error))
+        self.write(record).map_err(|error| rearrange::document::chain::chain(&error))
     }
 
     fn look_after(&mut self, now: Timestamp) -> Vec<String> {

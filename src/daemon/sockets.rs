@@ -8,7 +8,7 @@ use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
 use crate::daemon::heard::{Heard, Made};
-use crate::io::clock::Clock;
+use cell_edge::clock::Clock;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 use tokio::net::TcpStream;

@@ -11,15 +11,16 @@ use crate::cell::planner::answer;
 use crate::cell::supervisor::input::{CameraTrouble, PlanRequest};
 use crate::daemon::cameras::trouble_of;
 use crate::daemon::heard::{Heard, Shown};
-use crate::document::chain::chain;
 use crate::io::camera::{CameraSource, Frame};
-use crate::io::clock::Clock;
-use crate::io::{files, priority};
 use crate::perception::doubts::{self, SHOTS_MAX, Shot};
 use crate::perception::{Perception, PerceptionError, Picture};
-use crate::vision::detect::Detector;
-use crate::vision::observe::{Observation, View};
+use cell_edge::clock::Clock;
+use cell_edge::files;
+use cell_edge::priority;
+use cell_vision::detect::Detector;
+use cell_vision::observe::{Observation, View};
 use nalgebra::Isometry3;
+use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -251,15 +252,15 @@ mod tests {
     use super::*;
     use crate::io::camera::CameraError;
     use crate::perception::Scene;
-    use crate::vision::camera::CameraModel;
-    use crate::vision::detect::DetectSettings;
-    use crate::vision::foreign::search::ForeignSearch;
-    use crate::vision::foreign::search::Inventory;
-    use crate::vision::foreign::{Area, ForeignLimits};
-    use crate::vision::image::Image;
-    use crate::vision::image::depth::DepthImage;
-    use crate::vision::observe::ObserveLimits;
-    use crate::vision::observe::reference::DriftLimits;
+    use cell_values::image::Image;
+    use cell_values::image::depth::DepthImage;
+    use cell_vision::camera::CameraModel;
+    use cell_vision::detect::DetectSettings;
+    use cell_vision::foreign::search::ForeignSearch;
+    use cell_vision::foreign::search::Inventory;
+    use cell_vision::foreign::{Area, ForeignLimits};
+    use cell_vision::observe::ObserveLimits;
+    use cell_vision::observe::reference::DriftLimits;
 
     /// A camera whose depth pictures have a size of their own.
     struct Camera {

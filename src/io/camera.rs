@@ -22,9 +22,9 @@ pub mod watch;
 
 pub use fault::{CameraError, FaultKind};
 
-use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
-use crate::vision::image::depth::DepthImage;
+use cell_values::image::Image;
+use cell_values::image::depth::DepthImage;
+use cell_vision::camera::CameraModel;
 
 /// A picture as it came from a camera.
 #[derive(Clone, Debug)]

@@ -1,8 +1,4 @@
-//! The edge: cameras, sockets, files, clocks. The only place that touches the outside, besides `sim` and
-//! `daemon`.
+//! The edge: cameras and recordings. What touches the outside besides is `cell-edge`, `jobs` and `daemon`.
 
 pub mod camera;
-pub mod clock;
-pub mod files;
-pub mod priority;
 pub mod recording;

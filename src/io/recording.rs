@@ -5,9 +5,9 @@
 //! `CompressedImage` and `Log`, so that viewers draw them. A chunk is closed at every picture and on
 //! [`Recording::flush`]: after a crash the file can be read up to there.
 
-use crate::time::Timestamp;
-use crate::units::Joints;
 use base64::Engine as _;
+use cell_values::time::Timestamp;
+use cell_values::units::Joints;
 use mcap::records::MessageHeader;
 use serde::Serialize;
 use serde_json::{Value, json};

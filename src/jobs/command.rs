@@ -6,7 +6,7 @@
 //! move an arm. The daemon removes the file before it obeys: a command is carried out at most once.
 
 use crate::cell::orders::Reply;
-use crate::io::files::{FileError, create_folder, read_regular, remove, rename_new, write_atomic};
+use cell_edge::files::{FileError, create_folder, read_regular, remove, rename_new, write_atomic};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 

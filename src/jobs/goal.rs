@@ -4,15 +4,15 @@
 //! complaints at those places; what decoded is judged although other parts did not. A goal file holds
 //! `objects: [{id, pose}]`, or is an instance whose goals count.
 
-use crate::document::decode::{At, Decoder, Fields, suggestion};
-use crate::document::{Complaints, Location, Node, parse};
-use crate::geometry::collision::{TOUCH_M, overhang, penetration};
-use crate::geometry::pose::Pose2;
-use crate::io::files::read_regular;
 use crate::jobs::record::GoalPose;
-use crate::tabletop::decode;
-use crate::tabletop::instance::{KeepOut, ObjectSpec};
-use crate::tabletop::parse::{INSTANCE_KEYS, header, unique_names_and_markers};
+use cell_edge::files::read_regular;
+use rearrange::document::decode::{At, Decoder, Fields, suggestion};
+use rearrange::document::{Complaints, Location, Node, parse};
+use rearrange::geometry::collision::{TOUCH_M, overhang, penetration};
+use rearrange::geometry::pose::Pose2;
+use rearrange::tabletop::decode;
+use rearrange::tabletop::instance::{KeepOut, ObjectSpec};
+use rearrange::tabletop::parse::{INSTANCE_KEYS, header, unique_names_and_markers};
 use std::collections::BTreeMap;
 use std::path::{Component, Path};
 
@@ -256,8 +256,8 @@ fn millimetres(metres: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::document::edit::replace_once;
-    use crate::geometry::footprint::Footprint;
+    use crate::jobs::edit::replace_once;
+    use rearrange::geometry::footprint::Footprint;
 
     fn complaints(text: &str) -> String {
         let plank = |id: &str| ObjectSpec::new(id, Footprint::rectangle(0.1, 0.04).unwrap());

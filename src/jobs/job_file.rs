@@ -6,14 +6,14 @@
 //! such a job is rejected, it does not fail later.
 
 use crate::cell::code::Code;
-use crate::document::decode::{At, Decoder, Fields};
-use crate::document::{Complaint, Complaints, Location, parse};
-use crate::geometry::pose::Pose2;
 use crate::jobs::goal::{GoalContext, GoalEntry, check_goal, decode_goal, parse_goal_file, stays_below};
 use crate::jobs::policy::{Approval, decode_objective, decode_solver};
 use crate::jobs::record::{GoalPose, JobSpec, quoted};
 use crate::jobs::spool::{Refusal, RefusalDetail, is_plain_name};
 use crate::jobs::utc;
+use rearrange::document::decode::{At, Decoder, Fields};
+use rearrange::document::{Complaint, Complaints, Location, parse};
+use rearrange::geometry::pose::Pose2;
 use std::fmt::Write as _;
 
 /// Keys of a job file.

@@ -1,6 +1,9 @@
 //! Job files, spool folders and the journal database: from a dropped YAML file to its result.
 
 pub mod command;
+#[cfg(test)]
+#[path = "../../tests/it/edit.rs"]
+pub(crate) mod edit;
 pub mod goal;
 pub mod job_file;
 pub mod journal;

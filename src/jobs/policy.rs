@@ -3,7 +3,7 @@
 //! In: a word from a job or configuration file. Out: the value, or a complaint that names the words there
 //! are. Pure.
 
-use crate::document::decode::{At, Decoder};
+use rearrange::document::decode::{At, Decoder};
 use serde::{Deserialize, Serialize};
 
 /// Who has to agree before the arm moves. Ordered by strictness: a job may only be stricter than the cell.

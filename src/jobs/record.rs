@@ -3,8 +3,8 @@
 //! In and out: plain values; `result.yaml` as text. Pure. The words of [`JobState`] and [`JobStatus`] are
 //! what people read in files and tables, so they do not change.
 
-use crate::geometry::pose::Pose2;
 use crate::jobs::policy::{Approval, JobObjective};
+use rearrange::geometry::pose::Pose2;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 

@@ -3,7 +3,7 @@
 //! In: the folder given with `--state`. Out: the paths below it, and the lock that makes the daemon the only
 //! one. The lock is the kernel's and ends with the process, however it ends: there is no stale lock.
 
-use crate::io::files::{FileError, FileLock, create_folder};
+use cell_edge::files::{FileError, FileLock, create_folder};
 use std::path::{Path, PathBuf};
 
 /// Paths below one state folder.

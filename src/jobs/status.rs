@@ -3,7 +3,7 @@
 //! In and out: [`Status`] as JSON. The daemon writes the file whole on every change and every few seconds;
 //! whether it is alive says the lock, not this file.
 
-use crate::io::files::{FileError, read_regular, write_atomic};
+use cell_edge::files::{FileError, read_regular, write_atomic};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

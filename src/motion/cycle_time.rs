@@ -6,10 +6,10 @@
 //! to rest; the tool's yaw is free while nothing hangs on it and turns with the object while something does;
 //! straight parts and the gripper take the same for every object. Pure.
 
-use crate::geometry::pose::{Pose2, wrap_angle};
 use crate::motion::path::ArmModel;
 use crate::motion::pick_n_place::{CycleParameters, tool_down};
-use crate::units::Joints;
+use cell_values::units::Joints;
+use rearrange::geometry::pose::{Pose2, wrap_angle};
 
 /// Until the vacuum holds, s; the same for every object, as is what follows.
 const GRIP_S: f64 = 0.5;

@@ -5,7 +5,6 @@
 //! will take. `slow`: the moves of a calibration.
 
 pub mod cycle_time;
-pub mod kinematics;
 pub mod path;
 pub mod pick_n_place;
 pub mod slow;

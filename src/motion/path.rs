@@ -6,10 +6,10 @@
 //! Pure. The controller interpolates; the check samples the same interpolation (joint-linear for `movej`,
 //! tool-linear for `movel`) finely enough that nothing can hide between samples at the limits used here.
 
-use crate::geometry::pose::ur_pose_from_isometry;
-use crate::motion::kinematics::{DhParameters, forward, inverse, inverse_near, link_frames, posture, unwind};
-use crate::units::Joints;
+use cell_values::units::Joints;
 use nalgebra::Isometry3;
+use ur_arm::kinematics::{DhParameters, forward, inverse, inverse_near, link_frames, posture, unwind};
+use ur_arm::pose::ur_pose_from_isometry;
 
 /// Limits every path keeps; from the cell's configuration, none has a default.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,10 +5,10 @@
 //! The tool stays vertical and the arm in the posture of its home pose. The tool's yaw is free, so a ring of
 //! yaws is tried, cheapest joint travel first, and the first that passes the path check is taken.
 
-use crate::geometry::pose::{Pose2, wrap_angle};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment, out_of_reach};
-use crate::units::Joints;
+use cell_values::units::Joints;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use rearrange::geometry::pose::{Pose2, wrap_angle};
 use std::f64::consts::{PI, TAU};
 
 /// What has to be carried where; poses of the object's footprint origin in the table frame.
@@ -233,9 +233,9 @@ fn linear(target: Joints, cycle: &CycleParameters, blend: f64) -> Segment {
 #[cfg(test)]
 pub mod tests {
     use super::*;
-    use crate::motion::kinematics::DhParameters;
     use crate::motion::path::ArmLimits;
     use rand::{RngExt, SeedableRng};
+    use ur_arm::kinematics::DhParameters;
 
     /// The demo's arm at a table of this width.
     pub fn model(width: f64) -> ArmModel {

@@ -3,10 +3,10 @@
 //! In: the arm with its nominal table, the box, where the arm is and where it is to go. Out: a checked path,
 //! or who would be outside of what (design, section 7, rule 1, class *calibrate*). Pure.
 
-use crate::motion::kinematics::forward;
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
-use crate::units::{Joints, mm_from_m};
+use cell_values::units::{Joints, mm_from_m};
 use nalgebra::Vector3;
+use ur_arm::kinematics::forward;
 
 /// Highest tool speed while calibrating, m/s (design, section 7, rule 1).
 const TOOL_SPEED: f64 = 0.1;
@@ -121,10 +121,10 @@ fn slow_enough(model: &ArmModel, from: &Joints, to: &Joints) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::kinematics::DhParameters;
     use crate::motion::path::ArmLimits;
     use nalgebra::Isometry3;
     use std::f64::consts::TAU;
+    use ur_arm::kinematics::DhParameters;
 
     fn model() -> ArmModel {
         let limits = ArmLimits {

@@ -38,14 +38,14 @@ use crate::pair::rules::Rules;
 use crate::pair::stage::Stage;
 use crate::pair::store::Store;
 use crate::pair::trace::Trace;
-use crate::sim::faults::{FaultError, Order as FaultOrder, Planned};
-use crate::sim::motion::FRAME_SECONDS;
-use crate::sim::simulator::{Simulator, SimulatorError};
-use crate::sim::world::lock;
-use crate::time::Timestamp;
+use cell_values::time::Timestamp;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
+use ur_sim::faults::{FaultError, Order as FaultOrder, Planned};
+use ur_sim::motion::FRAME_SECONDS;
+use ur_sim::simulator::{Simulator, SimulatorError};
+use ur_sim::world::lock;
 
 /// Deterministic steps that a plan may take: enough for an optimal plan of a few moves.
 const PLAN_WORK: u64 = 20_000;

@@ -3,7 +3,7 @@
 //! The daemon uses a library for this; the closed loop has no sockets that the library could use.
 
 use crate::cell::device::gripper::{ModbusRequest, UNIT};
-use crate::wire::modbus::Splitter;
+use ur_wire::modbus::Splitter;
 
 /// One connection's transactions.
 #[derive(Default)]

@@ -10,14 +10,14 @@ use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
 use crate::pair::modbus::{Answer, Master};
-use crate::sim::faults::link::LinkState;
-use crate::sim::motion::FRAME_SECONDS;
-use crate::sim::session::Port;
-use crate::sim::simulator::{ConnectionId, Simulator, Transmission};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 use tokio::sync::watch;
+use ur_sim::faults::link::LinkState;
+use ur_sim::motion::FRAME_SECONDS;
+use ur_sim::session::Port;
+use ur_sim::simulator::{ConnectionId, Simulator, Transmission};
 
 /// Frames after which a register transaction without an answer has failed (1 s).
 const ANSWER_WITHIN: u64 = 500;

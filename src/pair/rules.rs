@@ -13,13 +13,13 @@ use crate::cell::machine::Machine;
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::status::{Doing, Status};
-use crate::sim::faults::link::LinkName;
-use crate::sim::faults::{Fault, Order as FaultOrder, RobotFault};
-use crate::sim::simulator::Simulator;
-use crate::sim::world::lock;
-use crate::sim::world::vacuum::{Channel, VacuumMode};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
+use ur_sim::faults::link::LinkName;
+use ur_sim::faults::{Fault, Order as FaultOrder, RobotFault};
+use ur_sim::simulator::Simulator;
+use ur_sim::world::lock;
+use ur_sim::world::vacuum::{Channel, VacuumMode};
 
 /// A rule, by a name that stays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -7,14 +7,14 @@
 use crate::cell::orders::Order;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::JobEnd;
-use crate::geometry::pose::Pose2;
 use crate::pair::rules::Breach;
 use crate::pair::stage::Stage;
 use crate::pair::work::job;
 use crate::pair::{Choice, Pair, PairError};
-use crate::sim::faults::Planned;
-use crate::sim::world::lock;
+use rearrange::geometry::pose::Pose2;
 use std::collections::BTreeMap;
+use ur_sim::faults::Planned;
+use ur_sim::world::lock;
 
 /// Simulated seconds after which a job that has not ended is a fault of celld.
 const JOB_WITHIN_S: f64 = 600.0;

@@ -11,16 +11,16 @@ use crate::cell::machine::MachineParameters;
 use crate::cell::supervisor::model::CellModel;
 use crate::config::cell::CellConfig;
 use crate::config::setup::{Measured, SetupError, cell_model, scene};
-use crate::document::chain::chain;
 use crate::perception::Scene;
-use crate::sim::camera::CameraSetup;
-use crate::sim::cell::SimConfig;
-use crate::sim::controller::ControllerConfig;
-use crate::sim::world::spec::{CameraMount, WorldSpec};
-use crate::vision::camera::CameraModel;
+use cell_vision::camera::CameraModel;
 use nalgebra::{Isometry3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rearrange::document::chain::chain;
+use ur_sim::camera::CameraSetup;
+use ur_sim::cell::SimConfig;
+use ur_sim::controller::ControllerConfig;
+use ur_sim::world::spec::{CameraMount, WorldSpec};
 
 /// What a calibration leaves, at most along and about each axis: m and rad.
 const LEFT_BY_CALIBRATION: (f64, f64) = (6e-5, 1e-4);

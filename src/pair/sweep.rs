@@ -23,10 +23,10 @@ use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::work::job;
 use crate::pair::{Adapter, Choice, Loss, Pair};
-use crate::sim::faults::read::read_posted;
-use crate::sim::faults::{Fault, Order as FaultOrder, Phase as WorldPhase, RobotFault};
-use crate::sim::world::lock;
 use std::collections::BTreeMap;
+use ur_sim::faults::read::read_posted;
+use ur_sim::faults::{Fault, Order as FaultOrder, Phase as WorldPhase, RobotFault};
+use ur_sim::world::lock;
 
 /// Below this height over the table the tool is coming down onto an object, m.
 const DESCENDS_BELOW_M: f64 = 0.05;
@@ -256,7 +256,7 @@ pub(super) fn bring_about(pair: &mut Pair, row: &Row) {
 fn reboot(pair: &mut Pair) {
     let fault = Fault::Robot(RobotFault::Reboot { serial: None, kinematics: None });
     let _ = pair.fault_now(FaultOrder { name: "ur.reboot", fault, seconds: Some(5.0) });
-    let both = Fault::Vacuum(crate::sim::faults::VacuumFault::Drop(None));
+    let both = Fault::Vacuum(ur_sim::faults::VacuumFault::Drop(None));
     let _ = pair.fault_now(FaultOrder { name: "vacuum.drop", fault: both, seconds: Some(2.0) });
 }
 

@@ -5,14 +5,14 @@
 
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{ApprovalRule, JobOrder};
-use crate::geometry::collision::{closer_than, inside};
-use crate::geometry::pose::Pose2;
-use crate::planning::plan::Objective;
-use crate::planning::solver::SolverKind;
-use crate::time::Duration;
+use cell_values::time::Duration;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rearrange::geometry::collision::{closer_than, inside};
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 
 /// Tries for one place.
 const TRIES: usize = 400;

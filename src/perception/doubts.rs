@@ -5,10 +5,10 @@
 //! look pose, or none where the look is fine; the caller keeps them.
 
 use crate::perception::Scene;
-use crate::vision::annotate::{draw_drift, draw_overlays, foreign_overlays};
-use crate::vision::image::Image;
-use crate::vision::observe::reference::LookShift;
-use crate::vision::observe::{Observation, View};
+use cell_values::image::Image;
+use cell_vision::annotate::{draw_drift, draw_overlays, foreign_overlays};
+use cell_vision::observe::reference::LookShift;
+use cell_vision::observe::{Observation, View};
 use nalgebra::Isometry3;
 
 /// Look poses that are kept at most.
@@ -76,13 +76,13 @@ fn draw(scene: &Scene, shot: &Shot, look: Option<&LookShift>, seen: &Observation
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::pose::Pose2;
-    use crate::time::Timestamp;
-    use crate::vision::camera::CameraModel;
-    use crate::vision::foreign::{ForeignObject, ForeignReport};
-    use crate::vision::observe::reference::{DriftLimits, ReferenceCheck, ReferenceError};
-    use crate::vision::observe::{ObserveLimits, ReferenceMarker};
+    use cell_values::time::Timestamp;
+    use cell_vision::camera::CameraModel;
+    use cell_vision::foreign::{ForeignObject, ForeignReport};
+    use cell_vision::observe::reference::{DriftLimits, ReferenceCheck, ReferenceError};
+    use cell_vision::observe::{ObserveLimits, ReferenceMarker};
     use nalgebra::Vector3;
+    use rearrange::geometry::pose::Pose2;
 
     fn scene() -> Scene {
         let camera = CameraModel {
@@ -159,7 +159,7 @@ mod tests {
             let drawn = Image::decode(&drawn[index]).unwrap();
             // The marker is at x = 50 mm; the picture's middle at 0 and 20 mm, 0.6 px to a mm.
             let start = if index == 0 { 190 } else { 178 };
-            let red = |u: u32| (116..=124).any(|v| drawn.pixel(u, v) == Some(crate::vision::annotate::BAD));
+            let red = |u: u32| (116..=124).any(|v| drawn.pixel(u, v) == Some(cell_vision::annotate::BAD));
             [red(start + 25), red(start - 25)]
         });
         assert_eq!(lengths, [[true, false], [false, true]]);

@@ -3,21 +3,21 @@
 //! In: pictures (with depth where the camera measures it), where the camera was, the surveyed scene. Out: a
 //! [`View`] for each frame, and of all views of a look one [`Observation`]. The daemon, `celld detect`,
 //! `celld capture` and the benchmarks call these functions, so that what is measured on the bench is what the
-//! cell sees. Pure but for OpenCV's and apriltag's calls below `vision`: no camera is opened here, and no
+//! cell sees. Pure but for OpenCV's and apriltag's calls in `cell-vision`: no camera is opened here, and no
 //! file written.
 
 pub mod doubts;
 pub mod place;
 
-use crate::time::Timestamp;
-use crate::vision::camera::CameraModel;
-use crate::vision::detect::{DetectError, DetectSettings, Detection, Detector};
-use crate::vision::foreign::search::ForeignSearch;
-use crate::vision::foreign::{HeightMap, HeightMapError};
-use crate::vision::image::depth::DepthImage;
-use crate::vision::image::{GrayImage, Image};
-use crate::vision::observe::reference::DriftLimits;
-use crate::vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
+use cell_values::image::depth::DepthImage;
+use cell_values::image::{GrayImage, Image};
+use cell_values::time::Timestamp;
+use cell_vision::camera::CameraModel;
+use cell_vision::detect::{DetectError, DetectSettings, Detection, Detector};
+use cell_vision::foreign::search::ForeignSearch;
+use cell_vision::foreign::{HeightMap, HeightMapError};
+use cell_vision::observe::reference::DriftLimits;
+use cell_vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
 use nalgebra::Isometry3;
 use std::sync::Arc;
 
@@ -169,7 +169,7 @@ impl Perception {
 pub fn observe_views(scene: &Scene, views: &[View]) -> Result<Observation, PerceptionError> {
     let Scene { camera, objects, reference, limits, foreign, .. } = scene;
     let mut seen = observe(objects, reference, camera, views, limits)
-        .map_err(|error| PerceptionError::Observe(crate::document::chain::chain(&error)))?;
+        .map_err(|error| PerceptionError::Observe(rearrange::document::chain::chain(&error)))?;
     seen.foreign = foreign.as_ref().and_then(|search| search.report(views, &seen));
     Ok(seen)
 }

@@ -4,12 +4,12 @@
 //! keeps it from being known. For pictures without an arm: in the running cell the joints say where the
 //! camera was.
 
-use crate::document::chain::chain;
-use crate::vision::camera::CameraModel;
-use crate::vision::detect::Detection;
-use crate::vision::observe::ReferenceMarker;
-use crate::vision::{cv, marker};
+use cell_vision::camera::CameraModel;
+use cell_vision::detect::Detection;
+use cell_vision::observe::ReferenceMarker;
+use cell_vision::{cv, marker};
 use nalgebra::Isometry3;
+use rearrange::document::chain::chain;
 
 /// Fewest reference markers that say where a picture was taken: with these, a wrong one shows.
 pub const REFERENCES_MIN: usize = 3;

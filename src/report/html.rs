@@ -4,13 +4,13 @@
 //! Everything that came from a file or a device is escaped; drawings are `report`'s own SVG and go in as
 //! they are. Pure.
 
-use crate::geometry::pose::Pose2;
 use crate::report::run::{
     Deviation, Drawing, Figures, LogRow, MoveRow, ObjectRow, Picture, RunReport, deviation,
 };
 use crate::report::summary::figures;
 use crate::report::text::{escape, or_dash, seconds};
 use base64::Engine as _;
+use rearrange::geometry::pose::Pose2;
 use std::fmt::Write as _;
 
 const STYLE: &str = include_str!("page.css");
@@ -190,8 +190,8 @@ fn settings(page: &mut String, settings: &[(String, String)]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::footprint::Footprint;
     use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
+    use rearrange::geometry::footprint::Footprint;
 
     fn report() -> RunReport {
         let footprint = Footprint::rectangle(0.1, 0.05).unwrap();

@@ -4,11 +4,11 @@
 //! to the right, y up as on the table. Left: the start arrangement with the objects' names. Right: where
 //! every object ends, where it was (pale), where it waited on the way (dashed), and the order of the moves.
 
-use crate::geometry::footprint::Footprint;
-use crate::geometry::pose::Pose2;
-use crate::planning::plan::{Action, ActionKind};
-use crate::planning::problem::Problem;
 use crate::report::text::escape;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::plan::{Action, ActionKind};
+use rearrange::planning::problem::Problem;
 use std::fmt::Write;
 
 /// Longer side of one panel, pixels.
@@ -197,7 +197,7 @@ fn colour(index: usize, fixed: bool, lightness: u32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
+    use rearrange::tabletop::instance::{Instance, ObjectSpec, Workspace};
 
     fn problem() -> Problem {
         let mut object = ObjectSpec::new("a<b", Footprint::rectangle(0.2, 0.1).unwrap());

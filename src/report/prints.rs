@@ -5,10 +5,10 @@
 //! plainly: no library, no embedded font, the same bytes every time. Lengths in mm, from the lower left
 //! corner of the paper, y up. Pure.
 
-use crate::units::mm_from_m;
-use crate::vision::board::Board;
-use crate::vision::detect::Family;
-use crate::vision::detect::family::Pattern;
+use cell_values::units::mm_from_m;
+use cell_vision::board::Board;
+use cell_vision::detect::Family;
+use cell_vision::detect::family::Pattern;
 use std::fmt::Write;
 
 /// Paper sizes, upright.
@@ -347,9 +347,9 @@ pub fn pdf(sheets: &[Sheet]) -> String {
 mod tests {
     use super::*;
     use crate::report::raster;
-    use crate::vision::detect::{DetectSettings, Detector};
-    use crate::vision::image::Image;
-    use crate::vision::testing;
+    use cell_values::image::Image;
+    use cell_vision::detect::{DetectSettings, Detector};
+    use cell_vision::testing;
 
     /// Pixels to a millimetre in the pictures of these tests.
     const SCALE: f32 = 5.0;

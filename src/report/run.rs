@@ -2,7 +2,7 @@
 //!
 //! In: plain values from the daemon. Out: the same, named, for `report::html` and `report::summary`. Pure.
 
-use crate::geometry::pose::Pose2;
+use rearrange::geometry::pose::Pose2;
 
 /// A finished run, as people want to read about it.
 #[derive(Clone, Debug, Default)]

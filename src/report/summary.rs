@@ -63,7 +63,7 @@ fn object_table(objects: &[ObjectRow]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::pose::Pose2;
+    use rearrange::geometry::pose::Pose2;
 
     #[test]
     fn a_run_in_a_few_lines() {

@@ -3,9 +3,9 @@
 //! In: workspace, footprints and poses in the table frame (m). Out: one SVG element of fixed style that reads
 //! in light and in dark. y points up as in the table frame; the robot stands below the lower edge.
 
-use crate::geometry::footprint::Footprint;
-use crate::geometry::pose::Pose2;
 use crate::report::text::escape;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
 use std::fmt::Write as _;
 
 /// Pixels along the longer edge of the table.

@@ -5,13 +5,13 @@
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 
 use crate::robot_session::config;
-use celld::sim::cell::{RunningSim, start};
 use rand::{RngExt, SeedableRng};
 use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
+use ur_sim::cell::{RunningSim, start};
 
 #[allow(dead_code, reason = "the fuzzers' binaries use more of it")]
 #[path = "../../fuzz/targets.rs"]

@@ -4,27 +4,28 @@
 
 use crate::cell::{CELLD, celld, configuration, result_of, start_daemon, text, wait_until};
 use crate::edit::replace_once;
+use cell_values::units::Joints;
 use celld::calibration::files::hand_eye::{HandEyeCalibration, Mount};
 use celld::calibration::files::round::Round;
 use celld::calibration::files::table::TableCalibration;
-use celld::cli::sim::sim_config;
-use celld::config::load::{load_cell, load_sim};
+use celld::config::load::load_cell;
 use celld::config::setup::arm_model;
-use celld::geometry::footprint::Footprint;
-use celld::geometry::pose::Pose2;
-use celld::motion::kinematics::{DhParameters, forward};
-use celld::sim::cell::{RunningSim, start};
-use celld::sim::robot_server::RobotPorts;
-use celld::sim::world::lock;
-use celld::sim::world::spec::{CameraMount, ForeignBody};
-use celld::units::Joints;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use ur_arm::kinematics::{DhParameters, forward};
+use ur_sim::cell::{RunningSim, start};
+use ur_sim::command::sim_config;
+use ur_sim::config::load::load_sim;
+use ur_sim::robot_server::RobotPorts;
+use ur_sim::world::lock;
+use ur_sim::world::spec::{CameraMount, ForeignBody};
 
 const ADDRESS: &str = "127.7.1.9";
 

@@ -4,7 +4,6 @@ use celld::cell::orders::Order;
 use celld::cell::supervisor::round::RoundOrder;
 use celld::cell::supervisor::status::Doing;
 use celld::cli::simulate::table::stage;
-use celld::geometry::pose::Pose2;
 use celld::pair::eyes::Eye;
 use celld::pair::page::{PAGE, PAGE_SEED, expected, title};
 use celld::pair::run::{bring_up, run_jobs, true_poses};
@@ -12,8 +11,9 @@ use celld::pair::storm::{storm, strikes};
 use celld::pair::sweep::{case, cases, judge};
 use celld::pair::work::job;
 use celld::pair::{Choice, Pair};
-use celld::sim::faults::read::read_posted;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
+use rearrange::geometry::pose::Pose2;
+use ur_sim::faults::read::read_posted;
 
 #[test]
 fn a_seed_gives_the_same_run_twice_and_another_seed_another() {

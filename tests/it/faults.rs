@@ -1,21 +1,21 @@
-//! Faults of the simulated camera as the marker detector sees them. `sim` may not use the detector, hence
+//! Faults of the simulated camera as the marker detector sees them. `ur-sim` may not use the detector, hence
 //! here.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
-use celld::geometry::footprint::Footprint;
-use celld::geometry::pose::Pose2;
-use celld::sim::faults::camera::CameraFaults;
-use celld::sim::faults::read::read_posted;
-use celld::sim::faults::{CameraFault, Fault};
-use celld::sim::render::Renderer;
-use celld::sim::render::lens::CameraTruth;
-use celld::sim::render::scene::look_at;
-use celld::sim::world::World;
-use celld::sim::world::spec::{GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec};
-use celld::sim::world::spec::{WorldObject, WorldSpec};
-use celld::vision::detect::{DetectSettings, Detection, Detector};
+use cell_vision::detect::{DetectSettings, Detection, Detector};
 use nalgebra::Isometry3;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use ur_sim::faults::camera::CameraFaults;
+use ur_sim::faults::read::read_posted;
+use ur_sim::faults::{CameraFault, Fault};
+use ur_sim::render::Renderer;
+use ur_sim::render::lens::CameraTruth;
+use ur_sim::render::scene::look_at;
+use ur_sim::world::World;
+use ur_sim::world::spec::{GripperSpec, ObjectMarker, PlacementErrors, ReferenceMarker, TableSpec};
+use ur_sim::world::spec::{WorldObject, WorldSpec};
 
 /// A block with marker 3 and a place on the table with marker 500.
 fn world() -> World {

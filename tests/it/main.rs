@@ -17,5 +17,6 @@ mod public_bounds;
 mod render;
 mod robot_session;
 mod sights;
+mod sim_config;
 mod slow_disk;
 mod third_party;

@@ -3,6 +3,7 @@
 //! Each mutant is planted by an adapter, here and nowhere else; the same drill without one breaks no rule.
 //! What a mutant stands for is the fault in celld's own code that would have the same effect at the border.
 
+use cell_vision::observe::Observation;
 use celld::cell::device::gripper::{Channels, ModbusRequest};
 use celld::cell::device::robot_types::Link;
 use celld::cell::event::{Effect, Event, News};
@@ -16,9 +17,8 @@ use celld::pair::run::{bring_up, true_poses};
 use celld::pair::stage::Stage;
 use celld::pair::work::job;
 use celld::pair::{Adapter, Choice, Pair};
-use celld::sim::faults::read::read_posted;
-use celld::vision::observe::Observation;
-use celld::wire::enumerations::SafetyMode;
+use ur_sim::faults::read::read_posted;
+use ur_wire::enumerations::SafetyMode;
 
 /// What is wrong with the cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

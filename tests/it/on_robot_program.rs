@@ -1,10 +1,10 @@
 //! celld's program on the robot, run by the simulated controller frame by frame, driven through registers
 //! alone: what the daemon relies on, without the daemon.
 
-use celld::sim::controller::registers::Input;
-use celld::sim::controller::{Controller, ControllerConfig, builtins};
-use celld::units::Joints;
-use celld::wire::rtde_values::Value;
+use cell_values::units::Joints;
+use ur_sim::controller::registers::Input;
+use ur_sim::controller::{Controller, ControllerConfig, builtins};
+use ur_wire::rtde_values::Value;
 
 const PROGRAM: &str = include_str!("../../hardware/ur5e/celld_program.script");
 const NONCE: i32 = 4711;

@@ -3,8 +3,8 @@
 use crate::edit::replace_once;
 use celld::cli::plan::{PlanArgs, run as plan};
 use celld::cli::verify::{VerifyArgs, run as verify};
-use celld::planning::plan::{PlanFile, Status};
 use clap::{Args, Command};
+use rearrange::planning::plan::{PlanFile, Status};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 

@@ -8,13 +8,13 @@
 
 use celld::cell::device::program::{Nonce, PROGRAM_TEXT, ProgramTemplate, WATCHDOG_FRAMES};
 use celld::cell::device::registers::{CommandRegisters, Opcode};
-use celld::urscript::compile::compile;
-use celld::urscript::host::{Builtin, BuiltinParameter, Call, Host, Reply};
-use celld::urscript::program::{Program, Progress};
-use celld::urscript::value::{ThreadId, Value};
-use celld::wire::rtde_values::Value as RtdeValue;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use ur_wire::rtde_values::Value as RtdeValue;
+use urscript::compile::compile;
+use urscript::host::{Builtin, BuiltinParameter, Call, Host, Reply};
+use urscript::program::{Program, Progress};
+use urscript::value::{ThreadId, Value};
 
 const fn needed(name: &'static str) -> BuiltinParameter {
     BuiltinParameter { name, optional: false }

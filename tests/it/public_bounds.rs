@@ -7,11 +7,11 @@
 use celld::bench::planning::{Limits, run_case};
 use celld::bench::table::Key;
 use celld::cli::bench_cases::public_task;
-use celld::planning::bound::start_goal_graph;
-use celld::planning::plan::{Objective, Status};
-use celld::planning::problem::Problem;
-use celld::planning::scene::Scene;
-use celld::planning::solver::{SolverKind, lower_bound};
+use rearrange::planning::bound::start_goal_graph;
+use rearrange::planning::plan::{Objective, Status};
+use rearrange::planning::problem::Problem;
+use rearrange::planning::scene::Scene;
+use rearrange::planning::solver::{SolverKind, lower_bound};
 use std::path::PathBuf;
 
 /// The folder with the public data, or a loud line and nothing.

@@ -1,27 +1,27 @@
 //! The simulated camera against OpenCV and the marker detector: two readings of the same lens, and corners in
-//! drawn pictures where the lens puts them. `sim` may use neither, hence here.
+//! drawn pictures where the lens puts them. `ur-sim` may use neither, hence here.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
-use celld::geometry::footprint::Footprint;
-use celld::geometry::pose::Pose2;
-use celld::sim::render::Renderer;
-use celld::sim::render::lens::CameraTruth;
-use celld::sim::render::scene::look_at;
-use celld::sim::world::World;
-use celld::sim::world::spec::{CameraMount, Cup, GripperSpec, HandBoard, NominalCell, ObjectMarker};
-use celld::sim::world::spec::{
-    PlacementErrors, ReferenceMarker, TableSpec, TruthLimits, TruthSpec, WorldObject, WorldSpec,
-};
-use celld::sim::world::vacuum::{Channel, VacuumMode};
-use celld::vision::board::Board;
-use celld::vision::camera::CameraModel;
-use celld::vision::cv;
-use celld::vision::detect::{DetectSettings, Detector, Family};
-use celld::vision::image::Image;
+use cell_values::image::Image;
+use cell_vision::board::Board;
+use cell_vision::camera::CameraModel;
+use cell_vision::cv;
+use cell_vision::detect::{DetectSettings, Detector, Family};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use ur_sim::render::Renderer;
+use ur_sim::render::lens::CameraTruth;
+use ur_sim::render::scene::look_at;
+use ur_sim::world::World;
+use ur_sim::world::spec::{CameraMount, Cup, GripperSpec, HandBoard, NominalCell, ObjectMarker};
+use ur_sim::world::spec::{
+    PlacementErrors, ReferenceMarker, TableSpec, TruthLimits, TruthSpec, WorldObject, WorldSpec,
+};
+use ur_sim::world::vacuum::{Channel, VacuumMode};
 
 fn truth(seed: u64) -> TruthSpec {
     let nominal = NominalCell {
@@ -147,7 +147,7 @@ fn markers_in_drawn_pictures_have_their_corners_where_the_lens_puts_them() {
 
 #[test]
 fn the_board_on_the_hand_is_seen_where_it_is_carried_and_hides_what_lies_under_it() {
-    use celld::sim::render::sensor::Exposure;
+    use ur_sim::render::sensor::Exposure;
     let camera = truth(2).camera;
     let mut spec = marked_table(2);
     let facing_up = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
@@ -191,7 +191,7 @@ fn the_board_on_the_hand_is_seen_where_it_is_carried_and_hides_what_lies_under_i
     let middle = camera_from_board * nalgebra::Point3::new(0.062, 0.049, 0.0);
     let [u, v] = camera.project([middle.x, middle.y, middle.z]).unwrap();
     let measured = f64::from(depth.units[v.round() as usize * 1280 + u.round() as usize])
-        * celld::sim::render::depth::UNIT_M;
+        * ur_sim::render::depth::UNIT_M;
     assert!((measured - middle.z).abs() < 5e-3, "{measured} {}", middle.z);
 }
 

@@ -1,26 +1,26 @@
-//! The robot session against the simulated controller, over real sockets: what `device` and `sim` each took
+//! The robot session against the simulated controller, over real sockets: what `cell::device` and `ur-sim` each took
 //! from the vendor's guides has to fit together, and the on-robot program in between is the real one.
 
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 
+use cell_values::time::Timestamp;
+use cell_values::units::Joints;
 use celld::cell::device::program::Nonce;
 use celld::cell::device::robot::Robot;
 use celld::cell::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
-use celld::motion::kinematics::DhParameters;
 use celld::motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
-use celld::sim::camera::{CameraSetup, CameraTiming};
-use celld::sim::cell::{RunningSim, SimConfig, start};
-use celld::sim::controller::ControllerConfig;
-use celld::sim::render::lens::CameraTruth;
-use celld::sim::robot_server::RobotPorts;
-use celld::sim::world::spec::{CameraMount, GripperSpec, WorldSpec};
-use celld::time::Timestamp;
-use celld::units::Joints;
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
+use ur_arm::kinematics::DhParameters;
+use ur_sim::camera::{CameraSetup, CameraTiming};
+use ur_sim::cell::{RunningSim, SimConfig, start};
+use ur_sim::controller::ControllerConfig;
+use ur_sim::render::lens::CameraTruth;
+use ur_sim::robot_server::RobotPorts;
+use ur_sim::world::spec::{CameraMount, GripperSpec, WorldSpec};
 
 /// How much faster than the clock on the wall these simulations run.
 const FACTOR: f64 = 3.0;

@@ -4,6 +4,11 @@
 //! The example cell of `config/`, calibrated as well as a round leaves it, in virtual time. What is compared
 //! is the truth of the simulated world, in every frame.
 
+use cell_values::image::Image;
+use cell_values::time::Duration;
+use cell_values::units::Joints;
+use cell_vision::board::Board;
+use cell_vision::detect::Family;
 use celld::calibration::drawn::CameraMount;
 use celld::cell::code::Code;
 use celld::cell::orders::Order;
@@ -13,25 +18,21 @@ use celld::cell::supervisor::round::RoundOrder;
 use celld::cell::supervisor::status::Doing;
 use celld::cli::simulate::table::stage_of;
 use celld::config::cell::CellConfig;
-use celld::config::load::{load_cell, load_sim};
-use celld::config::simulated::{SimFile, SimMount};
-use celld::geometry::pose::Pose2;
+use celld::config::load::load_cell;
 use celld::pair::eyes::Eye;
 use celld::pair::run::bring_up;
 use celld::pair::stage::Stage;
 use celld::pair::{Choice, Pair};
-use celld::planning::plan::Objective;
-use celld::planning::solver::SolverKind;
-use celld::sim::faults::read::read_posted;
-use celld::sim::world::event::EventKind;
-use celld::sim::world::lock;
-use celld::time::Duration;
-use celld::units::Joints;
-use celld::vision::board::Board;
-use celld::vision::detect::Family;
-use celld::vision::image::Image;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 use std::path::Path;
+use ur_sim::config::load::load_sim;
+use ur_sim::config::{SimFile, SimMount};
+use ur_sim::faults::read::read_posted;
+use ur_sim::world::event::EventKind;
+use ur_sim::world::lock;
 
 const MUG: &str = r#"{"do": "world.foreign", "args":
     {"shape": "mug", "size_m": [0.08, 0.08], "height_m": 0.09, "pose": [0.23, 0.22, 0]}}"#;

@@ -124,8 +124,9 @@ fn test_items_are_exempt_from_purity_and_nothing_behind_them() {
 
 #[test]
 fn native_libraries_are_flagged_outside_their_files() {
-    let inside = File::planted("src/vision/cv.rs", "use opencv::core;");
-    let outside = File::planted("src/vision/observe.rs", "use opencv::core;\nuse apriltag::Detector;");
+    let inside = File::planted("crates/cell-vision/src/cv.rs", "use opencv::core;");
+    let outside =
+        File::planted("crates/cell-vision/src/observe.rs", "use opencv::core;\nuse apriltag::Detector;");
     flagged(rules::native_breaches(&[inside, outside]), &["`opencv`", "`apriltag`"]);
 }
 
@@ -173,14 +174,55 @@ fn openings_lengths_marks_and_paths_are_flagged() {
 
 #[test]
 fn a_dependency_without_a_reason_is_flagged_and_so_is_a_reason_without_a_dependency() {
-    let manifest = "[package]\nname = \"x\"\n[dependencies]\none = \"1\"\ntwo = { version = \"2\" }\n[lints.rust]\na = \"b\"\n";
+    let root = "[workspace.dependencies]\nown = { path = \"crates/own\" }\none = \"1\"\ntwo = { version = \"2\" }\n\
+                [lints.rust]\na = \"b\"\n[dependencies]\none.workspace = true\n[dev-dependencies]\ntwo.workspace = true\n";
+    let manifests = [File::planted("Cargo.toml", root), File::planted("crates/own/Cargo.toml", "")];
     let both =
         "\n## Dependencies\n\n| crate | why |\n|---|---|\n| `one`, `two` | because it saves us work |\n";
-    flagged(rules::dependency_breaches(manifest, both), &[]);
+    flagged(rules::dependency_breaches(&manifests, both), &[]);
     let one = both.replace("`two`", "`three`");
-    flagged(rules::dependency_breaches(manifest, &one), &["`two` has no line", "`three` is not"]);
+    flagged(rules::dependency_breaches(&manifests, &one), &["`two` has no line", "`three` is not"]);
     let silent = both.replace("because it saves us work", "yes");
-    flagged(rules::dependency_breaches(manifest, &silent), &["says no reason"]);
+    flagged(rules::dependency_breaches(&manifests, &silent), &["says no reason"]);
+}
+
+#[test]
+fn a_library_that_no_crate_uses_is_flagged() {
+    let root = File::planted("Cargo.toml", "[workspace.dependencies]\none = \"1\"\n[dependencies]\n");
+    let written = "\n## Dependencies\n\n| crate | why |\n|---|---|\n| `one` | because it saves us work |\n";
+    flagged(rules::dependency_breaches(&[root], written), &["no crate uses `one`"]);
+}
+
+const CRATES: &[Row] = &[
+    Row { module: "low-er", uses: Uses::Only(&[]), pure: true },
+    Row { module: "rearrange", uses: Uses::Only(&["low-er"]), pure: true },
+    Row { module: "inside", uses: Uses::Only(&["rearrange::open"]), pure: true },
+];
+
+#[test]
+fn crates_are_named_by_themselves_and_modules_behind_crate() {
+    let found = |path: &str, text: &str| rules::layering_breaches(CRATES, &[File::planted(path, text)]);
+    flagged(
+        found("crates/low-er/src/a.rs", "use rearrange::open;"),
+        &["`low-er` may not use `rearrange::open`"],
+    );
+    flagged(found("src/inside/a.rs", "use low_er::a;"), &["`inside` may not use `low-er::a`"]);
+    flagged(found("src/inside/a.rs", "use rearrange::shut::X;"), &["`inside` may not use `rearrange::shut`"]);
+    flagged(found("src/inside/a.rs", "use rearrange::open::X;\nuse inside_out::y;"), &[]);
+    flagged(found("crates/rearrange/src/a.rs", "use crate::inside::y;\nuse low_er::a;"), &[]);
+}
+
+#[test]
+fn a_manifest_that_needs_more_than_its_row_is_flagged() {
+    let manifest = |uses: &str| {
+        let text = format!(
+            "[dependencies]\n{uses}serde.workspace = true\n[dev-dependencies]\nother.workspace = true\n"
+        );
+        rules::manifest_breaches(CRATES, &[File::planted("crates/rearrange/Cargo.toml", &text)])
+    };
+    flagged(manifest("low-er.workspace = true\n"), &[]);
+    flagged(manifest(""), &["depends on []"]);
+    flagged(manifest("inside.workspace = true\nlow-er.workspace = true\n"), &["\"inside\", \"low-er\""]);
 }
 
 #[test]

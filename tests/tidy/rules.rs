@@ -5,7 +5,7 @@
 use crate::scan;
 use crate::tree::File;
 
-/// One line of the module table.
+/// One line of the module table: a crate by its folder below `crates`, or a module of `src`.
 pub struct Row {
     pub module: &'static str,
     pub uses: Uses,
@@ -68,8 +68,11 @@ pub fn table_faults(table: &[Row]) -> Vec<String> {
     faults
 }
 
-/// The top-level module a source file belongs to; `None` for the roots of the library and of the binaries.
+/// The crate or top-level module that a source file belongs to; `None` for the roots of celld and its binary.
 fn top_module(path: &str) -> Option<&str> {
+    if let Some(inside) = path.strip_prefix("crates/") {
+        return inside.split('/').next();
+    }
     let inside = path.strip_prefix("src/")?;
     if inside == "lib.rs" || inside == "main.rs" || inside.starts_with("bin/") {
         return None;
@@ -94,23 +97,33 @@ pub fn modules_missing_from(table: &[Row], files: &[File]) -> Vec<String> {
         }
     }
     if let Some(root) = files.iter().find(|file| file.path == "src/lib.rs") {
-        breaches.extend(root_breaches(table, root));
+        let own = |row: &&Row| files.iter().any(|file| is_module_of_src(&file.path, row.module));
+        let listed: Vec<&str> = table.iter().filter(own).map(|row| row.module).collect();
+        breaches.extend(order_breach(&listed, root));
     }
+    let roots = files.iter().filter(|file| file.path.ends_with("src/lib.rs"));
+    breaches.extend(roots.flat_map(re_exports));
     breaches
 }
 
-/// `lib.rs` declares the table's modules in the table's order, and re-exports nothing.
-fn root_breaches(table: &[Row], root: &File) -> Vec<String> {
+fn is_module_of_src(path: &str, module: &str) -> bool {
+    path.starts_with("src/") && top_module(path) == Some(module)
+}
+
+/// `lib.rs` declares the table's modules in the table's order.
+fn order_breach(listed: &[&str], root: &File) -> Option<String> {
     let code = scan::blank_comments_and_literals(&root.text);
-    let mut breaches = Vec::new();
     let declared: Vec<&str> = code
         .lines()
         .filter_map(|line| line.trim().trim_start_matches("pub ").strip_prefix("mod ")?.strip_suffix(';'))
         .collect();
-    let listed: Vec<&str> = table.iter().map(|row| row.module).collect();
-    if declared != listed {
-        breaches.push(format!("{}: declares {declared:?}, the table lists {listed:?}", root.path));
-    }
+    (declared != listed).then(|| format!("{}: declares {declared:?}, the table lists {listed:?}", root.path))
+}
+
+/// A crate's root re-exports nothing: a re-export would hide from the scan where a name comes from.
+fn re_exports(root: &File) -> Vec<String> {
+    let code = scan::blank_comments_and_literals(&root.text);
+    let mut breaches = Vec::new();
     for (number, line) in code.lines().enumerate() {
         let line = line.trim();
         if line.starts_with("pub use") || line.starts_with("pub(crate) use") {
@@ -144,16 +157,67 @@ fn layering_breaches_of(table: &[Row], file: &File) -> Vec<String> {
         if path.starts_with(&["celld"]) {
             breach(format!("`{text}`: inside the library it is `crate::`"));
         }
-        if path.starts_with(&["crate"]) {
-            let used = path.segments.get(1..3.min(path.segments.len())).unwrap_or(&[]).join("::");
-            if used.is_empty() || used.starts_with('*') || used.starts_with("self") {
-                breach(format!("`{text}` takes the whole crate; name the modules"));
-            } else if !allows(table, module, &used) {
-                breach(format!("`{module}` may not use `{used}`"));
-            }
+        let Some(used) = used_room(table, &file.path, &path.segments) else { continue };
+        if used.is_empty() || used.starts_with('*') || used.starts_with("self") {
+            breach(format!("`{text}` takes the whole crate; name the modules"));
+        } else if !allows(table, module, &used) {
+            breach(format!("`{module}` may not use `{used}`"));
         }
     }
     breaches
+}
+
+/// What a path names of the table, `name` or `name::submodule`: a module of celld behind `crate`, a crate by
+/// its own name. `None` for a path inside one's own crate and for foreign ones.
+fn used_room(table: &[Row], file: &str, segments: &[String]) -> Option<String> {
+    let first = segments.first()?;
+    if first == "crate" {
+        let inside = segments.get(1..3.min(segments.len())).unwrap_or(&[]);
+        return (!file.starts_with("crates/")).then(|| inside.join("::"));
+    }
+    let name = first.replace('_', "-");
+    let is_crate = table.iter().any(|row| row.module == name) && name.contains('-');
+    if !is_crate && !CRATES_OF_ONE_WORD.contains(&name.as_str()) {
+        return None;
+    }
+    Some(segments.get(1).map_or(name.clone(), |inner| format!("{name}::{inner}")))
+}
+
+/// Crates whose names could as well be those of modules.
+const CRATES_OF_ONE_WORD: &[&str] = &["rearrange", "urscript"];
+
+/// Crates of the workspace that a crate's manifest names, against its row of the table. Cargo holds what the
+/// manifests say; this holds the manifests to the table.
+pub fn manifest_breaches(table: &[Row], manifests: &[File]) -> Vec<String> {
+    let mut breaches = Vec::new();
+    for manifest in manifests {
+        let Some(row) = top_module(&manifest.path).and_then(|name| position(table, name)) else { continue };
+        let Uses::Only(names) = &table[row].uses else { continue };
+        let is_room = |name: &&str| position(table, name).is_some();
+        let needed: Vec<&str> =
+            dependencies(&manifest.text, "[dependencies]").into_iter().filter(is_room).collect();
+        let mut wanted: Vec<&str> =
+            names.iter().map(|name| name.split("::").next().unwrap_or(name)).collect();
+        wanted.dedup();
+        if needed != wanted {
+            breaches.push(format!("{}: depends on {needed:?}, the table says {wanted:?}", manifest.path));
+        }
+    }
+    breaches
+}
+
+/// Names in the sections of a manifest whose heading ends so.
+fn dependencies<'a>(manifest: &'a str, heading: &str) -> Vec<&'a str> {
+    let mut names = Vec::new();
+    let mut inside = false;
+    for line in manifest.lines() {
+        if line.starts_with('[') {
+            inside = line.trim().ends_with(heading);
+        } else if let (true, Some((name, _))) = (inside, line.split_once('=')) {
+            names.push(name.trim().trim_end_matches(".workspace"));
+        }
+    }
+    names
 }
 
 /// What a pure module may not name, as the beginning of a path, with the way out.
@@ -233,10 +297,10 @@ pub fn belongs_to(path: &str, stem: &str) -> bool {
 
 /// The native libraries and the only places (path beginnings) that may call them.
 const NATIVE: &[(&str, &[&str])] = &[
-    ("opencv", &["src/vision/cv.rs", "src/vision/cv/", "src/io/camera"]),
+    ("opencv", &["crates/cell-vision/src/cv.rs", "src/io/camera"]),
     ("libloading", &["src/io/camera/realsense/"]),
-    ("apriltag", &["src/vision/detect.rs", "src/vision/detect/"]),
-    ("apriltag_sys", &["src/vision/detect.rs", "src/vision/detect/"]),
+    ("apriltag", &["crates/cell-vision/src/detect.rs", "crates/cell-vision/src/detect/"]),
+    ("apriltag_sys", &["crates/cell-vision/src/detect.rs", "crates/cell-vision/src/detect/"]),
 ];
 
 /// Calls of native libraries outside the files that wrap them.
@@ -353,17 +417,16 @@ fn code_words(cell: &str) -> Vec<&str> {
     cell.split('`').skip(1).step_by(2).collect()
 }
 
-/// Dependencies without a line in the dependency table of ARCHITECTURE.md, and lines without a dependency.
-pub fn dependency_breaches(manifest: &str, architecture: &str) -> Vec<String> {
+/// Libraries without a line in the dependency table of ARCHITECTURE.md, lines without a library, and libraries
+/// of the workspace that no crate uses. `manifests` are the workspace's own and those of its crates.
+pub fn dependency_breaches(manifests: &[File], architecture: &str) -> Vec<String> {
     let mut breaches = Vec::new();
-    let mut wanted = Vec::new();
-    let mut in_dependencies = false;
-    for line in manifest.lines() {
-        if let Some(section) = line.trim().strip_prefix('[') {
-            in_dependencies = section.trim_end_matches(']').ends_with("dependencies");
-        } else if let (true, Some((name, _))) = (in_dependencies, line.split_once('=')) {
-            wanted.push(name.trim());
-        }
+    let of = |heading: &'static str| manifests.iter().flat_map(move |m| dependencies(&m.text, heading));
+    let is_library = |name: &&str| !manifests.iter().any(|m| m.path == format!("crates/{name}/Cargo.toml"));
+    let wanted: Vec<&str> = of("[workspace.dependencies]").filter(is_library).collect();
+    let used: Vec<&str> = of("[dependencies]").chain(of("[dev-dependencies]")).collect();
+    for name in wanted.iter().filter(|name| !used.contains(name)) {
+        breaches.push(format!("Cargo.toml: no crate uses `{name}`"));
     }
     let rows = table_rows(architecture, "\n## Dependencies");
     let reasons: Vec<&str> = rows.iter().flat_map(|row| code_words(row[0])).collect();

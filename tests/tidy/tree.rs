@@ -2,6 +2,7 @@
 //!
 //! In: the package folder. Out: paths (relative, `/` between parts) and texts, sorted, without build output.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// One text file, path relative to the package folder.
@@ -71,7 +72,36 @@ pub fn rust_files() -> Vec<File> {
     text_files().into_iter().filter(|file| file.path.ends_with(".rs")).collect()
 }
 
-/// The Rust files below `src`.
+/// The Rust files below `src`, and below the `src` of each crate.
 pub fn sources() -> Vec<File> {
-    rust_files().into_iter().filter(|file| file.path.starts_with("src/")).collect()
+    rust_files().into_iter().filter(|file| crate_folder(&file.path).is_some()).collect()
+}
+
+/// The same files crate by crate, with paths from the crate's own folder.
+pub fn by_crate(sources: &[File]) -> Vec<Vec<File>> {
+    let mut crates: BTreeMap<&str, Vec<File>> = BTreeMap::new();
+    for file in sources {
+        if let Some(folder) = crate_folder(&file.path) {
+            let inside = File { path: file.path[folder.len()..].to_string(), text: file.text.clone() };
+            crates.entry(folder).or_default().push(inside);
+        }
+    }
+    crates.into_values().collect()
+}
+
+/// The folder of the crate whose source a file is, with a slash behind it; empty for celld itself.
+fn crate_folder(path: &str) -> Option<&str> {
+    if path.starts_with("src/") {
+        return Some("");
+    }
+    let name = path.strip_prefix("crates/")?.split('/').next()?;
+    let folder = &path[.."crates/".len() + name.len() + 1];
+    path[folder.len()..].starts_with("src/").then_some(folder)
+}
+
+/// The manifests of the workspace and its crates.
+pub fn manifests() -> Vec<File> {
+    let of_workspace = |path: &str| path == "Cargo.toml" || path.starts_with("crates/");
+    let files = text_files().into_iter();
+    files.filter(|file| of_workspace(&file.path) && file.path.ends_with("Cargo.toml")).collect()
 }

@@ -11,16 +11,16 @@ use crate::bench::vision::tally::Accuracy;
 use crate::calibration::fit::hand_eye::solve_hand_eye;
 use crate::calibration::fit::lens::{BoardView, LensSettings, solve_lens};
 use crate::calibration::fit::{HandEyeGuess, HandEyeSettings, Sample};
-use crate::geometry::pose::Pose2;
-use crate::vision::board::Board;
-use crate::vision::camera::CameraModel;
-use crate::vision::cv;
-use crate::vision::detect::{DetectSettings, Detector, Family};
-use crate::vision::image::GrayImage;
-use crate::vision::observe::ReferenceMarker;
+use cell_values::image::GrayImage;
+use cell_vision::board::Board;
+use cell_vision::camera::CameraModel;
+use cell_vision::cv;
+use cell_vision::detect::{DetectSettings, Detector, Family};
+use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rearrange::geometry::pose::Pose2;
 use serde::Serialize;
 
 /// Pictures of the board, and looks at the reference markers.

@@ -9,8 +9,7 @@
 use crate::bench::vision::foreign::{Bench, CAMERA_HEIGHT_M, EYES_Y_M, WIDTH_M, jitter, look, same, tables};
 use crate::bench::vision::scene::looking_down;
 use crate::bench::vision::tally::quantile;
-use crate::sim::render::sensor::Exposure;
-use crate::vision::image::Image;
+use cell_values::image::Image;
 use nalgebra::Isometry3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,6 +17,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
+use ur_sim::render::sensor::Exposure;
 
 /// The arm's repeatability, standard deviation along and about each axis, m and rad.
 const REPEAT_STD: (f64, f64) = (3e-5, 3e-5);
@@ -110,7 +110,7 @@ fn scene(bench: &Bench, poses: &[Isometry3<f64>; 2], [seed, number]: [u64; 2]) -
 
 fn picture(
     bench: &Bench,
-    prisms: Vec<crate::sim::render::scene::Prism>,
+    prisms: Vec<ur_sim::render::scene::Prism>,
     table_from_camera: &Isometry3<f64>,
     exposure: &Exposure,
     noise: [u64; 2],

@@ -8,33 +8,33 @@
 //! `perception`, as in the cell.
 
 use crate::bench::vision::scene::{bare, bench_camera, looking_down};
-use crate::document::chain::chain;
-use crate::geometry::collision::distance_between;
-use crate::geometry::footprint::Footprint;
-use crate::geometry::polygon::contains;
-use crate::geometry::pose::Pose2;
 use crate::perception::{self, observe_views};
-use crate::sim::render::Renderer;
-use crate::sim::render::lens::CameraTruth;
-use crate::sim::render::scene::{Prism, Scene};
-use crate::sim::render::sensor::Exposure;
-use crate::sim::world::section::Section;
-use crate::time::Timestamp;
-use crate::vision::foreign::search::{ForeignSearch, Inventory};
-use crate::vision::foreign::{Area, ForeignLimits, ForeignObject, ForeignReport, KnownBody};
-use crate::vision::image::Image;
-use crate::vision::image::depth::DepthImage;
-use crate::vision::image::depth::UNIT_M;
-use crate::vision::observe::View;
+use cell_values::image::Image;
+use cell_values::image::depth::DepthImage;
+use cell_values::image::depth::UNIT_M;
+use cell_values::time::Timestamp;
+use cell_vision::foreign::search::{ForeignSearch, Inventory};
+use cell_vision::foreign::{Area, ForeignLimits, ForeignObject, ForeignReport, KnownBody};
+use cell_vision::observe::View;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use rearrange::document::chain::chain;
+use rearrange::geometry::collision::distance_between;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::polygon::contains;
+use rearrange::geometry::pose::Pose2;
 use serde::Serialize;
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
+use ur_sim::render::Renderer;
+use ur_sim::render::lens::CameraTruth;
+use ur_sim::render::scene::{Prism, Scene};
+use ur_sim::render::sensor::Exposure;
+use ur_sim::world::section::Section;
 
 /// The workspace, m.
 pub(super) const WIDTH_M: f64 = 0.5;

@@ -11,12 +11,12 @@ use crate::bench::vision::scene::{bench_camera, looking_down};
 use crate::bench::vision::tally::quantile;
 use crate::calibration::fit::hand_eye::solve_hand_eye;
 use crate::calibration::fit::{CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample};
-use crate::geometry::pose::Pose2;
-use crate::vision::detect::{Detection, Family};
-use crate::vision::observe::ReferenceMarker;
+use cell_vision::detect::{Detection, Family};
+use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rearrange::geometry::pose::Pose2;
 use serde::Serialize;
 
 /// Noise of the corners along each axis, px, and of the arm along each axis, m.

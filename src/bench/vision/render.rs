@@ -5,9 +5,9 @@
 //! bits. Written for the benchmark alone: it shares no code with detection, OpenCV or the simulated camera,
 //! so that one misread convention cannot agree with itself.
 
-use crate::vision::camera::CameraModel;
-use crate::vision::detect::family::Pattern;
-use crate::vision::image::GrayImage;
+use cell_values::image::GrayImage;
+use cell_vision::camera::CameraModel;
+use cell_vision::detect::family::Pattern;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand::{Rng, RngExt};
 use rand_chacha::ChaCha8Rng;
@@ -350,8 +350,8 @@ fn normal(random: &mut ChaCha8Rng) -> f64 {
 mod tests {
     use super::*;
     use crate::bench::vision::scene::{bench_camera, looking_down};
-    use crate::vision::cv;
-    use crate::vision::detect::Family;
+    use cell_vision::cv;
+    use cell_vision::detect::Family;
     use rand::SeedableRng;
 
     fn small() -> (Lens, ChaCha8Rng) {

@@ -7,18 +7,18 @@
 //! squares of random modules.
 
 use crate::bench::vision::render::{Degrade, Ground, Lens, Print, Sheet};
-use crate::geometry::pose::Pose2;
 use crate::perception;
 use crate::report::raster;
-use crate::vision::camera::CameraModel;
-use crate::vision::detect::Family;
-use crate::vision::detect::family::Pattern;
-use crate::vision::image::Image;
-use crate::vision::observe::ObserveLimits;
-use crate::vision::observe::reference::DriftLimits;
+use cell_values::image::Image;
+use cell_vision::camera::CameraModel;
+use cell_vision::detect::Family;
+use cell_vision::detect::family::Pattern;
+use cell_vision::observe::ObserveLimits;
+use cell_vision::observe::reference::DriftLimits;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use rearrange::geometry::pose::Pose2;
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write;
 

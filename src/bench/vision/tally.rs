@@ -3,7 +3,7 @@
 //! In: errors with their claimed covariance. Out: [`Accuracy`]: medians, percentiles, and how true the
 //! claimed deviations are.
 
-use crate::units::{deg_from_rad, mm_from_m};
+use cell_values::units::{deg_from_rad, mm_from_m};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 

@@ -5,10 +5,10 @@
 
 use crate::calibration::files;
 use crate::calibration::fit::lens::{LensSample, LensSolution};
-use crate::document::Complaints;
-use crate::document::decode::{At, Decoder, Fields, read};
-use crate::document::write::Out;
-use crate::vision::camera::CameraModel;
+use cell_vision::camera::CameraModel;
+use rearrange::document::Complaints;
+use rearrange::document::decode::{At, Decoder, Fields, read};
+use rearrange::document::write::Out;
 
 /// A camera's numbers and where they come from.
 #[derive(Clone, Debug, PartialEq)]
@@ -209,7 +209,7 @@ fn edge(fields: &Fields, key: &str, decoder: &mut Decoder) -> Option<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vision::testing;
+    use cell_vision::testing;
 
     fn measured() -> CameraCalibration {
         CameraCalibration {

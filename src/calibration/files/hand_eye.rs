@@ -9,10 +9,10 @@ use crate::calibration::files;
 use crate::calibration::files::{FIT_M, FIT_PX, FIT_RAD, SAMPLE_M, SAMPLE_PX};
 use crate::calibration::fit::fixed::FixedCamera;
 use crate::calibration::fit::{HandEye, SampleResidual, TransformStd};
-use crate::document::Complaints;
-use crate::document::decode::{At, Decoder, Fields, read};
-use crate::document::write::Out;
 use nalgebra::Isometry3;
+use rearrange::document::Complaints;
+use rearrange::document::decode::{At, Decoder, Fields, read};
+use rearrange::document::write::Out;
 
 /// The devices a calibration belongs to, and when it was made.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -6,10 +6,10 @@
 //! without moving the arm. Pure.
 
 use crate::calibration::files::{self, hand_eye::Provenance};
-use crate::document::Complaints;
-use crate::document::decode::{At, Decoder, read};
-use crate::document::write::Out;
 use nalgebra::Isometry3;
+use rearrange::document::Complaints;
+use rearrange::document::decode::{At, Decoder, read};
+use rearrange::document::write::Out;
 
 /// A recorded round.
 #[derive(Clone, Debug, PartialEq)]

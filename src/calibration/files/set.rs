@@ -8,8 +8,8 @@ use crate::calibration::drawn::CameraMount;
 use crate::calibration::files::camera::CameraCalibration;
 use crate::calibration::files::hand_eye::HandEyeCalibration;
 use crate::calibration::files::table::TableCalibration;
-use crate::document::Complaints;
-use crate::vision::observe::ReferenceMarker;
+use cell_vision::observe::ReferenceMarker;
+use rearrange::document::Complaints;
 
 /// Distance (m) and angle (rad) by which a survey may differ from the configuration's: rounding in the files.
 const SAME_PLACE: (f64, f64) = (1e-6, 1e-6);

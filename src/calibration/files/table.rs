@@ -8,12 +8,12 @@ use crate::calibration::files;
 use crate::calibration::files::hand_eye::{Provenance, Residuals};
 use crate::calibration::fit::touch::{Tie, TouchFit};
 use crate::calibration::fit::{HandEye, TransformStd};
-use crate::document::Complaints;
-use crate::document::decode::{At, Decoder, read};
-use crate::document::write::Out;
-use crate::geometry::pose::Pose2;
-use crate::vision::observe::ReferenceMarker;
+use cell_vision::observe::ReferenceMarker;
 use nalgebra::Isometry3;
+use rearrange::document::Complaints;
+use rearrange::document::decode::{At, Decoder, read};
+use rearrange::document::write::Out;
+use rearrange::geometry::pose::Pose2;
 
 /// The table under the robot.
 #[derive(Clone, Debug, PartialEq)]
@@ -194,7 +194,7 @@ pub fn markers(at: &At, decoder: &mut Decoder) -> Option<Vec<ReferenceMarker>> {
 
 fn marker(at: &At, decoder: &mut Decoder) -> Option<ReferenceMarker> {
     let fields = decoder.map(at, &["id", "size", "pose", "pose_deg"])?;
-    let last = i64::from(crate::vision::image::tag36h11::COUNT) - 1;
+    let last = i64::from(cell_values::image::tag36h11::COUNT) - 1;
     let id = fields.required("id", decoder).and_then(|at| decoder.integer(&at, 0..=last));
     let size = fields.required("size", decoder).and_then(|at| decoder.number_in(&at, 0.003..=0.5, "m"));
     let pose = decoder.pose(&fields, "pose")?;

@@ -8,12 +8,12 @@
 use crate::calibration::files;
 use crate::calibration::files::hand_eye::Provenance;
 use crate::calibration::fit::touch::Touch;
-use crate::document::Complaints;
-use crate::document::decode::{At, Decoder, read};
-use crate::document::write::Out;
-use crate::vision::marker;
-use crate::vision::observe::ReferenceMarker;
+use cell_vision::marker;
+use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Point3};
+use rearrange::document::Complaints;
+use rearrange::document::decode::{At, Decoder, read};
+use rearrange::document::write::Out;
 
 /// A point that can be touched.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -280,8 +280,8 @@ fn point(at: &At, reach_m: f64, decoder: &mut Decoder) -> Option<[f64; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::pose::Pose2;
     use nalgebra::Vector3;
+    use rearrange::geometry::pose::Pose2;
 
     fn touches() -> Touches {
         let flange = Isometry3::new(Vector3::new(0.2, 0.5, 0.15), Vector3::new(3.0, 0.1, 0.0));

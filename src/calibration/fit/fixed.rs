@@ -10,11 +10,11 @@
 use crate::calibration::fit::hand_eye::{closed_form, solve_hand_eye};
 use crate::calibration::fit::problem::Problem;
 use crate::calibration::fit::{CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample, TransformStd};
-use crate::geometry::pose::Pose2;
-use crate::vision::board::Board;
-use crate::vision::camera::CameraModel;
-use crate::vision::observe::ReferenceMarker;
+use cell_vision::board::Board;
+use cell_vision::camera::CameraModel;
+use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Matrix6};
+use rearrange::geometry::pose::Pose2;
 
 /// Where to start.
 #[derive(Clone, Copy, Debug)]
@@ -154,8 +154,8 @@ fn about_board(error: CalibrateError) -> CalibrateError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vision::detect::Family;
-    use crate::vision::testing::{self, Print, normal};
+    use cell_vision::detect::Family;
+    use cell_vision::testing::{self, Print, normal};
     use nalgebra::{UnitQuaternion, Vector3, Vector6};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;

@@ -10,9 +10,9 @@ use crate::calibration::fit::problem::{Fit, Problem};
 use crate::calibration::fit::{
     CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample, observability, report,
 };
-use crate::vision::camera::CameraModel;
-use crate::vision::cv;
-use crate::vision::observe::ReferenceMarker;
+use cell_vision::camera::CameraModel;
+use cell_vision::cv;
+use cell_vision::observe::ReferenceMarker;
 
 /// A fit worse than this is no fit, pixels.
 const NO_FIT_PX: f64 = 3.0;
@@ -106,11 +106,11 @@ fn without_outliers(problem: &Problem, fit: &Fit, settings: &HandEyeSettings) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::pose::Pose2;
-    use crate::vision::testing::{self, Print, normal};
+    use cell_vision::testing::{self, Print, normal};
     use nalgebra::{Isometry3, Vector3};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
+    use rearrange::geometry::pose::Pose2;
 
     fn reference() -> Vec<ReferenceMarker> {
         let places =

@@ -5,8 +5,8 @@
 //! pictures, the refusals and the honest errors are ours: pictures that disagree with all others are left
 //! out, every fifth is predicted by a fit that has not seen it. Pure.
 
-use crate::vision::camera::CameraModel;
-use crate::vision::cv::{self, BoardCorners, CvError, LensFit};
+use cell_vision::camera::CameraModel;
+use cell_vision::cv::{self, BoardCorners, CvError, LensFit};
 
 /// One picture of the board.
 #[derive(Clone, Debug)]
@@ -264,9 +264,9 @@ fn observable(fit: &LensFit, settings: &LensSettings) -> Result<(), LensError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vision::board::Board;
-    use crate::vision::detect::Family;
-    use crate::vision::testing;
+    use cell_vision::board::Board;
+    use cell_vision::detect::Family;
+    use cell_vision::testing;
     use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;

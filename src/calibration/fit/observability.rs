@@ -8,7 +8,7 @@
 
 use crate::calibration::fit::problem::{Fit, Problem};
 use crate::calibration::fit::{CalibrateError, HandEyeSettings};
-use crate::units::mm_from_m;
+use cell_values::units::mm_from_m;
 use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector3};
 
 /// Lever by which a rotation error counts as a distance, m: about the distance to the table.

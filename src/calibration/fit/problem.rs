@@ -6,13 +6,13 @@
 //! table in its own frame.
 
 use crate::calibration::fit::{HandEyeGuess, HandEyeSettings, Sample};
-use crate::vision::camera::CameraModel;
-use crate::vision::cv::CvError;
-use crate::vision::marker;
-use crate::vision::observe::planar;
-use crate::vision::observe::sighting::{self, Sighting};
-use crate::vision::observe::square::cross;
-use crate::vision::observe::{ReferenceMarker, View};
+use cell_vision::camera::CameraModel;
+use cell_vision::cv::CvError;
+use cell_vision::marker;
+use cell_vision::observe::planar;
+use cell_vision::observe::sighting::{self, Sighting};
+use cell_vision::observe::square::cross;
+use cell_vision::observe::{ReferenceMarker, View};
 use nalgebra::{
     Isometry3, Matrix2x3, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
 };
@@ -71,7 +71,7 @@ impl Problem {
             let view = View {
                 table_from_camera: Isometry3::identity(),
                 detections: sample.detections.clone(),
-                time: crate::time::Timestamp::ZERO,
+                time: cell_values::time::Timestamp::ZERO,
                 heights: None,
             };
             let mut sightings = sighting::sightings(camera, std::slice::from_ref(&view))?;

@@ -8,7 +8,7 @@ use crate::calibration::files::hand_eye::{HandEyeCalibration, Mount, Provenance}
 use crate::calibration::fit::fixed::{FixedGuess, solve_fixed, table_before};
 use crate::calibration::fit::hand_eye::solve_hand_eye;
 use crate::calibration::fit::{CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample};
-use crate::vision::camera::CameraModel;
+use cell_vision::camera::CameraModel;
 use nalgebra::Isometry3;
 
 /// Why there is no solution.

@@ -7,8 +7,8 @@
 //! nothing of lens and mount, so the two can only agree when both are right. Pure.
 
 use crate::calibration::fit::TransformStd;
-use crate::units::{deg_from_rad, mm_from_m};
-use crate::vision::observe::square::cross;
+use cell_values::units::{deg_from_rad, mm_from_m};
+use cell_vision::observe::square::cross;
 use nalgebra::{
     Isometry3, Matrix3, Matrix3x6, Matrix6, Point3, Rotation3, SymmetricEigen, Translation3, UnitQuaternion,
     Vector3, Vector6,
@@ -341,7 +341,7 @@ fn small(motion: &Isometry3<f64>) -> Vector6<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vision::testing::normal;
+    use cell_vision::testing::normal;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 

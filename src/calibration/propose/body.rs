@@ -5,10 +5,10 @@
 //! poses by, wide enough for that; the path check's heights and the person who gives `--yes` guard the arm.
 //! Pure.
 
-use crate::motion::kinematics::link_frames;
 use crate::motion::path::ArmModel;
-use crate::units::Joints;
+use cell_values::units::Joints;
 use nalgebra::{Point3, Vector3};
+use ur_arm::kinematics::link_frames;
 
 /// Half a link's width, m: a UR5e's widest joint.
 const HALF_WIDTH_M: f64 = 0.06;

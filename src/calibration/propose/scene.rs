@@ -6,17 +6,17 @@
 //! and one of the two is on the flange. Pure.
 
 use crate::calibration::propose::body::Body;
-use crate::motion::kinematics::forward;
 use crate::motion::path::ArmModel;
 use crate::motion::slow::CalibrationBox;
-use crate::units::Joints;
-use crate::vision::camera::CameraModel;
-use crate::vision::cv;
-use crate::vision::detect::Detection;
-use crate::vision::marker;
-use crate::vision::observe::ReferenceMarker;
+use cell_values::units::Joints;
+use cell_vision::camera::CameraModel;
+use cell_vision::cv;
+use cell_vision::detect::Detection;
+use cell_vision::marker;
+use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use std::f64::consts::PI;
+use ur_arm::kinematics::forward;
 
 /// The golden angle: directions of tilt that never bunch up, rad.
 const AZIMUTH_STEP: f64 = 2.399_963;

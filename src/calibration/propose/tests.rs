@@ -2,15 +2,15 @@
 
 use super::*;
 use crate::calibration::files::camera::CameraCalibration;
-use crate::geometry::pose::Pose2;
-use crate::motion::kinematics::DhParameters;
 use crate::motion::path::ArmLimits;
-use crate::units::rad_from_deg;
-use crate::vision::board::Board;
-use crate::vision::detect::Family;
-use crate::vision::observe::ReferenceMarker;
+use cell_values::units::rad_from_deg;
+use cell_vision::board::Board;
+use cell_vision::detect::Family;
+use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rearrange::geometry::pose::Pose2;
 use std::path::Path;
+use ur_arm::kinematics::DhParameters;
 
 /// Where the arm waits.
 fn park() -> Joints {

@@ -5,9 +5,9 @@
 //! modes. A reply means accepted, not done: whoever asked watches the state.
 
 use crate::cell::device::outbox::{Outbox, earlier};
-use crate::time::{Duration, Timestamp};
-use crate::wire::dashboard::{Command, LineSplitter, Reply};
+use cell_values::time::{Duration, Timestamp};
 use std::collections::VecDeque;
+use ur_wire::dashboard::{Command, LineSplitter, Reply};
 
 /// The server greets within this time.
 const GREETING_WITHIN: Duration = Duration::from_secs(10);

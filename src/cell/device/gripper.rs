@@ -9,7 +9,7 @@
 //! Only the registers of the channels in question are written, so that nothing is released by the way.
 
 use crate::cell::device::outbox::{Outbox, earlier};
-use crate::time::{Duration, Timestamp};
+use cell_values::time::{Duration, Timestamp};
 use std::collections::VecDeque;
 
 /// First control register, channel A; B follows.

@@ -4,10 +4,10 @@
 //! upload; its success shows in key messages, runtime exceptions, and (what counts) the nonce over RTDE.
 
 use crate::cell::device::outbox::Outbox;
-use crate::time::{Duration, Timestamp};
-use crate::wire::primary::{Package, Splitter};
-use crate::wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED, READ_ONLY};
-use crate::wire::primary_state::{KinematicsData, SubPackage};
+use cell_values::time::{Duration, Timestamp};
+use ur_wire::primary::{Package, Splitter};
+use ur_wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED, READ_ONLY};
+use ur_wire::primary_state::{KinematicsData, SubPackage};
 
 /// Robot state comes at 10 Hz; this long without a package and the link is dead.
 const SILENT_AFTER: Duration = Duration::from_millis(2500);

@@ -3,7 +3,7 @@
 //! In: the template (hardware/ur5e/celld_program.script), a [`Nonce`], the watchdog's number of frames. Out:
 //! the text to upload and the program's name. Only checked integers are put into the text, never a string.
 
-use crate::wire::bytes::cut_text;
+use ur_wire::bytes::cut_text;
 
 /// The template that celld comes with.
 pub const PROGRAM_TEXT: &str = include_str!("../../../hardware/ur5e/celld_program.script");

@@ -4,8 +4,8 @@
 //! lower ones belong to field buses. The table for people is in hardware/ur5e/README.md; a test holds the two
 //! together, and the program's text is held to them by the simulator, which runs it.
 
-use crate::wire::rtde_values::Value;
-use crate::wire::rtde_variables::Register;
+use ur_wire::rtde_values::Value;
+use ur_wire::rtde_variables::Register;
 
 /// In int: number of the command; a new number makes the program look at the others.
 pub const SEQUENCE: u8 = 24;

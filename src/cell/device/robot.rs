@@ -32,11 +32,11 @@ use crate::cell::device::robot_types::{
 };
 use crate::cell::device::rtde_session::RtdeSession;
 use crate::cell::device::stream::Stream;
-use crate::motion::kinematics::DhParameters;
-use crate::time::{Duration, Timestamp};
-use crate::wire::dashboard::Command;
+use cell_values::time::{Duration, Timestamp};
 use parts::{ArmWait, Heartbeat, Identity, PoweringOff, Program, Reported, SEND_WITHIN, Setup};
 use std::collections::VecDeque;
+use ur_arm::kinematics::DhParameters;
+use ur_wire::dashboard::Command;
 
 /// Faults older than this are forgotten when they are counted.
 const FAULT_WINDOW: Duration = Duration::from_secs(60);

@@ -5,11 +5,11 @@
 
 use crate::cell::device::program::{Nonce, PROGRAM_TEXT, WATCHDOG_FRAMES};
 use crate::cell::device::registers::ProgramStatus;
-use crate::motion::kinematics::DhParameters;
 use crate::motion::path::CheckedPath;
-use crate::time::{Duration, Timestamp};
-use crate::units::Joints;
-use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use cell_values::time::{Duration, Timestamp};
+use cell_values::units::Joints;
+use ur_arm::kinematics::DhParameters;
+use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// The three connections to a controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

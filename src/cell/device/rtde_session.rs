@@ -9,12 +9,12 @@
 use crate::cell::device::outbox::Outbox;
 use crate::cell::device::registers::{self, CommandRegisters, ProgramStatus};
 use crate::cell::device::robot_types::RobotState;
-use crate::time::{Duration, Timestamp};
-use crate::units::Joints;
-use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
-use crate::wire::rtde::{Reply, Request, Splitter, Version};
-use crate::wire::rtde_values::{Leftover, Offer, Recipe, Value};
-use crate::wire::rtde_variables::{Register, output_type};
+use cell_values::time::{Duration, Timestamp};
+use cell_values::units::Joints;
+use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use ur_wire::rtde::{Reply, Request, Splitter, Version};
+use ur_wire::rtde_values::{Leftover, Offer, Recipe, Value};
+use ur_wire::rtde_variables::{Register, output_type};
 
 /// An answer in the handshake may take this long.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
@@ -436,7 +436,7 @@ fn input_names(index: usize) -> Vec<String> {
     }
 }
 
-/// Fields of the output recipe, in the order [`state_of`] reads them.
+/// Fields of the output recipe, in the order `state_of` reads them.
 pub fn output_names() -> Vec<String> {
     let fixed = [
         "timestamp",

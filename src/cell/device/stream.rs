@@ -7,10 +7,10 @@
 
 use crate::cell::device::registers::{CommandRegisters, Opcode, QUEUE_DEPTH};
 use crate::cell::device::robot_types::Refused;
-use crate::motion::kinematics::{DhParameters, forward};
 use crate::motion::path::{CheckedPath, Segment};
-use crate::units::Joints;
+use cell_values::units::Joints;
 use std::collections::VecDeque;
+use ur_arm::kinematics::{DhParameters, forward};
 
 /// Commands that may wait on the PC.
 const MAX_WAITING: usize = 1024;

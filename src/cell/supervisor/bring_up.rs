@@ -10,9 +10,9 @@ use crate::cell::supervisor::input::{Action, Outside};
 use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{BringUp, Phase};
 use crate::cell::supervisor::round::RoundFault;
-use crate::geometry::pose::ur_pose_from_isometry;
-use crate::time::{Duration, Timestamp};
-use crate::wire::enumerations::RobotMode;
+use cell_values::time::{Duration, Timestamp};
+use ur_arm::pose::ur_pose_from_isometry;
+use ur_wire::enumerations::RobotMode;
 
 /// How long a closed gate, other than a disarmed cell, may hold up a job before it fails.
 const NOT_READY_LIMIT: Duration = Duration::from_secs(60);

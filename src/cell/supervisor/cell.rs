@@ -19,10 +19,10 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult};
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, UntilItStands, Visit};
 use crate::cell::supervisor::round::Round;
-use crate::geometry::pose::Pose2;
-use crate::time::{Duration, Timestamp};
-use crate::vision::observe::Observation;
-use crate::wire::enumerations::RuntimeState;
+use cell_values::time::{Duration, Timestamp};
+use cell_vision::observe::Observation;
+use rearrange::geometry::pose::Pose2;
+use ur_wire::enumerations::RuntimeState;
 
 /// What a look showed, valid until something is picked, placed, dropped or stopped.
 pub(crate) type Seen = Observation;

@@ -5,7 +5,7 @@
 
 use crate::cell::device::program::Nonce;
 use crate::cell::supervisor::input::Outside;
-use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
 const EMPTY_BELOW: f64 = 0.05;

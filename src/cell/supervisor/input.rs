@@ -7,14 +7,14 @@ use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
-use crate::geometry::pose::Pose2;
 use crate::motion::cycle_time::CycleTimes;
-use crate::planning::plan::{Action as PlanAction, ActionKind, Objective};
-use crate::planning::solver::SolverKind;
-use crate::tabletop::instance::Instance;
-use crate::time::Duration;
-use crate::vision::observe::{Observation, View};
+use cell_values::time::Duration;
+use cell_vision::observe::{Observation, View};
 use nalgebra::Isometry3;
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::plan::{Action as PlanAction, ActionKind, Objective};
+use rearrange::planning::solver::SolverKind;
+use rearrange::tabletop::instance::Instance;
 
 /// What the devices last said, handed over with every call.
 #[derive(Clone, Copy, Debug)]

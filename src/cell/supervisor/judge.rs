@@ -7,14 +7,14 @@ use crate::cell::code::Code;
 use crate::cell::supervisor::cell::{Reason, Supervisor, say};
 use crate::cell::supervisor::input::Action;
 use crate::cell::supervisor::model::{CellModel, ForeignRule};
-use crate::geometry::collision::penetration;
-use crate::geometry::footprint::Footprint;
-use crate::geometry::pose::Pose2;
 use crate::motion::pick_n_place::CycleParameters;
-use crate::tabletop::instance::KeepOut;
-use crate::vision::foreign::{ForeignObject, ForeignReport};
-use crate::vision::observe::Observation;
-use crate::vision::observe::reference::MARKERS_MIN;
+use cell_vision::foreign::{ForeignObject, ForeignReport};
+use cell_vision::observe::Observation;
+use cell_vision::observe::reference::MARKERS_MIN;
+use rearrange::geometry::collision::penetration;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use rearrange::tabletop::instance::KeepOut;
 
 /// Share of the table in which depth has to be measured for a look to say that nothing foreign is there.
 const MEASURED_SHARE: f64 = 0.9;

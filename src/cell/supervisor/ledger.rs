@@ -4,7 +4,7 @@
 //! disk is slow or silent. The machine's phases wait for the number of their entry; a stop leaves the phase,
 //! and the entry it waited for is written all the same and counts for nothing but the journal.
 
-use crate::time::{Duration, Timestamp};
+use cell_values::time::{Duration, Timestamp};
 use std::collections::VecDeque;
 
 /// An entry that takes longer is told: the arm waits for it, and people should know why.

@@ -12,17 +12,17 @@ use crate::cell::supervisor::judge::foreign_height;
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::{ApprovalRule, JobEnd};
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, RouteAction};
-use crate::geometry::collision::penetration;
-use crate::geometry::pose::Pose2;
 use crate::motion::cycle_time::CycleTimes;
 use crate::motion::path::{CheckedPath, Leg, Segment};
-use crate::planning::check::CheckedPlan;
-use crate::planning::plan::{Action as PlanAction, ActionKind};
-use crate::planning::problem::Problem;
-use crate::tabletop::instance::{Instance, ObjectSpec};
-use crate::time::Timestamp;
-use crate::units::Joints;
-use crate::vision::observe::{Observation, View};
+use cell_values::time::Timestamp;
+use cell_values::units::Joints;
+use cell_vision::observe::{Observation, View};
+use rearrange::geometry::collision::penetration;
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::check::CheckedPlan;
+use rearrange::planning::plan::{Action as PlanAction, ActionKind};
+use rearrange::planning::problem::Problem;
+use rearrange::tabletop::instance::{Instance, ObjectSpec};
 
 /// The arm counts as still below this joint speed, rad/s: 0.5 mm/s at the tool.
 const STILL_RAD_S: f64 = 5e-4;

@@ -3,7 +3,7 @@
 //! In: orders, stops, faults. Out: what may begin. A pause outlasts disarming and arming, because whoever
 //! paused a cell does not expect it to move when somebody else arms it.
 
-use crate::time::Timestamp;
+use cell_values::time::Timestamp;
 
 /// Whether and how the cell may move.
 #[derive(Clone, Debug, PartialEq, Eq)]

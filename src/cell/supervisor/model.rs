@@ -5,15 +5,15 @@
 
 use crate::calibration::files::hand_eye::Mount;
 use crate::cell::device::gripper::Channels;
-use crate::geometry::footprint::Footprint;
-use crate::geometry::pose::Pose2;
 use crate::motion::path::ArmModel;
 use crate::motion::pick_n_place::CycleParameters;
-use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
-use crate::time::Duration;
-use crate::units::Joints;
-use crate::vision::observe::reference::DriftLimits;
+use cell_values::time::Duration;
+use cell_values::units::Joints;
+use cell_vision::observe::reference::DriftLimits;
 use nalgebra::{Isometry3, Vector3};
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use rearrange::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 
 /// One kind of thing the cell may move.
 #[derive(Clone, Debug)]
@@ -153,7 +153,7 @@ impl CellModel {
 
     /// `table_from_camera` with the arm at `q`.
     pub fn camera_at(&self, q: &Joints) -> Isometry3<f64> {
-        let base_from_flange = crate::motion::kinematics::forward(&self.arm.dh, q);
+        let base_from_flange = ur_arm::kinematics::forward(&self.arm.dh, q);
         self.arm.base_from_table.inverse() * self.mount.base_from_camera(&base_from_flange)
     }
 

@@ -12,7 +12,7 @@ use crate::cell::supervisor::input::{Action, Outside};
 use crate::cell::supervisor::mode::{Mode, Pace};
 use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{Phase, Then, WorkStage};
-use crate::time::Timestamp;
+use cell_values::time::Timestamp;
 
 impl Supervisor {
     /// Carries an order out; the refusal, if it is refused.

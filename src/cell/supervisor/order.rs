@@ -4,10 +4,10 @@
 //! program can test and a sentence a person can act on.
 
 use crate::cell::code::Code;
-use crate::geometry::pose::Pose2;
-use crate::planning::plan::Objective;
-use crate::planning::solver::SolverKind;
-use crate::time::Duration;
+use cell_values::time::Duration;
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 
 /// Work to do: bring the named objects to their goals; the others may end anywhere.
 #[derive(Clone, Debug)]

@@ -5,12 +5,12 @@
 use crate::cell::device::gripper::Channels;
 use crate::cell::supervisor::input::CameraTrouble;
 use crate::cell::supervisor::order::JobOrder;
-use crate::geometry::pose::Pose2;
 use crate::motion::pick_n_place::PickNPlacePaths;
-use crate::time::Timestamp;
-use crate::units::Joints;
-use crate::vision::observe::View;
-use crate::wire::enumerations::RobotMode;
+use cell_values::time::Timestamp;
+use cell_values::units::Joints;
+use cell_vision::observe::View;
+use rearrange::geometry::pose::Pose2;
+use ur_wire::enumerations::RobotMode;
 
 /// What the cell is doing.
 #[derive(Debug)]

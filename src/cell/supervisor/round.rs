@@ -3,7 +3,7 @@
 //! What the supervisor does with it is in `visits`.
 
 use crate::motion::slow::{CalibrationBox, SlowFault};
-use crate::units::Joints;
+use cell_values::units::Joints;
 
 /// A round to be carried out.
 #[derive(Clone, Debug, PartialEq)]

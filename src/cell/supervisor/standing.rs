@@ -10,8 +10,8 @@ use crate::cell::orders::Reply;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, Outside};
 use crate::cell::supervisor::phase::{Then, UntilItStands};
-use crate::time::{Duration, Timestamp};
-use crate::wire::enumerations::RuntimeState;
+use cell_values::time::{Duration, Timestamp};
+use ur_wire::enumerations::RuntimeState;
 
 /// Longer than a stop by opcode and one by dashboard after it.
 const STANDS_WITHIN: Duration = Duration::from_millis(5500);

@@ -12,22 +12,22 @@ use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
 use crate::cell::supervisor::order::{ApprovalRule, JobEnd, JobOrder};
-use crate::geometry::footprint::Footprint;
-use crate::geometry::pose::Pose2;
-use crate::motion::kinematics::DhParameters;
 use crate::motion::path::{ArmLimits, ArmModel};
 use crate::motion::pick_n_place::CycleParameters;
-use crate::planning::plan::{Action as PlanAction, ActionKind, Objective};
-use crate::planning::solver::SolverKind;
-use crate::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
-use crate::time::{Duration, Timestamp};
-use crate::units::Joints;
-use crate::vision::foreign::{ForeignObject, ForeignReport, Hole};
-use crate::vision::observe::reference::{DriftLimits, LookShift, ReferenceCheck, ReferenceError};
-use crate::vision::observe::{ObjectEstimate, Observation};
-use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use cell_values::time::{Duration, Timestamp};
+use cell_values::units::Joints;
+use cell_vision::foreign::{ForeignObject, ForeignReport, Hole};
+use cell_vision::observe::reference::{DriftLimits, LookShift, ReferenceCheck, ReferenceError};
+use cell_vision::observe::{ObjectEstimate, Observation};
 use nalgebra::{Isometry3, Vector3};
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::plan::{Action as PlanAction, ActionKind, Objective};
+use rearrange::planning::solver::SolverKind;
+use rearrange::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use std::f64::consts::TAU;
+use ur_arm::kinematics::DhParameters;
+use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 const HOME: Joints = Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]);
 

@@ -14,8 +14,8 @@ use crate::cell::supervisor::mode::{EndFault, Mode};
 use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{Look, LookStage, Phase};
 use crate::cell::supervisor::round::RoundFault;
-use crate::time::{Duration, Timestamp};
-use crate::wire::enumerations::{RobotMode, SafetyMode};
+use cell_values::time::{Duration, Timestamp};
+use ur_wire::enumerations::{RobotMode, SafetyMode};
 
 /// After this long a held motion is given up: nobody can say what happened on the table meanwhile.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);

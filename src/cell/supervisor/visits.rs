@@ -10,9 +10,9 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, CameraTrouble, Outside};
 use crate::cell::supervisor::phase::{Phase, Visit};
 use crate::cell::supervisor::round::{Round, RoundFault, RoundOrder};
-use crate::motion::kinematics::forward;
 use crate::motion::slow::slow_move;
-use crate::time::{Duration, Timestamp};
+use cell_values::time::{Duration, Timestamp};
+use ur_arm::kinematics::forward;
 
 /// The arm counts as still below this joint speed, rad/s, for this long.
 const STILL_RAD_S: f64 = 5e-4;

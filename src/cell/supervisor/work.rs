@@ -9,12 +9,12 @@ use crate::cell::supervisor::input::{Action, Outside, Record};
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{Phase, RouteAction, Work, WorkStage};
-use crate::geometry::collision::penetration;
-use crate::geometry::footprint::Footprint;
-use crate::geometry::pose::Pose2;
 use crate::motion::pick_n_place::{PickNPlace, plan};
-use crate::planning::plan::ActionKind;
-use crate::time::Timestamp;
+use cell_values::time::Timestamp;
+use rearrange::geometry::collision::penetration;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::plan::ActionKind;
 
 impl Supervisor {
     /// Starts the next pick-n-place of the route, whose first action begins where its object was just seen.

@@ -2,7 +2,7 @@
 //!
 //! In: the command line. Out: the arguments; the shape of a part's figures.
 
-use crate::vision::detect::DetectSettings;
+use cell_vision::detect::DetectSettings;
 use std::path::PathBuf;
 
 /// Arguments of `celld bench vision`.

@@ -6,7 +6,7 @@
 use crate::bench::vision::{change, drift, foreign, hand_eye};
 use crate::cli::bench_vision::args::{BenchVisionArgs, Figures};
 use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
-use crate::vision::observe::reference::DriftLimits;
+use cell_vision::observe::reference::DriftLimits;
 use indicatif::ProgressBar;
 use std::fmt::Write;
 use std::sync::atomic::AtomicBool;

@@ -11,16 +11,16 @@ use crate::cli::calibrate::take::take;
 use crate::cli::daemon::open_camera;
 use crate::cli::markers::{grid, millimetres};
 use crate::cli::pictures::read_picture;
-use crate::cli::task::complain;
 use crate::config::load::load_cell;
-use crate::document::chain::chain;
 use crate::io::camera::CameraSource;
-use crate::io::clock::unix_now_s;
-use crate::io::files;
 use crate::jobs::utc;
-use crate::vision::board::Board;
-use crate::vision::detect::{DetectSettings, Detector, Family};
-use crate::vision::image::Image;
+use cell_edge::clock::unix_now_s;
+use cell_edge::files;
+use cell_edge::terminal::complain;
+use cell_values::image::Image;
+use cell_vision::board::Board;
+use cell_vision::detect::{DetectSettings, Detector, Family};
+use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `celld calibrate camera`.

@@ -6,12 +6,12 @@
 
 use crate::calibration::fit::Sample;
 use crate::cli::calibrate::round::SAMPLES;
-use crate::cli::task::complain;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::document::chain::chain;
-use crate::io::files;
-use crate::tabletop::instance::ObjectSpec;
+use cell_edge::files;
+use cell_edge::terminal::complain;
+use rearrange::document::chain::chain;
+use rearrange::tabletop::instance::ObjectSpec;
 use std::path::{Path, PathBuf};
 
 /// Shown under `celld calibrate empty --help`.

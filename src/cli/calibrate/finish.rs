@@ -13,13 +13,13 @@ use crate::calibration::fit::solve::{Solved, solve};
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::calibrate::round::{RoundArgs, Taken, Wanted};
 use crate::cli::calibrate::touch;
-use crate::cli::task::complain;
 use crate::config::calibrated::write_calibration;
 use crate::config::cell::CellConfig;
 use crate::config::setup::drawn;
-use crate::document::chain::chain;
-use crate::io::files;
-use crate::units::mm_from_m;
+use cell_edge::files;
+use cell_edge::terminal::complain;
+use cell_values::units::mm_from_m;
+use rearrange::document::chain::chain;
 
 /// Solves, reports, writes.
 pub(super) fn finish(

@@ -6,12 +6,12 @@
 
 use crate::calibration::fit::lens::{BoardView, LensSettings, uncovered};
 use crate::cli::calibrate::fault::{Fault, bad_input};
-use crate::cli::task::complain;
-use crate::document::chain::chain;
 use crate::io::camera::{CameraSource, FaultKind};
-use crate::io::files;
-use crate::vision::board::Board;
-use crate::vision::detect::{DetectSettings, Detector};
+use cell_edge::files;
+use cell_edge::terminal::complain;
+use cell_vision::board::Board;
+use cell_vision::detect::{DetectSettings, Detector};
+use rearrange::document::chain::chain;
 use std::path::Path;
 
 /// Pictures that may fail before it is given up, for each that is wanted.
@@ -82,8 +82,8 @@ mod tests {
     use crate::bench::vision::scene::bench_camera;
     use crate::io::camera::folder::FolderCamera;
     use crate::io::camera::supervised::Supervised;
-    use crate::vision::image::Image;
-    use crate::vision::image::quality::PictureLimits;
+    use cell_values::image::Image;
+    use cell_values::image::quality::PictureLimits;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 

@@ -8,7 +8,7 @@ use crate::bench::vision::scene::bench_camera;
 use crate::calibration::files::set::CalibrationSet;
 use crate::config::calibrated::read_calibration;
 use crate::config::setup::reference_markers;
-use crate::document::edit::{replace_once, replace_times};
+use crate::jobs::edit::{replace_once, replace_times};
 use camera::{CameraArgs, calibrate};
 use nalgebra::Isometry3;
 use rand::SeedableRng;
@@ -21,7 +21,7 @@ fn camera_args(images: &Path, out: &Path) -> CameraArgs {
         save: None,
         count: 0,
         board: [7, 5],
-        family: crate::vision::detect::Family::Tag36h11,
+        family: cell_vision::detect::Family::Tag36h11,
         first_id: 0,
         size_mm: 30.0,
         gap_mm: None,
@@ -59,7 +59,7 @@ fn a_folder_of_board_pictures_becomes_a_lens_file() {
     std::fs::write(folder.path().join("05.png"), &bytes[..bytes.len() / 2]).unwrap();
     let told = calibrate(&args).unwrap_err();
     assert!(told.code == 2 && told.message.contains("05.png"), "{told:?}");
-    let other = crate::vision::image::Image::filled(640, 480, [9; 3]).encode_png().unwrap();
+    let other = cell_values::image::Image::filled(640, 480, [9; 3]).encode_png().unwrap();
     std::fs::write(folder.path().join("05.png"), other).unwrap();
     assert!(calibrate(&args).unwrap_err().message.contains("640 x 480"));
 }
@@ -104,7 +104,7 @@ fn args_of(round: &Path, drop: Vec<usize>) -> RoundArgs {
 fn record(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::bench::vision::render::{Ground, Print, render};
     use crate::bench::vision::scene::{DEGRADE, looking_down};
-    use crate::vision::detect::Family;
+    use cell_vision::detect::Family;
     let set = read_calibration(config).unwrap();
     let [mount, table] = [flange_from_camera(&set), set.table.base_from_table];
     let mut random = ChaCha8Rng::seed_from_u64(2);
@@ -181,7 +181,7 @@ fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::bench::vision::scene::DEGRADE;
     use crate::calibration::drawn::CameraMount;
     use crate::calibration::fit::fixed::board_markers;
-    use crate::vision::detect::Family;
+    use cell_vision::detect::Family;
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
     let CameraMount::Fixed { base_from_camera, board, .. } = config.camera else { panic!("fixed") };
     let text = std::fs::read_to_string(&config.calibration.camera).unwrap();
@@ -229,8 +229,8 @@ fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
 #[test]
 fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
     use crate::calibration::drawn::CameraMount;
-    use crate::vision::board::Board;
-    use crate::vision::detect::Family;
+    use cell_vision::board::Board;
+    use cell_vision::detect::Family;
     let folder = tempfile::tempdir().unwrap();
     let mut config = cell(folder.path());
     let over = crate::bench::vision::scene::looking_down([0.25, 0.25], 0.95, [0.03, -0.02], 0.0);
@@ -418,10 +418,10 @@ struct Visited {
 
 /// Such a round in a changed cell, in which Ctrl-C is pressed with the first picture.
 fn visited(address: &str, change: impl FnOnce(&mut CellConfig, &Isometry3<f64>)) -> Visited {
-    use crate::sim::robot_server::RobotPorts;
+    use ur_sim::robot_server::RobotPorts;
     let folder = tempfile::tempdir().unwrap();
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let file = crate::config::load::load_sim(&root.join("config/sim.yaml")).unwrap();
+    let file = ur_sim::config::load::load_sim(&root.join("config/sim.yaml")).unwrap();
     let mut config = cell(folder.path());
     let devices = &mut config.devices;
     (devices.robot_host, devices.gripper_host) = (address.into(), address.into());
@@ -429,8 +429,8 @@ fn visited(address: &str, change: impl FnOnce(&mut CellConfig, &Isometry3<f64>))
     *host = address.into();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     runtime.block_on(async {
-        let sim = crate::cli::sim::sim_config(&file, address.parse().unwrap(), RobotPorts::REAL);
-        let sim = crate::sim::cell::start(sim).await.unwrap();
+        let sim = ur_sim::command::sim_config(&file, address.parse().unwrap(), RobotPorts::REAL);
+        let sim = ur_sim::cell::start(sim).await.unwrap();
         let flange = || sim.robot().controller().core.base_from_flange();
         let first = flange();
         change(&mut config, &first);

@@ -11,23 +11,23 @@ use crate::calibration::fit::HandEye;
 use crate::calibration::fit::touch::{Tie, TieLimits, TouchFit, TouchSettings, fit_touches, tie};
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::daemon::{open_shell, with_runtime};
-use crate::cli::task::complain;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::config::setup::reference_markers;
 use crate::daemon::shell::Shell;
-use crate::document::chain::chain;
-use crate::io::clock::unix_now_s;
-use crate::io::files;
 use crate::jobs::utc;
-use crate::motion::kinematics::{DhParameters, forward};
-use crate::units::{deg_from_rad, mm_from_m, rad_from_deg};
+use cell_edge::clock::unix_now_s;
+use cell_edge::files;
+use cell_edge::terminal::complain;
+use cell_values::units::{deg_from_rad, mm_from_m, rad_from_deg};
 use clap::Args;
 use nalgebra::{Isometry3, Point3};
+use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::sync::oneshot::error::TryRecvError;
+use ur_arm::kinematics::{DhParameters, forward};
 
 /// Shown under `celld calibrate touches --help`.
 pub(super) const HELP: &str = "\

@@ -9,25 +9,27 @@ use crate::cell::supervisor::model::ForeignRule;
 use crate::cli::demo::teach::{
     BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
 };
-use crate::cli::sim::{FOCAL_PX, PICTURE};
 use crate::config::cell::{
-    CalibrationFiles, CameraDevice, CellConfig, CupChannel, CupConfig, Devices, GripperConfig, MotionLimits,
-    PlannerConfig, ReferenceMarkerConfig, SimulationConfig, Tolerances, WorkspaceConfig,
+    CalibrationFiles, CameraDevice, CellConfig, Devices, MotionLimits, PlannerConfig, SimulationConfig,
+    Tolerances, WorkspaceConfig,
 };
 use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
-use crate::config::read_sim::DEFAULT_ERRORS;
 use crate::config::setup::arm_model;
-use crate::config::simulated::{SimFile, SimMount, SimPorts};
 use crate::jobs::policy::{Approval, JobObjective};
-use crate::motion::kinematics::{ARM_MODELS, DhParameters};
-use crate::tabletop::instance::{Instance, ObjectSpec};
-use crate::units::Joints;
-use crate::vision::image::quality::PictureLimits;
+use cell_parts::gripper::{CupChannel, CupConfig, GripperConfig};
+use cell_parts::reference::ReferenceMarkerConfig;
+use cell_values::image::quality::PictureLimits;
+use cell_values::units::Joints;
 use nalgebra::Isometry3;
+use rearrange::tabletop::instance::{Instance, ObjectSpec};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::net::IpAddr;
 use std::path::Path;
+use ur_arm::kinematics::{ARM_MODELS, DhParameters};
+use ur_sim::command::{FOCAL_PX, PICTURE};
+use ur_sim::config::read::DEFAULT_ERRORS;
+use ur_sim::config::{SimFile, SimMount, SimPorts};
 
 /// Distance of the camera over the table while looking, m.
 pub const LOOK_DISTANCE_M: f64 = 0.42;

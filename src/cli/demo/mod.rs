@@ -11,23 +11,23 @@ pub mod teach;
 pub mod watch;
 
 use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config};
-use crate::cli::sim::{FOCAL_PX, faults_of};
 use crate::cli::task::TaskArgs;
 use crate::cli::task::outln;
 use crate::cli::values;
 use crate::config::cell::CellConfig;
 use crate::config::setup::{CUP_MARGIN_M, check_reach};
-use crate::io::priority;
 use crate::jobs::policy::JobObjective;
-use crate::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
-use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
-use crate::tabletop::room::Cup;
-use crate::tabletop::scenes::{SCENES, scene};
+use cell_edge::priority;
 use clap::Args;
+use rearrange::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
+use rearrange::tabletop::instance::{Instance, ObjectSpec, Workspace};
+use rearrange::tabletop::room::Cup;
+use rearrange::tabletop::scenes::{SCENES, scene};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use ur_sim::command::{FOCAL_PX, faults_of};
 
 /// Tables up to this size are proposed, m.
 const LARGEST_TABLE_M: f64 = 0.8;
@@ -57,7 +57,7 @@ pub struct DemoArgs {
     #[arg(long, default_value_t = 2.0, value_name = "S", value_parser = values::planning_seconds)]
     time_limit: f64,
     /// Simulated seconds per second.
-    #[arg(long, default_value_t = 5.0, value_name = "F", value_parser = values::time_factor)]
+    #[arg(long, default_value_t = 5.0, value_name = "F", value_parser = ur_sim::command::time_factor)]
     time_factor: f64,
     /// Loopback address of the simulated devices.
     #[arg(long, default_value = "127.0.0.1", value_parser = values::loopback)]

@@ -3,10 +3,10 @@
 //!
 //! In: table size, the nominal arm and camera. Out: joint poses that the path check accepts. Pure.
 
-use crate::geometry::pose::{Pose2, rotation_from_axes};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, Segment};
-use crate::units::Joints;
+use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rearrange::geometry::pose::{Pose2, rotation_from_axes};
 
 /// Reference markers: black square edge, distance of their centres from the table's edges, first id.
 pub const REFERENCE_SIZE_M: f64 = 0.03;
@@ -182,9 +182,9 @@ fn looking(eye: [f64; 3], target: [f64; 3], roll: f64) -> Isometry3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::kinematics::{DhParameters, forward};
     use crate::motion::path::ArmLimits;
     use std::f64::consts::TAU;
+    use ur_arm::kinematics::{DhParameters, forward};
 
     fn model(width: f64) -> ArmModel {
         ArmModel {

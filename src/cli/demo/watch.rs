@@ -7,13 +7,13 @@ use crate::cell::supervisor::order::JobReport;
 use crate::cli::recorder::Recorder;
 use crate::daemon::heard::Shown;
 use crate::daemon::shell::{Observer, Scene};
-use crate::geometry::pose::Pose2;
 use crate::report::run::LogRow;
-use crate::time::Timestamp;
-use crate::vision::annotate::draw_detections;
-use crate::vision::image::Image;
-use crate::vision::observe::Observation;
+use cell_values::image::Image;
+use cell_values::time::Timestamp;
+use cell_vision::annotate::draw_detections;
+use cell_vision::observe::Observation;
 use indicatif::{ProgressBar, ProgressStyle};
+use rearrange::geometry::pose::Pose2;
 
 /// One step of a route: object, from, to, whether `to` is its goal.
 pub type RouteStep = (String, Pose2, Pose2, bool);
@@ -83,7 +83,7 @@ impl Watch {
         self.recorder.close()
     }
 
-    fn picture(&mut self, image: &Image, detections: &[crate::vision::detect::Detection]) {
+    fn picture(&mut self, image: &Image, detections: &[cell_vision::detect::Detection]) {
         if self.look_over {
             self.look.clear();
             self.look_over = false;

@@ -5,9 +5,9 @@
 
 use super::args::{SimulateArgs, keep_trace};
 use super::table::stage;
-use crate::cli::task::{complain, print};
 use crate::pair::eyes::Eye;
 use crate::pair::storm::{Aftermath, Strike, fewest, storm, strikes};
+use cell_edge::terminal::{complain, print};
 use indicatif::ProgressBar;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use std::collections::BTreeMap;

@@ -2,19 +2,19 @@
 
 use crate::cli::daemon::machine_parameters;
 use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config, sim_file};
-use crate::cli::sim::{FOCAL_PX, sim_config};
 use crate::config::cell::CellConfig;
 use crate::config::setup::CUP_MARGIN_M;
-use crate::config::simulated::SimFile;
 use crate::jobs::policy::JobObjective;
 use crate::pair::eyes::Eye;
 use crate::pair::stage::Stage;
-use crate::sim::robot_server::RobotPorts;
-use crate::tabletop::fit::{Requirements, fit};
-use crate::tabletop::parse::parse_instance;
-use crate::tabletop::room::Cup;
+use rearrange::tabletop::fit::{Requirements, fit};
+use rearrange::tabletop::parse::parse_instance;
+use rearrange::tabletop::room::Cup;
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
+use ur_sim::command::{FOCAL_PX, sim_config};
+use ur_sim::config::SimFile;
+use ur_sim::robot_server::RobotPorts;
 
 /// Six objects on a small table: enough for buffers, small enough for thousands of jobs.
 const TABLE: &str = "\

@@ -4,9 +4,9 @@
 //! which the cell names the fault in a job's result.
 
 use crate::io::camera::realsense::sdk::SdkError;
-use crate::vision::camera::CameraModelError;
-use crate::vision::image::ImageError;
-use crate::vision::image::quality::PictureFault;
+use cell_values::image::ImageError;
+use cell_values::image::quality::PictureFault;
+use cell_vision::camera::CameraModelError;
 use std::path::PathBuf;
 use std::time::Duration;
 

@@ -6,8 +6,8 @@
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
-use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
+use cell_values::image::Image;
+use cell_vision::camera::CameraModel;
 use std::path::{Path, PathBuf};
 
 /// Pictures in a folder.

@@ -6,10 +6,10 @@
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
-use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
-use crate::vision::image::depth::DepthImage;
-use crate::vision::image::depth::UNIT_M;
+use cell_values::image::Image;
+use cell_values::image::depth::DepthImage;
+use cell_values::image::depth::UNIT_M;
+use cell_vision::camera::CameraModel;
 use std::time::Duration;
 
 /// Largest answer read, bytes.

@@ -5,7 +5,7 @@
 //! computer.
 
 use crate::io::camera::{CameraError, CameraSource, FaultKind, Frame};
-use crate::vision::camera::CameraModel;
+use cell_vision::camera::CameraModel;
 
 /// How the camera is opened.
 pub type Open = Box<dyn FnMut() -> Result<Box<dyn CameraSource>, CameraError> + Send>;
@@ -91,7 +91,7 @@ impl CameraSource for LateCamera {
 mod tests {
     use super::*;
     use crate::io::camera::folder::FolderCamera;
-    use crate::vision::image::Image;
+    use cell_values::image::Image;
     use std::path::Path;
 
     fn away() -> CameraError {

@@ -2,7 +2,7 @@
 //!
 //! In: a matrix as OpenCV's readers give it. Out: an [`Image`], or why the matrix is none.
 
-use crate::vision::image::Image;
+use cell_values::image::Image;
 use opencv::core::{Mat, MatTraitConst, MatTraitConstManual};
 
 /// OpenCV's blue, green, red in our order.

@@ -9,9 +9,9 @@ pub mod sdk;
 
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Exposure, Frame};
-use crate::vision::camera::{CameraModel, FactoryDistortion, FactoryLens};
-use crate::vision::image::Image;
-use crate::vision::image::depth::DepthImage;
+use cell_values::image::Image;
+use cell_values::image::depth::DepthImage;
+use cell_vision::camera::{CameraModel, FactoryDistortion, FactoryLens};
 use sdk::{Align, Context, Device, Frames, Pipeline, Sdk, SdkError, Stream};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

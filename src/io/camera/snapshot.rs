@@ -9,8 +9,8 @@
 use crate::io::camera::http::Client;
 use crate::io::camera::watch::{Watch, content};
 use crate::io::camera::{CameraError, CameraSource, Frame};
-use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
+use cell_values::image::Image;
+use cell_vision::camera::CameraModel;
 use std::time::{Duration, Instant};
 
 /// Between two requests for a picture that is not renewed yet.

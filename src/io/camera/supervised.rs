@@ -6,8 +6,8 @@
 
 use crate::io::camera::ladder::{Step, Tried, next};
 use crate::io::camera::{CameraError, CameraSource, Frame};
-use crate::vision::camera::CameraModel;
-use crate::vision::image::quality::{PictureLimits, judge, measure};
+use cell_values::image::quality::{PictureLimits, judge, measure};
+use cell_vision::camera::CameraModel;
 use std::time::{Duration, Instant};
 
 /// No further step is begun after this long: whoever waits for the picture has to hear something.
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
     use crate::io::camera::FaultKind;
     use crate::io::camera::watch::Watch;
-    use crate::vision::image::Image;
+    use cell_values::image::Image;
     use std::sync::{Arc, Mutex};
 
     /// What a made-up camera does with each picture it is asked for.

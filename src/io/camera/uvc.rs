@@ -8,7 +8,7 @@
 use crate::io::camera::mat::image_of;
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Exposure, Frame};
-use crate::vision::camera::CameraModel;
+use cell_vision::camera::CameraModel;
 use opencv::core::{Mat, MatTraitConst};
 use opencv::videoio::{
     CAP_PROP_AUTO_EXPOSURE, CAP_PROP_BUFFERSIZE, CAP_PROP_EXPOSURE, CAP_PROP_FPS, CAP_PROP_FRAME_HEIGHT,

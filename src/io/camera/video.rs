@@ -7,7 +7,7 @@
 use crate::io::camera::mat::image_of;
 use crate::io::camera::watch::Watch;
 use crate::io::camera::{CameraError, CameraSource, Frame};
-use crate::vision::camera::CameraModel;
+use cell_vision::camera::CameraModel;
 use opencv::core::{Mat, MatTraitConst};
 use opencv::videoio::{
     CAP_FFMPEG, CAP_PROP_POS_MSEC, VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst,

@@ -6,8 +6,8 @@
 //! its light.
 
 use crate::io::camera::{CameraError, Frame};
-use crate::vision::camera::CameraModel;
-use crate::vision::image::Image;
+use cell_values::image::Image;
+use cell_vision::camera::CameraModel;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// What the last good frame was.

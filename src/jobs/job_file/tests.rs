@@ -1,10 +1,10 @@
 //! Job files as people write them: whole, wrong in every key, torn, and with goals that cannot be.
 
 use super::*;
-use crate::geometry::footprint::Footprint;
 use crate::jobs::policy::JobObjective;
-use crate::tabletop::instance::ObjectSpec;
 use proptest::prelude::*;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::tabletop::instance::ObjectSpec;
 
 fn no_file(path: &str) -> Result<String, String> {
     match path {

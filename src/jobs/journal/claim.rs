@@ -2,8 +2,8 @@
 //!
 //! In: a checked job file, the transaction that is to claim it. Out: a free id, or what is known already.
 
-use crate::io::files::FileIdentity;
 use crate::jobs::record::JobSpec;
+use cell_edge::files::FileIdentity;
 use rusqlite::{OptionalExtension, Transaction};
 
 /// A checked job file about to be claimed.

@@ -3,10 +3,10 @@
 //! In: places and refusals. Out: what is not yet in its place. A place is written here after the file got
 //! there; whoever crashes in between finds both and finishes the work (`jobs::spool`).
 
-use crate::io::files::FileIdentity;
 use crate::jobs::journal::rows::source_text;
 use crate::jobs::journal::{Journal, JournalError, Rejection};
 use crate::jobs::record::JobRecord;
+use cell_edge::files::FileIdentity;
 use rusqlite::{OptionalExtension, Row, params};
 
 /// A job with the places of its files.

@@ -4,8 +4,8 @@
 //! identity (device, inode, size, time), so a crash between commit and rename is not a duplicate.
 
 use crate::cell::code::Code;
-use crate::io::files::FileIdentity;
 use crate::jobs::record::{JobRecord, JobResult, JobStatus, ObjectResult, StepPhase, StepRecord};
+use cell_edge::files::FileIdentity;
 use rusqlite::Row;
 
 /// The columns of a job, text not decoded yet.

@@ -1,9 +1,9 @@
 //! Claims, order, steps and recovery against a database on disk.
 
 use super::*;
-use crate::geometry::pose::Pose2;
-use crate::io::files::FileIdentity;
 use crate::jobs::record::{JobSpec, JobStatus, StepIntent, StepKind};
+use cell_edge::files::FileIdentity;
+use rearrange::geometry::pose::Pose2;
 
 const NOW: f64 = 1_795_248_000.0;
 

@@ -16,11 +16,11 @@ mod scan;
 mod tests;
 
 use crate::cell::code::Code;
-use crate::io::files::{FileError, create_folder};
 use crate::jobs::journal::JournalError;
 use crate::jobs::record::{JobSpec, quoted};
 use crate::jobs::utc;
-use crate::time::{Duration, Timestamp};
+use cell_edge::files::{FileError, create_folder};
+use cell_values::time::{Duration, Timestamp};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::os::unix::fs::MetadataExt;
@@ -201,7 +201,7 @@ pub enum SpoolEvent {
 /// A file that is being watched until it stops changing.
 #[derive(Clone, Copy, Debug)]
 struct Watched {
-    identity: crate::io::files::FileIdentity,
+    identity: cell_edge::files::FileIdentity,
     since: Timestamp,
 }
 

@@ -3,13 +3,13 @@
 //! In: journal rows that are not in place. Out: moved files. A file is recognised by its identity (device,
 //! inode, size, time): a new file of the same name is left to the next scan.
 
-use crate::io::files::{FileError, create_folder, identify, rename_new, sync_folder, write_atomic};
 use crate::jobs::journal::places::Placed;
 use crate::jobs::journal::rows::source_text;
 use crate::jobs::journal::{Journal, Rejection};
 use crate::jobs::record::{JobRecord, JobState, JobStatus};
 use crate::jobs::spool::{Spool, SpoolError};
 use crate::jobs::utc;
+use cell_edge::files::{FileError, create_folder, identify, rename_new, sync_folder, write_atomic};
 use std::path::{Path, PathBuf};
 
 impl Spool {
@@ -102,7 +102,7 @@ impl Spool {
         let file = folder.join("job.yaml");
         if let Some(source) = source {
             match rename_new(source, &file) {
-                Err(error) if error.is_present() => crate::io::files::remove(source)?,
+                Err(error) if error.is_present() => cell_edge::files::remove(source)?,
                 other => other?,
             }
             self.point()?;

@@ -4,12 +4,12 @@
 //! is read is watched again; a file that cannot be handled stays and is reported once.
 
 use crate::cell::code::Code;
-use crate::io::files::{FileError, FileIdentity, Unfit, identify, read_regular, remove};
 use crate::jobs::journal::places::NewRejection;
 use crate::jobs::journal::{Claim, Journal, NewJob};
 use crate::jobs::spool::names::{id_of_file, is_plain_name, is_unfinished_name, plain_name};
 use crate::jobs::spool::{ReadJob, Refusal, Spool, SpoolError, SpoolEvent, Watched};
-use crate::time::Timestamp;
+use cell_edge::files::{FileError, FileIdentity, Unfit, identify, read_regular, remove};
+use cell_values::time::Timestamp;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 

@@ -7,9 +7,9 @@ use crate::cell::device::robot::Robot;
 use crate::cell::device::robot::parts::{ArmGoal, ArmWait, Program};
 use crate::cell::device::robot_types::{Link, Refused, RobotCommand, RobotEvent, RobotState};
 use crate::motion::path::CheckedPath;
-use crate::time::{Duration, Timestamp};
-use crate::wire::dashboard::Command;
-use crate::wire::enumerations::{RobotMode, RuntimeState};
+use cell_values::time::{Duration, Timestamp};
+use ur_wire::dashboard::Command;
+use ur_wire::enumerations::{RobotMode, RuntimeState};
 
 /// The real arm takes 3 to 8 s to power on and 2 to 5 s to release its brakes.
 const ARM_WITHIN: Duration = Duration::from_secs(30);

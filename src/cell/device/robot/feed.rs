@@ -7,9 +7,9 @@ use crate::cell::device::robot::Robot;
 use crate::cell::device::robot::parts::{Program, SEND_WITHIN, Setup};
 use crate::cell::device::robot_types::{Link, ProgramEnd, Refused, RobotEvent, RobotState};
 use crate::cell::device::stream::Done;
-use crate::time::{Duration, Timestamp};
-use crate::wire::enumerations::RuntimeState;
+use cell_values::time::{Duration, Timestamp};
 use nalgebra::{Isometry3, Vector3};
+use ur_wire::enumerations::RuntimeState;
 
 /// From payload or TCP being set to the controller showing it.
 const SETUP_WITHIN: Duration = Duration::from_secs(1);

@@ -8,9 +8,9 @@ use crate::cell::device::registers::{Opcode, ProgramStatus};
 use crate::cell::device::robot::Robot;
 use crate::cell::device::robot::parts::{Program, Setup};
 use crate::cell::device::robot_types::{Link, ProgramEnd, Refused, RobotEvent, RobotState};
-use crate::time::{Duration, Timestamp};
-use crate::wire::dashboard::Command;
-use crate::wire::enumerations::RuntimeState;
+use cell_values::time::{Duration, Timestamp};
+use ur_wire::dashboard::Command;
+use ur_wire::enumerations::RuntimeState;
 
 /// Heartbeat period: five of them fit into the program's watchdog twice over.
 const HEARTBEAT_EVERY: Duration = Duration::from_millis(20);

@@ -8,10 +8,10 @@ use crate::cell::device::robot::Robot;
 use crate::cell::device::robot::parts::{Identity, PoweringOff};
 use crate::cell::device::robot_types::{Link, ProgramEnd, RobotEvent, RobotState};
 use crate::cell::device::rtde_session::RtdeEvent;
-use crate::motion::kinematics::DhParameters;
-use crate::time::{Duration, Timestamp};
-use crate::wire::dashboard::{Command, Reply};
-use crate::wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use cell_values::time::{Duration, Timestamp};
+use ur_arm::kinematics::DhParameters;
+use ur_wire::dashboard::{Command, Reply};
+use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// The real arm takes 3 to 8 s to power on and 2 to 5 s to release its brakes.
 const POWERED_WITHIN: Duration = Duration::from_secs(15);

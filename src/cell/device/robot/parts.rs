@@ -5,9 +5,9 @@
 
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::{ProgramEnd, RobotState};
-use crate::time::{Duration, Timestamp};
-use crate::wire::dashboard::Command;
-use crate::wire::enumerations::{RobotMode, SafetyMode};
+use cell_values::time::{Duration, Timestamp};
+use ur_wire::dashboard::Command;
+use ur_wire::enumerations::{RobotMode, SafetyMode};
 
 /// Commands that the program could take may be held back (stale state, remote control unknown) this long.
 pub const SEND_WITHIN: Duration = Duration::from_secs(5);

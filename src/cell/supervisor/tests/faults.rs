@@ -3,10 +3,10 @@
 use super::*;
 use crate::cell::device::robot_types::ProgramEnd;
 use crate::cell::supervisor::input::CameraTrouble;
-use crate::geometry::footprint::Footprint;
-use crate::motion::kinematics::DhParameters;
 use crate::motion::path::Segment;
 use crate::motion::pick_n_place::tool_down;
+use rearrange::geometry::footprint::Footprint;
+use ur_arm::kinematics::DhParameters;
 
 /// At the plan request, then on the way to the pick.
 pub(super) fn working() -> Bench {

@@ -3,15 +3,15 @@
 //! by the simulator.
 
 use crate::cell::device::robot_types::Link;
-use crate::time::{Duration, Timestamp};
-use crate::wire::dashboard::{self, Command, LineSplitter};
-use crate::wire::primary::Package;
-use crate::wire::primary_message::{Message, MessageBody, PROGRAM_STOPPED};
-use crate::wire::primary_state::{KinematicsData, SubPackage};
-use crate::wire::rtde::{ControllerVersion, Reply, Request, Splitter, Version};
-use crate::wire::rtde_values::{Leftover, Offer, Recipe, Value};
-use crate::wire::rtde_variables::{Register, input_type, output_type};
+use cell_values::time::{Duration, Timestamp};
 use std::collections::{BTreeMap, VecDeque};
+use ur_wire::dashboard::{self, Command, LineSplitter};
+use ur_wire::primary::Package;
+use ur_wire::primary_message::{Message, MessageBody, PROGRAM_STOPPED};
+use ur_wire::primary_state::{KinematicsData, SubPackage};
+use ur_wire::rtde::{ControllerVersion, Reply, Request, Splitter, Version};
+use ur_wire::rtde_values::{Leftover, Offer, Recipe, Value};
+use ur_wire::rtde_variables::{Register, input_type, output_type};
 
 pub struct Fake {
     out: VecDeque<(Link, Vec<u8>)>,
@@ -217,7 +217,7 @@ impl Fake {
     fn offers(
         &self,
         names: &[String],
-        kind: fn(&str) -> Option<crate::wire::rtde_values::VariableType>,
+        kind: fn(&str) -> Option<ur_wire::rtde_values::VariableType>,
     ) -> Vec<Offer> {
         let offer = |name: &String| {
             if self.in_use.contains(name) {

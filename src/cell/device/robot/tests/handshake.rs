@@ -3,7 +3,7 @@
 use super::{Rig, path};
 use crate::cell::device::robot::tests::HOME;
 use crate::cell::device::robot_types::{Link, Refused, RobotCommand, RobotEvent};
-use crate::wire::enumerations::{RobotMode, SafetyMode};
+use ur_wire::enumerations::{RobotMode, SafetyMode};
 
 #[test]
 fn all_links_come_up_and_tell_who_the_robot_is() {

@@ -7,13 +7,13 @@ mod running;
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot::Robot;
 use crate::cell::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters};
-use crate::motion::kinematics::DhParameters;
 use crate::motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
-use crate::time::{Duration, Timestamp};
-use crate::units::Joints;
+use cell_values::time::{Duration, Timestamp};
+use cell_values::units::Joints;
 use fake::Fake;
 use nalgebra::Isometry3;
 use std::f64::consts::{FRAC_PI_2, TAU};
+use ur_arm::kinematics::DhParameters;
 
 /// Session, controller and the wires between them.
 struct Rig {

@@ -4,8 +4,8 @@ use super::{Rig, path};
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot::tests::HOME;
 use crate::cell::device::robot_types::{Link, Refused, RobotCommand, RobotEvent};
-use crate::time::Duration;
-use crate::units::Joints;
+use cell_values::time::Duration;
+use cell_values::units::Joints;
 
 fn turned(by: f64) -> Joints {
     let mut q = HOME;

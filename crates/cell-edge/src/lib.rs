@@ -1,0 +1,15 @@
+//! The edge that the processes of a cell share: the clock that both sides follow (`clock`), thread
+//! priorities (`priority`), files that survive a power cut (`files`), what a command prints, reads and logs
+//! (`terminal`).
+//!
+//! Everything here touches the machine it runs on; what is computed from it lies elsewhere.
+
+pub mod clock;
+pub mod files;
+pub mod priority;
+pub mod terminal;
+
+/// The example of the README, run by `cargo test --doc`.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

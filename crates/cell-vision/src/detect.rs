@@ -1,0 +1,458 @@
+//! Finds markers in a grey picture, with sub-pixel corners.
+//!
+//! In: [`GrayImage`], [`DetectSettings`], the [`Family`]s looked for. Out: [`Detection`]s, sorted by id.
+//! Wraps the AprilTag C library 3.2 (crate `apriltag`), with `family` the only place that calls it. Its
+//! corners put the centre of the first pixel at (0.5, 0.5); half a pixel is taken off here, once, because
+//! OpenCV and everything after this counts from (0, 0) (0.4 mm at 0.5 m if forgotten). `refine` then finds
+//! the corners three times as exactly as the library's own refinement; OpenCV's `cornerSubPix` makes them
+//! worse.
+
+pub mod again;
+pub mod family;
+
+pub use family::Family;
+
+use crate::refine;
+use cell_values::image::{GrayImage, MAX_EDGE};
+use serde::Serialize;
+
+/// What the detector looks for and how hard.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DetectSettings {
+    /// Quads are searched on a picture this much smaller: 1.5 halves the time, and `sharpen_px` makes good
+    /// what it loses. Corners are as exact with any.
+    pub decimate: f32,
+    /// Unsharp mask before quads are searched, standard deviation, pixels of the smaller picture; 0 for none.
+    /// It keeps a marker's white ring apart from its black square where something bright or dark lies close
+    /// by.
+    pub sharpen_px: f32,
+    /// Exponent of a curve over the grey levels before anything is searched, 0.25 to 2; below 1 it lifts the
+    /// dark ones. The library parts black from white half-way between the darkest and the brightest pixel
+    /// near by. Where a sheet of paper brighter than the marker's white lies at its ring, half-way is above
+    /// the ring; it is not on a curve that tells dark greys better apart than bright ones, as the eye does.
+    /// The library's own corners, which stand where ours find no clear step, lie a fraction of a pixel inside
+    /// the square's on it.
+    pub tone: f32,
+    /// Threads of the library, 1 to 16.
+    pub threads: u8,
+    /// Wrong bits repaired, 0 to 2; 2 brings false ids.
+    pub bits_corrected: u8,
+    /// Places where brightest and darkest differ less than this are not searched, grey levels on the curve:
+    /// about the noise's range (5 standard deviations) and below the contrast of any marker worth reading.
+    /// Five times as fast as searching noise.
+    pub contrast_min: u8,
+    /// Detections with less contrast between their bits and the threshold are dropped, grey levels on the
+    /// curve: 20 are 40 between black and white, and 53 of the picture's where the curve is flattest, among
+    /// the brightest.
+    pub decision_margin_min: f64,
+    /// Detections with shorter edges are dropped, pixels: 3 px a module and less is guesswork.
+    pub edge_min_px: f64,
+    /// Corners by our own fit to the sides (`refine`); without it they are the library's.
+    pub sub_pixel: bool,
+}
+
+impl Default for DetectSettings {
+    fn default() -> DetectSettings {
+        DetectSettings {
+            decimate: 1.5,
+            sharpen_px: 1.1,
+            tone: 0.75,
+            threads: 2,
+            bits_corrected: 1,
+            contrast_min: 24,
+            decision_margin_min: 20.0,
+            edge_min_px: 14.0,
+            sub_pixel: true,
+        }
+    }
+}
+
+/// Nearer to the picture's border than this a corner may be where the border cuts a side, pixels.
+const BORDER_PX: f64 = 3.0;
+
+/// A marker seen in a picture.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Detection {
+    /// The family's name.
+    pub family: String,
+    /// Number within the family.
+    pub id: u32,
+    /// Corners of the black square, pixels (column, row; (0, 0) is the centre of the first pixel), in the
+    /// marker frame (x right, y up as one reads the print): (-,-), (+,-), (+,+), (-,+).
+    pub corners: [[f64; 2]; 4],
+    /// Mean contrast of the bits against the decision threshold, grey levels on the detector's tone curve.
+    pub decision_margin: f64,
+    /// Bits that had to be repaired.
+    pub hamming: u8,
+}
+
+impl Detection {
+    /// Where the marker's centre appears: the crossing of the diagonals, pixels.
+    pub fn centre(&self) -> [f64; 2] {
+        let [a, b, c, d] = self.corners;
+        let (ac, bd) = ([c[0] - a[0], c[1] - a[1]], [d[0] - b[0], d[1] - b[1]]);
+        let cross = ac[0] * bd[1] - ac[1] * bd[0];
+        let along = ((b[0] - a[0]) * bd[1] - (b[1] - a[1]) * bd[0]) / cross;
+        if along.is_finite() {
+            return [a[0] + along * ac[0], a[1] + along * ac[1]];
+        }
+        [0, 1].map(|axis| self.corners.iter().map(|corner| corner[axis]).sum::<f64>() / 4.0)
+    }
+
+    /// Length of the shortest edge, pixels.
+    pub fn edge_min_px(&self) -> f64 {
+        let edge = |i: usize| {
+            let (a, b) = (self.corners[i], self.corners[(i + 1) % 4]);
+            (a[0] - b[0]).hypot(a[1] - b[1])
+        };
+        (0..4).map(edge).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Why there is no detector or no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum DetectError {
+    /// A setting is outside its range.
+    #[error("detector setting {name} = {value} is outside {range}")]
+    Setting {
+        /// Which setting.
+        name: &'static str,
+        /// What it is.
+        value: f64,
+        /// What it may be.
+        range: &'static str,
+    },
+    /// The library could not make what it needs (out of memory).
+    #[error("the AprilTag library could not {what}")]
+    Library {
+        /// What was tried.
+        what: &'static str,
+        /// What the crate says.
+        #[source]
+        source: apriltag::Error,
+    },
+    /// The picture is smaller than any marker, larger than the library can address, or not as long as it
+    /// says.
+    #[error(
+        "a {width} x {height} picture of {bytes} bytes cannot be searched (32 x 32 to {MAX_EDGE} x {MAX_EDGE})"
+    )]
+    Picture {
+        /// Pixels per row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// Bytes of pixels.
+        bytes: usize,
+    },
+}
+
+/// The marker detector with its decoding tables; make one and keep it.
+#[derive(Debug)]
+pub struct Detector {
+    settings: DetectSettings,
+    families: Vec<Family>,
+    /// What each grey level becomes before the library sees it.
+    curve: [u8; 256],
+    library: apriltag::Detector,
+}
+
+// SAFETY: the C detector is owned by this value alone (never cloned, its pointer never leaves this module),
+// keeps no thread-local state between calls, and its worker threads end before `apriltag_detector_detect`
+// returns.
+#[allow(unsafe_code)]
+unsafe impl Send for Detector {}
+
+impl Detector {
+    /// A detector of the cell's own family with these settings.
+    ///
+    /// # Errors
+    /// `Setting` for a value outside its range, `Library` when the library has no memory.
+    pub fn new(settings: DetectSettings) -> Result<Detector, DetectError> {
+        Detector::of(&[Family::Tag36h11], settings)
+    }
+
+    /// A detector of several families. Those with tables of millions of codes (52h13, 49h12, 48h12) take a
+    /// while to make.
+    ///
+    /// # Errors
+    /// As [`Detector::new`]; `Library` also for no family at all.
+    pub fn of(families: &[Family], settings: DetectSettings) -> Result<Detector, DetectError> {
+        check(settings)?;
+        let mut families = families.to_vec();
+        families.sort_unstable();
+        families.dedup();
+        let mut builder = apriltag::Detector::builder();
+        for family in &families {
+            builder = builder.add_family_bits(family.library(), usize::from(settings.bits_corrected));
+        }
+        let library =
+            builder.build().map_err(|source| DetectError::Library { what: "make a detector", source })?;
+        let mut library = tuned(library, settings);
+        library.set_decimation(settings.decimate);
+        library.set_thread_number(settings.threads);
+        library.set_refine_edges(true);
+        // A negative blur is the library's word for sharpening.
+        library.set_sigma(-settings.sharpen_px);
+        Ok(Detector { settings, families, curve: curve(settings.tone), library })
+    }
+
+    /// The settings it was made with.
+    pub fn settings(&self) -> DetectSettings {
+        self.settings
+    }
+
+    /// All markers in the picture that pass the filters, sorted by id, then by margin (best first).
+    ///
+    /// # Errors
+    /// `Picture` if there is nothing to search, `Library` when the library has no memory.
+    pub fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>, DetectError> {
+        let image = library_image(picture, &self.curve)?;
+        let found = self.library.detect(&image).into_iter();
+        let mut found: Vec<(Detection, Family)> =
+            found.filter_map(|found| convert(found, &self.families)).collect();
+        found.retain(|(detection, _)| self.passes(detection));
+        let mut found: Vec<Detection> = found.into_iter().map(|found| self.sharpen(found, picture)).collect();
+        found.retain(|detection| inside(picture, detection));
+        found.sort_by(|a, b| a.id.cmp(&b.id).then(b.decision_margin.total_cmp(&a.decision_margin)));
+        Ok(found)
+    }
+
+    /// How many markers the library alone finds, before our filters: what a benchmark compares the whole
+    /// with.
+    ///
+    /// # Errors
+    /// As [`Detector::detect`].
+    pub fn library_alone(&mut self, picture: &GrayImage) -> Result<usize, DetectError> {
+        Ok(self.library.detect(&library_image(picture, &self.curve)?).len())
+    }
+
+    /// The detection with our own corners, where its sides show a clear step.
+    fn sharpen(&self, (detection, family): (Detection, Family), picture: &GrayImage) -> Detection {
+        let modules = family.square_modules() as f64;
+        let refined = self.settings.sub_pixel.then(|| refine::corners(picture, &detection.corners, modules));
+        Detection { corners: refined.flatten().unwrap_or(detection.corners), ..detection }
+    }
+
+    fn passes(&self, detection: &Detection) -> bool {
+        detection.corners.iter().flatten().all(|value| value.is_finite())
+            && detection.hamming <= self.settings.bits_corrected
+            && detection.decision_margin >= self.settings.decision_margin_min
+            && detection.edge_min_px() >= self.settings.edge_min_px
+    }
+}
+
+/// The library's quad thresholds set; the crate's own setter takes an angle where the library wants its
+/// cosine.
+#[allow(unsafe_code)]
+fn tuned(library: apriltag::Detector, settings: DetectSettings) -> apriltag::Detector {
+    let raw = library.into_raw();
+    // Outlines have about one point a pixel; four fifths, because the ends of a side are cut.
+    let outline = 0.8 * 4.0 * settings.edge_min_px / f64::from(settings.decimate);
+    // SAFETY: the pointer is the detector's own, alive and unshared until `from_raw` takes it back.
+    unsafe {
+        let thresholds = &mut (*raw.as_ptr()).qtp;
+        thresholds.min_white_black_diff = i32::from(settings.contrast_min);
+        thresholds.min_cluster_pixels = (outline as i32).max(thresholds.min_cluster_pixels);
+        apriltag::Detector::from_raw(raw.as_ptr())
+    }
+}
+
+/// True when the corners are far enough from the picture's border to be the marker's and not the border's: a
+/// square that the border cuts is read all the same, with two corners that are none.
+fn inside(picture: &GrayImage, detection: &Detection) -> bool {
+    let (right, below) = (f64::from(picture.width) - 1.0, f64::from(picture.height) - 1.0);
+    let within = |value: f64, high: f64| (BORDER_PX..=high - BORDER_PX).contains(&value);
+    detection.corners.iter().all(|[x, y]| within(*x, right) && within(*y, below))
+}
+
+fn check(settings: DetectSettings) -> Result<(), DetectError> {
+    let checks = [
+        ("decimate", f64::from(settings.decimate), 1.0, 4.0, "1 to 4"),
+        ("sharpen_px", f64::from(settings.sharpen_px), 0.0, 3.0, "0 to 3"),
+        ("tone", f64::from(settings.tone), 0.25, 2.0, "0.25 to 2"),
+        ("threads", f64::from(settings.threads), 1.0, 16.0, "1 to 16"),
+        ("bits_corrected", f64::from(settings.bits_corrected), 0.0, 2.0, "0 to 2"),
+        ("decision_margin_min", settings.decision_margin_min, 0.0, 255.0, "0 to 255"),
+        ("edge_min_px", settings.edge_min_px, 0.0, 1000.0, "0 to 1000"),
+    ];
+    for (name, value, low, high, range) in checks {
+        if !(low..=high).contains(&value) {
+            return Err(DetectError::Setting { name, value, range });
+        }
+    }
+    Ok(())
+}
+
+/// What each grey level becomes; black and white stay.
+fn curve(tone: f32) -> [u8; 256] {
+    std::array::from_fn(|level| (255.0 * (level as f32 / 255.0).powf(tone)).round() as u8)
+}
+
+/// The picture on the curve, in the library's own buffer, whose rows are padded.
+fn library_image(picture: &GrayImage, curve: &[u8; 256]) -> Result<apriltag::Image, DetectError> {
+    let (width, height) = (picture.width as usize, picture.height as usize);
+    let edges = 32..=MAX_EDGE;
+    let whole = picture.data.len() == width * height;
+    if !whole || !edges.contains(&picture.width) || !edges.contains(&picture.height) {
+        return Err(DetectError::Picture {
+            width: picture.width,
+            height: picture.height,
+            bytes: picture.data.len(),
+        });
+    }
+    let alignment = apriltag::image_buf::DEFAULT_ALIGNMENT_U8;
+    let mut image = apriltag::Image::zeros_with_alignment(width, height, alignment)
+        .map_err(|source| DetectError::Library { what: "hold the picture", source })?;
+    let stride = image.stride();
+    let rows = image.as_slice_mut().chunks_exact_mut(stride);
+    for (row, pixels) in rows.zip(picture.data.chunks_exact(width)) {
+        for (on_curve, &level) in row.iter_mut().zip(pixels) {
+            *on_curve = curve[usize::from(level)];
+        }
+    }
+    Ok(image)
+}
+
+/// The library's detection in our conventions: corner order stays, half a pixel comes off. `None` for a
+/// family that was not asked for, which cannot be.
+#[allow(unsafe_code)]
+fn convert(found: apriltag::Detection, families: &[Family]) -> Option<(Detection, Family)> {
+    let mut detection = Detection {
+        family: String::new(),
+        id: u32::try_from(found.id()).unwrap_or(u32::MAX),
+        corners: found.corners().map(|[x, y]| [x - 0.5, y - 0.5]),
+        decision_margin: f64::from(found.decision_margin()),
+        hamming: u8::try_from(found.hamming()).unwrap_or(u8::MAX),
+    };
+    let raw = found.into_raw().as_ptr();
+    // SAFETY: the detection is owned here until `from_raw` takes it back and frees it; its family lives as
+    // long as the detector, and the family's name is a string constant of the library.
+    let name = unsafe {
+        let name = std::ffi::CStr::from_ptr((*(*raw).family).name).to_str().ok().and_then(|n| n.parse().ok());
+        drop(apriltag::Detection::from_raw(raw));
+        name
+    };
+    let family = families.iter().copied().find(|family| Some(*family) == name)?;
+    family.name().clone_into(&mut detection.family);
+    Some((detection, family))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::marker;
+    use crate::testing::{self, Print, USUAL};
+    use rearrange::geometry::pose::Pose2;
+
+    /// Twelve markers of 25 mm spread over a 640 x 480 picture, every angle.
+    fn scene(first_id: u32) -> Vec<Print> {
+        (0..12)
+            .map(|i| {
+                let (column, row) = (f64::from(i % 4), f64::from(i / 4));
+                let pose = Pose2::new(0.062 * (column - 1.5), 0.066 * (row - 1.0), 0.55 * f64::from(i));
+                Print::level(first_id + i, 0.025, pose, 0.0)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn every_marker_is_found_with_corners_better_than_an_eighth_of_a_pixel() {
+        let camera = testing::camera(640, 480);
+        let mut detector = Detector::new(DetectSettings::default()).unwrap();
+        let mut errors = Vec::new();
+        for trial in 0..4 {
+            let prints = scene(12 * trial);
+            let table_from_camera =
+                testing::looking_down(0.0, 0.0, 0.4, [0.1, -0.15], 0.3 * f64::from(trial));
+            let picture = testing::render(&camera, &table_from_camera, &prints, USUAL, u64::from(trial));
+            let found = detector.detect(&picture).unwrap();
+            let ids: Vec<u32> = found.iter().map(|detection| detection.id).collect();
+            assert_eq!(ids, (12 * trial..12 * trial + 12).collect::<Vec<_>>());
+            for (detection, print) in found.iter().zip(&prints) {
+                let truth = print.corners(&camera, &table_from_camera);
+                for (a, b) in detection.corners.iter().zip(truth) {
+                    errors.push((a[0] - b[0]).hypot(a[1] - b[1]));
+                }
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        let (median, high) = (errors[errors.len() / 2], errors[errors.len() * 95 / 100]);
+        println!("corner error px: median {median:.3}, p95 {high:.3}, max {:.3}", errors[errors.len() - 1]);
+        // Half a pixel forgotten would be 0.7; the library's own refinement has 0.05 and 0.12.
+        assert!(median < 0.05 && high < 0.1, "median {median}, p95 {high}");
+    }
+
+    #[test]
+    fn corners_come_in_the_documented_order() {
+        let camera = testing::camera(640, 480);
+        // Camera level above the table: the marker's x goes right, its y up in the picture.
+        let table_from_camera = testing::looking_down(0.0, 0.0, 0.4, [0.0, 0.0], 0.0);
+        let prints = [Print::level(3, 0.04, Pose2::default(), 0.0)];
+        let picture = testing::render(&camera, &table_from_camera, &prints, USUAL, 1);
+        let found = Detector::new(DetectSettings::default()).unwrap().detect(&picture).unwrap();
+        let [a, b, c, d] = found[0].corners;
+        assert!(a[0] < b[0] && (a[1] - b[1]).abs() < 1.0, "lower left, lower right");
+        assert!(c[0] > d[0] && c[1] < b[1] && d[1] < a[1], "upper right, upper left");
+        let centre = found[0].centre();
+        // Edges along the pixel grid are the library's own worst case: up to 0.2 px.
+        assert!((centre[0] - camera.cx).hypot(centre[1] - camera.cy) < 0.08, "{centre:?}");
+    }
+
+    /// A dark print on ground as grey as its ring, 5 pixels a module, with white paper from `column` on.
+    fn beside_paper(column: usize) -> GrayImage {
+        let drawn = marker::draw(137, 5).unwrap();
+        let (edge, at, width) = (drawn.width as usize, 40, 130);
+        let mut data: Vec<u8> =
+            (0..width * width).map(|i| if i % width >= column { 255 } else { 110 }).collect();
+        for (row, pixels) in drawn.data.chunks_exact(edge).enumerate() {
+            let from = (at + row) * width + at;
+            for (pixel, &white) in data[from..from + edge].iter_mut().zip(pixels) {
+                *pixel = if white > 0 { 110 } else { 30 };
+            }
+        }
+        GrayImage { width: 130, height: 130, data }
+    }
+
+    #[test]
+    fn bright_paper_at_a_dark_markers_ring_does_not_hide_it() {
+        // Where the black square ends: 40 px, the ring and the eight modules of the square, to the middle of
+        // a pixel.
+        let is_read = |tone: f32, column: usize| {
+            let settings = DetectSettings { tone, ..DetectSettings::default() };
+            let found = Detector::new(settings).unwrap().detect(&beside_paper(column)).unwrap();
+            let right = found.iter().flat_map(|one| one.corners).map(|[x, _]| x).fold(0.0, f64::max);
+            found.len() == 1 && (right - 84.5).abs() < 1.0
+        };
+        for column in 88..98 {
+            assert!(is_read(DetectSettings::default().tone, column), "paper from column {column} on");
+        }
+        let hidden: Vec<usize> = (88..98).filter(|&column| !is_read(1.0, column)).collect();
+        println!("without the curve it is not read with paper from columns {hidden:?}");
+        assert!(!hidden.is_empty(), "without the curve it is read as well: nothing is shown here");
+    }
+
+    #[test]
+    fn a_drawn_marker_is_found_and_noise_is_not() {
+        let drawn = marker::draw(123, 12).unwrap();
+        let found = Detector::new(DetectSettings::default()).unwrap().detect(&drawn).unwrap();
+        assert_eq!(found.iter().map(|detection| detection.id).collect::<Vec<_>>(), [123]);
+        let camera = testing::camera(320, 240);
+        let noise = testing::Degrade { blur_px: 1.0, noise: 60.0, gradient: 1.0 };
+        let picture = testing::render(&camera, &nalgebra::Isometry3::identity(), &[], noise, 5);
+        assert!(Detector::new(DetectSettings::default()).unwrap().detect(&picture).unwrap().is_empty());
+    }
+
+    #[test]
+    fn broken_pictures_and_settings_are_errors() {
+        let mut detector = Detector::new(DetectSettings::default()).unwrap();
+        for (width, height, bytes) in [(0, 0, 0), (8, 8, 64), (640, 480, 100), (u32::MAX, 1, 5)] {
+            let picture = GrayImage { width, height, data: vec![0; bytes] };
+            assert!(matches!(detector.detect(&picture), Err(DetectError::Picture { .. })), "{picture:?}");
+        }
+        let slow = DetectSettings { decimate: f32::NAN, ..DetectSettings::default() };
+        assert!(Detector::new(slow).unwrap_err().to_string().contains("decimate"));
+        assert!(Detector::new(DetectSettings { threads: 0, ..DetectSettings::default() }).is_err());
+        let flat = DetectSettings { tone: 0.0, ..DetectSettings::default() };
+        assert!(Detector::new(flat).unwrap_err().to_string().contains("tone = 0 is outside 0.25 to 2"));
+    }
+}

@@ -1,0 +1,73 @@
+//! The largest piece of the table in which depth measured nothing.
+//!
+//! In: the height maps of a look, the cells in which none of them measured anything, the known objects. Out:
+//! [`Hole`]. Black, mirrors and clear glass leave such holes, and so do look poses that do not show all of
+//! the table: something may stand there unseen. Left out are what known objects hide from every look pose,
+//! and gaps too narrow for anything to stand in. Pure.
+
+use crate::foreign::body::KnownBody;
+use crate::foreign::height_map::{CELL_M, HeightMap};
+use rearrange::geometry::polygon::contains;
+use serde::Serialize;
+
+/// Heights at which the line from a cell to the camera is tried against a known object, as shares of that
+/// object's height.
+const TRIED: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
+
+/// A piece of the table in which nothing was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Hole {
+    /// Its size, m2.
+    pub area_m2: f64,
+    /// The mean of its cells, m, table frame.
+    pub centre: [f64; 2],
+}
+
+impl std::fmt::Display for Hole {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [x, y] = self.centre.map(|at| at * 1e3);
+        write!(f, "{:.0} cm2 in one piece about x = {x:.0} mm, y = {y:.0} mm", self.area_m2 * 1e4)
+    }
+}
+
+/// The cells of the `bare` table in which nothing was `measured` though no known object hides them from every
+/// look pose.
+pub(crate) fn unmeasured(
+    maps: &[&HeightMap],
+    bare: &[bool],
+    measured: &[bool],
+    known: &[KnownBody],
+) -> Vec<bool> {
+    let outlines: Vec<Vec<[f64; 2]>> = known.iter().map(|body| body.footprint.outline(64)).collect();
+    let hidden = |map: &HeightMap, at: [f64; 2]| {
+        known.iter().zip(&outlines).any(|(body, outline)| hides(body, outline, at, map.eye_m))
+    };
+    let open =
+        |cell: usize| bare[cell] && !measured[cell] && !maps.iter().all(|map| hidden(map, map.centre(cell)));
+    (0..bare.len()).map(open).collect()
+}
+
+/// The largest group of `open` cells into which a square of three cells fits, and what of it lies round such
+/// squares.
+pub(crate) fn largest(map: &HeightMap, open: &[bool]) -> Option<Hole> {
+    let wide: Vec<bool> =
+        (0..open.len()).map(|cell| open[cell] && map.neighbours(cell).all(|near| open[near])).collect();
+    let mut piece = vec![false; open.len()];
+    for cell in (0..open.len()).filter(|cell| wide[*cell]) {
+        piece[cell] = true;
+        map.neighbours(cell).for_each(|near| piece[near] = true);
+    }
+    let cells = map.groups(&piece).into_iter().max_by_key(Vec::len)?;
+    let mean =
+        |axis: usize| cells.iter().map(|cell| map.centre(*cell)[axis]).sum::<f64>() / cells.len() as f64;
+    Some(Hole { area_m2: cells.len() as f64 * CELL_M * CELL_M, centre: [mean(0), mean(1)] })
+}
+
+/// True when a body stands between a place on the table and the camera.
+pub(crate) fn hides(body: &KnownBody, outline: &[[f64; 2]], at: [f64; 2], eye_m: [f64; 3]) -> bool {
+    TRIED.iter().any(|share| {
+        let up = share * body.height_m / eye_m[2];
+        let on_line = [0, 1].map(|axis| at[axis] + (eye_m[axis] - at[axis]) * up);
+        contains(outline, body.pose.inverse_transform(on_line))
+    })
+}

@@ -1,0 +1,109 @@
+//! The search for foreign objects of one cell: everything it has to know, set up once.
+//!
+//! In: lens, workspace, catalogue, what never moves, what of the robot is in view, pictures of the empty
+//! table; then depth pictures (or pictures, where there is no depth), and the observation of the same look.
+//! Out: [`HeightMap`]s and a [`ForeignReport`]. Pure.
+
+use crate::camera::CameraModel;
+use crate::foreign::change::EmptyTable;
+use crate::foreign::{
+    Area, DepthLens, ForeignLimits, ForeignReport, HeightMap, HeightMapError, KnownBody, OwnBody, find,
+};
+use crate::observe::{Observation, View};
+use cell_values::image::Image;
+use cell_values::image::depth::DepthImage;
+use nalgebra::Isometry3;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::tabletop::instance::KeepOut;
+
+/// What the cell may have on its table.
+#[derive(Clone, Debug)]
+pub struct Inventory {
+    /// The part of the table that is searched.
+    pub area: Area,
+    /// What carries a marker: name, footprint, height in m.
+    pub objects: Vec<(String, Footprint, f64)>,
+    /// What stands there and never moves.
+    pub fixed: Vec<KnownBody>,
+    /// Where anything may stand: regions that are kept out of anyway.
+    pub ignored: Vec<KeepOut>,
+    /// The gripper, if the camera may see it.
+    pub own: Option<OwnBody>,
+}
+
+/// The search.
+#[derive(Clone, Debug)]
+pub struct ForeignSearch {
+    lens: DepthLens,
+    inventory: Inventory,
+    limits: ForeignLimits,
+    empty: Option<EmptyTable>,
+}
+
+impl ForeignSearch {
+    /// Prepares the search with this lens.
+    ///
+    /// # Errors
+    /// `Cv`.
+    pub fn new(
+        camera: &CameraModel,
+        inventory: Inventory,
+        limits: ForeignLimits,
+    ) -> Result<ForeignSearch, HeightMapError> {
+        Ok(ForeignSearch { lens: DepthLens::new(camera)?, inventory, limits, empty: None })
+    }
+
+    /// The same search of a table on which these bodies stand and never move.
+    pub fn with_fixed(mut self, fixed: Vec<KnownBody>) -> ForeignSearch {
+        self.inventory.fixed = fixed;
+        self
+    }
+
+    /// Compares colours with the empty table where there is no depth: its pictures, each with the camera's
+    /// place.
+    pub fn compare_with<'a>(&mut self, empty: impl Iterator<Item = (&'a Image, Isometry3<f64>)>) {
+        let mut table = EmptyTable::default();
+        for (image, table_from_camera) in empty {
+            table.add(image, &self.lens, &table_from_camera, self.inventory.area);
+        }
+        self.empty = Some(table);
+    }
+
+    /// What a colour picture says about the table, if it is known how the table looks when it is empty.
+    pub fn changed(&self, image: &Image, table_from_camera: &Isometry3<f64>) -> Option<HeightMap> {
+        let empty = self.empty.as_ref()?;
+        Some(empty.changed(image, &self.lens, table_from_camera, self.inventory.area))
+    }
+
+    /// What a depth picture says about the table.
+    ///
+    /// # Errors
+    /// `OtherSize`.
+    pub fn map(
+        &self,
+        depth: &DepthImage,
+        table_from_camera: &Isometry3<f64>,
+    ) -> Result<HeightMap, HeightMapError> {
+        HeightMap::new(depth, &self.lens, table_from_camera, self.inventory.area, self.inventory.own.as_ref())
+    }
+
+    /// What the height maps of a look's views show besides what was observed in them; `None` without any map.
+    pub fn report(&self, views: &[View], seen: &Observation) -> Option<ForeignReport> {
+        let maps: Vec<&HeightMap> = views.iter().filter_map(|view| view.heights.as_deref()).collect();
+        if maps.is_empty() {
+            return None;
+        }
+        let placed = |(id, footprint, height_m): &(String, Footprint, f64)| {
+            let pose = seen.object(id)?.pose;
+            Some(KnownBody { footprint: footprint.clone(), pose, height_m: *height_m })
+        };
+        let known: Vec<KnownBody> = self
+            .inventory
+            .objects
+            .iter()
+            .filter_map(placed)
+            .chain(self.inventory.fixed.iter().cloned())
+            .collect();
+        Some(find(&maps, &known, &self.inventory.ignored, &self.limits))
+    }
+}

@@ -1,0 +1,18 @@
+//! Text (YAML or JSON) to typed values, every complaint with line and column.
+//!
+//! `tree`: text to a tree of located values. `decode`: the tree to numbers, names, lists and maps, with all
+//! complaints collected before anything is refused. `write`: values back to YAML and JSON. `chain`: an error
+//! and its causes on one line. Pure: the text comes in, nothing is opened. JSON is read by the same parser:
+//! YAML 1.2 contains it.
+
+pub mod chain;
+mod complaint;
+pub mod decode;
+#[cfg(test)]
+#[path = "../../../../tests/it/edit.rs"]
+pub(crate) mod edit;
+pub mod tree;
+pub mod write;
+
+pub use complaint::{Complaint, Complaints, Location};
+pub use tree::{Node, parse};

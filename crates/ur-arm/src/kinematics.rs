@@ -1,0 +1,435 @@
+//! Forward and inverse kinematics of a UR arm, on nominal or calibrated Denavit-Hartenberg parameters.
+//!
+//! In: DH parameters (m, rad, standard convention) and joint positions or a `base_from_flange` pose.
+//! Out: the pose, the geometric Jacobian, or all joint solutions of the pose (2 shoulders x 2 wrists x 2
+//! elbows). Pure. The closed form (Hawkins, "Analytic inverse kinematics for the Universal Robots") holds for
+//! the nominal arm only: three parallel axes. A real arm's parameters deviate by its calibration, and its
+//! table may even trade large opposite offsets along the parallel axes, so each nominal solution is the
+//! start of a few Newton steps on the calibrated parameters.
+
+use cell_values::units::Joints;
+use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+/// Denavit-Hartenberg parameters, standard convention, base to wrist 3: m and rad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DhParameters {
+    /// Link lengths a, m.
+    pub a: [f64; 6],
+    /// Link offsets d, m.
+    pub d: [f64; 6],
+    /// Link twists alpha, rad.
+    pub alpha: [f64; 6],
+    /// Joint angle offsets, rad.
+    pub theta: [f64; 6],
+}
+
+impl DhParameters {
+    /// Nominal UR5e (the vendor's published table).
+    pub const UR5E: DhParameters = DhParameters::of([0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996]);
+
+    /// The six lengths (m) in which the vendor's arms differ: d1, a2, a3, d4, d5, d6.
+    const fn of([d1, a2, a3, d4, d5, d6]: [f64; 6]) -> DhParameters {
+        DhParameters {
+            a: [0.0, a2, a3, 0.0, 0.0, 0.0],
+            d: [d1, 0.0, 0.0, d4, d5, d6],
+            alpha: [FRAC_PI_2, 0.0, 0.0, FRAC_PI_2, -FRAC_PI_2, 0.0],
+            theta: [0.0; 6],
+        }
+    }
+}
+
+/// One of the vendor's arms.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmModel {
+    /// The vendor's name.
+    pub name: &'static str,
+    /// Nominal parameters.
+    pub dh: DhParameters,
+    /// Fastest speed of each joint, rad/s.
+    pub joint_speed: [f64; 6],
+}
+
+const SLOW: f64 = 120.0 / 180.0 * PI;
+const WRIST: f64 = 210.0 / 180.0 * PI;
+const LARGE: [f64; 6] = [SLOW, SLOW, PI, PI, PI, PI];
+const SMALL: [f64; 6] = [PI, PI, PI, TAU, TAU, TAU];
+const HEAVY: [f64; 6] = [SLOW, SLOW, 150.0 / 180.0 * PI, WRIST, WRIST, WRIST];
+
+/// The arms whose published figures two sources agree on: the vendor's article on DH parameters, and the
+/// vendor's public robot descriptions or the parameter tables of others. Speeds: the vendor's joint limits.
+pub const ARM_MODELS: &[ArmModel] = &[
+    ArmModel { name: "UR5e", dh: DhParameters::UR5E, joint_speed: [PI; 6] },
+    ArmModel {
+        name: "UR3e",
+        dh: DhParameters::of([0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921]),
+        joint_speed: SMALL,
+    },
+    ArmModel {
+        name: "UR10e",
+        dh: DhParameters::of([0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655]),
+        joint_speed: LARGE,
+    },
+    ArmModel {
+        name: "UR16e",
+        dh: DhParameters::of([0.1807, -0.4784, -0.36, 0.17415, 0.11985, 0.11655]),
+        joint_speed: LARGE,
+    },
+    ArmModel {
+        name: "UR20",
+        dh: DhParameters::of([0.2363, -0.862, -0.7287, 0.201, 0.1593, 0.1543]),
+        joint_speed: HEAVY,
+    },
+    ArmModel {
+        name: "UR30",
+        dh: DhParameters::of([0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543]),
+        joint_speed: HEAVY,
+    },
+    ArmModel {
+        name: "UR3",
+        dh: DhParameters::of([0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819]),
+        joint_speed: SMALL,
+    },
+    ArmModel {
+        name: "UR5",
+        dh: DhParameters::of([0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823]),
+        joint_speed: [PI; 6],
+    },
+    ArmModel {
+        name: "UR10",
+        dh: DhParameters::of([0.1273, -0.612, -0.5723, 0.163941, 0.1157, 0.0922]),
+        joint_speed: LARGE,
+    },
+];
+
+/// The nominal arm that calibrated parameters belong to. The offsets d2 and d3 along the parallel axes say
+/// nothing: a calibration trades them against each other.
+fn nominal_of(dh: &DhParameters) -> &'static DhParameters {
+    let distance = |other: &DhParameters| {
+        let a = (0..6).map(|i| (dh.a[i] - other.a[i]).abs()).sum::<f64>();
+        a + [0, 4, 5].map(|i: usize| (dh.d[i] - other.d[i]).abs()).iter().sum::<f64>()
+    };
+    ARM_MODELS
+        .iter()
+        .map(|model| &model.dh)
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        .unwrap_or(&DhParameters::UR5E)
+}
+
+/// Newton stops when the pose error (m and rad together) is below this; the controller's own
+/// `get_inverse_kin` works to 1e-10.
+const POSE_TOLERANCE: f64 = 1e-11;
+
+/// Newton steps before a start is given up; a nominal start needs three or four.
+const MAX_NEWTON_STEPS: usize = 20;
+
+/// `base_from_flange` for joint positions `q`.
+pub fn forward(dh: &DhParameters, q: &Joints) -> Isometry3<f64> {
+    (0..6).fold(Isometry3::identity(), |base_from_link, i| base_from_link * link(dh, i, q.0[i]))
+}
+
+/// `base_from_link` of the six links, base to flange: origins and axes for height checks and the Jacobian.
+pub fn link_frames(dh: &DhParameters, q: &Joints) -> [Isometry3<f64>; 6] {
+    let mut base_from_link = Isometry3::identity();
+    std::array::from_fn(|i| {
+        base_from_link *= link(dh, i, q.0[i]);
+        base_from_link
+    })
+}
+
+/// Rz(theta) Tz(d) Tx(a) Rx(alpha) of joint `i`.
+fn link(dh: &DhParameters, i: usize, q: f64) -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), q + dh.theta[i]);
+    let twist = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), dh.alpha[i]);
+    let along_x = turn * Vector3::new(dh.a[i], 0.0, 0.0);
+    Isometry3::from_parts(Translation3::new(along_x.x, along_x.y, dh.d[i]), turn * twist)
+}
+
+/// Geometric Jacobian in the base frame: rows 0-2 linear velocity of the flange origin, rows 3-5 angular.
+pub fn jacobian(dh: &DhParameters, q: &Joints) -> Matrix6<f64> {
+    let frames = link_frames(dh, q);
+    let tip = frames[5].translation.vector;
+    let mut jacobian = Matrix6::zeros();
+    let mut axis_frame = Isometry3::identity();
+    for (i, frame) in frames.iter().enumerate() {
+        let axis = axis_frame.rotation * Vector3::z();
+        let linear = axis.cross(&(tip - axis_frame.translation.vector));
+        jacobian.fixed_view_mut::<3, 1>(0, i).copy_from(&linear);
+        jacobian.fixed_view_mut::<3, 1>(3, i).copy_from(&axis);
+        axis_frame = *frame;
+    }
+    jacobian
+}
+
+/// All joint solutions of a flange pose, each joint in (-pi, pi]; empty when the pose is out of reach.
+///
+/// At a wrist singularity (joint 5 at 0 or pi) joint 6 is free and taken as 0.
+pub fn inverse(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<Joints> {
+    let mut solutions: Vec<Joints> = Vec::with_capacity(8);
+    for start in inverse_nominal(nominal_of(dh), base_from_flange) {
+        if let Some(joints) = refine(dh, base_from_flange, start) {
+            let wrapped = Joints(joints.0.map(wrap));
+            if solutions.iter().all(|known| known.max_difference(&wrapped) > 1e-6) {
+                solutions.push(wrapped);
+            }
+        }
+    }
+    solutions
+}
+
+/// Of the solutions of a pose and their full turns within `min..max` (rad), the one nearest to `near`
+/// (largest joint difference).
+pub fn inverse_near(
+    dh: &DhParameters,
+    base_from_flange: &Isometry3<f64>,
+    near: &Joints,
+    range: (f64, f64),
+) -> Option<Joints> {
+    inverse(dh, base_from_flange)
+        .into_iter()
+        .filter_map(|solution| unwind(&solution, near, range))
+        .min_by(|a, b| a.max_difference(near).total_cmp(&b.max_difference(near)))
+}
+
+/// Which of the 2 x 2 x 2 solution families `q` belongs to: wrist in front of the shoulder axis or behind,
+/// sign of the elbow, sign of wrist 2. Within one family a continuous motion stays away from singularities.
+pub fn posture(dh: &DhParameters, q: &Joints) -> [bool; 3] {
+    let link_1_from_4 = link(dh, 1, q.0[1]) * link(dh, 2, q.0[2]) * link(dh, 3, q.0[3]);
+    [link_1_from_4.translation.vector.x > 0.0, q.0[2].sin() > 0.0, q.0[4].sin() > 0.0]
+}
+
+/// Adds full turns to each joint so that it comes nearest to `near` inside `range`; `None` if one cannot.
+pub fn unwind(solution: &Joints, near: &Joints, range: (f64, f64)) -> Option<Joints> {
+    let mut out = *solution;
+    for (value, near) in out.0.iter_mut().zip(near.0) {
+        let nearest = *value + TAU * ((near - *value) / TAU).round();
+        *value = [nearest, nearest - TAU, nearest + TAU]
+            .into_iter()
+            .filter(|candidate| (range.0..=range.1).contains(candidate))
+            .min_by(|a, b| (a - near).abs().total_cmp(&(b - near).abs()))?;
+    }
+    Some(out)
+}
+
+fn wrap(angle: f64) -> f64 {
+    let turned = angle.rem_euclid(TAU);
+    if turned > PI { turned - TAU } else { turned }
+}
+
+/// The closed form for the nominal arm; solutions slightly out of reach are clamped onto the boundary so
+/// that the refinement may still find them on the calibrated arm.
+fn inverse_nominal(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<Joints> {
+    let mut out = Vec::with_capacity(8);
+    let p = base_from_flange.translation.vector;
+    let rotation = base_from_flange.rotation.to_rotation_matrix();
+    let wrist = p - rotation * Vector3::new(0.0, 0.0, dh.d[5]);
+    let radius = wrist.x.hypot(wrist.y);
+    let Some(shoulder) = clamped_acos(dh.d[3] / radius) else { return out };
+    for q1 in [1.0, -1.0].map(|side| wrist.y.atan2(wrist.x) + side * shoulder + FRAC_PI_2) {
+        // The axis shared by shoulder, elbow and wrist 1.
+        let axis = Vector3::new(q1.sin(), -q1.cos(), 0.0);
+        let Some(bend) = clamped_acos((p.dot(&axis) - dh.d[3]) / dh.d[5]) else { continue };
+        for q5 in [bend, -bend] {
+            let q6 = if q5.sin().abs() < 1e-9 {
+                0.0
+            } else {
+                let in_flange = rotation.inverse() * axis;
+                (-in_flange.y / q5.sin()).atan2(in_flange.x / q5.sin())
+            };
+            let link_1_from_flange = link(dh, 0, q1).inverse() * base_from_flange;
+            let link_1_from_4 = link_1_from_flange * (link(dh, 4, q5) * link(dh, 5, q6)).inverse();
+            planar_pair(dh, &link_1_from_4, [q1, q5, q6], &mut out);
+        }
+    }
+    out
+}
+
+/// Shoulder, elbow and wrist 1 as a planar two-link arm: both elbow solutions.
+fn planar_pair(dh: &DhParameters, link_1_from_4: &Isometry3<f64>, known: [f64; 3], out: &mut Vec<Joints>) {
+    let [q1, q5, q6] = known;
+    let reach = link_1_from_4.translation.vector;
+    let (upper, fore) = (dh.a[1], dh.a[2]);
+    let cosine = (reach.x.powi(2) + reach.y.powi(2) - upper * upper - fore * fore) / (2.0 * upper * fore);
+    let Some(elbow) = clamped_acos(cosine) else { return };
+    for q3 in [elbow, -elbow] {
+        let q2 = reach.y.atan2(reach.x) - (fore * q3.sin()).atan2(upper + fore * q3.cos());
+        let x_axis = link_1_from_4.rotation * Vector3::x();
+        let q4 = x_axis.y.atan2(x_axis.x) - q2 - q3;
+        out.push(Joints([q1, q2, q3, q4, q5, q6].map(wrap)));
+    }
+}
+
+/// acos that forgives 2 % beyond [-1, 1] (the calibrated arm may just reach) and refuses more, and NaN.
+fn clamped_acos(cosine: f64) -> Option<f64> {
+    (cosine.abs() <= 1.02).then(|| cosine.clamp(-1.0, 1.0).acos())
+}
+
+/// Newton on the pose error; `None` when it does not converge (out of reach, or in a singularity).
+fn refine(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> Option<Joints> {
+    let mut q = start;
+    for _ in 0..MAX_NEWTON_STEPS {
+        let error = pose_error(&forward(dh, &q), target);
+        if error.norm() < POSE_TOLERANCE {
+            return Some(q);
+        }
+        // Damping far below the arm's own scale only keeps an exactly singular start solvable.
+        let j = jacobian(dh, &q);
+        let damped = j.transpose() * j + Matrix6::identity() * 1e-12;
+        let step = damped.cholesky()?.solve(&(j.transpose() * error));
+        if !step.iter().all(|value| value.is_finite()) || step.amax() > 1.0 {
+            return None;
+        }
+        for (value, delta) in q.0.iter_mut().zip(step.iter()) {
+            *value += delta;
+        }
+    }
+    (pose_error(&forward(dh, &q), target).norm() < 1e-8).then_some(q)
+}
+
+/// Translation (m) and rotation vector (rad), both in the base frame, that carry `from` to `to`.
+pub fn pose_error(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Vector6<f64> {
+    let linear = to.translation.vector - from.translation.vector;
+    let angular = (to.rotation * from.rotation.inverse()).scaled_axis();
+    Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pose::ur_pose_from_isometry;
+    use rand::RngExt;
+    use rand::SeedableRng;
+
+    /// Check values of the reference for the vendor's nominal table.
+    #[test]
+    fn forward_agrees_with_published_poses() {
+        let check = |q: [f64; 6], expected: [f64; 6]| {
+            let pose = ur_pose_from_isometry(&forward(&DhParameters::UR5E, &Joints(q)));
+            let wrong = pose.iter().zip(expected).any(|(a, b)| (a - b).abs() > 6e-5);
+            assert!(!wrong, "{q:?}: {pose:?}, expected {expected:?}");
+        };
+        check([0.0; 6], [-0.8172, -0.2329, 0.0628, FRAC_PI_2, 0.0, 0.0]);
+        check(
+            [0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0],
+            [-0.4919, -0.1333, 0.4879, 2.2214, 2.2214, 0.0],
+        );
+        check(
+            [0.3, -1.2, 1.7, -2.0, -1.4, 0.6],
+            [-0.519919, -0.318082, 0.265628, 2.385285, 1.747807, 0.015563],
+        );
+    }
+
+    /// The exact figures of the published table: sums of the DH lengths where the axes are at right angles.
+    #[test]
+    fn forward_is_exact_to_a_micrometre() {
+        let dh = DhParameters::UR5E;
+        let check = |q: [f64; 6], expected: [f64; 3]| {
+            let found = forward(&dh, &Joints(q)).translation.vector;
+            assert!((found - Vector3::from(expected)).norm() < 1e-9, "{q:?}: {found}");
+        };
+        check([0.0; 6], [-0.8172, -(0.1333 + 0.0996), 0.1625 - 0.0997]);
+        check([0.0, -FRAC_PI_2, 0.0, -FRAC_PI_2, 0.0, 0.0], [0.0, -0.2329, 0.1625 + 0.425 + 0.3922 + 0.0997]);
+        check(
+            [0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0],
+            [-(0.3922 + 0.0997), -0.1333, 0.1625 + 0.425 - 0.0996],
+        );
+        let [x, y, z, ..] = ur_pose_from_isometry(&forward(&dh, &Joints([0.3, -1.2, 1.7, -2.0, -1.4, 0.6])));
+        let wrong = [x + 0.519919, y + 0.318082, z - 0.265628].iter().any(|error| error.abs() > 1e-6);
+        assert!(!wrong, "{x} {y} {z}");
+    }
+
+    #[test]
+    fn every_model_finds_its_way_back_with_its_calibration() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(11);
+        for model in ARM_MODELS {
+            let mut dh = model.dh;
+            for i in 0..6 {
+                dh.a[i] += rng.random_range(-5e-4..5e-4);
+                dh.d[i] += rng.random_range(-5e-4..5e-4);
+            }
+            (dh.d[1], dh.d[2]) = (dh.d[1] + 0.7, dh.d[2] - 0.7);
+            for q in [[0.3, -1.2, 1.7, -2.0, -1.4, 0.6], [-1.0, -1.9, -1.3, 0.5, 1.1, 2.0]] {
+                let found = inverse(&dh, &forward(&dh, &Joints(q)));
+                assert!(
+                    found.iter().any(|s| s.max_difference(&Joints(q)) < 1e-7),
+                    "{}: {found:?}",
+                    model.name
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn inverse_finds_all_eight_branches() {
+        for q in
+            [[0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0], [0.3, -1.2, 1.7, -2.0, -1.4, 0.6]]
+        {
+            let target = forward(&DhParameters::UR5E, &Joints(q));
+            let solutions = inverse(&DhParameters::UR5E, &target);
+            assert_eq!(solutions.len(), 8, "{solutions:?}");
+            for solution in &solutions {
+                assert!(pose_error(&forward(&DhParameters::UR5E, solution), &target).norm() < 1e-9);
+            }
+            assert!(solutions.iter().any(|s| s.max_difference(&Joints(q)) < 1e-9));
+        }
+    }
+
+    #[test]
+    fn inverse_returns_the_joints_of_a_calibrated_arm() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(7);
+        let mut dh = DhParameters::UR5E;
+        for i in 0..6 {
+            dh.a[i] += rng.random_range(-5e-4..5e-4);
+            dh.d[i] += rng.random_range(-5e-4..5e-4);
+            dh.alpha[i] += rng.random_range(-1e-3..1e-3);
+            dh.theta[i] += rng.random_range(-1e-3..1e-3);
+        }
+        // The parallel axes of a real table trade large opposite offsets.
+        dh.d[1] += 1.0;
+        dh.d[2] -= 1.0;
+        let mut tried = 0;
+        while tried < 500 {
+            let q = Joints(std::array::from_fn(|_| rng.random_range(-3.0..3.0)));
+            if q.0[4].sin().abs() < 0.1 || q.0[2].sin().abs() < 0.3 {
+                continue;
+            }
+            let target = forward(&dh, &q);
+            let wrist = target * nalgebra::Point3::new(0.0, 0.0, -dh.d[5]);
+            if wrist.x.hypot(wrist.y) < 0.2 {
+                continue;
+            }
+            tried += 1;
+            let found = inverse(&dh, &target);
+            assert!(found.iter().any(|s| s.max_difference(&q) < 1e-7), "{q:?}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn jacobian_is_the_derivative_of_forward() {
+        let q = Joints([0.3, -1.2, 1.7, -2.0, -1.4, 0.6]);
+        let j = jacobian(&DhParameters::UR5E, &q);
+        for i in 0..6 {
+            let mut moved = q;
+            moved.0[i] += 1e-6;
+            let dh = DhParameters::UR5E;
+            let slope = pose_error(&forward(&dh, &q), &forward(&dh, &moved)) / 1e-6;
+            assert!((slope - j.column(i)).norm() < 1e-5, "column {i}: {slope} against {}", j.column(i));
+        }
+    }
+
+    #[test]
+    fn out_of_reach_has_no_solution() {
+        let far = Isometry3::translation(1.5, 0.0, 0.3);
+        assert!(inverse(&DhParameters::UR5E, &far).is_empty());
+        let at_axis = Isometry3::translation(0.0, 0.0, 0.5);
+        assert!(inverse(&DhParameters::UR5E, &at_axis).is_empty());
+    }
+
+    #[test]
+    fn unwinding_keeps_to_the_range() {
+        let near = Joints([3.0; 6]);
+        let unwound = unwind(&Joints([-3.0; 6]), &near, (-TAU, TAU)).expect("fits");
+        assert!((unwound.0[0] - (TAU - 3.0)).abs() < 1e-12);
+        assert!(unwind(&Joints([-3.0; 6]), &near, (-1.0, 1.0)).is_none());
+    }
+}

@@ -1,0 +1,12 @@
+//! The arms of Universal Robots: their models, forward and inverse kinematics (`kinematics`), and poses as the
+//! controller writes them (`pose`).
+//!
+//! In and out: metres, radians, standard Denavit-Hartenberg parameters, nominal or calibrated. Pure.
+
+pub mod kinematics;
+pub mod pose;
+
+/// The example of the README, run by `cargo test --doc`.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

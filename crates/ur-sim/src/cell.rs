@@ -1,0 +1,295 @@
+//! The whole simulated cell as a process runs it: controller, world, gripper and camera behind their sockets,
+//! and the thread that keeps their time.
+//!
+//! In: [`SimConfig`]. Out: [`RunningSim`], which has the addresses, the world for reports and tests, and the
+//! time factor that was reached. This only puts together: [`frames`] advances the [`Core`],
+//! [`crate::serve`] carries bytes between sockets and the sessions on it.
+
+use crate::camera::CameraSetup;
+use crate::camera_server;
+use crate::control_server;
+use crate::controller::{Controller, ControllerConfig};
+use crate::core::Core;
+use crate::faults::desk::FaultDesk;
+use crate::faults::link::LinkName;
+use crate::faults::{FaultError, Planned};
+use crate::frames::{self, Progress};
+use crate::robot_server::shared::RobotShared;
+use crate::robot_server::{RobotAddresses, RobotPorts};
+use crate::script_sockets::TcpScriptSockets;
+use crate::serve::{ListenError, Servers, listen};
+use crate::session::Port;
+use crate::world::spec::{WorldError, WorldSpec};
+use crate::world::{SharedWorld, World};
+use cell_edge::clock::Pace;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+/// What is simulated and where it listens.
+#[derive(Clone, Debug)]
+pub struct SimConfig {
+    /// Address of all servers.
+    pub bind: IpAddr,
+    /// Ports of the controller.
+    pub ports: RobotPorts,
+    /// Port of the gripper's Modbus server; 0 for any.
+    pub modbus_port: u16,
+    /// Port of the camera; 0 for any.
+    pub camera_port: u16,
+    /// Port of the control server, which is not started without; 0 for any.
+    pub control_port: Option<u16>,
+    /// Simulated seconds per second.
+    pub time_factor: f64,
+    /// The controller and the arm.
+    pub controller: ControllerConfig,
+    /// Table, objects and gripper.
+    pub world: WorldSpec,
+    /// The camera.
+    pub camera: CameraSetup,
+    /// Seed of the world's random errors.
+    pub seed: u64,
+    /// What goes wrong, and when.
+    pub faults: Vec<Planned>,
+}
+
+/// Why the simulation cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// A factor that is not a number above 0.
+    #[error("time factor {0} is not a number between 0.01 and 1000")]
+    TimeFactor(f64),
+    /// The world's description is wrong.
+    #[error("the simulated world cannot be built")]
+    World(#[from] WorldError),
+    /// A fault names something that is not there.
+    #[error("a planned fault is impossible")]
+    Fault(#[from] FaultError),
+    /// An address is taken or not ours.
+    #[error("the simulation cannot listen")]
+    Listen(#[from] ListenError),
+    /// The frame thread cannot be started.
+    #[error("the simulation's frame thread cannot be started")]
+    Thread(#[source] std::io::Error),
+}
+
+/// Where the servers listen.
+#[derive(Clone, Copy, Debug)]
+pub struct SimAddresses {
+    /// The controller's five.
+    pub robot: RobotAddresses,
+    /// The gripper.
+    pub modbus: SocketAddr,
+    /// The camera.
+    pub camera: SocketAddr,
+    /// The control server, if it was asked for.
+    pub control: Option<SocketAddr>,
+}
+
+/// A running simulation; it ends with [`RunningSim::shutdown`] or when it is dropped.
+#[derive(Debug)]
+pub struct RunningSim {
+    /// Where the servers listen.
+    pub addresses: SimAddresses,
+    core: Core,
+    progress: Arc<Progress>,
+    stop: watch::Sender<bool>,
+    frames: Option<JoinHandle<()>>,
+    servers: Option<(Servers, JoinSet<()>)>,
+}
+
+/// Starts the simulation.
+///
+/// # Errors
+/// When the configuration is wrong or an address cannot be listened on.
+pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
+    if !(0.01..=1000.0).contains(&config.time_factor) {
+        return Err(SimError::TimeFactor(config.time_factor));
+    }
+    let mut controller = Controller::new(config.controller);
+    controller.core.sockets = Box::new(TcpScriptSockets::from_address(config.bind));
+    let core = Core::new(controller, World::new(config.world, config.seed)?, config.time_factor);
+    core.desk.submit(config.faults)?;
+    let (stop, stopped) = watch::channel(false);
+    let gripper = listen(Port::Gripper.name(), config.bind, config.modbus_port).await?;
+    let camera = listen("camera", config.bind, config.camera_port).await?;
+    let control = match config.control_port {
+        Some(port) => Some(listen("control server", config.bind, port).await?),
+        None => None,
+    };
+    let mut servers = Servers::default();
+    let addresses = SimAddresses {
+        robot: servers.take_robot(&core, config.bind, &config.ports, &stopped).await?,
+        modbus: gripper.1,
+        camera: camera.1,
+        control: control.as_ref().map(|(_, address)| *address),
+    };
+    servers.take(gripper, &core, Port::Gripper, &stopped);
+    let mut tasks = JoinSet::new();
+    let (world, link) = (core.world.clone(), core.robot.links.get(LinkName::Camera).clone());
+    let pictures = camera_server::serve(camera.0, config.camera, world, link, until(&stopped));
+    tasks.spawn(async move { report("camera server", pictures.await) });
+    if let Some((listener, _)) = control {
+        let (world, desk) = (core.world.clone(), core.desk.clone());
+        let control = control_server::serve(listener, world, desk, until(&stopped));
+        tasks.spawn(async move { report("control server", control.await) });
+    }
+    let progress = Arc::new(Progress::new(core.robot.controller().core.timestamp()));
+    let frames = {
+        let (core, progress, factor) = (core.clone(), progress.clone(), config.time_factor);
+        let body = move || frames::run(&core, &progress, factor, &stopped);
+        std::thread::Builder::new().name("sim-frames".to_owned()).spawn(body).map_err(SimError::Thread)?
+    };
+    let (frames, servers) = (Some(frames), Some((servers, tasks)));
+    Ok(RunningSim { addresses, core, progress, stop, frames, servers })
+}
+
+/// Resolves when the simulation ends.
+fn until(stopped: &watch::Receiver<bool>) -> impl Future<Output = ()> + Send + Sync + 'static {
+    let mut stopped = stopped.clone();
+    async move {
+        // An error means that the sender is gone, which is an end too.
+        let _ = stopped.wait_for(|stop| *stop).await;
+    }
+}
+
+fn report<E: std::fmt::Display>(server: &'static str, result: Result<(), E>) {
+    if let Err(error) = result {
+        tracing::error!(server, %error, "simulated server ended");
+    }
+}
+
+impl RunningSim {
+    /// The world: true poses for the final report and for tests.
+    pub fn world(&self) -> SharedWorld {
+        self.core.world.clone()
+    }
+
+    /// The controller and its connections: faults and tests.
+    pub fn robot(&self) -> &Arc<RobotShared> {
+        &self.core.robot
+    }
+
+    /// Faults: tests.
+    pub fn desk(&self) -> &Arc<FaultDesk> {
+        &self.core.desk
+    }
+
+    /// Simulated seconds per second since the start.
+    pub fn factor_reached(&self) -> f64 {
+        self.progress.pace.factor()
+    }
+
+    /// Simulated time as it goes on, for a daemon in the same process.
+    pub fn pace(&self) -> Arc<Pace> {
+        self.progress.pace.clone()
+    }
+
+    /// Seconds of wall time for which simulated time was held for clients.
+    pub fn seconds_held(&self) -> f64 {
+        self.progress.seconds_held()
+    }
+
+    /// Ends all connections and the frame thread.
+    pub async fn shutdown(mut self) {
+        self.stop.send_replace(true);
+        if let Some((servers, mut tasks)) = self.servers.take() {
+            servers.stopped().await;
+            while tasks.join_next().await.is_some() {}
+        }
+        if let Some(frames) = self.frames.take() {
+            // The thread looks at the signal every frame; a panic in it was printed when it happened.
+            let _ = tokio::task::spawn_blocking(move || frames.join()).await;
+        }
+    }
+}
+
+impl Drop for RunningSim {
+    fn drop(&mut self) {
+        self.stop.send_replace(true);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraTiming;
+    use crate::render::lens::CameraTruth;
+    use crate::world::lock;
+    use crate::world::spec::{CameraMount, GripperSpec};
+    use nalgebra::Isometry3;
+    use tokio::io::AsyncReadExt;
+    use tokio::net::TcpListener;
+
+    fn config(bind: &str, time_factor: f64) -> SimConfig {
+        let camera = CameraTruth::ideal("sim-1", 64, 36, 40.0);
+        SimConfig {
+            bind: bind.parse().unwrap(),
+            ports: RobotPorts::ANY,
+            modbus_port: 0,
+            camera_port: 0,
+            control_port: Some(0),
+            time_factor,
+            controller: ControllerConfig { running: true, ..ControllerConfig::ur5e(1) },
+            world: WorldSpec::bare(Isometry3::translation(-0.75, -0.4, 0.0), GripperSpec::one_cup(0.2)),
+            camera: CameraSetup {
+                truth: camera.clone(),
+                reported: camera,
+                mount: CameraMount::Flange(Isometry3::identity()),
+                timing: CameraTiming::INSTANT,
+            },
+            seed: 1,
+            faults: Vec::new(),
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn time_goes_on_and_everything_answers_until_shutdown() {
+        let sim = start(config("127.0.0.1", 50.0)).await.unwrap();
+        let began = sim.robot().controller().core.timestamp();
+        for address in [sim.addresses.robot.dashboard, sim.addresses.robot.primary] {
+            let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
+            stream.read_u8().await.unwrap();
+        }
+        for address in [sim.addresses.modbus, sim.addresses.camera, sim.addresses.control.unwrap()] {
+            tokio::net::TcpStream::connect(address).await.unwrap();
+        }
+        while sim.robot().controller().core.timestamp() < began + 1.0 {
+            tokio::task::yield_now().await;
+        }
+        assert!(sim.factor_reached() > 0.0 && lock(&sim.world()).now_s() > began);
+        let address = sim.addresses.robot.rtde;
+        sim.shutdown().await;
+        assert!(tokio::net::TcpStream::connect(address).await.is_err());
+    }
+
+    #[tokio::test]
+    async fn bad_configurations_are_refused() {
+        for factor in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(matches!(start(config("127.0.0.1", factor)).await, Err(SimError::TimeFactor(_))));
+        }
+        let mut taken = config("127.0.0.1", 1.0);
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        taken.modbus_port = listener.local_addr().unwrap().port();
+        let error = start(taken).await.unwrap_err();
+        assert!(matches!(&error, SimError::Listen(listen) if listen.server == "gripper"), "{error}");
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn pressing_on_the_table_stops_the_arm() {
+        let sim = start(config("127.0.0.1", 100.0)).await.unwrap();
+        let script =
+            "def press():\n movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.6,0,0,0]), v=0.5)\nend\n";
+        let code = crate::controller::builtins::compile_program(script);
+        sim.robot().controller().programs.upload(code);
+        while !sim.robot().controller().core.modes.protective_stopped() {
+            tokio::task::yield_now().await;
+            assert!(sim.robot().controller().core.step < 5000, "the arm went through the table");
+        }
+        let contact = lock(&sim.world()).contact().cloned();
+        assert!(contact.is_some_and(|contact| contact.against == "table"));
+        sim.shutdown().await;
+    }
+}

@@ -1,0 +1,292 @@
+//! `celld sim`: simulated UR5e, VGC10 and camera on the controller's own port numbers.
+//!
+//! In: the simulator's configuration. Out: one JSON line on stdout when all servers listen, then nothing
+//! until Ctrl-C. `sim_config` is also what the demo starts its cell from.
+
+pub mod check_script;
+
+use crate::camera::{CameraSetup, CameraTiming};
+use crate::cell::{SimConfig, SimError, start};
+use crate::config::load::load_sim;
+use crate::config::read::read_sim;
+use crate::config::{SimFile, SimHandBoard, SimMount};
+use crate::conformance;
+use crate::controller::config::{ControllerConfig, calibrated};
+use crate::faults::Planned;
+use crate::faults::read::read_faults;
+use crate::render::lens::CameraTruth;
+use crate::robot_server::RobotPorts;
+use crate::world::spec;
+use crate::world::vacuum::Channel;
+use cell_edge::priority;
+use cell_edge::terminal::{complain, print, within};
+use cell_parts::gripper::CupChannel;
+use check_script::check_scripts;
+use clap::Args;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::tabletop::instance::ObjectSpec;
+use serde_json::json;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+
+/// Nominal focal length of the simulated camera, px, and its picture.
+pub const FOCAL_PX: f64 = 650.0;
+/// Columns and rows.
+pub const PICTURE: (u32, u32) = (1280, 720);
+
+/// Board round the work area, m.
+const MARGIN_M: f64 = 0.12;
+
+/// `celld sim`
+#[derive(Args, Clone, Debug)]
+pub struct SimArgs {
+    /// The simulator's configuration; without it config/sim.yaml, and where there is none, the copy in this
+    /// program.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Address to listen at, instead of the configuration's.
+    #[arg(long)]
+    bind: Option<IpAddr>,
+    /// Simulated seconds per second, instead of the configuration's.
+    #[arg(long, value_name = "F", value_parser = time_factor)]
+    time_factor: Option<f64>,
+    /// What goes wrong and when (docs/faults.md); nothing without it.
+    #[arg(long, value_name = "FILE")]
+    faults: Option<PathBuf>,
+    /// Also open the control socket (loopback only): faults and the world's truth.
+    #[arg(long)]
+    control: bool,
+    /// Parse URScript programs (`-` for standard input), report, and stop.
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    check_script: Vec<PathBuf>,
+    /// Print what of the real machines is real here, modelled or absent, and stop.
+    #[arg(long)]
+    conformance: bool,
+}
+
+/// Simulated seconds per second.
+///
+/// # Errors
+/// One sentence that says what to give.
+pub fn time_factor(text: &str) -> Result<f64, String> {
+    within(text, 0.01..=1000.0, "simulated seconds per second")
+}
+
+/// The configuration that is used where no other is at hand.
+const BUILT_IN: &str = include_str!("../../../config/sim.yaml");
+
+/// Where it is looked for before that.
+const USUAL_PLACE: &str = "config/sim.yaml";
+
+/// The configuration and what to call it in messages.
+fn configuration(asked: Option<&Path>) -> Result<(SimFile, String), String> {
+    let usual = Path::new(USUAL_PLACE);
+    let path = asked.or_else(|| usual.exists().then_some(usual));
+    let Some(path) = path else {
+        let name = "built-in configuration";
+        let file = read_sim(BUILT_IN, name).map_err(|complaints| complaints.to_string())?;
+        return Ok((file, name.to_owned()));
+    };
+    let file = load_sim(path).map_err(|error| error.to_string())?;
+    Ok((file, path.display().to_string()))
+}
+
+/// Runs the simulator; returns the exit code.
+pub fn run(args: &SimArgs) -> u8 {
+    if !args.check_script.is_empty() {
+        return check_scripts(&args.check_script);
+    }
+    if args.conformance {
+        print(&conformance::page());
+        return 0;
+    }
+    let (file, name) = match configuration(args.config.as_deref()) {
+        Ok(found) => found,
+        Err(message) => {
+            complain(&message);
+            return 2;
+        }
+    };
+    let bind = match args.bind.map_or_else(|| file.bind.parse::<IpAddr>(), Ok) {
+        Ok(bind) => bind,
+        Err(error) => {
+            complain(&format!("{name}: bind {:?}: {error}", file.bind));
+            return 2;
+        }
+    };
+    if args.control && !bind.is_loopback() {
+        complain(&format!(
+            "--control at {bind}: the control socket breaks things and tells the truth, so it opens on this machine \
+             only; give --bind 127.0.0.2, or leave --control out"
+        ));
+        return 2;
+    }
+    let mut config = sim_config(&file, bind, RobotPorts::REAL);
+    config.time_factor = args.time_factor.unwrap_or(file.time_factor);
+    match args.faults.as_deref().map_or(Ok(Vec::new()), faults_of) {
+        Ok(faults) => config.faults = faults,
+        Err(message) => {
+            complain(&message);
+            return 2;
+        }
+    }
+    config.control_port = args.control.then_some(file.ports.control);
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().enable_all().on_thread_start(priority::raise).build();
+    match runtime {
+        Ok(runtime) => runtime.block_on(serve(config)),
+        Err(error) => {
+            complain(&error.to_string());
+            1
+        }
+    }
+}
+
+/// The plans in a fault file.
+///
+/// # Errors
+/// Every complaint, for a terminal.
+pub fn faults_of(path: &Path) -> Result<Vec<Planned>, String> {
+    let text = cell_edge::terminal::read_text(path)?;
+    read_faults(&text, &path.display().to_string()).map_err(|complaints| complaints.to_string())
+}
+
+async fn serve(config: SimConfig) -> u8 {
+    let sim = match start(config).await {
+        Ok(sim) => sim,
+        Err(error @ SimError::Fault(_)) => {
+            complain(&rearrange::document::chain::chain(&error));
+            return 2;
+        }
+        Err(error) => {
+            complain(&rearrange::document::chain::chain(&error));
+            return 1;
+        }
+    };
+    let addresses = &sim.addresses;
+    let ready = json!({
+        "ready": true,
+        "bind": addresses.robot.rtde.ip().to_string(),
+        "modbus": addresses.modbus.to_string(),
+        "camera": addresses.camera.to_string(),
+        "control": addresses.control.map(|control| control.to_string()),
+    });
+    print(&format!("{ready}\n"));
+    if let Err(error) = tokio::signal::ctrl_c().await {
+        complain(&error.to_string());
+    }
+    complain(&format!("time factor reached: {:.2}", sim.factor_reached()));
+    sim.shutdown().await;
+    0
+}
+
+/// The simulated cell a configuration describes; its truth deviates from the nominal values by the seed.
+pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig {
+    let errors = &file.errors;
+    let mut camera = CameraTruth::ideal("sim-d405", PICTURE.0, PICTURE.1, FOCAL_PX);
+    camera.noise_sigma = errors.noise_levels;
+    let nominal = spec::NominalCell {
+        base_from_table: file.base_from_table,
+        mount: match file.camera {
+            SimMount::Flange(flange_from_camera) => spec::CameraMount::Flange(flange_from_camera),
+            SimMount::Fixed(base_from_camera) => {
+                spec::CameraMount::Fixed(file.base_from_table.inverse() * base_from_camera)
+            }
+        },
+        camera,
+    };
+    let limits = spec::TruthLimits {
+        table_m: errors.table_m,
+        table_rad: errors.table_rad,
+        mount_m: errors.mount_m,
+        mount_rad: errors.mount_rad,
+    };
+    let truth = spec::TruthSpec::from_seed(&nominal, &limits, file.seed);
+    let mut controller = ControllerConfig::of(&file.model, file.seed);
+    controller.start = file.start_pose;
+    controller.programs.clone_from(&file.programs);
+    controller.dh = calibrated(&file.model.dh, file.seed, errors.dh_m, errors.dh_rad);
+    SimConfig {
+        bind,
+        ports,
+        modbus_port: file.ports.modbus,
+        camera_port: file.ports.camera,
+        control_port: None,
+        time_factor: file.time_factor,
+        controller,
+        world: spec::WorldSpec {
+            table: spec::TableSpec { width_m: file.width_m, height_m: file.height_m, margin_m: MARGIN_M },
+            base_from_table: truth.base_from_table,
+            objects: file.objects.iter().filter_map(world_object).collect(),
+            reference_markers: file
+                .reference_markers
+                .iter()
+                .map(|m| spec::ReferenceMarker { id: m.id, size_m: m.size_m, pose: m.pose })
+                .collect(),
+            errors: spec::PlacementErrors {
+                std_xy_m: errors.placement_m,
+                std_theta_rad: errors.placement_rad,
+                ..spec::PlacementErrors::default()
+            },
+            gripper: gripper_spec(file),
+            hand_board: file.hand_board.as_ref().map(hand_board),
+        },
+        camera: CameraSetup {
+            truth: truth.camera,
+            reported: truth.reported,
+            mount: truth.mount,
+            timing: CameraTiming::D405,
+        },
+        seed: file.seed,
+        faults: Vec::new(),
+    }
+}
+
+fn world_object(object: &ObjectSpec) -> Option<spec::WorldObject> {
+    Some(spec::WorldObject {
+        id: object.id.clone(),
+        footprint: object.footprint.clone(),
+        height_m: object.height?,
+        mass_kg: object.mass?,
+        pose: object.start?,
+        marker: object.marker.as_ref().map(|marker| spec::ObjectMarker {
+            id: marker.id,
+            size_m: marker.size,
+            offset: marker.offset,
+        }),
+        grippable: object.grippable.clone().map(Footprint::Polygon),
+        fixed: object.fixed,
+        colour: None,
+    })
+}
+
+fn hand_board(held: &SimHandBoard) -> spec::HandBoard {
+    spec::HandBoard {
+        flange_from_board: held.flange_from_board,
+        grid: [held.board.columns, held.board.rows],
+        size_m: held.board.size_m,
+        gap_m: held.board.gap_m,
+        first_id: held.board.first_id,
+    }
+}
+
+fn gripper_spec(file: &SimFile) -> spec::GripperSpec {
+    let gripper = &file.gripper;
+    let channel = |channel| match channel {
+        CupChannel::A => Channel::A,
+        CupChannel::B => Channel::B,
+    };
+    let cups = gripper.cups.iter().map(|cup| spec::Cup {
+        channel: channel(cup.channel),
+        x_m: cup.x_m,
+        y_m: cup.y_m,
+        diameter_m: cup.diameter_m,
+    });
+    spec::GripperSpec {
+        flange_from_tool: file.flange_from_tool,
+        cups: cups.collect(),
+        // A body that cannot be drawn is no reason to stop: it only hides part of a picture.
+        body: Footprint::polygon(&gripper.body_polygon).unwrap_or(Footprint::Disc { radius: 0.04 }),
+        body_above_lips_m: gripper.body_height_m,
+    }
+}

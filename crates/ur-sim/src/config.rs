@@ -1,0 +1,119 @@
+//! The simulator's configuration after all checks: what stands on the table, and how far the truth is off.
+//!
+//! In: nothing; `config::read_sim` builds it from YAML, the demo from an instance. Out: the numbers from
+//! which `celld sim` builds its world. The nominal values are those the cell's own configuration states; the
+//! `errors` say how far, by seed, the simulated truth deviates from them.
+
+pub mod load;
+pub mod read;
+
+use cell_parts::grid::MarkerGrid;
+use cell_parts::gripper::GripperConfig;
+use cell_parts::reference::ReferenceMarkerConfig;
+use cell_values::units::Joints;
+use nalgebra::Isometry3;
+use rearrange::geometry::pose::Pose2;
+use rearrange::tabletop::instance::ObjectSpec;
+use std::collections::BTreeMap;
+use ur_arm::kinematics::ArmModel;
+
+/// One simulated cell, as `celld sim` needs it.
+#[derive(Clone, Debug)]
+pub struct SimFile {
+    /// Address on which all servers listen.
+    pub bind: String,
+    /// Ports that are not the controller's own.
+    pub ports: SimPorts,
+    /// Seed of every deviation and of all noise.
+    pub seed: u64,
+    /// How much faster than real time the simulation runs.
+    pub time_factor: f64,
+    /// Table extent along x, m.
+    pub width_m: f64,
+    /// Table extent along y, m.
+    pub height_m: f64,
+    /// Nominal pose of the table in the base frame.
+    pub base_from_table: Isometry3<f64>,
+    /// Nominal pose of the tool.
+    pub flange_from_tool: Isometry3<f64>,
+    /// Nominal place of the camera.
+    pub camera: SimMount,
+    /// A calibration board on the hand.
+    pub hand_board: Option<SimHandBoard>,
+    /// Cups, body and mass.
+    pub gripper: GripperConfig,
+    /// Objects with their start poses.
+    pub objects: Vec<ObjectSpec>,
+    /// Markers fixed to the table.
+    pub reference_markers: Vec<ReferenceMarkerConfig>,
+    /// Which arm.
+    pub model: ArmModel,
+    /// Joint pose at power-on.
+    pub start_pose: Joints,
+    /// Folder with the programs that the dashboard loads, relative to the file's own; absent: none.
+    pub program_folder: Option<String>,
+    /// The scripts in it by the program's name; whoever opens files fills them in.
+    pub programs: BTreeMap<String, String>,
+    /// How far the truth is off.
+    pub errors: SimErrors,
+}
+
+/// Where the simulated camera sits, nominal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SimMount {
+    /// On the flange: `flange_from_camera`.
+    Flange(Isometry3<f64>),
+    /// On a stand: `base_from_camera`.
+    Fixed(Isometry3<f64>),
+}
+
+/// What the hand carries before a camera on a stand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimHandBoard {
+    /// What is printed on it.
+    pub board: MarkerGrid,
+    /// The board's frame (lower left corner of the lower left marker, z out of the print) in the flange
+    /// frame.
+    pub flange_from_board: Isometry3<f64>,
+}
+
+/// Ports of the simulated gripper, camera and control server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SimPorts {
+    /// Modbus TCP.
+    pub modbus: u16,
+    /// HTTP camera.
+    pub camera: u16,
+    /// HTTP control, with `--control` only.
+    pub control: u16,
+}
+
+/// Standard deviations and bounds of what the simulated truth deviates by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimErrors {
+    /// Grip and release, standard deviation along x and y, m.
+    pub placement_m: f64,
+    /// Grip and release, standard deviation of the angle, rad.
+    pub placement_rad: f64,
+    /// Table pose, largest shift along x and y, m; half of it along z.
+    pub table_m: f64,
+    /// Table pose, largest turn about z, rad; a sixth of it about x and y.
+    pub table_rad: f64,
+    /// Camera mount, largest shift along each axis, m.
+    pub mount_m: f64,
+    /// Camera mount, largest turn about each axis, rad.
+    pub mount_rad: f64,
+    /// Calibrated DH lengths, standard deviation, m.
+    pub dh_m: f64,
+    /// Calibrated DH angles, standard deviation, rad.
+    pub dh_rad: f64,
+    /// Picture noise, standard deviation in grey levels (0 to 255).
+    pub noise_levels: f64,
+}
+
+impl SimFile {
+    /// Pose of an object at the beginning, if the file gives it.
+    pub fn start_of(&self, id: &str) -> Option<Pose2> {
+        self.objects.iter().find(|object| object.id == id).and_then(|object| object.start)
+    }
+}

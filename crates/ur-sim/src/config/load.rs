@@ -1,0 +1,39 @@
+//! The configuration of a simulated cell from files: the only place here that opens any.
+//!
+//! In: a path. Out: the checked configuration with the programs of the folder that it names, or a message for
+//! the terminal.
+
+use crate::config::SimFile;
+use crate::config::read::read_sim;
+use cell_parts::file::{ConfigError, open, read_text};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Most files of a folder of programs that are looked at.
+const MAX_PROGRAMS: usize = 1000;
+
+/// Reads the configuration of a simulated cell.
+pub fn load_sim(path: &Path) -> Result<SimFile, ConfigError> {
+    let (text, folder) = open(path)?;
+    let mut file = read_sim(&text, &path.display().to_string()).map_err(ConfigError::Wrong)?;
+    if let Some(programs) = &file.program_folder {
+        file.programs = read_programs(&folder.join(programs))?;
+    }
+    Ok(file)
+}
+
+/// The scripts in a folder, by name without `.script`.
+fn read_programs(folder: &Path) -> Result<BTreeMap<String, String>, ConfigError> {
+    let unreadable = |path: &Path, reason| ConfigError::Unreadable { path: path.to_owned(), reason };
+    let entries = std::fs::read_dir(folder).map_err(|error| unreadable(folder, error.to_string()))?;
+    let mut programs = BTreeMap::new();
+    for entry in entries.take(MAX_PROGRAMS) {
+        let path = entry.map_err(|error| unreadable(folder, error.to_string()))?.path();
+        let is_script = path.extension().is_some_and(|ending| ending == "script");
+        if let Some(name) = path.file_stem().and_then(|name| name.to_str()).filter(|_| is_script) {
+            let text = read_text(&path).map_err(|reason| unreadable(&path, reason))?;
+            programs.insert(name.to_owned(), text);
+        }
+    }
+    Ok(programs)
+}

@@ -1,0 +1,252 @@
+//! `config/sim.yaml`: text to [`SimFile`].
+//!
+//! In: the text and its name. Out: the checked configuration of the simulated cell, or every complaint at
+//! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
+
+use crate::config::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
+use cell_parts::fields::{each, joints_deg, optional, port, required_number, transform};
+use cell_parts::grid::{board, board_apart};
+use cell_parts::gripper::gripper;
+use cell_parts::places::Places;
+use cell_parts::reference::{ReferenceMarkerConfig, check_reference_markers, reference_markers};
+use cell_values::units::rad_from_deg;
+use rearrange::document::decode::{At, Decoder, Fields};
+use rearrange::document::{Complaints, parse};
+use rearrange::tabletop::arrangement::{Layout, Place};
+use rearrange::tabletop::decode;
+use rearrange::tabletop::instance::{ObjectSpec, Workspace};
+use rearrange::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
+use std::collections::BTreeMap;
+use std::net::IpAddr;
+use ur_arm::kinematics::ARM_MODELS;
+
+/// Keys of the file.
+pub const SIM_KEYS: &[&str] = &[
+    "version",
+    "bind",
+    "ports",
+    "seed",
+    "time_factor",
+    "workspace",
+    "objects",
+    "reference_markers",
+    "gripper",
+    "flange_from_tool",
+    "base_from_table",
+    "flange_from_camera",
+    "base_from_camera",
+    "hand_board",
+    "model",
+    "start_pose_deg",
+    "programs",
+    "errors",
+];
+
+/// What the truth deviates by unless the file says otherwise (design, sections 5 and issue 2 part 7).
+pub const DEFAULT_ERRORS: SimErrors = SimErrors {
+    placement_m: 2e-4,
+    placement_rad: 0.1 * std::f64::consts::PI / 180.0,
+    table_m: 3e-3,
+    table_rad: 0.3 * std::f64::consts::PI / 180.0,
+    mount_m: 3e-3,
+    mount_rad: 0.5 * std::f64::consts::PI / 180.0,
+    dh_m: 5e-4,
+    dh_rad: 0.05 * std::f64::consts::PI / 180.0,
+    noise_levels: 2.0,
+};
+
+/// Reads and checks a simulated cell's configuration.
+///
+/// # Errors
+/// Every complaint.
+pub fn read_sim(text: &str, source: &str) -> Result<SimFile, Complaints> {
+    let node = parse(text, source)?;
+    let mut decoder = Decoder::new(source);
+    let file = decoder
+        .map(&At::top(&node), SIM_KEYS)
+        .and_then(|fields| sim(&mut decoder, &fields, &Places::new(&node)));
+    decoder.finish(file)
+}
+
+fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFile> {
+    if let Some(at) = fields.required("version", decoder) {
+        decoder.integer(&at, 1..=1);
+    }
+    let bind = fields.required("bind", decoder).and_then(|at| address(decoder, &at));
+    let ports = fields.required("ports", decoder).and_then(|at| ports(decoder, &at));
+    let seed = optional(decoder, fields, "seed", 0, |decoder, at| decoder.integer(at, 0..=i64::MAX));
+    let time_factor = optional(decoder, fields, "time_factor", 1.0, |decoder, at| {
+        decoder.number_in(at, 0.01..=1000.0, "times real time")
+    });
+    let size = fields.required("workspace", decoder).and_then(|at| workspace(decoder, &at));
+    let objects = fields.required("objects", decoder).and_then(|at| objects(decoder, &at, size, places));
+    let markers =
+        fields.required("reference_markers", decoder).and_then(|at| reference_markers(decoder, &at));
+    let gripper = fields.required("gripper", decoder).and_then(|at| gripper(decoder, &at));
+    let flange_from_tool = transform(decoder, fields, "flange_from_tool");
+    let base_from_table = transform(decoder, fields, "base_from_table");
+    let camera = mount(decoder, fields);
+    let hand_board =
+        optional(decoder, fields, "hand_board", None, |decoder, at| hand_board(decoder, at).map(Some));
+    if let Some(Some(SimHandBoard { board, .. })) = &hand_board {
+        let on_table = numbers_on_table(markers.as_deref(), objects.as_deref());
+        let place = (places.at(&["hand_board", "board"]), "hand_board.board");
+        board_apart(decoder, board.numbers(), on_table.into_iter(), place);
+    }
+    let start_pose = fields.required("start_pose_deg", decoder).and_then(|at| joints_deg(decoder, &at));
+    let model = optional(decoder, fields, "model", ARM_MODELS[0], |decoder, at| {
+        let choices: Vec<_> = ARM_MODELS.iter().map(|model| (model.name, *model)).collect();
+        decoder.choice(at, &choices)
+    });
+    let programs = optional(decoder, fields, "programs", None, |decoder, at| {
+        let folder = decoder.map(at, &["folder"])?;
+        folder.optional("folder").map_or(Some(None), |at| decoder.text(&at).map(Some))
+    });
+    let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
+    let size = size?;
+    Some(SimFile {
+        bind: bind?,
+        ports: ports?,
+        seed: u64::try_from(seed?).ok()?,
+        time_factor: time_factor?,
+        width_m: size.width,
+        height_m: size.height,
+        base_from_table: base_from_table?,
+        flange_from_tool: flange_from_tool?,
+        camera: camera?,
+        hand_board: hand_board?,
+        gripper: gripper?,
+        objects: objects?,
+        reference_markers: markers?,
+        model: model?,
+        start_pose: start_pose?,
+        program_folder: programs?,
+        programs: BTreeMap::new(),
+        errors: errors?,
+    })
+}
+
+/// Numbers of the markers that are not on the hand's board.
+fn numbers_on_table(markers: Option<&[ReferenceMarkerConfig]>, objects: Option<&[ObjectSpec]>) -> Vec<i64> {
+    let reference = markers.into_iter().flatten().map(|marker| marker.id);
+    let on_objects = objects.into_iter().flatten().filter_map(|object| object.marker.as_ref());
+    reference.chain(on_objects.map(|marker| marker.id)).map(i64::from).collect()
+}
+
+/// The camera on the hand or on a stand.
+fn mount(decoder: &mut Decoder, fields: &Fields) -> Option<SimMount> {
+    let Some(at) = fields.optional("base_from_camera") else {
+        return transform(decoder, fields, "flange_from_camera").map(SimMount::Flange);
+    };
+    if fields.optional("flange_from_camera").is_some() {
+        let message = "the camera sits on the flange or stands, not both";
+        decoder.complain_at(&at, message, "leave out flange_from_camera or base_from_camera");
+        return None;
+    }
+    transform(decoder, fields, "base_from_camera").map(SimMount::Fixed)
+}
+
+fn hand_board(decoder: &mut Decoder, at: &At) -> Option<SimHandBoard> {
+    let fields = decoder.map(at, &["board", "flange_from_board"])?;
+    let board = fields.required("board", decoder).and_then(|at| board(decoder, &at));
+    let flange_from_board = transform(decoder, &fields, "flange_from_board");
+    Some(SimHandBoard { board: board?, flange_from_board: flange_from_board? })
+}
+
+fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
+    let fields = decoder.map(at, &["modbus", "camera", "control"])?;
+    let modbus = port(decoder, &fields, "modbus");
+    let camera = port(decoder, &fields, "camera");
+    let control = port(decoder, &fields, "control");
+    let ports = SimPorts { modbus: modbus?, camera: camera?, control: control? };
+    let taken = [29999, 30001, 30002, 30003, 30004, 30011, 30012, 30013];
+    let mine = [("modbus", ports.modbus), ("camera", ports.camera), ("control", ports.control)];
+    for (index, (key, port)) in mine.iter().enumerate() {
+        if taken.contains(port) || mine.iter().take(index).any(|(_, other)| other == port) {
+            let message = format!("port {port} for {key} is taken by another server of the cell");
+            decoder.complain_at(
+                at,
+                message,
+                "29999, 30001 to 30004 and 30011 to 30013 are the controller's own",
+            );
+        }
+    }
+    Some(ports)
+}
+
+/// An address to listen at. A name is refused: it may stand for several, and the cell's side compares
+/// addresses.
+fn address(decoder: &mut Decoder, at: &At) -> Option<String> {
+    let text = decoder.text(at)?;
+    if text.parse::<IpAddr>().is_err() {
+        let help = "write an address of this machine alone, as 127.0.0.2";
+        decoder.complain_at(at, format!("{text:?} is not an IP address"), help);
+        return None;
+    }
+    Some(text)
+}
+
+/// The objects, their starts compared with each other and with the table, their markers with the table's.
+fn objects(
+    decoder: &mut Decoder,
+    at: &At,
+    workspace: Option<Workspace>,
+    places: &Places,
+) -> Option<Vec<ObjectSpec>> {
+    let items = decoder.sequence(at)?;
+    unique_names_and_markers(decoder, &items);
+    let markers: Vec<MarkerUse> = items.iter().filter_map(MarkerUse::of).collect();
+    check_reference_markers(decoder, places, &markers);
+    let objects = each(decoder, at, |decoder, at| {
+        let object = decode::object(decoder, at)?;
+        if object.start.is_none() || object.height.is_none() || object.mass.is_none() {
+            let message = format!("{:?} needs start, height (m) and mass (kg)", object.id);
+            decoder.complain_at(at, message, "the simulated world cannot guess them");
+        }
+        Some(object)
+    })?;
+    let layout = Layout {
+        workspace,
+        overlap_tolerance: Some(0.0),
+        keep_out: &[],
+        objects: objects.iter().map(Option::as_ref).collect(),
+        places: &items.iter().map(Place::of).collect::<Vec<_>>(),
+    };
+    layout.start_faults(decoder);
+    objects.into_iter().collect()
+}
+
+fn errors(decoder: &mut Decoder, at: &At) -> Option<SimErrors> {
+    let known = [
+        "placement_m",
+        "placement_deg",
+        "table_m",
+        "table_deg",
+        "mount_m",
+        "mount_deg",
+        "dh_m",
+        "dh_deg",
+        "noise_levels",
+    ];
+    let fields = decoder.map(at, &known)?;
+    let mut length = |key: &str| required_number(decoder, &fields, key, 0.0..=0.05, "m");
+    let (placement_m, table_m, mount_m, dh_m) =
+        (length("placement_m"), length("table_m"), length("mount_m"), length("dh_m"));
+    let mut angle =
+        |key: &str| required_number(decoder, &fields, key, 0.0..=10.0, "degrees").map(rad_from_deg);
+    let (placement_rad, table_rad, mount_rad, dh_rad) =
+        (angle("placement_deg"), angle("table_deg"), angle("mount_deg"), angle("dh_deg"));
+    // Pictures without noise repeat bit by bit, and the daemon takes a camera that repeats itself for frozen.
+    let noise_levels = required_number(decoder, &fields, "noise_levels", 0.1..=50.0, "grey levels");
+    Some(SimErrors {
+        placement_m: placement_m?,
+        placement_rad: placement_rad?,
+        table_m: table_m?,
+        table_rad: table_rad?,
+        mount_m: mount_m?,
+        mount_rad: mount_rad?,
+        dh_m: dh_m?,
+        dh_rad: dh_rad?,
+        noise_levels: noise_levels?,
+    })
+}

@@ -1,0 +1,91 @@
+//! What kind of controller is simulated: arm, calibration, software, installation.
+//!
+//! In: an arm model and a seed. Out: [`ControllerConfig`], whose calibrated kinematics differ from the
+//! nominal ones as those of real arms do. Pure.
+
+use cell_values::units::Joints;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+use ur_arm::kinematics::{ARM_MODELS, ArmModel, DhParameters};
+
+/// Standard deviation of the arm's calibrated parameters about the nominal ones unless asked otherwise: m,
+/// rad.
+const CALIBRATION_STD_M: f64 = 5e-4;
+const CALIBRATION_STD_RAD: f64 = 0.05 / 360.0 * TAU;
+
+/// What kind of controller is simulated.
+#[derive(Clone, Debug)]
+pub struct ControllerConfig {
+    /// Which arm.
+    pub arm: ArmModel,
+    /// Calibrated kinematics of this arm.
+    pub dh: DhParameters,
+    /// Where the arm stands at first.
+    pub start: Joints,
+    /// Digits.
+    pub serial_number: String,
+    /// As the dashboard names it, without the "e".
+    pub model: String,
+    /// Software version: major, minor, bug fix, build.
+    pub version: [u32; 4],
+    /// Arm powered and brakes open at the start; else powered off.
+    pub running: bool,
+    /// Remote control at the start.
+    pub remote: bool,
+    /// Tool centre point of the installation, in the flange frame.
+    pub tcp: [f64; 6],
+    /// Payload of the installation, kg.
+    pub payload: f64,
+    /// Seed of `random()`.
+    pub seed: u64,
+    /// Programs that `load` finds: name of the `.urp` file without its ending, and its script.
+    pub programs: BTreeMap<String, String>,
+}
+
+impl ControllerConfig {
+    /// A UR5e with software 5.26, calibrated by `seed`, powered off, in remote control, arm in a work pose.
+    pub fn ur5e(seed: u64) -> ControllerConfig {
+        ControllerConfig::of(&ARM_MODELS[0], seed)
+    }
+
+    /// The same with another arm.
+    pub fn of(arm: &ArmModel, seed: u64) -> ControllerConfig {
+        ControllerConfig {
+            arm: *arm,
+            dh: calibrated(&arm.dh, seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD),
+            start: Joints([0.0, -1.57, 1.57, -1.57, -1.57, 0.0]),
+            serial_number: "20235500001".to_owned(),
+            model: arm.name.trim_end_matches('e').to_owned(),
+            version: [5, 26, 0, 1_234_567],
+            running: false,
+            remote: true,
+            tcp: [0.0; 6],
+            payload: 0.0,
+            seed,
+            programs: BTreeMap::new(),
+        }
+    }
+
+    /// The calibration of another arm of this model.
+    pub fn recalibrate(&mut self, seed: u64) {
+        self.dh = calibrated(&self.arm.dh, seed, CALIBRATION_STD_M, CALIBRATION_STD_RAD);
+    }
+}
+
+/// Nominal parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each length
+/// and `std_rad` (rad) of each angle.
+pub fn calibrated(nominal: &DhParameters, seed: u64, std_m: f64, std_rad: f64) -> DhParameters {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5572_3565);
+    // The sum of twelve uniform numbers is normal enough and needs no further crate.
+    let mut normal = |std: f64| (0..12).map(|_| rng.random::<f64>() - 0.5).sum::<f64>() * std;
+    let mut dh = *nominal;
+    for i in 0..6 {
+        dh.a[i] += normal(std_m);
+        dh.d[i] += normal(std_m);
+        dh.alpha[i] += normal(std_rad);
+        dh.theta[i] += normal(std_rad);
+    }
+    dh
+}

@@ -1,0 +1,191 @@
+//! Everything of the controller but its programs, so that a running program can act on it.
+//!
+//! In: what clients and scripts set, and the frames that [`crate::controller::Controller::frame`] makes.
+//! Out: state to sample, and messages for the primary interface. The parts have files of their own; this puts
+//! them together and says what a frame leaves to be seen. Pure.
+
+use crate::controller::compliance::{Compliance, ForceSettings};
+use crate::controller::config::ControllerConfig;
+use crate::controller::modes::Modes;
+use crate::controller::pendant::Pendant;
+use crate::controller::registers::Registers;
+use crate::controller::sensing::Sensing;
+use crate::controller::settings::Settings;
+use crate::controller::sockets::{NoNetwork, ScriptSockets};
+use crate::controller::watchdog::Watchdog;
+use crate::motion::mover::{MoveId, Mover};
+use crate::motion::{Arm, FRAME_SECONDS};
+use nalgebra::Isometry3;
+use std::collections::VecDeque;
+use ur_arm::kinematics::forward;
+use ur_arm::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
+use ur_wire::primary_message::MessageBody;
+use urscript::value::ThreadId;
+
+/// Controller time at the first frame, s. Client libraries distrust timestamps below 40 s: a real controller
+/// restarts its RTDE service once while it boots.
+const FIRST_TIMESTAMP: f64 = 41.0;
+
+/// Messages kept for the primary interface until the servers fetch them.
+const MAX_MESSAGES: usize = 1000;
+
+/// Braking of moves whose program went away, rad/s2.
+pub(super) const DEFAULT_STOP: f64 = 4.0;
+
+/// The tool as the controller is told about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Payload {
+    /// kg
+    pub mass: f64,
+    /// In the flange frame, m.
+    pub centre: [f64; 3],
+    /// kg m2: xx, yy, zz, xy, xz, yz.
+    pub inertia: [f64; 6],
+    /// Gravity in the base frame, m/s2.
+    pub gravity: [f64; 3],
+}
+
+/// Everything but the programs, so that a running program can act on it.
+#[derive(Debug)]
+pub struct Core {
+    /// What does not change.
+    pub config: ControllerConfig,
+    /// A secondary program is being carried out.
+    pub secondary: bool,
+    /// Power, brakes, safety, remote control.
+    pub modes: Modes,
+    /// Registers, inputs and outputs.
+    pub registers: Registers,
+    /// The arm.
+    pub mover: Mover,
+    /// Tool and gravity.
+    pub payload: Payload,
+    /// Tool centre point as set, m and rad.
+    pub tcp_offset: [f64; 6],
+    /// Frames since the start.
+    pub step: u64,
+    /// Text of a popup on the pendant.
+    pub popup: Option<String>,
+    /// Forces at the tool and the arm's recent past.
+    pub sensing: Sensing,
+    /// Force mode or freedrive, if one is on.
+    pub compliance: Option<Compliance>,
+    /// Damping and gain of force mode.
+    pub force_settings: ForceSettings,
+    /// What scripts set and ask back.
+    pub settings: Settings,
+    /// The network, for scripts' sockets.
+    pub sockets: Box<dyn ScriptSockets>,
+    /// What was chosen at the pendant.
+    pub pendant: Pendant,
+    messages: VecDeque<MessageBody>,
+    tcp_pose: [f64; 6],
+    /// Thread and move that have the arm.
+    pub(super) owner: Option<(ThreadId, MoveId)>,
+    /// A thread was killed in a motion; the arm brakes unless something else commands it in this frame.
+    pub(super) orphaned: bool,
+    pub(super) watchdogs: Vec<Watchdog>,
+    pub(super) stop_asked: Option<String>,
+}
+
+impl Core {
+    /// Everything as at the end of booting.
+    pub(super) fn new(config: ControllerConfig) -> Core {
+        let arm = Arm::of(config.arm.joint_speed, config.dh);
+        let mut core = Core {
+            modes: Modes::new(config.running, config.remote),
+            registers: Registers::default(),
+            mover: Mover::new(arm, config.start),
+            payload: Payload {
+                mass: config.payload,
+                centre: [0.0; 3],
+                inertia: [0.0; 6],
+                gravity: [0.0, 0.0, cell_values::units::GRAVITY],
+            },
+            tcp_offset: [0.0; 6],
+            step: 0,
+            popup: None,
+            sensing: Sensing::default(),
+            compliance: None,
+            force_settings: ForceSettings::default(),
+            settings: Settings::default(),
+            sockets: Box::new(NoNetwork),
+            pendant: Pendant::default(),
+            messages: VecDeque::new(),
+            tcp_pose: [0.0; 6],
+            owner: None,
+            orphaned: false,
+            watchdogs: Vec::new(),
+            stop_asked: None,
+            config,
+            secondary: false,
+        };
+        core.set_tcp(core.config.tcp);
+        core.refresh();
+        core
+    }
+
+    /// Controller time, s.
+    pub fn timestamp(&self) -> f64 {
+        FIRST_TIMESTAMP + self.step as f64 * FRAME_SECONDS
+    }
+
+    /// Software version as clients are told: major, minor, bug fix, build.
+    pub fn version(&self) -> [u32; 4] {
+        self.pendant.claimed_version().unwrap_or(self.config.version)
+    }
+
+    /// Model as clients are told, in the dashboard's words: without the "e".
+    pub fn model(&self) -> &str {
+        self.pendant.claimed_model().unwrap_or(&self.config.model)
+    }
+
+    /// TCP in the base frame as of the last frame.
+    pub fn tcp_pose(&self) -> [f64; 6] {
+        self.tcp_pose
+    }
+
+    /// `base_from_flange` as it really is.
+    pub fn base_from_flange(&self) -> Isometry3<f64> {
+        forward(&self.mover.arm.dh, &self.mover.q())
+    }
+
+    /// Pose the active move leads to; the present one when the arm is in none.
+    pub fn target_waypoint(&self) -> [f64; 6] {
+        self.mover.waypoint().map_or(self.tcp_pose, |pose| ur_pose_from_isometry(&pose))
+    }
+
+    /// Sets the tool centre point.
+    pub fn set_tcp(&mut self, pose: [f64; 6]) {
+        self.tcp_offset = pose;
+        self.mover.arm.flange_from_tcp = isometry_from_ur_pose(pose);
+    }
+
+    /// Fetches the messages that have come up since the last call.
+    pub fn take_messages(&mut self) -> Vec<MessageBody> {
+        self.messages.drain(..).collect()
+    }
+
+    /// Adds a message for the primary interface; the oldest goes when nobody fetches them.
+    pub fn message(&mut self, body: MessageBody) {
+        if self.messages.len() >= MAX_MESSAGES {
+            self.messages.pop_front();
+        }
+        self.messages.push_back(body);
+    }
+
+    /// An error code at level warning.
+    pub fn error_message(&mut self, code: i32, argument: i32, text: &str) {
+        let text = text.to_owned();
+        self.message(MessageBody::Error { code, argument, level: 2, data_type: 0, data: 0, text });
+    }
+
+    pub(super) fn safety_message(&mut self) {
+        let mode = self.modes.safety_mode().code() as u8;
+        self.message(MessageBody::SafetyMode { code: 0, argument: 0, mode, data_type: 0, data: 0 });
+    }
+
+    pub(super) fn refresh(&mut self) {
+        self.tcp_pose = ur_pose_from_isometry(&self.mover.arm.tcp(&self.mover.q()));
+    }
+}

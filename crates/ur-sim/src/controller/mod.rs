@@ -1,0 +1,199 @@
+//! The simulated UR controller without its sockets: modes, programs, registers and the arm, in 2 ms frames.
+//!
+//! In: what clients ask for (methods), and [`Controller::frame`] every 2 ms of simulated time. Out: state for
+//! the servers to sample, and messages for the primary interface. Pure: it has no clock and no thread; time
+//! is the number of frames. Order in a frame, as on the controller: inputs that have arrived are in effect,
+//! the modes advance, programs run, the arm moves, and the state that is then left is what clients see.
+//! Source: the interface notes; what is modelled instead of known is said where it is modelled.
+
+pub mod builtins;
+
+pub mod compliance;
+
+pub mod config;
+
+pub mod core;
+
+pub mod drives;
+
+pub mod force_functions;
+
+pub mod functions;
+
+pub mod io_functions;
+
+pub mod modes;
+
+pub mod motion_functions;
+
+pub mod outputs;
+
+pub mod pendant;
+
+pub mod programs;
+
+pub mod realtime;
+
+pub mod registers;
+
+pub mod robot_state;
+
+pub mod sensing;
+
+pub mod setting_functions;
+
+pub mod settings;
+
+pub mod socket_functions;
+
+pub mod sockets;
+
+pub mod watchdog;
+
+pub use crate::controller::config::ControllerConfig;
+
+use crate::controller::core::Core;
+use crate::controller::programs::Programs;
+use crate::controller::sockets::NoNetwork;
+use crate::motion::MotionFault;
+use crate::motion::mover::{HARD_RAMP_SECONDS, SOFT_RAMP_SECONDS};
+
+/// The controller.
+#[derive(Debug)]
+pub struct Controller {
+    /// Everything but the programs.
+    pub core: Core,
+    /// The programs.
+    pub programs: Programs,
+}
+
+impl Controller {
+    /// A controller just booted.
+    pub fn new(config: ControllerConfig) -> Controller {
+        let programs = Programs::new(config.seed);
+        Controller { core: Core::new(config), programs }
+    }
+
+    /// 2 ms of simulated time.
+    pub fn frame(&mut self) {
+        self.core.step += 1;
+        self.core.modes.advance();
+        self.programs.run(&mut self.core);
+        if let Some(reason) = self.core.stop_asked.take() {
+            self.protective_stop(&reason);
+        }
+        self.core.sockets.flush();
+        if !self.core.modes.brakes_open() {
+            self.core.mover.freeze();
+        } else if let Err(fault) = self.move_arm() {
+            self.protective_stop(&fault.to_string());
+        }
+        self.core.refresh();
+        let (q, force) = (self.core.mover.q(), self.core.tcp_force());
+        self.core.sensing.remember(q, force);
+    }
+
+    fn move_arm(&mut self) -> Result<(), MotionFault> {
+        let safe = self.core.modes.motion_allowed();
+        self.core.mover.set_ramp(if safe { SOFT_RAMP_SECONDS } else { HARD_RAMP_SECONDS });
+        let held = self.programs.paused() || !safe;
+        let scaling = if held { 0.0 } else { self.core.registers.speed_fraction() };
+        self.core.yield_to_forces();
+        self.core.mover.step(scaling)
+    }
+
+    /// Stops the arm as its safety system does on a violated limit: on its path, the program paused.
+    pub fn protective_stop(&mut self, reason: &str) {
+        if self.core.modes.protective_stop(self.core.step) {
+            self.programs.pause();
+            self.core.pendant.safety_popup = true;
+            self.core.error_message(modes::PATH_SANITY_CODE, 0, reason);
+            self.core.safety_message();
+        }
+    }
+
+    /// Ends a protective stop.
+    ///
+    /// # Errors
+    /// The sentence of the dashboard, within 5 s of the stop or without one.
+    pub fn unlock_protective_stop(&mut self) -> Result<(), String> {
+        self.core.modes.unlock(self.core.step)?;
+        self.core.pendant.safety_popup = false;
+        self.core.safety_message();
+        Ok(())
+    }
+
+    /// Presses or releases the emergency stop: the arm loses power, programs end.
+    pub fn emergency_stop(&mut self, pressed: bool) {
+        if pressed {
+            self.programs.stop(&mut self.core);
+            self.core.mover.freeze();
+        }
+        self.core.modes.emergency_stop(pressed);
+        self.core.safety_message();
+    }
+
+    /// Opens or closes the safeguard circuit; programs pause and go on by themselves.
+    pub fn safeguard_stop(&mut self, open: bool) {
+        if self.core.modes.safeguard_stop(open) {
+            if open {
+                self.programs.pause_for_safeguard();
+            } else {
+                self.programs.resume_after_safeguard();
+            }
+            self.core.safety_message();
+        }
+    }
+
+    /// Shows a safety mode by its number and pauses the program unless the mode allows motion; absent: back
+    /// to normal, and the program goes on.
+    pub fn show_safety(&mut self, number: Option<i32>) {
+        self.core.modes.show_safety(number);
+        if !self.core.modes.motion_allowed() {
+            self.programs.pause_for_safeguard();
+        } else {
+            self.programs.resume_after_safeguard();
+        }
+        self.core.safety_message();
+    }
+
+    /// A fault of the safety system: the arm loses power, programs end.
+    pub fn safety_fault(&mut self) {
+        self.power_off();
+        self.core.modes.fault();
+        self.core.safety_message();
+    }
+
+    /// Boots anew, powered off, the arm where it is; with another serial number or another arm's calibration
+    /// if given.
+    pub fn reboot(&mut self, serial: Option<String>, kinematics: Option<u64>) {
+        let mut config = self.core.config.clone();
+        config.start = self.core.mover.q();
+        config.running = false;
+        config.serial_number = serial.unwrap_or(config.serial_number);
+        if let Some(seed) = kinematics {
+            config.recalibrate(seed);
+        }
+        self.core.sockets.close_all();
+        let sockets = std::mem::replace(&mut self.core.sockets, Box::new(NoNetwork));
+        *self = Controller::new(config);
+        self.core.sockets = sockets;
+    }
+
+    /// Arm power off; a running program ends.
+    pub fn power_off(&mut self) {
+        self.programs.stop(&mut self.core);
+        self.core.mover.freeze();
+        self.core.modes.power_off();
+    }
+
+    /// Restart of the safety system after a fault; ends powered off.
+    pub fn restart_safety(&mut self) {
+        self.power_off();
+        self.core.modes.restart_safety();
+        self.core.safety_message();
+    }
+}
+
+#[cfg(test)]
+mod tests;

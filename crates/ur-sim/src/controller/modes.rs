@@ -1,0 +1,347 @@
+//! The controller's states: arm power and brakes, safety, and who may command it.
+//!
+//! In: what an operator, a client or the arm does. Out: the numbers that RTDE, dashboard and primary
+//! interface show. Power: off -> booting -> idle (brakes shut) -> releasing -> running. Safety is beside it:
+//! a protective stop leaves the arm powered, an emergency stop and a fault do not. The times are shorter than
+//! a real arm's (3 to 8 s and 2 to 5 s) but not zero, so that nobody mistakes a reply for completion.
+
+use ur_wire::enumerations::{RobotMode, SafetyMode};
+
+/// Frames from power on to idle, and from brake release to running.
+const BOOTING_FRAMES: u32 = 250;
+const RELEASING_FRAMES: u32 = 150;
+
+/// Frames after a protective stop in which it cannot be unlocked (5 s).
+const UNLOCK_FRAMES: u64 = 2500;
+
+/// Error code of a protective stop because of an impossible motion ("path sanity check failed").
+pub const PATH_SANITY_CODE: i32 = 204;
+
+/// What the dashboard says to an early unlock.
+pub const UNLOCK_TOO_EARLY: &str = "Cannot unlock protective stop until 5s after occurrence. Always inspect cause \
+                                    of protective stop before unlocking";
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Power {
+    Off,
+    Booting { frames_left: u32, then_release: bool },
+    Idle,
+    Releasing { frames_left: u32 },
+    Running,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Safety {
+    Normal,
+    Protective {
+        since: u64,
+    },
+    Safeguard,
+    Emergency,
+    Fault,
+    /// Another mode by its number; in reduced mode the arm may move, in all others not.
+    Other(i32),
+}
+
+/// Modes of the controller.
+#[derive(Clone, Debug)]
+pub struct Modes {
+    power: Power,
+    safety: Safety,
+    remote: bool,
+    /// Counts switches between local and remote control: connections made before the last one are stale.
+    switches: u64,
+}
+
+impl Modes {
+    /// Powered and free, or powered off.
+    pub fn new(running: bool, remote: bool) -> Modes {
+        let power = if running { Power::Running } else { Power::Off };
+        Modes { power, safety: Safety::Normal, remote, switches: 0 }
+    }
+
+    /// One frame.
+    pub fn advance(&mut self) {
+        self.power = match self.power {
+            Power::Booting { frames_left: 0, then_release: false } => Power::Idle,
+            Power::Booting { frames_left: 0, then_release: true } => {
+                Power::Releasing { frames_left: RELEASING_FRAMES }
+            }
+            Power::Booting { frames_left, then_release } => {
+                Power::Booting { frames_left: frames_left - 1, then_release }
+            }
+            Power::Releasing { frames_left: 0 } => Power::Running,
+            Power::Releasing { frames_left } => Power::Releasing { frames_left: frames_left - 1 },
+            Power::Off | Power::Idle | Power::Running => self.power,
+        };
+    }
+
+    /// Arm power on; without effect if it is on or may not be.
+    pub fn power_on(&mut self) {
+        self.boot(false);
+    }
+
+    fn boot(&mut self, then_release: bool) {
+        if self.power == Power::Off && !matches!(self.safety, Safety::Emergency | Safety::Fault) {
+            self.power = Power::Booting { frames_left: BOOTING_FRAMES, then_release };
+        }
+    }
+
+    /// Brakes open; powers the arm on first if need be.
+    pub fn release_brakes(&mut self) {
+        match self.power {
+            Power::Idle => self.power = Power::Releasing { frames_left: RELEASING_FRAMES },
+            Power::Off => self.boot(true),
+            Power::Booting { frames_left, .. } => {
+                self.power = Power::Booting { frames_left, then_release: true };
+            }
+            Power::Releasing { .. } | Power::Running => {}
+        }
+    }
+
+    /// Arm power off.
+    pub fn power_off(&mut self) {
+        self.power = Power::Off;
+    }
+
+    /// True if this changed anything.
+    pub fn protective_stop(&mut self, step: u64) -> bool {
+        let possible = self.safety == Safety::Normal || self.safety == Safety::Safeguard;
+        if possible {
+            self.safety = Safety::Protective { since: step };
+        }
+        possible
+    }
+
+    /// Ends a protective stop that is at least 5 s old.
+    ///
+    /// # Errors
+    /// The dashboard's sentence.
+    pub fn unlock(&mut self, step: u64) -> Result<(), String> {
+        match self.safety {
+            Safety::Protective { since } if step.saturating_sub(since) < UNLOCK_FRAMES => {
+                Err(UNLOCK_TOO_EARLY.to_owned())
+            }
+            Safety::Protective { .. } => {
+                self.safety = Safety::Normal;
+                Ok(())
+            }
+            Safety::Normal | Safety::Safeguard | Safety::Emergency | Safety::Fault | Safety::Other(_) => {
+                Ok(())
+            }
+        }
+    }
+
+    /// The emergency stop button.
+    pub fn emergency_stop(&mut self, pressed: bool) {
+        if pressed {
+            self.safety = Safety::Emergency;
+            self.power = Power::Off;
+        } else if self.safety == Safety::Emergency {
+            self.safety = Safety::Normal;
+        }
+    }
+
+    /// The safeguard circuit; true if this changed anything.
+    pub fn safeguard_stop(&mut self, open: bool) -> bool {
+        let (from, to) =
+            if open { (Safety::Normal, Safety::Safeguard) } else { (Safety::Safeguard, Safety::Normal) };
+        let changes = self.safety == from;
+        if changes {
+            self.safety = to;
+        }
+        changes
+    }
+
+    /// Shows a safety mode by its number; absent: back to normal.
+    pub fn show_safety(&mut self, number: Option<i32>) {
+        match (number, self.safety) {
+            (Some(number), _) => self.safety = Safety::Other(number),
+            (None, Safety::Other(_)) => self.safety = Safety::Normal,
+            (None, _) => {}
+        }
+    }
+
+    /// A fault of the safety system: arm power off until it is restarted.
+    pub fn fault(&mut self) {
+        self.safety = Safety::Fault;
+        self.power = Power::Off;
+    }
+
+    /// Back to normal, powered off.
+    pub fn restart_safety(&mut self) {
+        self.power = Power::Off;
+        if self.safety != Safety::Emergency {
+            self.safety = Safety::Normal;
+        }
+    }
+
+    /// Switches between remote (true) and local control.
+    pub fn set_remote(&mut self, remote: bool) {
+        if self.remote != remote {
+            self.remote = remote;
+            self.switches += 1;
+        }
+    }
+
+    /// Remote control is on.
+    pub fn remote(&self) -> bool {
+        self.remote
+    }
+
+    /// Number of switches between local and remote so far.
+    pub fn switches(&self) -> u64 {
+        self.switches
+    }
+
+    /// Brakes are open.
+    pub fn brakes_open(&self) -> bool {
+        self.power == Power::Running
+    }
+
+    /// Arm has power.
+    pub fn powered(&self) -> bool {
+        matches!(self.power, Power::Idle | Power::Releasing { .. } | Power::Running)
+    }
+
+    /// Safety lets the arm move.
+    pub fn motion_allowed(&self) -> bool {
+        self.safety_mode().allows_motion()
+    }
+
+    /// A protective stop is in force.
+    pub fn protective_stopped(&self) -> bool {
+        matches!(self.safety, Safety::Protective { .. })
+    }
+
+    /// An emergency stop is in force.
+    pub fn emergency_stopped(&self) -> bool {
+        self.safety == Safety::Emergency
+    }
+
+    /// As clients see it.
+    pub fn robot_mode(&self) -> RobotMode {
+        match self.power {
+            Power::Off => RobotMode::PowerOff,
+            Power::Booting { .. } => RobotMode::Booting,
+            Power::Idle | Power::Releasing { .. } => RobotMode::Idle,
+            Power::Running => RobotMode::Running,
+        }
+    }
+
+    /// As clients see it.
+    pub fn safety_mode(&self) -> SafetyMode {
+        match self.safety {
+            Safety::Normal => SafetyMode::Normal,
+            Safety::Protective { .. } => SafetyMode::ProtectiveStop,
+            Safety::Safeguard => SafetyMode::SafeguardStop,
+            Safety::Emergency => SafetyMode::RobotEmergencyStop,
+            Safety::Fault => SafetyMode::Fault,
+            Safety::Other(number) => SafetyMode::from_code(number),
+        }
+    }
+
+    /// Bits of `safety_status_bits`; bit 10 is "stopped due to safety".
+    pub fn safety_status_bits(&self) -> u32 {
+        match self.safety {
+            Safety::Normal => 1,
+            Safety::Protective { .. } => 1 << 2 | 1 << 10,
+            Safety::Safeguard => 1 << 4 | 1 << 10,
+            Safety::Emergency => 1 << 6 | 1 << 7 | 1 << 10,
+            Safety::Fault => 1 << 9 | 1 << 10,
+            Safety::Other(2) => 1 << 1,
+            Safety::Other(4) => 1 << 3 | 1 << 10,
+            Safety::Other(6) => 1 << 5 | 1 << 7 | 1 << 10,
+            Safety::Other(8) => 1 << 8 | 1 << 10,
+            Safety::Other(_) => 1 << 10,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn after(mut modes: Modes, frames: u32) -> Modes {
+        (0..frames).for_each(|_| modes.advance());
+        modes
+    }
+
+    #[test]
+    fn power_comes_step_by_step() {
+        let mut modes = Modes::new(false, true);
+        modes.power_on();
+        assert_eq!(modes.robot_mode(), RobotMode::Booting);
+        let mut modes = after(modes, BOOTING_FRAMES + 1);
+        assert_eq!(modes.robot_mode(), RobotMode::Idle);
+        modes.release_brakes();
+        assert!(!modes.brakes_open(), "the reply is not the completion");
+        assert!(after(modes, RELEASING_FRAMES + 1).brakes_open());
+    }
+
+    #[test]
+    fn releasing_the_brakes_of_an_arm_without_power_switches_it_on_first() {
+        let mut modes = Modes::new(false, true);
+        modes.release_brakes();
+        let modes = after(modes, BOOTING_FRAMES + 1);
+        assert!(modes.powered() && !modes.brakes_open());
+        assert!(after(modes, RELEASING_FRAMES + 1).brakes_open());
+    }
+
+    #[test]
+    fn reduced_mode_lets_the_arm_move_and_shows() {
+        let mut modes = Modes::new(true, true);
+        modes.show_safety(Some(2));
+        assert!(modes.motion_allowed());
+        assert_eq!((modes.safety_mode(), modes.safety_status_bits()), (SafetyMode::Reduced, 2));
+        modes.show_safety(Some(8));
+        assert!(!modes.motion_allowed());
+        modes.show_safety(None);
+        assert_eq!(modes.safety_mode(), SafetyMode::Normal);
+    }
+
+    #[test]
+    fn a_protective_stop_waits_five_seconds() {
+        let mut modes = Modes::new(true, true);
+        assert!(modes.protective_stop(100) && !modes.protective_stop(101));
+        assert!(modes.unlock(100 + UNLOCK_FRAMES - 1).is_err());
+        assert_eq!(modes.safety_status_bits(), 0x404);
+        assert!(modes.unlock(100 + UNLOCK_FRAMES).is_ok());
+        assert!(modes.motion_allowed() && modes.brakes_open());
+    }
+
+    #[test]
+    fn an_emergency_stop_takes_the_power_and_needs_release() {
+        let mut modes = Modes::new(true, true);
+        modes.emergency_stop(true);
+        modes.power_on();
+        assert_eq!(
+            (modes.robot_mode(), modes.safety_mode()),
+            (RobotMode::PowerOff, SafetyMode::RobotEmergencyStop)
+        );
+        modes.restart_safety();
+        assert!(modes.emergency_stopped(), "a restart does not release the button");
+        modes.emergency_stop(false);
+        assert!(modes.motion_allowed() && !modes.powered());
+    }
+
+    #[test]
+    fn a_fault_needs_a_restart() {
+        let mut modes = Modes::new(true, true);
+        modes.fault();
+        modes.power_on();
+        assert_eq!(modes.robot_mode(), RobotMode::PowerOff);
+        modes.restart_safety();
+        modes.power_on();
+        assert_eq!(modes.robot_mode(), RobotMode::Booting);
+    }
+
+    #[test]
+    fn every_switch_of_control_is_counted() {
+        let mut modes = Modes::new(true, true);
+        modes.set_remote(true);
+        modes.set_remote(false);
+        modes.set_remote(true);
+        assert_eq!((modes.remote(), modes.switches()), (true, 2));
+    }
+}

@@ -1,0 +1,326 @@
+//! The controller's program engine: one main program, secondary programs beside it, their start and end.
+//!
+//! In: compiled uploads, play, pause and stop. Out: runtime state, and the key, error and exception messages
+//! of the primary interface. A new main program replaces the running one, whose STOPPED message comes first;
+//! a runtime exception comes before the STOPPED of its program. A secondary program has one frame.
+
+use crate::controller::builtins;
+use crate::controller::core::{Core, DEFAULT_STOP};
+use crate::controller::pendant::{LoadError, PROGRAM_FOLDER};
+use crate::controller::watchdog::WatchdogAction;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use ur_wire::enumerations::RuntimeState;
+use ur_wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED};
+use urscript::ast::FunctionKind;
+use urscript::code::Code;
+use urscript::fault::{CompileError, RuntimeException};
+use urscript::program::{Program, Progress};
+
+/// Uploads that may wait for the next frame.
+const MAX_UPLOADS: usize = 16;
+
+/// Code of the error message for a program that cannot be started now.
+const NOT_STARTED_CODE: i32 = 169;
+
+#[derive(Debug)]
+enum Run {
+    Stopped,
+    Playing(Program),
+    Paused { program: Program, by_safeguard: bool },
+}
+
+/// The engine.
+#[derive(Debug)]
+pub struct Programs {
+    run: Run,
+    uploads: VecDeque<Result<Code, CompileError>>,
+    /// What `play` starts.
+    loaded: Option<Arc<Code>>,
+    /// The main program that ran last.
+    last: Option<Arc<Code>>,
+    seed: u64,
+    starts: u64,
+    /// A fault: uploads do not start.
+    deaf: bool,
+}
+
+impl Programs {
+    /// Nothing loaded.
+    pub fn new(seed: u64) -> Programs {
+        let (run, uploads) = (Run::Stopped, VecDeque::new());
+        Programs { run, uploads, loaded: None, last: None, seed, starts: 0, deaf: false }
+    }
+
+    /// Loads a program for `play`, as from the controller's files; one that runs ends.
+    pub fn load(&mut self, code: Arc<Code>, core: &mut Core) {
+        self.stop(core);
+        self.last = Some(code.clone());
+        self.loaded = Some(code);
+    }
+
+    /// Hands over an upload; it starts in the next frame. False if too many wait.
+    pub fn upload(&mut self, code: Result<Code, CompileError>) -> bool {
+        let room = self.uploads.len() < MAX_UPLOADS;
+        if room && !self.deaf {
+            self.uploads.push_back(code);
+        }
+        room
+    }
+
+    /// Lets uploads vanish without a word (a fault), or takes them again.
+    pub fn set_deaf(&mut self, deaf: bool) {
+        self.deaf = deaf;
+    }
+
+    /// Ends the main program with a runtime exception where it is (a fault); false if there is none.
+    pub fn fail(&mut self, core: &mut Core) -> bool {
+        if let Run::Playing(program) | Run::Paused { program, .. } = &self.run {
+            let (at, message) = (program.position(), "runtime exception by the fault desk".to_owned());
+            core.message(exception_message(&RuntimeException { at, message }));
+        }
+        self.stop(core)
+    }
+
+    /// A main program is being stepped.
+    pub fn playing(&self) -> bool {
+        matches!(self.run, Run::Playing(_))
+    }
+
+    /// A main program waits.
+    pub fn paused(&self) -> bool {
+        matches!(self.run, Run::Paused { .. })
+    }
+
+    /// As clients see it.
+    pub fn runtime_state(&self) -> RuntimeState {
+        match self.run {
+            Run::Stopped => RuntimeState::Stopped,
+            Run::Playing(_) => RuntimeState::Playing,
+            Run::Paused { .. } => RuntimeState::Paused,
+        }
+    }
+
+    /// Name of the main program, if there is one.
+    pub fn name(&self) -> Option<&str> {
+        match &self.run {
+            Run::Playing(program) | Run::Paused { program, .. } => Some(program.name()),
+            Run::Stopped => self.last.as_ref().map(|code| &*code.name),
+        }
+    }
+
+    /// The main program, running or the last that ran, is the one that was loaded.
+    pub fn is_loaded(&self) -> bool {
+        matches!((&self.last, &self.loaded), (Some(last), Some(loaded)) if Arc::ptr_eq(last, loaded))
+    }
+
+    /// Line the main thread is in; 0 without a program.
+    pub fn line(&self) -> u32 {
+        match &self.run {
+            Run::Playing(program) | Run::Paused { program, .. } => program.position().line,
+            Run::Stopped => 0,
+        }
+    }
+
+    /// Pauses a running program; false if none runs.
+    pub fn pause(&mut self) -> bool {
+        self.pause_by(false)
+    }
+
+    /// Pauses a running program until the safeguard closes.
+    pub fn pause_for_safeguard(&mut self) {
+        self.pause_by(true);
+    }
+
+    fn pause_by(&mut self, by_safeguard: bool) -> bool {
+        match std::mem::replace(&mut self.run, Run::Stopped) {
+            Run::Playing(program) => {
+                self.run = Run::Paused { program, by_safeguard };
+                true
+            }
+            other => {
+                self.run = other;
+                false
+            }
+        }
+    }
+
+    /// Goes on with a program that the safeguard has paused.
+    pub fn resume_after_safeguard(&mut self) {
+        if matches!(self.run, Run::Paused { by_safeguard: true, .. }) {
+            self.resume();
+        }
+    }
+
+    fn resume(&mut self) -> bool {
+        match std::mem::replace(&mut self.run, Run::Stopped) {
+            Run::Paused { program, .. } => {
+                self.run = Run::Playing(program);
+                true
+            }
+            other => {
+                self.run = other;
+                false
+            }
+        }
+    }
+
+    /// The dashboard's `play`: goes on with a paused program or starts the loaded one. False if there is none
+    /// or the arm is not ready. A script that came over a socket is not loaded, as on the controller.
+    pub fn play(&mut self, core: &mut Core) -> bool {
+        if !core.modes.brakes_open() || !core.modes.motion_allowed() {
+            return false;
+        }
+        if self.resume() {
+            return true;
+        }
+        match (&self.run, self.loaded.clone()) {
+            (Run::Stopped, Some(code)) => {
+                self.start(code, core);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Ends the main program, and those that were sent before this and have not begun; false if none runs.
+    pub fn cancel(&mut self, core: &mut Core) -> bool {
+        let stays = |upload: &Result<Code, CompileError>| {
+            upload.as_ref().map_or(true, |code| code.kind == FunctionKind::Sec)
+        };
+        self.uploads.retain(stays);
+        self.stop(core)
+    }
+
+    /// Ends the main program; false if there is none.
+    pub fn stop(&mut self, core: &mut Core) -> bool {
+        match std::mem::replace(&mut self.run, Run::Stopped) {
+            Run::Playing(mut program) | Run::Paused { mut program, .. } => {
+                program.stop(core);
+                ended(&program, core);
+                true
+            }
+            Run::Stopped => false,
+        }
+    }
+
+    /// One frame: starts what was uploaded, then steps the main program.
+    pub fn run(&mut self, core: &mut Core) {
+        while let Some(upload) = self.uploads.pop_front() {
+            match upload {
+                Ok(code) if code.kind == FunctionKind::Sec => self.run_secondary(code, core),
+                Ok(code) => self.replace(code, core),
+                Err(error) => {
+                    let at = RuntimeException { at: error.at, message: error.controller_text() };
+                    core.message(exception_message(&at));
+                }
+            }
+        }
+        let Run::Playing(program) = &mut self.run else { return };
+        let progress = program.frame(core);
+        core.settle_orphaned_motion();
+        match progress {
+            Progress::Running => self.watch(core),
+            Progress::Paused => {
+                self.pause();
+            }
+            Progress::Finished => {
+                self.stop(core);
+            }
+            Progress::Failed(exception) => {
+                core.message(exception_message(&exception));
+                self.stop(core);
+            }
+        }
+    }
+
+    fn watch(&mut self, core: &mut Core) {
+        match core.watchdog_action() {
+            None => {}
+            Some(WatchdogAction::Pause) => {
+                self.pause();
+            }
+            Some(WatchdogAction::Stop) => {
+                self.stop(core);
+            }
+        }
+    }
+
+    fn replace(&mut self, code: Code, core: &mut Core) {
+        if !core.modes.brakes_open() || !core.modes.motion_allowed() {
+            core.error_message(NOT_STARTED_CODE, 0, "the program was not started: the robot is not running");
+            return;
+        }
+        self.stop(core);
+        let code = Arc::new(code);
+        self.start(code, core);
+    }
+
+    fn start(&mut self, code: Arc<Code>, core: &mut Core) {
+        self.starts += 1;
+        core.message(key_message(PROGRAM_STARTED, &code.name));
+        self.last = Some(code.clone());
+        self.run = Run::Playing(Program::new(code, self.seed.wrapping_add(self.starts)));
+    }
+
+    fn run_secondary(&mut self, code: Code, core: &mut Core) {
+        self.starts += 1;
+        let mut program = Program::new(Arc::new(code), self.seed.wrapping_add(self.starts));
+        core.secondary = true;
+        let progress = program.frame(core);
+        core.secondary = false;
+        match progress {
+            Progress::Finished => {}
+            Progress::Failed(exception) => core.message(exception_message(&exception)),
+            Progress::Running | Progress::Paused => {
+                let at = program.position();
+                program.stop(core);
+                let message = "a secondary program must not take time".to_owned();
+                core.message(exception_message(&RuntimeException { at, message }));
+            }
+        }
+    }
+}
+
+impl Core {
+    /// Finds the program of a `.urp` file and compiles its script.
+    ///
+    /// # Errors
+    /// There is no script of that name, or it cannot be compiled.
+    pub fn open_program(&mut self, file: &str) -> Result<Arc<Code>, LoadError> {
+        let name = file.strip_prefix(PROGRAM_FOLDER).unwrap_or(file);
+        let stem = name.strip_suffix(".urp").ok_or(LoadError::NotFound)?;
+        let text = self.config.programs.get(stem).ok_or(LoadError::NotFound)?;
+        let code = builtins::compile_program(text).map_err(|_| LoadError::Wrong)?;
+        self.pendant.program = Some(format!("{PROGRAM_FOLDER}{name}"));
+        Ok(Arc::new(code))
+    }
+}
+
+/// What follows the end of a main program, however it came: the arm brakes, waits end.
+fn ended(program: &Program, core: &mut Core) {
+    core.message(key_message(PROGRAM_STOPPED, program.name()));
+    core.owner = None;
+    core.orphaned = false;
+    core.watchdogs.clear();
+    core.compliance = None;
+    core.sockets.close_all();
+    if core.mover.stands() {
+        // A move that was paused must not go on under the next program.
+        core.mover.freeze();
+    } else {
+        core.mover.stop_joints(DEFAULT_STOP);
+    }
+}
+
+fn key_message(title: &str, name: &str) -> MessageBody {
+    MessageBody::Key { code: 0, argument: 0, title: title.to_owned(), text: name.to_owned() }
+}
+
+fn exception_message(exception: &RuntimeException) -> MessageBody {
+    MessageBody::RuntimeException {
+        line: i32::try_from(exception.at.line).unwrap_or(i32::MAX),
+        column: i32::try_from(exception.at.column).unwrap_or(i32::MAX),
+        text: exception.message.clone(),
+    }
+}

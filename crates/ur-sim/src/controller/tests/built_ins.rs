@@ -1,0 +1,233 @@
+//! What the built-ins of motion, force and settings do to the arm, and what they give back.
+
+use super::*;
+use crate::controller::robot_state::control_mode;
+use std::f64::consts::PI;
+
+/// Runs a script to its end and gives what it said by `textmsg`.
+#[track_caller]
+fn said(script: &str) -> Vec<String> {
+    let mut controller = running();
+    upload(&mut controller, script);
+    controller.frame();
+    step_until(&mut controller, stopped);
+    let all = messages(&mut controller);
+    all.into_iter().filter(|m| !m.starts_with("STARTED") && !m.starts_with("STOPPED")).collect()
+}
+
+#[test]
+fn a_circle_is_driven_at_its_speed_and_ends_at_its_target() {
+    let mut controller = running();
+    let script = "def c():\n a = get_actual_tcp_pose()\n \
+                  movec(pose_add(a, p[0.05,0.05,0,0,0,0]), pose_add(a, p[0,0.1,0,0,0,0]), a=2, v=0.2)\n \
+                  textmsg(pose_dist(get_actual_tcp_pose(), pose_add(a, p[0,0.1,0,0,0,0])) < 0.000001)\nend\n";
+    upload(&mut controller, script);
+    controller.frame();
+    let start = controller.core.mover.arm.tcp(&controller.core.config.start).translation.vector;
+    let mut fastest = 0.0f64;
+    while !stopped(&controller) {
+        controller.frame();
+        let at = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.vector;
+        let radius = (at - start - nalgebra::Vector3::new(0.0, 0.05, 0.0)).norm();
+        assert!((radius - 0.05).abs() < 1e-6, "{radius}");
+        fastest = fastest.max(controller.core.mover.tcp_speed().fixed_rows::<3>(0).norm());
+    }
+    assert!((fastest - 0.2).abs() < 2e-3, "{fastest}");
+    assert!(messages(&mut controller).contains(&"text:True".to_owned()));
+}
+
+#[test]
+fn process_moves_round_their_corners_at_constant_speed() {
+    let mut controller = running();
+    let script = "def p():\n a = get_actual_tcp_pose()\n movep(pose_add(a, p[0.1,0,0,0,0,0]), a=2, v=0.2, r=0.03)\n \
+                  movep(pose_add(a, p[0.1,0.1,0,0,0,0]), a=2, v=0.2, r=0.03)\n \
+                  movep(pose_add(a, p[0,0.1,0.05,0,0,0]), a=2, v=0.2)\nend\n";
+    upload(&mut controller, script);
+    controller.frame();
+    let start = controller.core.mover.arm.tcp(&controller.core.config.start).translation.vector;
+    let position = |c: &Controller| c.core.mover.arm.tcp(&c.core.mover.q()).translation.vector - start;
+    step_until(&mut controller, |c| position(c).x > 0.03);
+    let mut nearest = f64::INFINITY;
+    while position(&controller).y < 0.06 {
+        controller.frame();
+        let speed = controller.core.mover.tcp_speed().fixed_rows::<3>(0).norm();
+        assert!((speed - 0.2).abs() < 4e-3, "{speed} m/s at {}", position(&controller));
+        nearest = nearest.min((position(&controller) - nalgebra::Vector3::new(0.1, 0.0, 0.0)).norm());
+    }
+    // An arc of radius 0.03 passes its corner at 0.03 (sqrt 2 - 1).
+    assert!((nearest - 0.03 * (2f64.sqrt() - 1.0)).abs() < 1.5e-3, "{nearest}");
+    step_until(&mut controller, stopped);
+    assert!((position(&controller) - nalgebra::Vector3::new(0.0, 0.1, 0.05)).norm() < 1e-6);
+}
+
+#[test]
+fn the_tool_is_slowed_down_to_the_safety_configurations_speed() {
+    let mut controller = running();
+    controller.core.set_tcp([0.0, 0.0, 0.3, 0.0, 0.0, 0.0]);
+    upload(
+        &mut controller,
+        "def f():\n movej([0,-0.4,0.2,-1.57,-1.57,0])\n movej([2,-0.4,0.2,-1.57,-1.57,0], a=10, v=3)\nend\n",
+    );
+    controller.frame();
+    let mut fastest = 0.0f64;
+    while !stopped(&controller) {
+        controller.frame();
+        fastest = fastest.max(controller.core.mover.tcp_speed().fixed_rows::<3>(0).norm());
+    }
+    assert!((1.45..1.53).contains(&fastest), "{fastest} m/s");
+    assert_eq!(controller.core.mover.q().0[0], 2.0);
+    assert!(!controller.core.modes.protective_stopped());
+}
+
+#[test]
+fn optimal_moves_take_shares_and_refuse_more_than_all() {
+    assert!(said("def o():\n optimovej([0.5,-1.57,1.57,-1.57,-1.57,0], a=0.5, v=0.5)\n optimovel(pose_trans(get_actual_tcp_pose(), p[0,0,-0.05,0,0,0]), 0.3, 0.3)\nend\n").is_empty());
+    let refused = said("def o():\n optimovej([0.5,-1.57,1.57,-1.57,-1.57,0], a=1.4, v=1.05)\nend\n");
+    assert!(refused[0].contains("1.4 is not a share"), "{refused:?}");
+}
+
+#[test]
+fn torque_accelerates_and_silence_brakes() {
+    let mut controller = running();
+    upload(
+        &mut controller,
+        "def t():\n i = 0\n while i < 100:\n  direct_torque([5,0,0,0,0,0])\n  i = i + 1\n end\n sleep(1)\n textmsg(is_steady())\nend\n",
+    );
+    (0..100).for_each(|_| controller.frame());
+    // 5 Nm move an inertia of about 1 kg m2 for 0.2 s, less what friction and the other joints take.
+    let speed = controller.core.mover.qd()[0];
+    assert!((0.4..1.2).contains(&speed), "{speed} rad/s");
+    assert!(!controller.core.modes.protective_stopped());
+    step_until(&mut controller, stopped);
+    assert!(messages(&mut controller).contains(&"text:True".to_owned()));
+}
+
+/// A wall at `height` (m) with a spring of 20 kN/m under the tool.
+fn press(controller: &mut Controller, height: f64) {
+    let depth = height - controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
+    controller.core.sensing.set_contact_wrench([0.0, 0.0, (depth * 20_000.0).max(0.0), 0.0, 0.0, 0.0]);
+}
+
+#[test]
+fn force_mode_runs_at_its_limit_in_the_air_and_rests_at_its_force_on_a_wall() {
+    let mut controller = running();
+    upload(
+        &mut controller,
+        "def f():\n force_mode(p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,-20,0,0,0], 2, [0.1,0.1,0.05,0.5,0.5,0.5])\n \
+         sleep(4)\n end_force_mode()\n sleep(1)\nend\n",
+    );
+    let start = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
+    let step = |controller: &mut Controller, frames: u32| {
+        for _ in 0..frames {
+            press(controller, start - 0.05);
+            controller.frame();
+        }
+    };
+    step(&mut controller, 250);
+    assert_eq!(control_mode(&controller), 2, "force");
+    let speed = controller.core.mover.tcp_speed();
+    assert!((speed[2] + 0.05).abs() < 1e-3 && speed.fixed_rows::<2>(0).norm() < 1e-3, "{speed}");
+    step(&mut controller, 1500);
+    assert!((controller.core.tcp_force()[2] - 20.0).abs() < 0.5, "{:?}", controller.core.tcp_force());
+    assert!(controller.core.mover.tcp_speed().norm() < 1e-3);
+    let torque = controller.core.joint_moments();
+    assert!(torque.iter().all(|value| value.is_finite()));
+    step(&mut controller, 800);
+    assert!(stopped(&controller) || controller.core.compliance.is_none());
+}
+
+#[test]
+fn freedrive_follows_a_push_on_its_free_axes_and_stands_without_one() {
+    let mut controller = running();
+    upload(
+        &mut controller,
+        "def f():\n freedrive_mode([1,0,0,0,0,0])\n sleep(5)\n end_freedrive_mode()\nend\n",
+    );
+    (0..100).for_each(|_| controller.frame());
+    assert!(controller.core.mover.stands());
+    controller.core.sensing.set_contact_wrench([10.0, 10.0, 10.0, 0.0, 0.0, 0.0]);
+    (0..300).for_each(|_| controller.frame());
+    let speed = controller.core.mover.tcp_speed();
+    assert!(speed[0] > 0.01 && speed[1].abs() < 1e-4 && speed[2].abs() < 1e-4, "{speed}");
+    controller.programs.stop(&mut controller.core);
+    controller.core.sensing.set_contact_wrench([0.0; 6]);
+    step_until(&mut controller, |c| c.core.mover.stands());
+}
+
+#[test]
+fn contact_is_felt_and_the_way_back_is_remembered() {
+    let mut controller = running();
+    let script = "def c():\n speedl([0,0,-0.05,0,0,0], 0.5, 0.4)\n while tool_contact(get_target_tcp_speed()) == 0:\n  \
+                  speedl([0,0,-0.05,0,0,0], 0.5, 0.002)\n end\n back = tool_contact()\n q = get_actual_joint_positions_history(back)\n \
+                  stopl(3)\n movel(q)\n textmsg(force() > 10)\nend\n";
+    upload(&mut controller, script);
+    let start = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
+    while !stopped(&controller) || controller.core.step < 5 {
+        press(&mut controller, start - 0.03);
+        controller.frame();
+        assert!(controller.core.step < 5000, "no contact");
+    }
+    assert_eq!(messages(&mut controller)[1], "text:False", "back where the contact began");
+    let height = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
+    assert!((height - (start - 0.03)).abs() < 5e-4, "{}", height - start);
+}
+
+#[test]
+fn matrices_and_state_have_their_shapes_and_meaning() {
+    let script = "def m():\n j = get_jacobian()\n textmsg(size(j))\n textmsg(size(get_mass_matrix()))\n \
+                  textmsg(size(get_jacobian_time_derivative()))\n textmsg(get_list_length(get_coriolis_and_centrifugal_torques()))\n \
+                  x = get_target_waypoint()\n textmsg(pose_dist(x, get_actual_tcp_pose()) < 0.000001)\n textmsg(get_freedrive_status())\n \
+                  textmsg(norm(get_joint_torques()) < 0.000001)\n textmsg(norm(get_tool_accelerometer_reading() - get_gravity()) > 1)\nend\n";
+    let expected = ["[6, 6]", "[6, 6]", "[6, 6]", "6", "True", "0", "True", "True"];
+    assert_eq!(said(script), expected.map(|text| format!("text:{text}")));
+}
+
+#[test]
+fn a_blocking_popup_waits_until_it_is_closed() {
+    let mut controller = running();
+    upload(
+        &mut controller,
+        "def p():\n popup(\"look\")\n popup(\"wait\", blocking=True)\n textmsg(\"on\")\nend\n",
+    );
+    (0..100).for_each(|_| controller.frame());
+    assert_eq!(controller.core.popup.as_deref(), Some("wait"));
+    assert!(!stopped(&controller));
+    controller.core.popup = None;
+    step_until(&mut controller, stopped);
+    assert!(messages(&mut controller).contains(&"text:on".to_owned()));
+}
+
+#[test]
+fn settings_are_kept_and_unknown_ones_refused() {
+    let script = "def s():\n set_flag(3, True)\n textmsg(get_flag(3))\n write_port_register(128, 7)\n textmsg(read_port_register(128))\n \
+                  modbus_add_signal(\"1.2.3.4\", 255, 5, 0, \"valve\")\n modbus_set_output_signal(\"valve\", True)\n \
+                  textmsg(modbus_get_signal_status(\"valve\"))\n textmsg(encoder_unwind_delta_tick_count(0, -65530))\n \
+                  set_standard_digital_input_action(0, \"default\")\n set_tool_communication(True, 115200, 1, 1, 1.0, 3.5)\n \
+                  get_flag(99)\nend\n";
+    assert_eq!(
+        said(script),
+        ["text:True", "text:7", "text:1", "text:6", "exception 12:2 get_flag: there is no flag 99"]
+    );
+}
+
+#[test]
+fn other_models_have_their_reach_and_their_name() {
+    let config = |name: &str| {
+        let model = ARM_MODELS.iter().find(|model| model.name == name).unwrap();
+        ControllerConfig { running: true, ..ControllerConfig::of(model, 3) }
+    };
+    let mut controller = Controller::new(config("UR10e"));
+    upload(
+        &mut controller,
+        "def r():\n textmsg(get_inverse_kin_has_solution(p[-1.1,-0.17,0.3,0,3.14,0]))\n movej([2,-1.57,1.57,-1.57,-1.57,0], a=10, v=3)\nend\n",
+    );
+    controller.frame();
+    let mut fastest = 0.0f64;
+    while !stopped(&controller) {
+        controller.frame();
+        fastest = fastest.max(controller.core.mover.qd()[0]);
+    }
+    assert!(messages(&mut controller).contains(&"text:True".to_owned()));
+    assert!(fastest <= 120.0 / 180.0 * PI + 1e-9, "{fastest} rad/s");
+    assert_eq!(controller.core.config.model, "UR10");
+}

@@ -1,0 +1,81 @@
+//! Controller, world and faults of the simulated cell, in step: what all sessions act on.
+//!
+//! In: [`Core::advance`] for 2 ms of simulated time. Out: the three parts, each behind its own lock, so that
+//! a client's request waits for no more than it concerns. Nothing here opens a socket or starts a thread:
+//! time is the number of calls.
+
+use crate::controller::Controller;
+use crate::faults::desk::FaultDesk;
+use crate::motion::FRAME_SECONDS;
+use crate::robot_server::shared::RobotShared;
+use crate::world::event::Contact;
+use crate::world::{SharedWorld, World, lock};
+use std::fmt;
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+/// Depth of a contact at which the arm's safety system stops it, m: cups and flange give way by some mm
+/// first.
+const STOP_DEPTH_M: f64 = 0.006;
+
+/// Controller, world and faults, in step.
+#[derive(Clone)]
+pub struct Core {
+    /// The controller and what it sends.
+    pub robot: Arc<RobotShared>,
+    /// The table, the objects, the gripper.
+    pub world: SharedWorld,
+    /// Faults planned and in force.
+    pub desk: Arc<FaultDesk>,
+}
+
+impl fmt::Debug for Core {
+    /// As its name: it is long.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Core")
+    }
+}
+
+impl Core {
+    /// The world has its arm from the beginning. `factor`: simulated seconds per second, for delays of real
+    /// sockets.
+    pub fn new(controller: Controller, world: World, factor: f64) -> Core {
+        let robot = RobotShared::new(controller);
+        let world: SharedWorld = Arc::new(Mutex::new(world));
+        let desk = Arc::new(FaultDesk::new(robot.clone(), world.clone(), factor));
+        let core = Core { robot, world, desk };
+        core.step_world();
+        core
+    }
+
+    /// One controller frame, 2 ms; `due`: when it was, for how late packages leave.
+    pub fn advance(&self, due: Option<Instant>) {
+        self.robot.frame(due);
+        self.step_world();
+        self.desk.frame();
+    }
+
+    /// The world follows the arm, which feels what it touches; where it presses too hard, its safety system
+    /// stops it.
+    fn step_world(&self) {
+        let (now, base_from_flange, moving) = {
+            let controller = self.robot.controller();
+            (controller.core.timestamp(), controller.core.base_from_flange(), !controller.core.mover.stands())
+        };
+        let (force, pressed) = {
+            let mut world = lock(&self.world);
+            let before = world.contact().map_or(0.0, |contact| contact.depth_m);
+            world.step(now, FRAME_SECONDS, &base_from_flange);
+            // Only what gets deeper: after the stop the arm must be able to retreat.
+            let too_deep = |contact: &&Contact| moving && contact.depth_m > STOP_DEPTH_M.max(before);
+            let force = world.base_from_table().rotation * world.contact_force();
+            (force, world.contact().filter(too_deep).cloned())
+        };
+        let wrench = [force.x, force.y, force.z, 0.0, 0.0, 0.0];
+        let mut controller = self.robot.controller();
+        controller.core.sensing.set_contact_wrench(wrench);
+        if let Some(contact) = pressed {
+            controller.protective_stop(&format!("{} presses on {}", contact.moving, contact.against));
+        }
+    }
+}

@@ -1,0 +1,175 @@
+//! The thread that keeps the simulated cell's time: pace, priority, and whom time waits for.
+//!
+//! In: the [`Core`], a time factor, a stop signal. Out: one [`Core::advance`] per frame, and [`Progress`]. A
+//! frame is 2 ms of simulated time and is due every 2 ms / factor of wall time. Frames that come late push
+//! the later ones back instead of being made up for in a burst: clients would see time jump. With a factor
+//! above 1 the clients' processes may be the slow ones; then simulated time is held, within bounds, while a
+//! client that writes regularly is late or one that reads is behind.
+
+use crate::core::Core;
+use crate::motion::FRAME_SECONDS;
+use crate::robot_server::shared::RobotShared;
+use cell_edge::clock::Pace;
+use cell_edge::priority;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use tokio::sync::watch;
+
+/// Longest that simulated time is held for a client, wall time.
+const LONGEST_HOLD: Duration = Duration::from_millis(250);
+
+/// Longest that simulated time waits for a daemon that follows it, wall time; below `cell_edge::clock`'s own
+/// patience.
+const LONGEST_WAIT: Duration = Duration::from_millis(1500);
+
+/// How often a held frame looks whether it may go on.
+const HOLD_POLL: Duration = Duration::from_micros(200);
+
+/// Lateness that is still made up for: below the wake-up jitter of the system time would run slow, above it
+/// frames are pushed back. At factor 20 this is a burst of five frames at most.
+const TOLERATED_LATENESS: Duration = Duration::from_micros(500);
+
+/// Frames in a row after none of which there was time to sleep, at which real-time priority is given up.
+const MOST_SLEEPLESS: u32 = 50;
+
+/// When the next frame is due.
+struct Schedule {
+    period: Duration,
+    due: Instant,
+    /// When the frame that is being made was due before it was pushed back.
+    intended: Instant,
+}
+
+impl Schedule {
+    fn new(factor: f64, now: Instant) -> Schedule {
+        let period = Duration::from_secs_f64(FRAME_SECONDS / factor);
+        Schedule { period, due: now + period, intended: now }
+    }
+
+    /// Time to sleep until the frame that is due at `now`; a frame that is late by more than is tolerated
+    /// moves all later ones.
+    fn wait(&mut self, now: Instant) -> Duration {
+        let wait = self.due.saturating_duration_since(now);
+        self.intended = self.due;
+        if now > self.due + TOLERATED_LATENESS.max(self.period) {
+            self.due = now;
+        }
+        self.due += self.period;
+        wait
+    }
+}
+
+/// What the frame thread tells the rest of the process.
+#[derive(Debug)]
+pub struct Progress {
+    /// Simulated time as it goes on.
+    pub pace: Arc<Pace>,
+    /// For how long it was held, us of wall time.
+    held_us: AtomicU64,
+}
+
+impl Progress {
+    /// Nothing was simulated yet; the controller's clock shows `epoch_s`.
+    pub fn new(epoch_s: f64) -> Progress {
+        Progress { pace: Arc::new(Pace::new(epoch_s)), held_us: AtomicU64::new(0) }
+    }
+
+    /// Seconds of wall time for which simulated time was held for clients.
+    pub fn seconds_held(&self) -> f64 {
+        self.held_us.load(Ordering::Relaxed) as f64 * 1e-6
+    }
+}
+
+/// Advances the core, frame by frame and `factor` times as fast as the wall's clock, until the signal.
+pub fn run(core: &Core, progress: &Progress, factor: f64, stopped: &watch::Receiver<bool>) {
+    // Clients measure silence on their own clocks; drawing pictures and planning can wait. Faster than real
+    // time this thread may fill a core, which would then be lost to the clients it is meant for.
+    if factor > 1.0 {
+        priority::raise()
+    } else {
+        priority::real_time()
+    }
+    // The default slack of 50 us is half a frame at factor 20. Without it the pace is merely less even.
+    let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1000));
+    let mut schedule = Schedule::new(factor, Instant::now());
+    let (mut frames, mut sleepless): (u64, u32) = (0, 0);
+    while !*stopped.borrow() && stopped.has_changed().is_ok() {
+        if factor > 1.0 {
+            let held = hold(&core.robot, stopped);
+            progress.held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
+        }
+        wait_for_follower(progress, stopped);
+        core.advance(Some(schedule.intended));
+        frames += 1;
+        progress.pace.reached(Duration::from_secs_f64(frames as f64 * FRAME_SECONDS));
+        let wait = schedule.wait(Instant::now());
+        sleepless = if wait.is_zero() { sleepless + 1 } else { 0 };
+        if sleepless == MOST_SLEEPLESS && factor <= 1.0 {
+            // Frames that take longer than they last would leave nothing to ordinary threads.
+            tracing::warn!("this computer is too slow for real time: the simulation gives up its priority");
+            priority::ordinary();
+            priority::raise();
+        }
+        if !wait.is_zero() {
+            std::thread::sleep(wait);
+        }
+    }
+}
+
+/// Waits for a daemon in the same process that reads this simulation's clock; what it has not heard of must
+/// not look stale to it.
+fn wait_for_follower(progress: &Progress, stopped: &watch::Receiver<bool>) {
+    let start = Instant::now();
+    while progress.pace.ahead() {
+        if start.elapsed() >= LONGEST_WAIT || *stopped.borrow() {
+            progress.pace.give_up();
+            break;
+        }
+        std::thread::sleep(HOLD_POLL);
+        progress.held_us.fetch_add(HOLD_POLL.as_micros() as u64, Ordering::Relaxed);
+    }
+}
+
+/// Waits while a client is late or behind; then gives those up, so that a dead one does not stop the time.
+fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
+    let (step, playing) = {
+        let controller = robot.controller();
+        (controller.core.step, controller.programs.playing())
+    };
+    // Only a running program listens for signs of life; without one a client may stop writing at any time.
+    let waiting = || {
+        let outlets = robot.outlets();
+        (playing && outlets.someone_is_late(step)) || outlets.someone_is_behind()
+    };
+    if !waiting() {
+        return Duration::ZERO;
+    }
+    let start = Instant::now();
+    while waiting() {
+        if start.elapsed() >= LONGEST_HOLD || *stopped.borrow() {
+            robot.outlets().give_up(step);
+            break;
+        }
+        std::thread::sleep(HOLD_POLL);
+    }
+    start.elapsed()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_pushed_back_and_never_made_up_for_in_a_burst() {
+        let start = Instant::now();
+        let ms = Duration::from_millis;
+        let mut schedule = Schedule::new(1.0, start);
+        assert_eq!(schedule.wait(start), ms(2));
+        assert_eq!(schedule.wait(start + ms(3)), ms(1));
+        assert_eq!(schedule.wait(start + ms(7)), Duration::ZERO, "1 ms late");
+        assert_eq!(schedule.wait(start + ms(7)), ms(1), "little lateness is made up for");
+        assert_eq!(schedule.wait(start + ms(500)), Duration::ZERO);
+        assert_eq!(schedule.wait(start + ms(500)), ms(2), "much is not");
+    }
+}

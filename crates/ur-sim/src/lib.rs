@@ -1,0 +1,46 @@
+//! The stand-in for the hardware: world, UR controller, VGC10 and camera behind the real protocols.
+
+pub mod camera;
+
+pub mod camera_server;
+
+pub mod cell;
+
+pub mod command;
+
+pub mod config;
+
+pub mod conformance;
+
+pub mod control_server;
+
+pub mod controller;
+
+pub mod core;
+
+pub mod faults;
+
+pub mod frames;
+
+pub mod gripper_server;
+
+pub mod motion;
+
+pub mod render;
+
+pub mod robot_server;
+
+pub mod script_sockets;
+
+pub mod serve;
+
+pub mod session;
+
+pub mod simulator;
+
+pub mod world;
+
+/// The example of the README, run by `cargo test --doc`.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

@@ -1,0 +1,41 @@
+//! How fast the tool is, and may be.
+//!
+//! In: the mover's joint speeds and the tool speed limit of the safety configuration. Out: speeds scaled down
+//! to it. Here because segments, joint speeds and tool speeds are all held to the same limit.
+
+use crate::motion::FRAME_SECONDS;
+use crate::motion::dynamics::tool_jacobian;
+use crate::motion::mover::{Mover, Task};
+use cell_values::units::Joints;
+use nalgebra::Vector6;
+
+impl Mover {
+    /// Slows segments down in the next frame to the tool speed allowed: the speed this frame would have had
+    /// without the limiter tells by how much.
+    pub(super) fn limit_tool_speed(&mut self, next: &Joints) {
+        let at = |q: &Joints| self.arm.tcp(q).translation.vector;
+        let speed = (at(next) - at(&self.q)).norm() / FRAME_SECONDS;
+        let unlimited = speed / self.limiter;
+        let allowed = (self.arm.tool_speed / unlimited.max(1e-9)).clamp(0.01, 1.0);
+        self.limiter = if matches!(self.task, Task::Segments(_)) { allowed } else { 1.0 };
+    }
+
+    /// Joint speeds (rad/s) scaled down so that the tool keeps its limit.
+    pub(super) fn within_tool_speed(&self, speeds: [f64; 6]) -> [f64; 6] {
+        let arm = &self.arm;
+        let tool = tool_jacobian(&arm.dh, &arm.flange_from_tcp, &self.q) * Vector6::from(speeds);
+        let part = (arm.tool_speed / tool.fixed_rows::<3>(0).norm().max(1e-9)).min(1.0);
+        speeds.map(|speed| speed * part)
+    }
+
+    /// The task's part of the tool's speed: m/s and rad/s in the base frame.
+    pub(super) fn own_tool_speed(&self) -> Vector6<f64> {
+        tool_jacobian(&self.arm.dh, &self.arm.flange_from_tcp, &self.q) * Vector6::from(self.own)
+    }
+
+    /// What a commanded tool speed comes to now: the slider's share, within the tool's limit.
+    pub(super) fn tool_aim(&self, target: &Vector6<f64>) -> Vector6<f64> {
+        let slowed = self.arm.tool_speed / target.fixed_rows::<3>(0).norm().max(1e-9);
+        *target * (self.pace() * slowed.min(1.0))
+    }
+}

@@ -1,0 +1,74 @@
+//! The controller's TCP servers without their sockets: dashboard (29999), primary (30001), secondary (30002),
+//! real-time (30003), RTDE (30004), and the read-only twins of the three that take scripts (30011 to 30013),
+//! around the frame-stepped controller.
+//!
+//! In: a client's bytes, and one call of [`shared::RobotShared::frame`] per controller frame. Out: whatever
+//! the clients of the real controller expect. Sessions act on the controller under one lock. Nothing waits
+//! for a client: what is sent without being asked for goes through a bounded queue per connection (`line`).
+
+pub mod dashboard;
+
+pub mod line;
+
+pub mod outlets;
+
+pub mod punctuality;
+
+pub mod rtde;
+
+pub mod script_channel;
+
+pub mod script_ports;
+
+pub mod shared;
+
+use std::net::SocketAddr;
+
+/// Port numbers; 0 lets the system choose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RobotPorts {
+    /// Dashboard.
+    pub dashboard: u16,
+    /// Primary interface.
+    pub primary: u16,
+    /// Secondary interface.
+    pub secondary: u16,
+    /// Real-time interface.
+    pub realtime: u16,
+    /// RTDE.
+    pub rtde: u16,
+    /// Primary, secondary and real-time interface without scripts.
+    pub read_only: [u16; 3],
+}
+
+impl RobotPorts {
+    /// Those of a real controller.
+    pub const REAL: RobotPorts = RobotPorts {
+        dashboard: 29999,
+        primary: 30001,
+        secondary: 30002,
+        realtime: 30003,
+        rtde: 30004,
+        read_only: [30011, 30012, 30013],
+    };
+    /// Any that are free.
+    pub const ANY: RobotPorts =
+        RobotPorts { dashboard: 0, primary: 0, secondary: 0, realtime: 0, rtde: 0, read_only: [0; 3] };
+}
+
+/// Where the servers listen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RobotAddresses {
+    /// Dashboard.
+    pub dashboard: SocketAddr,
+    /// Primary interface.
+    pub primary: SocketAddr,
+    /// Secondary interface.
+    pub secondary: SocketAddr,
+    /// Real-time interface.
+    pub realtime: SocketAddr,
+    /// RTDE.
+    pub rtde: SocketAddr,
+    /// Primary, secondary and real-time interface without scripts.
+    pub read_only: [SocketAddr; 3],
+}

@@ -1,0 +1,377 @@
+//! What the controller sends without being asked: who gets what, how often, and what happens when a client
+//! does not read.
+//!
+//! In: connections that subscribe, and the controller's state at the end of every frame. Out: bytes into one
+//! bounded queue per connection ([`Line`]). A full queue means that the client is behind: its package is
+//! skipped, never stored elsewhere. An RTDE client that stays behind for 10 s is dropped, as on the
+//! controller; the others are not, because real clients keep a script connection open for hours without
+//! reading it. Clients with equal recipes share one encoding.
+//! Also here, because it concerns the same connections: when a client that writes inputs regularly is late,
+//! and how punctual packages are on their way out.
+
+use crate::controller::outputs::Output;
+use crate::controller::registers::ClientId;
+use crate::controller::{Controller, realtime, robot_state};
+use crate::motion::FRAMES_PER_SECOND;
+use crate::robot_server::line::{Bytes, Inlet, Line, Passed, Way};
+use crate::robot_server::punctuality::Punctuality;
+use std::sync::Arc;
+use std::time::Instant;
+use ur_wire::bytes::Writer;
+use ur_wire::primary::Package;
+use ur_wire::primary_message::{Message, MessageBody};
+use ur_wire::primary_state::SubPackage;
+use ur_wire::rtde::{Reply, Version};
+use ur_wire::rtde_values::Recipe;
+
+/// Frames without room after which an RTDE client is dropped (10 s).
+const PATIENCE: u64 = 10 * FRAMES_PER_SECOND;
+
+/// Frames between two robot states (10 Hz).
+const STATE_INTERVAL: u64 = FRAMES_PER_SECOND / 10;
+
+/// Frames of silence after which a regular writer is late (60 ms), and intervals that make one regular.
+const LATE_FRAMES: u64 = 30;
+const REGULAR_INTERVALS: u32 = 5;
+
+/// Sender of robot messages as the vendor's interface numbers it.
+const SOURCE_ROBOT: i8 = -3;
+
+/// `requested type` of a popup that asks for nothing.
+const NO_VALUE: u32 = 8;
+
+/// What a connection is fed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Feed {
+    /// Robot state and all messages.
+    Primary,
+    /// Robot state.
+    Secondary,
+    /// The real-time block.
+    Realtime,
+    /// An RTDE recipe.
+    Rtde,
+}
+
+/// What an RTDE client wants to be sent.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The recipe.
+    pub recipe: Recipe,
+    /// How to sample its fields.
+    pub fields: Vec<Output>,
+    /// For the encoding.
+    pub version: Version,
+}
+
+impl Plan {
+    /// The data package of this frame.
+    fn encode(&self, controller: &Controller) -> Bytes {
+        let mut payload = Writer::new();
+        for field in &self.fields {
+            field.sample(controller).encode(&mut payload);
+        }
+        let reply = Reply::Data { recipe: self.recipe.id, payload: payload.finish() };
+        reply.encode(self.version).into()
+    }
+
+    fn same(&self, other: &Plan) -> bool {
+        self.recipe == other.recipe && self.version == other.version
+    }
+}
+
+/// A plan, shared with the clients who want the same, and how often.
+#[derive(Clone, Debug)]
+struct Subscription {
+    plan: Arc<Plan>,
+    interval: u64,
+}
+
+#[derive(Debug)]
+struct Outlet {
+    id: ClientId,
+    feed: Feed,
+    /// Its port takes no scripts.
+    read_only: bool,
+    line: Line,
+    behind: u64,
+    given_up: bool,
+    subscription: Option<Subscription>,
+    started: bool,
+    writes: Writes,
+}
+
+/// When a client wrote inputs.
+#[derive(Debug, Default)]
+struct Writes {
+    last_step: u64,
+    intervals: u32,
+}
+
+/// All connections that are sent something.
+#[derive(Debug, Default)]
+pub struct Outlets {
+    outlets: Vec<Outlet>,
+    last_id: u64,
+    switches: u64,
+    sent: u64,
+    skipped: u64,
+    /// Of the sent ones, those that needed no queue.
+    at_once: u64,
+    /// Frames between RTDE packages whatever was agreed (a fault).
+    forced_interval: Option<u64>,
+    /// The popup of the last frame.
+    popup: Option<String>,
+}
+
+impl Outlets {
+    /// Adds a connection; RTDE connections get data only after [`Outlets::subscribe`] and
+    /// [`Outlets::start`]. With a `way` to the client packages need not wait for its writer.
+    pub fn open(&mut self, feed: Feed, read_only: bool, way: Option<Arc<dyn Way>>) -> (ClientId, Inlet) {
+        self.last_id += 1;
+        let id = ClientId(self.last_id);
+        let (line, inlet) = Line::open(way);
+        self.outlets.push(Outlet {
+            id,
+            feed,
+            read_only,
+            line,
+            behind: 0,
+            given_up: false,
+            subscription: None,
+            started: false,
+            writes: Writes::default(),
+        });
+        (id, inlet)
+    }
+
+    /// Removes a connection.
+    pub fn close(&mut self, id: ClientId) {
+        self.outlets.retain(|outlet| outlet.id != id);
+    }
+
+    /// Sets a connection's recipe, in place of an earlier one; `interval` in frames between packages.
+    pub fn subscribe(&mut self, id: ClientId, plan: Plan, interval: u64) {
+        let known = self.outlets.iter().filter_map(|outlet| outlet.subscription.as_ref());
+        let known = known.map(|subscription| &subscription.plan).find(|known| known.same(&plan)).cloned();
+        if let Some(outlet) = self.find(id) {
+            let plan = known.unwrap_or_else(|| Arc::new(plan));
+            outlet.subscription = Some(Subscription { plan, interval });
+        }
+    }
+
+    /// Sends RTDE packages at another rate than was agreed (a fault); `None`: as agreed.
+    pub fn force_rate(&mut self, hz: Option<f64>) {
+        self.forced_interval = hz.map(|hz| (FRAMES_PER_SECOND as f64 / hz).round().max(1.0) as u64);
+    }
+
+    /// True if it is agreed what the connection's data are.
+    pub fn has_recipe(&self, id: ClientId) -> bool {
+        self.outlets.iter().any(|outlet| outlet.id == id && outlet.subscription.is_some())
+    }
+
+    /// Starts a connection's data.
+    pub fn start(&mut self, id: ClientId) {
+        if let Some(outlet) = self.find(id) {
+            outlet.started = outlet.subscription.is_some();
+        }
+    }
+
+    /// Pauses a connection's data.
+    pub fn pause(&mut self, id: ClientId) {
+        if let Some(outlet) = self.find(id) {
+            outlet.started = false;
+        }
+    }
+
+    /// Notes that a client wrote inputs in the frame `step`.
+    pub fn wrote(&mut self, id: ClientId, step: u64) {
+        let Some(outlet) = self.find(id) else { return };
+        let gap = step.saturating_sub(outlet.writes.last_step);
+        // Several packages in one frame are one sign of life.
+        if gap > 0 {
+            outlet.writes.intervals =
+                if gap <= LATE_FRAMES { outlet.writes.intervals.saturating_add(1) } else { 0 };
+            outlet.writes.last_step = step;
+        }
+    }
+
+    /// A client that writes regularly has not written for 60 ms.
+    pub fn someone_is_late(&self, step: u64) -> bool {
+        self.outlets.iter().any(|outlet| outlet.is_late(step))
+    }
+
+    /// An RTDE client's queue is more than half full, and was not given up.
+    pub fn someone_is_behind(&self) -> bool {
+        self.outlets.iter().any(Outlet::is_behind)
+    }
+
+    /// Gives up waiting: who is late counts as irregular until it writes regularly again, who is behind until
+    /// its queue has room again.
+    pub fn give_up(&mut self, step: u64) {
+        for outlet in &mut self.outlets {
+            if outlet.is_late(step) {
+                outlet.writes.intervals = 0;
+            }
+            outlet.given_up |= outlet.is_behind();
+        }
+    }
+
+    /// True until the connection was closed or dropped.
+    pub fn is_open(&self, id: ClientId) -> bool {
+        self.outlets.iter().any(|outlet| outlet.id == id)
+    }
+
+    /// Connections with this feed.
+    pub fn outlets_of(&self, feed: Feed) -> usize {
+        self.outlets.iter().filter(|outlet| outlet.feed == feed).count()
+    }
+
+    /// RTDE packages sent and skipped so far.
+    pub fn counts(&self) -> (u64, u64) {
+        (self.sent, self.skipped)
+    }
+
+    /// RTDE packages that the system took at once, without the connection's queue.
+    pub fn sent_at_once(&self) -> u64 {
+        self.at_once
+    }
+
+    fn find(&mut self, id: ClientId) -> Option<&mut Outlet> {
+        self.outlets.iter_mut().find(|outlet| outlet.id == id)
+    }
+
+    /// Sends what is due at the end of a frame; `due` is when the frame was, and what leaves at once is
+    /// recorded.
+    pub fn publish(&mut self, controller: &mut Controller, due: Option<Instant>, punctuality: &Punctuality) {
+        self.close_after_switch(controller);
+        self.tell_popup(controller);
+        self.send_states(controller);
+        self.send_packages(controller, due, punctuality);
+        self.drop_the_hopeless();
+    }
+
+    /// Messages, robot states and real-time blocks.
+    fn send_states(&mut self, controller: &mut Controller) {
+        let step = controller.core.step;
+        let messages = controller.core.take_messages();
+        let messages: Vec<Bytes> =
+            messages.into_iter().map(|body| encode_message(controller, body)).collect();
+        let fed = |feed: Feed| self.outlets.iter().any(|outlet| outlet.feed == feed);
+        let state_due = step.is_multiple_of(STATE_INTERVAL) && (fed(Feed::Primary) || fed(Feed::Secondary));
+        let state = state_due.then(|| encode_state(robot_state::periodic(controller)));
+        let block: Option<Bytes> = fed(Feed::Realtime).then(|| realtime::block(controller).into());
+        for outlet in &mut self.outlets {
+            let due: Vec<&Bytes> = match outlet.feed {
+                Feed::Primary => messages.iter().chain(&state).collect(),
+                Feed::Secondary => state.iter().collect(),
+                Feed::Realtime => block.iter().collect(),
+                Feed::Rtde => Vec::new(),
+            };
+            for bytes in due {
+                outlet.send(bytes, None);
+            }
+        }
+    }
+
+    /// RTDE packages.
+    fn send_packages(&mut self, controller: &Controller, due: Option<Instant>, punctuality: &Punctuality) {
+        let mut encoded: Vec<(Arc<Plan>, Bytes)> = Vec::new();
+        for outlet in &mut self.outlets {
+            let Some(plan) = outlet.plan_of(controller.core.step, self.forced_interval) else { continue };
+            let shared = encoded.iter().find(|(known, _)| Arc::ptr_eq(known, &plan));
+            let bytes = match shared {
+                Some((_, bytes)) => bytes.clone(),
+                None => plan.encode(controller),
+            };
+            let at_once = matches!(outlet.send(&bytes, due), Passed::Written);
+            self.at_once += u64::from(at_once);
+            if let Some(due) = due.filter(|_| at_once) {
+                punctuality.record(due.elapsed());
+            }
+            self.sent += u64::from(outlet.behind == 0);
+            self.skipped += u64::from(outlet.behind > 0);
+            encoded.push((plan, bytes));
+        }
+    }
+
+    /// A popup that has come up is told on the primary interface, whoever opened it.
+    fn tell_popup(&mut self, controller: &mut Controller) {
+        if self.popup == controller.core.popup {
+            return;
+        }
+        self.popup = controller.core.popup.clone();
+        let Some(text) = self.popup.clone() else { return };
+        controller.core.message(MessageBody::Popup {
+            request: 0,
+            value_type: NO_VALUE,
+            warning: false,
+            error: false,
+            blocking: false,
+            title: "Popup".to_owned(),
+            text,
+        });
+    }
+
+    fn drop_the_hopeless(&mut self) {
+        self.outlets.retain(|outlet| {
+            let hopeless = outlet.feed == Feed::Rtde && outlet.behind > PATIENCE;
+            if hopeless {
+                outlet.line.hang_up();
+            }
+            !hopeless && !outlet.line.is_closed()
+        });
+    }
+
+    /// A switch to local control closes the connections that take scripts.
+    fn close_after_switch(&mut self, controller: &Controller) {
+        let switches = controller.core.modes.switches();
+        if std::mem::replace(&mut self.switches, switches) == switches || controller.core.modes.remote() {
+            return;
+        }
+        self.outlets.retain(|outlet| {
+            let stays = outlet.feed == Feed::Rtde || outlet.read_only;
+            if !stays {
+                outlet.line.hang_up();
+            }
+            stays
+        });
+    }
+}
+
+impl Outlet {
+    fn is_behind(&self) -> bool {
+        self.started && !self.given_up && self.line.is_behind()
+    }
+
+    fn is_late(&self, step: u64) -> bool {
+        self.writes.intervals >= REGULAR_INTERVALS && step.saturating_sub(self.writes.last_step) > LATE_FRAMES
+    }
+
+    /// Sends a package, or counts the frames it was to last if there is no room.
+    fn send(&mut self, bytes: &Bytes, due: Option<Instant>) -> Passed {
+        self.given_up &= self.line.is_behind();
+        let frames = self.subscription.as_ref().map_or(1, |subscription| subscription.interval);
+        let passed = self.line.pass(bytes, due);
+        self.behind = if matches!(passed, Passed::Refused) { self.behind + frames } else { 0 };
+        passed
+    }
+
+    /// What is to be sent in this frame, if anything.
+    fn plan_of(&self, step: u64, forced_interval: Option<u64>) -> Option<Arc<Plan>> {
+        let subscription = self.subscription.as_ref().filter(|_| self.started)?;
+        let interval = forced_interval.unwrap_or(subscription.interval);
+        step.is_multiple_of(interval).then(|| subscription.plan.clone())
+    }
+}
+
+/// A robot message as a package.
+pub fn encode_message(controller: &Controller, body: MessageBody) -> Bytes {
+    let timestamp = (controller.core.timestamp() * 1e6) as u64;
+    Package::Message(Message { timestamp, source: SOURCE_ROBOT, body }).encode().into()
+}
+
+/// A robot state as a package.
+pub fn encode_state(parts: Vec<SubPackage>) -> Bytes {
+    Package::RobotState(parts).encode().into()
+}

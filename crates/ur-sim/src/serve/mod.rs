@@ -1,0 +1,232 @@
+//! Real sockets for the simulated cell: bytes from TCP to [`Session`] and back; this decides nothing.
+//!
+//! In: ports to listen on, the [`Core`] that something else advances. Out: the addresses, and tasks that run
+//! until the shutdown signal. Each connection has a task that reads and one that writes: a client that does
+//! not read can still send. All of them pass through their server's link ([`stream`]), where faults act;
+//! while a server is down nobody listens.
+
+pub mod stream;
+
+use crate::core::Core;
+use crate::robot_server::line::{Inlet, Line, Parcel, Queue};
+use crate::robot_server::shared::RobotShared;
+use crate::robot_server::{RobotAddresses, RobotPorts};
+use crate::serve::stream::LinkStream;
+use crate::session::{Port, Session};
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt, ReadHalf, WriteHalf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+use tokio::task::{JoinHandle, JoinSet};
+
+/// Wait before a port is listened on again after a failure.
+const LISTEN_AGAIN: Duration = Duration::from_millis(10);
+
+/// Connections each port takes at once; further ones are closed.
+const MAX_CONNECTIONS: usize = 32;
+
+/// Bytes read at once.
+const READ: usize = 64 * 1024;
+
+/// Longest that the last answers on a connection may take, wall time: a client that has said goodbye may
+/// never read them.
+const LAST_WORDS: Duration = Duration::from_secs(1);
+
+/// Why the servers cannot start.
+#[derive(Debug, thiserror::Error)]
+#[error("the simulated cell's {server} cannot listen on {address}")]
+pub struct ListenError {
+    /// Which server.
+    pub server: &'static str,
+    /// Where.
+    pub address: SocketAddr,
+    /// Why.
+    #[source]
+    pub source: std::io::Error,
+}
+
+/// Servers at work.
+#[derive(Debug, Default)]
+pub struct Servers(Vec<JoinHandle<()>>);
+
+impl Servers {
+    /// Waits until all connections are closed, after the shutdown signal was given.
+    pub async fn stopped(self) {
+        for task in self.0 {
+            // A task that panicked has been reported by the runtime; the others are still waited for.
+            let _ = task.await;
+        }
+    }
+
+    /// Starts taking connections to a port. It goes on until `shutdown` becomes true.
+    pub fn take(&mut self, door: (TcpListener, SocketAddr), core: &Core, port: Port, shutdown: &Shutdown) {
+        self.0.push(tokio::spawn(accept(door, core.clone(), port, shutdown.clone())));
+    }
+
+    /// Listens on all ports of the controller, then starts taking connections.
+    ///
+    /// # Errors
+    /// When an address cannot be listened on; then nothing was started.
+    pub async fn take_robot(
+        &mut self,
+        core: &Core,
+        bind: IpAddr,
+        ports: &RobotPorts,
+        shutdown: &Shutdown,
+    ) -> Result<RobotAddresses, ListenError> {
+        let [first, second, third] = ports.read_only;
+        let wanted = [
+            (Port::Dashboard, ports.dashboard),
+            (Port::Primary, ports.primary),
+            (Port::Secondary, ports.secondary),
+            (Port::Realtime, ports.realtime),
+            (Port::Rtde, ports.rtde),
+            (Port::PrimaryReadOnly, first),
+            (Port::SecondaryReadOnly, second),
+            (Port::RealtimeReadOnly, third),
+        ];
+        let mut doors = Vec::new();
+        for (port, number) in wanted {
+            doors.push((port, listen(port.name(), bind, number).await?));
+        }
+        let mut at = wanted.map(|_| SocketAddr::new(bind, 0));
+        for (place, (port, door)) in at.iter_mut().zip(doors) {
+            *place = door.1;
+            self.take(door, core, port, shutdown);
+        }
+        let [dashboard, primary, secondary, realtime, rtde, first, second, third] = at;
+        let read_only = [first, second, third];
+        Ok(RobotAddresses { dashboard, primary, secondary, realtime, rtde, read_only })
+    }
+}
+
+/// Becomes true when everything has to end.
+pub type Shutdown = watch::Receiver<bool>;
+
+/// Listens on an address; port 0 lets the system choose.
+///
+/// # Errors
+/// It is taken or not ours.
+pub async fn listen(
+    server: &'static str,
+    bind: IpAddr,
+    port: u16,
+) -> Result<(TcpListener, SocketAddr), ListenError> {
+    let address = SocketAddr::new(bind, port);
+    let failed = |source| ListenError { server, address, source };
+    let listener = TcpListener::bind(address).await.map_err(failed)?;
+    let address = listener.local_addr().map_err(failed)?;
+    Ok((listener, address))
+}
+
+/// Takes connections until shutdown, and ends them with it. While the link is down nobody listens.
+async fn accept(
+    (listener, address): (TcpListener, SocketAddr),
+    core: Core,
+    port: Port,
+    mut shutdown: Shutdown,
+) {
+    let link = core.robot.links.get(port.link()).clone();
+    let mut connections = JoinSet::new();
+    let (mut listener, mut changes) = (Some(listener), link.watch());
+    loop {
+        let down = changes.borrow_and_update().down;
+        listener = at_work(listener, address, down).await;
+        tokio::select! {
+            _ = shutdown.wait_for(|stop| *stop) => break,
+            // The link lives as long as this task, so this is a change.
+            _ = changes.changed() => {}
+            () = tokio::time::sleep(LISTEN_AGAIN), if listener.is_none() && !down => {}
+            stream = accepted(listener.as_ref()) => {
+                let Some(stream) = stream else { continue };
+                while connections.try_join_next().is_some() {}
+                if connections.len() < MAX_CONNECTIONS && stream.set_nodelay(true).is_ok() {
+                    connections.spawn(connection(core.clone(), port, LinkStream::new(stream, &link)));
+                }
+            }
+        }
+    }
+    connections.shutdown().await;
+}
+
+/// The listener as it should be: gone while the server is down, and there again afterwards.
+async fn at_work(listener: Option<TcpListener>, address: SocketAddr, down: bool) -> Option<TcpListener> {
+    match listener {
+        _ if down => None,
+        None => TcpListener::bind(address).await.ok(),
+        there => there,
+    }
+}
+
+/// The next connection. Accepting can fail for want of file handles; then the next attempt, a little later,
+/// may succeed.
+async fn accepted(listener: Option<&TcpListener>) -> Option<TcpStream> {
+    let Some(listener) = listener else { return std::future::pending().await };
+    match listener.accept().await {
+        Ok((stream, _)) => Some(stream),
+        Err(_) => {
+            tokio::time::sleep(LISTEN_AGAIN).await;
+            None
+        }
+    }
+}
+
+/// One connection to its end.
+async fn connection(core: Core, port: Port, stream: LinkStream) {
+    let shortcut = Arc::new(stream.shortcut());
+    let (mut reader, writer) = tokio::io::split(stream);
+    let (mut session, Inlet { queue, dropped, replies }) = Session::open(&core, port, Some(shortcut));
+    let mut writing = JoinSet::new();
+    writing.spawn(write_all(queue, writer, core.robot.clone()));
+    let ends_in_order = tokio::select! {
+        () = read_all(&core, &mut session, &mut reader, &replies) => true,
+        () = dropped.notified() => false,
+        _ = writing.join_next() => false,
+    };
+    session.close(&core);
+    drop(replies);
+    if ends_in_order {
+        // What is queued still goes to the client; what it does not take is not owed.
+        let _ = tokio::time::timeout(LAST_WORDS, writing.join_next()).await;
+    }
+}
+
+/// Hands over what the client sends until one of the two has enough.
+async fn read_all(core: &Core, session: &mut Session, reader: &mut ReadHalf<LinkStream>, replies: &Line) {
+    let mut buffer = vec![0; READ];
+    loop {
+        let count = match reader.read(&mut buffer).await {
+            Ok(0) => return session.finish(core),
+            Ok(count) => count,
+            Err(_) => return,
+        };
+        let heard = session.receive(core, &buffer[..count]);
+        for answer in heard.answers {
+            if !replies.send(Parcel::from(answer)).await {
+                return;
+            }
+        }
+        if heard.over {
+            return;
+        }
+        session.answered(core);
+    }
+}
+
+/// Writes what is queued until the connection breaks or nobody can send any more.
+async fn write_all(mut queue: Queue, mut writer: WriteHalf<LinkStream>, robot: Arc<RobotShared>) {
+    while let Some(parcel) = queue.next().await {
+        if writer.write_all(parcel.bytes()).await.is_err() {
+            return;
+        }
+        if let Some(due) = parcel.due() {
+            robot.punctuality.record(due.elapsed());
+        }
+        queue.written();
+    }
+}
+
+#[cfg(test)]
+mod tests;

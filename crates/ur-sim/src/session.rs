@@ -1,0 +1,192 @@
+//! A client's connection without its socket: the one place where its bytes become answers.
+//!
+//! In: a [`Port`], then the client's bytes in any pieces, its last byte, its end. Out: [`Heard`], the answers
+//! to what was received; and at the connection's [`Inlet`] what it is sent without asking: the greeting,
+//! states, data. Whoever carries the bytes (real sockets in `serve`, calls in `simulator`) takes
+//! first what is in the inlet, then the answers, and says that they are on their way ([`Session::answered`]).
+
+use crate::core::Core;
+use crate::faults::link::LinkName;
+use crate::gripper_server;
+use crate::robot_server::line::{Bytes, Inlet, Line, Way};
+use crate::robot_server::outlets::Feed;
+use crate::robot_server::script_ports::Port as ScriptPort;
+use crate::robot_server::{dashboard, rtde, script_ports};
+use crate::world::lock;
+use std::sync::Arc;
+
+/// A server of the simulated cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Port {
+    /// 30004.
+    Rtde,
+    /// 29999.
+    Dashboard,
+    /// 30001.
+    Primary,
+    /// 30002.
+    Secondary,
+    /// 30003.
+    Realtime,
+    /// 30011.
+    PrimaryReadOnly,
+    /// 30012.
+    SecondaryReadOnly,
+    /// 30013.
+    RealtimeReadOnly,
+    /// Modbus.
+    Gripper,
+}
+
+impl Port {
+    /// Under which name faults act on it.
+    pub fn link(self) -> LinkName {
+        match self {
+            Port::Rtde => LinkName::Rtde,
+            Port::Dashboard => LinkName::Dashboard,
+            Port::Primary | Port::PrimaryReadOnly => LinkName::Primary,
+            Port::Secondary | Port::SecondaryReadOnly => LinkName::Secondary,
+            Port::Realtime | Port::RealtimeReadOnly => LinkName::Realtime,
+            Port::Gripper => LinkName::Gripper,
+        }
+    }
+
+    /// The server in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Port::Rtde => "RTDE server",
+            Port::Dashboard => "dashboard server",
+            Port::Primary => "primary interface",
+            Port::Secondary => "secondary interface",
+            Port::Realtime => "real-time interface",
+            Port::PrimaryReadOnly => "read-only primary interface",
+            Port::SecondaryReadOnly => "read-only secondary interface",
+            Port::RealtimeReadOnly => "read-only real-time interface",
+            Port::Gripper => "gripper",
+        }
+    }
+}
+
+/// What became of a client's bytes.
+#[derive(Debug, Default)]
+pub struct Heard {
+    /// For the client, in this order.
+    pub answers: Vec<Bytes>,
+    /// The connection ends behind the answers.
+    pub over: bool,
+}
+
+impl Heard {
+    /// The bytes break the protocol.
+    const NONSENSE: Heard = Heard { answers: Vec::new(), over: true };
+
+    /// One piece, if there is anything to say.
+    fn one(answer: Vec<u8>, over: bool) -> Heard {
+        let answers = if answer.is_empty() { Vec::new() } else { vec![answer.into()] };
+        Heard { answers, over }
+    }
+}
+
+enum Kind {
+    Rtde(rtde::Session),
+    Dashboard(dashboard::Session),
+    Script(script_ports::Session),
+    Gripper(gripper_server::Session),
+}
+
+/// One connection.
+pub struct Session {
+    port: Port,
+    kind: Kind,
+}
+
+impl Session {
+    /// A client has connected. RTDE packages take the `way`, if there is one, past the inlet; the states of
+    /// others would only delay them.
+    pub fn open(core: &Core, port: Port, way: Option<Arc<dyn Way>>) -> (Session, Inlet) {
+        let robot = &core.robot;
+        let script = |feed, read_only| {
+            let (session, inlet) = script_ports::Session::open(robot, ScriptPort { feed, read_only });
+            (Kind::Script(session), inlet)
+        };
+        let (kind, inlet) = match port {
+            Port::Rtde => {
+                let (session, inlet) = rtde::Session::open(robot, way);
+                (Kind::Rtde(session), inlet)
+            }
+            Port::Dashboard => {
+                let (line, inlet) = Line::open(None);
+                // The queue of a new connection has room.
+                let _ = line.try_send(dashboard::Session::greeting().into_bytes().into());
+                (Kind::Dashboard(dashboard::Session::new(&robot.controller())), inlet)
+            }
+            Port::Primary => script(Feed::Primary, false),
+            Port::Secondary => script(Feed::Secondary, false),
+            Port::Realtime => script(Feed::Realtime, false),
+            Port::PrimaryReadOnly => script(Feed::Primary, true),
+            Port::SecondaryReadOnly => script(Feed::Secondary, true),
+            Port::RealtimeReadOnly => script(Feed::Realtime, true),
+            Port::Gripper => (Kind::Gripper(gripper_server::Session::default()), Line::open(None).1),
+        };
+        (Session { port, kind }, inlet)
+    }
+
+    /// Carries out what arrived.
+    pub fn receive(&mut self, core: &Core, bytes: &[u8]) -> Heard {
+        let robot = &core.robot;
+        let heard = match &mut self.kind {
+            Kind::Rtde(session) => session.receive(robot, bytes).map(|answers| {
+                let answers = answers.into_iter().map(Bytes::from).collect();
+                Heard { answers, over: false }
+            }),
+            Kind::Dashboard(session) => {
+                session.receive(robot, bytes).map(|replies| Heard::one(replies.into_bytes(), session.over()))
+            }
+            Kind::Script(session) => {
+                let over = session.receive(robot, bytes).is_err();
+                Ok(Heard { answers: Vec::new(), over })
+            }
+            Kind::Gripper(session) => {
+                let faults = robot.links.get(self.port.link()).state();
+                session
+                    .receive(&mut lock(&core.world), &faults, bytes)
+                    .map(|answers| Heard::one(answers, false))
+            }
+        };
+        heard.unwrap_or(Heard::NONSENSE)
+    }
+
+    /// The answers to what was received last are on their way.
+    pub fn answered(&mut self, core: &Core) {
+        if let Kind::Rtde(session) = &mut self.kind {
+            session.answered(&core.robot);
+        }
+    }
+
+    /// The client has sent its last byte.
+    pub fn finish(&mut self, core: &Core) {
+        if let Kind::Script(session) = &mut self.kind {
+            session.finish(&core.robot);
+        }
+    }
+
+    /// False once the controller has ended the connection: a switch to local control, a client that never
+    /// reads.
+    pub fn is_open(&self, core: &Core) -> bool {
+        let id = match &self.kind {
+            Kind::Rtde(session) => session.id(),
+            Kind::Script(session) => session.id(),
+            Kind::Dashboard(_) | Kind::Gripper(_) => return true,
+        };
+        core.robot.outlets().is_open(id)
+    }
+
+    /// The connection is gone: what it had claimed is free, and nothing more is sent to it.
+    pub fn close(self, core: &Core) {
+        match self.kind {
+            Kind::Rtde(session) => session.close(&core.robot),
+            Kind::Script(session) => session.close(&core.robot),
+            Kind::Dashboard(_) | Kind::Gripper(_) => {}
+        }
+    }
+}

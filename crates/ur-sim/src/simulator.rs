@@ -1,0 +1,190 @@
+//! The simulator without sockets: controller, world, gripper and faults, driven by calls.
+//!
+//! In: [`Simulator::advance`] for 2 ms of simulated time, [`Simulator::connect`], [`Simulator::receive`] and
+//! [`Simulator::hang_up`] for what clients do. Out: [`Simulator::transmit`], the bytes for each connection
+//! and the connections that the simulator ends. Nothing here reads a clock, opens a socket or starts a
+//! thread: the same calls give the same bytes. `serve` drives the same [`Session`]s over the same
+//! [`Core`] from real sockets; what a network does to the bytes on the way (delays, cut cables) is the
+//! caller's business, and [`Simulator::link`] says what the faults want of it.
+
+use crate::controller::{Controller, ControllerConfig};
+use crate::core::Core;
+use crate::faults::link::{LinkName, LinkState};
+use crate::faults::{FaultError, Planned};
+use crate::robot_server::line::{Bytes, Inlet};
+use crate::session::{Port, Session};
+use crate::world::World;
+use crate::world::spec::{WorldError, WorldSpec};
+use std::collections::{BTreeMap, VecDeque};
+
+/// A connection, by number; numbers are not used again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ConnectionId(pub u64);
+
+/// What the simulator does with a connection.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Transmission {
+    /// These bytes are for its client.
+    Bytes(ConnectionId, Bytes),
+    /// It is over.
+    Closed(ConnectionId),
+}
+
+/// The whole simulated cell as one machine.
+pub struct Simulator {
+    core: Core,
+    sessions: BTreeMap<ConnectionId, (Session, Inlet)>,
+    last_id: u64,
+    out: VecDeque<Transmission>,
+}
+
+/// Why a simulator cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulatorError {
+    /// The world's description is wrong.
+    #[error("the simulated world cannot be built")]
+    World(#[from] WorldError),
+    /// A fault names something that is not there.
+    #[error("a planned fault is impossible")]
+    Fault(#[from] FaultError),
+}
+
+impl Simulator {
+    /// A cell just switched on.
+    ///
+    /// # Errors
+    /// [`SimulatorError`].
+    pub fn new(
+        controller: ControllerConfig,
+        world: WorldSpec,
+        seed: u64,
+        faults: Vec<Planned>,
+    ) -> Result<Simulator, SimulatorError> {
+        let core = Core::new(Controller::new(controller), World::new(world, seed)?, 1.0);
+        core.desk.submit(faults)?;
+        Ok(Simulator { core, sessions: BTreeMap::new(), last_id: 0, out: VecDeque::new() })
+    }
+
+    /// Controller, world and faults: tests, reports and the camera.
+    pub fn core(&self) -> &Core {
+        &self.core
+    }
+
+    /// What is wrong with a server's connections.
+    pub fn link(&self, name: LinkName) -> LinkState {
+        self.core.robot.links.get(name).state()
+    }
+
+    /// 2 ms of simulated time.
+    pub fn advance(&mut self) {
+        self.core.advance(None);
+        let Simulator { core, sessions, out, .. } = self;
+        for (id, (_, inlet)) in sessions.iter_mut() {
+            pass_on(*id, inlet, out);
+        }
+        // A switch to local control ends connections, and so does a client that never reads.
+        let ended: Vec<ConnectionId> =
+            sessions.iter().filter(|(_, (session, _))| !session.is_open(core)).map(|(id, _)| *id).collect();
+        for id in ended {
+            self.end(id);
+        }
+    }
+
+    /// A client connects; `None` while nobody listens there.
+    pub fn connect(&mut self, port: Port) -> Option<ConnectionId> {
+        if self.link(port.link()).down {
+            return None;
+        }
+        self.last_id += 1;
+        let id = ConnectionId(self.last_id);
+        let (session, mut inlet) = Session::open(&self.core, port, None);
+        pass_on(id, &mut inlet, &mut self.out);
+        self.sessions.insert(id, (session, inlet));
+        Some(id)
+    }
+
+    /// Bytes of a client; those for a connection that is over are lost.
+    pub fn receive(&mut self, id: ConnectionId, bytes: &[u8]) {
+        let Simulator { core, sessions, out, .. } = self;
+        let Some((session, inlet)) = sessions.get_mut(&id) else { return };
+        let heard = session.receive(core, bytes);
+        pass_on(id, inlet, out);
+        out.extend(heard.answers.into_iter().map(|answer| Transmission::Bytes(id, answer)));
+        if heard.over {
+            self.end(id);
+        } else {
+            session.answered(core);
+        }
+    }
+
+    /// The client is gone.
+    pub fn hang_up(&mut self, id: ConnectionId) {
+        let Some((mut session, _)) = self.sessions.remove(&id) else { return };
+        session.finish(&self.core);
+        session.close(&self.core);
+    }
+
+    /// The next thing to do with a connection.
+    pub fn transmit(&mut self) -> Option<Transmission> {
+        self.out.pop_front()
+    }
+
+    fn end(&mut self, id: ConnectionId) {
+        self.hang_up(id);
+        self.out.push_back(Transmission::Closed(id));
+    }
+}
+
+/// What the controller sends to a connection without being asked.
+fn pass_on(id: ConnectionId, inlet: &mut Inlet, out: &mut VecDeque<Transmission>) {
+    while let Some(bytes) = inlet.take() {
+        out.push_back(Transmission::Bytes(id, bytes));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::spec::GripperSpec;
+    use nalgebra::Isometry3;
+
+    fn simulator() -> Simulator {
+        let controller = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
+        let world = WorldSpec::bare(Isometry3::translation(-0.75, -0.4, 0.0), GripperSpec::one_cup(0.2));
+        Simulator::new(controller, world, 1, Vec::new()).unwrap()
+    }
+
+    fn sent(simulator: &mut Simulator) -> Vec<Transmission> {
+        std::iter::from_fn(|| simulator.transmit()).collect()
+    }
+
+    #[test]
+    fn the_same_calls_give_the_same_bytes() {
+        let run = || {
+            let mut simulator = simulator();
+            let dashboard = simulator.connect(Port::Dashboard).unwrap();
+            simulator.connect(Port::Primary).unwrap();
+            simulator.receive(dashboard, b"robotmode\nis in remote control\n");
+            (0..600).for_each(|_| simulator.advance());
+            sent(&mut simulator)
+        };
+        let first = run();
+        assert!(first.len() > 15, "greetings, answers and twelve robot states: {}", first.len());
+        assert_eq!(first, run());
+    }
+
+    #[test]
+    fn a_client_that_leaves_is_forgotten_and_garbage_ends_a_connection() {
+        let mut simulator = simulator();
+        let dashboard = simulator.connect(Port::Dashboard).unwrap();
+        simulator.receive(dashboard, b"quit\n");
+        assert_eq!(sent(&mut simulator).last(), Some(&Transmission::Closed(dashboard)));
+        let rtde = simulator.connect(Port::Rtde).unwrap();
+        simulator.receive(rtde, &[0, 1, b'V']);
+        assert_eq!(sent(&mut simulator), [Transmission::Closed(rtde)]);
+        let gripper = simulator.connect(Port::Gripper).unwrap();
+        simulator.hang_up(gripper);
+        simulator.receive(gripper, &[0xff; 20]);
+        assert_eq!(sent(&mut simulator), []);
+    }
+}

@@ -1,0 +1,356 @@
+//! A running program: its threads, the scheduler that gives each a slice of every frame, and the critical
+//! section.
+//!
+//! In: compiled code, a host, and one call of [`Program::frame`] per controller frame (2 ms). Out: whether it
+//! runs on, ended, or failed with a runtime exception. Threads take turns in the order in which they were
+//! started; a thread that becomes ready in a frame (joined, handed the critical section, just started) still
+//! runs in it. A slice longer than [`SLICE`] instructions is an endless loop and an exception, as the
+//! controller aborts a program that does not let time pass.
+//! The critical section is a lock that is handed on in the order of asking, with sleeping allowed inside.
+//! While its holder waits in a built-in (a motion, a socket) or joins a thread the section is lent to who
+//! asks for it: deployed scripts run whole trajectories within it and still read their orders, a cancellation
+//! among them, in another one, and wait within it for the end of a thread that has one more round in it to
+//! go.
+
+use crate::code::Code;
+use crate::fault::{Position, RuntimeException};
+use crate::host::Host;
+use crate::library::Random;
+use crate::thread::{Event, Shared, Thread};
+use crate::value::{ThreadId, Value};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Instructions a thread may take in one frame.
+pub const SLICE: u32 = 100_000;
+
+/// Threads that may live at once.
+const MAX_THREADS: usize = 64;
+
+/// The thread of the program's own function.
+const MAIN: ThreadId = ThreadId(1);
+
+/// What became of a program in a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Progress {
+    /// It goes on.
+    Running,
+    /// It came to `pause`; its next frame goes on behind it.
+    Paused,
+    /// It came to its end or to `halt`.
+    Finished,
+    /// It broke off.
+    Failed(RuntimeException),
+}
+
+/// What a thread waits for.
+#[derive(Debug, PartialEq)]
+enum Wait {
+    Nothing,
+    Frames(u64),
+    Thread(ThreadId),
+    Critical,
+    /// The host's answer, asked for once per frame.
+    Host,
+}
+
+#[derive(Debug)]
+struct Scheduled {
+    thread: Thread,
+    wait: Wait,
+    /// Had its turn in this frame and let time pass.
+    done: bool,
+    budget: u32,
+    /// How often it had entered the critical section that it lent when it began to wait.
+    lent: u32,
+}
+
+/// A program and its threads.
+#[derive(Debug)]
+pub struct Program {
+    shared: Shared,
+    threads: Vec<Scheduled>,
+    last_id: i32,
+    /// Holder of the critical section, how often it entered, and who waits.
+    holder: Option<(ThreadId, u32)>,
+    queue: VecDeque<ThreadId>,
+    /// A thread came to `pause` in this frame.
+    pausing: bool,
+}
+
+impl Program {
+    /// A program at its beginning. `seed` is that of `random()`.
+    pub fn new(code: Arc<Code>, seed: u64) -> Program {
+        let main = Thread::new(MAIN, None, &code, 0, Vec::new());
+        let globals = vec![None; code.globals];
+        let shared = Shared { code, globals, random: Random::new(seed) };
+        let main = Scheduled { thread: main, wait: Wait::Nothing, done: false, budget: SLICE, lent: 0 };
+        Program {
+            shared,
+            threads: vec![main],
+            last_id: 1,
+            holder: None,
+            queue: VecDeque::new(),
+            pausing: false,
+        }
+    }
+
+    /// The program's name.
+    pub fn name(&self) -> &Arc<str> {
+        &self.shared.code.name
+    }
+
+    /// Where the main thread is.
+    pub fn position(&self) -> Position {
+        self.threads.first().map_or(Position::START, |main| main.thread.position(&self.shared.code))
+    }
+
+    /// Threads alive, the main one included.
+    pub fn thread_count(&self) -> usize {
+        self.threads.len()
+    }
+
+    /// Gives every thread its slice of one frame.
+    pub fn frame(&mut self, host: &mut dyn Host) -> Progress {
+        for scheduled in &mut self.threads {
+            scheduled.done = false;
+            scheduled.budget = SLICE;
+            if let Wait::Frames(left) = &mut scheduled.wait {
+                *left = left.saturating_sub(1);
+            }
+        }
+        loop {
+            match self.round(host) {
+                Ok(Round::Moved) => {}
+                Ok(Round::Still) if std::mem::take(&mut self.pausing) => return Progress::Paused,
+                Ok(Round::Still) => return Progress::Running,
+                Ok(Round::Ended) => {
+                    self.stop(host);
+                    return Progress::Finished;
+                }
+                Err(exception) => {
+                    self.stop(host);
+                    return Progress::Failed(exception);
+                }
+            }
+        }
+    }
+
+    /// Ends all threads.
+    pub fn stop(&mut self, host: &mut dyn Host) {
+        for scheduled in std::mem::take(&mut self.threads) {
+            abandon(&scheduled, host);
+        }
+        self.holder = None;
+        self.queue.clear();
+    }
+
+    /// One turn for each thread that can run.
+    fn round(&mut self, host: &mut dyn Host) -> Result<Round, RuntimeException> {
+        let mut moved = false;
+        let mut index = 0;
+        while let Some(id) = self.threads.get(index).map(|scheduled| scheduled.thread.id) {
+            if self.ready(index) {
+                moved = true;
+                if self.turn(index, host)? {
+                    return Ok(Round::Ended);
+                }
+            }
+            // A kill may have shortened the list: go on behind the thread that just ran.
+            index = self.threads.iter().position(|s| s.thread.id > id).unwrap_or(self.threads.len());
+        }
+        Ok(if moved { Round::Moved } else { Round::Still })
+    }
+
+    fn ready(&self, index: usize) -> bool {
+        let Some(scheduled) = self.threads.get(index).filter(|scheduled| !scheduled.done) else {
+            return false;
+        };
+        match &scheduled.wait {
+            Wait::Nothing | Wait::Frames(0) => true,
+            Wait::Host => scheduled.lent == 0 || self.holder.is_none(),
+            Wait::Frames(_) => false,
+            Wait::Thread(other) => !self.alive(*other) && (scheduled.lent == 0 || self.holder.is_none()),
+            Wait::Critical => self.holder.is_some_and(|(holder, _)| holder == scheduled.thread.id),
+        }
+    }
+
+    fn alive(&self, id: ThreadId) -> bool {
+        self.threads.iter().any(|scheduled| scheduled.thread.id == id)
+    }
+
+    /// Runs one thread until it lets time pass, waits or ends; true if the program ended.
+    fn turn(&mut self, index: usize, host: &mut dyn Host) -> Result<bool, RuntimeException> {
+        let Some(id) = self.threads.get(index).map(|scheduled| scheduled.thread.id) else { return Ok(false) };
+        // Events that let no time pass keep the turn; a kill may move the thread within the list.
+        while let Some(index) = self.threads.iter().position(|scheduled| scheduled.thread.id == id) {
+            match self.run_to_event(index, host)? {
+                Turn::Kept => {}
+                Turn::Over => return Ok(false),
+                Turn::ProgramEnded => return Ok(true),
+            }
+        }
+        Ok(false)
+    }
+
+    fn run_to_event(&mut self, index: usize, host: &mut dyn Host) -> Result<Turn, RuntimeException> {
+        let Some(scheduled) = self.threads.get_mut(index) else { return Ok(Turn::Over) };
+        scheduled.wait = Wait::Nothing;
+        let id = scheduled.thread.id;
+        if scheduled.lent > 0 {
+            self.holder = Some((id, std::mem::take(&mut scheduled.lent)));
+        }
+        match scheduled.thread.run(&mut self.shared, host, &mut scheduled.budget)? {
+            Event::Sleep(frames) => {
+                scheduled.wait = Wait::Frames(frames);
+                scheduled.done = true;
+                return Ok(Turn::Over);
+            }
+            Event::Waiting => {
+                scheduled.wait = Wait::Host;
+                scheduled.done = true;
+                self.lend(index);
+                return Ok(Turn::Over);
+            }
+            Event::Join(other) => {
+                scheduled.wait = Wait::Thread(other);
+                if self.alive(other) {
+                    self.lend(index);
+                }
+                return Ok(Turn::Over);
+            }
+            Event::Spawn(function, parameters) => self.spawn(index, function, parameters)?,
+            Event::Kill(other) => {
+                self.kill(other, host);
+                return Ok(if self.alive(MAIN) { Turn::Kept } else { Turn::ProgramEnded });
+            }
+            Event::EnterCritical => {
+                return Ok(if self.enter_critical(index) { Turn::Kept } else { Turn::Over });
+            }
+            Event::ExitCritical => return self.exit_critical(index),
+            Event::Halt => return Ok(Turn::ProgramEnded),
+            // The other threads have the rest of this frame, as with a pause from outside.
+            Event::Pause => {
+                self.pausing = true;
+                scheduled.done = true;
+                return Ok(Turn::Over);
+            }
+            Event::Finished => {
+                self.kill(id, host);
+                return Ok(if id == MAIN { Turn::ProgramEnded } else { Turn::Over });
+            }
+            Event::Exhausted => {
+                let message = format!("endless loop: {SLICE} instructions without letting time pass");
+                return Err(self.exception(index, message));
+            }
+        }
+        Ok(Turn::Kept)
+    }
+
+    fn exception(&self, index: usize, message: String) -> RuntimeException {
+        let at = self.threads.get(index).map_or(Position::START, |s| s.thread.position(&self.shared.code));
+        RuntimeException { at, message }
+    }
+
+    fn spawn(
+        &mut self,
+        parent: usize,
+        function: usize,
+        parameters: Vec<Option<Value>>,
+    ) -> Result<(), RuntimeException> {
+        if self.threads.len() >= MAX_THREADS {
+            return Err(self.exception(parent, format!("more than {MAX_THREADS} threads")));
+        }
+        let Some(by) = self.threads.get_mut(parent) else { return Ok(()) };
+        self.last_id = self.last_id.wrapping_add(1).max(2);
+        let id = ThreadId(self.last_id);
+        by.thread.push(Value::Thread(id));
+        let thread = Thread::new(id, Some(by.thread.id), &self.shared.code, function, parameters);
+        self.threads.push(Scheduled { thread, wait: Wait::Nothing, done: false, budget: SLICE, lent: 0 });
+        Ok(())
+    }
+
+    /// Ends a thread and, first, its children; a thread that is not alive is none of our business.
+    fn kill(&mut self, id: ThreadId, host: &mut dyn Host) {
+        let mut doomed = vec![id];
+        while let Some(victim) = doomed.pop() {
+            let children = self.threads.iter().filter(|s| s.thread.parent == Some(victim));
+            doomed.extend(children.map(|s| s.thread.id));
+            let Some(index) = self.threads.iter().position(|s| s.thread.id == victim) else { continue };
+            abandon(&self.threads.remove(index), host);
+            self.queue.retain(|waiting| *waiting != victim);
+            if self.holder.is_some_and(|(holder, _)| holder == victim) {
+                self.holder = None;
+                self.hand_on();
+            }
+        }
+    }
+
+    /// True if the thread holds the section now; else it queues.
+    fn enter_critical(&mut self, index: usize) -> bool {
+        let Some(scheduled) = self.threads.get_mut(index) else { return false };
+        let id = scheduled.thread.id;
+        match &mut self.holder {
+            None => self.holder = Some((id, 1)),
+            Some((holder, depth)) if *holder == id => *depth = depth.saturating_add(1),
+            Some(_) => {
+                scheduled.wait = Wait::Critical;
+                self.queue.push_back(id);
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Lends the section, if this thread holds it, until the thread goes on.
+    fn lend(&mut self, index: usize) {
+        let Some(scheduled) = self.threads.get_mut(index) else { return };
+        let id = scheduled.thread.id;
+        if let Some((_, depth)) = self.holder.filter(|(holder, _)| *holder == id) {
+            scheduled.lent = depth;
+            self.hand_on();
+        }
+    }
+
+    /// The thread leaves the section, or one of its nestings.
+    fn exit_critical(&mut self, index: usize) -> Result<Turn, RuntimeException> {
+        let id = self.threads.get(index).map(|scheduled| scheduled.thread.id);
+        match &mut self.holder {
+            Some((holder, depth)) if Some(*holder) == id && *depth > 1 => *depth -= 1,
+            Some((holder, _)) if Some(*holder) == id => {
+                self.holder = None;
+                self.hand_on();
+            }
+            _ => return Err(self.exception(index, "exit_critical without enter_critical".to_owned())),
+        }
+        // Who lent it goes on as soon as it is free: not only if nobody takes it again at once.
+        let lender_waits = self.holder.is_none() && self.threads.iter().any(|other| other.lent > 0);
+        Ok(if lender_waits { Turn::Over } else { Turn::Kept })
+    }
+
+    fn hand_on(&mut self) {
+        self.holder = self.queue.pop_front().map(|id| (id, 1));
+    }
+}
+
+/// How a thread's turn went on.
+enum Turn {
+    Kept,
+    Over,
+    ProgramEnded,
+}
+
+enum Round {
+    Moved,
+    Still,
+    Ended,
+}
+
+fn abandon(scheduled: &Scheduled, host: &mut dyn Host) {
+    if let Some(pending) = &scheduled.thread.pending {
+        host.abandoned(scheduled.thread.id, pending.builtin.name);
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

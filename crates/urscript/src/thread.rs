@@ -1,0 +1,540 @@
+//! One thread of a running script: its calls, its stack, and what it waits for.
+//!
+//! In: the compiled code, the global variables and the host. Out: an `Event` whenever the thread needs the
+//! scheduler (time passes, another thread is concerned, it ended). Bounded: instructions per frame, depth of
+//! calls, size of values.
+
+use crate::ast::{Qualifier, Unary};
+use crate::code::{Code, Instruction, PathStep, Variable};
+use crate::fault::{Position, RuntimeException};
+use crate::host::{Builtin, Call, Host, Reply};
+use crate::library::{self, Random};
+use crate::methods;
+use crate::operators::{self, Step};
+use crate::value::{ThreadId, Value};
+use std::sync::Arc;
+
+/// Deepest nesting of calls.
+const MAX_CALLS: usize = 200;
+
+/// Most elements of a list, those of its lists included, and deepest nesting of lists.
+const MAX_ELEMENTS: usize = 200_000;
+const MAX_LIST_NESTING: usize = 8;
+
+/// Elements that a list may grow by until all elements of its variable are counted again.
+const COUNTED_EVERY: usize = 64;
+
+/// Length of a controller frame, s.
+pub const FRAME_SECONDS: f64 = 0.002;
+
+/// What a program's threads have in common.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    pub(crate) code: Arc<Code>,
+    pub(crate) globals: Vec<Option<Value>>,
+    pub(crate) random: Random,
+}
+
+/// Why a thread came back to the scheduler.
+#[derive(Debug)]
+pub(crate) enum Event {
+    /// Sleeps for that many frames.
+    Sleep(u64),
+    /// A built-in is not done; it is in the thread's `pending`.
+    Waiting,
+    /// A new thread with this function and its parameters.
+    Spawn(usize, Vec<Option<Value>>),
+    Kill(ThreadId),
+    Join(ThreadId),
+    EnterCritical,
+    ExitCritical,
+    Halt,
+    Pause,
+    /// The thread's function returned.
+    Finished,
+    /// The slice is used up.
+    Exhausted,
+}
+
+/// A call of the host that is not answered yet.
+#[derive(Debug)]
+pub(crate) struct Pending {
+    pub(crate) builtin: &'static Builtin,
+    arguments: Vec<Option<Value>>,
+    frames: u64,
+    note: u64,
+}
+
+#[derive(Debug)]
+struct Activation {
+    function: usize,
+    next: usize,
+    locals: Vec<Option<Value>>,
+}
+
+/// A thread's own state.
+#[derive(Debug)]
+pub(crate) struct Thread {
+    pub(crate) id: ThreadId,
+    pub(crate) parent: Option<ThreadId>,
+    pub(crate) pending: Option<Pending>,
+    calls: Vec<Activation>,
+    stack: Vec<Value>,
+}
+
+impl Thread {
+    /// A thread at the start of `function`.
+    pub(crate) fn new(
+        id: ThreadId,
+        parent: Option<ThreadId>,
+        code: &Code,
+        function: usize,
+        parameters: Vec<Option<Value>>,
+    ) -> Thread {
+        let mut thread = Thread { id, parent, pending: None, calls: Vec::new(), stack: Vec::new() };
+        thread.enter(code, function, parameters);
+        thread
+    }
+
+    /// Where the instruction that runs comes from.
+    pub(crate) fn position(&self, code: &Code) -> Position {
+        let call = self.calls.last();
+        call.and_then(|call| code.functions.get(call.function)?.positions.get(call.next.saturating_sub(1)))
+            .copied()
+            .unwrap_or(Position::START)
+    }
+
+    /// Hands a value to the thread as the result of what it waited for.
+    pub(crate) fn push(&mut self, value: Value) {
+        self.stack.push(value);
+    }
+
+    /// Runs until an event, at most `budget` instructions.
+    pub(crate) fn run(
+        &mut self,
+        shared: &mut Shared,
+        host: &mut dyn Host,
+        budget: &mut u32,
+    ) -> Result<Event, RuntimeException> {
+        let code = shared.code.clone();
+        self.run_inner(&code, shared, host, budget)
+            .map_err(|message| RuntimeException { at: self.position(&code), message })
+    }
+
+    fn run_inner(
+        &mut self,
+        code: &Code,
+        shared: &mut Shared,
+        host: &mut dyn Host,
+        budget: &mut u32,
+    ) -> Result<Event, String> {
+        if self.pending.is_some() && !self.poll(host)? {
+            return Ok(Event::Waiting);
+        }
+        loop {
+            if *budget == 0 {
+                return Ok(Event::Exhausted);
+            }
+            *budget -= 1;
+            let Some(call) = self.calls.last_mut() else { return Ok(Event::Finished) };
+            let instruction = code.functions.get(call.function).and_then(|f| f.instructions.get(call.next));
+            let Some(instruction) = instruction else { return Ok(Event::Finished) };
+            call.next += 1;
+            if let Some(event) = self.execute(instruction, code, shared, host)? {
+                return Ok(event);
+            }
+        }
+    }
+
+    /// Asks the host again; true if it answered.
+    fn poll(&mut self, host: &mut dyn Host) -> Result<bool, String> {
+        let Some(mut pending) = self.pending.take() else { return Ok(true) };
+        let call = Call {
+            name: pending.builtin.name,
+            arguments: &pending.arguments,
+            thread: self.id,
+            frames: pending.frames,
+            note: &mut pending.note,
+        };
+        match host.call(call)? {
+            Reply::Value(value) => {
+                self.stack.push(value);
+                Ok(true)
+            }
+            Reply::Wait => {
+                pending.frames += 1;
+                self.pending = Some(pending);
+                Ok(false)
+            }
+        }
+    }
+
+    fn execute(
+        &mut self,
+        instruction: &Instruction,
+        code: &Code,
+        shared: &mut Shared,
+        host: &mut dyn Host,
+    ) -> Result<Option<Event>, String> {
+        match instruction {
+            Instruction::Constant(value) => self.stack.push(value.clone()),
+            Instruction::Load(variable) => {
+                let value = self.load(variable, shared)?;
+                self.stack.push(value);
+            }
+            Instruction::Store(variable, qualifier) => self.store(variable, *qualifier, shared)?,
+            Instruction::StoreInto(variable, qualifier, path) => {
+                self.store_into(variable, *qualifier, path, shared)?;
+            }
+            Instruction::Call(function, slots) => {
+                self.call(code, *function, slots)?;
+            }
+            Instruction::Run(function, slots) => {
+                return Ok(Some(Event::Spawn(*function, self.take_arguments(slots, 0))));
+            }
+            Instruction::CallBuiltin(builtin, slots) => {
+                return self.call_builtin(builtin, slots, shared, host);
+            }
+            Instruction::Return => {
+                self.calls.pop();
+                if self.calls.is_empty() {
+                    return Ok(Some(Event::Finished));
+                }
+            }
+            Instruction::Kill => return Ok(self.handle()?.map(Event::Kill)),
+            Instruction::Join => return Ok(self.handle()?.map(Event::Join)),
+            Instruction::EnterCritical => return Ok(Some(Event::EnterCritical)),
+            Instruction::ExitCritical => return Ok(Some(Event::ExitCritical)),
+            Instruction::Halt => return Ok(Some(Event::Halt)),
+            Instruction::Pause => return Ok(Some(Event::Pause)),
+            Instruction::Change(variable, path, name, count) => {
+                self.change(variable, path, (name, *count), shared)?;
+            }
+            Instruction::Jump(_)
+            | Instruction::JumpUnless(_)
+            | Instruction::ShortCircuit(..)
+            | Instruction::JumpIfGiven(..)
+            | Instruction::StoreParameter(_) => self.control(instruction)?,
+            Instruction::Index(_)
+            | Instruction::Member(_)
+            | Instruction::Method(..)
+            | Instruction::MakeList(_)
+            | Instruction::MakePose
+            | Instruction::MakeStruct(_)
+            | Instruction::Unary(_)
+            | Instruction::Binary(_)
+            | Instruction::Truth
+            | Instruction::Pop => self.compute(instruction)?,
+        }
+        Ok(None)
+    }
+
+    /// Puts a value into a variable.
+    #[inline]
+    fn store(
+        &mut self,
+        variable: &Variable,
+        qualifier: Qualifier,
+        shared: &mut Shared,
+    ) -> Result<(), String> {
+        let value = self.stored_value()?;
+        match self.place(variable, qualifier, shared)? {
+            // `local` declares anew, whatever had the name before.
+            Some(target) if qualifier != Qualifier::Local => operators::assign(target, value)?,
+            place => *place = Some(value),
+        }
+        Ok(())
+    }
+
+    /// Calls a function of the program.
+    #[inline]
+    fn call(&mut self, code: &Code, function: usize, slots: &[usize]) -> Result<(), String> {
+        if self.calls.len() >= MAX_CALLS {
+            return Err(format!("calls are nested deeper than {MAX_CALLS} levels"));
+        }
+        let parameters = self.take_arguments(slots, 0);
+        self.enter(code, function, parameters);
+        Ok(())
+    }
+
+    /// Instructions that only move within the function.
+    fn control(&mut self, instruction: &Instruction) -> Result<(), String> {
+        let target = match instruction {
+            Instruction::Jump(to) => Some(*to),
+            Instruction::JumpUnless(to) => (!self.pop().truth()?).then_some(*to),
+            Instruction::ShortCircuit(decided_by, to) => {
+                let truth = self.pop().truth()?;
+                (truth == *decided_by).then(|| {
+                    self.stack.push(Value::Bool(truth));
+                    *to
+                })
+            }
+            Instruction::JumpIfGiven(slot, to) => {
+                self.local(*slot).is_some_and(|v| v.is_some()).then_some(*to)
+            }
+            Instruction::StoreParameter(slot) => {
+                let value = self.pop();
+                if let Some(local) = self.local(*slot) {
+                    *local = Some(value);
+                }
+                None
+            }
+            _ => None,
+        };
+        if let (Some(target), Some(call)) = (target, self.calls.last_mut()) {
+            call.next = target;
+        }
+        Ok(())
+    }
+
+    /// Instructions that only work on the stack.
+    fn compute(&mut self, instruction: &Instruction) -> Result<(), String> {
+        let result = match instruction {
+            Instruction::Index(count) => {
+                let indices = self.pop_many(*count);
+                let value = self.pop();
+                indices.iter().try_fold(value, |value, index| operators::index(&value, index))?
+            }
+            Instruction::Member(name) => operators::member(&self.pop(), name)?,
+            Instruction::Method(name, count) => {
+                let arguments = self.pop_many(*count);
+                let mut of = self.pop();
+                // What is no variable changes and is gone.
+                let changes = methods::changes(name);
+                bounded(if changes {
+                    methods::change(&mut of, name, arguments)?
+                } else {
+                    methods::call(&of, name, &arguments)?
+                })?
+            }
+            Instruction::MakeList(count) => bounded(Value::list(self.pop_many(*count)))?,
+            Instruction::MakePose => {
+                let numbers: Vec<f64> =
+                    self.pop_many(6).iter().map(Value::number).collect::<Result<_, String>>()?;
+                Value::Pose(numbers.try_into().unwrap_or_default())
+            }
+            Instruction::MakeStruct(names) => {
+                let values = self.pop_many(names.len());
+                bounded(Value::Struct(Arc::new(names.iter().cloned().zip(values).collect())))?
+            }
+            Instruction::Unary(Unary::Not) | Instruction::Truth => {
+                let negate = matches!(instruction, Instruction::Unary(_));
+                Value::Bool(self.pop().truth()? != negate)
+            }
+            Instruction::Unary(operator) => operators::unary(*operator, &self.pop())?,
+            Instruction::Binary(operator) => {
+                let right = self.pop();
+                let left = self.pop();
+                operators::binary(*operator, &left, &right)?
+            }
+            _ => {
+                self.pop();
+                return Ok(());
+            }
+        };
+        self.stack.push(result);
+        Ok(())
+    }
+
+    fn call_builtin(
+        &mut self,
+        builtin: &'static Builtin,
+        slots: &[usize],
+        shared: &mut Shared,
+        host: &mut dyn Host,
+    ) -> Result<Option<Event>, String> {
+        let arguments = self.take_arguments(slots, builtin.parameters.len());
+        let mut pending = Pending { builtin, arguments, frames: 0, note: 0 };
+        let call = Call {
+            name: builtin.name,
+            arguments: &pending.arguments,
+            thread: self.id,
+            frames: 0,
+            note: &mut pending.note,
+        };
+        match builtin.name {
+            "sync" => {
+                self.stack.push(Value::Nothing);
+                return Ok(Some(Event::Sleep(1)));
+            }
+            "sleep" => {
+                let frames = sleep_frames(call.required(0)?.number()?)?;
+                self.stack.push(Value::Nothing);
+                return Ok(Some(Event::Sleep(frames)));
+            }
+            _ => {}
+        }
+        if let Some(result) = library::call(&call, &mut shared.random) {
+            self.stack.push(bounded(result?)?);
+            return Ok(None);
+        }
+        self.pending = Some(pending);
+        Ok(if self.poll(host)? { None } else { Some(Event::Waiting) })
+    }
+
+    fn enter(&mut self, code: &Code, function: usize, mut parameters: Vec<Option<Value>>) {
+        let locals = code.functions.get(function).map_or(0, |function| function.locals);
+        parameters.resize(locals, None);
+        self.calls.push(Activation { function, next: 0, locals: parameters });
+    }
+
+    /// Pops one value for each slot; at least `count` places.
+    fn take_arguments(&mut self, slots: &[usize], count: usize) -> Vec<Option<Value>> {
+        let places = slots.iter().map(|slot| slot + 1).max().unwrap_or(0).max(count);
+        let mut arguments = vec![None; places];
+        for (value, slot) in self.pop_many(slots.len()).into_iter().zip(slots) {
+            arguments[*slot] = Some(value);
+        }
+        arguments
+    }
+
+    fn pop(&mut self) -> Value {
+        self.stack.pop().unwrap_or(Value::Nothing)
+    }
+
+    fn pop_many(&mut self, count: usize) -> Vec<Value> {
+        self.stack.split_off(self.stack.len().saturating_sub(count))
+    }
+
+    fn local(&mut self, slot: usize) -> Option<&mut Option<Value>> {
+        self.calls.last_mut()?.locals.get_mut(slot)
+    }
+
+    /// A popped thread handle; `None` for 0.
+    fn handle(&mut self) -> Result<Option<ThreadId>, String> {
+        match self.pop() {
+            Value::Thread(id) => Ok(Some(id)),
+            Value::Int(0) => Ok(None),
+            Value::Int(id) => Ok(Some(ThreadId(id))),
+            other => Err(format!("expected a thread handle, found {}", other.type_name())),
+        }
+    }
+
+    fn stored_value(&mut self) -> Result<Value, String> {
+        match self.pop() {
+            Value::Nothing => Err("a function without a return value cannot be assigned".to_owned()),
+            value => Ok(value),
+        }
+    }
+
+    fn load(&mut self, variable: &Variable, shared: &Shared) -> Result<Value, String> {
+        let local = variable.local.and_then(|slot| self.calls.last()?.locals.get(slot)?.as_ref());
+        let found = local.or_else(|| shared.globals.get(variable.global?)?.as_ref());
+        found.cloned().ok_or_else(|| format!("variable `{}` is used before it has a value", variable.name))
+    }
+
+    fn place<'a>(
+        &'a mut self,
+        variable: &Variable,
+        qualifier: Qualifier,
+        shared: &'a mut Shared,
+    ) -> Result<&'a mut Option<Value>, String> {
+        let has_local = variable.local.is_some_and(|slot| {
+            self.calls.last().is_some_and(|c| c.locals.get(slot).is_some_and(Option::is_some))
+        });
+        let has_global =
+            variable.global.is_some_and(|slot| shared.globals.get(slot).is_some_and(Option::is_some));
+        let global = match qualifier {
+            Qualifier::Global => true,
+            Qualifier::Local => false,
+            Qualifier::Plain => variable.local.is_none() || (!has_local && has_global),
+        };
+        let place = if global {
+            variable.global.and_then(|slot| shared.globals.get_mut(slot))
+        } else {
+            variable.local.and_then(|slot| self.calls.last_mut()?.locals.get_mut(slot))
+        };
+        place.ok_or_else(|| format!("variable `{}` cannot be assigned here", variable.name))
+    }
+
+    /// A path with the indices that were left on the stack.
+    fn steps(&mut self, path: &[PathStep]) -> Vec<Step> {
+        let count = path.iter().filter(|step| matches!(step, PathStep::Index)).count();
+        let mut indices = self.pop_many(count).into_iter();
+        let step = |step: &PathStep| match step {
+            PathStep::Index => Step::Index(indices.next().unwrap_or(Value::Nothing)),
+            PathStep::Member(name) => Step::Member(name.clone()),
+        };
+        path.iter().map(step).collect()
+    }
+
+    /// A method that changes a part of a variable.
+    fn change(
+        &mut self,
+        variable: &Variable,
+        path: &[PathStep],
+        (name, count): (&str, usize),
+        shared: &mut Shared,
+    ) -> Result<(), String> {
+        let arguments = self.pop_many(count);
+        let nests = arguments.iter().any(|value| matches!(value, Value::List(_) | Value::Struct(_)));
+        let steps = self.steps(path);
+        let Some(whole) = self.place(variable, Qualifier::Plain, shared)? else {
+            return Err(format!("variable `{}` is used before it has a value", variable.name));
+        };
+        let of = operators::part(whole, &steps)?;
+        let result = methods::change(of, name, arguments)?;
+        // Counting everything at every element would make filling a list as slow as its square.
+        let counts = nests || matches!(of, Value::List(list) if list.len().is_multiple_of(COUNTED_EVERY));
+        if counts && let Err(message) = bounded_ref(whole) {
+            *whole = Value::Nothing;
+            return Err(message);
+        }
+        self.stack.push(result);
+        Ok(())
+    }
+
+    fn store_into(
+        &mut self,
+        variable: &Variable,
+        qualifier: Qualifier,
+        path: &[PathStep],
+        shared: &mut Shared,
+    ) -> Result<(), String> {
+        let value = self.stored_value()?;
+        let steps = self.steps(path);
+        let nests = matches!(value, Value::List(_) | Value::Struct(_));
+        let place = self.place(variable, qualifier, shared)?;
+        let Some(target) = place else {
+            return Err(format!("variable `{}` is used before it has a value", variable.name));
+        };
+        operators::replace(target, &steps, value)?;
+        if nests && let Err(message) = bounded_ref(target) {
+            *target = Value::Nothing;
+            return Err(message);
+        }
+        Ok(())
+    }
+}
+
+/// Frames that `sleep(seconds)` takes: up to the next multiple of a frame, at least one.
+fn sleep_frames(seconds: f64) -> Result<u64, String> {
+    if !(0.0..=1e9).contains(&seconds) {
+        return Err(format!("cannot sleep for {seconds} s"));
+    }
+    Ok(((seconds / FRAME_SECONDS - 1e-6).ceil() as u64).max(1))
+}
+
+fn bounded(value: Value) -> Result<Value, String> {
+    bounded_ref(&value)?;
+    Ok(value)
+}
+
+fn bounded_ref(value: &Value) -> Result<(), String> {
+    let mut left = MAX_ELEMENTS;
+    if fits(value, MAX_LIST_NESTING, &mut left) { Ok(()) } else { Err("the list is too large".to_owned()) }
+}
+
+fn fits(value: &Value, levels: usize, left: &mut usize) -> bool {
+    if *left == 0 {
+        return false;
+    }
+    *left -= 1;
+    match value {
+        Value::List(elements) => levels > 0 && elements.iter().all(|element| fits(element, levels - 1, left)),
+        Value::Struct(members) => {
+            levels > 0 && members.iter().all(|(_, element)| fits(element, levels - 1, left))
+        }
+        _ => true,
+    }
+}
