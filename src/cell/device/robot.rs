@@ -54,6 +54,8 @@ pub struct Robot {
     state: Option<RobotState>,
     /// As last heard on the dashboard link that stands now.
     remote_control: Option<bool>,
+    /// When the dashboard said so.
+    remote_control_at: Timestamp,
     /// As last heard on an earlier one: a change since then means that links have to be made anew.
     remote_control_before: Option<bool>,
     /// Since when commands wait although the program runs.
@@ -99,6 +101,7 @@ impl Robot {
             setup: Setup::default(),
             state: None,
             remote_control: None,
+            remote_control_at: Timestamp::ZERO,
             remote_control_before: None,
             held_since: None,
             identity: Identity::default(),

@@ -205,6 +205,9 @@ pub enum Refused {
     /// The pendant is in local mode, or nobody knows.
     #[error("remote control is off: switch the pendant to remote control")]
     LocalMode,
+    /// The dashboard's last answer about remote control is too old to begin a path.
+    #[error("the dashboard has not said for 1.5 s whether remote control is on")]
+    RemoteControlUnknown,
     /// The program does not run, or not any more.
     #[error("celld's program does not run on the robot")]
     NoProgram,

@@ -4,7 +4,7 @@
 //! stop where something takes too long.
 
 use crate::cell::device::robot::Robot;
-use crate::cell::device::robot::parts::{Program, SEND_WITHIN, Setup};
+use crate::cell::device::robot::parts::{Program, REMOTE_CONTROL_WITHIN, SEND_WITHIN, Setup};
 use crate::cell::device::robot_types::{Link, ProgramEnd, Refused, RobotEvent, RobotState};
 use crate::cell::device::stream::Done;
 use cell_values::time::{Duration, Timestamp};
@@ -73,6 +73,10 @@ impl Robot {
     pub(super) fn send_commands(&mut self, now: Timestamp) {
         if let Err(refused) = self.program_takes_commands() {
             return self.hold_commands(now, refused);
+        }
+        let remote_control_is_old = now.since(self.remote_control_at) > REMOTE_CONTROL_WITHIN;
+        if self.stream.path_begins() && remote_control_is_old {
+            return self.hold_commands(now, Refused::RemoteControlUnknown);
         }
         self.held_since = None;
         if self.stream.path_begins() && !self.setup_is_shown(now) {

@@ -103,7 +103,10 @@ impl Robot {
             (Command::PolyscopeVersion, Reply::Text(text)) => self.identify(|i| i.version = Some(text)),
             (Command::GetSerialNumber, Reply::Text(text)) => self.identify(|i| i.serial = Some(text)),
             (Command::GetRobotModel, Reply::Text(text)) => self.identify(|i| i.model = Some(text)),
-            (Command::IsInRemoteControl, Reply::Flag(on)) => self.remote_control_is(on),
+            (Command::IsInRemoteControl, Reply::Flag(on)) => {
+                self.remote_control_at = now;
+                self.remote_control_is(on);
+            }
             (Command::RobotMode, Reply::RobotMode(mode)) => self.modes_without_rtde(now, Some(mode), None),
             (Command::SafetyMode, Reply::SafetyMode(mode)) => self.modes_without_rtde(now, None, Some(mode)),
             (Command::Stop, Reply::Accepted(_)) => self.dashboard_stopped(),

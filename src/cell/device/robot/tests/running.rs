@@ -125,6 +125,19 @@ fn a_path_waits_for_the_payload_to_be_shown_and_not_for_ever() {
 }
 
 #[test]
+fn no_path_begins_on_an_old_answer_about_remote_control() {
+    for (answers, taken) in [(true, 1), (false, 0)] {
+        let mut rig = Rig::running();
+        rig.run_ms(100);
+        rig.fake.mute_dashboard = !answers;
+        rig.run_ms(1700);
+        rig.command(RobotCommand::Stream(path(HOME, 1)));
+        rig.run_ms(100);
+        assert_eq!((rig.fake.taken.len(), rig.ended()), (taken, None), "answers: {answers}");
+    }
+}
+
+#[test]
 fn an_old_program_is_stopped_first() {
     let mut rig = Rig::ready();
     rig.fake.runtime_state = 2;
