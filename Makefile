@@ -6,10 +6,14 @@ SHELL := /bin/bash
 
 # Found missing by the build otherwise: clang is run by the OpenCV bindings' generator, the others are the
 # OpenCV modules celld calls. Not libapriltag-dev: the crate brings the C sources it was made for.
+PACKAGES := clang pkg-config libopencv-core-dev libopencv-imgproc-dev libopencv-imgcodecs-dev \
+            libopencv-calib3d-dev libopencv-videoio-dev
+
 # python3-venv runs the third-party clients of the tests; their RealSense SDK needs libusb and the interpreter
 # as a library.
-PACKAGES := clang pkg-config python3-venv libpython3.11 libusb-1.0-0 libopencv-core-dev libopencv-imgproc-dev libopencv-imgcodecs-dev \
-            libopencv-calib3d-dev libopencv-videoio-dev
+CLIENT_PACKAGES := python3-venv libpython3.11 libusb-1.0-0
+
+BUILD := $(abspath $(or $(CARGO_TARGET_DIR),target))
 
 ARGS ?=
 
@@ -27,40 +31,48 @@ FUZZ_FLAGS := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
               -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
               -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing
 
-.PHONY: help setup clients demo test bench figures fuzz
+.PHONY: help setup clients demo test test-clients bench figures fuzz
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
-	@echo "make test                           formatting, lints, all tests"
+	@echo "make test                           formatting, lints, documentation, all tests but those of the next line"
+	@echo "make test-clients                   other people's clients against the simulator (installs them)"
 	@echo "make figures                        small versions of the paper's six figures in ./out/figures"
 	@echo "make fuzz [SECONDS=600]              fuzz each protocol for so long (fuzz/README.md)"
 	@echo "make bench                          nanoseconds of the collision kernel by pair of shapes"
 	@echo "make setup                          install what the build needs (Debian 12), nothing else"
 
+# Installs those of $(1) that are missing; what apt says goes to a log.
+define install
+command -v dpkg-query >/dev/null || { \
+  echo "setup: no dpkg here; the build needs the equivalents of: $(1)"; exit 0; }; \
+missing=(); \
+for package in $(1); do \
+  [ "$$(dpkg-query -W -f='$${db:Status-Status}' "$$package" 2>/dev/null | head -c 9)" = installed ] \
+    || missing+=("$$package"); \
+done; \
+[ $${#missing[@]} -gt 0 ] || exit 0; \
+as_root=(); \
+if [ "$$(id -u)" -ne 0 ]; then \
+  command -v sudo >/dev/null || { \
+    echo "setup: neither root nor sudo; ask for: apt-get install $${missing[*]}" >&2; exit 1; }; \
+  as_root=(sudo); \
+fi; \
+mkdir -p $(BUILD); log=$(BUILD)/setup.log; \
+echo "setup: installing $${missing[*]} and what they need (a minute or two; log: $$log)"; \
+{ "$${as_root[@]}" apt-get update -qq && "$${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
+    apt-get install -y -qq --no-install-recommends "$${missing[@]}"; } >"$$log" 2>&1 \
+  || { tail -n 20 "$$log" >&2; echo "setup: apt-get failed, see $$log" >&2; exit 1; }
+endef
+
 setup:
-	@command -v dpkg-query >/dev/null || { \
-	  echo "setup: no dpkg here; the build needs the equivalents of: $(PACKAGES)"; exit 0; }; \
-	missing=(); \
-	for package in $(PACKAGES); do \
-	  [ "$$(dpkg-query -W -f='$${db:Status-Status}' "$$package" 2>/dev/null | head -c 9)" = installed ] \
-	    || missing+=("$$package"); \
-	done; \
-	[ $${#missing[@]} -gt 0 ] || exit 0; \
-	as_root=(); \
-	if [ "$$(id -u)" -ne 0 ]; then \
-	  command -v sudo >/dev/null || { \
-	    echo "setup: neither root nor sudo; ask for: apt-get install $${missing[*]}" >&2; exit 1; }; \
-	  as_root=(sudo); \
-	fi; \
-	echo "setup: installing $${missing[*]}"; \
-	"$${as_root[@]}" apt-get update -qq; \
-	"$${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
-	  apt-get install -y -qq --no-install-recommends "$${missing[@]}"
+	@$(call install,$(PACKAGES))
 
 # The third-party clients that the simulator is tested with, in an environment of their own.
-CLIENTS := $(abspath $(or $(CARGO_TARGET_DIR),target))/clients
+CLIENTS := $(BUILD)/clients
 
 clients: setup
+	@$(call install,$(CLIENT_PACKAGES))
 	@if ! cmp -s tests/clients/requirements.txt $(CLIENTS)/installed.txt; then \
 	  echo "clients: installing $$(grep -v '^#' tests/clients/requirements.txt | tr '\n' ' ')"; \
 	  rm -rf $(CLIENTS); python3 -m venv $(CLIENTS); \
@@ -68,26 +80,39 @@ clients: setup
 	  cp tests/clients/requirements.txt $(CLIENTS)/installed.txt; \
 	fi
 
+# The first build takes most of the time; cargo shows how far it is.
 demo: setup
-	cargo run --release --quiet -- demo $(ARGS)
+	@echo "demo: building celld (about six minutes the first time on two cores, seconds afterwards)"
+	@cargo build --release --bin celld
+	@echo "demo: the cell in simulation (about a minute)"
+	@cargo run --release --quiet -- demo $(ARGS)
 
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
 
 # Without nextest the closed-loop tests (cell_*, robot_session) run after the others, one at a time: they need
 # the cores.
-test: export CELLD_CLIENTS := $(CLIENTS)
-test: setup clients
+test: setup
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --quiet --workspace --no-deps --lib
 	cargo test --quiet --doc --workspace
 	@[ -d "$(DATA)" ] || echo "SKIPPED: tests on the public instances and camera recordings, no folder $(DATA) (set CELLD_DATA)"
 	@if cargo nextest --version >/dev/null 2>&1; then \
-	  echo "cargo nextest run"; cargo nextest run --workspace; \
+	  echo "cargo nextest run"; cargo nextest run --workspace -E 'not test(/^third_party::/)'; \
 	else \
-	  echo "cargo test"; cargo test --workspace --all-targets -- --skip cell_ --skip robot_session::; \
+	  echo "cargo test"; \
+	  cargo test --workspace --all-targets -- --skip cell_ --skip robot_session:: --skip third_party::; \
 	  cargo test --test it -- cell_ robot_session:: --test-threads=1; \
+	fi
+
+# Also the calls of the RealSense SDK, which comes with the clients.
+test-clients: export CELLD_CLIENTS := $(CLIENTS)
+test-clients: clients
+	@if cargo nextest --version >/dev/null 2>&1; then \
+	  cargo nextest run -E 'test(/^third_party::/) | test(/realsense::tests::/)'; \
+	else \
+	  cargo test --test it -- third_party::; cargo test --lib -- realsense::tests::; \
 	fi
 
 bench: setup

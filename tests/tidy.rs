@@ -203,9 +203,10 @@ fn ci_calls_the_makefile_and_the_makefile_sets_up_first() {
     let ci = tree::read(".ci/run");
     let commands: Vec<&str> =
         ci.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
-    assert!(commands.contains(&"set -euo pipefail") && commands.contains(&"make test"), "{commands:?}");
+    assert_eq!(commands.first(), Some(&"set -euo pipefail"), "a suite that fails ends the run");
+    assert!(commands.ends_with(&["make test-clients", "make test"]), "{commands:?}");
     let makefile = tree::read("Makefile");
-    for target in ["demo", "test", "bench", "figures"] {
+    for target in ["demo", "test", "clients", "bench", "figures"] {
         assert!(makefile.contains(&format!("\n{target}: setup")), "{target} must call setup first");
     }
 }
