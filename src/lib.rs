@@ -1,7 +1,8 @@
 //! celld: the daemon of a robot cell that rearranges a cluttered table.
 //!
-//! Modules are listed in reading order; each may use only the modules and crates that its row in ARCHITECTURE.md
-//! names, and `tests/tidy.rs` checks that. The pure core runs down to `report`; the rest is the shell around it.
+//! Modules are listed in reading order; each may use only the modules and crates that its row in
+//! ARCHITECTURE.md names, and `tests/tidy.rs` checks that. The pure core runs down to `report`; the rest is
+//! the shell around it.
 
 pub mod motion;
 

@@ -111,6 +111,9 @@ const TABLE: &[Row] = &[
 /// Source lines a file may have before it has to be split.
 const MOST_LINES: usize = 600;
 
+/// Columns of a line with a comment.
+const MOST_COLUMNS: usize = 110;
+
 /// Lines a function may have, from its `fn` to its closing brace.
 const MOST_FUNCTION_LINES: usize = 60;
 
@@ -170,6 +173,11 @@ fn functions_stay_short() {
     none(
         tree::rust_files().iter().flat_map(|file| rules::long_functions(file, MOST_FUNCTION_LINES)).collect(),
     );
+}
+
+#[test]
+fn comments_stay_within_their_columns() {
+    none(tree::text_files().iter().flat_map(|file| rules::wide_comments(file, MOST_COLUMNS)).collect());
 }
 
 #[test]

@@ -76,7 +76,11 @@ fn the_simulated_camera_may_stand_and_the_hand_carry_a_board() {
     // As the example has it in its comments.
     let shown = replace_once(SIM, "flange_from_camera:", "# flange:");
     let shown = replace_once(&shown, "# base_from_camera:", "base_from_camera:");
-    let read = read_sim(&replace_once(&shown, "# hand_board:", "hand_board:"), "sim.yaml").unwrap();
+    let mut shown = replace_once(&shown, "# hand_board:", "hand_board:");
+    for key in ["  board:", "  flange_from_board:"] {
+        shown = replace_once(&shown, &format!("# {key}"), key);
+    }
+    let read = read_sim(&shown, "sim.yaml").unwrap();
     let held = read.hand_board.unwrap();
     assert_eq!((held.board.columns * held.board.rows, held.board.first_id), (20, 100));
     let SimMount::Fixed(base_from_camera) = read.camera else { panic!("{:?}", read.camera) };

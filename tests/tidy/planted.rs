@@ -173,6 +173,15 @@ fn openings_lengths_marks_and_paths_are_flagged() {
 }
 
 #[test]
+fn wide_comments_are_flagged_and_wide_code_is_not() {
+    let wide = |path: &str, text: &str| rules::wide_comments(&File::planted(path, text), 12);
+    flagged(wide("a.rs", "/// short\n/// rather wide\nlet a = 1; // wide"), &["a.rs:2", "a.rs:3"]);
+    flagged(wide("a.rs", "let a = \"// a literal\";\nlet b = call_it_now();"), &[]);
+    flagged(wide("a.yaml", "# rather wide\nkey: value # here\nkey: [1, 2, 3, 4]"), &["a.yaml:1", "a.yaml:2"]);
+    flagged(wide("a.md", "# A heading that is wide"), &[]);
+}
+
+#[test]
 fn a_dependency_without_a_reason_is_flagged_and_so_is_a_reason_without_a_dependency() {
     let root = "[workspace.dependencies]\nown = { path = \"crates/own\" }\none = \"1\"\ntwo = { version = \"2\" }\n\
                 [lints.rust]\na = \"b\"\n[dependencies]\none.workspace = true\n[dev-dependencies]\ntwo.workspace = true\n";

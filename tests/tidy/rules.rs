@@ -338,6 +338,27 @@ pub fn length_breach(file: &File, most: usize) -> Option<String> {
     (lines > most).then(|| format!("{}: {lines} lines; split it by subject (at most {most})", file.path))
 }
 
+/// Comments that reach beyond column `most`. A line of code that is longer than that carries none.
+pub fn wide_comments(file: &File, most: usize) -> Vec<String> {
+    let is_rust = file.path.ends_with(".rs");
+    let hashed = [".yaml", ".toml", ".script", ".py", "Makefile", "run"];
+    if !is_rust && !hashed.iter().any(|ending| file.path.ends_with(ending)) {
+        return Vec::new();
+    }
+    let code = if is_rust { scan::blank_comments_and_literals(&file.text) } else { String::new() };
+    let has_comment = |number: usize, line: &str| {
+        if is_rust {
+            // What was blanked and is no literal: the code ends before the slashes do.
+            let kept = code.lines().nth(number).unwrap_or("").trim_end();
+            return line.get(kept.len()..).is_some_and(|rest| rest.trim_start().starts_with("//"));
+        }
+        line.trim_start().starts_with('#') || line.contains(" # ")
+    };
+    let wide = file.text.lines().enumerate().filter(|(_, line)| line.chars().count() > most);
+    let found = wide.filter(|(number, line)| has_comment(*number, line));
+    found.map(|(number, _)| format!("{}:{}: a comment beyond column {most}", file.path, number + 1)).collect()
+}
+
 /// Functions of more than `most` lines, from the `fn` to the closing brace.
 pub fn long_functions(file: &File, most: usize) -> Vec<String> {
     let code = scan::blank_comments_and_literals(&file.text);
@@ -417,8 +438,9 @@ fn code_words(cell: &str) -> Vec<&str> {
     cell.split('`').skip(1).step_by(2).collect()
 }
 
-/// Libraries without a line in the dependency table of ARCHITECTURE.md, lines without a library, and libraries
-/// of the workspace that no crate uses. `manifests` are the workspace's own and those of its crates.
+/// Libraries without a line in the dependency table of ARCHITECTURE.md, lines without a library, and
+/// libraries of the workspace that no crate uses. `manifests` are the workspace's own and those of its
+/// crates.
 pub fn dependency_breaches(manifests: &[File], architecture: &str) -> Vec<String> {
     let mut breaches = Vec::new();
     let of = |heading: &'static str| manifests.iter().flat_map(move |m| dependencies(&m.text, heading));

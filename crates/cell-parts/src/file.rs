@@ -1,7 +1,7 @@
 //! A configuration file opened: its text and its folder.
 //!
-//! In: a path. Out: the text, and the folder against which the paths inside the file resolve, or a message for
-//! the terminal. The only part of this crate that opens anything.
+//! In: a path. Out: the text, and the folder against which the paths inside the file resolve, or a message
+//! for the terminal. The only part of this crate that opens anything.
 
 use cell_edge::files::read_named;
 use rearrange::document::Complaints;

@@ -3,8 +3,9 @@
 //! made of (`fields`, with `places` for complaints about values that were read long ago;
 //! `file` opens one).
 //!
-//! In: located values of a document and a decoder that collects complaints. Out: plain structs in SI. Pure but for `file`.
-//! The cell and its simulation read these parts with the same code and share nothing else of their files.
+//! In: located values of a document and a decoder that collects complaints. Out: plain structs in SI. Pure
+//! but for `file`. The cell and its simulation read these parts with the same code and share nothing else of
+//! their files.
 
 pub mod fields;
 pub mod file;

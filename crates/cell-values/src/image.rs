@@ -2,8 +2,8 @@
 //! out.
 //!
 //! In: rows of pixels, or the bytes of an image file. Out: [`Image`], [`GrayImage`], PNG bytes; depth
-//! pictures are in `depth`. Pure: bytes come as arguments, no file is touched. The simulator
-//! draws with the marker family's patterns (`tag36h11`), which therefore lie here and not beside the detector.
+//! pictures are in `depth`. Pure: bytes come as arguments, no file is touched. The simulator draws with the
+//! marker family's patterns (`tag36h11`), which therefore lie here and not beside the detector.
 
 pub mod depth;
 pub mod quality;

@@ -1,5 +1,5 @@
-//! Synthetic pictures for the tests of `cell-vision`: a small renderer of markers on a table, with its own lens
-//! model.
+//! Synthetic pictures for the tests of `cell-vision`: a small renderer of markers on a table, with its own
+//! lens model.
 //!
 //! In: a camera, where it is, markers with their poses. Out: a grey picture, supersampled, blurred, with
 //! noise from a seed. Shares no code with detection or with OpenCV, so that a misread convention cannot agree

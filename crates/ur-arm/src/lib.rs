@@ -1,5 +1,5 @@
-//! The arms of Universal Robots: their models, forward and inverse kinematics (`kinematics`), and poses as the
-//! controller writes them (`pose`).
+//! The arms of Universal Robots: their models, forward and inverse kinematics (`kinematics`), and poses as
+//! the controller writes them (`pose`).
 //!
 //! In and out: metres, radians, standard Denavit-Hartenberg parameters, nominal or calibrated. Pure.
 

@@ -1,8 +1,8 @@
 //! A calibration board on the hand: where its markers are printed on the plate, and the plate as it is drawn.
 //!
 //! In: a [`HandBoard`]. Out: a thin prism with the prints on its top, at the flange. The grid is laid out
-//! here and not by `cell_vision::board`, so that a board that is misread there does not agree with itself. The
-//! plate is seen and hides what lies behind it; it weighs nothing and touches nothing.
+//! here and not by `cell_vision::board`, so that a board that is misread there does not agree with itself.
+//! The plate is seen and hides what lies behind it; it weighs nothing and touches nothing.
 
 use crate::render::scene::{Print, Prism};
 use crate::world::section::Section;

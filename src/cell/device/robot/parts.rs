@@ -12,8 +12,8 @@ use ur_wire::enumerations::{RobotMode, SafetyMode};
 /// Commands that the program could take may be held back (stale state, remote control unknown) this long.
 pub const SEND_WITHIN: Duration = Duration::from_secs(5);
 
-/// No path begins when the dashboard's last answer about remote control is older: it is asked every second, and a
-/// pendant that was switched meanwhile must not see the arm set off.
+/// No path begins when the dashboard's last answer about remote control is older: it is asked every second,
+/// and a pendant that was switched meanwhile must not see the arm set off.
 pub const REMOTE_CONTROL_WITHIN: Duration = Duration::from_millis(1500);
 
 /// Where the program is in its life.

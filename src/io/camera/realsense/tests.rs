@@ -2,8 +2,8 @@
 //! makes here.
 //!
 //! Without the SDK (`make clients` installs it) or the recordings these tests say so and look at nothing;
-//! with `CELLD_CLIENTS` set, as `make test-clients` does, the SDK must be there. No camera is connected where they
-//! run: what a live one does is not tested.
+//! with `CELLD_CLIENTS` set, as `make test-clients` does, the SDK must be there. No camera is connected where
+//! they run: what a live one does is not tested.
 
 use super::*;
 use crate::io::camera::FaultKind;
