@@ -14,7 +14,7 @@ use serde::Serialize;
 use std::net::IpAddr;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
-use ur_sim::robot_server::punctuality::{Delays, Punctuality};
+use ur_sim::robot_server::latency::{Delays, LatencyHistogram};
 use ur_wire::rtde::{Reply, Splitter, Version};
 use ur_wire::rtde_values::{Leftover, Recipe, Value};
 use ur_wire::rtde_variables::output_type;
@@ -211,7 +211,7 @@ fn crowd(setup: &Setup) -> Result<Seen, String> {
 fn sleep_to_schedule(end: Instant) -> Delays {
     priority::real_time();
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1000));
-    let seen = Punctuality::default();
+    let seen = LatencyHistogram::default();
     let mut due = Instant::now() + FRAME;
     while due < end {
         std::thread::sleep(due.saturating_duration_since(Instant::now()));

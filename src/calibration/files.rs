@@ -191,29 +191,30 @@ mod tests {
 
     #[test]
     fn millimetres_and_stretched_rotations_are_refused_at_their_place() {
-        let told = read("translation_m: [0, -70, 30]\nrotation_xyzw: [0, 0, 0, 2]\n").unwrap_err();
+        let reported = read("translation_m: [0, -70, 30]\nrotation_xyzw: [0, 0, 0, 2]\n").unwrap_err();
         assert!(
-            told.contains("t.yaml:1:16: translation_m: 76.158 m away") && told.contains("not millimetres"),
-            "{told}"
+            reported.contains("t.yaml:1:16: translation_m: 76.158 m away")
+                && reported.contains("not millimetres"),
+            "{reported}"
         );
-        assert!(told.contains("t.yaml:2:16: rotation_xyzw: a quaternion of length 2.0"), "{told}");
-        let told = read("translation_m: [0, 0]\n").unwrap_err();
+        assert!(reported.contains("t.yaml:2:16: rotation_xyzw: a quaternion of length 2.0"), "{reported}");
+        let reported = read("translation_m: [0, 0]\n").unwrap_err();
         assert!(
-            told.contains("2 values, 3 are wanted") && told.contains("\"rotation_xyzw\" is missing"),
-            "{told}"
+            reported.contains("2 values, 3 are wanted") && reported.contains("\"rotation_xyzw\" is missing"),
+            "{reported}"
         );
     }
 
     #[test]
     fn the_kind_is_told_by_the_keys() {
-        let told = |text: &str| kind(&parse(text, "f").unwrap());
-        assert_eq!(told("version: 1\ndate: d\ntable: {}\n"), Some(Kind::Table));
-        assert_eq!(told("version: 1\ndate: d\nhand_eye: {}\n"), Some(Kind::HandEye));
-        assert_eq!(told("version: 1\ndate: d\ntable: {}\ntouches: {}\n"), Some(Kind::Table));
-        assert_eq!(told("version: 1\ndate: d\ntouches: []\n"), Some(Kind::Touches));
-        assert_eq!(told("version: 1\ndate: d\nhand_eye: {}\nsamples: []\n"), Some(Kind::HandEye));
-        assert_eq!(told("version: 1\ndate: d\nsamples: []\n"), Some(Kind::Round));
-        assert_eq!(told("version: 1\ncamera: {address: x}\n"), None);
-        assert_eq!(told("objects: []\n"), None);
+        let reported = |text: &str| kind(&parse(text, "f").unwrap());
+        assert_eq!(reported("version: 1\ndate: d\ntable: {}\n"), Some(Kind::Table));
+        assert_eq!(reported("version: 1\ndate: d\nhand_eye: {}\n"), Some(Kind::HandEye));
+        assert_eq!(reported("version: 1\ndate: d\ntable: {}\ntouches: {}\n"), Some(Kind::Table));
+        assert_eq!(reported("version: 1\ndate: d\ntouches: []\n"), Some(Kind::Touches));
+        assert_eq!(reported("version: 1\ndate: d\nhand_eye: {}\nsamples: []\n"), Some(Kind::HandEye));
+        assert_eq!(reported("version: 1\ndate: d\nsamples: []\n"), Some(Kind::Round));
+        assert_eq!(reported("version: 1\ncamera: {address: x}\n"), None);
+        assert_eq!(reported("objects: []\n"), None);
     }
 }

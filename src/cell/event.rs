@@ -7,7 +7,7 @@
 use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::orders::{Order, Reply};
-use crate::cell::supervisor::input::{CameraTrouble, Notice, PlanAnswer, PlanRequest, Record};
+use crate::cell::supervisor::input::{CameraFault, Notice, PlanAnswer, PlanRequest, Record};
 use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
@@ -32,11 +32,11 @@ pub enum Event {
     /// The answer to [`Effect::Registers`]: the words of a read, nothing for a write.
     Registers(Result<Vec<u16>, ModbusFailure>),
     /// To [`Effect::Look`].
-    Looked(u64, Result<Vec<View>, CameraTrouble>),
+    Looked(u64, Result<Vec<View>, CameraFault>),
     /// To [`Effect::Observe`].
     Observed(u64, Result<Box<Observation>, String>),
     /// To [`Effect::Picture`].
-    Pictured(u64, Result<(), CameraTrouble>),
+    Pictured(u64, Result<(), CameraFault>),
     /// To [`Effect::Plan`].
     Planned(u64, Box<PlanAnswer>),
     /// To [`Effect::Commit`]: the record is on disk, or why not.

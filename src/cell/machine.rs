@@ -15,7 +15,7 @@ use crate::cell::event::{Arm, Effect, Event, News};
 use crate::cell::links::{Connections, Wish};
 use crate::cell::orders::Reply;
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::input::{Action, Input, Outside, Record};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Record};
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::status::Status;
 use cell_values::time::{Duration, Timestamp};
@@ -256,7 +256,7 @@ impl Machine {
     /// One input through the supervisor; its actions are carried out in order.
     fn step(&mut self, now: Timestamp, input: Input) {
         let Some(supervisor) = &mut self.supervisor else { return self.step_without_cell(input) };
-        let outside = Outside {
+        let outside = DeviceSnapshot {
             robot: self.robot.state(),
             robot_fresh: self.robot.fresh(now),
             program_settled: self.robot.program_settled(),

@@ -49,11 +49,11 @@ fn run_all(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<String>, 
             Part::Foreign => parts::foreign(args, stop)?,
             Part::HandEye => Some(parts::hand_eye(args)?),
         };
-        let Some((told, figures)) = done else { return Ok(None) };
+        let Some((reported, figures)) = done else { return Ok(None) };
         if !text.is_empty() {
             text.push('\n');
         }
-        text.push_str(&told);
+        text.push_str(&reported);
         match figures {
             // The figures of the markers stand at the top.
             serde_json::Value::Object(figures) if part == Part::Markers => json.extend(figures),

@@ -27,9 +27,9 @@ use crate::cli::pictures::{read_camera, read_picture};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::config::setup::{arm_model, drawn, nominal_model};
-use crate::daemon::workers::{Eyes, Sight};
+use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::io::camera::CameraSource;
-use crate::io::camera::supervised::Supervised;
+use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::utc;
 use cell_edge::clock::unix_now_s;
 use cell_edge::files;
@@ -94,7 +94,7 @@ board 0.2 m clear of where the configuration has the camera, its stand is yours 
 Poses that leave a rotation out are refused with its name. Expect under 0.3 px, and under 0.5 mm for held-out samples.";
 
 const TABLE_HELP: &str = "\
-Tie the table to the tool as well: touch at least three marked points far apart, not on one line, then
+Registration the table to the tool as well: touch at least three marked points far apart, not on one line, then
   celld calibrate touches --points 500,501,502,503 --tip-mm 0,0,150 --save touches.yaml
   celld calibrate table --touches touches.yaml
 Touch knows nothing of lens and mount. Expect touches within 0.5 mm, and touch and camera to agree within 1 mm and
@@ -134,8 +134,8 @@ fn hand_eye(args: &HandEyeArgs, stop: Arc<AtomicBool>) -> u8 {
     let count = args.propose.or(args.visit).map(usize::from);
     match count {
         Some(count) if !args.yes => {
-            let told = load_cell(&args.round.config).map_err(|error| error.to_string());
-            match told.and_then(|config| on_paper(&config, count)) {
+            let reported = load_cell(&args.round.config).map_err(|error| error.to_string());
+            match reported.and_then(|config| on_paper(&config, count)) {
                 Ok(text) => print(&text),
                 Err(message) => {
                     complain(&message);
@@ -257,10 +257,10 @@ async fn live(
             record.keep(stop);
         }
     };
-    shell.see_with(Eyes {
+    shell.see_with(PerceptionSetup {
         camera: Box::new(camera),
         sight: Sight::Markers(Box::new(detector)),
-        doubts: None,
+        diagnostic_images: None,
     });
     shell.commission(nominal_model(config, &arm, &lens.model), false);
     let mut samples = Samples::new(&progress);
@@ -283,7 +283,7 @@ fn of_arm(lens: &CameraModel, arm: &Arm) -> Provenance {
 }
 
 /// The cell's camera, and the lens to work with. A camera that tells no lens needs a measured one first.
-fn camera_and_lens(config: &CellConfig) -> Result<(Supervised, CameraCalibration), String> {
+fn camera_and_lens(config: &CellConfig) -> Result<(MonitoredCamera, CameraCalibration), String> {
     if config.devices.camera.knows_its_lens() {
         let mut camera = open_camera(config, None)?;
         match camera.intrinsics() {

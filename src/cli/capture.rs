@@ -77,7 +77,7 @@ fn capture(args: &CaptureArgs) -> Result<(String, u8), String> {
         views.push(View { table_from_camera, detections, time, heights: None });
     }
     let seen = perception.observe(&views).map_err(|error| chain(&error))?;
-    let mut text = told(&seen);
+    let mut text = reported(&seen);
     if !seen.complete() && !args.partial || seen.objects.is_empty() {
         text.push_str("nothing was written; look again from where all can be seen, or give --partial\n");
         return Ok((text, 1));
@@ -98,7 +98,7 @@ fn pictures(
     if args.images.is_empty() {
         let frame = open_camera(config, Some(lens.clone()))?
             .grab()
-            .map_err(|error| format!("{}; {}", chain(&error), error.kind().remedy()))?;
+            .map_err(|error| format!("{}; {}", chain(&error), error.kind().hint()))?;
         return Ok(vec![(frame.source, frame.image)]);
     }
     args.images.iter().map(|path| Ok((path.display().to_string(), read_picture(path)?))).collect()
@@ -138,7 +138,7 @@ fn objects(config: &CellConfig) -> Vec<MarkedObject> {
 }
 
 /// One line for each object that was expected.
-pub(super) fn told(seen: &Observation) -> String {
+pub(super) fn reported(seen: &Observation) -> String {
     let mut text = String::new();
     for object in &seen.objects {
         let pose = object.pose;
@@ -242,8 +242,8 @@ mod tests {
         let (_, code) = capture(&CaptureArgs { partial: true, ..args.clone() }).unwrap();
         assert!(code == 1 && out.exists());
         picture(&config, 2, 2, &image);
-        let told = capture(&args).unwrap_err();
-        assert!(told.contains("t.png: 2 of the") && told.contains("reference markers"), "{told}");
+        let reported = capture(&args).unwrap_err();
+        assert!(reported.contains("t.png: 2 of the") && reported.contains("reference markers"), "{reported}");
         std::fs::write(&image, b"\x89PNG").unwrap();
         assert!(capture(&args).unwrap_err().contains("t.png"));
     }

@@ -15,7 +15,7 @@ use crate::jobs::policy::Approval;
 use cell_parts::file::read_text;
 use clap::{Args, ValueEnum};
 use rearrange::document::tree::Node;
-use rearrange::document::{Complaints, parse};
+use rearrange::document::{Diagnostics, parse};
 use rearrange::tabletop::parse::parse_with_sound_goals;
 use std::path::{Path, PathBuf};
 use ur_sim::config::load::load_sim;
@@ -130,7 +130,7 @@ pub fn kind_of(top: &Node) -> Option<Kind> {
 fn check_as(kind: Kind, path: &Path, text: &str, source: &str, with: With) -> Result<(), String> {
     let obstacles = with.cell.map(CellConfig::obstacles).unwrap_or_default();
     let goal = with.cell.map(|cell| cell.goal_context(&obstacles));
-    let told = |complaints: Complaints| complaints.to_string();
+    let reported = |complaints: Diagnostics| complaints.to_string();
     match kind {
         Kind::Config => load_cell(path).map(drop).map_err(|error| error.to_string()),
         Kind::Sim => load_sim(path).map(drop).map_err(|error| error.to_string()),
@@ -139,33 +139,35 @@ fn check_as(kind: Kind, path: &Path, text: &str, source: &str, with: With) -> Re
             let read_goal = |name: &str| read_text(&beside(path, name));
             let approval = with.cell.map_or(Approval::Never, |cell| cell.approval);
             let context = JobContext { goal, approval, read_goal: &read_goal };
-            read_job(text, source, &context).map(drop).map_err(told)
+            read_job(text, source, &context).map(drop).map_err(reported)
         }
-        Kind::Goal => parse_goal_file(text, source, goal.as_ref()).map(drop).map_err(told),
-        Kind::Faults => read_faults(text, source).map(drop).map_err(told),
+        Kind::Goal => parse_goal_file(text, source, goal.as_ref()).map(drop).map_err(reported),
+        Kind::Faults => read_faults(text, source).map(drop).map_err(reported),
         Kind::Instance => {
             let folder = with.shapes.map_or_else(|| default_shapes(path), Path::to_path_buf);
             let lookup = |name: &str| read_text(&folder.join(format!("{name}.json"))).ok();
-            parse_with_sound_goals(text, source, &lookup).map(drop).map_err(told)
+            parse_with_sound_goals(text, source, &lookup).map(drop).map_err(reported)
         }
     }
 }
 
 fn check_calibration(text: &str, source: &str) -> Result<(), String> {
-    let told = |complaints: Complaints| complaints.to_string();
-    let node = parse(text, source).map_err(told)?;
+    let reported = |complaints: Diagnostics| complaints.to_string();
+    let node = parse(text, source).map_err(reported)?;
     match files::kind(&node) {
         Some(files::Kind::Camera) => {
-            files::camera::CameraCalibration::parse(text, source).map(drop).map_err(told)
+            files::camera::CameraCalibration::parse(text, source).map(drop).map_err(reported)
         }
         Some(files::Kind::HandEye) => {
-            files::hand_eye::HandEyeCalibration::parse(text, source).map(drop).map_err(told)
+            files::hand_eye::HandEyeCalibration::parse(text, source).map(drop).map_err(reported)
         }
         Some(files::Kind::Table) => {
-            files::table::TableCalibration::parse(text, source).map(drop).map_err(told)
+            files::table::TableCalibration::parse(text, source).map(drop).map_err(reported)
         }
-        Some(files::Kind::Touches) => files::touches::Touches::parse(text, source).map(drop).map_err(told),
-        Some(files::Kind::Round) => files::round::Round::parse(text, source).map(drop).map_err(told),
+        Some(files::Kind::Touches) => {
+            files::touches::Touches::parse(text, source).map(drop).map_err(reported)
+        }
+        Some(files::Kind::Round) => files::round::Round::parse(text, source).map(drop).map_err(reported),
         None => Err(format!(
             "{source}:1:1: no calibration file has these keys; it has `version`, `date` and one of `camera`, `hand_eye`, `table`, `touches`, `samples`"
         )),
@@ -226,10 +228,10 @@ mod tests {
         assert_eq!(code(&[&none], None), 2);
         assert_eq!(code(&[&good], Some(Kind::Instance)), 2);
         assert_eq!(code(&[&folder.path().join("absent.yaml")], None), 2);
-        let told = check(&bad, With::default()).unwrap_err();
+        let reported = check(&bad, With::default()).unwrap_err();
         assert!(
-            told.contains("bad.yaml:2:26: goal.objects[0].psoe: unknown key; did you mean \"pose\"?"),
-            "{told}"
+            reported.contains("bad.yaml:2:26: goal.objects[0].psoe: unknown key; did you mean \"pose\"?"),
+            "{reported}"
         );
     }
 

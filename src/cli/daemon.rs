@@ -17,8 +17,8 @@ use crate::daemon::cameras;
 use crate::daemon::keeper::{StateKeeper, StateOrders};
 use crate::daemon::shell::{Observer, Scene, Shell};
 use crate::daemon::sockets::Addresses;
-use crate::daemon::workers::{Eyes, Sight};
-use crate::io::camera::supervised::Supervised;
+use crate::daemon::workers::{PerceptionSetup, Sight};
+use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
 use crate::jobs::utc;
 use crate::perception::Perception;
@@ -155,7 +155,7 @@ pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParame
     MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }
 }
 
-pub(super) fn open_camera(config: &CellConfig, lens: Option<CameraModel>) -> Result<Supervised, String> {
+pub(super) fn open_camera(config: &CellConfig, lens: Option<CameraModel>) -> Result<MonitoredCamera, String> {
     cameras::open_camera(&config.devices, lens).map_err(|error| chain(&error))
 }
 
@@ -167,7 +167,7 @@ async fn daemon(
 ) -> Result<(), String> {
     let seed = (unix_now_s() * 1e3) as u64;
     let mut shell = open_shell(&config, seed)?;
-    let (doubts, name) = (state.root().to_path_buf(), format!("celld-{seed}"));
+    let (diagnostic_images, name) = (state.root().to_path_buf(), format!("celld-{seed}"));
     let orders = StateOrders::open(&state, name.clone()).map_err(|error| chain(&error))?;
     let mut keeper = StateKeeper::open(config.clone(), state, name).map_err(|error| chain(&error))?;
     for notice in keeper.notices() {
@@ -180,13 +180,17 @@ async fn daemon(
     let camera = cameras::open_when_there(&config.devices, &measured.camera);
     let (camera, away) = camera.map_err(|error| chain(&error))?;
     if let Some(error) = away {
-        complain(&format!("{}; looks wait for it ({})", chain(&error), error.kind().remedy()));
+        complain(&format!("{}; looks wait for it ({})", chain(&error), error.kind().hint()));
     }
     let mut scene = scene(&config, &measured).map_err(|error| chain(&error))?;
     compare_with_empty(scene.foreign.as_mut(), &config, &measured, &arm)?;
     let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
     let sight = Sight::Cell(Box::new(perception));
-    shell.see_with(Eyes { camera: Box::new(camera), sight, doubts: Some(doubts) });
+    shell.see_with(PerceptionSetup {
+        camera: Box::new(camera),
+        sight,
+        diagnostic_images: Some(diagnostic_images),
+    });
     shell.commission(model, config.arm_at_start);
     shell.keep_in(Box::new(keeper), Box::new(orders));
     complain("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");

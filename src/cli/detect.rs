@@ -141,7 +141,7 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
         .collect();
     let text = match args.format {
         Format::Text => {
-            let objects = on_table.map(|on_table| on_table.told()).unwrap_or_default();
+            let objects = on_table.map(|on_table| on_table.reported()).unwrap_or_default();
             table(&args.image, &image, &found) + &objects
         }
         Format::Json => json(&args.image, &image, &found, on_table.map(|on_table| on_table.seen).as_ref())?,

@@ -136,7 +136,7 @@ pub enum ChannelArg {
 
 /// Carries out a client command and returns the exit code.
 pub fn run(command: ClientCommand) -> u8 {
-    let told = match command {
+    let reported = match command {
         ClientCommand::Submit(args) => return submit(&args),
         ClientCommand::Jobs { state, last, format } => jobs(&state.folder(), last, format),
         ClientCommand::Status { state, format } => status(&state.folder(), format),
@@ -145,7 +145,7 @@ pub fn run(command: ClientCommand) -> u8 {
             send(&state, &command)
         }
     };
-    match told {
+    match reported {
         Ok(code) => code,
         Err(error) => complain(&error),
     }

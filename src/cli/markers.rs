@@ -92,23 +92,23 @@ fn write(args: &MarkersArgs) -> Result<String, String> {
     let put = |path: &Path, text: &str| {
         files::write_atomic(path, text.as_bytes()).map_err(|error| error.to_string())
     };
-    let mut told = String::new();
+    let mut reported = String::new();
     match args.out.extension().and_then(|extension| extension.to_str()) {
         Some("pdf") => {
             put(&args.out, &prints::pdf(&sheets))?;
-            told = format!("{}: {} sheet(s)\n", args.out.display(), sheets.len());
+            reported = format!("{}: {} sheet(s)\n", args.out.display(), sheets.len());
         }
         Some("svg") => {
             for (index, sheet) in sheets.iter().enumerate() {
                 let path = numbered(&args.out, index + 1, sheets.len());
                 put(&path, &sheet.svg())?;
-                told.push_str(&format!("{}\n", path.display()));
+                reported.push_str(&format!("{}\n", path.display()));
             }
         }
         _ => return Err(format!("{}: the name has to end in .pdf or .svg", args.out.display())),
     }
-    told.push_str("print at 100 %, measure the ruler\n");
-    Ok(told)
+    reported.push_str("print at 100 %, measure the ruler\n");
+    Ok(reported)
 }
 
 fn sheets(args: &MarkersArgs) -> Result<Vec<Sheet>, String> {

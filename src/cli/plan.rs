@@ -215,8 +215,8 @@ impl Progress {
     fn new(args: &PlanArgs, problem: &Problem, begun: Instant, limit: f64) -> Progress {
         let goes_on = matches!(args.solver, SolverKind::Mcts | SolverKind::Emcts | SolverKind::Auto);
         let fits = problem.objects.len() <= ObjectSet::CAPACITY;
-        let told = goes_on && !args.first && fits;
-        let bound = told
+        let reported = goes_on && !args.first && fits;
+        let bound = reported
             .then(|| lower_bound(&Scene::new(problem), args.objective, NOMINAL.least_move_seconds()).value);
         Progress { begun, limit, bound: Mutex::new(bound), bar: Mutex::new(None), best: Mutex::new(None) }
     }

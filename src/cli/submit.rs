@@ -209,17 +209,17 @@ mod tests {
 
     #[test]
     fn the_id_told_is_the_id_given() {
-        let (told, given) = ids("version: 1\ngoal: {objects: [{id: a, pose: [0, 0, 0]}]}\n");
-        assert_eq!(told, given);
-        assert!(told.starts_with("20261121T080000Z-tidy_up-"), "{told}");
-        let (told, given) = ids("version: 1\nid: mine\ngoal: {objects: [{id: a, pose: [0, 0, 0]}]}\n");
-        assert_eq!((told.as_str(), given.as_str()), ("mine", "mine"));
+        let (reported, given) = ids("version: 1\ngoal: {objects: [{id: a, pose: [0, 0, 0]}]}\n");
+        assert_eq!(reported, given);
+        assert!(reported.starts_with("20261121T080000Z-tidy_up-"), "{reported}");
+        let (reported, given) = ids("version: 1\nid: mine\ngoal: {objects: [{id: a, pose: [0, 0, 0]}]}\n");
+        assert_eq!((reported.as_str(), given.as_str()), ("mine", "mine"));
     }
 
     #[test]
     fn a_goal_file_goes_with_the_job() {
-        let (told, given) = ids("version: 1\ngoal: {file: goal.yaml}\n");
-        assert_eq!(told, given);
+        let (reported, given) = ids("version: 1\ngoal: {file: goal.yaml}\n");
+        assert_eq!(reported, given);
     }
 
     #[test]

@@ -51,8 +51,8 @@ mod tests {
     #[test]
     fn numbers_out_of_range_are_told_the_range() {
         for text in ["-1", "nan", "inf", "1e30", "0", "", "2 s"] {
-            let told = planning_seconds(text).unwrap_err();
-            assert_eq!(told, "give a number between 0.001 and 86400 s", "{text}");
+            let reported = planning_seconds(text).unwrap_err();
+            assert_eq!(reported, "give a number between 0.001 and 86400 s", "{text}");
             assert!(ur_sim::command::time_factor(text).is_err(), "{text}");
         }
         assert_eq!((planning_seconds("2.5"), ur_sim::command::time_factor("5")), (Ok(2.5), Ok(5.0)));

@@ -93,9 +93,9 @@ mod tests {
         moved.reference_markers[0].pose.x += 1e-3;
         assert!(read_calibration(&moved).unwrap_err().contains("other reference markers"));
         spoil(&config.calibration.camera, "sim-d405", "sim-d406");
-        let told = read_calibration(&config).unwrap_err();
-        assert!(told.contains("hand_eye.yaml: made with camera sim-d405"), "{told}");
-        assert!(told.contains("table.yaml: made with camera sim-d405"), "{told}");
+        let reported = read_calibration(&config).unwrap_err();
+        assert!(reported.contains("hand_eye.yaml: made with camera sim-d405"), "{reported}");
+        assert!(reported.contains("table.yaml: made with camera sim-d405"), "{reported}");
     }
 
     #[test]
@@ -104,9 +104,9 @@ mod tests {
         std::fs::remove_file(&config.calibration.camera).unwrap();
         spoil(&config.calibration.hand_eye, "robot_serial", "robot_seral");
         spoil(&config.calibration.table, "std_m:", "std_mm:");
-        let told = read_calibration(&config).unwrap_err();
+        let reported = read_calibration(&config).unwrap_err();
         for part in ["camera.yaml", "`celld calibrate` makes", "robot_seral", "std_mm"] {
-            assert!(told.contains(part), "{part} in {told}");
+            assert!(reported.contains(part), "{part} in {reported}");
         }
     }
 }

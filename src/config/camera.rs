@@ -269,17 +269,19 @@ mod tests {
         let limits = of(", picture_limits: {edge_px_max: 9, light_min: 20}").unwrap().1;
         assert_eq!((limits.edge_px_max, limits.light_min), (9.0, 20));
         assert_eq!(limits.glare_max, PictureLimits::STANDARD.glare_max);
-        let told = of(", picture_limits: {glare_max: 30, sharp: 1}").unwrap_err();
-        assert!(told.contains("glare_max") && told.contains("sharp"), "{told}");
+        let reported = of(", picture_limits: {glare_max: 30, sharp: 1}").unwrap_err();
+        assert!(reported.contains("glare_max") && reported.contains("sharp"), "{reported}");
     }
 
     #[test]
     fn what_is_missing_or_belongs_elsewhere_is_told() {
-        let told = |text: &str| read(text).unwrap_err();
-        assert!(told("{kind: realsense, serial: '1'}").contains("width"));
-        assert!(told("{kind: realsense, file: a.bag, exposure_us: 10}").contains("exposure_us"));
-        assert!(told("{kind: uvc, device: /dev/video0, width: 1, height: 480, fps: 30}").contains("serial"));
-        assert!(told("{kind: http, url: 'https://x/a.jpg', serial: a}").contains("http://HOST/PATH"));
-        assert!(told("{kind: reelsense}").contains("realsense"));
+        let reported = |text: &str| read(text).unwrap_err();
+        assert!(reported("{kind: realsense, serial: '1'}").contains("width"));
+        assert!(reported("{kind: realsense, file: a.bag, exposure_us: 10}").contains("exposure_us"));
+        assert!(
+            reported("{kind: uvc, device: /dev/video0, width: 1, height: 480, fps: 30}").contains("serial")
+        );
+        assert!(reported("{kind: http, url: 'https://x/a.jpg', serial: a}").contains("http://HOST/PATH"));
+        assert!(reported("{kind: reelsense}").contains("realsense"));
     }
 }

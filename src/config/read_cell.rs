@@ -22,7 +22,7 @@ use cell_parts::places::Places;
 use cell_parts::reference::reference_markers;
 use cell_values::units::{Joints, rad_from_deg};
 use rearrange::document::decode::{At, Decoder, Fields};
-use rearrange::document::{Complaints, parse};
+use rearrange::document::{Diagnostics, parse};
 use rearrange::tabletop::decode;
 use rearrange::tabletop::instance::ObjectSpec;
 use rearrange::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
@@ -77,10 +77,10 @@ pub fn read_cell(
     source: &str,
     folder: &Path,
     read_file: &ReadFile,
-) -> Result<CellConfig, Complaints> {
+) -> Result<CellConfig, Diagnostics> {
     let node = parse(text, source)?;
     let mut decoder = Decoder::new(source);
-    let mut beside = Complaints::default();
+    let mut beside = Diagnostics::default();
     let cell = decoder.map(&At::top(&node), CELL_KEYS).and_then(|fields| {
         let parts = parts(&mut decoder, &fields, folder, read_file, &mut beside);
         check_cell(&mut decoder, &parts, &Places::new(&node));
@@ -101,7 +101,7 @@ fn parts(
     fields: &Fields,
     folder: &Path,
     read_file: &ReadFile,
-    beside: &mut Complaints,
+    beside: &mut Diagnostics,
 ) -> CellParts {
     if let Some(at) = fields.required("version", d) {
         d.integer(&at, 1..=1);
@@ -205,7 +205,7 @@ fn catalogue(
     at: &At,
     folder: &Path,
     read_file: &ReadFile,
-    beside: &mut Complaints,
+    beside: &mut Diagnostics,
 ) -> Catalogue {
     if at.node.get("file").is_none() {
         return object_list(decoder, at);
@@ -227,7 +227,7 @@ fn catalogue(
     found
 }
 
-fn object_file(text: &str, source: &str) -> (Catalogue, Complaints) {
+fn object_file(text: &str, source: &str) -> (Catalogue, Diagnostics) {
     let node = match parse(text, source) {
         Ok(node) => node,
         Err(complaints) => return (Catalogue::default(), complaints),

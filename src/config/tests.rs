@@ -5,12 +5,12 @@ use crate::config::cell::CellConfig;
 use crate::config::read_cell::{CELL_KEYS, read_cell};
 use crate::jobs::edit::{replace_first, replace_once};
 use cell_parts::gripper::CupChannel;
-use rearrange::document::Complaints;
+use rearrange::document::Diagnostics;
 use std::path::Path;
 
 const CELL: &str = include_str!("../../config/cell.yaml");
 
-fn cell(text: &str) -> Result<CellConfig, Complaints> {
+fn cell(text: &str) -> Result<CellConfig, Diagnostics> {
     let read = |path: &Path| match path.to_str() {
         Some("/etc/celld/objects.yaml") => {
             Ok("objects:\n  - {id: mug, footprint: {disc: {radius: 0}}}\n".to_owned())
@@ -24,14 +24,14 @@ fn cell(text: &str) -> Result<CellConfig, Complaints> {
 #[track_caller]
 fn check(from: &str, to: &str, expected: &str) {
     let complaints = cell(&replace_first(CELL, from, to)).unwrap_err();
-    let told = complaints.to_string();
-    assert!(told.contains(expected), "{told}");
-    assert_eq!(complaints.0.len(), 1, "{told}");
+    let reported = complaints.to_string();
+    assert!(reported.contains(expected), "{reported}");
+    assert_eq!(complaints.0.len(), 1, "{reported}");
     let line = CELL.split(from).next().unwrap().lines().count();
     let told_line = complaints.0[0].at.line;
     assert!(
         told_line.abs_diff(line) <= 4 || expected.contains("missing"),
-        "line {told_line}, not {line}: {told}"
+        "line {told_line}, not {line}: {reported}"
     );
 }
 
@@ -60,10 +60,11 @@ fn the_example_shows_and_comments_every_key() {
 #[test]
 fn a_search_by_depth_needs_a_camera_that_is_asked_for_it() {
     let blind = replace_once(CELL, "8090, depth: true}", "8090}");
-    let told = cell(&blind).unwrap_err().to_string();
+    let reported = cell(&blind).unwrap_err().to_string();
     assert!(
-        told.contains("devices.camera: the search") && told.contains("set `depth: true` in `devices.camera`"),
-        "{told}"
+        reported.contains("devices.camera: the search")
+            && reported.contains("set `depth: true` in `devices.camera`"),
+        "{reported}"
     );
     let compared = replace_once(&blind, "table.yaml}", "table.yaml, empty: ../calibration/sim/empty}");
     let config = cell(&compared).expect("refused by colour");
@@ -84,9 +85,9 @@ fn a_search_by_depth_needs_a_camera_that_is_asked_for_it() {
 fn a_missing_key_is_named() {
     for key in ["limits", "gripper", "flange_from_tool", "reference_markers", "planner", "clearance"] {
         let without = replace_once(CELL, &format!("\n{key}:"), &format!("\nx-{key}:"));
-        let told = cell(&without).unwrap_err().to_string();
-        assert!(told.contains(&format!("key \"{key}\" is missing")), "{told}");
-        assert!(told.contains(&format!("x-{key}: unknown key")), "{told}");
+        let reported = cell(&without).unwrap_err().to_string();
+        assert!(reported.contains(&format!("key \"{key}\" is missing")), "{reported}");
+        assert!(reported.contains(&format!("x-{key}: unknown key")), "{reported}");
     }
 }
 
@@ -124,20 +125,21 @@ fn limits_are_not_optional() {
     for key in ["joint_speed_deg_s", "joint_acceleration_deg_s2", "tool_speed_m_s", "tool_acceleration_m_s2"]
     {
         let line = CELL.lines().find(|line| line.trim_start().starts_with(key)).unwrap();
-        let told = cell(&replace_once(CELL, line, "")).unwrap_err().to_string();
-        assert!(told.contains(&format!("key \"{key}\" is missing")), "{told}");
+        let reported = cell(&replace_once(CELL, line, "")).unwrap_err().to_string();
+        assert!(reported.contains(&format!("key \"{key}\" is missing")), "{reported}");
     }
 }
 
 #[test]
 fn parts_that_do_not_fit_are_told() {
-    let told = cell(&replace_once(CELL, "host: 127.0.0.2}", "host: 192.168.1.20}")).unwrap_err().to_string();
-    assert!(told.contains("simulation: the robot is at \"192.168.1.20\""), "{told}");
+    let reported =
+        cell(&replace_once(CELL, "host: 127.0.0.2}", "host: 192.168.1.20}")).unwrap_err().to_string();
+    assert!(reported.contains("simulation: the robot is at \"192.168.1.20\""), "{reported}");
     let real = replace_once(CELL, "simulation: {clock_factor: 1}", "simulation: null");
     assert!(cell(&real).is_ok());
-    let told =
+    let reported =
         cell(&replace_once(&real, "arm_at_start: false", "arm_at_start: true")).unwrap_err().to_string();
-    assert!(told.contains("only a simulated cell may be armed at start"), "{told}");
+    assert!(reported.contains("only a simulated cell may be armed at start"), "{reported}");
     check("id: 1, size: 0.036", "id: 0, size: 0.036", "marker 0 is used twice");
     check("id: 500, size", "id: 3, size", "marker 3 is also that of object \"lid\"");
     check("{id: 501, size", "{id: 500, size", "marker 500 is used twice");
@@ -151,14 +153,17 @@ fn parts_that_do_not_fit_are_told() {
     let at_rest = 0.3 * 101_325.0 * std::f64::consts::PI * 0.01 * 0.01 / (4.0 * 9.81);
     check("mass: 0.12", &format!("mass: {at_rest:.3}"), "its cups hold");
     check("    mass: 0.12\n", "    mass: 0.12\n    fixed: true\n", "is not told where it stands");
-    let told = cell(&replace_once(CELL, "diameter: 0.02", "diameter: 0.06")).unwrap_err().to_string();
-    assert!(told.contains("no place on \"plank-1\"") && !told.contains("no place on \"block\""), "{told}");
+    let reported = cell(&replace_once(CELL, "diameter: 0.02", "diameter: 0.06")).unwrap_err().to_string();
+    assert!(
+        reported.contains("no place on \"plank-1\"") && !reported.contains("no place on \"block\""),
+        "{reported}"
+    );
     check("blend_m: 0.02 ", "blend_m: 0.05 ", "rounds the corner");
     check("    mass: 0.12\n", "", "has no mass (kg)");
     check("park_pose_deg: [-91.7", "park_pose_deg: [361", "joint 1 at 361.0 degrees is outside its range");
-    let told =
+    let reported =
         cell(&replace_once(CELL, "keep_out: []", "keep_out: []\nkeep_ut: []")).unwrap_err().to_string();
-    assert!(told.contains("keep_ut: unknown key; did you mean \"keep_out\"?"), "{told}");
+    assert!(reported.contains("keep_ut: unknown key; did you mean \"keep_out\"?"), "{reported}");
 }
 
 #[test]
@@ -166,10 +171,10 @@ fn a_catalogue_in_a_file_is_judged_with_its_own_places() {
     let start = CELL.find("objects:\n").unwrap();
     let end = CELL.find("# Markers fixed to the table round").unwrap();
     let with = |objects: &str| format!("{}{objects}\n{}", &CELL[..start], &CELL[end..]);
-    let told = cell(&with("objects: {file: objects.yaml}")).unwrap_err().to_string();
-    assert!(told.contains("/etc/celld/objects.yaml:2:") && told.contains("radius"), "{told}");
-    let told = cell(&with("objects: {file: none.yaml}")).unwrap_err().to_string();
-    assert!(told.contains("no such file"), "{told}");
+    let reported = cell(&with("objects: {file: objects.yaml}")).unwrap_err().to_string();
+    assert!(reported.contains("/etc/celld/objects.yaml:2:") && reported.contains("radius"), "{reported}");
+    let reported = cell(&with("objects: {file: none.yaml}")).unwrap_err().to_string();
+    assert!(reported.contains("no such file"), "{reported}");
 }
 
 #[test]
@@ -183,7 +188,7 @@ fn a_wrong_key_hides_no_fault_elsewhere() {
         ("id: 2, size: 0.05,", "id: 2, size: 0.07,"),
     ];
     let text = changes.iter().fold(CELL.to_owned(), |text, (from, to)| replace_first(&text, from, to));
-    let told = cell(&text).unwrap_err();
+    let reported = cell(&text).unwrap_err();
     for wanted in [
         "objects[0].height: \"20 mm\" is not a number",
         "reference_markers[1].id: marker 500 is used twice",
@@ -193,9 +198,9 @@ fn a_wrong_key_hides_no_fault_elsewhere() {
         "work_pose_deg: joint 1 at 361.0 degrees is outside its range",
         "objects[2]: the marker of \"block\" with its white ring is 87.5 mm wide and sticks out",
     ] {
-        assert!(told.to_string().contains(wanted), "{wanted}:\n{told}");
+        assert!(reported.to_string().contains(wanted), "{wanted}:\n{reported}");
     }
-    assert_eq!(told.0.len(), 7, "{told}");
+    assert_eq!(reported.0.len(), 7, "{reported}");
 }
 
 #[test]
@@ -210,11 +215,13 @@ fn a_fixed_camera_names_the_board_on_the_hand() {
     };
     assert_eq!((board.count(), board.first_id, flange_from_board), (20, 100, None));
     assert!((board.gap_m - 0.006).abs() < 1e-12, "as celld markers prints it");
-    let told = |board: &str| with(board).unwrap_err().to_string();
-    assert!(told("columns: 5, rows: 4, size: 0.02, first_id: 495").contains("marker 500 of the board"));
-    assert!(told("columns: 5, rows: 4, size: 0.02").contains("marker 0 of the board is also on the table"));
-    assert!(told("columns: 5, rows: 4, size: 20, first_id: 100").contains("20 m is out of range"));
-    assert!(told("columns: 5, rows: 4, size: 0.02, first_id: 570").contains("not in the family"));
+    let reported = |board: &str| with(board).unwrap_err().to_string();
+    assert!(reported("columns: 5, rows: 4, size: 0.02, first_id: 495").contains("marker 500 of the board"));
+    assert!(
+        reported("columns: 5, rows: 4, size: 0.02").contains("marker 0 of the board is also on the table")
+    );
+    assert!(reported("columns: 5, rows: 4, size: 20, first_id: 100").contains("20 m is out of range"));
+    assert!(reported("columns: 5, rows: 4, size: 0.02, first_id: 570").contains("not in the family"));
 
     let clamped = |how: &str| {
         with(&format!("columns: 5, rows: 4, size: 0.02, first_id: 100}}\n  flange_from_board: {{{how}"))
@@ -224,9 +231,11 @@ fn a_fixed_camera_names_the_board_on_the_hand() {
         panic!("{:?}", known.camera)
     };
     assert_eq!(held.translation.vector, nalgebra::Vector3::new(0.05, 0.04, 0.03));
-    let told = |how: &str| clamped(how).unwrap_err().to_string();
-    assert!(told("translation: [0, 0, 0], quaternion: [0, 0, 0, 2]").contains("camera.flange_from_board"));
-    assert!(told("translation: [0, 0], quaternion: [1, 0, 0, 0]").contains("2 values, 3 are wanted"));
+    let reported = |how: &str| clamped(how).unwrap_err().to_string();
+    assert!(
+        reported("translation: [0, 0, 0], quaternion: [0, 0, 0, 2]").contains("camera.flange_from_board")
+    );
+    assert!(reported("translation: [0, 0], quaternion: [1, 0, 0, 0]").contains("2 values, 3 are wanted"));
     let on_the_hand = replace_once(CELL, "mount: flange\n", "mount: flange\n  flange_from_board: {}\n");
     assert!(cell(&on_the_hand).unwrap_err().to_string().contains("flange_from_board"));
 }
@@ -237,9 +246,12 @@ fn a_camera_that_stands_is_compared_with_the_empty_table_from_one_look_pose() {
     let fixed = replace_once(CELL, "mount: flange\n  flange_from", stands);
     let compared = |text: &str| replace_once(text, "sim/table.yaml}", "sim/table.yaml, empty: ../empty}");
     assert!(cell(&compared(CELL)).is_ok() && cell(&fixed).is_ok());
-    let told = cell(&compared(&fixed)).unwrap_err();
-    assert_eq!(told.0.len(), 1, "{told}");
-    assert!(told.to_string().contains("look_poses_deg: 2 look poses before a camera that stands"), "{told}");
+    let reported = cell(&compared(&fixed)).unwrap_err();
+    assert_eq!(reported.0.len(), 1, "{reported}");
+    assert!(
+        reported.to_string().contains("look_poses_deg: 2 look poses before a camera that stands"),
+        "{reported}"
+    );
     let second = "  - [-106.6, -96.2, 97.0, -90.8, -90.0, -16.6]\n";
     assert!(cell(&compared(&replace_once(&fixed, second, ""))).is_ok());
 }
@@ -269,9 +281,12 @@ fn a_box_may_be_taught_by_its_corners() {
 fn all_cups_have_to_sit_on_an_object() {
     let far = "cups: [{channel: A, x: 0, y: 0, diameter: 0.02}, {channel: B, x: 0.2, y: 0, diameter: 0.02}]";
     let text = replace_once(CELL, "cups: [{channel: A, x: 0, y: 0, diameter: 0.02}]", far);
-    let told = cell(&text).unwrap_err();
-    assert_eq!(told.0.len(), 4, "{told}");
-    assert!(told.to_string().contains("no place on \"lid\" takes all 2 cups with 1 mm to spare"), "{told}");
+    let reported = cell(&text).unwrap_err();
+    assert_eq!(reported.0.len(), 4, "{reported}");
+    assert!(
+        reported.to_string().contains("no place on \"lid\" takes all 2 cups with 1 mm to spare"),
+        "{reported}"
+    );
     let near = replace_once(&text, "x: 0.2, y: 0,", "x: 0.025, y: 0,");
     assert!(cell(&near).is_ok());
 }

@@ -4,14 +4,14 @@
 //! usable pictures or says what is wrong; and what the supervisor is told about that.
 
 use crate::cell::code::Code;
-use crate::cell::supervisor::input::CameraTrouble;
+use crate::cell::supervisor::input::CameraFault;
 use crate::config::cell::{CameraDevice, Devices};
 use crate::io::camera::folder::FolderCamera;
 use crate::io::camera::http::HttpCamera;
 use crate::io::camera::late::LateCamera;
+use crate::io::camera::monitored::MonitoredCamera;
 use crate::io::camera::realsense::RealSenseCamera;
 use crate::io::camera::snapshot::SnapshotCamera;
-use crate::io::camera::supervised::Supervised;
 use crate::io::camera::uvc::UvcCamera;
 use crate::io::camera::video::VideoCamera;
 use crate::io::camera::{CameraError, CameraSource, FaultKind};
@@ -28,8 +28,8 @@ const CAMERA_LIMIT: Duration = Duration::from_secs(4);
 ///
 /// # Errors
 /// Why it cannot be opened.
-pub fn open_camera(devices: &Devices, lens: Option<CameraModel>) -> Result<Supervised, CameraError> {
-    Ok(Supervised::new(open_source(&devices.camera, lens)?, devices.picture_limits))
+pub fn open_camera(devices: &Devices, lens: Option<CameraModel>) -> Result<MonitoredCamera, CameraError> {
+    Ok(MonitoredCamera::new(open_source(&devices.camera, lens)?, devices.picture_limits))
 }
 
 /// The same, but a camera that is away may come later; with it, why it is away.
@@ -39,10 +39,10 @@ pub fn open_camera(devices: &Devices, lens: Option<CameraModel>) -> Result<Super
 pub fn open_when_there(
     devices: &Devices,
     lens: &CameraModel,
-) -> Result<(Supervised, Option<CameraError>), CameraError> {
+) -> Result<(MonitoredCamera, Option<CameraError>), CameraError> {
     let (device, lens) = (devices.camera.clone(), lens.clone());
     let (camera, away) = LateCamera::open(Box::new(move || open_source(&device, Some(lens.clone()))))?;
-    Ok((Supervised::new(Box::new(camera), devices.picture_limits), away))
+    Ok((MonitoredCamera::new(Box::new(camera), devices.picture_limits), away))
 }
 
 fn open_source(
@@ -89,12 +89,12 @@ fn code_of(kind: FaultKind) -> Code {
 }
 
 /// What the supervisor is told of a camera that gives no picture.
-pub fn trouble_of(error: &CameraError) -> CameraTrouble {
+pub fn fault_of(error: &CameraError) -> CameraFault {
     let kind = error.kind();
-    CameraTrouble {
+    CameraFault {
         code: code_of(kind),
         message: chain(error),
-        remedy: kind.remedy(),
+        hint: kind.hint(),
         lasting: matches!(kind, FaultKind::Misfit | FaultKind::Ended),
     }
 }
@@ -130,11 +130,11 @@ mod tests {
         let devices = devices(CameraDevice::Folder { path: folder.path().to_owned() });
         let mut camera = open_camera(&devices, None).unwrap();
         assert_eq!(camera.grab().unwrap().sequence, 0);
-        let trouble = trouble_of(&camera.grab().unwrap_err());
-        assert_eq!((trouble.code, trouble.lasting), (Code::CameraDark, false));
-        assert!(trouble.message.contains("2.png") && trouble.remedy.contains("light"), "{trouble:?}");
-        let trouble = trouble_of(&camera.grab().unwrap_err());
-        assert_eq!((trouble.code, trouble.lasting), (Code::RecordingEnded, true));
+        let fault = fault_of(&camera.grab().unwrap_err());
+        assert_eq!((fault.code, fault.lasting), (Code::CameraDark, false));
+        assert!(fault.message.contains("2.png") && fault.hint.contains("light"), "{fault:?}");
+        let fault = fault_of(&camera.grab().unwrap_err());
+        assert_eq!((fault.code, fault.lasting), (Code::RecordingEnded, true));
     }
 
     #[test]
@@ -147,7 +147,7 @@ mod tests {
         ] {
             let code = Code::of_picture(&fault);
             let error = CameraError::Unusable { place: "camera".into(), sequence: 1, fault };
-            assert_eq!(trouble_of(&error).code, code);
+            assert_eq!(fault_of(&error).code, code);
             assert_eq!(error.kind().code(), code.word());
         }
     }
@@ -173,8 +173,8 @@ mod tests {
             CameraDevice::RealSense(realsense),
         ] {
             let error = open_camera(&devices(camera.clone()), None).err().unwrap();
-            let told = trouble_of(&error);
-            assert!(told.message.contains("no/such/thing"), "{camera:?}: {told:?}");
+            let reported = fault_of(&error);
+            assert!(reported.message.contains("no/such/thing"), "{camera:?}: {reported:?}");
         }
     }
 }

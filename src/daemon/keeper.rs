@@ -130,14 +130,14 @@ impl StateKeeper {
         status: JobStatus,
         code: Code,
         message: String,
-        remedy: String,
+        hint: String,
     ) -> Result<(), JournalError> {
         let result = JobResult {
             id: id.to_string(),
             status,
             code: code.word().to_string(),
             message,
-            remedy,
+            hint,
             moves: 0,
             lower_bound: None,
             seconds: 0.0,
@@ -160,8 +160,8 @@ impl StateKeeper {
                     return Ok(Some(order));
                 }
                 Err(message) => {
-                    let remedy = "name a solver of this celld in the job, submit again".to_string();
-                    self.end_unbegun(&job.id, JobStatus::Failed, Code::SolverUnfit, message, remedy)?;
+                    let hint = "name a solver of this celld in the job, submit again".to_string();
+                    self.end_unbegun(&job.id, JobStatus::Failed, Code::SolverUnfit, message, hint)?;
                 }
             }
         }
@@ -242,7 +242,7 @@ fn result_of(report: &JobReport) -> JobResult {
         },
         code: report.code_text(),
         message: report.message.clone(),
-        remedy: report.remedy.clone(),
+        hint: report.hint.clone(),
         moves: u32::try_from(report.moves).unwrap_or(u32::MAX),
         lower_bound: report.lower_bound,
         seconds: report.seconds,

@@ -20,7 +20,7 @@ use crate::cell::supervisor::status::Status;
 use crate::daemon::heard::{Heard, Shown};
 use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Orders, Store};
-use crate::daemon::workers::{Eyes, SeeRequest, busy, spawn_eyes, spawn_plan};
+use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_eyes, spawn_plan};
 use cell_edge::clock::Clock;
 use cell_values::time::Timestamp;
 use rearrange::geometry::pose::Pose2;
@@ -192,7 +192,7 @@ impl Shell {
     }
 
     /// From now on this is what the cell sees with.
-    pub fn see_with(&mut self, eyes: Eyes) {
+    pub fn see_with(&mut self, eyes: PerceptionSetup) {
         self.eyes = Some(spawn_eyes(eyes, self.clock.clone(), self.heard_in.clone()));
     }
 

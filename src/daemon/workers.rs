@@ -8,11 +8,11 @@ use crate::calibration::fit::Sample;
 use crate::cell::code::Code;
 use crate::cell::event::Event;
 use crate::cell::planner::answer;
-use crate::cell::supervisor::input::{CameraTrouble, PlanRequest};
-use crate::daemon::cameras::trouble_of;
+use crate::cell::supervisor::input::{CameraFault, PlanRequest};
+use crate::daemon::cameras::fault_of;
 use crate::daemon::heard::{Heard, Shown};
 use crate::io::camera::{CameraSource, Frame};
-use crate::perception::doubts::{self, SHOTS_MAX, Shot};
+use crate::perception::diagnostic_images::{self, SHOTS_MAX, Shot};
 use crate::perception::{Perception, PerceptionError, Picture};
 use cell_edge::clock::Clock;
 use cell_edge::files;
@@ -48,13 +48,13 @@ pub enum SeeRequest {
 }
 
 /// Camera and perception, on the way to their thread.
-pub struct Eyes {
+pub struct PerceptionSetup {
     /// Where frames come from.
     pub camera: Box<dyn CameraSource + Send>,
     /// What is seen in them.
     pub sight: Sight,
     /// Folder for pictures of looks that are doubted.
-    pub doubts: Option<PathBuf>,
+    pub diagnostic_images: Option<PathBuf>,
 }
 
 /// What is made of frames.
@@ -66,7 +66,11 @@ pub enum Sight {
 }
 
 /// Starts the thread that owns the camera.
-pub fn spawn_eyes(eyes: Eyes, clock: Clock, heard: mpsc::Sender<Heard>) -> mpsc::Sender<(u64, SeeRequest)> {
+pub fn spawn_eyes(
+    eyes: PerceptionSetup,
+    clock: Clock,
+    heard: mpsc::Sender<Heard>,
+) -> mpsc::Sender<(u64, SeeRequest)> {
     let (requests_in, mut requests) = mpsc::channel(4);
     std::thread::spawn(move || {
         priority::lower();
@@ -83,21 +87,21 @@ pub fn spawn_eyes(eyes: Eyes, clock: Clock, heard: mpsc::Sender<Heard>) -> mpsc:
 
 /// What a request that finds the thread busy comes to.
 pub fn busy(number: u64, request: &SeeRequest) -> Event {
-    let trouble = || CameraTrouble {
+    let fault = || CameraFault {
         code: Code::CameraBusy,
         message: "the camera thread still works on an earlier request".to_string(),
-        remedy: "see what the camera says in the log",
+        hint: "see what the camera says in the log",
         lasting: false,
     };
     match request {
-        SeeRequest::Look { .. } => Event::Looked(number, Err(trouble())),
+        SeeRequest::Look { .. } => Event::Looked(number, Err(fault())),
         SeeRequest::Observe(_) => Event::Observed(number, Err("the camera thread does not answer".into())),
-        SeeRequest::Picture { .. } => Event::Pictured(number, Err(trouble())),
+        SeeRequest::Picture { .. } => Event::Pictured(number, Err(fault())),
     }
 }
 
 struct Seeing {
-    eyes: Eyes,
+    eyes: PerceptionSetup,
     clock: Clock,
     heard: mpsc::Sender<Heard>,
     shots: Vec<Shot>,
@@ -126,21 +130,22 @@ impl Seeing {
         let _ = self.heard.blocking_send(Heard::Shown(shown));
     }
 
-    fn look(&mut self, frames: usize, table_from_camera: Isometry3<f64>) -> Result<Vec<View>, CameraTrouble> {
-        let Eyes { camera, sight: Sight::Cell(perception), doubts } = &mut self.eyes else {
+    fn look(&mut self, frames: usize, table_from_camera: Isometry3<f64>) -> Result<Vec<View>, CameraFault> {
+        let PerceptionSetup { camera, sight: Sight::Cell(perception), diagnostic_images } = &mut self.eyes
+        else {
             return Err(no_perception());
         };
         let camera: &mut dyn CameraSource = &mut **camera;
         let (views, frame) = look(camera, perception, frames, table_from_camera, &self.clock)?;
-        if doubts.is_some() {
-            doubts::keep(&mut self.shots, Shot { image: frame.image.clone(), table_from_camera });
+        if diagnostic_images.is_some() {
+            diagnostic_images::keep(&mut self.shots, Shot { image: frame.image.clone(), table_from_camera });
         }
         self.show(Shown::Picture { image: frame.image, views: views.clone() });
         Ok(views)
     }
 
     fn observe(&mut self, views: &[View]) -> Result<Observation, String> {
-        let Eyes { sight: Sight::Cell(perception), doubts, .. } = &self.eyes else {
+        let PerceptionSetup { sight: Sight::Cell(perception), diagnostic_images, .. } = &self.eyes else {
             return Err(no_perception().message);
         };
         let seen = perception.observe(views).map_err(|error| chain(&error));
@@ -148,8 +153,11 @@ impl Seeing {
         let of_it = |shot: &Shot| views.iter().any(|view| view.table_from_camera == shot.table_from_camera);
         self.shots.retain(of_it);
         if let Ok(seen) = &seen {
-            if let Some(folder) = doubts {
-                write_doubts(doubts::pictures(perception.scene(), &self.shots, views, seen), folder);
+            if let Some(folder) = diagnostic_images {
+                write_diagnostic_images(
+                    diagnostic_images::pictures(perception.scene(), &self.shots, views, seen),
+                    folder,
+                );
             }
             self.show(Shown::Observed(Box::new(seen.clone())));
         }
@@ -157,10 +165,10 @@ impl Seeing {
         seen
     }
 
-    fn picture(&mut self, pose: usize, base_from_flange: Isometry3<f64>) -> Result<(), CameraTrouble> {
-        let Eyes { camera, sight, .. } = &mut self.eyes;
+    fn picture(&mut self, pose: usize, base_from_flange: Isometry3<f64>) -> Result<(), CameraFault> {
+        let PerceptionSetup { camera, sight, .. } = &mut self.eyes;
         camera.want_depth(false);
-        let frame = camera.grab().map_err(|error| trouble_of(&error))?;
+        let frame = camera.grab().map_err(|error| fault_of(&error))?;
         let found = match sight {
             Sight::Cell(perception) => perception.detect(&frame.image),
             Sight::Markers(detector) => {
@@ -185,12 +193,12 @@ fn look(
     frames: usize,
     table_from_camera: Isometry3<f64>,
     clock: &Clock,
-) -> Result<(Vec<View>, Frame), CameraTrouble> {
+) -> Result<(Vec<View>, Frame), CameraFault> {
     let mut views: Vec<View> = Vec::with_capacity(frames);
     let mut last = None;
     for left in (0..frames).rev() {
         camera.want_depth(perception.wants_depth() && left == 0);
-        let frame = camera.grab().map_err(|error| trouble_of(&error))?;
+        let frame = camera.grab().map_err(|error| fault_of(&error))?;
         let picture = Picture { image: &frame.image, depth: frame.depth.as_ref() };
         // The first picture is searched whole; the others are of the same place and the same moment.
         let view = perception.view(picture, table_from_camera, clock.now(), views.last(), left == 0);
@@ -201,23 +209,23 @@ fn look(
     Ok((views, frame))
 }
 
-fn no_perception() -> CameraTrouble {
+fn no_perception() -> CameraFault {
     failed(&PerceptionError::Observe("the cell has not been commissioned for looks".into()))
 }
 
-fn failed(error: &PerceptionError) -> CameraTrouble {
-    let (code, remedy) = match error {
-        PerceptionError::Depth(_) => (Code::CameraMisfit, crate::io::camera::FaultKind::Misfit.remedy()),
+fn failed(error: &PerceptionError) -> CameraFault {
+    let (code, hint) = match error {
+        PerceptionError::Depth(_) => (Code::CameraMisfit, crate::io::camera::FaultKind::Misfit.hint()),
         PerceptionError::Detector(_) | PerceptionError::Observe(_) => {
             (Code::DetectionFailed, "start the daemon again; if it stays so, this is a fault of celld")
         }
     };
-    CameraTrouble { code, message: chain(error), remedy, lasting: true }
+    CameraFault { code, message: chain(error), hint, lasting: true }
 }
 
 /// Keeps the pictures of a doubted look, and none of an earlier one; what cannot be written is logged, for a
 /// picture is no reason to stop.
-fn write_doubts(pictures: Result<Vec<Vec<u8>>, String>, folder: &Path) {
+fn write_diagnostic_images(pictures: Result<Vec<Vec<u8>>, String>, folder: &Path) {
     let path = |number: usize| folder.join(format!("doubt-{number}.png"));
     for number in 1..=SHOTS_MAX {
         // Most often there is none.
@@ -301,7 +309,7 @@ mod tests {
     }
 
     /// Two frames of a camera with such depth pictures, for a lens of 64 x 48.
-    fn looked(depth: (u32, u32)) -> Result<(Vec<View>, Frame), CameraTrouble> {
+    fn looked(depth: (u32, u32)) -> Result<(Vec<View>, Frame), CameraFault> {
         let lens = CameraModel {
             serial: "made up".into(),
             width: 64,
@@ -336,9 +344,9 @@ mod tests {
         let (views, _) = looked((64, 48)).unwrap();
         let mapped: Vec<bool> = views.iter().map(|view| view.heights.is_some()).collect();
         assert_eq!(mapped, [false, true], "the last frame comes with depth");
-        let told = looked((32, 24)).unwrap_err();
-        assert_eq!((told.code, told.lasting), (Code::CameraMisfit, true));
-        assert!(told.message.contains("32 x 24") && told.message.contains("64 x 48"), "{told:?}");
-        assert!(told.remedy.contains("devices.camera"), "{told:?}");
+        let reported = looked((32, 24)).unwrap_err();
+        assert_eq!((reported.code, reported.lasting), (Code::CameraMisfit, true));
+        assert!(reported.message.contains("32 x 24") && reported.message.contains("64 x 48"), "{reported:?}");
+        assert!(reported.hint.contains("devices.camera"), "{reported:?}");
     }
 }

@@ -1,24 +1,24 @@
 //! Cameras behind one interface: RealSense, UVC, the simulator's address, any snapshot address, folders,
 //! videos.
 //!
-//! Out: [`Frame`]s with time, sequence number and source, each checked by [`watch`]: a picture that repeats
-//! the last one, by number or by content, is an error and not a picture, because a frozen camera must not
-//! look like a table at rest. [`supervised`] puts a camera that fails back to work, step by step, and names
-//! the fault when that does not help. Calls block, up to the time limit given; the daemon makes them from a
-//! worker thread.
+//! Out: [`Frame`]s with time, sequence number and source, each checked by [`validator`]: a picture that
+//! repeats the last one, by number or by content, is an error and not a picture, because a frozen camera must
+//! not look like a table at rest. [`monitored`] puts a camera that fails back to work, step by step, and
+//! names the fault when that does not help. Calls block, up to the time limit given; the daemon makes them
+//! from a worker thread.
 
 pub mod fault;
 pub mod folder;
 pub mod http;
-pub mod ladder;
 pub mod late;
 mod mat;
+pub mod monitored;
 pub mod realsense;
+pub mod recovery;
 pub mod snapshot;
-pub mod supervised;
 pub mod uvc;
+pub mod validator;
 pub mod video;
-pub mod watch;
 
 pub use fault::{CameraError, FaultKind};
 

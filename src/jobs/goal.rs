@@ -7,7 +7,7 @@
 use crate::jobs::record::GoalPose;
 use cell_edge::files::read_regular;
 use rearrange::document::decode::{At, Decoder, Fields, suggestion};
-use rearrange::document::{Complaints, Location, Node, parse};
+use rearrange::document::{Diagnostics, Location, Node, parse};
 use rearrange::geometry::collision::{TOUCH_M, overhang, penetration};
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::decode;
@@ -135,7 +135,7 @@ pub fn parse_goal_file(
     text: &str,
     source: &str,
     context: Option<&GoalContext>,
-) -> Result<Vec<GoalEntry>, Complaints> {
+) -> Result<Vec<GoalEntry>, Diagnostics> {
     let node = parse(text, source)?;
     let mut decoder = Decoder::new(source);
     let top = At::top(&node);
@@ -371,15 +371,15 @@ mod tests {
             ("large.yaml", "larger than 1048576 bytes"),
             ("none.yaml", "No such file"),
         ] {
-            let told = read_goal_file(&goals, name).unwrap_err();
-            assert!(told.contains(reason), "{name}: {told}");
+            let reported = read_goal_file(&goals, name).unwrap_err();
+            assert!(reported.contains(reason), "{name}: {reported}");
         }
     }
 
     #[test]
     fn a_missing_pose_and_a_unit_are_named_together() {
-        let told = complaints("objects:\n  - {id: plank-1}\n  - {id: plank-2, pose: [100 mm, 0, 0]}\n");
-        assert!(told.contains("2:5: objects[0]: key \"pose\" is missing"), "{told}");
-        assert!(told.contains("objects[1].pose[0]: \"100 mm\" is not a number"), "{told}");
+        let reported = complaints("objects:\n  - {id: plank-1}\n  - {id: plank-2, pose: [100 mm, 0, 0]}\n");
+        assert!(reported.contains("2:5: objects[0]: key \"pose\" is missing"), "{reported}");
+        assert!(reported.contains("objects[1].pose[0]: \"100 mm\" is not a number"), "{reported}");
     }
 }

@@ -12,7 +12,7 @@ use crate::jobs::record::{GoalPose, JobSpec, quoted};
 use crate::jobs::spool::{Refusal, RefusalDetail, is_plain_name};
 use crate::jobs::utc;
 use rearrange::document::decode::{At, Decoder, Fields};
-use rearrange::document::{Complaint, Complaints, Location, parse};
+use rearrange::document::{Diagnostic, Diagnostics, Location, parse};
 use rearrange::geometry::pose::Pose2;
 use std::fmt::Write as _;
 
@@ -52,10 +52,10 @@ pub struct JobContext<'a> {
 ///
 /// # Errors
 /// Every complaint; those about the goal file name that file.
-pub fn read_job(text: &str, source: &str, context: &JobContext) -> Result<JobSpec, Complaints> {
+pub fn read_job(text: &str, source: &str, context: &JobContext) -> Result<JobSpec, Diagnostics> {
     let node = parse(text, source)?;
     let mut decoder = Decoder::new(source);
-    let mut goal_complaints = Complaints::default();
+    let mut goal_complaints = Diagnostics::default();
     let job = decoder
         .map(&At::top(&node), &KEYS)
         .and_then(|fields| decode_job(&mut decoder, &fields, context, &mut goal_complaints));
@@ -77,7 +77,7 @@ fn decode_job(
     decoder: &mut Decoder,
     fields: &Fields,
     context: &JobContext,
-    goal_complaints: &mut Complaints,
+    goal_complaints: &mut Diagnostics,
 ) -> Option<JobSpec> {
     if let Some(at) = fields.required("version", decoder) {
         decoder.integer(&at, 1..=1);
@@ -144,7 +144,7 @@ fn decode_goal_source(
     decoder: &mut Decoder,
     at: &At,
     context: &JobContext,
-    goal_complaints: &mut Complaints,
+    goal_complaints: &mut Diagnostics,
 ) -> Option<Vec<GoalPose>> {
     let fields = decoder.map(at, &["file", "objects"])?;
     match (fields.optional("file"), fields.optional("objects")) {
@@ -171,7 +171,7 @@ fn decode_goal_source(
                     decoder.complain_at(&file, format!("{path}: {reason}"), help);
                     None
                 }
-                Err(GoalFault::Complaints(complaints)) => {
+                Err(GoalFault::Diagnostics(complaints)) => {
                     goal_complaints.0.extend(complaints.0);
                     decoder.complain_at(&file, UNUSED, "");
                     None
@@ -191,12 +191,12 @@ fn decode_goal_source(
 
 enum GoalFault {
     Unreadable(String),
-    Complaints(Complaints),
+    Diagnostics(Diagnostics),
 }
 
 fn goal_of_file(path: &str, context: &JobContext) -> Result<Vec<GoalPose>, GoalFault> {
     let text = (context.read_goal)(path).map_err(GoalFault::Unreadable)?;
-    let entries = parse_goal_file(&text, path, context.goal.as_ref()).map_err(GoalFault::Complaints)?;
+    let entries = parse_goal_file(&text, path, context.goal.as_ref()).map_err(GoalFault::Diagnostics)?;
     Ok(poses(entries))
 }
 
@@ -209,7 +209,7 @@ pub fn read_for_spool(text: &str, name: &str, context: &JobContext) -> Result<Jo
     read_job(text, name, context).map_err(|complaints| refusal(text, name, &complaints))
 }
 
-fn refusal(text: &str, name: &str, complaints: &Complaints) -> Refusal {
+fn refusal(text: &str, name: &str, complaints: &Diagnostics) -> Refusal {
     let syntax = parse(text, name).is_err();
     let incomplete = text.trim().is_empty() || (syntax && complaints.0.iter().any(|c| at_end(text, c)));
     let count = complaints.0.len();
@@ -228,11 +228,11 @@ fn refusal(text: &str, name: &str, complaints: &Complaints) -> Refusal {
     refusal
 }
 
-fn first(complaints: &Complaints) -> String {
+fn first(complaints: &Diagnostics) -> String {
     complaints.0.first().map(ToString::to_string).unwrap_or_default()
 }
 
-fn detail(complaint: &Complaint) -> RefusalDetail {
+fn detail(complaint: &Diagnostic) -> RefusalDetail {
     let number = |value: usize| u32::try_from(value).unwrap_or(u32::MAX);
     RefusalDetail {
         path: complaint.path.clone(),
@@ -244,7 +244,7 @@ fn detail(complaint: &Complaint) -> RefusalDetail {
 }
 
 /// True for a complaint at the very end of the text, or behind it.
-fn at_end(text: &str, complaint: &Complaint) -> bool {
+fn at_end(text: &str, complaint: &Diagnostic) -> bool {
     let last = text.trim_end().lines().count();
     let width = text.trim_end().lines().last().map_or(0, |line| line.chars().count());
     complaint.at >= Location { line: last, column: width }

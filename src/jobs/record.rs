@@ -222,7 +222,7 @@ pub struct JobResult {
     /// One sentence for people.
     pub message: String,
     /// What to do now; empty when there is nothing to do.
-    pub remedy: String,
+    pub hint: String,
     /// Pick-n-places carried out.
     pub moves: u32,
     /// Of the first plan.
@@ -273,7 +273,7 @@ impl JobResult {
         line("status", self.status.word().to_owned());
         line("code", quoted(&self.code));
         line("message", quoted(&self.message));
-        line("remedy", quoted(&self.remedy));
+        line("remedy", quoted(&self.hint));
         line("moves", self.moves.to_string());
         line("lower_bound", number(self.lower_bound));
         line("seconds", number(Some(self.seconds)));
@@ -334,7 +334,7 @@ mod tests {
             status: JobStatus::Failed,
             code: "E_GRIP".into(),
             message: "no vacuum on \"mug\": cup \n worn?".into(),
-            remedy: String::new(),
+            hint: String::new(),
             moves: 3,
             lower_bound: Some(2.0),
             seconds: 61.5,

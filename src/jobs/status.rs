@@ -23,7 +23,7 @@ pub struct Status {
     /// One sentence for the operator.
     pub message: String,
     /// What to do; empty when there is nothing to do.
-    pub remedy: String,
+    pub hint: String,
     /// Motion is allowed.
     pub armed: bool,
     /// Stopped between steps on the operator's order.
@@ -79,8 +79,8 @@ impl Status {
             if self.paused { ", paused" } else { "" },
             self.message
         )];
-        if !self.remedy.is_empty() {
-            lines.push(format!("  to do: {}", self.remedy));
+        if !self.hint.is_empty() {
+            lines.push(format!("  to do: {}", self.hint));
         }
         if let Some(job) = &self.job {
             let step = self.step.map(|(step, of)| format!(", step {step} of {of}")).unwrap_or_default();

@@ -161,19 +161,22 @@ mod tests {
         let steps: Vec<Joints> = (-8..=8).map(|k| turned(0.1 * f64::from(k))).collect();
         move_in(&around(&steps), &from, to).unwrap();
         let ends = around(&[from, to]);
-        let told = move_in(&ends, &from, to).unwrap_err();
-        assert!(told.contains("on the way to calibration pose 7"), "{told}");
+        let reported = move_in(&ends, &from, to).unwrap_err();
+        assert!(reported.contains("on the way to calibration pose 7"), "{reported}");
         let near = around(&[from, turned(-0.7)]);
-        let told = move_in(&near, &to, from).unwrap_err();
-        assert!(told.starts_with("the flange is") && told.contains("outside the calibration box"), "{told}");
+        let reported = move_in(&near, &to, from).unwrap_err();
+        assert!(
+            reported.starts_with("the flange is") && reported.contains("outside the calibration box"),
+            "{reported}"
+        );
         // All of the way is in this one, but for its last half step.
         let (before, end) = (between(&from, &to, 1.0 - 0.5 / TRAVEL_SAMPLES as f64), at(&to));
         let mut short = CalibrationBox { low_m: [-2.0; 3], high_m: [2.0; 3] };
         let axis = usize::from((end[1] - at(&from)[1]).abs() > (end[0] - at(&from)[0]).abs());
         let bound = if end[axis] > at(&from)[axis] { &mut short.high_m } else { &mut short.low_m };
         bound[axis] = at(&before)[axis];
-        let told = move_in(&short, &from, to).unwrap_err();
-        assert!(told.starts_with("calibration pose 7 is"), "{told}");
+        let reported = move_in(&short, &from, to).unwrap_err();
+        assert!(reported.starts_with("calibration pose 7 is"), "{reported}");
         slow_move(&model, None, 7, &from, to).unwrap();
     }
 

@@ -8,7 +8,7 @@
 
 use crate::cell::code::Code;
 use crate::cell::event::Event;
-use crate::cell::supervisor::input::CameraTrouble;
+use crate::cell::supervisor::input::CameraFault;
 use crate::pair::stage::Stage;
 use crate::perception::{Perception, Picture, Scene, observe_views};
 use cell_values::image::depth::DepthImage;
@@ -173,7 +173,7 @@ impl Eyes {
                 };
                 let fault = fault.or_else(|| image.as_ref().and_then(|image| usable(image).err()));
                 let evaluation_s = if fault.is_some() { GIVEN_UP_AFTER_S } else { 0.0 };
-                let result = fault.map_or(Ok(()), |code| Err(trouble(code)));
+                let result = fault.map_or(Ok(()), |code| Err(camera_fault(code)));
                 if result.is_ok() {
                     self.pictures.push(RoundPicture { pose, base_from_flange, image });
                 }
@@ -221,7 +221,7 @@ impl Eyes {
         let result = match seen {
             Err(code) => {
                 evaluation_s = GIVEN_UP_AFTER_S;
-                Err(trouble(code))
+                Err(camera_fault(code))
             }
             Ok(view) => {
                 views.push(view);
@@ -249,8 +249,8 @@ impl Eyes {
     }
 }
 
-fn trouble(code: Code) -> CameraTrouble {
-    CameraTrouble { code, message: code.meaning().to_string(), remedy: "look at the camera", lasting: false }
+fn camera_fault(code: Code) -> CameraFault {
+    CameraFault { code, message: code.meaning().to_string(), hint: "look at the camera", lasting: false }
 }
 
 /// What keeps a picture from being looked at.

@@ -87,7 +87,7 @@ impl Store {
             code,
             object: None,
             message: code.meaning().to_string(),
-            remedy: "look at the cell, then submit the job again".to_string(),
+            hint: "look at the cell, then submit the job again".to_string(),
             moves: 0,
             lower_bound: None,
             planned: None,

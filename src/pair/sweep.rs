@@ -139,7 +139,7 @@ pub fn case(
     outcome.daemon_ended = pair.ended().is_some();
     if let Some(report) = pair.reports().get(ended) {
         (outcome.end, outcome.code) = (Some(report.end), Some(report.code));
-        outcome.hint.clone_from(&report.remedy);
+        outcome.hint.clone_from(&report.hint);
     }
     let mut alarms = pair.notices().iter().skip(said).filter(|notice| notice.alarm);
     outcome.sentence = alarms.next_back().map(|notice| notice.text.clone()).unwrap_or_default();

@@ -6,7 +6,7 @@
 //! cell sees. Pure but for OpenCV's and apriltag's calls in `cell-vision`: no camera is opened here, and no
 //! file written.
 
-pub mod doubts;
+pub mod diagnostic_images;
 pub mod place;
 
 use cell_values::image::depth::DepthImage;

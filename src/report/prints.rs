@@ -56,7 +56,7 @@ pub enum PrintFault {
     },
     /// It does not fit the paper.
     #[error(
-        "{width_mm:.1} x {height_mm:.1} mm do not fit the paper, which has room for {room_wide_mm:.1} x {room_high_mm:.1} mm: {remedy}"
+        "{width_mm:.1} x {height_mm:.1} mm do not fit the paper, which has room for {room_wide_mm:.1} x {room_high_mm:.1} mm: {hint}"
     )]
     TooLarge {
         /// What is to be printed.
@@ -68,7 +68,7 @@ pub enum PrintFault {
         /// See `room_wide_mm`.
         room_high_mm: f64,
         /// What to change.
-        remedy: &'static str,
+        hint: &'static str,
     },
     /// Nothing to print.
     #[error("no markers to print: name some with --ids")]
@@ -103,14 +103,14 @@ pub fn markers(family: Family, ids: &[u32], size_m: f64, paper: Paper) -> Result
     let fit = |axis: usize| ((room[axis] + BETWEEN_MM) / (edge + BETWEEN_MM)).floor() as usize;
     let (columns, rows) = (fit(0), fit(1));
     if columns == 0 || rows == 0 {
-        let remedy = "choose smaller markers (--size-mm)";
+        let hint = "choose smaller markers (--size-mm)";
         let [room_wide_mm, room_high_mm] = room;
         return Err(PrintFault::TooLarge {
             width_mm: edge,
             height_mm: edge,
             room_wide_mm,
             room_high_mm,
-            remedy,
+            hint,
         });
     }
     let all: Vec<_> = ids.iter().zip(&patterns).collect();
@@ -146,8 +146,8 @@ pub fn board(board: &Board, paper: Paper) -> Result<Sheet, PrintFault> {
     let Some(size_mm) = ways.into_iter().find(fits) else {
         let [room_wide_mm, room_high_mm] = room(if wanted[0] > wanted[1] { ways[1] } else { ways[0] });
         let [width_mm, height_mm] = wanted;
-        let remedy = "choose fewer or smaller markers (--board, --size-mm)";
-        return Err(PrintFault::TooLarge { width_mm, height_mm, room_wide_mm, room_high_mm, remedy });
+        let hint = "choose fewer or smaller markers (--board, --size-mm)";
+        return Err(PrintFault::TooLarge { width_mm, height_mm, room_wide_mm, room_high_mm, hint });
     };
     let mut sheet = Sheet::blank(size_mm);
     let left = (size_mm[0] - wanted[0]) / 2.0 + ring;
@@ -411,10 +411,10 @@ mod tests {
     fn many_markers_take_several_sheets_and_bad_wishes_are_told() {
         let ids: Vec<u32> = (0..100).collect();
         assert!(markers(Family::Tag36h11, &ids, 0.03, Paper::Letter).unwrap().len() > 1);
-        let told = |result: Result<Vec<Sheet>, PrintFault>| result.unwrap_err().to_string();
-        assert!(told(markers(Family::Tag16h5, &[30], 0.03, Paper::A4)).contains("0 to 29, not 30"));
-        assert!(told(markers(Family::Tag36h11, &[1], 0.3, Paper::A4)).contains("--size-mm"));
-        assert!(told(markers(Family::Tag36h11, &[], 0.03, Paper::A4)).contains("--ids"));
+        let reported = |result: Result<Vec<Sheet>, PrintFault>| result.unwrap_err().to_string();
+        assert!(reported(markers(Family::Tag16h5, &[30], 0.03, Paper::A4)).contains("0 to 29, not 30"));
+        assert!(reported(markers(Family::Tag36h11, &[1], 0.3, Paper::A4)).contains("--size-mm"));
+        assert!(reported(markers(Family::Tag36h11, &[], 0.03, Paper::A4)).contains("--ids"));
         let large = Board::new(Family::Tag36h11, 9, 9, 0.03, 0);
         assert!(board(&large, Paper::A4).unwrap_err().to_string().contains("--board"));
     }

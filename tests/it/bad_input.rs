@@ -99,7 +99,7 @@ fn cell_yaml() -> String {
 }
 
 /// What `celld check` says about a text, and the path it says it about.
-fn told(folder: &Path, name: &str, text: &str) -> (String, String) {
+fn reported(folder: &Path, name: &str, text: &str) -> (String, String) {
     let path: PathBuf = folder.join(name);
     std::fs::write(&path, text).expect("writable");
     let path = path.display().to_string();
@@ -123,10 +123,10 @@ fn every_fault_is_told_with_file_line_and_column() {
         let start = base.find(from).unwrap_or_else(|| panic!("{from:?} is not in the sound text"));
         let text = replace_first(base, from, to);
         let index = start + text[start..].find(at).expect("the place is in the text");
-        let (path, told) = told(folder.path(), "bad.yaml", &text);
+        let (path, reported) = reported(folder.path(), "bad.yaml", &text);
         let wanted = format!("{path}:{}: ", place(&text, index));
-        let line = told.lines().find(|line| line.starts_with(&wanted) && line.contains(words[0]));
-        let line = line.unwrap_or_else(|| panic!("{to}: wanted {wanted}{words:?}, told:\n{told}"));
+        let line = reported.lines().find(|line| line.starts_with(&wanted) && line.contains(words[0]));
+        let line = line.unwrap_or_else(|| panic!("{to}: wanted {wanted}{words:?}, told:\n{reported}"));
         for word in *words {
             assert!(line.contains(word), "{to}: {word:?} is not in: {line}");
         }
@@ -150,12 +150,12 @@ fn the_texts_are_sound_before_they_are_spoilt() {
 fn syntax_errors_have_a_place_in_every_kind_of_file() {
     let folder = tempfile::tempdir().expect("a folder");
     for text in [CONFIG, SIM, JOB, INSTANCE] {
-        let (path, told) = told(folder.path(), "torn.yaml", &format!("{text}torn: [1, 2\n"));
-        let rest = told.strip_prefix(&format!("{path}:")).unwrap_or_else(|| panic!("{told}"));
+        let (path, reported) = reported(folder.path(), "torn.yaml", &format!("{text}torn: [1, 2\n"));
+        let rest = reported.strip_prefix(&format!("{path}:")).unwrap_or_else(|| panic!("{reported}"));
         let mut numbers = rest.split(':');
         let line: usize = numbers.next().and_then(|n| n.parse().ok()).expect("a line");
         let column: Option<usize> = numbers.next().and_then(|n| n.parse().ok());
-        assert!(line >= text.lines().count() && column.is_some(), "{told}");
+        assert!(line >= text.lines().count() && column.is_some(), "{reported}");
     }
 }
 
@@ -205,10 +205,10 @@ fn three_faults_of_one_file_are_told_in_one_run() {
         ),
     ];
     for (text, wanted) in files {
-        let (path, told) = told(folder.path(), "bad.yaml", &text);
+        let (path, reported) = reported(folder.path(), "bad.yaml", &text);
         for word in wanted {
-            let line = told.lines().find(|line| line.contains(word));
-            assert!(line.is_some_and(|line| line.starts_with(&format!("{path}:"))), "{word}:\n{told}");
+            let line = reported.lines().find(|line| line.contains(word));
+            assert!(line.is_some_and(|line| line.starts_with(&format!("{path}:"))), "{word}:\n{reported}");
         }
     }
 }
@@ -222,9 +222,12 @@ fn devices_and_fifos_are_refused_and_never_read() {
         &["verify", "/dev/zero", "/dev/zero"],
     ] {
         let output = celld(words);
-        let told = [output.stdout, output.stderr].concat();
-        let told = String::from_utf8_lossy(&told);
-        assert!(output.status.code() == Some(2) && told.contains("not a regular file"), "{words:?}: {told}");
+        let reported = [output.stdout, output.stderr].concat();
+        let reported = String::from_utf8_lossy(&reported);
+        assert!(
+            output.status.code() == Some(2) && reported.contains("not a regular file"),
+            "{words:?}: {reported}"
+        );
     }
 }
 
@@ -241,7 +244,7 @@ fn wrong_options_end_with_2_before_anything_starts() {
     ];
     for (words, expected) in cases {
         let output = celld(words);
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.code() == Some(2) && told.contains(expected), "{words:?}: {told}");
+        let reported = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && reported.contains(expected), "{words:?}: {reported}");
     }
 }

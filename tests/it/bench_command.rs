@@ -222,15 +222,15 @@ fn the_parts_of_the_vision_benchmark_print_one_object() {
         "json",
     ];
     let run = std::process::Command::new(env!("CARGO_BIN_EXE_celld")).args(words).output().expect("it runs");
-    let told: serde_json::Value = serde_json::from_slice(&run.stdout).expect("one JSON object");
+    let reported: serde_json::Value = serde_json::from_slice(&run.stdout).expect("one JSON object");
     assert_eq!(
-        (&told["drift"]["noticed"], &told["drift"]["false_alarms"]),
+        (&reported["drift"]["noticed"], &reported["drift"]["false_alarms"]),
         (&20.into(), &0.into()),
-        "{told}"
+        "{reported}"
     );
-    assert_eq!(told["foreign"]["found_rate"], 1.0, "{told}");
-    assert_eq!(told["foreign"]["false_alarm_rate"], 0.0, "{told}");
-    assert_eq!(told["foreign"]["by_colour"]["false_alarm_rate"], 0.0, "{told}");
-    assert_eq!(told["hand_eye"]["degenerate"].as_array().map(Vec::len), Some(3), "{told}");
-    assert!(told["detection_rate"].is_null(), "the markers were not asked for");
+    assert_eq!(reported["foreign"]["found_rate"], 1.0, "{reported}");
+    assert_eq!(reported["foreign"]["false_alarm_rate"], 0.0, "{reported}");
+    assert_eq!(reported["foreign"]["by_colour"]["false_alarm_rate"], 0.0, "{reported}");
+    assert_eq!(reported["hand_eye"]["degenerate"].as_array().map(Vec::len), Some(3), "{reported}");
+    assert!(reported["detection_rate"].is_null(), "the markers were not asked for");
 }

@@ -170,8 +170,8 @@ impl OnHand<'_> {
             .stderr(Stdio::piped())
             .spawn()
             .expect("the binary runs");
-        let told = BufReader::new(touches.stderr.take().expect("piped"));
-        (touches, told)
+        let reported = BufReader::new(touches.stderr.take().expect("piped"));
+        (touches, reported)
     }
 
     /// Poses as text, and no motion without a word.
@@ -206,19 +206,19 @@ impl OnHand<'_> {
         let points =
             touched.map(|q| point(&q)).map(|p| format!("{:.4}/{:.4}/{:.4}", p.x, p.y, p.z)).join(",");
         let words = ["--points", &points, "--tip-mm", "2,-1,150", "--save", "touches.yaml"];
-        let (mut touches, mut told) = self.touching(&words);
+        let (mut touches, mut reported) = self.touching(&words);
         let mut enter = touches.stdin.take().expect("piped");
         let mut line = String::new();
         for (number, q) in touched.iter().enumerate() {
             while !line.contains(&format!("touch {}/4", number + 1)) {
                 line.clear();
-                assert!(told.read_line(&mut line).expect("text") > 0, "it asks for touch {}", number + 1);
+                assert!(reported.read_line(&mut line).expect("text") > 0, "it asks for touch {}", number + 1);
             }
             jog(&self.sim, self.sim.addresses.robot.secondary, q);
             enter.write_all(b"\n").expect("pressed");
         }
         let mut rest = String::new();
-        told.read_to_string(&mut rest).expect("text");
+        reported.read_to_string(&mut rest).expect("text");
         assert_eq!(touches.wait().expect("it ends").code(), Some(0), "{rest}");
         println!("{rest}");
     }
@@ -266,12 +266,12 @@ impl OnHand<'_> {
 
     /// Ctrl-C while it waits for the person ends it, with nothing written.
     fn ends_with_ctrl_c_while_it_waits(&self) {
-        let (mut waiting, mut told) = self.touching(&["--points", "500,501,502", "--save", "none.yaml"]);
-        told.read_line(&mut String::new()).expect("text");
+        let (mut waiting, mut reported) = self.touching(&["--points", "500,501,502", "--save", "none.yaml"]);
+        reported.read_line(&mut String::new()).expect("text");
         let interrupt = format!("kill -INT {}", waiting.id());
         assert!(Command::new("sh").args(["-c", &interrupt]).status().expect("sh").success());
         let mut rest = String::new();
-        told.read_to_string(&mut rest).expect("text");
+        reported.read_to_string(&mut rest).expect("text");
         assert_eq!(waiting.wait().expect("it ends").code(), Some(130), "{rest}");
         assert!(!self.folder.join("none.yaml").exists());
     }

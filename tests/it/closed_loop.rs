@@ -185,8 +185,11 @@ fn a_pose_outside_the_calibration_box_is_refused_and_the_arm_stays() {
     let room = Some(CalibrationBox { low_m, high_m });
     pair.visit(RoundOrder { poses: stage.model.look_poses.clone(), room });
     assert!(pair.run_until(60.0, |pair| pair.round_over().is_some()), "{:?}", pair.notices());
-    let told = pair.round_over().unwrap().as_ref().map_err(|error| chain(error)).unwrap_err();
-    assert!(told.contains("calibration pose 1") && told.contains("outside the calibration box"), "{told}");
+    let reported = pair.round_over().unwrap().as_ref().map_err(|error| chain(error)).unwrap_err();
+    assert!(
+        reported.contains("calibration pose 1") && reported.contains("outside the calibration box"),
+        "{reported}"
+    );
     pair.run_until(10.0, |_| false);
     assert!(stood.max_difference(&q(&pair)) < 1e-4 && pair.eyes().pictures().is_empty());
     assert_eq!(pair.breaches(), []);

@@ -45,9 +45,9 @@ fn the_example_shows_and_comments_every_key() {
 #[track_caller]
 fn check_sim(from: &str, to: &str, expected: &str) {
     let complaints = read_sim(&replace_first(SIM, from, to), "sim.yaml").unwrap_err();
-    let told = complaints.to_string();
-    assert_eq!(complaints.0.len(), 1, "{told}");
-    assert!(told.contains(expected), "{told}");
+    let reported = complaints.to_string();
+    assert_eq!(complaints.0.len(), 1, "{reported}");
+    assert!(reported.contains(expected), "{reported}");
 }
 
 #[test]
@@ -86,12 +86,12 @@ fn the_simulated_camera_may_stand_and_the_hand_carry_a_board() {
     let SimMount::Fixed(base_from_camera) = read.camera else { panic!("{:?}", read.camera) };
     assert_eq!(base_from_camera.translation.z, 0.75);
     assert_eq!(with(&stands, &format!("{grid}, first_id: 100")).unwrap().camera, read.camera);
-    let told = |camera: &str, board: &str| with(camera, board).unwrap_err().to_string();
-    assert!(told(&stands, grid).contains("hand_board.board: marker 0 of the board is also on the table"));
-    assert!(told(&stands, "columns: 5, rows: 4, size: 0.02, first_id: 495").contains("marker 500"));
+    let reported = |camera: &str, board: &str| with(camera, board).unwrap_err().to_string();
+    assert!(reported(&stands, grid).contains("hand_board.board: marker 0 of the board is also on the table"));
+    assert!(reported(&stands, "columns: 5, rows: 4, size: 0.02, first_id: 495").contains("marker 500"));
     let both = format!("{stands}\nflange_from_camera: {place}");
-    assert!(told(&both, &format!("{grid}, first_id: 100")).contains("on the flange or stands, not both"));
-    assert!(told("", &format!("{grid}, first_id: 100")).contains("flange_from_camera"));
+    assert!(reported(&both, &format!("{grid}, first_id: 100")).contains("on the flange or stands, not both"));
+    assert!(reported("", &format!("{grid}, first_id: 100")).contains("flange_from_camera"));
 }
 
 #[test]
@@ -100,8 +100,8 @@ fn programs_are_the_scripts_of_the_folder_beside_the_file() {
     let config = folder.path().join("sim.yaml");
     let text = replace_once(SIM, "\nprograms: {}", "\nprograms: {folder: mine}");
     std::fs::write(&config, text).unwrap();
-    let told = load_sim(&config).unwrap_err().to_string();
-    assert!(told.contains("mine") && told.contains("No such file"), "{told}");
+    let reported = load_sim(&config).unwrap_err().to_string();
+    assert!(reported.contains("mine") && reported.contains("No such file"), "{reported}");
     std::fs::create_dir(folder.path().join("mine")).unwrap();
     std::fs::write(folder.path().join("mine/pick.script"), "def pick():\nend\n").unwrap();
     std::fs::write(folder.path().join("mine/pick.urp"), [0x1f, 0x8b]).unwrap();

@@ -4,7 +4,7 @@
 //! for the terminal. The only part of this crate that opens anything.
 
 use cell_edge::files::read_named;
-use rearrange::document::Complaints;
+use rearrange::document::Diagnostics;
 use std::path::{Path, PathBuf};
 
 /// Largest file that is read, bytes.
@@ -23,7 +23,7 @@ pub enum ConfigError {
     },
     /// The file is wrong; one line for each complaint.
     #[error("{0}")]
-    Wrong(Complaints),
+    Wrong(Diagnostics),
 }
 
 /// Text of a configuration file, and the folder it lies in, absolute.

@@ -7,8 +7,8 @@
 //! the corners three times as exactly as the library's own refinement; OpenCV's `cornerSubPix` makes them
 //! worse.
 
-pub mod again;
 pub mod family;
+pub mod roi;
 
 pub use family::Family;
 

@@ -12,9 +12,9 @@ pub mod fuse;
 pub mod input;
 pub mod level;
 pub mod planar;
+pub mod pnp;
 pub mod reference;
 pub mod sighting;
-pub mod square;
 
 pub use arrangement::{Duplicate, ObjectEstimate, Observation, Suspicious};
 pub use input::{MarkedObject, ObserveLimits, ReferenceMarker, View};

@@ -10,7 +10,7 @@ use crate::camera_server;
 use crate::control_server;
 use crate::controller::{Controller, ControllerConfig};
 use crate::core::Core;
-use crate::faults::desk::FaultDesk;
+use crate::faults::injector::FaultInjector;
 use crate::faults::link::LinkName;
 use crate::faults::{FaultError, Planned};
 use crate::frames::{self, Progress};
@@ -173,7 +173,7 @@ impl RunningSim {
     }
 
     /// Faults: tests.
-    pub fn desk(&self) -> &Arc<FaultDesk> {
+    pub fn desk(&self) -> &Arc<FaultInjector> {
         &self.core.desk
     }
 

@@ -6,7 +6,7 @@
 //! true}`, or 400 with `{"error": TEXT}`. Loopback only, and only when asked for: the daemon has no client
 //! for it.
 
-use crate::faults::desk::FaultDesk;
+use crate::faults::injector::FaultInjector;
 use crate::faults::read::read_posted;
 use crate::world::{SharedWorld, lock};
 use axum::body::Bytes;
@@ -38,7 +38,7 @@ pub enum ControlError {
 #[derive(Clone)]
 struct Control {
     world: SharedWorld,
-    desk: Arc<FaultDesk>,
+    desk: Arc<FaultInjector>,
 }
 
 /// Serves clients until `stop` resolves.
@@ -48,7 +48,7 @@ struct Control {
 pub async fn serve(
     listener: TcpListener,
     world: SharedWorld,
-    desk: Arc<FaultDesk>,
+    desk: Arc<FaultInjector>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ControlError> {
     let address = listener.local_addr()?.ip();
@@ -72,8 +72,8 @@ async fn state(State(control): State<Control>) -> Response {
 
 async fn timing(State(control): State<Control>) -> Response {
     let robot = control.desk.robot();
-    let delays = robot.punctuality.delays();
-    let (sent, skipped) = robot.outlets().counts();
+    let delays = robot.latency.delays();
+    let (sent, skipped) = robot.publisher().counts();
     let timing = json!({
         "packages": delays.count,
         "within_1_ms": delays.within_1_ms,
@@ -107,9 +107,9 @@ mod tests {
     use std::net::SocketAddr;
     use std::sync::Mutex;
 
-    fn desk(world: &SharedWorld) -> Arc<FaultDesk> {
+    fn desk(world: &SharedWorld) -> Arc<FaultInjector> {
         let robot = RobotShared::new(Controller::new(ControllerConfig::ur5e(1)));
-        Arc::new(FaultDesk::new(robot, world.clone(), 1.0))
+        Arc::new(FaultInjector::new(robot, world.clone(), 1.0))
     }
 
     async fn started() -> (SocketAddr, SharedWorld) {

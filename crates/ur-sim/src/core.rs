@@ -5,7 +5,7 @@
 //! time is the number of calls.
 
 use crate::controller::Controller;
-use crate::faults::desk::FaultDesk;
+use crate::faults::injector::FaultInjector;
 use crate::motion::FRAME_SECONDS;
 use crate::robot_server::shared::RobotShared;
 use crate::world::event::Contact;
@@ -26,7 +26,7 @@ pub struct Core {
     /// The table, the objects, the gripper.
     pub world: SharedWorld,
     /// Faults planned and in force.
-    pub desk: Arc<FaultDesk>,
+    pub desk: Arc<FaultInjector>,
 }
 
 impl fmt::Debug for Core {
@@ -42,7 +42,7 @@ impl Core {
     pub fn new(controller: Controller, world: World, factor: f64) -> Core {
         let robot = RobotShared::new(controller);
         let world: SharedWorld = Arc::new(Mutex::new(world));
-        let desk = Arc::new(FaultDesk::new(robot.clone(), world.clone(), factor));
+        let desk = Arc::new(FaultInjector::new(robot.clone(), world.clone(), factor));
         let core = Core { robot, world, desk };
         core.step_world();
         core

@@ -139,8 +139,8 @@ fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
     };
     // Only a running program listens for signs of life; without one a client may stop writing at any time.
     let waiting = || {
-        let outlets = robot.outlets();
-        (playing && outlets.someone_is_late(step)) || outlets.someone_is_behind()
+        let publisher = robot.publisher();
+        (playing && publisher.a_client_is_late(step)) || publisher.a_client_is_behind()
     };
     if !waiting() {
         return Duration::ZERO;
@@ -148,7 +148,7 @@ fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
     let start = Instant::now();
     while waiting() {
         if start.elapsed() >= LONGEST_HOLD || *stopped.borrow() {
-            robot.outlets().give_up(step);
+            robot.publisher().give_up(step);
             break;
         }
         std::thread::sleep(HOLD_POLL);

@@ -9,7 +9,7 @@ use crate::core::Core;
 use crate::faults::link::LinkName;
 use crate::gripper_server;
 use crate::robot_server::line::{Bytes, Inlet, Line, Way};
-use crate::robot_server::outlets::Feed;
+use crate::robot_server::publisher::Feed;
 use crate::robot_server::script_ports::Port as ScriptPort;
 use crate::robot_server::{dashboard, rtde, script_ports};
 use crate::world::lock;
@@ -178,7 +178,7 @@ impl Session {
             Kind::Script(session) => session.id(),
             Kind::Dashboard(_) | Kind::Gripper(_) => return true,
         };
-        core.robot.outlets().is_open(id)
+        core.robot.publisher().is_open(id)
     }
 
     /// The connection is gone: what it had claimed is free, and nothing more is sent to it.

@@ -6,7 +6,7 @@
 use crate::calibration::files;
 use crate::calibration::fit::lens::{LensSample, LensSolution};
 use cell_vision::camera::CameraModel;
-use rearrange::document::Complaints;
+use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, Fields, read};
 use rearrange::document::write::Out;
 
@@ -82,7 +82,7 @@ impl CameraCalibration {
     ///
     /// # Errors
     /// Everything that is wrong with it.
-    pub fn parse(text: &str, name: &str) -> Result<CameraCalibration, Complaints> {
+    pub fn parse(text: &str, name: &str) -> Result<CameraCalibration, Diagnostics> {
         read(text, name, decode)
     }
 
@@ -241,14 +241,15 @@ mod tests {
     #[test]
     fn every_fault_is_told_with_its_line() {
         let text = measured().to_yaml().replace("focal_px: [650", "focal_px: [650 mm").replace("date", "dat");
-        let told = CameraCalibration::parse(&text, "camera.yaml").unwrap_err().to_string();
-        assert!(told.contains("camera.yaml:7:") && told.contains("is not a number"), "{told}");
+        let reported = CameraCalibration::parse(&text, "camera.yaml").unwrap_err().to_string();
+        assert!(reported.contains("camera.yaml:7:") && reported.contains("is not a number"), "{reported}");
         assert!(
-            told.contains("dat: unknown key; did you mean \"date\"?") && told.contains("\"date\" is missing")
+            reported.contains("dat: unknown key; did you mean \"date\"?")
+                && reported.contains("\"date\" is missing")
         );
         let text = measured().to_yaml().replace("principal_point_px: [646.3", "principal_point_px: [2646.3");
-        let told = CameraCalibration::parse(&text, "camera.yaml").unwrap_err().to_string();
-        assert!(told.contains("cx = 2646.3 is outside the picture"), "{told}");
+        let reported = CameraCalibration::parse(&text, "camera.yaml").unwrap_err().to_string();
+        assert!(reported.contains("cx = 2646.3 is outside the picture"), "{reported}");
         let text = measured().to_yaml().replace("version: 1", "version: 2");
         assert!(CameraCalibration::parse(&text, "camera.yaml").is_err());
     }

@@ -10,7 +10,7 @@ use crate::calibration::files::{FIT_M, FIT_PX, FIT_RAD, SAMPLE_M, SAMPLE_PX};
 use crate::calibration::fit::fixed::FixedCamera;
 use crate::calibration::fit::{HandEye, SampleResidual, TransformStd};
 use nalgebra::Isometry3;
-use rearrange::document::Complaints;
+use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, Fields, read};
 use rearrange::document::write::Out;
 
@@ -161,7 +161,7 @@ impl HandEyeCalibration {
     ///
     /// # Errors
     /// Everything that is wrong with it.
-    pub fn parse(text: &str, name: &str) -> Result<HandEyeCalibration, Complaints> {
+    pub fn parse(text: &str, name: &str) -> Result<HandEyeCalibration, Diagnostics> {
         read(text, name, decode)
     }
 
@@ -386,9 +386,9 @@ mod tests {
     #[test]
     fn a_mount_and_a_transform_that_do_not_fit_are_refused() {
         let text = measured().to_yaml();
-        let told = |text: &str| HandEyeCalibration::parse(text, "h.yaml").unwrap_err().to_string();
-        assert!(told(&text.replace("mount: flange", "mount: fixed")).contains("base_from_camera"));
-        assert!(told(&text.replace("mount: flange", "mount: wall")).contains("wall"));
+        let reported = |text: &str| HandEyeCalibration::parse(text, "h.yaml").unwrap_err().to_string();
+        assert!(reported(&text.replace("mount: flange", "mount: fixed")).contains("base_from_camera"));
+        assert!(reported(&text.replace("mount: flange", "mount: wall")).contains("wall"));
         let old = text.replace("  mount: flange\n", "");
         assert_ne!(old, text);
         let old = HandEyeCalibration::parse(&old, "h.yaml").unwrap();
@@ -402,10 +402,11 @@ mod tests {
             change(&mut file);
             HandEyeCalibration::parse(&file.to_yaml(), "h.yaml").map_err(|faults| faults.to_string())
         };
-        let told = wrong(|file| file.std.translation_m = f64::INFINITY).unwrap_err();
+        let reported = wrong(|file| file.std.translation_m = f64::INFINITY).unwrap_err();
         assert!(
-            told.contains("hand_eye.std_m: 1.798e308 m is too large") && told.contains("calibrate again"),
-            "{told}"
+            reported.contains("hand_eye.std_m: 1.798e308 m is too large")
+                && reported.contains("calibrate again"),
+            "{reported}"
         );
         assert!(wrong(|file| file.std.translation_m = 0.0051).is_err());
         assert!(wrong(|file| file.std.rotation_rad = 0.02).unwrap_err().contains("hand_eye.std_rad"));
@@ -433,13 +434,16 @@ mod tests {
     #[test]
     fn a_camera_without_serial_or_in_millimetres_is_refused() {
         let text = measured().to_yaml().replace("-0.07", "-70").replace("camera_serial", "camera_serail");
-        let told = HandEyeCalibration::parse(&text, "h.yaml").unwrap_err().to_string();
+        let reported = HandEyeCalibration::parse(&text, "h.yaml").unwrap_err().to_string();
         assert!(
-            told.contains("not millimetres") && told.contains("did you mean \"camera_serial\""),
-            "{told}"
+            reported.contains("not millimetres") && reported.contains("did you mean \"camera_serial\""),
+            "{reported}"
         );
         let text = measured().to_yaml().replace("residual_px: 0.1", "residual_px: .nan");
-        let told = HandEyeCalibration::parse(&text, "h.yaml").unwrap_err().to_string();
-        assert!(told.contains("samples[0].residual_px") && told.contains("samples[2].residual_px"), "{told}");
+        let reported = HandEyeCalibration::parse(&text, "h.yaml").unwrap_err().to_string();
+        assert!(
+            reported.contains("samples[0].residual_px") && reported.contains("samples[2].residual_px"),
+            "{reported}"
+        );
     }
 }

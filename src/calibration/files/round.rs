@@ -7,7 +7,7 @@
 
 use crate::calibration::files::{self, hand_eye::Provenance};
 use nalgebra::Isometry3;
-use rearrange::document::Complaints;
+use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, read};
 use rearrange::document::write::Out;
 
@@ -37,7 +37,7 @@ impl Round {
     ///
     /// # Errors
     /// Everything that is wrong with it.
-    pub fn parse(text: &str, name: &str) -> Result<Round, Complaints> {
+    pub fn parse(text: &str, name: &str) -> Result<Round, Diagnostics> {
         read(text, name, decode)
     }
 
@@ -113,7 +113,7 @@ mod tests {
     #[test]
     fn pictures_elsewhere_and_broken_poses_are_refused() {
         let text = round().to_yaml();
-        for (from, to, told) in [
+        for (from, to, reported) in [
             ("01.png", "../01.png", "no plain file name"),
             ("0.6]", "600]", "metres"),
             ("samples:", "sample:", "did you mean"),
@@ -122,7 +122,7 @@ mod tests {
             let broken = text.replace(from, to);
             assert_ne!(broken, text);
             let complaint = Round::parse(&broken, "samples.yaml").unwrap_err().to_string();
-            assert!(complaint.contains(told) && complaint.contains("samples.yaml:"), "{complaint}");
+            assert!(complaint.contains(reported) && complaint.contains("samples.yaml:"), "{complaint}");
         }
     }
 }

@@ -9,7 +9,7 @@ use crate::calibration::files::camera::CameraCalibration;
 use crate::calibration::files::hand_eye::HandEyeCalibration;
 use crate::calibration::files::table::TableCalibration;
 use cell_vision::observe::ReferenceMarker;
-use rearrange::document::Complaints;
+use rearrange::document::Diagnostics;
 
 /// Distance (m) and angle (rad) by which a survey may differ from the configuration's: rounding in the files.
 const SAME_PLACE: (f64, f64) = (1e-6, 1e-6);
@@ -110,7 +110,7 @@ impl CalibrationSet {
 }
 
 impl FileText {
-    fn parse<T>(&self, parse: impl Fn(&str, &str) -> Result<T, Complaints>) -> Result<T, String> {
+    fn parse<T>(&self, parse: impl Fn(&str, &str) -> Result<T, Diagnostics>) -> Result<T, String> {
         let text = self.text.as_ref().map_err(|reason| {
             format!("{}: {reason}; `celld calibrate` makes the calibration files", self.name)
         })?;

@@ -6,11 +6,11 @@
 
 use crate::calibration::files;
 use crate::calibration::files::hand_eye::{Provenance, Residuals};
-use crate::calibration::fit::touch::{Tie, TouchFit};
+use crate::calibration::fit::touch::{Registration, TouchFit};
 use crate::calibration::fit::{HandEye, TransformStd};
 use cell_vision::observe::ReferenceMarker;
 use nalgebra::Isometry3;
-use rearrange::document::Complaints;
+use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, read};
 use rearrange::document::write::Out;
 use rearrange::geometry::pose::Pose2;
@@ -66,7 +66,7 @@ impl TableCalibration {
     }
 
     /// The same tied to touches: both answers, weighted.
-    pub fn tied(self, touch: &TouchFit, tie: &Tie) -> TableCalibration {
+    pub fn tied(self, touch: &TouchFit, tie: &Registration) -> TableCalibration {
         let touched = Touched {
             residuals_m: touch.residuals_m.clone(),
             touch_std_m: touch.touch_std_m,
@@ -85,7 +85,7 @@ impl TableCalibration {
     ///
     /// # Errors
     /// Everything that is wrong with it.
-    pub fn parse(text: &str, name: &str) -> Result<TableCalibration, Complaints> {
+    pub fn parse(text: &str, name: &str) -> Result<TableCalibration, Diagnostics> {
         read(text, name, decode)
     }
 
@@ -259,10 +259,10 @@ mod tests {
     #[test]
     fn a_marker_used_twice_and_one_in_millimetres_are_refused() {
         let text = measured().to_yaml().replace("id: 501", "id: 500");
-        let told = TableCalibration::parse(&text, "table.yaml").unwrap_err().to_string();
-        assert!(told.contains("marker 500 is used twice"), "{told}");
+        let reported = TableCalibration::parse(&text, "table.yaml").unwrap_err().to_string();
+        assert!(reported.contains("marker 500 is used twice"), "{reported}");
         let text = measured().to_yaml().replace("size: 0.03", "size: 30");
-        let told = TableCalibration::parse(&text, "table.yaml").unwrap_err().to_string();
-        assert!(told.contains("reference_markers[1].size: 30 m is out of range"), "{told}");
+        let reported = TableCalibration::parse(&text, "table.yaml").unwrap_err().to_string();
+        assert!(reported.contains("reference_markers[1].size: 30 m is out of range"), "{reported}");
     }
 }

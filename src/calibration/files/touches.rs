@@ -11,7 +11,7 @@ use crate::calibration::fit::touch::Touch;
 use cell_vision::marker;
 use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Point3};
-use rearrange::document::Complaints;
+use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, read};
 use rearrange::document::write::Out;
 
@@ -175,7 +175,7 @@ impl Touches {
     ///
     /// # Errors
     /// Everything that is wrong with it.
-    pub fn parse(text: &str, name: &str) -> Result<Touches, Complaints> {
+    pub fn parse(text: &str, name: &str) -> Result<Touches, Diagnostics> {
         read(text, name, decode)
     }
 
@@ -332,7 +332,7 @@ mod tests {
     #[test]
     fn touches_that_say_too_little_or_millimetres_are_refused_at_their_place() {
         let text = touches().to_yaml();
-        for (from, to, told) in [
+        for (from, to, reported) in [
             ("tip_m: [-0.15, 0.38, 0.003]", "tip_m: [-150, 380, 3]", "not millimetres"),
             ("flange_from_tip_m: [0.0, 0.0, 0.15]\n", "", "tip's offset"),
             ("at: upper_right", "at: upper_middle", "upper_middle"),
@@ -342,7 +342,7 @@ mod tests {
             let broken = text.replace(from, to);
             assert_ne!(broken, text, "{from} in {text}");
             let complaint = Touches::parse(&broken, "touches.yaml").unwrap_err().to_string();
-            assert!(complaint.contains(told) && complaint.contains("touches.yaml:"), "{complaint}");
+            assert!(complaint.contains(reported) && complaint.contains("touches.yaml:"), "{complaint}");
         }
     }
 }

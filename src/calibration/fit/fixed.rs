@@ -299,9 +299,15 @@ mod tests {
         let small = Vector6::new(1e-6, -2e-6, 3e-6, 2e-6, 1e-6, -3e-6);
         let motion = Isometry3::new(small.fixed_rows::<3>(0).into(), small.fixed_rows::<3>(3).into());
         let moved = a_from_b * motion * a_from_b.inverse();
-        let told = carries(&a_from_b) * small;
-        assert!((moved.translation.vector - told.fixed_rows::<3>(0)).norm() < 1e-11, "{moved} {told}");
-        assert!((moved.rotation.scaled_axis() - told.fixed_rows::<3>(3)).norm() < 1e-11, "{moved} {told}");
+        let reported = carries(&a_from_b) * small;
+        assert!(
+            (moved.translation.vector - reported.fixed_rows::<3>(0)).norm() < 1e-11,
+            "{moved} {reported}"
+        );
+        assert!(
+            (moved.rotation.scaled_axis() - reported.fixed_rows::<3>(3)).norm() < 1e-11,
+            "{moved} {reported}"
+        );
     }
 
     #[test]
@@ -325,11 +331,11 @@ mod tests {
     fn pictures_without_the_board_or_the_table_say_which() {
         let mut blind = samples(&varied(), 0.1, 0.0, 1);
         blind.iter_mut().skip(3).for_each(|sample| sample.detections.retain(|d| d.id >= 500));
-        let told = solve(&blind).unwrap_err();
-        assert!(matches!(told, CalibrateError::BoardUnseen { found: 3, given: 16, .. }), "{told}");
+        let reported = solve(&blind).unwrap_err();
+        assert!(matches!(reported, CalibrateError::BoardUnseen { found: 3, given: 16, .. }), "{reported}");
         let mut blind = samples(&varied(), 0.1, 0.0, 1);
         blind.iter_mut().for_each(|sample| sample.detections.retain(|d| d.id < 500));
-        let told = solve(&blind).unwrap_err();
-        assert!(matches!(told, CalibrateError::TooFewSamples { found: 0, .. }), "{told}");
+        let reported = solve(&blind).unwrap_err();
+        assert!(matches!(reported, CalibrateError::TooFewSamples { found: 0, .. }), "{reported}");
     }
 }

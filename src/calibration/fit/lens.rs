@@ -189,8 +189,8 @@ pub fn solve_lens(
             rejected: rejected[i],
         });
     }
-    let told = samples.iter().filter(|sample| !sample.rejected).filter_map(|sample| sample.held_out_px);
-    let squares: Vec<f64> = told.map(|px| px * px).collect();
+    let reported = samples.iter().filter(|sample| !sample.rejected).filter_map(|sample| sample.held_out_px);
+    let squares: Vec<f64> = reported.map(|px| px * px).collect();
     let held_out_px = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
     let LensFit { camera, reprojection_px, std_px, .. } = best;
     Ok(LensSolution { camera, reprojection_px, held_out_px, std_px, samples })
@@ -330,23 +330,23 @@ mod tests {
     #[test]
     fn boards_that_are_never_tilted_are_refused() {
         let (_, views) = views(0.0, 0.2, 20);
-        let told = solve(&views).unwrap_err().to_string();
-        assert!(told.contains("tilt the board"), "{told}");
+        let reported = solve(&views).unwrap_err().to_string();
+        assert!(reported.contains("tilt the board"), "{reported}");
     }
 
     #[test]
     fn missing_pictures_and_parts_are_named() {
         let (_, mut views) = views(0.6, 0.1, 24);
-        let told = solve(&views[..5]).unwrap_err().to_string();
-        assert!(told.contains("only 5 of 5 pictures") && told.contains("--board"), "{told}");
+        let reported = solve(&views[..5]).unwrap_err().to_string();
+        assert!(reported.contains("only 5 of 5 pictures") && reported.contains("--board"), "{reported}");
         assert!(solve(&[]).unwrap_err().to_string().contains("only 0 of 0"));
         for view in &mut views {
             let (board, seen) = &view.corners;
             let left = board.iter().zip(seen).filter(|(_, p)| p[0] < 850.0).map(|(b, p)| (*b, *p));
             view.corners = left.unzip();
         }
-        let told = solve(&views).unwrap_err().to_string();
-        assert!(told.contains("right of the picture"), "{told}");
+        let reported = solve(&views).unwrap_err().to_string();
+        assert!(reported.contains("right of the picture"), "{reported}");
         let scrambled: Vec<BoardView> = views
             .iter()
             .map(|view| {

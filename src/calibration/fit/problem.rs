@@ -10,8 +10,8 @@ use cell_vision::camera::CameraModel;
 use cell_vision::cv::CvError;
 use cell_vision::marker;
 use cell_vision::observe::planar;
+use cell_vision::observe::pnp::cross;
 use cell_vision::observe::sighting::{self, Sighting};
-use cell_vision::observe::square::cross;
 use cell_vision::observe::{ReferenceMarker, View};
 use nalgebra::{
     Isometry3, Matrix2x3, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,

@@ -8,7 +8,7 @@
 
 use crate::calibration::fit::TransformStd;
 use cell_values::units::{deg_from_rad, mm_from_m};
-use cell_vision::observe::square::cross;
+use cell_vision::observe::pnp::cross;
 use nalgebra::{
     Isometry3, Matrix3, Matrix3x6, Matrix6, Point3, Rotation3, SymmetricEigen, Translation3, UnitQuaternion,
     Vector3, Vector6,
@@ -228,7 +228,7 @@ fn check_spread(touches: &[Touch], settings: &TouchSettings) -> Result<(), Touch
 
 /// How far touch and camera may disagree.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TieLimits {
+pub struct RegistrationLimits {
     /// At the middle of the table, m.
     pub shift_m: f64,
     /// rad.
@@ -237,7 +237,7 @@ pub struct TieLimits {
 
 /// The table by both.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tie {
+pub struct Registration {
     /// The table in the base: both answers, weighted.
     pub base_from_table: Isometry3<f64>,
     /// Covariance of small motions of the table in its own frame: shift (m2) before turn (rad2).
@@ -255,11 +255,11 @@ pub struct Tie {
 
 /// Touch and camera do not speak of the same table.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum TieError {
+pub enum RegistrationError {
     /// More than the limits.
     #[error(
         "touch and camera disagree: touch puts the table's middle {x:+.2}, {y:+.2}, {z:+.2} mm (x right, y away, z up) from where \
-         the camera puts it, turned by {deg:.2} degrees; {limit_mm} mm and {limit_deg} degrees are the limits. {remedy}"
+         the camera puts it, turned by {deg:.2} degrees; {limit_mm} mm and {limit_deg} degrees are the limits. {hint}"
     )]
     Disagree {
         /// mm.
@@ -275,7 +275,7 @@ pub enum TieError {
         /// degrees.
         limit_deg: f64,
         /// What to do.
-        remedy: &'static str,
+        hint: &'static str,
     },
     /// A covariance that is none.
     #[error("the covariances of touch and camera cannot be combined")]
@@ -290,13 +290,13 @@ const ELSEWHERE: &str = "See that the tip's offset (--tip-mm) is right and the t
 /// Ties the table by touch to the table by camera; `middle` is the table's middle in its own frame, m.
 ///
 /// # Errors
-/// [`TieError::Disagree`] above the limits, with what to look at.
+/// [`RegistrationError::Disagree`] above the limits, with what to look at.
 pub fn tie(
     camera: (&Isometry3<f64>, &Matrix6<f64>),
     touch: &TouchFit,
     middle: &Point3<f64>,
-    limits: &TieLimits,
-) -> Result<Tie, TieError> {
+    limits: &RegistrationLimits,
+) -> Result<Registration, RegistrationError> {
     let (by_camera, camera_covariance) = camera;
     let between = by_camera.inverse() * touch.base_from_table;
     let shift_m = between * middle - middle;
@@ -304,25 +304,25 @@ pub fn tie(
     if shift_m.norm() > limits.shift_m || turn_rad > limits.turn_rad {
         let [x, y, z] = [shift_m.x, shift_m.y, shift_m.z].map(mm_from_m);
         let upright = turn_rad <= limits.turn_rad && z.abs() > 2.0 * x.hypot(y);
-        return Err(TieError::Disagree {
+        return Err(RegistrationError::Disagree {
             x,
             y,
             z,
             deg: deg_from_rad(turn_rad),
             limit_mm: mm_from_m(limits.shift_m),
             limit_deg: deg_from_rad(limits.turn_rad),
-            remedy: if upright { ALONG_Z } else { ELSEWHERE },
+            hint: if upright { ALONG_Z } else { ELSEWHERE },
         });
     }
     let step = small(&between);
-    let both = (camera_covariance + touch.covariance).try_inverse().ok_or(TieError::Broken)?;
+    let both = (camera_covariance + touch.covariance).try_inverse().ok_or(RegistrationError::Broken)?;
     let gain = camera_covariance * both;
     let covariance = camera_covariance - gain * camera_covariance;
     let covariance = (covariance + covariance.transpose()) / 2.0;
     let moved = gain * step;
     let turn = UnitQuaternion::from_scaled_axis(moved.fixed_rows::<3>(3).into_owned());
     let shift = Translation3::from(moved.fixed_rows::<3>(0).into_owned());
-    Ok(Tie {
+    Ok(Registration {
         base_from_table: by_camera * Isometry3::from_parts(shift, turn),
         covariance,
         std: TransformStd::of(&covariance),
@@ -406,18 +406,18 @@ mod tests {
     #[test]
     fn points_on_a_line_near_each_other_or_too_few_are_refused_in_words() {
         let mut random = ChaCha8Rng::seed_from_u64(2);
-        let mut told = |points: &[[f64; 3]]| {
+        let mut reported = |points: &[[f64; 3]]| {
             let touches = touches(points, 1e-4, &mut random);
             fit_touches(&touches, &Default::default()).unwrap_err().to_string()
         };
         let line =
-            told(&[[-0.045, -0.045, 0.0], [0.25, -0.045, 0.0], [0.545, -0.045, 0.0], [0.1, -0.044, 0.0]]);
+            reported(&[[-0.045, -0.045, 0.0], [0.25, -0.045, 0.0], [0.545, -0.045, 0.0], [0.1, -0.044, 0.0]]);
         assert!(line.contains("on one line within 0 mm") && line.contains("beside it"), "{line}");
-        let near = told(&[[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.03, 0.0]]);
+        let near = reported(&[[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.03, 0.0]]);
         assert!(near.contains("too near"), "{near}");
-        let same = told(&[[0.1, 0.1, 0.0]; 4]);
+        let same = reported(&[[0.1, 0.1, 0.0]; 4]);
         assert!(same.contains("too near"), "{same}");
-        assert!(told(&ROUND[..2]).contains("2 points were touched"));
+        assert!(reported(&ROUND[..2]).contains("2 points were touched"));
     }
 
     #[test]
@@ -425,8 +425,8 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let mut touched = touches(&ROUND, 2e-4, &mut random);
         touched[4].in_base.x += 0.012;
-        let told = fit_touches(&touched, &Default::default()).unwrap_err();
-        assert!(matches!(told, TouchError::NoFit { worst: 5, .. }), "{told}");
+        let reported = fit_touches(&touched, &Default::default()).unwrap_err();
+        assert!(matches!(reported, TouchError::NoFit { worst: 5, .. }), "{reported}");
         // Points near each other bear only small errors.
         let mut near = touches(
             &[[0.0, 0.0, 0.0], [0.12, 0.0, 0.0], [0.12, 0.1, 0.0], [0.0, 0.1, 0.0]],
@@ -435,13 +435,13 @@ mod tests {
         );
         assert!(fit_touches(&near, &Default::default()).is_ok());
         near[1].in_base.z += 0.0035;
-        let told = fit_touches(&near, &Default::default()).unwrap_err();
-        assert!(matches!(told, TouchError::NoFit { .. }), "{told}");
+        let reported = fit_touches(&near, &Default::default()).unwrap_err();
+        assert!(matches!(reported, TouchError::NoFit { .. }), "{reported}");
         touched[4].in_base.x = f64::NAN;
         assert_eq!(fit_touches(&touched, &Default::default()).unwrap_err(), TouchError::Broken);
     }
 
-    const LIMITS: TieLimits = TieLimits { shift_m: 2e-3, turn_rad: 0.007 };
+    const LIMITS: RegistrationLimits = RegistrationLimits { shift_m: 2e-3, turn_rad: 0.007 };
 
     fn middle_of_table() -> Point3<f64> {
         Point3::new(0.25, 0.25, 0.0)
@@ -484,15 +484,15 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(5);
         let touch = fit_touches(&touches(&ROUND, 2e-4, &mut random), &Default::default()).unwrap();
         let covariance = Matrix6::identity() * 1e-8;
-        let told = |off: Isometry3<f64>| {
+        let reported = |off: Isometry3<f64>| {
             let camera = truth() * off;
             tie((&camera, &covariance), &touch, &middle_of_table(), &LIMITS).unwrap_err().to_string()
         };
-        let long = told(Isometry3::translation(0.0, 0.0, -0.004));
+        let long = reported(Isometry3::translation(0.0, 0.0, -0.004));
         assert!(long.contains("+4.") && long.contains("mostly height"), "{long}");
-        let aside = told(Isometry3::translation(0.003, 0.0, 0.0));
+        let aside = reported(Isometry3::translation(0.003, 0.0, 0.0));
         assert!(aside.contains("-3.") && aside.contains("survey"), "{aside}");
-        let turned = told(Isometry3::rotation(Vector3::new(0.0, 0.0, 0.02)));
+        let turned = reported(Isometry3::rotation(Vector3::new(0.0, 0.0, 0.02)));
         assert!(turned.contains("degrees"), "{turned}");
     }
 }

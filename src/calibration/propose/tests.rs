@@ -141,15 +141,15 @@ fn a_board_is_carried_through_the_picture_of_a_camera_that_stands_however_it_is_
         }
         assert_eq!(parts, [true; 4], "the board is seen in every quarter of the picture");
     }
-    let told = proposed(&standing(None), None).err().unwrap();
-    assert!(told.contains("camera.flange_from_board is missing"), "{told}");
+    let reported = proposed(&standing(None), None).err().unwrap();
+    assert!(reported.contains("camera.flange_from_board is missing"), "{reported}");
     // The print away from the camera: the hand would have to stand on its head.
     let away = Isometry3::translation(0.05, 0.049, 0.03);
-    let told = proposed(&standing(Some(away)), None).err().unwrap();
-    assert!(told.contains("degrees away from work_pose_deg"), "{told}");
+    let reported = proposed(&standing(Some(away)), None).err().unwrap();
+    assert!(reported.contains("degrees away from work_pose_deg"), "{reported}");
     let far = Isometry3::from_parts(Translation3::new(6.0, 0.0, 0.0), down());
-    let told = proposed(&standing(Some(far)), None).err().unwrap();
-    assert!(told.contains("check base_from_camera and flange_from_board"), "{told}");
+    let reported = proposed(&standing(Some(far)), None).err().unwrap();
+    assert!(reported.contains("check base_from_camera and flange_from_board"), "{reported}");
 }
 
 #[test]
@@ -161,16 +161,16 @@ fn a_box_that_is_too_small_low_or_missing_is_told() {
         high_m: std::array::from_fn(|i| here[i] + half),
     };
     drawn.room = Some(round(0.002));
-    let told = proposed(&drawn, None).err().unwrap();
-    assert!(told.contains("room for 0 of 15"), "{told}");
+    let reported = proposed(&drawn, None).err().unwrap();
+    assert!(reported.contains("room for 0 of 15"), "{reported}");
     // On the table the gripper would be in it.
     drawn.room = Some(CalibrationBox { low_m: [-0.3, 0.1, 0.0], high_m: [0.3, 0.7, 0.15] });
     assert!(proposed(&drawn, None).err().unwrap().contains("widen it"));
     // From outside there is no way in.
     drawn.room = example().room;
     let away = Joints(std::array::from_fn(|i| park().0[i] + if i == 0 { 2.5 } else { 0.0 }));
-    let told = proposed(&drawn, Some(away)).err().unwrap();
-    assert!(told.contains("room for 0 of 15"), "{told}");
+    let reported = proposed(&drawn, Some(away)).err().unwrap();
+    assert!(reported.contains("room for 0 of 15"), "{reported}");
     drawn.room = None;
     assert!(proposed(&drawn, None).err().unwrap().contains("calibration_box is missing"));
 }

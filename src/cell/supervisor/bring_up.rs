@@ -5,8 +5,8 @@ use crate::cell::code::Code;
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::{Supervisor, alarm, say};
-use crate::cell::supervisor::gates::Closed;
-use crate::cell::supervisor::input::{Action, Outside};
+use crate::cell::supervisor::gates::GateClosed;
+use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{BringUp, Phase};
 use crate::cell::supervisor::round::RoundFault;
@@ -25,14 +25,14 @@ impl Supervisor {
     pub(crate) fn wait_or_bring_up(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
-        closed: Closed,
+        outside: &DeviceSnapshot,
+        closed: GateClosed,
         out: &mut Vec<Action>,
     ) {
         let can_start = self.mode.armed()
             && outside.robot_fresh
             && outside.robot.is_some_and(|robot| robot.remote_control == Some(true));
-        if can_start && matches!(closed, Closed::Mode(_) | Closed::Program) {
+        if can_start && matches!(closed, GateClosed::Mode(_) | GateClosed::Program) {
             self.enter(Phase::BringUp(BringUp::default()), BRING_UP_LIMIT);
             self.bring_up(outside, out);
             return;
@@ -41,23 +41,23 @@ impl Supervisor {
     }
 
     /// What keeps a gate closed, with the address of the device that is to blame.
-    fn place(&self, closed: &Closed) -> String {
+    fn place(&self, closed: &GateClosed) -> String {
         match closed {
-            Closed::Stale => format!("{closed} ({})", self.model.addresses.robot),
-            Closed::Gripper => format!("{closed} ({})", self.model.addresses.gripper),
+            GateClosed::Stale => format!("{closed} ({})", self.model.addresses.robot),
+            GateClosed::Gripper => format!("{closed} ({})", self.model.addresses.gripper),
             _ => closed.to_string(),
         }
     }
 
     /// Waits for a gate to open; not for ever, unless a person has to arm the cell.
-    pub(crate) fn wait(&mut self, now: Timestamp, closed: Closed, out: &mut Vec<Action>) {
+    pub(crate) fn wait(&mut self, now: Timestamp, closed: GateClosed, out: &mut Vec<Action>) {
         let kind = std::mem::discriminant(&closed);
         if self.waiting_for.as_ref().map(std::mem::discriminant) != Some(kind) {
-            say(out, format!("waiting: {}; {}", self.place(&closed), closed.remedy()));
+            say(out, format!("waiting: {}; {}", self.place(&closed), closed.hint()));
             self.waiting_since = now;
         }
-        let (message, remedy) = (self.place(&closed), closed.remedy());
-        let patient = closed == Closed::Disarmed;
+        let (message, hint) = (self.place(&closed), closed.hint());
+        let patient = closed == GateClosed::Disarmed;
         self.waiting_for = Some(closed);
         if !patient && now.since(self.waiting_since) > NOT_READY_LIMIT {
             // Nobody shall be surprised by a cell that comes to life when its device does.
@@ -65,16 +65,16 @@ impl Supervisor {
             alarm(out, format!("disarmed: {message} for {} s", NOT_READY_LIMIT.as_secs()));
             let seconds = NOT_READY_LIMIT.as_secs();
             self.end_round(Err(RoundFault::NotReady { what: message.clone(), seconds }), out);
-            let remedy = match remedy.contains("celld arm") {
-                true => format!("{remedy} and submit again"),
-                false => format!("{remedy}; then `celld arm` and submit again"),
+            let hint = match hint.contains("celld arm") {
+                true => format!("{hint} and submit again"),
+                false => format!("{hint}; then `celld arm` and submit again"),
             };
-            self.finish(now, JobEnd::Failed, Code::NotReady.because(message, remedy), out);
+            self.finish(now, JobEnd::Failed, Code::NotReady.because(message, hint), out);
         }
     }
 
     /// One turn of the bring-up: requests what is missing, once.
-    pub(crate) fn bring_up(&mut self, outside: &Outside, out: &mut Vec<Action>) {
+    pub(crate) fn bring_up(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let (Phase::BringUp(bring_up), Some(robot)) = (&mut self.phase, outside.robot) else { return };
         if !self.mode.armed() {
             self.phase = Phase::Ready;

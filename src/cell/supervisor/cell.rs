@@ -11,8 +11,8 @@ use crate::cell::device::gripper::{Channels, GripperEvent};
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent};
 use crate::cell::orders::Order;
-use crate::cell::supervisor::gates::{self, Closed, motion_speed};
-use crate::cell::supervisor::input::{Action, Input, Notice, Outside, Record};
+use crate::cell::supervisor::gates::{self, GateClosed, motion_speed};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Notice, Record};
 use crate::cell::supervisor::ledger::Ledger;
 use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::model::CellModel;
@@ -53,7 +53,7 @@ pub struct Supervisor {
     pub(crate) remaining: Duration,
     last_now: Timestamp,
     /// Reason for waiting that was said last, so that it is said once.
-    pub(crate) waiting_for: Option<Closed>,
+    pub(crate) waiting_for: Option<GateClosed>,
     pub(crate) waiting_since: Timestamp,
     /// Releases whose answer is what the gripper says next.
     pub(crate) release_orders: Vec<(u64, Channels)>,
@@ -151,7 +151,7 @@ impl Supervisor {
     }
 
     /// Takes one input and says what to do.
-    pub fn step(&mut self, now: Timestamp, outside: &Outside, input: Input) -> Vec<Action> {
+    pub fn step(&mut self, now: Timestamp, outside: &DeviceSnapshot, input: Input) -> Vec<Action> {
         let order = match &input {
             Input::Order { number, .. } => Some(*number),
             _ => None,
@@ -161,7 +161,7 @@ impl Supervisor {
         self.hold_while_paused(outside, actions)
     }
 
-    fn decide(&mut self, now: Timestamp, outside: &Outside, input: Input) -> Vec<Action> {
+    fn decide(&mut self, now: Timestamp, outside: &DeviceSnapshot, input: Input) -> Vec<Action> {
         let mut out = Vec::new();
         self.run_deadline(now, outside);
         match input {
@@ -184,7 +184,13 @@ impl Supervisor {
     }
 
     /// An order is answered last, by what has become of it; one that waits for the arm to stand, then.
-    fn on_order(&mut self, now: Timestamp, outside: &Outside, number: u64, order: Order) -> Vec<Action> {
+    fn on_order(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        number: u64,
+        order: Order,
+    ) -> Vec<Action> {
         let mut out = Vec::new();
         let refusal = self.take_order(now, outside, number, &order, &mut out);
         self.pursue(now, outside, &mut out);
@@ -194,7 +200,7 @@ impl Supervisor {
         out
     }
 
-    fn run_deadline(&mut self, now: Timestamp, outside: &Outside) {
+    fn run_deadline(&mut self, now: Timestamp, outside: &DeviceSnapshot) {
         let speed = if self.follows_a_path() { motion_speed(outside) } else { 1.0 };
         self.remaining = self.remaining.saturating_sub(now.since(self.last_now).mul_f64(speed));
         self.last_now = now;
@@ -202,7 +208,7 @@ impl Supervisor {
 
     /// A paused program takes no commands: those of a pick-n-place that is under way are kept for it until it
     /// plays again, and fall away with a stop.
-    fn hold_while_paused(&mut self, outside: &Outside, actions: Vec<Action>) -> Vec<Action> {
+    fn hold_while_paused(&mut self, outside: &DeviceSnapshot, actions: Vec<Action>) -> Vec<Action> {
         let playing = outside.robot.is_none_or(|robot| robot.runtime_state == RuntimeState::Playing);
         let mut out = if playing { std::mem::take(&mut self.held_back) } else { Vec::new() };
         for action in actions {
@@ -273,7 +279,7 @@ impl Supervisor {
     }
 
     /// Decides what comes next when nothing is under way.
-    fn pursue(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    fn pursue(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         if !matches!(self.phase, Phase::Ready) || self.mode.ending() {
             return;
         }
@@ -317,7 +323,13 @@ impl Supervisor {
         }
     }
 
-    fn on_robot(&mut self, now: Timestamp, outside: &Outside, event: RobotEvent, out: &mut Vec<Action>) {
+    fn on_robot(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        event: RobotEvent,
+        out: &mut Vec<Action>,
+    ) {
         self.stands |= matches!(event, RobotEvent::Stopped);
         match event {
             RobotEvent::PathFinished { .. } => match &mut self.phase {
@@ -335,7 +347,13 @@ impl Supervisor {
         }
     }
 
-    fn on_gripper(&mut self, now: Timestamp, outside: &Outside, event: GripperEvent, out: &mut Vec<Action>) {
+    fn on_gripper(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        event: GripperEvent,
+        out: &mut Vec<Action>,
+    ) {
         self.answer_release(&event, out);
         let silent = matches!(event, GripperEvent::Unreachable { .. })
             || (matches!(event, GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. })
@@ -378,7 +396,7 @@ impl Supervisor {
             code: reason.code,
             object: reason.object,
             message: reason.message,
-            remedy: reason.remedy,
+            hint: reason.hint,
             moves: job.moves,
             lower_bound: job.lower_bound,
             planned: job.planned,
@@ -399,7 +417,7 @@ pub(crate) struct Reason {
     /// One sentence.
     pub message: String,
     /// What the operator can do; empty when nothing is needed.
-    pub remedy: String,
+    pub hint: String,
 }
 
 impl Reason {
@@ -411,8 +429,8 @@ impl Reason {
 
 impl Code {
     /// With a sentence and what to do about it.
-    pub(crate) fn because(self, message: impl Into<String>, remedy: impl Into<String>) -> Reason {
-        Reason { code: self, object: None, message: message.into(), remedy: remedy.into() }
+    pub(crate) fn because(self, message: impl Into<String>, hint: impl Into<String>) -> Reason {
+        Reason { code: self, object: None, message: message.into(), hint: hint.into() }
     }
 }
 

@@ -4,40 +4,40 @@
 //! condition that is missing, in words. One function for each class of motion; every motion goes through one.
 
 use crate::cell::device::program::Nonce;
-use crate::cell::supervisor::input::Outside;
+use crate::cell::supervisor::input::DeviceSnapshot;
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
 const EMPTY_BELOW: f64 = 0.05;
 
-impl Closed {
+impl GateClosed {
     /// What a person can do about it.
-    pub fn remedy(&self) -> &'static str {
+    pub fn hint(&self) -> &'static str {
         match self {
-            Closed::Stale => {
+            GateClosed::Stale => {
                 "see that the controller is on and in the network: `devices.robot` in the configuration, `ping` it"
             }
-            Closed::Safety(_) => "clear the stop at the pendant once the cell is safe, then `celld arm`",
-            Closed::Mode(_) => {
+            GateClosed::Safety(_) => "clear the stop at the pendant once the cell is safe, then `celld arm`",
+            GateClosed::Mode(_) => {
                 "power the arm at the pendant, or switch it to Remote Control so that celld may"
             }
-            Closed::Local => "switch the pendant to Remote Control, then `celld arm`",
-            Closed::Program => "look at the pendant for the program's error, then `celld arm`",
-            Closed::Paused => "press play at the pendant, or `celld abort`",
-            Closed::NotPlaying(_) => "look at the pendant for what the program does, or `celld abort`",
-            Closed::Disarmed => "`celld arm` once the cell is clear",
-            Closed::Gripper => {
+            GateClosed::Local => "switch the pendant to Remote Control, then `celld arm`",
+            GateClosed::Program => "look at the pendant for the program's error, then `celld arm`",
+            GateClosed::Paused => "press play at the pendant, or `celld abort`",
+            GateClosed::NotPlaying(_) => "look at the pendant for what the program does, or `celld abort`",
+            GateClosed::Disarmed => "`celld arm` once the cell is clear",
+            GateClosed::Gripper => {
                 "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, `ping` it"
             }
-            Closed::Holding(_) => "hold the object by hand, `celld release --yes`, then `celld arm`",
-            Closed::NotObserved | Closed::NotApproved => "nothing: the cell goes on by itself",
+            GateClosed::Holding(_) => "hold the object by hand, `celld release --yes`, then `celld arm`",
+            GateClosed::NotObserved | GateClosed::NotApproved => "nothing: the cell goes on by itself",
         }
     }
 }
 
 /// Why a motion may not start.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Closed {
+pub enum GateClosed {
     /// No state of the robot within the staleness limit.
     #[error("the robot's state is not fresh")]
     Stale,
@@ -80,48 +80,50 @@ pub enum Closed {
 ///
 /// # Errors
 /// The first condition that does not hold.
-pub fn any_motion(armed: bool, outside: &Outside, nonce: Option<Nonce>) -> Result<(), Closed> {
+pub fn any_motion(armed: bool, outside: &DeviceSnapshot, nonce: Option<Nonce>) -> Result<(), GateClosed> {
     // First, because a cell that nobody armed is no cell in trouble.
     if !armed {
-        return Err(Closed::Disarmed);
+        return Err(GateClosed::Disarmed);
     }
     let robot = match outside.robot {
         Some(robot) if outside.robot_fresh => robot,
-        _ => return Err(Closed::Stale),
+        _ => return Err(GateClosed::Stale),
     };
     if !matches!(robot.safety_mode, SafetyMode::Normal | SafetyMode::Reduced) {
-        return Err(Closed::Safety(format!("{:?}", robot.safety_mode)));
+        return Err(GateClosed::Safety(format!("{:?}", robot.safety_mode)));
     }
     if robot.robot_mode != RobotMode::Running {
-        return Err(Closed::Mode(format!("{:?}", robot.robot_mode)));
+        return Err(GateClosed::Mode(format!("{:?}", robot.robot_mode)));
     }
     if robot.remote_control != Some(true) {
-        return Err(Closed::Local);
+        return Err(GateClosed::Local);
     }
     if nonce.is_none_or(|nonce| robot.nonce != nonce.number()) {
-        return Err(Closed::Program);
+        return Err(GateClosed::Program);
     }
     match robot.runtime_state {
         RuntimeState::Playing => Ok(()),
-        RuntimeState::Pausing | RuntimeState::Paused => Err(Closed::Paused),
+        RuntimeState::Pausing | RuntimeState::Paused => Err(GateClosed::Paused),
         RuntimeState::Stopping
         | RuntimeState::Stopped
         | RuntimeState::Resuming
-        | RuntimeState::Unknown(_) => Err(Closed::NotPlaying(robot.runtime_state.to_string().to_lowercase())),
+        | RuntimeState::Unknown(_) => {
+            Err(GateClosed::NotPlaying(robot.runtime_state.to_string().to_lowercase()))
+        }
     }
 }
 
 /// What every motion with an empty gripper needs besides: that it is known to be empty.
 ///
 /// # Errors
-/// [`Closed::Gripper`] or [`Closed::Holding`].
-pub fn empty_handed(outside: &Outside) -> Result<(), Closed> {
+/// [`GateClosed::Gripper`] or [`GateClosed::Holding`].
+pub fn empty_handed(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
     let Some(vacuum) = outside.vacuum.filter(|_| outside.gripper_answers) else {
-        return Err(Closed::Gripper);
+        return Err(GateClosed::Gripper);
     };
     let most = vacuum[0].max(vacuum[1]);
     // A reading that is no number is no proof either.
-    if most < EMPTY_BELOW { Ok(()) } else { Err(Closed::Holding((most * 100.0).round() as u32)) }
+    if most < EMPTY_BELOW { Ok(()) } else { Err(GateClosed::Holding((most * 100.0).round() as u32)) }
 }
 
 /// What moving an object needs besides.
@@ -130,17 +132,17 @@ pub fn empty_handed(outside: &Outside) -> Result<(), Closed> {
 /// The first condition that does not hold.
 pub fn manipulate(
     armed: bool,
-    outside: &Outside,
+    outside: &DeviceSnapshot,
     nonce: Option<Nonce>,
     observed: bool,
     approved: bool,
-) -> Result<(), Closed> {
+) -> Result<(), GateClosed> {
     any_motion(armed, outside, nonce)?;
     empty_handed(outside)?;
     if !observed {
-        Err(Closed::NotObserved)
+        Err(GateClosed::NotObserved)
     } else if !approved {
-        Err(Closed::NotApproved)
+        Err(GateClosed::NotApproved)
     } else {
         Ok(())
     }
@@ -148,7 +150,7 @@ pub fn manipulate(
 
 /// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does not
 /// play.
-pub(crate) fn motion_speed(outside: &Outside) -> f64 {
+pub(crate) fn motion_speed(outside: &DeviceSnapshot) -> f64 {
     outside.robot.map_or(0.0, |robot| {
         let playing = robot.runtime_state == RuntimeState::Playing;
         if playing { robot.target_speed_fraction.clamp(0.0, 1.0) } else { 0.0 }

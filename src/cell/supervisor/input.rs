@@ -18,7 +18,7 @@ use rearrange::tabletop::instance::Instance;
 
 /// What the devices last said, handed over with every call.
 #[derive(Clone, Copy, Debug)]
-pub struct Outside<'a> {
+pub struct DeviceSnapshot<'a> {
     /// Last state of the robot, if it ever spoke.
     pub robot: Option<&'a RobotState>,
     /// The robot's last state is younger than the staleness limit.
@@ -35,13 +35,13 @@ pub struct Outside<'a> {
 
 /// Why a camera gives no picture, after everything that can be tried from here.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct CameraTrouble {
+pub struct CameraFault {
     /// For the job's result.
     pub code: Code,
     /// What is wrong.
     pub message: String,
     /// What a person can do.
-    pub remedy: &'static str,
+    pub hint: &'static str,
     /// Waiting does not help: another camera, another size, a recording at its end.
     pub lasting: bool,
 }
@@ -80,13 +80,13 @@ pub enum Input {
     /// The gripper session reports.
     Gripper(GripperEvent),
     /// The frames of one look pose were taken and searched for markers.
-    Captured(Result<Vec<View>, CameraTrouble>),
+    Captured(Result<Vec<View>, CameraFault>),
     /// The views of a look were put together.
     Observed(Result<Box<Observation>, String>),
     /// The planner answered.
     Planned(Box<PlanAnswer>),
     /// One picture of a calibration round was taken.
-    Pictured(Result<(), CameraTrouble>),
+    Pictured(Result<(), CameraFault>),
     /// The record with this number is on disk, or could not be written.
     Committed {
         /// Of [`Action::Commit`].

@@ -31,9 +31,9 @@ impl Supervisor {
     pub(crate) fn judge(&self, observation: &Observation) -> Option<Reason> {
         let objects = || {
             self.doubt_objects(observation).map(|reason| {
-                let remedy =
+                let hint =
                     "look at the end picture of the job, put the table right, submit again".to_string();
-                Reason { remedy, ..reason }
+                Reason { hint, ..reason }
             })
         };
         let foreign = || self.doubt_foreign(observation);
@@ -55,17 +55,17 @@ impl Supervisor {
         if seen < tolerances.reference_seen {
             let message =
                 format!("{seen} reference markers were seen, {} are needed", tolerances.reference_seen);
-            let remedy = "uncover and clean the reference markers, see that the table is lit, submit again";
-            return Some(Code::ReferenceHidden.because(message, remedy));
+            let hint = "uncover and clean the reference markers, see that the table is lit, submit again";
+            return Some(Code::ReferenceHidden.because(message, hint));
         }
         let check = observation.reference.as_ref()?;
         // Their mean over all looks does not tell a bump: what it shifts from one side it shifts back from
         // another.
         if tolerances.reference_seen >= MARKERS_MIN && check.looks.is_empty() {
             let message = format!("no look pose shows {MARKERS_MIN} reference markers at once");
-            let remedy =
+            let hint =
                 "uncover the reference markers, or teach a look pose that shows three of them, submit again";
-            return Some(Code::ReferenceHidden.because(message, remedy));
+            return Some(Code::ReferenceHidden.because(message, hint));
         }
         if !check.drifted(&tolerances.reference) {
             return None;
@@ -92,8 +92,8 @@ impl Supervisor {
                 tolerances.reference.turn_rad.to_degrees()
             ));
         }
-        let remedy = "camera or table were moved: see which, then `celld calibrate`";
-        Some(Code::CalibrationInvalid.because(message, remedy))
+        let hint = "camera or table were moved: see which, then `celld calibrate`";
+        Some(Code::CalibrationInvalid.because(message, hint))
     }
 
     fn doubt_objects(&self, observation: &Observation) -> Option<Reason> {
@@ -144,19 +144,19 @@ impl Supervisor {
             ForeignRule::Obstacle { .. } => true,
         };
         let Some(report) = &observation.foreign else {
-            let remedy =
+            let hint =
                 "see that the camera streams depth, or set `foreign: {mode: off}` knowing what that means";
             let message =
                 "the look came without depth, which `foreign` in the configuration asks for".to_owned();
-            return needed.then(|| Code::DepthMissing.because(message, remedy));
+            return needed.then(|| Code::DepthMissing.because(message, hint));
         };
         if let Some(message) = unmeasured(report).filter(|_| report.by_colour) {
-            let remedy = "clear the table and run `celld calibrate empty` for these look poses";
-            return Some(Code::TableNotCompared.because(message, remedy));
+            let hint = "clear the table and run `celld calibrate empty` for these look poses";
+            return Some(Code::TableNotCompared.because(message, hint));
         }
         if let Some(message) = unmeasured(report) {
-            let remedy = "light the table, clean the lens, see that the look poses show all of it from within the camera's range";
-            return Some(Code::DepthPoor.because(message, remedy));
+            let hint = "light the table, clean the lens, see that the look poses show all of it from within the camera's range";
+            return Some(Code::DepthPoor.because(message, hint));
         }
         if !matches!(self.model.foreign, ForeignRule::Refuse { .. }) {
             return None;
@@ -168,8 +168,8 @@ impl Supervisor {
         };
         let message =
             format!("{largest} belongs to nothing the cell knows{more}{}", perhaps(&observation.missing));
-        let remedy = "take it away, or put the object back with its marker up, then submit again";
-        Some(Code::ForeignObject.because(message, remedy))
+        let hint = "take it away, or put the object back with its marker up, then submit again";
+        Some(Code::ForeignObject.because(message, hint))
     }
 
     /// Says once that a look, although within its limits, comes near to those of drift: a calibration that

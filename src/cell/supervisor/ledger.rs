@@ -18,7 +18,7 @@ pub(crate) const SILENT_AFTER: Duration = Duration::from_secs(15);
 pub(crate) struct Ledger {
     last: u64,
     open: VecDeque<(u64, Timestamp)>,
-    told: bool,
+    reported: bool,
 }
 
 /// What is to be said of the disk.
@@ -57,8 +57,8 @@ impl Ledger {
             return Disk::Silent;
         }
         let slow = waits >= SLOW_AFTER;
-        let news = slow && !self.told;
-        self.told = slow;
+        let news = slow && !self.reported;
+        self.reported = slow;
         if news { Disk::Slow } else { Disk::Fine }
     }
 }

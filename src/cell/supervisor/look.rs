@@ -7,7 +7,7 @@ use crate::cell::code::Code;
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::{Supervisor, alarm, say};
 use crate::cell::supervisor::gates;
-use crate::cell::supervisor::input::{Action, CameraTrouble, Outside, PlanAnswer, PlanRequest};
+use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot, PlanAnswer, PlanRequest};
 use crate::cell::supervisor::judge::foreign_height;
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::{ApprovalRule, JobEnd};
@@ -43,7 +43,7 @@ impl Supervisor {
     pub(crate) fn begin_look(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
+        outside: &DeviceSnapshot,
         view: usize,
         out: &mut Vec<Action>,
     ) {
@@ -56,7 +56,7 @@ impl Supervisor {
         match self.transfer_to(&robot.q, target) {
             Ok(path) => {
                 out.push(Action::Robot(RobotCommand::Stream(path)));
-                let look = Look { view, stage: LookStage::Moving, views, trouble: None, void: false };
+                let look = Look { view, stage: LookStage::Moving, views, fault: None, void: false };
                 self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
             }
             Err(fault) => self.no_way_to_look(now, view, &fault.to_string(), out),
@@ -78,8 +78,8 @@ impl Supervisor {
                         cannot tell";
             Code::ForeignObject.because(what, "take it away, then `celld arm`")
         } else {
-            let remedy = "move the arm free by hand or teach the look poses again, then arm";
-            Code::Unreachable.because(message, remedy)
+            let hint = "move the arm free by hand or teach the look poses again, then arm";
+            Code::Unreachable.because(message, hint)
         };
         alarm(out, format!("{}; disarmed", reason.message));
         self.finish(now, JobEnd::Failed, reason, out);
@@ -125,7 +125,7 @@ impl Supervisor {
         Ok(Leg { segment, floor: here.translation.vector.z - 1e-3 })
     }
 
-    pub(crate) fn begin_park(&mut self, outside: &Outside, out: &mut Vec<Action>) {
+    pub(crate) fn begin_park(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Some(robot) = outside.robot else { return };
         match self.transfer_to(&robot.q, self.model.park) {
             Ok(path) => {
@@ -146,7 +146,7 @@ impl Supervisor {
     }
 
     /// While settling: asks for frames once the arm has stood still long enough.
-    pub(crate) fn watch_settling(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    pub(crate) fn watch_settling(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Phase::Look(Look { stage: LookStage::Settling { still_since }, .. }) = &mut self.phase else {
             return;
         };
@@ -168,8 +168,8 @@ impl Supervisor {
     pub(crate) fn on_captured(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
-        result: Result<Vec<View>, CameraTrouble>,
+        outside: &DeviceSnapshot,
+        result: Result<Vec<View>, CameraFault>,
         out: &mut Vec<Action>,
     ) {
         let Phase::Look(look) = &mut self.phase else { return };
@@ -177,7 +177,7 @@ impl Supervisor {
         let moved = outside.robot.is_none_or(|robot| robot.q.max_difference(q) > SAME_PLACE_RAD);
         match result {
             Ok(views) if !moved => {
-                if look.trouble.take().is_some() {
+                if look.fault.take().is_some() {
                     say(out, "the camera gives pictures again");
                 }
                 look.views.extend(views);
@@ -187,7 +187,7 @@ impl Supervisor {
                 look.stage = LookStage::Settling { still_since: None };
                 return;
             }
-            Err(trouble) => return self.no_picture(now, trouble, out),
+            Err(fault) => return self.no_picture(now, fault, out),
         }
         let next = look.view + 1;
         if next < self.model.look_poses.len() {
@@ -205,32 +205,29 @@ impl Supervisor {
 
     /// The arm stands and waits for the camera; the look's deadline decides when this has gone on for too
     /// long.
-    fn no_picture(&mut self, now: Timestamp, trouble: CameraTrouble, out: &mut Vec<Action>) {
+    fn no_picture(&mut self, now: Timestamp, fault: CameraFault, out: &mut Vec<Action>) {
         if self.job.as_ref().is_some_and(|job| job.cancel) {
             // Nobody waits for this picture any more.
             self.phase = Phase::Ready;
             return;
         }
-        if trouble.lasting {
-            return self.give_up_looking(now, &trouble, out);
+        if fault.lasting {
+            return self.give_up_looking(now, &fault, out);
         }
         let Phase::Look(look) = &mut self.phase else { return };
         look.stage = LookStage::Settling { still_since: None };
-        if look.trouble.as_ref().is_none_or(|before| before.code != trouble.code) {
-            alarm(
-                out,
-                format!("waiting for the camera ({}): {}; {}", trouble.code, trouble.message, trouble.remedy),
-            );
+        if look.fault.as_ref().is_none_or(|before| before.code != fault.code) {
+            alarm(out, format!("waiting for the camera ({}): {}; {}", fault.code, fault.message, fault.hint));
         }
-        look.trouble = Some(trouble);
+        look.fault = Some(fault);
     }
 
     /// Ends the job for want of a picture. The arm stands, nothing hangs on it and nothing was stopped, so
     /// the cell stays armed: the next job looks again.
-    pub(crate) fn give_up_looking(&mut self, now: Timestamp, trouble: &CameraTrouble, out: &mut Vec<Action>) {
+    pub(crate) fn give_up_looking(&mut self, now: Timestamp, fault: &CameraFault, out: &mut Vec<Action>) {
         self.phase = Phase::Ready;
         self.seen = None;
-        let reason = trouble.code.because(trouble.message.clone(), trouble.remedy);
+        let reason = fault.code.because(fault.message.clone(), fault.hint);
         self.finish(now, JobEnd::Failed, reason, out);
     }
 
@@ -247,17 +244,17 @@ impl Supervisor {
         let observation = match result {
             Ok(observation) => *observation,
             Err(reason) => {
-                let remedy = "check the camera's calibration and the markers in the configuration";
-                self.finish(now, JobEnd::Failed, Code::Observation.because(reason, remedy), out);
+                let hint = "check the camera's calibration and the markers in the configuration";
+                self.finish(now, JobEnd::Failed, Code::Observation.because(reason, hint), out);
                 return;
             }
         };
-        let trouble = self.judge(&observation);
+        let fault = self.judge(&observation);
         if let Some(height) = foreign_height(&self.model, &observation) {
             self.foreign_height = height;
         }
         self.tell_obstacles(&observation, out);
-        if trouble.is_none() {
+        if fault.is_none() {
             self.tell_drift(&observation, out);
         }
         let Some(job) = &mut self.job else { return };
@@ -265,7 +262,7 @@ impl Supervisor {
             job.last_seen.retain(|(id, _)| *id != object.id);
             job.last_seen.push((object.id.clone(), object.pose));
         }
-        match trouble {
+        match fault {
             None => {
                 job.look_failures = 0;
                 if !std::mem::replace(&mut job.absent_told, true) && !observation.missing.is_empty() {
@@ -286,7 +283,12 @@ impl Supervisor {
     }
 
     /// The table is known: done, go on with the route, or plan.
-    pub(crate) fn compare_and_continue(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    pub(crate) fn compare_and_continue(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        out: &mut Vec<Action>,
+    ) {
         let (Some(job), Some(seen)) = (&self.job, &self.seen) else { return };
         let there = |(id, goal): &(String, Pose2)| {
             seen.objects.iter().any(|object| object.id == *id && self.model.at_goal(&object.pose, goal))
@@ -300,7 +302,7 @@ impl Supervisor {
                 if let Some(job) = &mut self.job {
                     job.route = Some(route);
                 }
-                self.begin_work(now, outside, out);
+                self.begin_pick_n_place(now, outside, out);
             }
             None => self.request_plan(now, out),
         }
@@ -382,8 +384,8 @@ impl Supervisor {
         let (Some(job), Some(seen)) = (&self.job, &self.seen) else { return };
         if job.replans > 0 && job.replans > self.model.tolerances.retries + job.moves as u32 {
             let message = format!("the table disagreed with the plan {} times", job.replans);
-            let remedy = "see that nothing else moves the objects, then submit again";
-            self.finish(now, JobEnd::Failed, Code::TableDisturbed.because(message, remedy), out);
+            let hint = "see that nothing else moves the objects, then submit again";
+            self.finish(now, JobEnd::Failed, Code::TableDisturbed.because(message, hint), out);
             return;
         }
         let instance = self.instance(job, seen, self.model.clearance);
@@ -461,8 +463,8 @@ impl Supervisor {
                 Code::SolverUnfit.because(cause.clone(), "choose another solver or objective in the job")
             }
             PlanAnswer::Timeout | PlanAnswer::Found { .. } => {
-                let remedy = "give the job a longer time_limit_s, or clear the table a little";
-                Code::NoPlan.because("no plan was found in time", remedy)
+                let hint = "give the job a longer time_limit_s, or clear the table a little";
+                Code::NoPlan.because("no plan was found in time", hint)
             }
         };
         self.finish(now, JobEnd::Failed, reason, out);

@@ -4,11 +4,12 @@
 //! and what it asks for. `mode`: whether and how the cell may move. `ledger`: records on their way to the
 //! disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve, pick,
 //! verify, place, look again; `bring_up`, `look`, `judge`, `work`, `visits`, `operator`, `standing` and
-//! `trouble` hold its parts. No clock, no socket: time and the devices' last word come in with every call, so
+//! `faults` hold its parts. No clock, no socket: time and the devices' last word come in with every call, so
 //! that every stop, fault and late answer can be played through in a test.
 
 mod bring_up;
 pub mod cell;
+mod faults;
 pub mod gates;
 pub mod input;
 mod judge;
@@ -22,7 +23,6 @@ pub(crate) mod phase;
 pub mod round;
 mod standing;
 pub mod status;
-mod trouble;
 mod visits;
 mod work;
 

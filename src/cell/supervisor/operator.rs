@@ -8,7 +8,7 @@ use crate::cell::device::gripper::{Channels, GripperCommand, GripperEvent};
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::cell::{Supervisor, say};
 use crate::cell::supervisor::gates::motion_speed;
-use crate::cell::supervisor::input::{Action, Outside};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::mode::{Mode, Pace};
 use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{Phase, Then, WorkStage};
@@ -19,7 +19,7 @@ impl Supervisor {
     pub(crate) fn take_order(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
+        outside: &DeviceSnapshot,
         number: u64,
         order: &Order,
         out: &mut Vec<Action>,
@@ -77,7 +77,7 @@ impl Supervisor {
     }
 
     /// What a person has ordered for safe access and that is not over yet.
-    pub(crate) fn under_way(&self, outside: &Outside) -> Option<&'static str> {
+    pub(crate) fn under_way(&self, outside: &DeviceSnapshot) -> Option<&'static str> {
         if self.stopping(outside) {
             Some("a stop is under way, and the arm is not known to stand yet")
         } else if !self.release_orders.is_empty() {
@@ -87,7 +87,7 @@ impl Supervisor {
         }
     }
 
-    fn on_arm(&mut self, outside: &Outside, out: &mut Vec<Action>) -> Option<Reply> {
+    fn on_arm(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) -> Option<Reply> {
         if self.mode.armed() {
             return Some(Reply::accept("armed already"));
         }
@@ -115,7 +115,7 @@ impl Supervisor {
     /// A pick-n-place under way is finished, then nothing moves; whoever disarms may put hands on the table.
     /// What is held in the middle of a motion does not go on by itself later: it is stopped. So is a robot
     /// that is being started: power, brakes and program would come after the answer.
-    fn on_disarm(&mut self, now: Timestamp, outside: &Outside, number: u64, out: &mut Vec<Action>) {
+    fn on_disarm(&mut self, now: Timestamp, outside: &DeviceSnapshot, number: u64, out: &mut Vec<Action>) {
         let held = self.moving() && motion_speed(outside) == 0.0;
         if held || self.round.is_some() {
             let what = if held { "while the arm was held" } else { "in a calibration round" };
@@ -237,7 +237,7 @@ impl Supervisor {
     fn on_release_order(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
+        outside: &DeviceSnapshot,
         number: u64,
         channels: Channels,
         out: &mut Vec<Action>,

@@ -77,7 +77,7 @@ pub struct JobReport {
     /// One sentence.
     pub message: String,
     /// What the operator can do about it; empty when nothing is needed.
-    pub remedy: String,
+    pub hint: String,
     /// Pick-n-places carried out.
     pub moves: usize,
     /// Lower bound of the first plan, in the job's objective.

@@ -3,7 +3,7 @@
 //! Plain data; the transitions are in the modules named after the phases.
 
 use crate::cell::device::gripper::Channels;
-use crate::cell::supervisor::input::CameraTrouble;
+use crate::cell::supervisor::input::CameraFault;
 use crate::cell::supervisor::order::JobOrder;
 use crate::motion::pick_n_place::PickNPlacePaths;
 use cell_values::time::Timestamp;
@@ -47,7 +47,7 @@ pub(crate) struct Look {
     pub stage: LookStage,
     pub views: Vec<View>,
     /// Why there is no picture from here yet.
-    pub trouble: Option<CameraTrouble>,
+    pub fault: Option<CameraFault>,
     /// The cell was disarmed on the way: what was seen before proves nothing.
     pub void: bool,
 }

@@ -8,7 +8,7 @@
 use crate::cell::device::robot_types::RobotState;
 use crate::cell::orders::Reply;
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::input::{Action, Outside};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::phase::{Then, UntilItStands};
 use cell_values::time::{Duration, Timestamp};
 use ur_wire::enumerations::RuntimeState;
@@ -27,7 +27,7 @@ impl Supervisor {
     pub(crate) fn watch_standing(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
+        outside: &DeviceSnapshot,
         order: Option<u64>,
         out: &mut Vec<Action>,
     ) {
@@ -63,7 +63,7 @@ impl Supervisor {
 
     /// The arm has come to rest, and nothing that celld has ordered moves it on: a stop has been confirmed,
     /// or no program is there any more.
-    pub(crate) fn arm_stands(&self, outside: &Outside) -> bool {
+    pub(crate) fn arm_stands(&self, outside: &DeviceSnapshot) -> bool {
         let fresh = outside.robot.filter(|_| outside.robot_fresh);
         fresh.is_some_and(|robot| {
             robot.stands_still()
@@ -73,12 +73,12 @@ impl Supervisor {
     }
 
     /// A stop was ordered and is not confirmed.
-    pub(crate) fn stopping(&self, outside: &Outside) -> bool {
+    pub(crate) fn stopping(&self, outside: &DeviceSnapshot) -> bool {
         !self.until_it_stands.is_empty() || !self.stands || !outside.arm_settled
     }
 
     /// The daemon ends: who still waits for an answer gets what is known.
-    pub(crate) fn answer_at_the_end(&mut self, outside: &Outside, out: &mut Vec<Action>) {
+    pub(crate) fn answer_at_the_end(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let stands = self.arm_stands(outside);
         let fresh = outside.robot.filter(|_| outside.robot_fresh);
         for waits in std::mem::take(&mut self.until_it_stands) {

@@ -4,7 +4,7 @@
 
 use crate::cell::code::Code;
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::gates::Closed;
+use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::phase::Phase;
 use crate::cell::supervisor::round::Round;
 
@@ -14,7 +14,7 @@ pub enum Doing {
     /// No job.
     Idle,
     /// A gate is closed.
-    Waiting(Closed),
+    Waiting(GateClosed),
     /// A pause is in force.
     Paused,
     /// The last record of a job or a step is being written.
@@ -104,8 +104,8 @@ impl Supervisor {
             },
             Phase::BringUp(_) => Doing::StartingRobot,
             Phase::Look(look) => {
-                let trouble = look.trouble.as_ref().map(|trouble| trouble.code);
-                Doing::Looking(look.view + 1, self.model.look_poses.len(), trouble)
+                let fault = look.fault.as_ref().map(|fault| fault.code);
+                Doing::Looking(look.view + 1, self.model.look_poses.len(), fault)
             }
             Phase::Plan => Doing::Planning,
             Phase::Approve => Doing::AwaitingApproval,

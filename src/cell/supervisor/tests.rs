@@ -7,7 +7,7 @@ use crate::cell::device::registers::ProgramStatus;
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent, RobotState};
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::input::{Action, Input, Outside, PlanAnswer, Record};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, PlanAnswer, Record};
 use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
@@ -213,7 +213,7 @@ impl Bench {
 
     fn feed_once(&mut self, input: Input) -> Vec<Action> {
         self.now += Duration::from_millis(20);
-        let outside = Outside {
+        let outside = DeviceSnapshot {
             robot: Some(&self.robot),
             robot_fresh: !self.silent,
             program_settled: true,
@@ -503,19 +503,19 @@ fn a_camera_that_was_lifted_shifted_or_turned_at_one_look_pose_stops_the_job() {
 fn a_look_near_its_limits_is_worked_on_and_told_of_once() {
     let mut bench = Bench::new();
     let limit = bench.cell.model().tolerances.reference.shift_m;
-    let told = |all: &[Action]| {
+    let reported = |all: &[Action]| {
         let says = |action: &&Action| matches!(action, Action::Say(notice) if notice.text.contains("of what is allowed"));
         all.iter().filter(says).count()
     };
     bench.job(false);
     bench.reference.looks[0].shift_m = [0.4 * limit, 0.0];
     let all = bench.until_planning();
-    assert_eq!(told(&all), 0, "{all:?}");
+    assert_eq!(reported(&all), 0, "{all:?}");
     let mut bench = Bench::new();
     bench.job(false);
     bench.reference.looks[0].shift_m = [0.6 * limit, 0.0];
     let all = bench.until_planning();
-    assert!(told(&all) == 1 && all.iter().any(|action| matches!(action, Action::Plan(_))), "{all:?}");
+    assert!(reported(&all) == 1 && all.iter().any(|action| matches!(action, Action::Plan(_))), "{all:?}");
 }
 
 #[test]

@@ -7,7 +7,7 @@
 
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::input::{Action, CameraTrouble, Outside};
+use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::phase::{Phase, Visit};
 use crate::cell::supervisor::round::{Round, RoundFault, RoundOrder};
 use crate::motion::slow::slow_move;
@@ -29,7 +29,7 @@ impl Supervisor {
     pub(crate) fn on_round(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
+        outside: &DeviceSnapshot,
         order: RoundOrder,
         out: &mut Vec<Action>,
     ) {
@@ -43,7 +43,7 @@ impl Supervisor {
     }
 
     /// Sends the arm to the next pose; after the last one the round is over.
-    pub(crate) fn begin_visit(&mut self, outside: &Outside, out: &mut Vec<Action>) {
+    pub(crate) fn begin_visit(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let (Some(round), Some(robot)) = (&self.round, outside.robot) else { return };
         let Some(target) = round.order.poses.get(round.at).copied() else {
             return self.end_round(Ok(()), out);
@@ -58,7 +58,7 @@ impl Supervisor {
     }
 
     /// While settling: asks for the picture once the arm has stood still long enough.
-    pub(crate) fn watch_visit(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    pub(crate) fn watch_visit(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Phase::Visit(Visit::Settling { still_since }) = &mut self.phase else { return };
         let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
         if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
@@ -74,14 +74,14 @@ impl Supervisor {
         }
     }
 
-    pub(crate) fn on_pictured(&mut self, result: Result<(), CameraTrouble>, out: &mut Vec<Action>) {
+    pub(crate) fn on_pictured(&mut self, result: Result<(), CameraFault>, out: &mut Vec<Action>) {
         if !matches!(self.phase, Phase::Visit(Visit::Picturing)) {
             return;
         }
         self.phase = Phase::Ready;
         match (result, &mut self.round) {
             (Ok(()), Some(round)) => round.at += 1,
-            (Err(trouble), _) => self.end_round(Err(RoundFault::Camera(trouble.message)), out),
+            (Err(fault), _) => self.end_round(Err(RoundFault::Camera(fault.message)), out),
             (Ok(()), None) => {}
         }
     }

@@ -5,7 +5,7 @@ use crate::cell::device::gripper::{GripperCommand, GripperEvent};
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::{Supervisor, alarm, say};
 use crate::cell::supervisor::gates;
-use crate::cell::supervisor::input::{Action, Outside, Record};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot, Record};
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{Phase, RouteAction, Work, WorkStage};
@@ -18,7 +18,12 @@ use rearrange::planning::plan::ActionKind;
 
 impl Supervisor {
     /// Starts the next pick-n-place of the route, whose first action begins where its object was just seen.
-    pub(crate) fn begin_work(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    pub(crate) fn begin_pick_n_place(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        out: &mut Vec<Action>,
+    ) {
         let (Some(job), Some(robot)) = (&self.job, outside.robot) else { return };
         let observed = self.seen.is_some();
         if let Err(closed) = gates::manipulate(self.mode.armed(), outside, self.nonce, observed, job.approved)
@@ -36,16 +41,16 @@ impl Supervisor {
         };
         if let Some(neighbour) = self.body_meets(&next, object) {
             let message = format!("the gripper's body would meet {neighbour} beside {}", next.object);
-            let remedy = "move the two apart by hand, or give the job a goal with more room";
-            let reason = Code::Unpickable.because(message, remedy).of(&next.object);
+            let hint = "move the two apart by hand, or give the job a goal with more room";
+            let reason = Code::Unpickable.because(message, hint).of(&next.object);
             return self.finish(now, JobEnd::Failed, reason, out);
         }
         let paths = match plan(&self.model.arm, &robot.q, &task, &self.cycle()) {
             Ok(paths) => paths,
             Err(fault) => {
                 let message = format!("{} cannot be moved: {fault}", next.object);
-                let remedy = "put the object or its goal nearer to the robot";
-                let reason = Code::Unreachable.because(message, remedy).of(&next.object);
+                let hint = "put the object or its goal nearer to the robot";
+                let reason = Code::Unreachable.because(message, hint).of(&next.object);
                 return self.finish(now, JobEnd::Failed, reason, out);
             }
         };
@@ -65,7 +70,7 @@ impl Supervisor {
     pub(crate) fn work_noted(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
+        outside: &DeviceSnapshot,
         number: u64,
         out: &mut Vec<Action>,
     ) {
@@ -93,7 +98,7 @@ impl Supervisor {
     }
 
     /// The intent is on disk. Writing it took time: every gate is looked at again before the arm moves.
-    fn begin_approach(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    fn begin_approach(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let approved = self.job.as_ref().is_some_and(|job| job.approved);
         let (armed, observed) = (self.mode.armed(), self.seen.is_some());
         if let Err(closed) = gates::manipulate(armed, outside, self.nonce, observed, approved) {
@@ -263,8 +268,8 @@ impl Supervisor {
             let object = object.unwrap_or_default();
             let message = format!("{object} could not be gripped in {} tries", retries + 1);
             alarm(out, message.clone());
-            let remedy = "clean cups and object, check the grip point, submit again";
-            self.finish(now, JobEnd::Failed, Code::Unpickable.because(message, remedy).of(object), out);
+            let hint = "clean cups and object, check the grip point, submit again";
+            self.finish(now, JobEnd::Failed, Code::Unpickable.because(message, hint).of(object), out);
         }
     }
 }

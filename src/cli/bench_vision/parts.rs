@@ -105,9 +105,9 @@ pub(super) fn foreign(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Optio
         colour.scenes,
         colour.ms_per_look
     );
-    let mut told = json(&report)?;
-    told["by_colour"] = json(&colour)?;
-    Ok(Some((text, told)))
+    let mut reported = json(&report)?;
+    reported["by_colour"] = json(&colour)?;
+    Ok(Some((text, reported)))
 }
 
 /// How exact the camera's mount is.

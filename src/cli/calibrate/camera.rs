@@ -136,8 +136,8 @@ fn places(args: &CameraArgs) -> Result<Places, Fault> {
     }
     let mut camera = open_camera(&config, None).map_err(bad_input)?;
     let own = camera.serial().map_err(|error| Fault { message: chain(&error), code: 1 })?;
-    if let Some(told) = args.serial.as_ref().filter(|told| **told != own) {
-        return Err(bad_input(format!("--serial {told}, but the camera is {own}; leave --serial out")));
+    if let Some(reported) = args.serial.as_ref().filter(|reported| **reported != own) {
+        return Err(bad_input(format!("--serial {reported}, but the camera is {own}; leave --serial out")));
     }
     complain("hold the board still before the camera and press Enter for each picture; Ctrl-D ends early");
     let mut ready = || std::io::stdin().read_line(&mut String::new()).is_ok_and(|bytes| bytes > 0);

@@ -62,15 +62,15 @@ fn tell(solved: &Solved) {
         report("board on the hand", board);
     }
     report("reference markers", &solved.table);
-    let told = |translation_m: f64, rotation_rad: f64| {
+    let reported = |translation_m: f64, rotation_rad: f64| {
         format!("within {:.2} mm, {:.3} degrees", mm_from_m(translation_m), rotation_rad.to_degrees())
     };
     let (camera, table) = (&solved.hand_eye.std, &solved.table.base_from_table_std);
     complain(&format!(
         "camera ({}) known {}; table {} (standard deviations)",
         solved.hand_eye.mount.word(),
-        told(camera.translation_m, camera.rotation_rad),
-        told(table.translation_m, table.rotation_rad)
+        reported(camera.translation_m, camera.rotation_rad),
+        reported(table.translation_m, table.rotation_rad)
     ));
 }
 

@@ -44,7 +44,7 @@ pub(super) fn take(
                 FaultKind::Ended => break,
                 FaultKind::Misfit => return Err(Fault { message: chain(&error), code: 1 }),
                 kind => {
-                    complain(&format!("  {}; {}", chain(&error), kind.remedy()));
+                    complain(&format!("  {}; {}", chain(&error), kind.hint()));
                     continue;
                 }
             },
@@ -81,7 +81,7 @@ mod tests {
     use crate::bench::vision::render::Lens;
     use crate::bench::vision::scene::bench_camera;
     use crate::io::camera::folder::FolderCamera;
-    use crate::io::camera::supervised::Supervised;
+    use crate::io::camera::monitored::MonitoredCamera;
     use cell_values::image::Image;
     use cell_values::image::quality::PictureLimits;
     use rand::SeedableRng;
@@ -102,7 +102,7 @@ mod tests {
                 .unwrap();
         }
         let source = FolderCamera::open(shown.path(), None).unwrap();
-        let mut camera = Supervised::new(Box::new(source), PictureLimits::STANDARD);
+        let mut camera = MonitoredCamera::new(Box::new(source), PictureLimits::STANDARD);
         let mut asked = 0;
         let mut ready = || {
             asked += 1;
@@ -113,7 +113,7 @@ mod tests {
         assert!(kept("01.png") == first && kept("02.png") == second && !save.path().join("03.png").exists());
         assert_eq!(asked, 5, "the fifth finds the recording at its end");
         let source = FolderCamera::open(shown.path(), None).unwrap();
-        let mut camera = Supervised::new(Box::new(source), PictureLimits::STANDARD);
+        let mut camera = MonitoredCamera::new(Box::new(source), PictureLimits::STANDARD);
         let none = tempfile::tempdir().unwrap();
         take(&mut camera, &bench_board(), none.path(), 3, &mut || false).unwrap();
         assert_eq!(std::fs::read_dir(none.path()).unwrap().count(), 0, "nobody pressed Enter");

@@ -50,15 +50,15 @@ fn a_folder_of_board_pictures_becomes_a_lens_file() {
     assert!((found.model.fx / 650.0 - 1.0).abs() < 2e-3, "{text}");
     assert!(found.reprojection_px.unwrap() < 0.3 && found.source.contains("7x5"));
     // Another board: its markers are not there.
-    let told = calibrate(&CameraArgs { first_id: 300, ..args.clone() }).unwrap_err();
-    assert!(told.code == 1 && told.message.contains("--first-id"), "{told:?}");
-    let told = calibrate(&CameraArgs { drop: vec!["99.png".into()], ..args.clone() }).unwrap_err();
-    assert!(told.code == 2 && told.message.contains("--drop 99.png"), "{told:?}");
+    let reported = calibrate(&CameraArgs { first_id: 300, ..args.clone() }).unwrap_err();
+    assert!(reported.code == 1 && reported.message.contains("--first-id"), "{reported:?}");
+    let reported = calibrate(&CameraArgs { drop: vec!["99.png".into()], ..args.clone() }).unwrap_err();
+    assert!(reported.code == 2 && reported.message.contains("--drop 99.png"), "{reported:?}");
     // A picture cut short, and one of another size.
     let bytes = std::fs::read(folder.path().join("05.png")).unwrap();
     std::fs::write(folder.path().join("05.png"), &bytes[..bytes.len() / 2]).unwrap();
-    let told = calibrate(&args).unwrap_err();
-    assert!(told.code == 2 && told.message.contains("05.png"), "{told:?}");
+    let reported = calibrate(&args).unwrap_err();
+    assert!(reported.code == 2 && reported.message.contains("05.png"), "{reported:?}");
     let other = cell_values::image::Image::filled(640, 480, [9; 3]).encode_png().unwrap();
     std::fs::write(folder.path().join("05.png"), other).unwrap();
     assert!(calibrate(&args).unwrap_err().message.contains("640 x 480"));
@@ -154,24 +154,24 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
     solve(&args, Wanted::Table).unwrap();
     let kept = read_calibration(&config).unwrap();
     assert_eq!(kept.hand_eye, found.hand_eye, "the mount is kept");
-    let told = |args: &RoundArgs| solve(args, Wanted::MountAndTable).unwrap_err();
-    assert!(told(&RoundArgs { drop: vec![40], ..args.clone() }).message.contains("samples 1 to 10"));
-    let few = told(&RoundArgs { drop: (1..=8).collect(), ..args.clone() });
+    let reported = |args: &RoundArgs| solve(args, Wanted::MountAndTable).unwrap_err();
+    assert!(reported(&RoundArgs { drop: vec![40], ..args.clone() }).message.contains("samples 1 to 10"));
+    let few = reported(&RoundArgs { drop: (1..=8).collect(), ..args.clone() });
     assert!(few.code == 1 && few.message.contains("only 2 of 10 samples"), "{few:?}");
     let gone = RoundArgs { from: Some(folder.path().join("gone")), ..args.clone() };
-    assert!(told(&gone).message.contains("--record"));
+    assert!(reported(&gone).message.contains("--record"));
     std::fs::remove_file(&config.calibration.hand_eye).unwrap();
     assert!(solve(&args, Wanted::Table).unwrap_err().message.contains("calibrate hand-eye"));
     // Intrinsics of another camera beside the pictures.
     let lens = std::fs::read_to_string(round.join("camera.yaml")).unwrap();
     std::fs::write(round.join("camera.yaml"), replace_once(&lens, "serial: sim-d405", "serial: other"))
         .unwrap();
-    assert!(told(&args).message.contains("recorded with camera sim-d405"));
+    assert!(reported(&args).message.contains("recorded with camera sim-d405"));
     // And of another size.
     let small = replace_once(&lens, "width: 1280", "width: 1290");
     std::fs::write(round.join("camera.yaml"), small).unwrap();
     std::fs::remove_file(&config.calibration.camera).unwrap();
-    assert!(told(&args).message.contains("01.png: the picture is 1280 x 720"));
+    assert!(reported(&args).message.contains("01.png: the picture is 1280 x 720"));
 }
 
 /// A round before a camera that stands over the example cell's table: the hand carries the board through its
@@ -249,8 +249,8 @@ fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
     let solve = |args: &RoundArgs, wanted| {
         recorded(&config, args).and_then(|taken| finish(&config, taken, args, wanted))
     };
-    let told = solve(&args_of(&round, vec![]), Wanted::Table).unwrap_err();
-    assert!(told.message.contains("made with `mount: flange`"), "{told:?}");
+    let reported = solve(&args_of(&round, vec![]), Wanted::Table).unwrap_err();
+    assert!(reported.message.contains("made with `mount: flange`"), "{reported:?}");
     solve(&args_of(&round, vec![3]), Wanted::MountAndTable).unwrap();
     let found = read_calibration(&config).unwrap();
     let text = std::fs::read_to_string(&config.calibration.hand_eye).unwrap();
@@ -269,10 +269,10 @@ fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
     if let CameraMount::Fixed { board, .. } = &mut config.camera {
         board.first_id = 200;
     }
-    let told = recorded(&config, &args_of(&round, vec![]))
+    let reported = recorded(&config, &args_of(&round, vec![]))
         .and_then(|taken| finish(&config, taken, &args_of(&round, vec![]), Wanted::MountAndTable))
         .unwrap_err();
-    assert!(told.code == 1 && told.message.contains("show the board on the hand"), "{told:?}");
+    assert!(reported.code == 1 && reported.message.contains("show the board on the hand"), "{reported:?}");
 }
 
 #[test]
@@ -310,14 +310,15 @@ fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
         recorded(&config, args).and_then(|taken| finish(&config, taken, args, Wanted::MountAndTable))
     };
     let before = std::fs::read_to_string(&config.calibration.table).unwrap();
-    let told = solve(&args).unwrap_err();
-    assert!(told.code == 1 && told.message.contains("touch 5 by"), "{told:?}");
+    let reported = solve(&args).unwrap_err();
+    assert!(reported.code == 1 && reported.message.contains("touch 5 by"), "{reported:?}");
     args.tie.drop_touch = vec![5];
-    let told = solve(&RoundArgs { tie: touch::TieArgs { tie_mm: 1e-3, ..args.tie.clone() }, ..args.clone() });
-    assert!(told.unwrap_err().message.contains("touch and camera disagree"));
-    let told =
+    let reported =
+        solve(&RoundArgs { tie: touch::TieArgs { tie_mm: 1e-3, ..args.tie.clone() }, ..args.clone() });
+    assert!(reported.unwrap_err().message.contains("touch and camera disagree"));
+    let reported =
         solve(&RoundArgs { tie: touch::TieArgs { drop_touch: vec![6], ..args.tie.clone() }, ..args.clone() });
-    assert!(told.unwrap_err().message.contains("touches 1 to 5"));
+    assert!(reported.unwrap_err().message.contains("touches 1 to 5"));
     assert_eq!(std::fs::read_to_string(&config.calibration.table).unwrap(), before, "nothing was written");
     solve(&args).unwrap();
     let found = read_calibration(&config).unwrap();
@@ -380,8 +381,8 @@ fn touches_that_cannot_place_the_table_are_told_before_anything_moves() {
     for (touched, dropped, code, words) in UNFIT_TOUCHES {
         std::fs::write(&path, touches_of(&config, &provenance, touched)).unwrap();
         let tie = tie_to(&path, dropped);
-        let told = tie.fitted(&config).unwrap_err();
-        assert!(told.code == code && told.message.contains(words), "{told:?}");
+        let reported = tie.fitted(&config).unwrap_err();
+        assert!(reported.code == code && reported.message.contains(words), "{reported:?}");
         let args = RoundArgs { config: file.clone(), from: None, record: None, drop: vec![], tie };
         assert_eq!(round(&args, Wanted::Table, None, Arc::default()), code, "{words}");
     }
@@ -423,6 +424,6 @@ fn a_broken_lens_file_is_refused_and_not_written_over() {
     let own = read_camera(&config.calibration.camera).unwrap();
     assert!(lens(&config, own.clone()).is_ok());
     std::fs::write(&config.calibration.camera, "serial: [").unwrap();
-    let told = lens(&config, own).unwrap_err();
-    assert!(told.contains("camera.yaml:"), "{told}");
+    let reported = lens(&config, own).unwrap_err();
+    assert!(reported.contains("camera.yaml:"), "{reported}");
 }

@@ -8,7 +8,9 @@
 use crate::calibration::files::hand_eye::Provenance;
 use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
 use crate::calibration::fit::HandEye;
-use crate::calibration::fit::touch::{Tie, TieLimits, TouchFit, TouchSettings, fit_touches, tie};
+use crate::calibration::fit::touch::{
+    Registration, RegistrationLimits, TouchFit, TouchSettings, fit_touches, tie,
+};
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::daemon::{open_shell, with_runtime};
 use crate::config::cell::CellConfig;
@@ -63,7 +65,7 @@ pub struct Tip([f64; 3]);
 /// Tying the table to touches.
 #[derive(Args, Clone, Debug)]
 pub struct TieArgs {
-    /// Tie the table to these touches (`celld calibrate touches`).
+    /// Registration the table to these touches (`celld calibrate touches`).
     #[arg(long, value_name = "FILE")]
     pub(super) touches: Option<PathBuf>,
     /// Leave these touches out, by their numbers: 2,5
@@ -146,12 +148,12 @@ async fn record(config: &CellConfig, args: &TouchArgs, stop: Arc<AtomicBool>) ->
         touches: Vec::with_capacity(args.points.len()),
     };
     for (index, target) in args.points.iter().enumerate() {
-        let told = format!(
+        let reported = format!(
             "touch {}/{}: bring the tip onto {target}, let go, press Enter",
             index + 1,
             args.points.len()
         );
-        let base_from_flange = read_pose(&mut shell, &arm.dh, &told, &stopped).await?;
+        let base_from_flange = read_pose(&mut shell, &arm.dh, &reported, &stopped).await?;
         let at = base_from_flange * Point3::from(tip);
         complain(&format!("  tip at {:.4}, {:.4}, {:.4} m (base)", at.x, at.y, at.z));
         touches.touches.push(RecordedTouch { target: *target, place: Place::Flange(base_from_flange) });
@@ -179,10 +181,10 @@ async fn read_pose(
     loop {
         complain(prompt);
         // A thread of its own and not the runtime's, which would wait for the line at Ctrl-C.
-        let (tell, mut told) = tokio::sync::oneshot::channel();
+        let (tell, mut reported) = tokio::sync::oneshot::channel();
         std::thread::spawn(move || tell.send(enter()));
         let pressed = loop {
-            match told.try_recv() {
+            match reported.try_recv() {
                 Ok(pressed) => break pressed,
                 Err(TryRecvError::Closed) => break false,
                 Err(TryRecvError::Empty) => {
@@ -281,12 +283,12 @@ pub(super) fn tied(
     args: &TieArgs,
     taken: &Provenance,
     camera: &HandEye,
-) -> Result<Option<(TouchFit, Tie)>, Fault> {
+) -> Result<Option<(TouchFit, Registration)>, Fault> {
     let Some(fitted) = args.fitted(config)? else { return Ok(None) };
     fitted.check_robot(taken)?;
     let Fitted { name, touches, used, fit } = fitted;
     report(&touches, &used, &fit);
-    let limits = TieLimits { shift_m: args.tie_mm / 1e3, turn_rad: rad_from_deg(args.tie_deg) };
+    let limits = RegistrationLimits { shift_m: args.tie_mm / 1e3, turn_rad: rad_from_deg(args.tie_deg) };
     let middle = Point3::new(config.workspace.width_m / 2.0, config.workspace.height_m / 2.0, 0.0);
     let by_camera = (&camera.base_from_table, &camera.base_from_table_covariance);
     let tie = tie(by_camera, &fit, &middle, &limits)

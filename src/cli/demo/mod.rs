@@ -275,8 +275,11 @@ mod tests {
             std::fs::write(&path, task(id)).unwrap();
             prepare(&args(&[&format!("--instance={}", path.display())]).unwrap())
         };
-        let told = prepared(505).unwrap_err();
-        assert!(told.contains("object `mug` carries marker 505") && told.contains("500 to 511"), "{told}");
+        let reported = prepared(505).unwrap_err();
+        assert!(
+            reported.contains("object `mug` carries marker 505") && reported.contains("500 to 511"),
+            "{reported}"
+        );
         assert!(prepared(7).unwrap().is_some());
     }
 }

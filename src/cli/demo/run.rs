@@ -23,9 +23,9 @@ use crate::daemon::keeper::objective_of;
 use crate::daemon::shell::Shell;
 use crate::daemon::sockets::Addresses;
 use crate::daemon::store::{Keeper, NoOrders};
-use crate::daemon::workers::{Eyes, Sight};
+use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::io::camera::CameraSource;
-use crate::io::camera::supervised::Supervised;
+use crate::io::camera::monitored::MonitoredCamera;
 use crate::perception::Perception;
 use cell_edge::clock::Clock;
 use cell_values::time::{Duration, Timestamp};
@@ -133,7 +133,7 @@ async fn with_sim(
     let scene = scene(config, &measured).map_err(|error| chain(&error))?;
     let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
     let sight = Sight::Cell(Box::new(perception));
-    shell.see_with(Eyes { camera: Box::new(camera), sight, doubts: None });
+    shell.see_with(PerceptionSetup { camera: Box::new(camera), sight, diagnostic_images: None });
     let model = cell_model(config, &measured).map_err(|error| error.to_string())?;
     // Nothing real moves: the cell arms itself.
     shell.commission(model, true);
@@ -157,10 +157,10 @@ async fn calibrate(
     let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;
     eprintln!("calibrating the camera on the arm ({} poses)", config.calibration_poses.len());
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
-    shell.see_with(Eyes {
+    shell.see_with(PerceptionSetup {
         camera: Box::new(camera),
         sight: Sight::Markers(Box::new(detector)),
-        doubts: None,
+        diagnostic_images: None,
     });
     shell.commission(nominal_model(config, &arm, &lens), false);
     let round = RoundOrder { poses: config.calibration_poses.clone(), room: config.calibration_box };
@@ -185,7 +185,11 @@ async fn calibrate(
 }
 
 /// The simulated camera where it listens.
-fn camera_of(config: &CellConfig, sim: &RunningSim, lens: Option<CameraModel>) -> Result<Supervised, String> {
+fn camera_of(
+    config: &CellConfig,
+    sim: &RunningSim,
+    lens: Option<CameraModel>,
+) -> Result<MonitoredCamera, String> {
     let (host, port) = (sim.addresses.camera.ip().to_string(), sim.addresses.camera.port());
     let camera = CameraDevice::Simulator { host, port, depth: true };
     let devices = Devices { camera, ..config.devices.clone() };

@@ -6,7 +6,7 @@
 //! it.
 
 use crate::calibration::drawn::CameraMount;
-use crate::cli::capture::{perception, told};
+use crate::cli::capture::{perception, reported};
 use crate::cli::pictures::{read_bytes, read_camera};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
@@ -90,8 +90,8 @@ fn read_depth(path: &Path) -> Result<DepthImage, String> {
 
 impl Table {
     /// One line for each object and each thing without a marker.
-    pub fn told(&self) -> String {
-        let mut text = told(&self.seen);
+    pub fn reported(&self) -> String {
+        let mut text = reported(&self.seen);
         if let Some(report) = &self.seen.foreign {
             for object in &report.objects {
                 let _ = writeln!(text, "foreign: {object}");

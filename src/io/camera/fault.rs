@@ -53,7 +53,7 @@ impl FaultKind {
     }
 
     /// What a person can do.
-    pub fn remedy(self) -> &'static str {
+    pub fn hint(self) -> &'static str {
         match self {
             FaultKind::Unplugged => "look at the camera's cable and power",
             FaultKind::Frozen | FaultKind::Repeated | FaultKind::Broken => {

@@ -4,7 +4,7 @@
 //! numbered from 0; names sort with their numbers taken as numbers (`look_2.png` before `look_10.png`). Time
 //! is the frame number: files carry none.
 
-use crate::io::camera::watch::Watch;
+use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use cell_values::image::Image;
 use cell_vision::camera::CameraModel;
@@ -17,7 +17,7 @@ pub struct FolderCamera {
     files: Vec<PathBuf>,
     next: usize,
     lens: Option<CameraModel>,
-    watch: Watch,
+    watch: FrameValidator,
 }
 
 impl FolderCamera {
@@ -38,7 +38,7 @@ impl FolderCamera {
             return Err(CameraError::NoPictures { path: folder.to_owned() });
         }
         files.sort_by_cached_key(|path| natural(&path.to_string_lossy()));
-        Ok(FolderCamera { folder: folder.to_owned(), files, next: 0, lens, watch: Watch::default() })
+        Ok(FolderCamera { folder: folder.to_owned(), files, next: 0, lens, watch: FrameValidator::default() })
     }
 
     /// How many pictures there are.

@@ -4,7 +4,7 @@
 //! `GET /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is asked for, 16
 //! bits of 0.1 mm with a number of its own. Every request has a time limit and the answer a size limit.
 
-use crate::io::camera::watch::Watch;
+use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use cell_values::image::Image;
 use cell_values::image::depth::DepthImage;
@@ -27,7 +27,7 @@ pub struct HttpCamera {
     last_depth: Option<u64>,
     /// Connected to anew since: its count may begin again.
     depth_restarted: bool,
-    watch: Watch,
+    watch: FrameValidator,
 }
 
 /// What asks an address for bytes.
@@ -85,7 +85,7 @@ impl HttpCamera {
             wanted: true,
             last_depth: None,
             depth_restarted: false,
-            watch: Watch::default(),
+            watch: FrameValidator::default(),
         }
     }
 
@@ -289,19 +289,22 @@ pub(super) mod tests {
         camera.want_depth(true);
         let frame = camera.grab().unwrap();
         assert!((frame.depth.unwrap().at(39, 31).unwrap() - 0.4217).abs() < 1e-6);
-        let told = camera.grab().unwrap_err();
+        let reported = camera.grab().unwrap_err();
         assert!(
-            matches!(&told, CameraError::RepeatedSequence { sequence: 1, last: 1, .. }),
-            "frozen: {told}"
+            matches!(&reported, CameraError::RepeatedSequence { sequence: 1, last: 1, .. }),
+            "frozen: {reported}"
         );
-        let told = camera.grab().unwrap_err();
+        let reported = camera.grab().unwrap_err();
         assert!(
-            matches!(&told, CameraError::Picture { place, .. } if place.ends_with("/depth.png")),
-            "{told}"
+            matches!(&reported, CameraError::Picture { place, .. } if place.ends_with("/depth.png")),
+            "{reported}"
         );
         camera.reopen().unwrap();
-        let told = camera.grab().unwrap_err();
-        assert!(matches!(told, CameraError::RepeatedSequence { .. }), "frozen before and after: {told}");
+        let reported = camera.grab().unwrap_err();
+        assert!(
+            matches!(reported, CameraError::RepeatedSequence { .. }),
+            "frozen before and after: {reported}"
+        );
         assert!(camera.grab().unwrap().depth.is_some(), "it began to count again");
     }
 

@@ -7,7 +7,7 @@
 
 pub mod sdk;
 
-use crate::io::camera::watch::Watch;
+use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::{CameraError, CameraSource, Exposure, Frame};
 use cell_values::image::Image;
 use cell_values::image::depth::DepthImage;
@@ -52,7 +52,7 @@ pub struct RealSenseCamera {
     lens: Option<CameraModel>,
     sdk: Sdk,
     running: Option<Running>,
-    watch: Watch,
+    watch: FrameValidator,
     taken: u64,
 }
 
@@ -90,7 +90,7 @@ impl RealSenseCamera {
         let place = place_of(&settings);
         let sdk = Sdk::load(settings.library.as_deref())
             .map_err(|source| CameraError::RealSense { place, source })?;
-        let (running, watch) = (None, Watch::default());
+        let (running, watch) = (None, FrameValidator::default());
         let mut camera = RealSenseCamera { settings, limit, lens, sdk, running, watch, taken: 0 };
         camera.start()?;
         Ok(camera)

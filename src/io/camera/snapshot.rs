@@ -7,7 +7,7 @@
 //! first picture that differs from the one that was kept when it was asked for.
 
 use crate::io::camera::http::Client;
-use crate::io::camera::watch::{Watch, content};
+use crate::io::camera::validator::{FrameValidator, content};
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use cell_values::image::Image;
 use cell_vision::camera::CameraModel;
@@ -26,7 +26,7 @@ pub struct SnapshotCamera {
     lens: Option<CameraModel>,
     opened: Instant,
     taken: u64,
-    watch: Watch,
+    watch: FrameValidator,
 }
 
 impl SnapshotCamera {
@@ -50,7 +50,7 @@ impl SnapshotCamera {
             lens,
             opened: Instant::now(),
             taken: 0,
-            watch: Watch::default(),
+            watch: FrameValidator::default(),
         })
     }
 
@@ -66,8 +66,8 @@ impl SnapshotCamera {
         loop {
             let picture = self.picture()?;
             // One without noise tells nothing; what is wrong with its light is for others to say.
-            let told = content(&picture);
-            if told.is_none() || told != kept {
+            let reported = content(&picture);
+            if reported.is_none() || reported != kept {
                 return Ok(picture);
             }
             if asked.elapsed() >= self.renewal {
@@ -143,8 +143,8 @@ mod tests {
         assert!(second.sequence == 1 && second.time_s >= frame.time_s);
         assert!(second.image.rgb[0].abs_diff(60) < 3);
         camera.renewal = Duration::ZERO;
-        let told = camera.grab().unwrap_err();
-        assert_eq!(told.kind(), FaultKind::Repeated, "{told}");
+        let reported = camera.grab().unwrap_err();
+        assert_eq!(reported.kind(), FaultKind::Repeated, "{reported}");
         assert!(matches!(camera.grab(), Err(CameraError::Picture { .. })));
         assert!(matches!(camera.grab(), Err(CameraError::Unreachable { .. })));
         assert_eq!(camera.serial().unwrap(), "door-7");

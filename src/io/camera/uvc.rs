@@ -6,7 +6,7 @@
 //! it was at the last one.
 
 use crate::io::camera::mat::image_of;
-use crate::io::camera::watch::Watch;
+use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::{CameraError, CameraSource, Exposure, Frame};
 use cell_vision::camera::CameraModel;
 use opencv::core::{Mat, MatTraitConst};
@@ -53,7 +53,7 @@ pub struct UvcCamera {
     capture: Option<VideoCapture>,
     taken: u64,
     lens: Option<CameraModel>,
-    watch: Watch,
+    watch: FrameValidator,
 }
 
 impl UvcCamera {
@@ -63,7 +63,7 @@ impl UvcCamera {
     /// `NotConnected` (with the cameras there are), `OtherSerial`, `Setting` for what it does not do.
     pub fn open(settings: UvcSettings, lens: Option<CameraModel>) -> Result<UvcCamera, CameraError> {
         super::same_serial(&settings.device.display().to_string(), &settings.serial, lens.as_ref())?;
-        let watch = Watch::default();
+        let watch = FrameValidator::default();
         let mut camera = UvcCamera { settings, capture: None, taken: 0, lens, watch };
         camera.start()?;
         Ok(camera)
@@ -260,9 +260,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("usb-Other_Cam-video-index0"), b"").unwrap();
         let gone = settings(Path::new("/dev/v4l/by-id/usb-gone-video-index0"));
-        let told = check_device(&gone, folder.path(), folder.path()).unwrap_err();
-        assert!(matches!(told, CameraError::NotConnected { .. }));
-        assert!(told.to_string().contains("usb-Other_Cam-video-index0"), "{told}");
+        let reported = check_device(&gone, folder.path(), folder.path()).unwrap_err();
+        assert!(matches!(reported, CameraError::NotConnected { .. }));
+        assert!(reported.to_string().contains("usb-Other_Cam-video-index0"), "{reported}");
         assert!(matches!(UvcCamera::open(gone, None), Err(CameraError::NotConnected { .. })));
     }
 
@@ -271,11 +271,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("looks.avi");
         std::fs::write(&file, b"x").unwrap();
-        let told = UvcCamera::open(settings(&file), None).unwrap_err().to_string();
-        assert!(told.contains("kind: video"), "{told}");
+        let reported = UvcCamera::open(settings(&file), None).unwrap_err().to_string();
+        assert!(reported.contains("kind: video"), "{reported}");
         // A character device, but none that takes pictures.
-        let told = UvcCamera::open(settings(Path::new("/dev/null")), None).unwrap_err();
-        assert!(told.to_string().contains("takes no pictures"), "{told}");
+        let reported = UvcCamera::open(settings(Path::new("/dev/null")), None).unwrap_err();
+        assert!(reported.to_string().contains("takes no pictures"), "{reported}");
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! asked: the others guess at file names and write their guesses to the log.
 
 use crate::io::camera::mat::image_of;
-use crate::io::camera::watch::Watch;
+use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use cell_vision::camera::CameraModel;
 use opencv::core::{Mat, MatTraitConst};
@@ -21,7 +21,7 @@ pub struct VideoCamera {
     capture: VideoCapture,
     next: u64,
     lens: Option<CameraModel>,
-    watch: Watch,
+    watch: FrameValidator,
 }
 
 impl VideoCamera {
@@ -37,7 +37,7 @@ impl VideoCamera {
         if !capture.is_opened().unwrap_or(false) {
             return Err(failed("it is no video of a known kind", None));
         }
-        Ok(VideoCamera { path: path.to_owned(), capture, next: 0, lens, watch: Watch::default() })
+        Ok(VideoCamera { path: path.to_owned(), capture, next: 0, lens, watch: FrameValidator::default() })
     }
 
     fn failed(&self, what: &'static str, source: Option<opencv::Error>) -> CameraError {

@@ -14,14 +14,14 @@ fn no_file(path: &str) -> Result<String, String> {
     }
 }
 
-fn read(text: &str) -> Result<JobSpec, Complaints> {
+fn read(text: &str) -> Result<JobSpec, Diagnostics> {
     read_job(text, "job.yaml", &JobContext { goal: None, approval: Approval::Job, read_goal: &no_file })
 }
 
 #[track_caller]
 fn check_complaint(text: &str, expected: &str) {
-    let told = read(text).unwrap_err().to_string();
-    assert!(told.contains(expected), "{told}");
+    let reported = read(text).unwrap_err().to_string();
+    assert!(reported.contains(expected), "{reported}");
 }
 
 const FULL: &str = "version: 1
@@ -67,8 +67,8 @@ fn a_goal_file_is_taken_into_the_job() {
         "version: 1\ngoal: {file: none.yaml}\n",
         "job.yaml:2:14: goal.file: none.yaml: no such file",
     );
-    let told = read("version: 1\ngoal: {file: bad.yaml}\n").unwrap_err().to_string();
-    assert!(told.starts_with("bad.yaml:2:5: ") && !told.contains("job.yaml"), "{told}");
+    let reported = read("version: 1\ngoal: {file: bad.yaml}\n").unwrap_err().to_string();
+    assert!(reported.starts_with("bad.yaml:2:5: ") && !reported.contains("job.yaml"), "{reported}");
 }
 
 #[test]
@@ -101,9 +101,12 @@ fn a_goal_file_outside_the_goal_folder_is_not_even_asked_for() {
     let context = JobContext { goal: None, approval: Approval::Job, read_goal: &asked };
     for path in ["/dev/zero", "../goal.yaml", "below/../../goal.yaml", ".", "''"] {
         let text = format!("version: 1\ngoal: {{file: {path}}}\nseed: x\n");
-        let told = read_job(&text, "job.yaml", &context).unwrap_err().to_string();
-        assert!(told.contains("job.yaml:2:14: goal.file: ") && told.contains("leads out of"), "{told}");
-        assert!(told.contains("seed: \"x\" is not a whole number"), "{told}");
+        let reported = read_job(&text, "job.yaml", &context).unwrap_err().to_string();
+        assert!(
+            reported.contains("job.yaml:2:14: goal.file: ") && reported.contains("leads out of"),
+            "{reported}"
+        );
+        assert!(reported.contains("seed: \"x\" is not a whole number"), "{reported}");
     }
     assert!(stays_below("goals/monday.yaml") && stays_below("./goal.yaml"));
 }
@@ -128,15 +131,15 @@ goal:
     - {id: c, pose: [0.25, 0.2, 0]}
     - {id: d, pose: [0.4]}
 ";
-    let told = read_job(text, "job.yaml", &context).unwrap_err().to_string();
+    let reported = read_job(text, "job.yaml", &context).unwrap_err().to_string();
     let expected = [
         "job.yaml:4:22: goal.objects[0].pose[0]: \"100 mm\" is not a number",
         "job.yaml:6:7: goal.objects[2]: the goals of \"c\" and \"b\" (line 5) overlap by 50.00 mm",
         "job.yaml:7:7: goal.objects[3]: object \"d\" is unknown",
         "job.yaml:7:21: goal.objects[3].pose: 1 values, 3 are wanted",
     ];
-    assert_eq!(told.lines().count(), expected.len(), "{told}");
-    for (line, wanted) in told.lines().zip(expected) {
+    assert_eq!(reported.lines().count(), expected.len(), "{reported}");
+    for (line, wanted) in reported.lines().zip(expected) {
         assert!(line.starts_with(wanted), "{line}\nwanted {wanted}");
     }
 }

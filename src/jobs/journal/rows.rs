@@ -82,7 +82,7 @@ pub(super) fn interrupted(
 ) -> JobResult {
     let object = &open.intent.object;
     let holding = open.phase == StepPhase::Gripped;
-    let remedy = if holding {
+    let hint = if holding {
         format!(
             "the gripper may hold {object:?}: choose `celld recover --place`, `--hold` or `--release`, then submit the job again with `rerun: true`"
         )
@@ -99,7 +99,7 @@ pub(super) fn interrupted(
             open.step,
             open.phase.word()
         ),
-        remedy,
+        hint,
         moves: steps.iter().filter(|step| step.phase == StepPhase::Done).count() as u32,
         lower_bound: None,
         seconds: job.started_unix_s.map_or(0.0, |started| (unix_s - started).max(0.0)),

@@ -96,7 +96,7 @@ fn result(id: &str, status: JobStatus) -> JobResult {
         status,
         code: "OK".into(),
         message: String::new(),
-        remedy: String::new(),
+        hint: String::new(),
         moves: 0,
         lower_bound: Some(f64::NAN),
         seconds: f64::INFINITY,

@@ -288,7 +288,7 @@ fn result(id: &str, status: JobStatus) -> JobResult {
         status,
         code: "OK".into(),
         message: String::new(),
-        remedy: String::new(),
+        hint: String::new(),
         moves: 1,
         lower_bound: Some(1.0),
         seconds: 1.0,

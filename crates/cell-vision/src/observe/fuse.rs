@@ -8,8 +8,8 @@
 
 use crate::observe::input::{ObserveLimits, View};
 use crate::observe::planar::{self, Placed, Target};
+use crate::observe::pnp;
 use crate::observe::sighting::Sighting;
-use crate::observe::square;
 use nalgebra::{Matrix2, Matrix3, Vector3};
 use rearrange::geometry::pose::{Pose2, wrap_angle};
 
@@ -129,9 +129,8 @@ fn together(
 ) -> Option<Fused> {
     let prior = target.prior(limits);
     let start = about.at_height(target.height_m);
-    let fit = |seen: &[Sighting]| {
-        square::fit(seen, target.size_m, views, start, square::Freedom::All, Some(&prior))
-    };
+    let fit =
+        |seen: &[Sighting]| pnp::fit(seen, target.size_m, views, start, pnp::Freedom::All, Some(&prior));
     let sightings: Vec<Sighting> = inliers.iter().map(|p| p.sighting.clone()).collect();
     let joint = fit(&sightings)?;
     // The part of the corner error that is new in each picture averages out, the rest only between places.
@@ -140,8 +139,7 @@ fn together(
     for place in places(inliers, views) {
         let seen: Vec<Sighting> = place.iter().map(|&i| sightings[i].clone()).collect();
         let at = joint.table_from_marker;
-        scatter +=
-            square::information(&seen, target.size_m, views, at)? * (fresh + shared * place.len() as f64);
+        scatter += pnp::information(&seen, target.size_m, views, at)? * (fresh + shared * place.len() as f64);
     }
     let spread = joint.information.try_inverse()?;
     let covariance = planar::in_plane(&(spread * scatter * spread)) + systematic(limits);

@@ -8,8 +8,8 @@
 use crate::observe::fuse;
 use crate::observe::input::{ObserveLimits, View};
 use crate::observe::planar::{Placed, Target};
+use crate::observe::pnp::{self, Freedom};
 use crate::observe::sighting::Sighting;
-use crate::observe::square::{self, Freedom};
 use cell_values::units::{deg_from_rad, mm_from_m};
 use nalgebra::Vector3;
 
@@ -75,7 +75,7 @@ const LOOKS_PX: f64 = 0.07;
 pub fn fit(placed: &[Placed], target: Target, views: &[View], limits: &ObserveLimits) -> Option<Level> {
     let sightings: Vec<Sighting> = placed.iter().map(|p| p.sighting.clone()).collect();
     let start = fuse::middle(placed)?.at_height(target.height_m);
-    let fit = |start, freedom| square::fit(&sightings, target.size_m, views, start, freedom, None);
+    let fit = |start, freedom| pnp::fit(&sightings, target.size_m, views, start, freedom, None);
     let flat = fit(start, Freedom::Plane)?;
     let raised = fit(flat.table_from_marker, Freedom::PlaneAndHeight)?;
     let mut free = fit(raised.table_from_marker, Freedom::All)?;

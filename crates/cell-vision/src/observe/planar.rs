@@ -8,8 +8,8 @@
 
 use crate::marker;
 use crate::observe::input::{ObserveLimits, View};
+use crate::observe::pnp;
 use crate::observe::sighting::Sighting;
-use crate::observe::square;
 use nalgebra::{Isometry3, Matrix2, Matrix2x3, Matrix3, Matrix6, Vector2, Vector3};
 use rearrange::geometry::pose::Pose2;
 
@@ -28,8 +28,8 @@ pub struct Target {
 
 impl Target {
     /// What is known of it before looking.
-    pub fn prior(&self, limits: &ObserveLimits) -> square::Prior {
-        square::Prior {
+    pub fn prior(&self, limits: &ObserveLimits) -> pnp::Prior {
+        pnp::Prior {
             height_m: self.height_m,
             height_std_m: self.height_std_m,
             tilt_std_rad: self.tilt_std_rad,
@@ -57,8 +57,8 @@ pub fn place(sighting: &Sighting, target: Target, views: &[View], limits: &Obser
     let landed = land(sighting, &table_from_camera, target.height_m)?;
     let start = fit_square(&landed, target.size_m)?.at_height(target.height_m);
     let alone = std::slice::from_ref(sighting);
-    let fit = |start, prior: Option<&square::Prior>| {
-        square::fit(alone, target.size_m, views, start, square::Freedom::All, prior)
+    let fit = |start, prior: Option<&pnp::Prior>| {
+        pnp::fit(alone, target.size_m, views, start, pnp::Freedom::All, prior)
     };
     let prior = target.prior(limits);
     let likely = fit(start, Some(&prior))?;
@@ -247,8 +247,8 @@ mod tests {
         let mean = |prior_m, prior_rad| {
             (0..200).map(|seed| normalised_off(prior_m, prior_rad, seed)).sum::<f64>() / 200.0
         };
-        let (told, untold) = (mean(2e-4, 0.01), mean(0.0, 0.0));
-        assert!((told - 3.0).abs() < 0.6, "{told}");
+        let (reported, untold) = (mean(2e-4, 0.01), mean(0.0, 0.0));
+        assert!((reported - 3.0).abs() < 0.6, "{reported}");
         assert!(untold > 6.0, "a degree of tilt seen from the side is no small thing: {untold}");
     }
 

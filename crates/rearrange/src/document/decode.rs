@@ -7,7 +7,7 @@
 use std::ops::RangeInclusive;
 
 use crate::document::tree::{Entry, Node, Value};
-use crate::document::{Complaint, Complaints, Location, parse};
+use crate::document::{Diagnostic, Diagnostics, Location, parse};
 
 /// Most complaints kept; a file that is wrong everywhere need not fill a screen per object.
 const MAX_COMPLAINTS: usize = 200;
@@ -20,7 +20,7 @@ pub fn read<T>(
     text: &str,
     name: &str,
     decode: impl FnOnce(&At, &mut Decoder) -> Option<T>,
-) -> Result<T, Complaints> {
+) -> Result<T, Diagnostics> {
     let node = parse(text, name)?;
     let mut decoder = Decoder::new(name);
     let value = decode(&At::top(&node), &mut decoder);
@@ -31,7 +31,7 @@ pub fn read<T>(
 #[derive(Debug)]
 pub struct Decoder {
     source: String,
-    complaints: Vec<Complaint>,
+    complaints: Vec<Diagnostic>,
 }
 
 /// A node and its path.
@@ -116,7 +116,7 @@ impl Decoder {
     ) {
         if self.complaints.len() < MAX_COMPLAINTS {
             let (source, path) = (self.source.clone(), path.to_string());
-            self.complaints.push(Complaint { source, at, path, message: message.into(), help: help.into() });
+            self.complaints.push(Diagnostic { source, at, path, message: message.into(), help: help.into() });
         }
     }
 
@@ -134,17 +134,17 @@ impl Decoder {
     ///
     /// # Errors
     /// All complaints, in the order of the text.
-    pub fn finish<T>(mut self, value: Option<T>) -> Result<T, Complaints> {
+    pub fn finish<T>(mut self, value: Option<T>) -> Result<T, Diagnostics> {
         self.complaints.sort_by_key(|complaint| complaint.at);
         self.complaints.dedup();
         match value {
             Some(value) if self.complaints.is_empty() => Ok(value),
-            Some(_) => Err(Complaints(self.complaints)),
+            Some(_) => Err(Diagnostics(self.complaints)),
             None => {
                 if self.complaints.is_empty() {
                     self.complain(Location { line: 1, column: 1 }, "", "the file could not be read", "");
                 }
-                Err(Complaints(self.complaints))
+                Err(Diagnostics(self.complaints))
             }
         }
     }
@@ -394,14 +394,14 @@ mod tests {
     #[test]
     fn all_complaints_come_at_once_in_the_order_of_the_text() {
         let text = "b: 300 mm\na: .nan\nc: '1'\nd: [1, 2]\n";
-        let told = complaints(text, |decoder, fields| {
+        let reported = complaints(text, |decoder, fields| {
             for key in ["a", "b", "c", "d", "e"] {
                 if let Some(at) = fields.required(key, decoder) {
                     let _ = decoder.number(&at);
                 }
             }
         });
-        let lines: Vec<&str> = told.lines().collect();
+        let lines: Vec<&str> = reported.lines().collect();
         assert_eq!(
             lines,
             [
@@ -419,9 +419,9 @@ mod tests {
         let node = parse("workspce: 1\nzzz: 2\n", "f").expect("syntax");
         let mut decoder = Decoder::new("f");
         let _ = decoder.map(&At::top(&node), &["workspace", "objects"]);
-        let told = decoder.finish(Some(())).expect_err("refused").to_string();
-        assert!(told.contains("f:1:1: workspce: unknown key; did you mean \"workspace\"?"), "{told}");
-        assert!(told.contains("f:2:1: zzz: unknown key; known keys: workspace, objects"), "{told}");
+        let reported = decoder.finish(Some(())).expect_err("refused").to_string();
+        assert!(reported.contains("f:1:1: workspce: unknown key; did you mean \"workspace\"?"), "{reported}");
+        assert!(reported.contains("f:2:1: zzz: unknown key; known keys: workspace, objects"), "{reported}");
         assert_eq!(suggestion("gaol", &["goal", "start"]), Some("goal"));
         assert_eq!(suggestion("x", &["goal", "start"]), None);
     }
@@ -436,22 +436,25 @@ mod tests {
         assert_eq!(decoder.pose(&fields, "b"), Some(Some([1.0, 2.0, std::f64::consts::FRAC_PI_2])));
         assert_eq!(decoder.pose(&fields, "d"), Some(None));
         assert_eq!(decoder.pose(&fields, "c"), None);
-        let told = decoder.finish(Some(())).expect_err("refused").to_string();
-        assert!(told.starts_with("f:4:1: c_deg: \"c\" and \"c_deg\" are both given"), "{told}");
+        let reported = decoder.finish(Some(())).expect_err("refused").to_string();
+        assert!(reported.starts_with("f:4:1: c_deg: \"c\" and \"c_deg\" are both given"), "{reported}");
     }
 
     #[test]
     fn ranges_name_their_bounds() {
-        let told = complaints("a: -1\nb: 7\nc: 1.5\nd: yes\n", |decoder, fields| {
+        let reported = complaints("a: -1\nb: 7\nc: 1.5\nd: yes\n", |decoder, fields| {
             let at = |key: &str| fields.optional(key).expect("given");
             let _ = decoder.positive(&at("a"), "m");
             let _ = decoder.number_in(&at("b"), 0.0..=1.0, "m");
             let _ = decoder.integer(&at("c"), 0..=9);
             let _ = decoder.boolean(&at("d"));
         });
-        assert!(told.contains("1:4: a: -1 m is not over 0"), "{told}");
-        assert!(told.contains("2:4: b: 7 m is out of range; it has to be between 0 and 1 m"), "{told}");
-        assert!(told.contains("3:4: c: \"1.5\" is not a whole number"), "{told}");
-        assert!(told.contains("4:4: d: \"yes\" where true or false is wanted"), "{told}");
+        assert!(reported.contains("1:4: a: -1 m is not over 0"), "{reported}");
+        assert!(
+            reported.contains("2:4: b: 7 m is out of range; it has to be between 0 and 1 m"),
+            "{reported}"
+        );
+        assert!(reported.contains("3:4: c: \"1.5\" is not a whole number"), "{reported}");
+        assert!(reported.contains("4:4: d: \"yes\" where true or false is wanted"), "{reported}");
     }
 }

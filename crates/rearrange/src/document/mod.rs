@@ -6,13 +6,13 @@
 //! YAML 1.2 contains it.
 
 pub mod chain;
-mod complaint;
 pub mod decode;
+mod diagnostic;
 #[cfg(test)]
 #[path = "../../../../tests/it/edit.rs"]
 pub(crate) mod edit;
 pub mod tree;
 pub mod write;
 
-pub use complaint::{Complaint, Complaints, Location};
+pub use diagnostic::{Diagnostic, Diagnostics, Location};
 pub use tree::{Node, parse};

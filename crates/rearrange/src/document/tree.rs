@@ -1,15 +1,15 @@
 //! Text to a tree that knows where every key and value stands.
 //!
-//! In: YAML 1.2 or JSON text. Out: a [`Node`], or [`Complaints`]. Scalars stay text here; what a field should
-//! be decides how they are read, so that `id: 007` is a name where a name is wanted. Anchors, aliases, tags
-//! and several documents in one file are refused: none is needed, and each can hide what a file says. Size,
-//! depth and number of values are bounded, because files may come from anywhere.
+//! In: YAML 1.2 or JSON text. Out: a [`Node`], or [`Diagnostics`]. Scalars stay text here; what a field
+//! should be decides how they are read, so that `id: 007` is a name where a name is wanted. Anchors, aliases,
+//! tags and several documents in one file are refused: none is needed, and each can hide what a file says.
+//! Size, depth and number of values are bounded, because files may come from anywhere.
 
 use std::collections::HashMap;
 
 use saphyr_parser::{Event, Parser, ScalarStyle, Span, StrInput};
 
-use crate::document::complaint::{Complaint, Complaints, Location};
+use crate::document::diagnostic::{Diagnostic, Diagnostics, Location};
 
 /// Longest text accepted, bytes.
 pub const MAX_BYTES: usize = 16 << 20;
@@ -92,11 +92,11 @@ impl Node {
 ///
 /// # Errors
 /// The syntax error, or every duplicate key, anchor, alias and tag at once.
-pub fn parse(text: &str, source: &str) -> Result<Node, Complaints> {
+pub fn parse(text: &str, source: &str) -> Result<Node, Diagnostics> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     if text.len() > MAX_BYTES {
         let message = format!("the file has {} bytes, at most {MAX_BYTES} are read", text.len());
-        return Err(Complaints(vec![plain_complaint(source, Location { line: 1, column: 1 }, message, "")]));
+        return Err(Diagnostics(vec![plain_complaint(source, Location { line: 1, column: 1 }, message, "")]));
     }
     let mut builder =
         Builder { source, events: Parser::new_from_str(text), complaints: Vec::new(), nodes: 0 };
@@ -112,13 +112,13 @@ pub fn parse(text: &str, source: &str) -> Result<Node, Complaints> {
     }
 }
 
-fn sorted(mut complaints: Vec<Complaint>) -> Complaints {
+fn sorted(mut complaints: Vec<Diagnostic>) -> Diagnostics {
     complaints.sort_by_key(|complaint| complaint.at);
-    Complaints(complaints)
+    Diagnostics(complaints)
 }
 
-fn plain_complaint(source: &str, at: Location, message: impl Into<String>, help: &str) -> Complaint {
-    Complaint {
+fn plain_complaint(source: &str, at: Location, message: impl Into<String>, help: &str) -> Diagnostic {
+    Diagnostic {
         source: source.to_string(),
         at,
         path: String::new(),
@@ -128,12 +128,12 @@ fn plain_complaint(source: &str, at: Location, message: impl Into<String>, help:
 }
 
 /// A complaint after which the rest of the text means nothing.
-struct Stop(Complaint);
+struct Stop(Diagnostic);
 
 struct Builder<'a> {
     source: &'a str,
     events: Parser<'a, StrInput<'a>>,
-    complaints: Vec<Complaint>,
+    complaints: Vec<Diagnostic>,
     nodes: usize,
 }
 

@@ -6,8 +6,8 @@
 //! next; so the objects that move twice form a feedback vertex set, and the cheapest one is added. Members of
 //! a group count only by what holds for every assignment: they take no part in the cycles, and the group
 //! needs as many moves as it has goals at which no member stands (or members that stand in the way of a goal,
-//! if that is more). The feedback vertex set is exact. `room` proves more where there is no room to put
-//! objects aside.
+//! if that is more). The feedback vertex set is exact. `buffer_space` proves more where there is no room to
+//! put objects aside.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::feedback;
@@ -16,7 +16,7 @@ use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::Scene;
 use std::collections::BTreeMap;
 
-pub mod room;
+pub mod buffer_space;
 
 /// The bound and what it is made of.
 #[derive(Clone, Debug, PartialEq)]

@@ -237,8 +237,8 @@ mod tests {
 
     #[test]
     fn what_is_wrong_with_a_file_has_a_place() {
-        let told = PlanFile::parse("{\n  \"solver\": 3}").expect_err("refused");
-        assert!(matches!(told, PlanFileError::Syntax { line: 2, .. }), "{told}");
+        let reported = PlanFile::parse("{\n  \"solver\": 3}").expect_err("refused");
+        assert!(matches!(reported, PlanFileError::Syntax { line: 2, .. }), "{reported}");
         let unknown = file(&[Pose2::default()]).to_json().replace("\"seed\"", "\"sead\"");
         assert!(PlanFile::parse(&unknown).is_err());
     }

@@ -4,7 +4,7 @@
 //! infeasible with a witness, or no plan found. Every plan has passed the independent checker before anybody
 //! sees it. Deterministic: the same seed and work limit give the same outcome; no clock is read here.
 
-use crate::planning::bound::room::RoomBound;
+use crate::planning::bound::buffer_space::BufferSpaceBound;
 use crate::planning::bound::{self, LowerBound};
 use crate::planning::check::CheckedPlan;
 use crate::planning::effort::Effort;
@@ -17,8 +17,8 @@ use crate::planning::solver::incumbent::Incumbent;
 
 pub use crate::planning::solver::control::{Control, PlanSeconds, SolverKind, cost};
 
-mod aid;
 mod control;
+mod fallback;
 mod incumbent;
 mod search;
 
@@ -85,7 +85,7 @@ pub fn provable_bound(scene: &Scene, objective: Objective, claimed: f64) -> f64 
     }
     let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
     let costs: Vec<f64> = scene.problem.objects.iter().map(weigh).collect();
-    let mut proof = RoomBound::new(scene, &costs);
+    let mut proof = BufferSpaceBound::new(scene, &costs);
     proof.work(claimed, &mut Effort::new(None, &|| false));
     proof.value.max(simple)
 }

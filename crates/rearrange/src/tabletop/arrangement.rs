@@ -94,7 +94,7 @@ impl Layout<'_> {
                 continue;
             };
             let (location, path) = at(place);
-            let mut told = |what: String, depth: f64, help: &str| {
+            let mut reported = |what: String, depth: f64, help: &str| {
                 if depth > tolerance + TOUCH_M {
                     let message = format!("{:?} {what} by {:.3} mm", object.id, depth * 1e3);
                     decoder.complain(*location, path, message, help);
@@ -103,14 +103,14 @@ impl Layout<'_> {
             if let Some(Workspace { width, height }) = self.workspace {
                 let over = overhang(&object.footprint, &pose, width, height);
                 let help = format!("the table is {width} m x {height} m");
-                told("reaches over the table's edge".to_owned(), over, &help);
+                reported("reaches over the table's edge".to_owned(), over, &help);
             }
             let shape = Placed::new(&object.footprint, pose);
             for (r, region) in &regions {
-                told(format!("overlaps keep_out[{r}]"), shape.penetration(region), &apart);
+                reported(format!("overlaps keep_out[{r}]"), shape.penetration(region), &apart);
             }
             for (other, placed) in &earlier {
-                told(format!("overlaps {:?}", other.id), shape.penetration(placed), &apart);
+                reported(format!("overlaps {:?}", other.id), shape.penetration(placed), &apart);
             }
             earlier.push((object, shape));
         }

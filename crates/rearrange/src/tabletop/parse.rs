@@ -10,7 +10,7 @@ use std::collections::HashMap;
 
 use crate::document::decode::{At, Decoder, Fields};
 use crate::document::tree::Value;
-use crate::document::{Complaint, Complaints, Location, Node, parse};
+use crate::document::{Diagnostic, Diagnostics, Location, Node, parse};
 use crate::tabletop::arrangement::Place;
 use crate::tabletop::decode;
 use crate::tabletop::instance::{Instance, ObjectSpec, Workspace};
@@ -35,7 +35,7 @@ enum Role {
 ///
 /// # Errors
 /// Every complaint about it.
-pub fn parse_instance(text: &str, source: &str, shapes: ShapeLookup) -> Result<Instance, Complaints> {
+pub fn parse_instance(text: &str, source: &str, shapes: ShapeLookup) -> Result<Instance, Diagnostics> {
     read(text, source, shapes, Role::Task)
 }
 
@@ -44,7 +44,11 @@ pub fn parse_instance(text: &str, source: &str, shapes: ShapeLookup) -> Result<I
 ///
 /// # Errors
 /// Every complaint about it.
-pub fn parse_with_sound_goals(text: &str, source: &str, shapes: ShapeLookup) -> Result<Instance, Complaints> {
+pub fn parse_with_sound_goals(
+    text: &str,
+    source: &str,
+    shapes: ShapeLookup,
+) -> Result<Instance, Diagnostics> {
     read(text, source, shapes, Role::SoundTask)
 }
 
@@ -59,13 +63,13 @@ pub fn parse_pair(
     (start_text, start_source): (&str, &str),
     (goal_text, goal_source): (&str, &str),
     shapes: ShapeLookup,
-) -> Result<Instance, Complaints> {
+) -> Result<Instance, Diagnostics> {
     let (start, goal) = match (parse(start_text, start_source), parse(goal_text, goal_source)) {
         (Ok(start), Ok(goal)) => (start, goal),
         (start, goal) => {
             let mut faults = faults_alone(start, start_source, shapes, Role::Task);
             faults.extend(faults_alone(goal, goal_source, shapes, Role::Goals));
-            return Err(Complaints(faults));
+            return Err(Diagnostics(faults));
         }
     };
     match (public_data::is_arrangement(&start), public_data::is_arrangement(&goal)) {
@@ -82,11 +86,11 @@ pub fn parse_pair(
 
 /// What is wrong with one file of a pair whose other file is no document at all.
 fn faults_alone(
-    node: Result<Node, Complaints>,
+    node: Result<Node, Diagnostics>,
     source: &str,
     shapes: ShapeLookup,
     role: Role,
-) -> Vec<Complaint> {
+) -> Vec<Diagnostic> {
     let node = match node {
         Ok(node) => node,
         Err(faults) => return faults.0,
@@ -103,7 +107,7 @@ fn own_pair(
     (start, start_source): (&Node, &str),
     (goal, goal_source): (&Node, &str),
     shapes: ShapeLookup,
-) -> Result<Instance, Complaints> {
+) -> Result<Instance, Diagnostics> {
     let (mut of_start, mut of_goal) = (Decoder::new(start_source), Decoder::new(goal_source));
     let start = parts(&mut of_start, start, shapes, Role::Task);
     let goal = parts(&mut of_goal, goal, shapes, Role::Goals);
@@ -128,12 +132,12 @@ fn own_pair(
         }
         (start, goal) => {
             let faults = [start.err(), goal.err()].into_iter().flatten().flat_map(|faults| faults.0);
-            Err(Complaints(faults.collect()))
+            Err(Diagnostics(faults.collect()))
         }
     }
 }
 
-fn read(text: &str, source: &str, shapes: ShapeLookup, role: Role) -> Result<Instance, Complaints> {
+fn read(text: &str, source: &str, shapes: ShapeLookup, role: Role) -> Result<Instance, Diagnostics> {
     let node = parse(text, source)?;
     let mut decoder = Decoder::new(source);
     let parts = parts(&mut decoder, &node, shapes, role);

@@ -11,7 +11,7 @@
 use std::collections::HashMap;
 
 use crate::document::decode::{At, Decoder, Fields};
-use crate::document::{Complaint, Complaints, Node, parse};
+use crate::document::{Diagnostic, Diagnostics, Node, parse};
 use crate::geometry::footprint::{Footprint, FootprintFault};
 use crate::geometry::polygon::{Point, Polygon, PolygonFault, cross, signed_area, sub};
 use crate::geometry::pose::Pose2;
@@ -267,13 +267,13 @@ impl Arrangement {
 pub(crate) fn arrangement_pair(
     (start, start_source): (&Node, &str),
     (goal, goal_source): (&Node, &str),
-) -> Result<Instance, Complaints> {
+) -> Result<Instance, Diagnostics> {
     let (start, wanted) =
         match (arrangement(start, start_source, true), arrangement(goal, goal_source, false)) {
             (Ok(start), Ok(wanted)) => (start, wanted),
             (start, wanted) => {
                 let faults = [start.err(), wanted.err()].into_iter().flatten().flat_map(|faults| faults.0);
-                return Err(Complaints(faults.collect()));
+                return Err(Diagnostics(faults.collect()));
             }
         };
     let mut decoder = Decoder::new(goal_source);
@@ -293,12 +293,12 @@ pub(crate) fn arrangement_pair(
 }
 
 /// What is wrong with one arrangement by itself.
-pub(crate) fn arrangement_faults(node: &Node, source: &str) -> Vec<Complaint> {
+pub(crate) fn arrangement_faults(node: &Node, source: &str) -> Vec<Diagnostic> {
     arrangement(node, source, false).err().map(|faults| faults.0).unwrap_or_default()
 }
 
 /// One arrangement; a start must be possible, an impossible goal is a valid task without a solution.
-fn arrangement(node: &Node, source: &str, is_start: bool) -> Result<Arrangement, Complaints> {
+fn arrangement(node: &Node, source: &str, is_start: bool) -> Result<Arrangement, Diagnostics> {
     let mut decoder = Decoder::new(source);
     let read = read_arrangement(&mut decoder, node, is_start);
     decoder.finish(read)

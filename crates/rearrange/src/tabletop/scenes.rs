@@ -5,7 +5,7 @@
 //! millimetre or so and the planner's clearance is 2 mm), and in every scene some objects have to wait in a
 //! buffer.
 
-use crate::document::Complaints;
+use crate::document::Diagnostics;
 use crate::tabletop::instance::Instance;
 use crate::tabletop::parse::parse_instance;
 
@@ -57,7 +57,7 @@ pub enum SceneError {
     },
     /// The file that came with the binary does not parse: a fault of this build.
     #[error("the scene's own file is faulty:\n{0}")]
-    Faulty(Complaints),
+    Faulty(Diagnostics),
 }
 
 /// The instance of a named scene.

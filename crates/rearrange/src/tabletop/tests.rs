@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::document::Complaints;
+use crate::document::Diagnostics;
 use crate::document::edit::replace_once;
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
@@ -12,12 +12,12 @@ use crate::tabletop::write::{to_json, to_yaml};
 
 mod complete;
 
-fn read(text: &str) -> Result<Instance, Complaints> {
+fn read(text: &str) -> Result<Instance, Diagnostics> {
     parse_instance(text, "t.yaml", &|_| None)
 }
 
 /// The complaints, one per line.
-fn told(text: &str) -> Vec<String> {
+fn reported(text: &str) -> Vec<String> {
     read(text).expect_err("refused").0.iter().map(ToString::to_string).collect()
 }
 
@@ -137,7 +137,7 @@ fn every_kind_of_complaint_has_its_line_and_column() {
         let written = text.lines().nth(3).expect("line 4");
         let column = written.find(needle).expect("needle") + 1;
         let wanted = format!("t.yaml:4:{column}: objects[0]{expected}");
-        let complaints = told(&text);
+        let complaints = reported(&text);
         assert!(complaints.iter().any(|c| c.starts_with(&wanted)), "wanted {wanted}\ngot {complaints:#?}");
     }
 }
@@ -152,7 +152,7 @@ objects:
   - {id: a, footprint: {disc: {radius: x}}, marker: {id: 3, size: 0.03}, start: [0.5, 0.5, 0]}
   - {id: 'b/c', footprint: {disc: {radius: 0.1}}, fixed: true, start: [0.5, 0.5, 0]}
 ";
-    let complaints = told(text);
+    let complaints = reported(text);
     let expected = [
         "t.yaml:1:12: workspace: key \"height\" is missing",
         "t.yaml:1:25: workspace.heigth: unknown key; did you mean \"height\"?",
@@ -177,7 +177,7 @@ objects:
   - {id: b, footprint: {disc: {radius: 0.1}}, start: [0.69, 0.5, 0], goal: [0.3, 0.2, 0]}
   - {id: c, footprint: {disc: {radius: 0.1}}, start: [0.05, 0.9, 0], goal: [0.9, 1.0, 0]}
 ";
-    let complaints = told(text);
+    let complaints = reported(text);
     assert_eq!(complaints.len(), 2, "{complaints:#?}");
     assert!(complaints[0].starts_with("t.yaml:4:54: objects[1].start: \"b\" overlaps \"a\" by 10.000 mm"));
     assert!(
@@ -212,7 +212,7 @@ objects:
   - {id: c, footprint: {disc: {radius: 0.1}}, fixed: true}
   - {id: d, footprint: {disc: {radius: 0.1}}, fixed: true, start: [0.5, 0.5, 0], goal: [0.6, 0.5, 0]}
 ";
-    let complaints = told(text);
+    let complaints = reported(text);
     assert_eq!(complaints.len(), 4, "{complaints:#?}");
     assert!(complaints[0].contains("\"a\" and \"b\" of group \"g\" differ in footprint"));
     assert!(complaints[1].contains("differ in impedance"));
@@ -227,8 +227,8 @@ fn a_second_file_of_ours_gives_goals_by_name() {
     let pair = parse_pair((&start, "s"), (&goal, "g"), &|_| None).expect("valid");
     assert_eq!(pair.objects[0].goal, Some(Pose2::new(0.3, 0.3, 1.0)));
     let stranger = replace_once(&goal, "id: a", "id: z");
-    let told = parse_pair((&start, "s"), (&stranger, "g"), &|_| None).expect_err("unknown").to_string();
-    assert!(told.contains("object \"z\" is not in s"), "{told}");
+    let reported = parse_pair((&start, "s"), (&stranger, "g"), &|_| None).expect_err("unknown").to_string();
+    assert!(reported.contains("object \"z\" is not in s"), "{reported}");
 }
 
 #[test]
@@ -248,10 +248,10 @@ fn heterogeneous_tasks_are_imported() {
     assert!((instance.objects[0].impedance.expect("given") - 4.0).abs() < 1e-9);
     assert_eq!(instance.objects[2].impedance, Some(1.0));
     assert_eq!(instance.overlap_tolerance, 0.002);
-    let told = parse_instance(text, "h.json", &|_| None).expect_err("no shape").to_string();
+    let reported = parse_instance(text, "h.json", &|_| None).expect_err("no shape").to_string();
     assert!(
-        told.starts_with("h.json:5:17: object_list[2].Object_Shape: the shape \"tri\" is not known"),
-        "{told}"
+        reported.starts_with("h.json:5:17: object_list[2].Object_Shape: the shape \"tri\" is not known"),
+        "{reported}"
     );
 }
 
@@ -271,8 +271,8 @@ fn small_loops_of_published_outlines_are_cut_off() {
         let instance = task(looped).unwrap_or_else(|faults| panic!("{looped}: {faults}"));
         assert!((instance.objects[0].footprint.area() / square - 1.0).abs() < 0.06, "{looped}");
     }
-    let told = task("[[0,0],[1,1],[1,0],[0,1]]").expect_err("a bow tie is no small loop").to_string();
-    assert!(told.contains("crosses itself"), "{told}");
+    let reported = task("[[0,0],[1,1],[1,0],[0,1]]").expect_err("a bow tie is no small loop").to_string();
+    assert!(reported.contains("crosses itself"), "{reported}");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use cell_parts::places::Places;
 use cell_parts::reference::{ReferenceMarkerConfig, check_reference_markers, reference_markers};
 use cell_values::units::rad_from_deg;
 use rearrange::document::decode::{At, Decoder, Fields};
-use rearrange::document::{Complaints, parse};
+use rearrange::document::{Diagnostics, parse};
 use rearrange::tabletop::arrangement::{Layout, Place};
 use rearrange::tabletop::decode;
 use rearrange::tabletop::instance::{ObjectSpec, Workspace};
@@ -59,7 +59,7 @@ pub const DEFAULT_ERRORS: SimErrors = SimErrors {
 ///
 /// # Errors
 /// Every complaint.
-pub fn read_sim(text: &str, source: &str) -> Result<SimFile, Complaints> {
+pub fn read_sim(text: &str, source: &str) -> Result<SimFile, Diagnostics> {
     let node = parse(text, source)?;
     let mut decoder = Decoder::new(source);
     let file = decoder

@@ -2,12 +2,12 @@
 //!
 //! In: a fault file or a posted text ([`read`]), the state of the world and of the arm in each frame. Out:
 //! plans ([`Planned`]), the faults that are due ([`schedule`]), and their effect on controller, world,
-//! pictures and connections ([`desk`], [`link`]). Reading and scheduling are pure; only the desk and the
+//! pictures and connections ([`injector`], [`link`]). Reading and scheduling are pure; only the desk and the
 //! links touch what is shared. Nothing happens unless a file or a post asks for it. The table of all faults
 //! is docs/faults.md.
 
 pub mod camera;
-pub mod desk;
+pub mod injector;
 pub mod link;
 pub mod read;
 pub mod schedule;
@@ -55,7 +55,7 @@ pub enum Trigger {
     /// When something happened in the world.
     Event {
         /// What.
-        kind: Happening,
+        kind: DeviceEvent,
         /// To which object; absent: any.
         object: Option<String>,
         /// The how-manieth time, from 1.
@@ -99,7 +99,7 @@ impl Phase {
 
 /// Events of the world that a fault can wait for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Happening {
+pub enum DeviceEvent {
     /// The vacuum took hold of an object.
     Grip,
     /// An object was set down.
@@ -116,16 +116,16 @@ pub enum Happening {
     Contact,
 }
 
-impl Happening {
+impl DeviceEvent {
     /// Names in fault files.
-    pub const NAMES: [(&'static str, Happening); 7] = [
-        ("grip", Happening::Grip),
-        ("place", Happening::Place),
-        ("drop", Happening::Drop),
-        ("fall", Happening::Fall),
-        ("push", Happening::Push),
-        ("tilt", Happening::Tilt),
-        ("contact", Happening::Contact),
+    pub const NAMES: [(&'static str, DeviceEvent); 7] = [
+        ("grip", DeviceEvent::Grip),
+        ("place", DeviceEvent::Place),
+        ("drop", DeviceEvent::Drop),
+        ("fall", DeviceEvent::Fall),
+        ("push", DeviceEvent::Push),
+        ("tilt", DeviceEvent::Tilt),
+        ("contact", DeviceEvent::Contact),
     ];
 }
 

@@ -6,7 +6,7 @@
 
 use crate::faults::link::LinkName;
 use crate::faults::{
-    CameraFault, ExtraPrint, Fault, Happening, Order, Phase, Planned, RobotFault, Toxic, Trigger,
+    CameraFault, DeviceEvent, ExtraPrint, Fault, Order, Phase, Planned, RobotFault, Toxic, Trigger,
     VacuumFault, WorldFault,
 };
 use crate::world::spec::ForeignBody;
@@ -16,7 +16,7 @@ use cell_values::units::rad_from_deg;
 use nalgebra::{Isometry3, Vector3};
 use rearrange::document::decode::{At, Decoder, Fields, suggestion};
 use rearrange::document::tree::Value;
-use rearrange::document::{Complaints, Node, parse};
+use rearrange::document::{Diagnostics, Node, parse};
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use std::ops::RangeInclusive;
@@ -86,7 +86,7 @@ pub const CATALOGUE: &[(&str, &[&str])] = &[
 ///
 /// # Errors
 /// Every complaint.
-pub fn read_faults(text: &str, source: &str) -> Result<Vec<Planned>, Complaints> {
+pub fn read_faults(text: &str, source: &str) -> Result<Vec<Planned>, Diagnostics> {
     let node = parse(text, source)?;
     let mut decoder = Decoder::new(source);
     let plans = decoder.map(&At::top(&node), &["version", "faults"]).and_then(|fields| {
@@ -103,7 +103,7 @@ pub fn read_faults(text: &str, source: &str) -> Result<Vec<Planned>, Complaints>
 ///
 /// # Errors
 /// Every complaint.
-pub fn read_posted(text: &str) -> Result<Vec<Planned>, Complaints> {
+pub fn read_posted(text: &str) -> Result<Vec<Planned>, Diagnostics> {
     let source = "posted";
     let node = parse(text, source)?;
     if node.get("faults").is_some() {
@@ -161,7 +161,7 @@ fn trigger(decoder: &mut Decoder, at: &At) -> Option<Trigger> {
         }
         _ => {
             let at = args.fields.required("event", decoder)?;
-            let kind = decoder.choice(&at, &Happening::NAMES);
+            let kind = decoder.choice(&at, &DeviceEvent::NAMES);
             let object = args.optional("object", None, |at| decoder.text(at).map(Some));
             let count = args.optional("count", 1, |at| decoder.integer(at, 1..=1_000_000));
             Some(Trigger::Event { kind: kind?, object: object?, count: u32::try_from(count?).ok()? })

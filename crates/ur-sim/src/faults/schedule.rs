@@ -9,7 +9,7 @@
 //! carry mostly is one move). A phase that ends before its progress was reached fires the fault at its end,
 //! so that none is lost.
 
-use crate::faults::{Happening, Order, Phase, Planned, Trigger};
+use crate::faults::{DeviceEvent, Order, Phase, Planned, Trigger};
 use crate::world::event::{Event, EventKind};
 
 /// Sideways from the place of grip or release from which the arm has left it, m.
@@ -163,7 +163,7 @@ impl Waiting {
             }
             Trigger::Event { kind, object, count } => {
                 let matching = events.filter(|event| {
-                    happening(&event.kind).is_some_and(|(happened, who)| {
+                    device_event(&event.kind).is_some_and(|(happened, who)| {
                         happened == *kind && object.as_ref().is_none_or(|object| object == who)
                     })
                 });
@@ -175,15 +175,15 @@ impl Waiting {
 }
 
 /// What an event is to fault files, and which object it is about.
-fn happening(kind: &EventKind) -> Option<(Happening, &str)> {
+fn device_event(kind: &EventKind) -> Option<(DeviceEvent, &str)> {
     Some(match kind {
-        EventKind::Gripped { object } => (Happening::Grip, object),
-        EventKind::Placed { object, .. } => (Happening::Place, object),
-        EventKind::Dropped { object, .. } => (Happening::Drop, object),
-        EventKind::Fallen { object } => (Happening::Fall, object),
-        EventKind::Pushed { object, .. } => (Happening::Push, object),
-        EventKind::Tilted { object, .. } => (Happening::Tilt, object),
-        EventKind::Contact(contact) => (Happening::Contact, &contact.against),
+        EventKind::Gripped { object } => (DeviceEvent::Grip, object),
+        EventKind::Placed { object, .. } => (DeviceEvent::Place, object),
+        EventKind::Dropped { object, .. } => (DeviceEvent::Drop, object),
+        EventKind::Fallen { object } => (DeviceEvent::Fall, object),
+        EventKind::Pushed { object, .. } => (DeviceEvent::Push, object),
+        EventKind::Tilted { object, .. } => (DeviceEvent::Tilt, object),
+        EventKind::Contact(contact) => (DeviceEvent::Contact, &contact.against),
         EventKind::Fault { .. } => return None,
     })
 }
@@ -298,7 +298,7 @@ mod tests {
         let gripped =
             |object: &str| Event { time_s: 0.0, kind: EventKind::Gripped { object: object.into() } };
         let mut schedule = Schedule::default();
-        let trigger = Trigger::Event { kind: Happening::Grip, object: Some("a".into()), count: 2 };
+        let trigger = Trigger::Event { kind: DeviceEvent::Grip, object: Some("a".into()), count: 2 };
         schedule.add(Planned { at: Some(trigger), order: order() });
         let now = at(0.0, 1, Phase::Grip, 0.0);
         assert!(schedule.due(&now, [gripped("a"), gripped("b")].iter()).is_empty());

@@ -1,6 +1,6 @@
 //! The way from a session to its client: a bounded queue, and a shortcut past it.
 //!
-//! In: what answers and outlets send on a [`Line`]. Out: [`Parcel`]s at its [`Inlet`], in order, for whoever
+//! In: what answers and outlets send on a [`Line`]. Out: [`Packet`]s at its [`Inlet`], in order, for whoever
 //! writes them to the client. A full queue means that the client is behind. While nothing is queued a package
 //! may go straight to the socket on the [`Way`] that the shell has given, from the thread that makes the
 //! frames; without one everything is queued.
@@ -18,12 +18,12 @@ pub type Bytes = Arc<[u8]>;
 
 /// Bytes in a connection's queue, and when the frame they are from was due.
 #[derive(Debug)]
-pub struct Parcel {
+pub struct Packet {
     bytes: Bytes,
     due: Option<Instant>,
 }
 
-impl Parcel {
+impl Packet {
     /// What goes to the client.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
@@ -35,15 +35,15 @@ impl Parcel {
     }
 }
 
-impl From<Vec<u8>> for Parcel {
-    fn from(bytes: Vec<u8>) -> Parcel {
-        Parcel { bytes: bytes.into(), due: None }
+impl From<Vec<u8>> for Packet {
+    fn from(bytes: Vec<u8>) -> Packet {
+        Packet { bytes: bytes.into(), due: None }
     }
 }
 
-impl From<Bytes> for Parcel {
-    fn from(bytes: Bytes) -> Parcel {
-        Parcel { bytes, due: None }
+impl From<Bytes> for Packet {
+    fn from(bytes: Bytes) -> Packet {
+        Packet { bytes, due: None }
     }
 }
 
@@ -68,23 +68,23 @@ pub struct Inlet {
 impl Inlet {
     /// The next bytes for the client, without waiting: for a simulator that is driven by calls.
     pub fn take(&mut self) -> Option<Bytes> {
-        let parcel = self.queue.parcels.try_recv().ok()?;
+        let packet = self.queue.packets.try_recv().ok()?;
         self.queue.written();
-        Some(parcel.bytes)
+        Some(packet.bytes)
     }
 }
 
 /// What is queued for a client.
 #[derive(Debug)]
 pub struct Queue {
-    parcels: mpsc::Receiver<Parcel>,
+    packets: mpsc::Receiver<Packet>,
     backlog: Backlog,
 }
 
 impl Queue {
     /// The next parcel when there is one; `None` when nobody can send any more.
-    pub async fn next(&mut self) -> Option<Parcel> {
-        self.parcels.recv().await
+    pub async fn next(&mut self) -> Option<Packet> {
+        self.packets.recv().await
     }
 
     /// A parcel of [`Queue::next`] is on its way.
@@ -97,7 +97,7 @@ impl Queue {
 /// nothing, and the count is locked, no task writes to the socket.
 #[derive(Clone, Debug)]
 pub struct Line {
-    queue: mpsc::Sender<Parcel>,
+    queue: mpsc::Sender<Packet>,
     backlog: Backlog,
     dropped: Arc<Notify>,
     way: Option<Arc<dyn Way>>,
@@ -116,23 +116,23 @@ impl Backlog {
 impl Line {
     /// Both ends of a connection's queue; with a way packages need not wait for whoever writes.
     pub fn open(way: Option<Arc<dyn Way>>) -> (Line, Inlet) {
-        let (sender, parcels) = mpsc::channel(QUEUE);
+        let (sender, packets) = mpsc::channel(QUEUE);
         let (backlog, dropped) = (Backlog::default(), Arc::new(Notify::new()));
         let line = Line { queue: sender, backlog: backlog.clone(), dropped: dropped.clone(), way };
-        let inlet = Inlet { queue: Queue { parcels, backlog }, dropped, replies: line.clone() };
+        let inlet = Inlet { queue: Queue { packets, backlog }, dropped, replies: line.clone() };
         (line, inlet)
     }
 
     /// Queues a parcel when there is room; false when the connection is over.
-    pub async fn send(&self, parcel: Parcel) -> bool {
+    pub async fn send(&self, packet: Packet) -> bool {
         *self.backlog.lock() += 1;
-        self.queue.send(parcel).await.is_ok()
+        self.queue.send(packet).await.is_ok()
     }
 
     /// Queues a parcel; false when there is no room.
-    pub fn try_send(&self, parcel: Parcel) -> bool {
+    pub fn try_send(&self, packet: Packet) -> bool {
         let mut backlog = self.backlog.lock();
-        let queued = self.queue.try_send(parcel).is_ok();
+        let queued = self.queue.try_send(packet).is_ok();
         *backlog += usize::from(queued);
         queued
     }
@@ -149,7 +149,7 @@ impl Line {
             return Passed::Written;
         }
         let rest = if written == 0 { bytes.clone() } else { Arc::from(&bytes[written..]) };
-        if self.queue.try_send(Parcel { bytes: rest, due }).is_err() {
+        if self.queue.try_send(Packet { bytes: rest, due }).is_err() {
             return Passed::Refused;
         }
         *backlog += 1;

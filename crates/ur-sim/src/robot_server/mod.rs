@@ -10,9 +10,9 @@ pub mod dashboard;
 
 pub mod line;
 
-pub mod outlets;
+pub mod publisher;
 
-pub mod punctuality;
+pub mod latency;
 
 pub mod rtde;
 

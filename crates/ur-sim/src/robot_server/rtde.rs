@@ -11,7 +11,7 @@ use crate::controller::outputs;
 use crate::controller::registers::{ClientId, Input};
 use crate::motion::FRAMES_PER_SECOND;
 use crate::robot_server::line::{Inlet, Way};
-use crate::robot_server::outlets::{Feed, Plan};
+use crate::robot_server::publisher::{Feed, Plan};
 use crate::robot_server::shared::RobotShared;
 use std::sync::Arc;
 use ur_wire::bytes::WireError;
@@ -47,7 +47,7 @@ pub struct Session {
 impl Session {
     /// Adds the connection to the outlets.
     pub fn open(shared: &RobotShared, way: Option<Arc<dyn Way>>) -> (Session, Inlet) {
-        let (id, inlet) = shared.outlets().open(Feed::Rtde, false, way);
+        let (id, inlet) = shared.publisher().open(Feed::Rtde, false, way);
         let (version, splitter) = (Version::V1, Splitter::default());
         (Session { id, version, inputs: Vec::new(), splitter, starts: false }, inlet)
     }
@@ -78,14 +78,14 @@ impl Session {
     /// announced them.
     pub fn answered(&mut self, shared: &RobotShared) {
         if std::mem::take(&mut self.starts) {
-            shared.outlets().start(self.id);
+            shared.publisher().start(self.id);
         }
     }
 
     /// Gives back what the connection has claimed.
     pub fn close(&self, shared: &RobotShared) {
         shared.controller().core.registers.release(self.id);
-        shared.outlets().close(self.id);
+        shared.publisher().close(self.id);
     }
 
     /// The reply and the version to write it in; `None` if there is none.
@@ -113,12 +113,12 @@ impl Session {
             }
             Request::SetupInputs { names } => self.set_up_inputs(&mut shared.controller(), &names),
             Request::Start => {
-                self.starts = shared.outlets().has_recipe(self.id);
+                self.starts = shared.publisher().has_recipe(self.id);
                 Reply::Start(self.starts)
             }
             Request::Pause => {
                 self.starts = false;
-                shared.outlets().pause(self.id);
+                shared.publisher().pause(self.id);
                 Reply::Pause(true)
             }
             Request::Data { recipe, payload } => return self.write(shared, recipe, &payload),
@@ -144,7 +144,7 @@ impl Session {
             return Reply::SetupOutputs { recipe: 0, offers };
         };
         let plan = Plan { recipe, fields, version: self.version };
-        shared.outlets().subscribe(self.id, plan, interval);
+        shared.publisher().subscribe(self.id, plan, interval);
         Reply::SetupOutputs { recipe: 1, offers }
     }
 
@@ -173,7 +173,7 @@ impl Session {
                 let mut controller = shared.controller();
                 controller.core.registers.write(&input.fields, &values);
                 let step = controller.core.step;
-                shared.outlets().wrote(self.id, step);
+                shared.publisher().wrote(self.id, step);
                 None
             }
             Err(error) => Some((self.text(&format!("input recipe {recipe}: {error}")), self.version)),

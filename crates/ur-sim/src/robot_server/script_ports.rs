@@ -7,7 +7,7 @@
 use crate::controller::registers::ClientId;
 use crate::controller::{builtins, robot_state};
 use crate::robot_server::line::{Inlet, Line};
-use crate::robot_server::outlets::{Feed, encode_message, encode_state};
+use crate::robot_server::publisher::{Feed, encode_message, encode_state};
 use crate::robot_server::script_channel::{ScriptChannel, TooLong, Upload};
 use crate::robot_server::shared::RobotShared;
 use ur_wire::primary_message::{MessageBody, READ_ONLY};
@@ -34,7 +34,7 @@ impl Session {
     /// Adds the connection to the outlets with its greeting: version, then what is sent once.
     pub fn open(shared: &RobotShared, port: Port) -> (Session, Inlet) {
         let controller = shared.controller();
-        let (id, inlet) = shared.outlets().open(port.feed, port.read_only, None);
+        let (id, inlet) = shared.publisher().open(port.feed, port.read_only, None);
         if port.feed != Feed::Realtime {
             let [major, minor, bugfix, build] = controller.core.version();
             let version = MessageBody::Version {
@@ -85,7 +85,7 @@ impl Session {
 
     /// Removes the connection from the outlets.
     pub fn close(&self, shared: &RobotShared) {
-        shared.outlets().close(self.id);
+        shared.publisher().close(self.id);
     }
 
     fn carry_out(&self, shared: &RobotShared, upload: Upload) {

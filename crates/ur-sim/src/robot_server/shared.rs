@@ -6,8 +6,8 @@
 
 use crate::controller::Controller;
 use crate::faults::link::Links;
-use crate::robot_server::outlets::Outlets;
-use crate::robot_server::punctuality::Punctuality;
+use crate::robot_server::latency::LatencyHistogram;
+use crate::robot_server::publisher::Publisher;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
 
@@ -15,11 +15,11 @@ use std::time::Instant;
 #[derive(Debug)]
 pub struct RobotShared {
     controller: Mutex<Controller>,
-    outlets: Mutex<Outlets>,
+    publisher: Mutex<Publisher>,
     /// What is wrong with the connections, those of gripper and camera included.
     pub links: Links,
     /// How late RTDE packages leave.
-    pub punctuality: Punctuality,
+    pub latency: LatencyHistogram,
 }
 
 impl RobotShared {
@@ -27,9 +27,9 @@ impl RobotShared {
     pub fn new(controller: Controller) -> Arc<RobotShared> {
         Arc::new(RobotShared {
             controller: Mutex::new(controller),
-            outlets: Mutex::new(Outlets::default()),
+            publisher: Mutex::new(Publisher::default()),
             links: Links::default(),
-            punctuality: Punctuality::default(),
+            latency: LatencyHistogram::default(),
         })
     }
 
@@ -40,8 +40,8 @@ impl RobotShared {
     }
 
     /// The connections.
-    pub fn outlets(&self) -> MutexGuard<'_, Outlets> {
-        self.outlets.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    pub fn publisher(&self) -> MutexGuard<'_, Publisher> {
+        self.publisher.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 
     /// One controller frame, and its outputs to all connections; packages record how late after `due` they
@@ -49,6 +49,6 @@ impl RobotShared {
     pub fn frame(&self, due: Option<Instant>) {
         let mut controller = self.controller();
         controller.frame();
-        self.outlets().publish(&mut controller, due, &self.punctuality);
+        self.publisher().publish(&mut controller, due, &self.latency);
     }
 }

@@ -8,7 +8,7 @@
 pub mod stream;
 
 use crate::core::Core;
-use crate::robot_server::line::{Inlet, Line, Parcel, Queue};
+use crate::robot_server::line::{Inlet, Line, Packet, Queue};
 use crate::robot_server::shared::RobotShared;
 use crate::robot_server::{RobotAddresses, RobotPorts};
 use crate::serve::stream::LinkStream;
@@ -204,7 +204,7 @@ async fn read_all(core: &Core, session: &mut Session, reader: &mut ReadHalf<Link
         };
         let heard = session.receive(core, &buffer[..count]);
         for answer in heard.answers {
-            if !replies.send(Parcel::from(answer)).await {
+            if !replies.send(Packet::from(answer)).await {
                 return;
             }
         }
@@ -217,12 +217,12 @@ async fn read_all(core: &Core, session: &mut Session, reader: &mut ReadHalf<Link
 
 /// Writes what is queued until the connection breaks or nobody can send any more.
 async fn write_all(mut queue: Queue, mut writer: WriteHalf<LinkStream>, robot: Arc<RobotShared>) {
-    while let Some(parcel) = queue.next().await {
-        if writer.write_all(parcel.bytes()).await.is_err() {
+    while let Some(packet) = queue.next().await {
+        if writer.write_all(packet.bytes()).await.is_err() {
             return;
         }
-        if let Some(due) = parcel.due() {
-            robot.punctuality.record(due.elapsed());
+        if let Some(due) = packet.due() {
+            robot.latency.record(due.elapsed());
         }
         queue.written();
     }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::controller::{Controller, ControllerConfig};
-use crate::robot_server::outlets::{Feed, Outlets};
+use crate::robot_server::publisher::{Feed, Publisher};
 use crate::world::empty_world;
 use std::net::Ipv4Addr;
 use ur_wire::dashboard::GREETING;
@@ -494,9 +494,9 @@ async fn an_rtde_client_that_does_not_read_is_dropped_and_a_script_client_is_not
     let mut good = Rtde::connect(&bench, Version::V2).await;
     let recipe = good.outputs(1.0, &["timestamp"]).await.unwrap();
     good.ask(Request::Start).await;
-    let connections = |b: &Bench| b.shared.outlets().outlets_of(Feed::Rtde);
+    let connections = |b: &Bench| b.shared.publisher().subscribers(Feed::Rtde);
     bench.until(|b| (connections(b) == 1).then_some(())).await;
-    assert!(bench.shared.outlets().counts().1 > 0, "nothing was skipped");
+    assert!(bench.shared.publisher().counts().1 > 0, "nothing was skipped");
     bench.during(good.data(&recipe)).await;
     silent.write_all(b"def late():\n sleep(1000)\nend\n").await.unwrap();
     bench.until(|b| b.shared.controller().programs.playing().then_some(())).await;
@@ -504,16 +504,16 @@ async fn an_rtde_client_that_does_not_read_is_dropped_and_a_script_client_is_not
 
 #[tokio::test]
 async fn regular_writers_are_waited_for_and_dead_ones_forgotten() {
-    let mut outlets = Outlets::default();
-    let (id, _inlet) = outlets.open(Feed::Rtde, false, None);
+    let mut publisher = Publisher::default();
+    let (id, _inlet) = publisher.open(Feed::Rtde, false, None);
     for step in (10..=100).step_by(10) {
-        outlets.wrote(id, step);
+        publisher.wrote(id, step);
     }
-    assert!(!outlets.someone_is_late(130) && outlets.someone_is_late(131));
-    outlets.give_up(131);
-    assert!(!outlets.someone_is_late(1000));
-    outlets.wrote(id, 1000);
-    assert!(!outlets.someone_is_late(2000), "one package does not make a writer regular");
+    assert!(!publisher.a_client_is_late(130) && publisher.a_client_is_late(131));
+    publisher.give_up(131);
+    assert!(!publisher.a_client_is_late(1000));
+    publisher.wrote(id, 1000);
+    assert!(!publisher.a_client_is_late(2000), "one package does not make a writer regular");
 }
 
 #[tokio::test]

@@ -115,9 +115,9 @@ fn setup_difference(setup: &Setup, state: &RobotState) -> Option<String> {
     }
     let tcp = setup.tcp?;
     let pose = |p: [f64; 6]| Isometry3::new(Vector3::new(p[0], p[1], p[2]), Vector3::new(p[3], p[4], p[5]));
-    let (told, shown) = (pose(tcp), pose(state.tcp_offset));
-    let way = (told.translation.vector - shown.translation.vector).norm();
-    let turn = told.rotation.angle_to(&shown.rotation);
+    let (reported, shown) = (pose(tcp), pose(state.tcp_offset));
+    let way = (reported.translation.vector - shown.translation.vector).norm();
+    let turn = reported.rotation.angle_to(&shown.rotation);
     let differs = way > 1e-4 || turn > 1e-3;
     differs.then(|| format!("TCP reads {:?}, {tcp:?} was set", state.tcp_offset))
 }

@@ -140,8 +140,8 @@ impl Robot {
 
     /// RTDE is gone: nothing can be known or said any more, except `stop` on the dashboard.
     pub(super) fn program_lost_rtde(&mut self, now: Timestamp) {
-        if let Some((_, told)) = &mut self.left_behind {
-            *told = false;
+        if let Some((_, reported)) = &mut self.left_behind {
+            *reported = false;
         }
         match &self.program {
             Program::Absent | Program::Halting { .. } => {}
@@ -285,10 +285,10 @@ impl Robot {
         if state.runtime_state == RuntimeState::Stopped {
             self.left_behind = None;
         }
-        if let Some((nonce, told @ false)) = &mut self.left_behind
+        if let Some((nonce, reported @ false)) = &mut self.left_behind
             && nonce.number() == state.nonce
         {
-            *told = true;
+            *reported = true;
             self.stream.start(state.accepted);
             // The number after the accepted one may be in the registers already, for a move.
             self.stream.skip_sequence();
@@ -330,7 +330,7 @@ impl Robot {
             return;
         }
         if state.runtime_state == RuntimeState::Stopped {
-            let reason = self.exception.take().unwrap_or(ProgramEnd::Outside);
+            let reason = self.exception.take().unwrap_or(ProgramEnd::DeviceSnapshot);
             return self.program_ended(reason);
         }
         if !state.safety_mode.allows_motion() {
@@ -351,7 +351,7 @@ impl Robot {
             }
             ProgramStatus::Stopped => {
                 // Not by us, or this would be another state.
-                return self.begin_end(now, ProgramEnd::Outside);
+                return self.begin_end(now, ProgramEnd::DeviceSnapshot);
             }
             ProgramStatus::Idle | ProgramStatus::Moving | ProgramStatus::HeartbeatLost => {}
         }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::cell::device::robot_types::ProgramEnd;
-use crate::cell::supervisor::input::CameraTrouble;
+use crate::cell::supervisor::input::CameraFault;
 use crate::motion::path::Segment;
 use crate::motion::pick_n_place::tool_down;
 use rearrange::geometry::footprint::Footprint;
@@ -45,7 +45,7 @@ fn after_a_stop_and_arming_a_new_program_is_started_and_the_next_job_runs() {
 fn a_stop_while_nothing_moves_disarms_and_nothing_starts_by_itself() {
     let events = [
         RobotEvent::Safety { mode: SafetyMode::RobotEmergencyStop },
-        RobotEvent::ProgramEnded { reason: ProgramEnd::Outside },
+        RobotEvent::ProgramEnded { reason: ProgramEnd::DeviceSnapshot },
         RobotEvent::RtdeLost,
         RobotEvent::RemoteControl { on: false },
     ];
@@ -81,8 +81,8 @@ fn disarming_in_the_middle_of_a_look_keeps_the_arm_where_it_is() {
     bench.ticks(20);
     bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
     bench.ticks(10);
-    let told = bench.feed(order(Order::Disarm));
-    assert!(said(&told, "disarmed"));
+    let reported = bench.feed(order(Order::Disarm));
+    assert!(said(&reported, "disarmed"));
     let mut all = bench.feed(Input::Captured(Ok(Vec::new())));
     all.extend(bench.ticks(200));
     assert_eq!(streams(&all), 0, "{all:?}");
@@ -194,8 +194,8 @@ fn letting_go_in_mid_carry_stops_the_arm_first_and_opens_only_that_channel() {
 #[test]
 fn a_disarmed_cell_does_not_remember_an_order_to_park() {
     let mut bench = Bench::new();
-    let told = bench.feed(order(Order::Park));
-    assert!(answer(&told).is_some_and(|reply| !reply.accepted), "{told:?}");
+    let reported = bench.feed(order(Order::Park));
+    assert!(answer(&reported).is_some_and(|reply| !reply.accepted), "{reported:?}");
     let mut all = bench.feed(order(Order::Arm));
     all.extend(bench.ticks(100));
     assert_eq!(streams(&all), 0, "{all:?}");
@@ -222,9 +222,10 @@ fn another_arm_cannot_be_armed() {
     assert!(bench.cell.status().armed, "the same arm connected again");
     dh.a[1] += 1e-4;
     bench.feed(Input::Robot(RobotEvent::Kinematics { dh, checksum: [1; 6] }));
-    let told = bench.feed(order(Order::Arm));
-    let refused = answer(&told).is_some_and(|reply| !reply.accepted && reply.message.contains("not armed"));
-    assert!(!bench.cell.status().armed && refused, "{told:?}");
+    let reported = bench.feed(order(Order::Arm));
+    let refused =
+        answer(&reported).is_some_and(|reply| !reply.accepted && reply.message.contains("not armed"));
+    assert!(!bench.cell.status().armed && refused, "{reported:?}");
 }
 
 #[test]
@@ -248,9 +249,9 @@ fn objects_of_the_catalogue_that_are_not_seen_are_told_once() {
     bench.missing = vec!["b".into()];
     bench.job(false);
     let all = bench.until_planning();
-    let told =
+    let reported =
         all.iter().filter(|a| matches!(a, Action::Say(n) if n.alarm && n.text.ends_with(": b"))).count();
-    assert_eq!(told, 1, "{all:?}");
+    assert_eq!(reported, 1, "{all:?}");
     bench.plan();
     bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
     assert!(!said(&bench.ticks(50), ": b"));
@@ -301,7 +302,7 @@ fn approval_of_the_first_plan_covers_the_next_for_the_same_goal() {
 
 fn camera_trouble(code: Code, lasting: bool) -> Input {
     let message = "the camera is frozen".to_string();
-    Input::Captured(Err(CameraTrouble { code, message, remedy: "look at its cable", lasting }))
+    Input::Captured(Err(CameraFault { code, message, hint: "look at its cable", lasting }))
 }
 
 /// At the first look pose, with a picture asked for.
@@ -326,8 +327,8 @@ fn a_camera_without_pictures_is_waited_for_and_named_once() {
     }
     assert_eq!(streams(&all), 0, "the arm stands");
     let asked = all.iter().filter(|action| matches!(action, Action::Capture { .. })).count();
-    let told = all.iter().filter(|action| matches!(action, Action::Say(notice) if notice.alarm)).count();
-    assert_eq!((asked, told, ended(&all)), (5, 1, None), "{all:?}");
+    let reported = all.iter().filter(|action| matches!(action, Action::Say(notice) if notice.alarm)).count();
+    assert_eq!((asked, reported, ended(&all)), (5, 1, None), "{all:?}");
     assert_eq!(bench.cell.status().text(), "looking 1/1, waiting: camera_frozen");
     all.extend(bench.feed(camera_trouble(Code::CameraDark, false)));
     assert!(said(&all, "camera_dark"), "another fault is told again");
@@ -353,8 +354,8 @@ fn a_camera_that_stays_away_fails_the_job_by_its_name_and_leaves_the_cell_armed(
 #[test]
 fn another_camera_than_the_calibrated_one_is_not_waited_for() {
     let mut bench = looking();
-    let told = bench.feed(camera_trouble(Code::CameraMisfit, true));
-    assert_eq!(ended(&told), Some((JobEnd::Failed, "camera_misfit".into())));
+    let reported = bench.feed(camera_trouble(Code::CameraMisfit, true));
+    assert_eq!(ended(&reported), Some((JobEnd::Failed, "camera_misfit".into())));
 }
 
 #[test]
@@ -368,27 +369,27 @@ fn a_camera_that_says_nothing_at_all_fails_the_job_and_leaves_the_cell_armed() {
 
 #[test]
 fn an_order_is_answered_by_what_it_led_to() {
-    let told = |bench: &mut Bench, given: Order| {
+    let reported = |bench: &mut Bench, given: Order| {
         let reply = answer(&bench.feed(order(given))).expect("an answer");
         (reply.accepted, reply.message)
     };
     let mut bench = Bench::new();
-    assert_eq!(told(&mut bench, Order::Resume), (true, "nothing was paused".into()));
-    assert_eq!(told(&mut bench, Order::Pause), (true, "paused; no job is under way".into()));
-    assert_eq!(told(&mut bench, Order::Pause), (true, "paused already".into()));
-    assert!(!told(&mut bench, Order::Park).0 && !told(&mut bench, Order::Step).0, "disarmed");
-    let armed = told(&mut bench, Order::Arm);
+    assert_eq!(reported(&mut bench, Order::Resume), (true, "nothing was paused".into()));
+    assert_eq!(reported(&mut bench, Order::Pause), (true, "paused; no job is under way".into()));
+    assert_eq!(reported(&mut bench, Order::Pause), (true, "paused already".into()));
+    assert!(!reported(&mut bench, Order::Park).0 && !reported(&mut bench, Order::Step).0, "disarmed");
+    let armed = reported(&mut bench, Order::Arm);
     assert!(armed.0 && armed.1.contains("a pause is in force"), "{armed:?}");
-    assert_eq!(told(&mut bench, Order::Arm), (true, "armed already".into()));
-    assert_eq!(told(&mut bench, Order::Resume), (true, "goes on".into()));
-    assert!(!told(&mut bench, Order::Cancel("j".into())).0, "there is no job");
+    assert_eq!(reported(&mut bench, Order::Arm), (true, "armed already".into()));
+    assert_eq!(reported(&mut bench, Order::Resume), (true, "goes on".into()));
+    assert!(!reported(&mut bench, Order::Cancel("j".into())).0, "there is no job");
     bench.job(true);
     bench.ticks(20);
-    let early = told(&mut bench, Order::Approve("j".into()));
+    let early = reported(&mut bench, Order::Approve("j".into()));
     assert!(!early.0 && early.1.contains("does not wait for approval"), "{early:?}");
-    assert!(told(&mut bench, Order::Disarm).1.contains("goes on to its next stop"));
+    assert!(reported(&mut bench, Order::Disarm).1.contains("goes on to its next stop"));
     let mut bench = working();
-    assert!(told(&mut bench, Order::Disarm).1.contains("finished first"));
+    assert!(reported(&mut bench, Order::Disarm).1.contains("finished first"));
 }
 
 #[test]

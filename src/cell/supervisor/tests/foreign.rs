@@ -30,7 +30,7 @@ fn goes(bench: &mut Bench) -> Result<crate::cell::supervisor::input::PlanRequest
             match action {
                 Action::Plan(request) => return Ok((**request).clone()),
                 Action::Commit { record: Record::Ended(report), .. } => {
-                    return Err((report.code_text(), report.message.clone(), report.remedy.clone()));
+                    return Err((report.code_text(), report.message.clone(), report.hint.clone()));
                 }
                 Action::Gripper(_) => panic!("the gripper was used: {all:?}"),
                 _ => {}
@@ -45,10 +45,10 @@ fn goes(bench: &mut Bench) -> Result<crate::cell::supervisor::input::PlanRequest
 fn a_foreign_object_is_refused_with_where_it_is_and_how_high() {
     let mut bench = with(REFUSE, report(vec![thing(0.212, 0.105, 0.094)], 0.99));
     bench.missing = vec!["b".into()];
-    let (code, message, remedy) = goes(&mut bench).unwrap_err();
+    let (code, message, hint) = goes(&mut bench).unwrap_err();
     assert_eq!(code, "foreign_object");
     assert!(message.contains("94 mm high") && message.contains("x = 212 mm, y = 105 mm"), "{message}");
-    assert!(message.contains("not seen: b") && remedy.contains("take it away"), "{message} {remedy}");
+    assert!(message.contains("not seen: b") && hint.contains("take it away"), "{message} {hint}");
 }
 
 #[test]
@@ -98,19 +98,19 @@ fn depth_that_is_asked_for_has_to_come_and_to_cover_the_table() {
     assert_eq!(goes(&mut with(REFUSE, report(Vec::new(), f64::NAN))).unwrap_err().0, "depth_poor");
     // Colours that were compared with nothing are named as such.
     let elsewhere = ForeignReport { measured_share: 0.0, by_colour: true, ..ForeignReport::default() };
-    let (code, message, remedy) = goes(&mut with(REFUSE, Some(elsewhere))).unwrap_err();
+    let (code, message, hint) = goes(&mut with(REFUSE, Some(elsewhere))).unwrap_err();
     assert_eq!(code, "table_not_compared");
     assert!(
-        message.contains("empty table on 0 %") && remedy.contains("celld calibrate empty"),
-        "{message} {remedy}"
+        message.contains("empty table on 0 %") && hint.contains("celld calibrate empty"),
+        "{message} {hint}"
     );
     // Much of the table was measured, but not where something large may stand.
     for (area_m2, refused) in [(12e-4, false), (30e-4, true), (f64::NAN, true)] {
         let hole = Some(Hole { area_m2, centre: [0.31, 0.12] });
         let seen =
             ForeignReport { objects: Vec::new(), measured_share: 0.97, largest_hole: hole, by_colour: false };
-        let told = goes(&mut with(REFUSE, Some(seen)));
-        let Err((code, message, _)) = told else {
+        let reported = goes(&mut with(REFUSE, Some(seen)));
+        let Err((code, message, _)) = reported else {
             assert!(!refused, "{area_m2}");
             continue;
         };

@@ -129,8 +129,8 @@ fn disarming_a_held_arm_stops_it_for_good() {
     let mut bench = working();
     bench.robot.runtime_state = RuntimeState::Paused;
     let paused = bench.feed(Input::Robot(RobotEvent::Paused));
-    let told = paused.iter().any(|a| matches!(a, Action::Say(notice) if notice.alarm));
-    assert!(told, "a person reads that play goes on with the motion: {paused:?}");
+    let reported = paused.iter().any(|a| matches!(a, Action::Say(notice) if notice.alarm));
+    assert!(reported, "a person reads that play goes on with the motion: {paused:?}");
     let disarmed = bench.feed(order(Order::Disarm));
     assert!(disarmed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{disarmed:?}");
     assert_eq!(ended(&disarmed), Some((JobEnd::Interrupted, "aborted".into())));
@@ -209,9 +209,9 @@ fn disarmed_is_not_said_while_an_earlier_stop_still_brakes() {
     assert_eq!(answer(&disarmed), None, "{disarmed:?}");
     bench.robot.qd = [0.0; 6];
     let stopped = bench.feed(Input::Robot(RobotEvent::Stopped));
-    let told =
+    let reported =
         |a: &&Action| matches!(a, Action::Reply { reply, .. } if reply.message == "stopped and disarmed");
-    assert_eq!(stopped.iter().filter(told).count(), 2, "{stopped:?}");
+    assert_eq!(stopped.iter().filter(reported).count(), 2, "{stopped:?}");
 }
 
 #[test]

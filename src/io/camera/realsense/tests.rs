@@ -161,15 +161,18 @@ fn what_does_not_fit_is_told_before_the_first_picture() {
     let Some(library) = clients().as_deref().and_then(library_in) else { return };
     let Some(file) = recording("sample-d405.db3") else { return };
     let depth = RealSenseSettings { depth: true, ..settings(&library, &file) };
-    let told = RealSenseCamera::open(depth, LIMIT, None).err().unwrap();
-    assert!(told.kind() == FaultKind::Misfit && told.to_string().contains("no depth stream"), "{told}");
+    let reported = RealSenseCamera::open(depth, LIMIT, None).err().unwrap();
+    assert!(
+        reported.kind() == FaultKind::Misfit && reported.to_string().contains("no depth stream"),
+        "{reported}"
+    );
     let lens = RealSenseCamera::open(settings(&library, &file), LIMIT, None).unwrap().intrinsics().unwrap();
     let larger = CameraModel { width: 1280, ..lens.clone() };
-    let told = RealSenseCamera::open(settings(&library, &file), LIMIT, Some(larger)).err().unwrap();
-    assert!(matches!(told, CameraError::Model(_)), "{told}");
+    let reported = RealSenseCamera::open(settings(&library, &file), LIMIT, Some(larger)).err().unwrap();
+    assert!(matches!(reported, CameraError::Model(_)), "{reported}");
     let other = CameraModel { serial: "7".into(), ..lens };
-    let told = RealSenseCamera::open(settings(&library, &file), LIMIT, Some(other)).err().unwrap();
-    assert!(matches!(told, CameraError::OtherSerial { .. }), "{told}");
+    let reported = RealSenseCamera::open(settings(&library, &file), LIMIT, Some(other)).err().unwrap();
+    assert!(matches!(reported, CameraError::OtherSerial { .. }), "{reported}");
 }
 
 #[test]
@@ -183,18 +186,18 @@ fn cut_and_foreign_files_are_errors_that_name_the_file() {
         std::fs::write(path(name), &bytes[..bytes.len() / 3]).unwrap();
         let opened = RealSenseCamera::open(settings(&library, &path(name)), LIMIT, None);
         // Whole at its beginning, a file may begin to play; it must end, and not with six pictures.
-        let told = match opened {
-            Err(told) => told,
+        let reported = match opened {
+            Err(reported) => reported,
             Ok(mut camera) => (0..6).find_map(|_| camera.grab().err()).unwrap(),
         };
-        let text = format!("{told} {told:?}");
+        let text = format!("{reported} {reported:?}");
         assert!(text.contains(name), "{text}");
     }
     std::fs::write(path("text.bag"), b"no recording").unwrap();
-    let told = RealSenseCamera::open(settings(&library, &path("text.bag")), LIMIT, None).err().unwrap();
+    let reported = RealSenseCamera::open(settings(&library, &path("text.bag")), LIMIT, None).err().unwrap();
     assert!(
-        matches!(told, CameraError::Recording { .. }) && told.to_string().contains("text.bag"),
-        "{told:?}"
+        matches!(reported, CameraError::Recording { .. }) && reported.to_string().contains("text.bag"),
+        "{reported:?}"
     );
     let gone = RealSenseCamera::open(settings(&library, &path("gone.bag")), LIMIT, None).err().unwrap();
     assert!(matches!(gone, CameraError::File { .. }));
@@ -209,9 +212,12 @@ fn without_a_camera_the_sdk_says_that_none_is_connected() {
         ..settings(&library, Path::new(""))
     };
     // A serial number that no camera has: with one connected the others are listed.
-    let told = RealSenseCamera::open(live("none-such"), LIMIT, None).err().unwrap();
-    assert!(matches!(told, CameraError::NotConnected { .. }), "{told:?}");
-    assert!(told.kind() == FaultKind::Unplugged && told.to_string().contains("none-such"), "{told}");
+    let reported = RealSenseCamera::open(live("none-such"), LIMIT, None).err().unwrap();
+    assert!(matches!(reported, CameraError::NotConnected { .. }), "{reported:?}");
+    assert!(
+        reported.kind() == FaultKind::Unplugged && reported.to_string().contains("none-such"),
+        "{reported}"
+    );
 }
 
 #[test]
@@ -220,8 +226,8 @@ fn without_the_sdk_the_remedy_is_told() {
     let file = folder.path().join("a.bag");
     std::fs::write(&file, b"x").unwrap();
     let absent = settings(&folder.path().join("librealsense2.so"), &file);
-    let told = RealSenseCamera::open(absent, LIMIT, None).err().unwrap();
-    let CameraError::RealSense { source, .. } = &told else { panic!("{told:?}") };
+    let reported = RealSenseCamera::open(absent, LIMIT, None).err().unwrap();
+    let CameraError::RealSense { source, .. } = &reported else { panic!("{reported:?}") };
     assert!(source.to_string().contains("install librealsense2"), "{source}");
-    assert_eq!(told.kind(), FaultKind::Misfit);
+    assert_eq!(reported.kind(), FaultKind::Misfit);
 }

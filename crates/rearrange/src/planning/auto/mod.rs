@@ -1,27 +1,28 @@
 //! `auto`, our own anytime solver: a portfolio of randomised searches that share their best plan.
 //!
-//! In: a [`Quest`]: a scene, costs, two of the paper's solvers to ask; a seed. Out: plans, each offered as it
-//! is found. Members (`member`) search beside each other, on the caller's threads if there are any; after a
-//! fixed number of steps they meet, in the order of their numbers, and those that have a worse plan take over
-//! the best. Between the rounds the lower bound is raised (`bound::room`), as long as that can end the
-//! search. So nothing but seed and steps decides what is found, however many threads there are.
+//! In: a [`PortfolioTask`]: a scene, costs, two of the paper's solvers to ask; a seed. Out: plans, each
+//! offered as it is found. Members (`worker`) search beside each other, on the caller's threads if there are
+//! any; after a fixed number of steps they meet, in the order of their numbers, and those that have a worse
+//! plan take over the best. Between the rounds the lower bound is raised (`bound::buffer_space`), as long as
+//! that can end the search. So nothing but seed and steps decides what is found, however many threads there
+//! are.
 
 pub mod aside;
 pub mod assignment;
+pub mod compaction;
 pub mod contest;
-pub mod member;
 pub mod parking;
 pub mod polish;
 pub mod regions;
 pub mod roll_out;
 pub mod shorten;
 pub mod sites;
-pub mod squeeze;
 pub mod stops;
 pub mod table;
+pub mod worker;
 
-use crate::planning::auto::member::{Member, Quest};
-use crate::planning::bound::room::RoomBound;
+use crate::planning::auto::worker::{PortfolioTask, Worker};
+use crate::planning::bound::buffer_space::BufferSpaceBound;
 use crate::planning::effort::Effort;
 use crate::planning::mcts::Verdict;
 use crate::planning::trlb::Move;
@@ -30,16 +31,16 @@ use rayon::prelude::*;
 /// Members: as many as there are, so many threads have work.
 const MEMBERS: u64 = 4;
 
-/// Steps of each member in the first round; a first plan is often found within.
+/// Steps of each worker in the first round; a first plan is often found within.
 const FIRST_ROUND: u64 = 200;
 
-/// Steps of each member in the longest rounds: a fraction of a second.
+/// Steps of each worker in the longest rounds: a fraction of a second.
 const LONGEST_ROUND: u64 = 20_000;
 
 /// A task for the portfolio.
 pub struct Search<'a> {
     /// What is searched for.
-    pub quest: &'a Quest<'a>,
+    pub task: &'a PortfolioTask<'a>,
     /// Where the members work; without, one after the other.
     pub pool: Option<&'a rayon::ThreadPool>,
     /// Seed of everything.
@@ -58,13 +59,13 @@ impl Search<'_> {
     /// Searches until the plan is good enough or the effort is spent.
     pub fn run(&self, audience: &mut dyn Audience, effort: &mut Effort) {
         let seed = |k: u64| self.seed.wrapping_mul(MEMBERS).wrapping_add(k);
-        let member = |k| Member::new(self.quest, k, seed(k));
-        let mut members: Vec<Member> = (0..MEMBERS).map(member).collect();
-        let mut proof = RoomBound::new(self.quest.scene, self.quest.costs);
+        let worker = |k| Worker::new(self.task, k, seed(k));
+        let mut members: Vec<Worker> = (0..MEMBERS).map(worker).collect();
+        let mut proof = BufferSpaceBound::new(self.task.scene, self.task.costs);
         let mut best: Option<(f64, Vec<Move>)> = None;
         let mut steps = FIRST_ROUND;
         while !effort.is_over() {
-            self.round(&mut members, proof.value * self.quest.worth, steps, effort);
+            self.round(&mut members, proof.value * self.task.worth, steps, effort);
             if self.meet(&mut members, &mut best, audience) {
                 return;
             }
@@ -78,10 +79,10 @@ impl Search<'_> {
         }
     }
 
-    fn round(&self, members: &mut [Member], enough: f64, steps: u64, effort: &mut Effort) {
+    fn round(&self, members: &mut [Worker], enough: f64, steps: u64, effort: &mut Effort) {
         let steps = steps.min(effort.left() / MEMBERS);
         let mut parts: Vec<Effort> = members.iter().map(|_| effort.part(steps)).collect();
-        let work = |(member, part): (&mut Member, &mut Effort)| member.search(enough, part);
+        let work = |(worker, part): (&mut Worker, &mut Effort)| worker.search(enough, part);
         match self.pool {
             Some(pool) => {
                 pool.install(|| members.par_iter_mut().zip(parts.par_iter_mut()).for_each(work));
@@ -94,43 +95,43 @@ impl Search<'_> {
     /// Goes on with the proof that nothing is much better; true if the plan is shown to be the best.
     fn prove(
         &self,
-        proof: &mut RoomBound,
+        proof: &mut BufferSpaceBound,
         plan: &[Move],
         steps: u64,
         audience: &mut dyn Audience,
         effort: &mut Effort,
     ) -> bool {
         let before = proof.value;
-        let enough = plan.iter().map(|m| self.quest.costs[m.object]).sum();
+        let enough = plan.iter().map(|m| self.task.costs[m.object]).sum();
         let mut part = effort.part(steps);
         proof.work(enough, &mut part);
         effort.spend(&part);
-        proof.value > before && audience.prove(proof.value * self.quest.worth)
+        proof.value > before && audience.prove(proof.value * self.task.worth)
     }
 
     /// Offers what is better, and hands the best plan round; true if it is good enough.
     fn meet(
         &self,
-        members: &mut [Member],
+        members: &mut [Worker],
         best: &mut Option<(f64, Vec<Move>)>,
         audience: &mut dyn Audience,
     ) -> bool {
-        let slack = 1e-6 * self.quest.costs.iter().sum::<f64>();
+        let slack = 1e-6 * self.task.costs.iter().sum::<f64>();
         let known = |best: &Option<(f64, Vec<Move>)>| best.as_ref().map_or(f64::INFINITY, |(cost, _)| *cost);
-        for member in members.iter_mut() {
-            let Some(plan) = member.plan.as_ref().filter(|_| member.plan_cost() < known(best) - slack) else {
+        for worker in members.iter_mut() {
+            let Some(plan) = worker.plan.as_ref().filter(|_| worker.plan_cost() < known(best) - slack) else {
                 continue;
             };
             match audience.offer(plan) {
                 Verdict::Enough => return true,
-                Verdict::Accepted => *best = Some((member.plan_cost(), plan.clone())),
+                Verdict::Accepted => *best = Some((worker.plan_cost(), plan.clone())),
                 // The solvers' predicates and the checker's may differ within rounding.
-                Verdict::Refused => member.plan = None,
+                Verdict::Refused => worker.plan = None,
             }
         }
-        for member in members {
-            if member.plan_cost() > known(best) + slack {
-                member.plan = best.as_ref().map(|(_, plan)| plan.clone());
+        for worker in members {
+            if worker.plan_cost() > known(best) + slack {
+                worker.plan = best.as_ref().map(|(_, plan)| plan.clone());
             }
         }
         false

@@ -1,4 +1,4 @@
-//! Small changes to a plan that keep its moves: another order, another place to wait, another member of a
+//! Small changes to a plan that keep its moves: another order, another place to wait, another worker of a
 //! group.
 //!
 //! In: a plan. Out: another one with as many moves that can be carried out, at random. Under the objective

@@ -3,13 +3,13 @@
 //! In: two arrangements. Out: moves from the one to the other, more than needed. Discs that fill the table
 //! almost can all be shifted a little, and none can be put aside, so they cannot pass each other. They can
 //! where they stand as in a packing of one disc more: its last site is a place for whoever has to make way.
-//! So a packing is searched for (random points pushed apart), both arrangements are pressed (`squeeze`) to
+//! So a packing is searched for (random points pushed apart), both arrangements are pressed (`compaction`) to
 //! the sites that are nearest, and between these the discs move into the vacant site one by one.
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::Point;
 use crate::geometry::pose::Pose2;
-use crate::planning::auto::squeeze::{Progress, Squeeze};
+use crate::planning::auto::compaction::{Compaction, Progress};
 use crate::planning::buffers::Arrangement;
 use crate::planning::completion;
 use crate::planning::effort::Effort;
@@ -117,8 +117,8 @@ fn settled(
     let taken: Option<Vec<usize>> = completion::match_to_goals(&poses, &places).into_iter().collect();
     let taken = taken?;
     let ends: Arrangement = taken.iter().enumerate().map(|(o, &site)| scene.spot(o, places[site])).collect();
-    let mut squeeze = Squeeze::new(scene, from, &ends, rng);
-    match squeeze.run(&|_, _, _, _| None, rng, effort) {
+    let mut compaction = Compaction::new(scene, from, &ends, rng);
+    match compaction.run(&|_, _, _, _| None, rng, effort) {
         Progress::Arrived(moves) => Some((taken, moves)),
         Progress::Stuck | Progress::Interrupted => None,
     }

@@ -5,7 +5,7 @@
 //! solvers to ask.
 
 use crate::geometry::pose::Pose2;
-use crate::planning::auto::member::Quest;
+use crate::planning::auto::worker::PortfolioTask;
 use crate::planning::auto::{self, Audience};
 use crate::planning::check::CheckedPlan;
 use crate::planning::effort::Effort;
@@ -13,8 +13,8 @@ use crate::planning::mcts::Verdict;
 use crate::planning::plan::{Action, ActionKind, Objective};
 use crate::planning::problem::{Problem, ProblemObject};
 use crate::planning::scene::Scene;
-use crate::planning::solver::aid;
 use crate::planning::solver::control::{Control, SolverKind, cost, reaches};
+use crate::planning::solver::fallback;
 use crate::planning::solver::search::{self, Setting};
 use crate::planning::trlb::Move;
 
@@ -86,21 +86,21 @@ fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort
     let (problem, objective, control) = (scene.problem, incumbent.objective, incumbent.control);
     let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
     let costs: Vec<f64> = problem.objects.iter().map(weigh).collect();
-    let aid = |member, seed| aid::aid(scene, objective, member, seed);
+    let fallback = |worker, seed| fallback::fallback(scene, objective, worker, seed);
     let judge = |moves: &[Move]| cost(problem, objective, control, &actions(problem, moves));
     let is_known = |action: &&Action| {
         problem.objects.get(action.object).is_some_and(|o| !o.fixed) && action.to.is_finite()
     };
     let known = control.known_plan.iter().filter(is_known).map(|action| (action.object, action.to));
-    let quest = Quest {
+    let task = PortfolioTask {
         scene,
         costs: &costs,
         judge: if objective == Objective::Time { Some(&judge) } else { None },
         worth: if objective == Objective::Time { control.least_move_seconds } else { 1.0 },
-        aid: &aid,
+        fallback: &fallback,
         known: &known.collect::<Vec<_>>(),
     };
-    let search = auto::Search { quest: &quest, pool: control.pool, seed };
+    let search = auto::Search { task: &task, pool: control.pool, seed };
     search.run(incumbent, effort);
 }
 

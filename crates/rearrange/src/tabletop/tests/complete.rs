@@ -1,6 +1,6 @@
 //! One fault hides no other: what is sound in a file is judged, whatever is wrong beside it.
 
-use super::{read, told};
+use super::{read, reported};
 use crate::document::edit::{replace_first, replace_once};
 use crate::tabletop::parse::parse_pair;
 
@@ -10,9 +10,9 @@ fn pair_told(start: &str, goal: &str) -> Vec<String> {
 }
 
 #[track_caller]
-fn check(told: &[String], wanted: &[&str]) {
-    assert_eq!(told.len(), wanted.len(), "{told:#?}");
-    for (line, wanted) in told.iter().zip(wanted) {
+fn check(reported: &[String], wanted: &[&str]) {
+    assert_eq!(reported.len(), wanted.len(), "{reported:#?}");
+    for (line, wanted) in reported.iter().zip(wanted) {
         assert!(line.starts_with(wanted), "{line}\nwanted {wanted}");
     }
 }
@@ -31,7 +31,7 @@ fn overlaps_are_told_beside_wrong_keys() {
         "{text}  - {{id: c, footprint: {{disc: {{radius: 0.1 m}}}}, start: [0.2, 0.2, 0]}}\ncolour: red\n"
     );
     check(
-        &told(&text),
+        &reported(&text),
         &[
             "t.yaml:4:54: objects[1].start: \"b\" overlaps \"a\" by 100.000 mm; move them apart",
             "t.yaml:5:40: objects[2].footprint.disc.radius: \"0.1 m\" is not a number",
@@ -40,15 +40,15 @@ fn overlaps_are_told_beside_wrong_keys() {
     );
     // Without a sound tolerance nothing can be said about overlaps.
     let text = format!("overlap_tolerance: much\n{}", replace_once(&text, "colour: red\n", ""));
-    assert!(!told(&text).iter().any(|line| line.contains("overlaps")));
+    assert!(!reported(&text).iter().any(|line| line.contains("overlaps")));
 }
 
 #[test]
 fn marker_numbers_are_compared_as_numbers() {
     for same in ["7", "07", "+7", "0007"] {
-        let told = told(&replace_once(TASK, "id: 8", &format!("id: {same}")));
+        let reported = reported(&replace_once(TASK, "id: 8", &format!("id: {same}")));
         check(
-            &told,
+            &reported,
             &["t.yaml:4:82: objects[1].marker.id: marker 7 is used twice, first by object \"a\" in line 3"],
         );
     }
@@ -59,7 +59,7 @@ fn an_object_of_a_task_has_a_start() {
     let without_start = replace_once(TASK, "start: [0.7, 0.2, 0], ", "");
     let text = replace_once(&without_start, "start: [0.2, 0.2, 0]", "start: null");
     check(
-        &told(&text),
+        &reported(&text),
         &[
             "t.yaml:3:5: objects[0]: the object has no start; add `start:",
             "t.yaml:4:5: objects[1]: the object",
@@ -122,6 +122,6 @@ fn what_public_files_say_of_themselves_is_read() {
     // The published desk states 0.
     assert!(parse_pair((&discs("[100, 500], [300, 500]", "0"), "s"), (&good, "g"), &|_| None).is_ok());
     let task = "{\"Workspace_Height\": 1000, \"Workspace_Width\": 1000, \"number_of_objects\": abc, \"object_list\": []}";
-    let told = read(task).expect_err("refused").to_string();
-    assert!(told.contains("number_of_objects: \"abc\" is not a whole number"), "{told}");
+    let reported = read(task).expect_err("refused").to_string();
+    assert!(reported.contains("number_of_objects: \"abc\" is not a whole number"), "{reported}");
 }

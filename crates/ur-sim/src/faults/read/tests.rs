@@ -2,14 +2,14 @@
 
 use super::*;
 
-fn told(text: &str) -> String {
+fn reported(text: &str) -> String {
     read_faults(text, "f.yaml").expect_err("refused").to_string()
 }
 
 #[track_caller]
 fn refused(text: &str, complaint: &str) {
-    let told = told(text);
-    assert!(told.contains(complaint), "{told}");
+    let reported = reported(text);
+    assert!(reported.contains(complaint), "{reported}");
 }
 
 #[test]
@@ -22,7 +22,7 @@ fn triggers_and_arguments_are_read() {
     assert_eq!(plans[1].at, Some(Trigger::Step { step: 3, phase: Phase::Carry, progress: 0.5 }));
     assert_eq!(plans[1].order.fault, Fault::Robot(RobotFault::Slider(0.1)));
     assert_eq!(plans[1].order.seconds, Some(2.0));
-    assert_eq!(plans[2].at, Some(Trigger::Event { kind: Happening::Grip, object: None, count: 2 }));
+    assert_eq!(plans[2].at, Some(Trigger::Event { kind: DeviceEvent::Grip, object: None, count: 2 }));
 }
 
 #[test]

@@ -24,8 +24,8 @@ async fn packages_arrive_whole_and_in_order_whether_the_queue_is_used_or_not() {
     let recipe = rtde.outputs(500.0, &names).await.unwrap();
     rtde.ask(Request::Start).await;
     // One socket buffer after the other fills, then the queue, then packages are skipped.
-    bench.until(|b| (b.shared.outlets().counts().1 > 0).then_some(())).await;
-    let behind = bench.shared.outlets().counts().0;
+    bench.until(|b| (b.shared.publisher().counts().1 > 0).then_some(())).await;
+    let behind = bench.shared.publisher().counts().0;
     // A reply takes its place behind what is queued.
     rtde.send(Request::ControllerVersion).await;
     let mut last = 0.0;
@@ -46,8 +46,8 @@ async fn packages_arrive_whole_and_in_order_whether_the_queue_is_used_or_not() {
     };
     assert_eq!(bench.during(reading).await, 1);
     // Both ways were taken.
-    let outlets = bench.shared.outlets();
-    let (sent, at_once) = (outlets.counts().0, outlets.sent_at_once());
+    let publisher = bench.shared.publisher();
+    let (sent, at_once) = (publisher.counts().0, publisher.sent_at_once());
     assert!(at_once > 100 && sent - at_once > 100, "{at_once} of {sent}");
 }
 

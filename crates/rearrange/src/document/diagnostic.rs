@@ -16,7 +16,7 @@ pub struct Location {
 
 /// One thing that is wrong with a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Complaint {
+pub struct Diagnostic {
     /// Name of the file (or whatever the caller named the text).
     pub source: String,
     /// Where in the text.
@@ -29,7 +29,7 @@ pub struct Complaint {
     pub help: String,
 }
 
-impl fmt::Display for Complaint {
+impl fmt::Display for Diagnostic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}:{}:{}: ", self.source, self.at.line, self.at.column)?;
         if !self.path.is_empty() {
@@ -42,9 +42,9 @@ impl fmt::Display for Complaint {
 
 /// Everything that is wrong with a file, in the order of the text; one line each when displayed.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
-pub struct Complaints(pub Vec<Complaint>);
+pub struct Diagnostics(pub Vec<Diagnostic>);
 
-impl fmt::Display for Complaints {
+impl fmt::Display for Diagnostics {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (index, complaint) in self.0.iter().enumerate() {
             let separator = if index > 0 { "\n" } else { "" };
@@ -54,4 +54,4 @@ impl fmt::Display for Complaints {
     }
 }
 
-impl std::error::Error for Complaints {}
+impl std::error::Error for Diagnostics {}

@@ -55,7 +55,7 @@ pub type Shortcut<'a> =
     dyn Fn(&Arrangement, &Arrangement, &mut ChaCha8Rng, &mut Effort) -> Option<Vec<Move>> + 'a;
 
 /// A table on which everything is pressed.
-pub struct Squeeze<'a> {
+pub struct Compaction<'a> {
     scene: &'a Scene<'a>,
     now: Arrangement,
     ends: Arrangement,
@@ -67,14 +67,14 @@ pub struct Squeeze<'a> {
     rounds: usize,
 }
 
-impl<'a> Squeeze<'a> {
+impl<'a> Compaction<'a> {
     /// Nothing moved yet.
     pub fn new(
         scene: &'a Scene<'a>,
         from: &Arrangement,
         to: &Arrangement,
         rng: &mut ChaCha8Rng,
-    ) -> Squeeze<'a> {
+    ) -> Compaction<'a> {
         let (sin, cos) = rng.random_range(0.0..TAU).sin_cos();
         let sweep = SWEEP.0 * (SWEEP.1 / SWEEP.0).powf(rng.random_range(0.0..1.0));
         let area = |o: usize| scene.problem.objects[o].footprint.area();
@@ -88,7 +88,7 @@ impl<'a> Squeeze<'a> {
         order.sort_by(|a, b| a.0.total_cmp(&b.0));
         let loose = order.into_iter().map(|(_, o)| o).collect();
         let (now, ends) = (from.clone(), to.clone());
-        Squeeze { scene, now, ends, moves: Vec::new(), loose, opening: None, rounds: 0 }
+        Compaction { scene, now, ends, moves: Vec::new(), loose, opening: None, rounds: 0 }
     }
 
     /// Goes on until it arrives, is stuck, or the effort is spent.
@@ -253,10 +253,10 @@ mod tests {
         let mut arrived = 0;
         for seed in 0..20u64 {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let mut squeeze = Squeeze::new(&scene, &start, &goal, &mut rng);
+            let mut compaction = Compaction::new(&scene, &start, &goal, &mut rng);
             let moves = loop {
                 let mut effort = Effort::new(Some(50 + 1000 * (seed % 3)), &|| false);
-                match squeeze.run(&|_, _, _, _| None, &mut rng, &mut effort) {
+                match compaction.run(&|_, _, _, _| None, &mut rng, &mut effort) {
                     Progress::Arrived(moves) => break moves,
                     Progress::Stuck => break Vec::new(),
                     Progress::Interrupted => {}
@@ -277,19 +277,19 @@ mod tests {
         let scene = Scene::new(&problem);
         let start: Arrangement = (0..9).map(|o| scene.start(o).clone()).collect();
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let mut squeeze = Squeeze::new(&scene, &start, &start, &mut rng);
-        squeeze.opening = Some((start.clone(), Vec::new()));
+        let mut compaction = Compaction::new(&scene, &start, &start, &mut rng);
+        compaction.opening = Some((start.clone(), Vec::new()));
         // One goes where it stood in nobody's way, one out of the way of the large one.
-        squeeze.put(1, scene.spot(1, Pose2::new(0.9, 0.9, 0.0)));
-        squeeze.put(5, scene.spot(5, Pose2::new(0.06, 0.94, 0.0)));
-        squeeze.put(0, scene.spot(0, Pose2::new(0.26, 0.5, 0.0)));
+        compaction.put(1, scene.spot(1, Pose2::new(0.9, 0.9, 0.0)));
+        compaction.put(5, scene.spot(5, Pose2::new(0.06, 0.94, 0.0)));
+        compaction.put(0, scene.spot(0, Pose2::new(0.26, 0.5, 0.0)));
         let all = |from: &Arrangement, to: &Arrangement, _: &mut ChaCha8Rng, _: &mut Effort| {
             let differ = (0..from.len()).filter(|&o| from[o].pose != to[o].pose);
             Some(differ.map(|o| Move { object: o, from: from[o].clone(), to: to[o].clone() }).collect())
         };
-        squeeze.condense(0, &all, &mut rng, &mut Effort::new(None, &|| false));
-        let moved: Vec<usize> = squeeze.moves.iter().map(|m| m.object).collect();
+        compaction.condense(0, &all, &mut rng, &mut Effort::new(None, &|| false));
+        let moved: Vec<usize> = compaction.moves.iter().map(|m| m.object).collect();
         assert!(moved.contains(&0) && moved.contains(&5) && !moved.contains(&1), "{moved:?}");
-        assert!(squeeze.now[1].pose == start[1].pose);
+        assert!(compaction.now[1].pose == start[1].pose);
     }
 }

@@ -12,7 +12,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// What the last good frame was.
 #[derive(Debug, Default)]
-pub struct Watch {
+pub struct FrameValidator {
     last: Option<Last>,
 }
 
@@ -26,7 +26,7 @@ struct Last {
     restarted: bool,
 }
 
-impl Watch {
+impl FrameValidator {
     /// Checks a frame against the one before and against the lens, where that is known.
     ///
     /// A frame that is refused is not remembered, except that the same content keeps being refused.
@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn a_frozen_or_restarted_camera_is_noticed() {
-        let mut watch = Watch::default();
+        let mut watch = FrameValidator::default();
         watch.check(&frame(5, 1.0, 10), None).unwrap();
         let error = watch.check(&frame(5, 1.1, 11), None).unwrap_err();
         assert!(matches!(error, CameraError::RepeatedSequence { sequence: 5, last: 5, .. }));
@@ -120,15 +120,15 @@ mod tests {
 
     #[test]
     fn pictures_without_room_for_noise_are_not_taken_for_frozen_ones() {
-        let mut watch = Watch::default();
+        let mut watch = FrameValidator::default();
         for (sequence, grey) in [(1, 90), (2, 255), (3, 255), (4, 0), (5, 0)] {
             watch.check(&frame(sequence, 1.0, grey), None).unwrap();
         }
         assert!(matches!(watch.check(&frame(5, 1.0, 0), None), Err(CameraError::RepeatedSequence { .. })));
-        let told = watch.check(&frame(6, 1.0, 90), None).unwrap_err();
+        let reported = watch.check(&frame(6, 1.0, 90), None).unwrap_err();
         assert!(
-            matches!(told, CameraError::RepeatedPicture { .. }),
-            "what was seen before is remembered: {told}"
+            matches!(reported, CameraError::RepeatedPicture { .. }),
+            "what was seen before is remembered: {reported}"
         );
     }
 
@@ -144,7 +144,7 @@ mod tests {
             cy: 240.0,
             distortion: [0.0; 5],
         };
-        let error = Watch::default().check(&frame(1, 0.0, 1), Some(&lens)).unwrap_err();
+        let error = FrameValidator::default().check(&frame(1, 0.0, 1), Some(&lens)).unwrap_err();
         assert!(matches!(error, CameraError::Model(_)));
     }
 }

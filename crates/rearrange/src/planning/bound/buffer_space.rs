@@ -46,7 +46,7 @@ const NODE_LIMIT: u64 = 5_000;
 const MOST_SETS: usize = 40;
 
 /// The proof as far as it has come.
-pub struct RoomBound<'a> {
+pub struct BufferSpaceBound<'a> {
     scene: &'a Scene<'a>,
     costs: &'a [f64],
     parts: Parts,
@@ -64,9 +64,9 @@ pub struct RoomBound<'a> {
     slack: f64,
 }
 
-impl<'a> RoomBound<'a> {
+impl<'a> BufferSpaceBound<'a> {
     /// The bound without anything proved about room. `costs` are positive.
-    pub fn new(scene: &'a Scene<'a>, costs: &'a [f64]) -> RoomBound<'a> {
+    pub fn new(scene: &'a Scene<'a>, costs: &'a [f64]) -> BufferSpaceBound<'a> {
         let parts = Parts::new(scene, costs);
         let value = parts.required_cost + feedback::minimum(&parts.graph, costs).lower_bound;
         // Two vertices are added to the graph of the problem.
@@ -74,7 +74,7 @@ impl<'a> RoomBound<'a> {
         let slack = 1e-9 * costs.iter().sum::<f64>();
         let (set, cheap) = (ObjectSet::EMPTY, ObjectSet::EMPTY);
         let prices = HashMap::new();
-        let mut proof = RoomBound {
+        let mut proof = BufferSpaceBound {
             scene,
             costs,
             parts,
@@ -235,7 +235,7 @@ struct Cover {
 }
 
 impl Cover {
-    fn new(proof: &RoomBound, object: usize) -> Cover {
+    fn new(proof: &BufferSpaceBound, object: usize) -> Cover {
         let problem = proof.scene.problem;
         let (width, height) = (problem.workspace.width, problem.workspace.height);
         let turn = half_turn(&problem.objects[object].footprint);
@@ -269,7 +269,7 @@ impl Cover {
         over.then_some(cheapest.price)
     }
 
-    fn halve_the_cheapest(&mut self, proof: &RoomBound) {
+    fn halve_the_cheapest(&mut self, proof: &BufferSpaceBound) {
         let Some(parent) = self.boxes.pop() else { return };
         let radius = proof.scene.problem.objects[self.object].footprint.bounding_radius();
         let [x, y, turn] = parent.reach;
@@ -292,7 +292,7 @@ impl Cover {
     }
 
     /// Finds who is met in the whole box, and its price; false if the object can be at none of its poses.
-    fn look(&mut self, half: &mut PoseBox, proof: &RoomBound) -> bool {
+    fn look(&mut self, half: &mut PoseBox, proof: &BufferSpaceBound) -> bool {
         let (scene, problem) = (proof.scene, proof.scene.problem);
         let footprint = &problem.objects[self.object].footprint;
         half.spread = half.reach[0].hypot(half.reach[1]) + footprint.bounding_radius() * half.reach[2];
@@ -327,7 +327,7 @@ impl Cover {
 
 /// An object is put aside where it meets some at their starts and some at their goals.
 struct Stop<'a> {
-    proof: &'a RoomBound<'a>,
+    proof: &'a BufferSpaceBound<'a>,
     object: usize,
     starts: ObjectSet,
     goals: ObjectSet,

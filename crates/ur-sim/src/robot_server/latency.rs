@@ -12,21 +12,21 @@ const BUCKET_US: u64 = 10;
 const BUCKETS: usize = 2001;
 
 /// Delays by bucket.
-pub struct Punctuality {
+pub struct LatencyHistogram {
     buckets: Box<[AtomicU64]>,
     worst_us: AtomicU64,
 }
 
-impl std::fmt::Debug for Punctuality {
+impl std::fmt::Debug for LatencyHistogram {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Punctuality")
+        f.write_str("LatencyHistogram")
     }
 }
 
-impl Default for Punctuality {
-    fn default() -> Punctuality {
+impl Default for LatencyHistogram {
+    fn default() -> LatencyHistogram {
         let buckets = (0..BUCKETS).map(|_| AtomicU64::new(0)).collect();
-        Punctuality { buckets, worst_us: AtomicU64::new(0) }
+        LatencyHistogram { buckets, worst_us: AtomicU64::new(0) }
     }
 }
 
@@ -45,7 +45,7 @@ pub struct Delays {
     pub worst_us: u64,
 }
 
-impl Punctuality {
+impl LatencyHistogram {
     /// Takes in one delay.
     pub fn record(&self, delay: Duration) {
         let us = u64::try_from(delay.as_micros()).unwrap_or(u64::MAX);
@@ -93,15 +93,15 @@ mod tests {
 
     #[test]
     fn shares_and_quantiles_count_every_delay() {
-        let punctuality = Punctuality::default();
-        assert_eq!(punctuality.delays(), Delays::default());
-        (0..998).for_each(|_| punctuality.record(Duration::from_micros(55)));
-        punctuality.record(Duration::from_micros(1000));
-        punctuality.record(Duration::from_secs(5));
-        let delays = punctuality.delays();
+        let latency = LatencyHistogram::default();
+        assert_eq!(latency.delays(), Delays::default());
+        (0..998).for_each(|_| latency.record(Duration::from_micros(55)));
+        latency.record(Duration::from_micros(1000));
+        latency.record(Duration::from_secs(5));
+        let delays = latency.delays();
         assert_eq!((delays.count, delays.median_us, delays.p999_us), (1000, 60, 1010));
         assert_eq!((delays.within_1_ms, delays.worst_us), (0.998, 5_000_000));
-        punctuality.clear();
-        assert_eq!(punctuality.delays().count, 0);
+        latency.clear();
+        assert_eq!(latency.delays().count, 0);
     }
 }

@@ -13,8 +13,8 @@ use crate::controller::outputs::Output;
 use crate::controller::registers::ClientId;
 use crate::controller::{Controller, realtime, robot_state};
 use crate::motion::FRAMES_PER_SECOND;
+use crate::robot_server::latency::LatencyHistogram;
 use crate::robot_server::line::{Bytes, Inlet, Line, Passed, Way};
-use crate::robot_server::punctuality::Punctuality;
 use std::sync::Arc;
 use std::time::Instant;
 use ur_wire::bytes::Writer;
@@ -110,8 +110,8 @@ struct Writes {
 
 /// All connections that are sent something.
 #[derive(Debug, Default)]
-pub struct Outlets {
-    outlets: Vec<Outlet>,
+pub struct Publisher {
+    publisher: Vec<Outlet>,
     last_id: u64,
     switches: u64,
     sent: u64,
@@ -124,14 +124,14 @@ pub struct Outlets {
     popup: Option<String>,
 }
 
-impl Outlets {
-    /// Adds a connection; RTDE connections get data only after [`Outlets::subscribe`] and
-    /// [`Outlets::start`]. With a `way` to the client packages need not wait for its writer.
+impl Publisher {
+    /// Adds a connection; RTDE connections get data only after [`Publisher::subscribe`] and
+    /// [`Publisher::start`]. With a `way` to the client packages need not wait for its writer.
     pub fn open(&mut self, feed: Feed, read_only: bool, way: Option<Arc<dyn Way>>) -> (ClientId, Inlet) {
         self.last_id += 1;
         let id = ClientId(self.last_id);
         let (line, inlet) = Line::open(way);
-        self.outlets.push(Outlet {
+        self.publisher.push(Outlet {
             id,
             feed,
             read_only,
@@ -147,12 +147,12 @@ impl Outlets {
 
     /// Removes a connection.
     pub fn close(&mut self, id: ClientId) {
-        self.outlets.retain(|outlet| outlet.id != id);
+        self.publisher.retain(|outlet| outlet.id != id);
     }
 
     /// Sets a connection's recipe, in place of an earlier one; `interval` in frames between packages.
     pub fn subscribe(&mut self, id: ClientId, plan: Plan, interval: u64) {
-        let known = self.outlets.iter().filter_map(|outlet| outlet.subscription.as_ref());
+        let known = self.publisher.iter().filter_map(|outlet| outlet.subscription.as_ref());
         let known = known.map(|subscription| &subscription.plan).find(|known| known.same(&plan)).cloned();
         if let Some(outlet) = self.find(id) {
             let plan = known.unwrap_or_else(|| Arc::new(plan));
@@ -167,7 +167,7 @@ impl Outlets {
 
     /// True if it is agreed what the connection's data are.
     pub fn has_recipe(&self, id: ClientId) -> bool {
-        self.outlets.iter().any(|outlet| outlet.id == id && outlet.subscription.is_some())
+        self.publisher.iter().any(|outlet| outlet.id == id && outlet.subscription.is_some())
     }
 
     /// Starts a connection's data.
@@ -197,19 +197,19 @@ impl Outlets {
     }
 
     /// A client that writes regularly has not written for 60 ms.
-    pub fn someone_is_late(&self, step: u64) -> bool {
-        self.outlets.iter().any(|outlet| outlet.is_late(step))
+    pub fn a_client_is_late(&self, step: u64) -> bool {
+        self.publisher.iter().any(|outlet| outlet.is_late(step))
     }
 
     /// An RTDE client's queue is more than half full, and was not given up.
-    pub fn someone_is_behind(&self) -> bool {
-        self.outlets.iter().any(Outlet::is_behind)
+    pub fn a_client_is_behind(&self) -> bool {
+        self.publisher.iter().any(Outlet::is_behind)
     }
 
     /// Gives up waiting: who is late counts as irregular until it writes regularly again, who is behind until
     /// its queue has room again.
     pub fn give_up(&mut self, step: u64) {
-        for outlet in &mut self.outlets {
+        for outlet in &mut self.publisher {
             if outlet.is_late(step) {
                 outlet.writes.intervals = 0;
             }
@@ -219,12 +219,12 @@ impl Outlets {
 
     /// True until the connection was closed or dropped.
     pub fn is_open(&self, id: ClientId) -> bool {
-        self.outlets.iter().any(|outlet| outlet.id == id)
+        self.publisher.iter().any(|outlet| outlet.id == id)
     }
 
     /// Connections with this feed.
-    pub fn outlets_of(&self, feed: Feed) -> usize {
-        self.outlets.iter().filter(|outlet| outlet.feed == feed).count()
+    pub fn subscribers(&self, feed: Feed) -> usize {
+        self.publisher.iter().filter(|outlet| outlet.feed == feed).count()
     }
 
     /// RTDE packages sent and skipped so far.
@@ -238,16 +238,16 @@ impl Outlets {
     }
 
     fn find(&mut self, id: ClientId) -> Option<&mut Outlet> {
-        self.outlets.iter_mut().find(|outlet| outlet.id == id)
+        self.publisher.iter_mut().find(|outlet| outlet.id == id)
     }
 
     /// Sends what is due at the end of a frame; `due` is when the frame was, and what leaves at once is
     /// recorded.
-    pub fn publish(&mut self, controller: &mut Controller, due: Option<Instant>, punctuality: &Punctuality) {
+    pub fn publish(&mut self, controller: &mut Controller, due: Option<Instant>, latency: &LatencyHistogram) {
         self.close_after_switch(controller);
         self.tell_popup(controller);
         self.send_states(controller);
-        self.send_packages(controller, due, punctuality);
+        self.send_packages(controller, due, latency);
         self.drop_the_hopeless();
     }
 
@@ -257,11 +257,11 @@ impl Outlets {
         let messages = controller.core.take_messages();
         let messages: Vec<Bytes> =
             messages.into_iter().map(|body| encode_message(controller, body)).collect();
-        let fed = |feed: Feed| self.outlets.iter().any(|outlet| outlet.feed == feed);
+        let fed = |feed: Feed| self.publisher.iter().any(|outlet| outlet.feed == feed);
         let state_due = step.is_multiple_of(STATE_INTERVAL) && (fed(Feed::Primary) || fed(Feed::Secondary));
         let state = state_due.then(|| encode_state(robot_state::periodic(controller)));
         let block: Option<Bytes> = fed(Feed::Realtime).then(|| realtime::block(controller).into());
-        for outlet in &mut self.outlets {
+        for outlet in &mut self.publisher {
             let due: Vec<&Bytes> = match outlet.feed {
                 Feed::Primary => messages.iter().chain(&state).collect(),
                 Feed::Secondary => state.iter().collect(),
@@ -275,9 +275,9 @@ impl Outlets {
     }
 
     /// RTDE packages.
-    fn send_packages(&mut self, controller: &Controller, due: Option<Instant>, punctuality: &Punctuality) {
+    fn send_packages(&mut self, controller: &Controller, due: Option<Instant>, latency: &LatencyHistogram) {
         let mut encoded: Vec<(Arc<Plan>, Bytes)> = Vec::new();
-        for outlet in &mut self.outlets {
+        for outlet in &mut self.publisher {
             let Some(plan) = outlet.plan_of(controller.core.step, self.forced_interval) else { continue };
             let shared = encoded.iter().find(|(known, _)| Arc::ptr_eq(known, &plan));
             let bytes = match shared {
@@ -287,7 +287,7 @@ impl Outlets {
             let at_once = matches!(outlet.send(&bytes, due), Passed::Written);
             self.at_once += u64::from(at_once);
             if let Some(due) = due.filter(|_| at_once) {
-                punctuality.record(due.elapsed());
+                latency.record(due.elapsed());
             }
             self.sent += u64::from(outlet.behind == 0);
             self.skipped += u64::from(outlet.behind > 0);
@@ -314,7 +314,7 @@ impl Outlets {
     }
 
     fn drop_the_hopeless(&mut self) {
-        self.outlets.retain(|outlet| {
+        self.publisher.retain(|outlet| {
             let hopeless = outlet.feed == Feed::Rtde && outlet.behind > PATIENCE;
             if hopeless {
                 outlet.line.hang_up();
@@ -329,7 +329,7 @@ impl Outlets {
         if std::mem::replace(&mut self.switches, switches) == switches || controller.core.modes.remote() {
             return;
         }
-        self.outlets.retain(|outlet| {
+        self.publisher.retain(|outlet| {
             let stays = outlet.feed == Feed::Rtde || outlet.read_only;
             if !stays {
                 outlet.line.hang_up();

@@ -4,7 +4,7 @@
 //! In: a source and the limits of a usable picture. Out: a source that gives usable pictures or says what is
 //! wrong. A recording is judged too, but there is nothing to restart about it.
 
-use crate::io::camera::ladder::{Step, Tried, next};
+use crate::io::camera::recovery::{Step, Tried, next};
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use cell_values::image::quality::{PictureLimits, judge, measure};
 use cell_vision::camera::CameraModel;
@@ -14,16 +14,16 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A source under supervision.
-pub struct Supervised {
+pub struct MonitoredCamera {
     source: Box<dyn CameraSource>,
     limits: PictureLimits,
     pause: fn(Duration),
 }
 
-impl Supervised {
+impl MonitoredCamera {
     /// Looks after `source`.
-    pub fn new(source: Box<dyn CameraSource>, limits: PictureLimits) -> Supervised {
-        Supervised { source, limits, pause: std::thread::sleep }
+    pub fn new(source: Box<dyn CameraSource>, limits: PictureLimits) -> MonitoredCamera {
+        MonitoredCamera { source, limits, pause: std::thread::sleep }
     }
 
     /// One picture, judged.
@@ -50,7 +50,7 @@ impl Supervised {
     }
 }
 
-impl CameraSource for Supervised {
+impl CameraSource for MonitoredCamera {
     fn intrinsics(&mut self) -> Result<CameraModel, CameraError> {
         self.source.intrinsics()
     }
@@ -105,7 +105,7 @@ impl CameraSource for Supervised {
 mod tests {
     use super::*;
     use crate::io::camera::FaultKind;
-    use crate::io::camera::watch::Watch;
+    use crate::io::camera::validator::FrameValidator;
     use cell_values::image::Image;
     use std::sync::{Arc, Mutex};
 
@@ -127,7 +127,7 @@ mod tests {
         resets: bool,
         number: u64,
         shade: u8,
-        watch: Watch,
+        watch: FrameValidator,
         log: Arc<Mutex<String>>,
     }
 
@@ -189,11 +189,11 @@ mod tests {
     }
 
     /// The camera, and what it was asked.
-    fn camera(does: &[Does], live: bool, resets: bool) -> (Supervised, Arc<Mutex<String>>) {
+    fn camera(does: &[Does], live: bool, resets: bool) -> (MonitoredCamera, Arc<Mutex<String>>) {
         let log = Arc::<Mutex<String>>::default();
-        let (does, watch) = (does.to_vec(), Watch::default());
+        let (does, watch) = (does.to_vec(), FrameValidator::default());
         let source = MadeUp { does, live, resets, number: 0, shade: 0, watch, log: log.clone() };
-        let mut camera = Supervised::new(Box::new(source), PictureLimits::STANDARD);
+        let mut camera = MonitoredCamera::new(Box::new(source), PictureLimits::STANDARD);
         camera.pause = |_| {};
         (camera, log)
     }

@@ -1,10 +1,10 @@
 //! The desk where faults are ordered: it brings them about when they are due and ends them when their time is
 //! over.
 //!
-//! In: plans from a file or a post, and one call of [`FaultDesk::frame`] per frame from the thread that keeps
-//! the time. Out: changes to controller, world and links. What camera, vacuum and links suffer follows from
-//! the list of faults in force, so that ending one never ends another. Locks are taken one at a time after
-//! the desk's own, and never the other way round.
+//! In: plans from a file or a post, and one call of [`FaultInjector::frame`] per frame from the thread that
+//! keeps the time. Out: changes to controller, world and links. What camera, vacuum and links suffer follows
+//! from the list of faults in force, so that ending one never ends another. Locks are taken one at a time
+//! after the desk's own, and never the other way round.
 
 use crate::controller::Controller;
 use crate::controller::builtins::compile_program;
@@ -31,7 +31,7 @@ const DRIFT_FRAMES: u64 = 50;
 
 /// Faults planned and in force.
 #[derive(Debug)]
-pub struct FaultDesk {
+pub struct FaultInjector {
     robot: Arc<RobotShared>,
     world: WorldHandle,
     /// Simulated seconds per second.
@@ -77,10 +77,10 @@ impl State {
     }
 }
 
-impl FaultDesk {
+impl FaultInjector {
     /// Over a cell whose time runs `factor` times as fast as the wall's.
-    pub fn new(robot: Arc<RobotShared>, world: SharedWorld, factor: f64) -> FaultDesk {
-        FaultDesk { robot, world: WorldHandle(world), factor, state: Mutex::new(State::default()) }
+    pub fn new(robot: Arc<RobotShared>, world: SharedWorld, factor: f64) -> FaultInjector {
+        FaultInjector { robot, world: WorldHandle(world), factor, state: Mutex::new(State::default()) }
     }
 
     /// The controller whose faults these are.
@@ -257,7 +257,7 @@ impl FaultDesk {
                 _ => {}
             }
         }
-        self.robot.outlets().force_rate(rate);
+        self.robot.publisher().force_rate(rate);
         let mut controller = self.robot.controller();
         controller.core.pendant.pretend_version(version);
         controller.core.pendant.pretend_model(model);

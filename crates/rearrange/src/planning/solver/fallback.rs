@@ -1,13 +1,13 @@
-//! The paper's solvers as aids of `auto`: first plans where it is crowded, in searches that can be left and
-//! gone on with.
+//! The paper's solvers as fallback solvers of `auto`: first plans where it is crowded, in searches that can
+//! be left and gone on with.
 //!
-//! In: a scene whose goal arrangement stands, the number of a member of the portfolio, a seed. Out: an
-//! [`Aid`] for some members. On the public instances of density 0.6, ETBM comes to short plans of discs in a
-//! fraction of a second, and MCTS to plans of shapes that nothing else finds in seconds, long ones, but a
-//! plan to shorten. A step of theirs takes an eighth of one of the roll-outs'; MCTS has twice as many, for
+//! In: a scene whose goal arrangement stands, the number of a worker of the portfolio, a seed. Out: an
+//! [`Fallback`] for some members. On the public instances of density 0.6, ETBM comes to short plans of discs
+//! in a fraction of a second, and MCTS to plans of shapes that nothing else finds in seconds, long ones, but
+//! a plan to shorten. A step of theirs takes an eighth of one of the roll-outs'; MCTS has twice as many, for
 //! what it finds it finds in seconds of its own.
 
-use crate::planning::auto::member::{Aid, Search};
+use crate::planning::auto::worker::{Fallback, Search};
 use crate::planning::completion;
 use crate::planning::mcts::{FIRST_TREE, LARGEST_TREE, Rule, TreeSearch, Verdict};
 use crate::planning::plan::Objective;
@@ -18,18 +18,23 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-/// What the member of this number asks for help.
-pub(super) fn aid<'a>(scene: &'a Scene<'a>, objective: Objective, member: u64, seed: u64) -> Option<Aid<'a>> {
-    match member {
+/// What the worker of this number asks for help.
+pub(super) fn fallback<'a>(
+    scene: &'a Scene<'a>,
+    objective: Objective,
+    worker: u64,
+    seed: u64,
+) -> Option<Fallback<'a>> {
+    match worker {
         // Its plans are worth a look where ours are long.
-        3 => Some(Aid {
+        3 => Some(Fallback {
             search: total_buffers(scene, objective, seed),
             from_round: 9,
             steps: 8,
             betters: true,
         }),
         // Long plans, late: where nothing else has come to one in half a second.
-        2 => Some(Aid { search: tree_search(scene, seed), from_round: 13, steps: 16, betters: false }),
+        2 => Some(Fallback { search: tree_search(scene, seed), from_round: 13, steps: 16, betters: false }),
         _ => None,
     }
 }

@@ -1,10 +1,10 @@
-//! One member of the portfolio: randomised roll-outs, then pieces of its best plan solved anew.
+//! One worker of the portfolio: randomised roll-outs, then pieces of its best plan solved anew.
 //!
 //! In: a task that all members share, a seed. Out: after each round a plan no dearer than before. A first
 //! plan comes from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from the
-//! goal; where none of them arrives, from pressing everything out of the way (`squeeze`); two members ask the
-//! paper's solvers and nothing else, once a few rounds have found none. From then on a piece of the plan, its
-//! tail, its head (backwards) or a window, is replaced by a roll-out between the same two arrangements
+//! goal; where none of them arrives, from pressing everything out of the way (`compaction`); two members ask
+//! the paper's solvers and nothing else, once a few rounds have found none. From then on a piece of the plan,
+//! its tail, its head (backwards) or a window, is replaced by a roll-out between the same two arrangements
 //! whenever that costs no more; equal cost counts as progress, so that the plan drifts until a better one is
 //! near. Under the objective `time` the roll-outs count moves, the caller's cost function judges what they
 //! find, and `polish` tries what no count of moves can tell apart. Ideas: feedback vertex set as bound and
@@ -12,12 +12,12 @@
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::assignment::Groups;
+use crate::planning::auto::compaction::{Compaction, Progress};
 use crate::planning::auto::parking::{Care, Shapes};
 use crate::planning::auto::polish;
 use crate::planning::auto::roll_out::{Style, Task, roll_out};
 use crate::planning::auto::shorten::shortened;
 use crate::planning::auto::sites;
-use crate::planning::auto::squeeze::{Progress, Squeeze};
 use crate::planning::buffers::Arrangement;
 use crate::planning::completion;
 use crate::planning::effort::Effort;
@@ -32,10 +32,10 @@ use std::sync::Arc;
 /// Rounds without a plan after which everything is tried side by side.
 const PATIENCE: u64 = 8;
 
-/// Times the bound from which on a plan is so poor that an aid is asked all the same.
+/// Times the bound from which on a plan is so poor that a fallback solver is asked all the same.
 const POOR: f64 = 1.5;
 
-/// Rounds after which nothing better is hoped for from an aid any more.
+/// Rounds after which nothing better is hoped for from a fallback solver any more.
 const HOPE: u64 = 100;
 
 /// Share of the ways over a crowded table that go over the sites of a packing, if they can.
@@ -46,7 +46,7 @@ const POLISH: f64 = 0.9;
 
 /// What all members search for.
 #[derive(Clone, Copy)]
-pub struct Quest<'a> {
+pub struct PortfolioTask<'a> {
     /// The scene.
     pub scene: &'a Scene<'a>,
     /// Cost of a move of each object, positive.
@@ -55,8 +55,8 @@ pub struct Quest<'a> {
     pub judge: Option<&'a Judge<'a>>,
     /// What a unit of these costs is worth at least in the objective.
     pub worth: f64,
-    /// What a member asks for help, if anything: its number, a seed.
-    pub aid: &'a (dyn Fn(u64, u64) -> Option<Aid<'a>> + Sync + 'a),
+    /// What a worker asks for help, if anything: its number, a seed.
+    pub fallback: &'a (dyn Fn(u64, u64) -> Option<Fallback<'a>> + Sync + 'a),
     /// A plan made before, perhaps for objects that lie elsewhere now: who was to go where.
     pub known: &'a [(usize, Pose2)],
 }
@@ -68,10 +68,10 @@ pub type Judge<'a> = dyn Fn(&[Move]) -> f64 + Sync + 'a;
 pub type Search<'a> = dyn FnMut(&mut Effort) -> Option<Vec<Move>> + Send + 'a;
 
 /// A search of another kind, for a first plan.
-pub struct Aid<'a> {
+pub struct Fallback<'a> {
     /// The search.
     pub search: Box<Search<'a>>,
-    /// The first round of its member in which it is asked.
+    /// The first round of its worker in which it is asked.
     pub from_round: u64,
     /// Its steps that count one of the roll-outs.
     pub steps: u64,
@@ -80,8 +80,8 @@ pub struct Aid<'a> {
 }
 
 /// A search of one thread.
-pub struct Member<'a> {
-    quest: &'a Quest<'a>,
+pub struct Worker<'a> {
+    task: &'a PortfolioTask<'a>,
     shapes: Shapes,
     groups: Groups,
     start: Arrangement,
@@ -92,9 +92,9 @@ pub struct Member<'a> {
     rng: ChaCha8Rng,
     rounds: u64,
     tries: u64,
-    aid: Option<Aid<'a>>,
+    fallback: Option<Fallback<'a>>,
     /// A way over a crowded table that is under way, and whether it leads from the goal to the start.
-    squeeze: Option<(Squeeze<'a>, bool)>,
+    compaction: Option<(Compaction<'a>, bool)>,
 }
 
 /// A piece of a plan.
@@ -113,23 +113,23 @@ struct Leg {
     ceiling: f64,
 }
 
-impl<'a> Member<'a> {
-    /// The member of this number, without a plan.
-    pub fn new(quest: &'a Quest<'a>, number: u64, seed: u64) -> Member<'a> {
-        let scene = quest.scene;
-        Member {
-            quest,
+impl<'a> Worker<'a> {
+    /// The worker of this number, without a plan.
+    pub fn new(task: &'a PortfolioTask<'a>, number: u64, seed: u64) -> Worker<'a> {
+        let scene = task.scene;
+        Worker {
+            task,
             shapes: Shapes::new(scene),
             groups: Groups::new(scene),
             start: scene.starts().to_vec(),
             goals: completion::assigned_goals(scene),
             plan: None,
-            slack: 1e-6 * quest.costs.iter().sum::<f64>(),
+            slack: 1e-6 * task.costs.iter().sum::<f64>(),
             rng: ChaCha8Rng::seed_from_u64(seed),
             rounds: 0,
             tries: 0,
-            aid: (quest.aid)(number, seed),
-            squeeze: None,
+            fallback: (task.fallback)(number, seed),
+            compaction: None,
         }
     }
 
@@ -137,18 +137,18 @@ impl<'a> Member<'a> {
     pub fn search(&mut self, enough: f64, effort: &mut Effort) {
         self.rounds += 1;
         if self.plan.is_none() {
-            self.aided(f64::INFINITY, effort);
-            self.first_plan(2, effort, |member, effort| match member.tries {
-                1..=3 if !member.quest.known.is_empty() => member.resumed(effort),
-                _ => member.whole_plan(f64::INFINITY, effort),
+            self.from_fallback(f64::INFINITY, effort);
+            self.first_plan(2, effort, |worker, effort| match worker.tries {
+                1..=3 if !worker.task.known.is_empty() => worker.resumed(effort),
+                _ => worker.whole_plan(f64::INFINITY, effort),
             });
-            self.first_plan(1, effort, Self::squeezed);
+            self.first_plan(1, effort, Self::compacted);
             return;
         }
-        self.aid = self.aid.take().filter(|aid| aid.betters);
+        self.fallback = self.fallback.take().filter(|fallback| fallback.betters);
         let mut cost = self.plan_cost();
         if self.is_poor(cost, enough) {
-            cost = self.aided(cost, effort);
+            cost = self.from_fallback(cost, effort);
         }
         // A step each time: a search that samples nothing has to come to its limit too.
         while effort.step() && cost > enough + self.slack {
@@ -162,23 +162,23 @@ impl<'a> Member<'a> {
         }
     }
 
-    /// Asks this member's aid, if it has one, for a plan that costs less than `cost`; what the best one costs
-    /// then.
-    fn aided(&mut self, cost: f64, effort: &mut Effort) -> f64 {
-        let Some(mut aid) = self.aid.take() else { return cost };
-        if self.rounds < aid.from_round {
-            self.aid = Some(aid);
+    /// Asks this worker's fallback solver, if it has one, for a plan that costs less than `cost`; what the
+    /// best one costs then.
+    fn from_fallback(&mut self, cost: f64, effort: &mut Effort) -> f64 {
+        let Some(mut fallback) = self.fallback.take() else { return cost };
+        if self.rounds < fallback.from_round {
+            self.fallback = Some(fallback);
             return cost;
         }
-        let mut part = effort.cheap_part(aid.steps);
-        let found = (aid.search)(&mut part);
-        effort.spend_cheap(&part, aid.steps);
+        let mut part = effort.cheap_part(fallback.steps);
+        let found = (fallback.search)(&mut part);
+        effort.spend_cheap(&part, fallback.steps);
         let Some(plan) = found else {
-            self.aid = Some(aid);
+            self.fallback = Some(fallback);
             return cost;
         };
         // The first one is the last one: what is still to gain, changes of pieces find sooner.
-        let plan = shortened(self.quest.scene, &self.start, plan);
+        let plan = shortened(self.task.scene, &self.start, plan);
         let new = self.judged(&plan);
         if new < cost {
             self.plan = Some(plan);
@@ -186,11 +186,11 @@ impl<'a> Member<'a> {
         cost.min(new)
     }
 
-    /// Does the aid promise more than changes of pieces of a plan of this cost?
+    /// Does the fallback solver promise more than changes of pieces of a plan of this cost?
     fn is_poor(&self, cost: f64, enough: f64) -> bool {
         // Bounds say little where the caller judges.
-        let far = self.quest.judge.is_none() && cost > POOR * enough;
-        far && self.rounds <= HOPE && self.aid.as_ref().is_some_and(|aid| aid.betters)
+        let far = self.task.judge.is_none() && cost > POOR * enough;
+        far && self.rounds <= HOPE && self.fallback.as_ref().is_some_and(|fallback| fallback.betters)
     }
 
     /// Tries to find a plan in one of `parts` of the effort; in all of it while there is hope for an easy
@@ -216,23 +216,23 @@ impl<'a> Member<'a> {
     }
 
     fn judged(&self, moves: &[Move]) -> f64 {
-        self.quest.judge.map_or_else(|| self.cost(moves), |judge| judge(moves))
+        self.task.judge.map_or_else(|| self.cost(moves), |judge| judge(moves))
     }
 
     /// What the roll-outs count.
     fn cost(&self, moves: &[Move]) -> f64 {
-        moves.iter().map(|m| self.quest.costs[m.object]).sum()
+        moves.iter().map(|m| self.task.costs[m.object]).sum()
     }
 
     /// What is still possible of the plan known before, and the way from there.
     fn resumed(&mut self, effort: &mut Effort) -> Option<Vec<Move>> {
-        let scene = self.quest.scene;
+        let scene = self.task.scene;
         let goal = completion::complete(scene, &self.goals, &mut self.rng, effort)?;
         let mut now = self.start.clone();
         let mut moves = Vec::new();
         // All of it at first, then ever less.
-        let share = self.quest.known.len() / self.tries as usize;
-        for (object, pose) in &self.quest.known[..share] {
+        let share = self.task.known.len() / self.tries as usize;
+        for (object, pose) in &self.task.known[..share] {
             let to = if pose.same(&goal[*object].pose) {
                 goal[*object].clone()
             } else {
@@ -264,7 +264,7 @@ impl<'a> Member<'a> {
     }
 
     fn whole_plan(&mut self, ceiling: f64, effort: &mut Effort) -> Option<Vec<Move>> {
-        let Quest { scene, costs, .. } = *self.quest;
+        let PortfolioTask { scene, costs, .. } = *self.task;
         let goal = completion::complete(scene, &self.goals, &mut self.rng, effort)?;
         let goal = self.groups.improved(scene, costs, &self.start, goal, &mut self.rng);
         let flexible = self.groups.flexible(scene, &goal);
@@ -275,27 +275,27 @@ impl<'a> Member<'a> {
     }
 
     /// Goes on with a way over a crowded table, or begins one.
-    fn squeezed(&mut self, effort: &mut Effort) -> Option<Vec<Move>> {
-        let scene = self.quest.scene;
-        let (mut squeeze, backwards) = match self.squeeze.take() {
-            Some(squeeze) => squeeze,
+    fn compacted(&mut self, effort: &mut Effort) -> Option<Vec<Move>> {
+        let scene = self.task.scene;
+        let (mut compaction, backwards) = match self.compaction.take() {
+            Some(compaction) => compaction,
             None if self.rng.random_bool(SITES) => return self.over_sites(effort),
-            None => self.new_squeeze(effort)?,
+            None => self.new_compaction(effort)?,
         };
         let style = Style { hold: 0.0, stops: 0, ..self.style(None, false) };
-        let (costs, shapes, ceiling) = (self.quest.costs, &self.shapes, f64::INFINITY);
+        let (costs, shapes, ceiling) = (self.task.costs, &self.shapes, f64::INFINITY);
         let shortcut = |from: &Arrangement, to: &Arrangement, rng: &mut ChaCha8Rng, effort: &mut Effort| {
             let task = Task { scene, shapes, costs, from, to, flexible: ObjectSet::EMPTY, ceiling };
             roll_out(&task, &style, rng, effort)
         };
-        match squeeze.run(&shortcut, &mut self.rng, effort) {
+        match compaction.run(&shortcut, &mut self.rng, effort) {
             Progress::Arrived(moves) => {
                 let moves = if backwards { reversed(moves) } else { moves };
                 Some(shortened(scene, &self.start, moves))
             }
             Progress::Stuck => None,
             Progress::Interrupted => {
-                self.squeeze = Some((squeeze, backwards));
+                self.compaction = Some((compaction, backwards));
                 None
             }
         }
@@ -303,26 +303,26 @@ impl<'a> Member<'a> {
 
     /// A way for equal discs, if that is what there is.
     fn over_sites(&mut self, effort: &mut Effort) -> Option<Vec<Move>> {
-        let scene = self.quest.scene;
+        let scene = self.task.scene;
         let radius = sites::common_radius(scene)?;
         let goal = completion::complete(scene, &self.goals, &mut self.rng, effort)?;
         let moves = sites::over_sites(scene, radius, &self.start, &goal, &mut self.rng, effort)?;
         Some(shortened(scene, &self.start, moves))
     }
 
-    fn new_squeeze(&mut self, effort: &mut Effort) -> Option<(Squeeze<'a>, bool)> {
-        let Quest { scene, costs, .. } = *self.quest;
+    fn new_compaction(&mut self, effort: &mut Effort) -> Option<(Compaction<'a>, bool)> {
+        let PortfolioTask { scene, costs, .. } = *self.task;
         let goal = completion::complete(scene, &self.goals, &mut self.rng, effort)?;
         let goal = self.groups.improved(scene, costs, &self.start, goal, &mut self.rng);
         let backwards = self.rng.random_bool(0.5);
         let (from, to) = if backwards { (&goal, &self.start) } else { (&self.start, &goal) };
-        Some((Squeeze::new(scene, from, to, &mut self.rng), backwards))
+        Some((Compaction::new(scene, from, to, &mut self.rng), backwards))
     }
 
     /// Another plan that costs no more moves.
     fn varied(&mut self, plan: &[Move], effort: &mut Effort) -> Option<Vec<Move>> {
-        if self.quest.judge.is_some() && !plan.is_empty() && self.rng.random_bool(POLISH) {
-            return polish::neighbour(self.quest.scene, &self.start, plan, &mut self.rng);
+        if self.task.judge.is_some() && !plan.is_empty() && self.rng.random_bool(POLISH) {
+            return polish::neighbour(self.task.scene, &self.start, plan, &mut self.rng);
         }
         if plan.is_empty() || self.rng.random_bool(0.05) {
             let ceiling = self.cost(plan);
@@ -335,7 +335,7 @@ impl<'a> Member<'a> {
         let ends_here = last == plan.len();
         let leg = Leg {
             from: self.arrangement_after(&plan[..first]),
-            flexible: if ends_here { self.groups.flexible(self.quest.scene, &to) } else { ObjectSet::EMPTY },
+            flexible: if ends_here { self.groups.flexible(self.task.scene, &to) } else { ObjectSet::EMPTY },
             to,
             backwards,
             ceiling: self.cost(&plan[first..last]),
@@ -344,11 +344,7 @@ impl<'a> Member<'a> {
         let style = self.style(Some(plan), detours);
         let new = self.travel(&leg, &style, effort)?;
         let (head, tail) = (plan[..first].iter(), plan[last..].iter());
-        Some(shortened(
-            self.quest.scene,
-            &self.start,
-            head.cloned().chain(new).chain(tail.cloned()).collect(),
-        ))
+        Some(shortened(self.task.scene, &self.start, head.cloned().chain(new).chain(tail.cloned()).collect()))
     }
 
     /// Sometimes members of a group take each other's ends.
@@ -356,7 +352,7 @@ impl<'a> Member<'a> {
         if self.groups.is_empty() || self.rng.random_bool(0.5) {
             return ends;
         }
-        self.groups.exchanged(self.quest.scene, &ends, &mut self.rng).unwrap_or(ends)
+        self.groups.exchanged(self.task.scene, &ends, &mut self.rng).unwrap_or(ends)
     }
 
     fn travel(&mut self, leg: &Leg, style: &Style, effort: &mut Effort) -> Option<Vec<Move>> {
@@ -364,7 +360,7 @@ impl<'a> Member<'a> {
             true => (&leg.to, &leg.from, ObjectSet::EMPTY),
             false => (&leg.from, &leg.to, leg.flexible),
         };
-        let (Quest { scene, costs, .. }, shapes, ceiling) = (*self.quest, &self.shapes, leg.ceiling);
+        let (PortfolioTask { scene, costs, .. }, shapes, ceiling) = (*self.task, &self.shapes, leg.ceiling);
         let task = Task { scene, shapes, costs, from, to, flexible, ceiling };
         let moves = roll_out(&task, style, &mut self.rng, effort)?;
         Some(if leg.backwards { reversed(moves) } else { moves })
@@ -410,7 +406,7 @@ impl<'a> Member<'a> {
         let mut hints: Vec<Vec<Arc<Spot>>> = vec![Vec::new(); count];
         let hinted = rng.random_bool(0.5);
         for m in plan.unwrap_or_default() {
-            let is_end = self.quest.scene.goal(m.object).is_some_and(|goal| goal.pose == m.to.pose);
+            let is_end = self.task.scene.goal(m.object).is_some_and(|goal| goal.pose == m.to.pose);
             if hinted && !is_end && rng.random_bool(0.8) {
                 hints[m.object].push(m.to.clone());
                 bias[m.object] = rng.random_range(0.0..1.3);

@@ -8,7 +8,7 @@ use crate::cell::code::Code;
 use crate::cell::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
 use crate::cell::supervisor::cell::{Reason, Supervisor, alarm, say};
 use crate::cell::supervisor::gates::motion_speed;
-use crate::cell::supervisor::input::{Action, CameraTrouble, Outside};
+use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::cell::supervisor::mode::{EndFault, Mode};
 use crate::cell::supervisor::order::JobEnd;
@@ -32,7 +32,7 @@ const AFTER_A_STOP: &str = "see that the cell is safe and nothing hangs on the g
 impl Supervisor {
     /// Runs on every tick: settling, bring-up, deadlines, the disk, and the robot's state while something
     /// moves.
-    pub(crate) fn watch(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    pub(crate) fn watch(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.watch_disk(now, out);
         self.watch_end(now, outside, out);
         self.watch_settling(now, outside, out);
@@ -69,7 +69,7 @@ impl Supervisor {
 
     /// The daemon may end when the arm stands, the gripper has confirmed what was ordered and everything is
     /// written; and when that was waited for long enough.
-    fn watch_end(&mut self, now: Timestamp, outside: &Outside, out: &mut Vec<Action>) {
+    fn watch_end(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Mode::Ending { since, fault } = &self.mode else { return };
         let stands = self.stands || outside.robot.is_none() || now.since(*since) >= STOP_WITHIN;
         let written = self.ledger.is_clear() || fault.is_some();
@@ -83,7 +83,7 @@ impl Supervisor {
     }
 
     /// How long the arm has been held in the middle of a motion, by pause or by a slider at zero.
-    fn held_for(&mut self, now: Timestamp, outside: &Outside) -> Duration {
+    fn held_for(&mut self, now: Timestamp, outside: &DeviceSnapshot) -> Duration {
         let held = self.moving() && motion_speed(outside) == 0.0;
         self.held_since = if held { self.held_since.or(Some(now)) } else { None };
         self.held_since.map_or(Duration::ZERO, |since| now.since(since))
@@ -95,18 +95,18 @@ impl Supervisor {
     }
 
     fn on_deadline(&mut self, now: Timestamp, out: &mut Vec<Action>) {
-        if let Phase::Look(Look { trouble: Some(trouble), .. }) = &self.phase {
-            let trouble = trouble.clone();
-            return self.give_up_looking(now, &trouble, out);
+        if let Phase::Look(Look { fault: Some(fault), .. }) = &self.phase {
+            let fault = fault.clone();
+            return self.give_up_looking(now, &fault, out);
         }
         if matches!(self.phase, Phase::Look(Look { stage: LookStage::Capturing { .. }, .. })) {
-            let trouble = CameraTrouble {
+            let fault = CameraFault {
                 code: Code::CameraUnplugged,
                 message: "the camera gave no picture in the time of a look".to_string(),
-                remedy: "look at the camera's cable and power, submit again",
+                hint: "look at the camera's cable and power, submit again",
                 lasting: false,
             };
-            return self.give_up_looking(now, &trouble, out);
+            return self.give_up_looking(now, &fault, out);
         }
         let (code, message) = match &self.phase {
             Phase::Ready | Phase::Approve => return,
@@ -128,7 +128,7 @@ impl Supervisor {
     pub(crate) fn on_robot_trouble(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
+        outside: &DeviceSnapshot,
         event: RobotEvent,
         out: &mut Vec<Action>,
     ) {
@@ -146,7 +146,7 @@ impl Supervisor {
             }
             _ => {}
         }
-        let Some(reason) = self.trouble_of(event) else { return };
+        let Some(reason) = self.fault_of(event) else { return };
         if self.moving() || matches!(self.phase, Phase::BringUp(_)) {
             self.stop_all(now, JobEnd::Interrupted, reason, out);
         } else {
@@ -155,7 +155,7 @@ impl Supervisor {
     }
 
     /// Why an event of the robot stops the cell; `None` for those that do not.
-    fn trouble_of(&mut self, event: RobotEvent) -> Option<Reason> {
+    fn fault_of(&mut self, event: RobotEvent) -> Option<Reason> {
         let message = match event {
             RobotEvent::ProgramEnded { reason } => {
                 // Whatever ran before ours is stopped on the way to starting ours.
@@ -207,9 +207,9 @@ impl Supervisor {
         self.phase = Phase::Ready;
         alarm(out, format!("disarmed: {}", reason.message));
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
-        let remedy = "see that the cell is safe, then `celld arm` and submit again".to_string();
-        let remedy = if reason.remedy.is_empty() { remedy } else { reason.remedy };
-        self.finish(now, JobEnd::Interrupted, Reason { remedy, ..reason }, out);
+        let hint = "see that the cell is safe, then `celld arm` and submit again".to_string();
+        let hint = if reason.hint.is_empty() { hint } else { reason.hint };
+        self.finish(now, JobEnd::Interrupted, Reason { hint, ..reason }, out);
     }
 
     pub(crate) fn on_abort(&mut self, now: Timestamp, out: &mut Vec<Action>) {
@@ -240,7 +240,7 @@ impl Supervisor {
     pub(crate) fn on_committed(
         &mut self,
         now: Timestamp,
-        outside: &Outside,
+        outside: &DeviceSnapshot,
         number: u64,
         result: Result<(), String>,
         out: &mut Vec<Action>,
@@ -268,13 +268,13 @@ impl Supervisor {
         self.mode.disarm();
         alarm(out, format!("stopped and disarmed: {}", reason.message));
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
-        let remedy = if reason.remedy.is_empty() { AFTER_A_STOP.to_string() } else { reason.remedy.clone() };
-        self.finish(now, end, Reason { remedy, ..reason }, out);
+        let hint = if reason.hint.is_empty() { AFTER_A_STOP.to_string() } else { reason.hint.clone() };
+        self.finish(now, end, Reason { hint, ..reason }, out);
     }
 }
 
 /// What in the robot's state forbids going on with a motion.
-fn motion_trouble(now: Timestamp, outside: &Outside) -> Option<String> {
+fn motion_trouble(now: Timestamp, outside: &DeviceSnapshot) -> Option<String> {
     let Some(robot) = outside.robot else { return Some("the robot has never sent a state".to_string()) };
     if !outside.robot_fresh {
         Some(format!("the robot's state stopped coming {:.2} s ago", now.since(robot.received).as_secs_f64()))

@@ -14,7 +14,7 @@ fn proved(instance: &Instance) -> f64 {
     let problem = Problem::new(instance).expect("valid");
     let scene = Scene::new(&problem);
     let costs = vec![1.0; problem.objects.len()];
-    let mut proof = RoomBound::new(&scene, &costs);
+    let mut proof = BufferSpaceBound::new(&scene, &costs);
     proof.work(f64::INFINITY, &mut Effort::new(None, &|| false));
     assert!(proof.is_done());
     proof.value
@@ -119,7 +119,7 @@ fn no_plan_is_cheaper_and_often_more_is_proved() {
         if simple == count as f64 {
             continue;
         }
-        let mut proof = RoomBound::new(&scene, &costs);
+        let mut proof = BufferSpaceBound::new(&scene, &costs);
         proof.work(f64::INFINITY, &mut Effort::new(Some(400_000), &|| false));
         assert!(proof.value >= simple);
         // Any plan will do, and the first ones are not the best: the more of them, the sharper the test.
