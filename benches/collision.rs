@@ -1,7 +1,7 @@
 //! What a question to the collision kernel costs, by pair of shapes: `cargo bench`.
 //!
 //! In: pairs of footprints of like size at random poses, by seed; near pairs (bounding discs meet, so that
-//! the exact test decides) and any pairs on a table of 1 m, where most are told apart by their discs. Out: a
+//! the exact test decides) and any pairs on a table of 1 m, where most are separated by their discs. Out: a
 //! table of nanoseconds a pair, least of many rounds: what else the machine does only adds. Poses are placed
 //! beforehand; placing is measured by itself. Then whole checks of a pose among many objects, with three
 //! broad phases (`broad`).

@@ -3,7 +3,7 @@
 //!
 //! In: any bytes; the first says how the rest is cut into pieces, as a network may. Out: nothing, or a panic,
 //! which is a finding: our own of a broken promise, or one of the code under test. Both directions of every
-//! codec are read, and the simulator's sessions are talked to as if over a socket, with controller frames in
+//! codec are read, and the simulator's sessions are driven as if over a socket, with controller frames in
 //! between.
 
 use cell_values::time::{Duration, Timestamp};
@@ -59,8 +59,8 @@ fn simulator() -> Simulator {
     Simulator::new(controller, world, 1, Vec::new()).expect("a sound cell")
 }
 
-/// Talks to a server of the simulator, `frames` frames after each piece; `heard` gets what it says, in the
-/// pieces in which it says it. The client then leaves.
+/// Sends to a server of the simulator, `frames` frames after each piece; `heard` gets what it sends, in the
+/// pieces in which it sends it. The client then leaves.
 fn talk(port: Port, data: &[u8], frames: usize, mut heard: impl FnMut(&[u8])) -> Simulator {
     let mut simulator = simulator();
     let id = simulator.connect(port).expect("the server listens");
@@ -120,7 +120,7 @@ pub fn rtde(data: &[u8]) {
     hear!(RtdeSession::new(500.0), data, |_: &mut RtdeSession, _| {});
 }
 
-/// A client of ours reads what the simulator sends, whatever it was asked.
+/// A client of ours reads what the simulator sends, whatever the request was.
 fn must_be_readable(package: &[u8]) {
     let mut splitter = Splitter::default();
     splitter.push(package);

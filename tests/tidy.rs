@@ -1,6 +1,6 @@
 //! Holds the architecture: the module table of ARCHITECTURE.md against the sources, and the house rules.
 //!
-//! In: the repository as it stands. Out: every breach with file and line, all at once. The compiler does not
+//! In: the repository as it is. Out: every breach with file and line, all at once. The compiler does not
 //! enforce layers inside one crate, so this test reads the sources instead. The table below is the one
 //! place that says which module may use which; if a row hurts, change the row knowingly, not the code.
 

@@ -168,7 +168,7 @@ impl Broad for Quadtree {
     }
 }
 
-/// Objects where they are, and poses asked for.
+/// Objects where they are, and poses to check.
 struct Scene {
     footprints: Vec<Footprint>,
     starts: Vec<Pose2>,
@@ -207,7 +207,7 @@ impl Scene {
         })
     }
 
-    /// Poses on the table, of all objects in turn; of the free ones only, if asked for.
+    /// Poses on the table, of all objects in turn; of the free ones only, if requested.
     fn questions(&self, free: bool) -> Vec<Question> {
         let mut all = Discs(Vec::new());
         self.fill(&mut all);

@@ -1,4 +1,4 @@
-//! Fuzz target `modbus`; what it does stands in `targets.rs`.
+//! Fuzz target `modbus`; what it does is in `targets.rs`.
 #![no_main]
 
 #[allow(dead_code, reason = "each binary runs one of the targets")]

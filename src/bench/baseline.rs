@@ -4,8 +4,8 @@
 //! n, instance, method, status, actions, ti_cost, wall_s), and rows of our benchmark on the same instances
 //! with several seeds. Out: the units to run, and a text: which rows they solved and we do not dependably,
 //! mean cost over bound of both, cells where ours is more than [`WORSE`] dearer, how much sooner our first
-//! plan is there. Both costs stand over our lower bound. Theirs is one run, and on another machine: the ratio
-//! of times is an indication.
+//! plan is there. Both costs are taken over our lower bound. Theirs is one run, and on another machine: the
+//! ratio of times is an indication.
 
 use crate::bench::cells::{Cell, Unit};
 use crate::bench::table::{Key, Row, density_word};
@@ -20,7 +20,7 @@ pub const WORSE: f64 = 0.05;
 /// Share of the seeds in which a row has to be solved, as a fraction: 9 of 10.
 const DEPENDABLE: (usize, usize) = (9, 10);
 
-/// Their runs shorter than this tell more of the start of a program than of its search, s.
+/// Their runs shorter than this reflect more of the start of a program than of its search, s.
 const LEAST_SECONDS: f64 = 0.1;
 
 /// Status of a row that says only why there was no run.

@@ -69,7 +69,7 @@ impl Spec {
         }
     }
 
-    /// Where a row stands on the x axis, if it belongs into this figure.
+    /// Where a row is on the x axis, if it belongs into this figure.
     fn x(&self, row: &Row) -> Option<f64> {
         let key = &row.key;
         if key.scenario != self.scenario || key.objective != self.objective {
@@ -209,8 +209,8 @@ const fn look(colour: &'static str, mark: Mark, solid: bool) -> Look {
     Look { colour, mark, solid }
 }
 
-/// A method and its extension share colour and mark; the extension is solid. Colours tell apart for the
-/// colour-blind (Okabe and Ito).
+/// A method and its extension share colour and mark; the extension is solid. Colours are distinguishable for
+/// the colour-blind (Okabe and Ito).
 const LOOKS: [(SolverKind, Look); 7] = [
     (SolverKind::Tbm, look("#0072b2", Mark::Disc, false)),
     (SolverKind::Etbm, look("#0072b2", Mark::Disc, true)),

@@ -86,7 +86,7 @@ pub fn thread_pool(threads: u16) -> Option<rayon::ThreadPool> {
     (threads > 1).then(|| build(usize::from(threads))).flatten()
 }
 
-/// Asks a solver to swap two discs: tells what it cannot do before hours are spent on what it can.
+/// Has a solver swap two discs: shows what it cannot do before hours are spent on what it can.
 ///
 /// # Errors
 /// A solver that is not built, an objective that it does not have here.

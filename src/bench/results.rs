@@ -119,7 +119,7 @@ mod tests {
     fn a_line_that_lacks_its_end_alone_is_run_again() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rows.csv");
-        // Without its end nobody knows whether 1.000000 would have gone on.
+        // Without its end it is unknown whether 1.000000 would have gone on.
         std::fs::write(&path, format!("{CSV_HEADER}\n{}", row("1", None).csv())).unwrap();
         let (_, found) = ResultsFile::open(&path).unwrap();
         assert!(found.cut && found.table.rows.is_empty());

@@ -3,8 +3,8 @@
 //! In: the program to watch (this one), a configuration, an address, seconds, a number of clients. Out:
 //! [`Figures`]. The simulator runs as a process of its own; its clients run here, each on a thread. Lateness
 //! is recorded inside the simulator, package by package, from when the frame was due to when the bytes were
-//! handed to the system. Beside it stands the machine's own wake-up jitter: a thread here that only sleeps to
-//! the same schedule meanwhile.
+//! handed to the system. Beside it is the machine's own wake-up jitter: a thread here that only sleeps to the
+//! same schedule meanwhile.
 
 use crate::bench::rtde_client::{Client, Seen, bring_up, play, watch};
 use crate::bench::rtde_process::Simulator;
@@ -91,7 +91,7 @@ pub struct Figures {
     pub command_to_motion_cycles_p50: u64,
     /// See `command_to_motion_cycles_p50`.
     pub command_to_motion_cycles_p99: u64,
-    /// Time factor asked for, and reached.
+    /// Time factor requested, and reached.
     pub factor: f64,
     /// See `factor`.
     pub factor_reached: f64,
@@ -99,7 +99,7 @@ pub struct Figures {
     pub factor_lost: u64,
 }
 
-/// Measures everything; `progress` is told what comes next.
+/// Measures everything; `progress` is called with what comes next.
 ///
 /// # Errors
 /// One sentence: what did not work.

@@ -19,7 +19,7 @@ pub const PRIMARY: u16 = 30001;
 /// RTDE.
 pub const RTDE: u16 = 30004;
 
-/// A connection with an output recipe, and an input recipe if asked for.
+/// A connection with an output recipe, and an input recipe if requested.
 pub struct Client {
     stream: TcpStream,
     splitter: Splitter,
@@ -125,7 +125,7 @@ pub fn watch(client: &mut Client, end: Instant) -> Result<Seen, String> {
     Ok(seen)
 }
 
-/// Asks the dashboard one question on a connection of its own.
+/// Sends one query to the dashboard on a connection of its own.
 ///
 /// # Errors
 /// The connection broke.

@@ -83,7 +83,7 @@ impl Simulator {
         nanoseconds.sum::<f64>() * 1e-9
     }
 
-    /// Resident memory, MB; `None` where the system does not tell.
+    /// Resident memory, MB; `None` where the system does not report it.
     pub fn resident_mb(&self) -> Option<f64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
         let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;

@@ -18,7 +18,7 @@ pub struct Runner<'a> {
     pub limits: &'a (dyn Fn(&Unit) -> Limits + Sync),
     /// Cases at the same time.
     pub threads: usize,
-    /// Asked often; true ends the run.
+    /// Polled often; true ends the run.
     pub stop: &'a (dyn Fn() -> bool + Sync),
 }
 

@@ -17,7 +17,7 @@ pub enum Quality {
     AtBound(f64),
     /// Mean cost over mean bound of the cases solved.
     OverBound(f64),
-    /// Told, without an aim.
+    /// Reported, without an aim.
     Told,
 }
 

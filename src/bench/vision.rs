@@ -2,10 +2,10 @@
 //! long it takes.
 //!
 //! In: how many frames, a seed, detector settings. Out: [`Report`]. Frames are drawn by `render` from
-//! `scene`'s tables, five views a table; `perception` looks at them as in the cell. Accuracy is told
-//! with the lens's true numbers and with those that a calibration from board pictures found (`calibrated`);
-//! times are those of one frame on a core, beside a plain call of the C library on the same frame. Beside it
-//! stand the figures of drift (`drift`), of what carries no marker (`foreign`) and of the camera's mount
+//! `scene`'s tables, five views a table; `perception` looks at them as in the cell. Accuracy is reported with
+//! the lens's true numbers and with those that a calibration from board pictures found (`calibrated`); times
+//! are those of one frame on a core, beside a plain call of the C library on the same frame. Beside it are
+//! the figures of drift (`drift`), of what carries no marker (`foreign`) and of the camera's mount
 //! (`hand_eye`).
 
 pub mod calibrated;
@@ -111,7 +111,7 @@ pub struct Slips {
     pub missed: Vec<tally::Slip>,
 }
 
-/// The noise model that the benchmark's tables ask for: nothing is glued on by hand here.
+/// The noise model that the benchmark's tables require: nothing is glued on by hand here.
 pub fn limits() -> ObserveLimits {
     ObserveLimits {
         systematic_xy_m: 0.0,
@@ -140,7 +140,7 @@ impl Bench {
         Ok(Bench { lens, sheets: scene::sheets(6, &mut random)?, task })
     }
 
-    /// Runs; `done` hears how many scenes are through. `None` when `stop` was set.
+    /// Runs; `done` is called with how many scenes are through. `None` when `stop` was set.
     ///
     /// # Errors
     /// What the detector or the pose mathematics says.
@@ -245,7 +245,7 @@ impl Bench {
         Ok(tally)
     }
 
-    /// Who was found in one view, and what was found that is nobody.
+    /// Which markers were found in one view, and what was found that matches no marker.
     fn count(&self, scene: &Scene, at: [usize; 2], seen: &[Detection], tally: &mut Tally) {
         tally.frames += 1;
         let [number, view] = at;
@@ -305,7 +305,7 @@ impl Bench {
     /// How far off the poses are, of single views and of all views together.
     ///
     /// Below `perception` on purpose, by the functions that it calls: whether an error is as large as was
-    /// claimed is told by the whole covariance of each pose, and an observation gives deviations only.
+    /// claimed is shown by the whole covariance of each pose, and an observation gives deviations only.
     fn judge(
         &self,
         scene: &Scene,

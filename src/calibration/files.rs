@@ -1,10 +1,10 @@
 //! Calibration files: what was measured, how well, with which devices, when.
 //!
 //! In: YAML (or JSON) text. Out: checked values, or every complaint with line and column; and the text of a
-//! new file. Told by their top-level key: `camera` (the lens), `hand_eye` (where the camera sits), `table`
-//! (table under the robot). Lengths in m, angles in rad, rotations as unit quaternions [x, y, z, w]. Nothing
-//! measured has a default, and a rotation that is none, or a camera half a metre off the flange, is refused.
-//! Pure: files are opened by the caller.
+//! new file. Distinguished by their top-level key: `camera` (the lens), `hand_eye` (where the camera sits),
+//! `table` (table under the robot). Lengths in m, angles in rad, rotations as unit quaternions [x, y, z, w].
+//! Nothing measured has a default, and a rotation that is none, or a camera half a metre off the flange, is
+//! refused. Pure: files are opened by the caller.
 
 pub mod camera;
 pub mod hand_eye;
@@ -36,7 +36,7 @@ pub enum Kind {
     Round,
 }
 
-/// Tells the kind by the top-level key, `None` if it is no calibration file.
+/// Gives the kind by the top-level key, `None` if it is no calibration file.
 pub fn kind(top: &Node) -> Option<Kind> {
     // The results come first: they keep what they were made of under the other keys.
     let kinds = [

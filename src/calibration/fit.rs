@@ -2,9 +2,9 @@
 //!
 //! In: [`Sample`]s of a round, the cell as drawn, the lens. Out: [`HandEye`] with its errors in pixels and
 //! metres, or a [`CalibrateError`]. This file has what the solvers share. `solve` picks the solver by the
-//! mount, `hand_eye` is for a camera on the flange, `fixed` for one that stands, `touch` places the table by
-//! the tool's tip, `lens` measures the camera itself; `problem` is the least squares, `observability` refuses
-//! poses that leave something open, `report` says how good it is. Pure.
+//! mount, `hand_eye` is for a camera on the flange, `fixed` for one that does not move, `touch` places the
+//! table by the tool's tip, `lens` measures the camera itself; `problem` is the least squares,
+//! `observability` refuses poses that leave something open, `report` says how good it is. Pure.
 //!
 //! Honest errors: `held_out_*` predicts samples that were not used, `halves_*` compares two independent
 //! halves.
@@ -42,7 +42,7 @@ pub struct HandEyeGuess {
     pub base_from_table: Isometry3<f64>,
 }
 
-/// What is asked of the data.
+/// What is required of the data.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HandEyeSettings {
     /// Corner noise along each axis, pixels: decides what is well determined.
@@ -59,7 +59,7 @@ pub struct HandEyeSettings {
     pub folds: usize,
     /// The camera's place on the flange is known (it is the start's), only the table is looked for.
     pub keep_mount: bool,
-    /// The camera stands and the hand carries what it looks at: changes the words of a refusal, not the
+    /// The camera is fixed and the hand carries what it looks at: changes the words of a refusal, not the
     /// mathematics.
     pub target_on_hand: bool,
 }

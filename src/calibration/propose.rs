@@ -1,12 +1,11 @@
 //! Calibration poses within a taught box, proposed instead of taught.
 //!
 //! In: the cell as drawn (nominal mount and table, survey, `calibration_box`), a lens, the arm's kinematics,
-//! where it stands. Out: joint poses in an order in which the arm can go from each to the next without
-//! leaving the box, or what keeps the box from being large enough. Every pose shows four reference markers or
-//! more to a camera on the hand, or as many of the board on the hand to one that stands; the directions of
-//! tilt go round, so that the rotations are about many axes. Before they are given out, the round is played
-//! through on paper: what the gate of the real calibration would refuse is refused here, with the same
-//! sentence.
+//! where it is. Out: joint poses in an order in which the arm can go from each to the next without leaving
+//! the box, or what keeps the box from being large enough. Every pose shows four reference markers or more to
+//! a camera on the hand, or as many of the board on the hand to a fixed one; the directions of tilt go round,
+//! so that the rotations are about many axes. Before they are given out, the round is played through on
+//! paper: what the gate of the real calibration would refuse is refused here, with the same sentence.
 
 mod body;
 mod scene;
@@ -23,7 +22,7 @@ use cell_vision::camera::CameraModel;
 use rearrange::document::chain::chain;
 use ur_arm::kinematics::forward;
 
-/// Tilts tried, largest first, rad: what the perspective of a marker is told by.
+/// Tilts tried, largest first, rad: what the perspective of a marker is determined by.
 const TILTS: [f64; 3] = [0.45, 0.35, 0.25];
 /// Most postures tried for one direction of tilt.
 const TRIES: usize = 60;

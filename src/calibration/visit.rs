@@ -1,7 +1,7 @@
 //! What is made of the pictures of a calibration round as they come.
 //!
-//! In: one [`Stop`] after the other. Out: the samples in the order of the poses; whoever wants to say
-//! something about each, or to keep it, is called with it. Pure.
+//! In: one [`Stop`] after the other. Out: the samples in the order of the poses; `progress` is called with
+//! each, to report on it or to keep it. Pure.
 
 use crate::calibration::fit::Sample;
 use cell_values::image::Image;

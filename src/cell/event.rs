@@ -23,7 +23,7 @@ use ur_arm::kinematics::DhParameters;
 pub enum Event {
     /// Time went by; everything else that has happened by now was handed over before.
     Time,
-    /// The connection that [`Effect::Connect`] asked for stands.
+    /// The connection that [`Effect::Connect`] requested is established.
     Connected(Link),
     /// It could not be made, or the peer or the network ended it. Not reported after [`Effect::Close`].
     Disconnected(Link, String),
@@ -50,7 +50,7 @@ pub enum Event {
         /// Arm it without a person: simulated cells only, as the configuration checks.
         arm: bool,
     },
-    /// A job was claimed, as [`Effect::WantJob`] asked for.
+    /// A job was claimed, as [`Effect::WantJob`] requested.
     Job(Box<JobOrder>),
     /// A calibration round is to be carried out.
     Round(Box<RoundOrder>),
@@ -103,7 +103,7 @@ pub enum Effect {
         /// The problem and its budget.
         request: Box<PlanRequest>,
     },
-    /// Nobody waits for a plan any more.
+    /// The plan is not awaited any more.
     CancelPlan,
     /// Write this down.
     Commit {
@@ -125,11 +125,11 @@ pub enum Effect {
     Notify(News),
     /// The calibration round is over.
     RoundOver(Result<(), RoundFault>),
-    /// The daemon ends, with this fault if it was not told to.
+    /// The daemon ends, with this fault if it was not ordered to.
     End(Result<(), EndFault>),
 }
 
-/// What people and records are told.
+/// What is reported to people and records.
 #[derive(Clone, Debug)]
 pub enum News {
     /// The controller has said which arm it moves: time to commission the cell.

@@ -53,7 +53,7 @@ pub struct Machine {
     inputs: VecDeque<Input>,
     effects: VecDeque<Effect>,
     requests: Requests,
-    /// A job was asked for and has not come.
+    /// A job was requested and has not come.
     wants_job: bool,
     shown: Shown,
     last_turn: Timestamp,

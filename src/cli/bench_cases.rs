@@ -22,7 +22,7 @@ pub enum Source {
     Public {
         /// With `hetori` and `trlb` in it.
         data: PathBuf,
-        /// Ids asked for.
+        /// Requested ids.
         ids: Option<Vec<String>>,
         /// How many, without ids.
         count: u64,

@@ -21,7 +21,7 @@ const PNG_SCALE: f32 = 2.0;
 /// Arguments of `celld bench figures`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct BenchFiguresArgs {
-    /// Result tables; a case that stands in several counts once, as it stands in the first
+    /// Result tables; a case that is in several counts once, as it is in the first
     #[arg(required = true, value_name = "CSV")]
     pub tables: Vec<PathBuf>,
     /// Figures to draw

@@ -89,7 +89,7 @@ pub struct BenchPlanningArgs {
     /// End each case at its first plan, as the paper's figures do
     #[arg(long)]
     pub first: bool,
-    /// As `celld plan --strict-paper`; rows do not tell, so use another --out
+    /// As `celld plan --strict-paper`; rows do not record it, so use another --out
     #[arg(long)]
     pub strict_paper: bool,
     /// Cases at the same time; default: one for each core
@@ -207,7 +207,7 @@ fn threads(args: &BenchPlanningArgs) -> usize {
     args.threads.map_or_else(cores, usize::from)
 }
 
-/// The runs asked for on this machine; what cannot be run at all is told before anything is.
+/// The runs requested on this machine; what cannot be run at all is reported before anything is run.
 fn wanted(
     args: &BenchPlanningArgs,
     source: &Source,
@@ -286,7 +286,7 @@ fn cells(args: &BenchPlanningArgs) -> Vec<Cell> {
 struct Desk<'a> {
     args: &'a BenchPlanningArgs,
     file: Option<ResultsFile>,
-    /// Rows of the runs asked for, those of earlier runs first.
+    /// Rows of the requested runs, those of earlier runs first.
     table: Table,
     fresh: usize,
     failures: usize,

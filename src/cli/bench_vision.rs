@@ -3,8 +3,8 @@
 //! calibration.
 //!
 //! In: which parts, how many frames, scenes and looks, a seed, detector settings. Out: a table for people, or
-//! one JSON object; some of the frames as pictures with the truth about their corners where that is asked
-//! for. Exit code 0, 2 for usage, 130 after Ctrl-C.
+//! one JSON object; some of the frames as pictures with the truth about their corners where that is
+//! requested. Exit code 0, 2 for usage, 130 after Ctrl-C.
 
 mod args;
 mod parts;
@@ -55,7 +55,7 @@ fn run_all(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<String>, 
         }
         text.push_str(&reported);
         match figures {
-            // The figures of the markers stand at the top.
+            // The figures of the markers are at the top.
             serde_json::Value::Object(figures) if part == Part::Markers => json.extend(figures),
             figures => {
                 let name = match part {

@@ -282,7 +282,7 @@ fn of_arm(lens: &CameraModel, arm: &Arm) -> Provenance {
     }
 }
 
-/// The cell's camera, and the lens to work with. A camera that tells no lens needs a measured one first.
+/// The cell's camera, and the lens to work with. A camera that reports no lens needs a measured one first.
 fn camera_and_lens(config: &CellConfig) -> Result<(MonitoredCamera, CameraCalibration), String> {
     if config.devices.camera.knows_its_lens() {
         let mut camera = open_camera(config, None)?;
@@ -379,7 +379,7 @@ impl Recording {
                 let bytes = image.encode_png().map_err(|error| format!("{}: {error}", path.display()));
                 let written =
                     bytes.and_then(|bytes| files::write_atomic(&path, &bytes).map_err(|error| chain(&error)));
-                // The first fault is the one to tell.
+                // The first fault is the one to report.
                 outcome = outcome.and(written);
             }
             outcome

@@ -1,8 +1,8 @@
 //! `celld capture`: the table as it is now, as a goal file.
 //!
 //! In: the cell's configuration, the lens, and pictures of the table: files, or one frame of the cell's
-//! camera where it stands. Each picture tells by itself where it was taken, from the reference markers in it,
-//! so no robot is asked. Out: a goal file. Exit codes: 0 every object was seen and written, 1 some were not
+//! camera where it is. Each picture shows by itself where it was taken, from the reference markers in it, so
+//! no robot is queried. Out: a goal file. Exit codes: 0 every object was seen and written, 1 some were not
 //! (with `--partial` the others are written), 2 bad input.
 
 use crate::cli::daemon::open_camera;
@@ -31,7 +31,7 @@ pub struct CaptureArgs {
     /// The cell's configuration: objects, reference markers, calibration files
     #[arg(long, default_value = "config/cell.yaml", value_name = "FILE")]
     config: PathBuf,
-    /// Pictures of the table (PNG or JPEG); without any, the cell's camera takes one where it stands
+    /// Pictures of the table (PNG or JPEG); without any, the cell's camera takes one where it is
     #[arg(value_name = "IMAGE")]
     images: Vec<PathBuf>,
     /// Where to write the goal
@@ -56,7 +56,7 @@ pub fn run(args: &CaptureArgs) -> u8 {
     }
 }
 
-/// What to tell, and the exit code.
+/// What to report, and the exit code.
 fn capture(args: &CaptureArgs) -> Result<(String, u8), String> {
     let config = load_cell(&args.config).map_err(|error| error.to_string())?;
     let lens = read_camera(&config.calibration.camera).map_err(|error| {

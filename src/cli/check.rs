@@ -1,7 +1,7 @@
 //! `celld check FILE...`: every complaint about configuration, calibration, job, goal, instance and fault
 //! files.
 //!
-//! In: files; their kind is told by their top-level keys; with `--config`, the cell that jobs and goals are
+//! In: files; their kind follows from their top-level keys; with `--config`, the cell that jobs and goals are
 //! for. Out: one line for each complaint, with file, line and column, on stdout; exit code 2 if there is any.
 //! Nothing is changed and no daemon is needed.
 
@@ -27,7 +27,7 @@ pub struct CheckArgs {
     /// Files to check.
     #[arg(required = true)]
     files: Vec<PathBuf>,
-    /// What they are, where the top-level keys do not tell.
+    /// What they are, where the top-level keys do not show it.
     #[arg(long)]
     kind: Option<Kind>,
     /// Folder of named shapes, for public instances.

@@ -47,7 +47,7 @@ pub struct RunArgs {
     state: PathBuf,
 }
 
-/// States a second asked of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
+/// States a second requested of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
 const RTDE_HZ: f64 = 125.0;
 
 /// Runs the daemon until Ctrl-C or SIGTERM; returns the exit code.
@@ -205,7 +205,8 @@ async fn daemon(
 /// A new file in the recording folder, named by the time.
 ///
 /// # Errors
-/// A folder or file that cannot be made: whoever asks for a recording wants to know before, not after.
+/// A folder or file that cannot be made: the operator who requests a recording wants to know before, not
+/// after.
 fn start_recording(config: &RecordingConfig) -> Result<Recorder, String> {
     std::fs::create_dir_all(&config.folder)
         .map_err(|error| format!("{}: {error}", config.folder.display()))?;

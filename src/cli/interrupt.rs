@@ -1,6 +1,6 @@
 //! Ctrl-C for commands that compute for a long time.
 //!
-//! In: the flag that the computation asks. Out: the flag is raised at the first Ctrl-C, so that what is done
+//! In: the flag that the computation polls. Out: the flag is raised at the first Ctrl-C, so that what is done
 //! can be kept; the second one ends the process at once with exit code 130.
 
 use std::sync::Arc;

@@ -196,7 +196,7 @@ fn send(state: &StateFolder, command: &Command) -> Result<u8, ClientError> {
         }
         std::thread::sleep(LOOK_EVERY);
     }
-    // Taken back, so that it is not obeyed once nobody expects it any more.
+    // Taken back, so that it is not obeyed once it is no longer expected.
     let seconds = ANSWER_WITHIN.as_secs();
     Err(if sent.withdraw()? { ClientError::NoAnswer(seconds) } else { ClientError::NoReply(seconds) })
 }

@@ -36,7 +36,7 @@ pub struct MarkersArgs {
     out: PathBuf,
 }
 
-/// Marker numbers in the order asked for.
+/// Marker numbers in the requested order.
 #[derive(Clone, Debug, PartialEq)]
 struct IdList(Vec<u32>);
 

@@ -58,7 +58,7 @@ pub struct PlanArgs {
     #[arg(long, default_value = "auto", long_help = SOLVERS, value_parser = solver_parser())]
     pub solver: SolverKind,
     /// What is minimised: pp number of moves, ti total impedance, time seconds (here of a nominal arm: 4 s a
-    /// move and its ways at 0.25 m/s; the cell asks its own arm)
+    /// move and its ways at 0.25 m/s; the cell uses its own arm)
     #[arg(long, default_value = "pp", value_parser = objective_parser())]
     pub objective: Objective,
     /// Seconds of planning; default 600 for the paper's solvers, 10 for auto
@@ -200,12 +200,12 @@ fn pool(threads: Option<u16>) -> Option<rayon::ThreadPool> {
     thread_pool(threads.unwrap_or_else(|| u16::try_from(cores()).unwrap_or(u16::MAX)))
 }
 
-/// What standard error hears: a line for each better plan of a search that goes on, and, on a terminal, one
-/// that stays and tells the time when a search takes long.
+/// What goes to standard error: a line for each better plan of a search that goes on, and, on a terminal, one
+/// that stays and shows the time when a search takes long.
 struct Progress {
     begun: Instant,
     limit: f64,
-    /// Below which no cost can be; None while nobody needs it.
+    /// Below which no cost can be; None while it is not needed.
     bound: Mutex<Option<f64>>,
     bar: Mutex<Option<ProgressBar>>,
     best: Mutex<Option<f64>>,

@@ -2,8 +2,8 @@
 //!
 //! In: events as they happen. Out: the file, and at the end what went wrong with it, if anything did. A
 //! recording that fails never stops a run, and never silently: the first fault is kept. Pictures are turned
-//! into PNG on a thread of their own, for it takes tens of milliseconds in which the robot would not hear
-//! from us.
+//! into PNG on a thread of their own, for it takes tens of milliseconds in which the robot would get no
+//! message from us.
 
 use crate::daemon::heard::Shown;
 use crate::daemon::shell::Scene;

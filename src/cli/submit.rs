@@ -23,7 +23,7 @@ use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// How often the journal is asked how the job is.
+/// How often the journal is read for the state of the job.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// Arguments of `celld submit`.
@@ -186,7 +186,7 @@ mod tests {
         Err("none".into())
     }
 
-    /// Hands the job in, lets a daemon take it, and returns the id told here and the one given there.
+    /// Hands the job in, lets a daemon take it, and returns the id reported here and the one given there.
     fn ids(text: &str) -> (String, String) {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path().join("state"));

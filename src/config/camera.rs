@@ -1,8 +1,8 @@
-//! `devices.camera`: which camera, what is asked of it, and when a picture of it is of no use.
+//! `devices.camera`: which camera, what is requested of it, and when a picture of it is of no use.
 //!
 //! In: the located value and a decoder that collects complaints. Out: [`CameraDevice`] and the limits of a
 //! usable picture. What is measured of a camera, its lens and its place, is in calibration files and not
-//! here; size, rate and serial number are asked for because a calibration holds for them alone.
+//! here; size, rate and serial number are requested because a calibration holds for them alone.
 
 use crate::io::camera::Exposure;
 use crate::io::camera::realsense::RealSenseSettings;
@@ -21,7 +21,7 @@ pub enum CameraDevice {
         host: String,
         /// HTTP port.
         port: u16,
-        /// Ask for depth too.
+        /// Request depth too.
         depth: bool,
     },
     /// Any address that answers with its present picture.
@@ -69,12 +69,12 @@ impl CameraDevice {
         }
     }
 
-    /// True where the camera itself tells its lens.
+    /// True where the camera itself reports its lens.
     pub fn knows_its_lens(&self) -> bool {
         matches!(self, CameraDevice::Simulator { .. } | CameraDevice::RealSense(_))
     }
 
-    /// The host it is asked at, if it is in a network.
+    /// The host it is reached at, if it is in a network.
     pub fn host(&self) -> Option<&str> {
         match self {
             CameraDevice::Simulator { host, .. } => Some(host),

@@ -2,8 +2,8 @@
 //!
 //! In: nothing; `config::read_cell` builds these from YAML, the demo builds them from an instance. Out: the
 //! numbers from which the daemon makes the small parameter structs of vision, motion, device and supervisor.
-//! No field that is measured, and no speed or acceleration, has a `Default`: a cell that nobody measured
-//! must not start.
+//! No field that is measured, and no speed or acceleration, has a `Default`: an unmeasured cell must not
+//! start.
 
 use crate::calibration::drawn::CameraMount;
 use crate::cell::supervisor::model::ForeignRule;
@@ -93,7 +93,7 @@ impl CellConfig {
         }
     }
 
-    /// Where nothing may be put: the keep-out regions, and fixed objects where they stand.
+    /// Where nothing may be put: the keep-out regions, and fixed objects where they are.
     pub fn obstacles(&self) -> Vec<KeepOut> {
         let fixed =
             self.objects.iter().filter(|object| object.fixed).filter_map(|object| {
@@ -159,7 +159,7 @@ pub struct MotionLimits {
     pub tool_acceleration: f64,
     /// Lowest height of elbow and wrist over the table, m.
     pub link_floor_m: f64,
-    /// Air kept between what is carried and what stands, m.
+    /// Air kept between what is carried and what is on the table, m.
     pub lift_height_m: f64,
     /// How far over the object the slow, straight part of approach and retreat begins, m.
     pub approach_height_m: f64,
@@ -180,7 +180,7 @@ pub struct Tolerances {
     pub observation_age_s: f64,
     /// Largest mean residual of the reference markers in a look, m.
     pub reference_residual_m: f64,
-    /// Shift or lift of the camera, told by the reference markers from one look pose, that stops motion, m.
+    /// Shift or lift of the camera, shown by the reference markers from one look pose, that stops motion, m.
     pub reference_shift_m: f64,
     /// Turn of it, rad.
     pub reference_turn_rad: f64,

@@ -1,6 +1,6 @@
-//! What no single key can tell: whether the parts of a cell's configuration fit each other.
+//! What no single key can show: whether the parts of a cell's configuration fit each other.
 //!
-//! In: the parts that could be read, and where the keys stand. Out: complaints in the decoder. Each check
+//! In: the parts that could be read, and where the keys are. Out: complaints in the decoder. Each check
 //! takes the parts it needs and is left out when one of them is missing, so that one wrong key hides no other
 //! fault. Pure.
 
@@ -77,7 +77,7 @@ fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     let measured = parts.devices.as_ref().is_none_or(|devices| devices.camera.measures_depth());
     let obstacle = matches!(parts.foreign, Some(ForeignRule::Obstacle { .. }));
     let compared = parts.calibration.as_ref().is_some_and(|files| files.empty.is_some());
-    // How high a thing is, colour does not tell: refused it can be, driven over it cannot.
+    // Colour does not show how high a thing is: it can be refused, but not driven over.
     if needed && !measured && (obstacle || !compared) {
         let message = "the search for what carries no marker needs depth, and the camera is not asked for it";
         let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: {mode: off}`; \
@@ -86,8 +86,8 @@ fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     }
 }
 
-/// A camera that stands sees the same table in every look, and the arm in another place: its pictures of the
-/// empty table cannot be told apart by where they were taken from.
+/// A fixed camera sees the same table in every look, and the arm in another place: its pictures of the
+/// empty table cannot be distinguished by where they were taken from.
 fn check_empty(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     let stands = matches!(parts.camera, Some(CameraMount::Fixed { .. }));
     let compared = parts.calibration.as_ref().is_some_and(|files| files.empty.is_some());
@@ -219,8 +219,8 @@ fn check_weight(
     }
 }
 
-/// Force of the cups (N) that carrying `mass_kg` safely takes: the larger of what rest and acceleration ask
-/// for.
+/// Force of the cups (N) that carrying `mass_kg` safely takes: the larger of what rest and acceleration
+/// require.
 pub fn needed_force_n(mass_kg: f64, limits: &MotionLimits) -> f64 {
     let at_rest = FACTOR_AT_REST * mass_kg * GRAVITY;
     at_rest.max(FACTOR_ACCELERATING * mass_kg * (GRAVITY + limits.tool_acceleration))

@@ -67,7 +67,7 @@ pub enum SetupError {
         id: String,
         /// Its mass, kg.
         mass_kg: f64,
-        /// Force that the factors ask for, N.
+        /// Force that the factors require, N.
         needed_n: f64,
         /// Force of the cups at `vacuum_min`, N.
         held_n: f64,
@@ -77,7 +77,7 @@ pub enum SetupError {
 /// Distance every cup keeps to the edge of a top, m (design, section 4.4).
 pub const CUP_MARGIN_M: f64 = 1e-3;
 
-/// Relative vacuum asked for; regulated down from the pump's 80 % to spare the filters.
+/// Relative vacuum requested; regulated down from the pump's 80 % to spare the filters.
 const VACUUM_TARGET: f64 = 0.6;
 
 /// Reference markers that a look must show: with fewer, a bump of the camera could hide in the noise.

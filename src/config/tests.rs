@@ -1,4 +1,4 @@
-//! The example files are sound, and every kind of mistake is told with its place.
+//! The example files are sound, and every kind of mistake is reported with its place.
 
 use crate::calibration::drawn::CameraMount;
 use crate::config::cell::CellConfig;

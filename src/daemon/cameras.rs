@@ -1,7 +1,7 @@
 //! The camera that the configuration names, opened and under supervision.
 //!
 //! In: the configuration's devices, the lens where a calibration is to be used. Out: a source that gives
-//! usable pictures or says what is wrong; and what the supervisor is told about that.
+//! usable pictures or reports what is wrong; and what is reported of that to the supervisor.
 
 use crate::cell::code::Code;
 use crate::cell::supervisor::input::CameraFault;
@@ -88,7 +88,7 @@ fn code_of(kind: FaultKind) -> Code {
     }
 }
 
-/// What the supervisor is told of a camera that gives no picture.
+/// What is reported to the supervisor of a camera that gives no picture.
 pub fn fault_of(error: &CameraError) -> CameraFault {
     let kind = error.kind();
     CameraFault {

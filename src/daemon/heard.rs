@@ -15,7 +15,7 @@ pub enum Heard {
     Event(Event),
     /// A connection was made, or could not be.
     Made(Made),
-    /// For whoever shows or records.
+    /// To be shown or recorded.
     Shown(Shown),
 }
 

@@ -2,7 +2,7 @@
 //! and the journal in between, which alone is the truth.
 //!
 //! In: a state folder whose lock this process holds, and the configuration. Out: what
-//! [`crate::daemon::store`] asks for; what is committed is on disk when the call returns.
+//! [`crate::daemon::store`] requests; what is committed is on disk when the call returns.
 
 use crate::cell::code::Code;
 use crate::cell::device::gripper::Channels;

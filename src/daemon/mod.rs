@@ -4,7 +4,7 @@
 //! and Modbus to the gripper. `workers`: perception and planning on threads of their own; `cameras`: the
 //! camera that the configuration names. `store`: the state folder on threads of its own; `keeper`: what is
 //! kept there. `setup`: configuration and calibration into the parameters of machine and perception. Nothing
-//! here knows whether it talks to a robot or to the simulator.
+//! here depends on whether the peer is a robot or the simulator.
 
 pub mod cameras;
 pub mod heard;

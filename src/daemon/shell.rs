@@ -97,14 +97,14 @@ const END_WITHIN: Duration = Duration::from_secs(10);
 const CLOSE_WITHIN: Duration = Duration::from_secs(15);
 const CLOSE_SILENT_WITHIN: Duration = Duration::from_secs(1);
 
-/// Shows nothing to anybody.
+/// An observer that shows nothing.
 struct Nobody;
 
 impl Observer for Nobody {
     fn on(&mut self, _now: Timestamp, _scene: Scene) {}
 }
 
-/// What the last turn brought that concerns whoever drives the shell.
+/// What the last turn brought that concerns the shell's caller.
 #[derive(Default)]
 struct Outcome {
     arm: Option<Arm>,
@@ -180,7 +180,7 @@ impl Shell {
         }
     }
 
-    /// One turn for whoever only watches the robot.
+    /// One turn for a caller that only watches the robot.
     pub async fn listen(&mut self) {
         self.turn(&mut Nobody).await;
     }
@@ -201,7 +201,7 @@ impl Shell {
         self.store = Some(Store::open(keeper, orders, self.clock.clone(), self.heard_in.clone()));
     }
 
-    /// Carries out a calibration round. The arm stands still afterwards, and the program has ended, or was
+    /// Carries out a calibration round. The arm is at rest afterwards, and the program has ended, or was
     /// stopped and takes nothing but its end.
     ///
     /// # Errors
@@ -235,7 +235,7 @@ impl Shell {
         }
     }
 
-    /// Works until `shutdown` is raised and the arm stands still, or the state folder is lost.
+    /// Works until `shutdown` is raised and the arm is at rest, or the state folder is lost.
     ///
     /// # Errors
     /// [`EndFault`]; the arm was stopped.
@@ -255,7 +255,7 @@ impl Shell {
         // for as long again.
         let limit = if ended.is_err() { CLOSE_SILENT_WITHIN } else { CLOSE_WITHIN };
         let Some(store) = self.store.take() else { return ended };
-        // Threads that still have something to tell must find the channel open.
+        // Threads that still have something to send must find the channel open.
         let closed = store.close(limit);
         tokio::pin!(closed);
         loop {

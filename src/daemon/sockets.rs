@@ -63,7 +63,7 @@ pub struct Sockets {
 }
 
 impl Sockets {
-    /// Nothing is connected yet; what is made is heard of through `heard`.
+    /// Nothing is connected yet; what is made is reported through `heard`.
     pub fn new(addresses: &Addresses, clock: Clock, heard: mpsc::Sender<Heard>) -> Sockets {
         let line = |link: Link| Line {
             link,
@@ -105,7 +105,7 @@ impl Sockets {
         let (address, attempt) = (line.address, line.attempt);
         line.connecting = Some(tokio::spawn(async move {
             let result = TcpStream::connect(address).await;
-            // The loop has ended if nobody listens.
+            // The loop has ended if there is no receiver.
             let _ = heard.send(Heard::Made(Made { link, attempt, result })).await;
         }));
     }
@@ -125,7 +125,7 @@ impl Sockets {
         }
     }
 
-    /// Drops a connection or the attempt to make it; nothing more is heard of it.
+    /// Drops a connection or the attempt to make it; nothing more is reported of it.
     pub fn close(&mut self, link: Link) {
         self.line(link).close();
     }

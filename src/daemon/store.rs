@@ -3,7 +3,7 @@
 //! In: what the machine wants written, answered or claimed. Out: [`Event`]s: commits in the order of the
 //! requests, orders, jobs. Two threads: one writes the journal and looks after job files, the other reads
 //! orders and writes answers. A commit takes milliseconds at best and half a second on a busy disk; the robot
-//! stops when it hears nothing for a fraction of that, and a person who aborts does not wait for a disk.
+//! stops when no message reaches it for a fraction of that, and a person who aborts does not wait for a disk.
 
 use crate::cell::event::Event;
 use crate::cell::orders::{Order, Reply};
@@ -51,7 +51,7 @@ pub trait Orders: Send + 'static {
     fn reply(&mut self, number: u64, reply: &Reply);
 }
 
-/// Nobody gives orders: the demo.
+/// No source of orders: the demo.
 pub struct NoOrders;
 
 impl Orders for NoOrders {
@@ -205,14 +205,14 @@ struct Keeping {
 }
 
 impl Keeping {
-    /// Until nobody asks any more; what is left is written first.
+    /// Until no requester is left; what is left is written first.
     fn run(mut self, asked: &Receiver<Request>) {
         let (mut wanted, mut status) = (false, None);
         let mut looked = Instant::now();
         loop {
             self.beat.now();
             let every = self.clock.wall(EVERY);
-            // The status comes last: nobody waits for it.
+            // The status comes last: no caller waits for it.
             let patience = if status.is_some() { std::time::Duration::ZERO } else { every };
             match asked.recv_timeout(patience) {
                 Ok(Request::Commit(number, record)) => {
@@ -250,13 +250,13 @@ impl Keeping {
     /// A job that waits is ended here; of the active one the machine decides.
     fn cancel(&mut self, number: u64, id: String) {
         match self.keeper.cancel_waiting(&id) {
-            // The other thread has ended if nobody listens, and its commands with it.
+            // The other thread has ended if there is no receiver, and its commands with it.
             Some(reply) => drop(self.answers.send((number, reply))),
             None => self.tell(Event::Order(number, Order::Cancel(id))),
         }
     }
 
-    /// The loop has ended if nobody listens; what is left is written all the same.
+    /// The loop has ended if there is no receiver; what is left is written all the same.
     fn tell(&self, event: Event) {
         let _ = self.events.blocking_send(Heard::Event(event));
     }

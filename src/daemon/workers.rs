@@ -1,7 +1,7 @@
 //! Slow work on threads of its own: frames and markers, planning.
 //!
-//! In: requests with numbers. Out: events with the same numbers, and pictures for whoever shows or records
-//! them. Workers run at a lower priority than the loop that keeps the robot's heartbeat, and planning has a
+//! In: requests with numbers. Out: events with the same numbers, and pictures to be shown or recorded.
+//! Workers run at a lower priority than the loop that keeps the robot's heartbeat, and planning has a
 //! stop flag that the loop raises.
 
 use crate::calibration::fit::Sample;
@@ -27,7 +27,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use tokio::sync::mpsc;
 
-/// What perception is asked for.
+/// What is requested of perception.
 pub enum SeeRequest {
     /// Take this many frames with the camera there.
     Look {
@@ -126,7 +126,7 @@ impl Seeing {
     }
 
     fn show(&self, shown: Shown) {
-        // The loop has ended if nobody listens.
+        // The loop has ended if there is no receiver.
         let _ = self.heard.blocking_send(Heard::Shown(shown));
     }
 
@@ -186,7 +186,7 @@ impl Seeing {
 /// search for it.
 ///
 /// # Errors
-/// What the camera or the detector says, or that no frame was asked for.
+/// What the camera or the detector says, or that no frame was requested.
 fn look(
     camera: &mut dyn CameraSource,
     perception: &mut Perception,

@@ -37,7 +37,7 @@ pub struct Frame {
     pub time_s: f64,
     /// Which camera or file it came from.
     pub source: String,
-    /// How far away what each pixel shows is, where the camera measures that and was asked to.
+    /// How far away what each pixel shows is, where the camera measures that and it was requested.
     pub depth: Option<DepthImage>,
 }
 
@@ -65,7 +65,7 @@ pub trait CameraSource: Send {
     /// Anything else; a recording that has ended is `EndOfRecording`.
     fn grab(&mut self) -> Result<Frame, CameraError>;
 
-    /// Whether the next pictures shall carry depth, for a camera that was opened with it: they do unless told
+    /// Whether the next pictures shall carry depth, for a camera that was opened with it: they do unless set
     /// otherwise. A hint that saves time; others take no notice.
     fn want_depth(&mut self, _wanted: bool) {}
 

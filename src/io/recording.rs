@@ -46,7 +46,7 @@ pub enum Severity {
     Debug = 1,
     /// What an operator cares about.
     Info = 2,
-    /// Someone should look this week.
+    /// A person should look this week.
     Warning = 3,
     /// The cell stopped.
     Error = 4,

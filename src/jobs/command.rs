@@ -2,7 +2,7 @@
 //!
 //! In: a [`Command`] from `celld arm` and its like. Out: the same in the daemon, once, and its answer back.
 //! A command is a file, renamed into place whole, that carries the name of the daemon it was meant for: one
-//! that nobody took (the daemon had just ended) is never obeyed by the next daemon, so an old `arm` cannot
+//! that was not taken (the daemon had just ended) is never obeyed by the next daemon, so an old `arm` cannot
 //! move an arm. The daemon removes the file before it obeys: a command is carried out at most once.
 
 use crate::cell::orders::Reply;
@@ -16,7 +16,7 @@ const MAX_BYTES: u64 = 64 * 1024;
 /// Most commands taken in one turn; the rest waits for the next.
 const MAX_AT_ONCE: usize = 4;
 
-/// What an operator may ask of the daemon.
+/// What an operator may request of the daemon.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "lowercase", deny_unknown_fields)]
 pub enum Command {
@@ -94,7 +94,7 @@ struct Envelope {
 /// A command that the daemon took, to be answered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Taken {
-    /// What is asked.
+    /// What is requested.
     pub command: Command,
     reply: PathBuf,
 }

@@ -31,7 +31,7 @@ const KEYS: [&str; 11] = [
     "rerun",
 ];
 
-/// Longest planning budget a job may ask for, s.
+/// Longest planning budget a job may request, s.
 const MAX_TIME_LIMIT_S: f64 = 86_400.0;
 
 /// Text of a goal file, by the path as the job writes it; `Err` says why it cannot be had.

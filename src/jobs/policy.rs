@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Approval {
-    /// Nobody: an armed cell carries out accepted jobs at once.
+    /// No person: an armed cell carries out accepted jobs at once.
     Never,
     /// A person approves each job once, with its first plan.
     Job,
@@ -22,7 +22,7 @@ impl Approval {
     /// The words a file may use, in the order of strictness.
     pub const WORDS: [&'static str; 3] = ["never", "job", "always"];
 
-    /// The value that `word` stands for.
+    /// The value that `word` names.
     pub fn from_word(word: &str) -> Option<Approval> {
         match word {
             "never" => Some(Approval::Never),
@@ -54,7 +54,7 @@ impl JobObjective {
     /// The words a file may use.
     pub const WORDS: [&'static str; 3] = ["pp", "ti", "time"];
 
-    /// The value that `word` stands for.
+    /// The value that `word` names.
     pub fn from_word(word: &str) -> Option<JobObjective> {
         match word {
             "pp" => Some(JobObjective::Pp),
@@ -73,7 +73,7 @@ impl JobObjective {
 /// The solver names that job and configuration files may use.
 pub const SOLVER_WORDS: [&str; 7] = ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"];
 
-/// What is wrong with a word that stands for nothing here, and what to write instead.
+/// What is wrong with a word that names nothing here, and what to write instead.
 pub fn unknown_word(word: &str, known: &[&str]) -> (String, String) {
     (format!("{word:?} is not known here"), format!("one of: {}", known.join(", ")))
 }

@@ -42,7 +42,7 @@ pub struct JobSpec {
     pub rerun: bool,
 }
 
-/// Where a job stands.
+/// State of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum JobState {
@@ -78,7 +78,7 @@ impl JobState {
         }
     }
 
-    /// The state that `word` stands for.
+    /// The state that `word` names.
     pub fn from_word(word: &str) -> Option<JobState> {
         match word {
             "waiting" => Some(JobState::Waiting),
@@ -99,7 +99,7 @@ impl JobStatus {
         }
     }
 
-    /// The status that `word` stands for.
+    /// The status that `word` names.
     pub fn from_word(word: &str) -> Option<JobStatus> {
         [JobStatus::Done, JobStatus::Failed, JobStatus::Cancelled, JobStatus::Interrupted]
             .into_iter()
@@ -120,9 +120,9 @@ pub struct JobRecord {
     pub sha256: String,
     /// The file, verbatim.
     pub text: String,
-    /// What it asks for.
+    /// What it requests.
     pub spec: JobSpec,
-    /// Where it stands.
+    /// Its state.
     pub state: JobState,
     /// What was approved (the caller's name for a plan), if anything was.
     pub approved: Option<String>,
@@ -187,7 +187,7 @@ impl StepPhase {
         }
     }
 
-    /// The phase that `word` stands for.
+    /// The phase that `word` names.
     pub fn from_word(word: &str) -> Option<StepPhase> {
         use StepPhase::{Abandoned, Done, Gripped, Intent, Released};
         [Intent, Gripped, Released, Done, Abandoned].into_iter().find(|phase| phase.word() == word)

@@ -339,7 +339,7 @@ fn check_linear_leg(
         check_place(model, leg, &q, floor)?;
         near = q;
     }
-    // The controller follows the same branch: it has to arrive at the joints that were asked for.
+    // The controller follows the same branch: it has to arrive at the joints that were requested.
     if near.max_difference(to) > 1e-3 { Err(PathFault::Singular { leg, which: "wrist" }) } else { Ok(()) }
 }
 

@@ -31,7 +31,7 @@ pub struct PickNPlace {
 pub struct CycleParameters {
     /// Height of the tallest object on the table, m.
     pub tallest: f64,
-    /// Air kept between what is carried and what stands, m.
+    /// Air kept between what is carried and what is on the table, m.
     pub air: f64,
     /// How far over the object the slow, straight part of approach and retreat begins, m.
     pub approach: f64,
@@ -108,7 +108,7 @@ struct Candidate {
     cost: f64,
 }
 
-/// Height of the tool while it travels: over everything that stands, with the object hanging below.
+/// Height of the tool while it travels: over everything that is on the table, with the object hanging below.
 fn travel_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
     cycle.tallest + cycle.air + task.height.max(cycle.approach)
 }
@@ -241,7 +241,7 @@ pub mod tests {
     pub fn model(width: f64) -> ArmModel {
         ArmModel {
             dh: DhParameters::UR5E,
-            // The base stands behind the middle of the near edge.
+            // The base is behind the middle of the near edge.
             base_from_table: Isometry3::translation(-width / 2.0, 0.18, 0.0),
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
             home: Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]),

@@ -35,7 +35,7 @@ const MARGIN_PX: f64 = 3.0;
 /// Seconds of detection a frame, from and to.
 const DETECTION_S: (f64, f64) = (0.03, 0.06);
 
-/// After so long a camera that does not answer is given up by whoever supervises it, s.
+/// After so long a camera that does not answer is given up by its supervisor, s.
 const GIVEN_UP_AFTER_S: f64 = 3.0;
 
 /// How the cell sees.
@@ -148,7 +148,7 @@ impl Eyes {
         self.flipped = flipped;
     }
 
-    /// Forgets the look under way: whoever asked is gone.
+    /// Forgets the look under way: its requester is gone.
     pub fn forget(&mut self) {
         self.task = None;
     }

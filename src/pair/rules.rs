@@ -32,7 +32,8 @@ pub enum Rule {
     MotionOnStaleState,
     /// The arm moves for a program that is not the one uploaded last.
     MotionOfOldProgram,
-    /// The arm moves two and a half seconds after a stop was reported, or has stood since and moves again.
+    /// The arm moves two and a half seconds after a stop was reported, or has been at rest since and
+    /// moves again.
     MotionAfterStop,
     /// The vacuum is switched off while the tool moves.
     VacuumOffInMotion,
@@ -42,7 +43,7 @@ pub enum Rule {
     HeldUnwatched,
     /// A pick is meant on a sight older than the last pick, place, stop or release.
     PickOnOldSight,
-    /// The machine is told that a record is on disk, and it is not.
+    /// A record is reported to the machine as on disk, and it is not.
     AcknowledgedNotWritten,
     /// An answer says what is not so.
     AnswerNotTrue,
@@ -115,7 +116,7 @@ const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 /// A stop may take this long.
 const STOP_FRAMES: u64 = 1250;
 
-/// An arm that has not moved for so long has stood.
+/// An arm that has not moved for so long has been at rest.
 const STOOD_FRAMES: u64 = 10;
 
 /// What began while its stop was on the way may last this long.
@@ -136,7 +137,7 @@ const ANSWER_FRAMES: u64 = 5000;
 /// After this long celld has to know that a gate is closed.
 const KNOWN_FRAMES: u64 = 250;
 
-/// After this long celld has to know of local control: it asks the dashboard once a second.
+/// After this long celld has to know of local control: it polls the dashboard once a second.
 const LOCAL_FRAMES: u64 = 1000;
 
 /// Height over its place at which an object may be let go, m: press and noise.
@@ -237,7 +238,7 @@ impl Rules {
         self.written.insert(number);
     }
 
-    /// Something has truly happened, whatever the machine is told of it.
+    /// Something has truly happened, whatever is reported of it to the machine.
     pub fn arrived(&mut self, event: &Event) {
         match event {
             Event::Received(Link::Rtde, bytes) => self.rtde_arrived(bytes),
@@ -251,7 +252,7 @@ impl Rules {
         }
     }
 
-    /// States of the robot, told from everything else that comes over RTDE: a length of two bytes, then `U`.
+    /// States of the robot, out of everything else that comes over RTDE: a length of two bytes, then `U`.
     fn rtde_arrived(&mut self, bytes: &[u8]) {
         self.package.extend(bytes);
         while let [high, low, kind, ..] = *self.package {
@@ -329,7 +330,7 @@ impl Rules {
         }
     }
 
-    /// Whoever has given an order that has arrived is answered before the daemon ends.
+    /// The sender of an order that has arrived is answered before the daemon ends.
     fn check_end(&mut self) {
         let given = |at: u64| at + 1 < self.frame;
         let open = self.orders.values().find(|(at, _)| given(*at)).map(|(_, order)| format!("{order:?}"));

@@ -1,8 +1,8 @@
 //! Whole runs of the closed loop: jobs one after the other, with the operator that they need.
 //!
 //! In: a stage, a choice, how many jobs, faults. Out: a [`Summary`]. The operator here does what the daemon's
-//! sentences ask for: arms, clears stops at the pendant once faults have ended, arms again; whoever wants
-//! another operator drives [`Pair`] directly.
+//! sentences request: arms, clears stops at the pendant once faults have ended, arms again; a caller that
+//! needs another operator drives [`Pair`] directly.
 
 use crate::cell::orders::Order;
 use crate::cell::supervisor::model::CellModel;
@@ -111,7 +111,7 @@ fn one_job(pair: &mut Pair, stage: &Stage, seed: u64, number: usize, summary: &m
         summary.moves += report.moves;
         *summary.ends.entry(report.code.word().to_string()).or_default() += 1;
         if report.end != JobEnd::Done {
-            // Whoever reads the report looks at the cell before the next job.
+            // The reader of the report looks at the cell before the next job.
             pair.run_until(5.0, |_| false);
         }
     }

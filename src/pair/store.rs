@@ -72,7 +72,7 @@ impl Store {
         self.recovered = durable.len();
         let Some(job) = self.active.take() else { return };
         match since.last() {
-            // Its report had reached the disk, and nobody heard of it.
+            // Its report had reached the disk, and had reached no reader.
             Some(Record::Ended(report)) if report.id == job.id => self.reports.push((**report).clone()),
             Some(Record::Ended(_) | Record::Done { .. }) | None => self.waiting.push_front(job),
             Some(Record::Intent { .. } | Record::Released { .. }) => self.interrupt(&job, Code::Interrupted),

@@ -4,7 +4,7 @@
 //! [`Outcome`]: how the job ended, what the operator read, whether the vacuum stayed, whether the cell stayed
 //! armed, and whether work went on afterwards; and every breach of a rule. [`judge`] holds that against the
 //! page of reactions. A case runs until the phase is there, brings the fault about, lets it last, approves
-//! what asks for it, then ends the fault, does at the pendant what a person would do, arms, and hands in
+//! what requires it, then ends the fault, does at the pendant what a person would do, arms, and hands in
 //! another job, which has to end in a named state.
 
 use crate::cell::code::Code;
@@ -39,7 +39,7 @@ const END_WITHIN_S: f64 = 150.0;
 /// A disk that is silent for this long ends celld.
 const DISK_GIVEN_UP_S: f64 = 16.0;
 
-/// Plans that a job may ask approval of after a fault.
+/// Plans for which a job may request approval after a fault.
 const APPROVALS: usize = 12;
 
 /// Where the cell is.

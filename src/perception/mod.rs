@@ -39,8 +39,8 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// What depth says of things without a marker, or where there is no depth, what colour says if it is
-    /// asked; `None` when the search is switched off or neither tells.
+    /// What depth says of things without a marker, or where there is no depth, what colour says if that
+    /// is requested; `None` when the search is switched off or neither gives an answer.
     ///
     /// # Errors
     /// The depth picture is not of this lens.

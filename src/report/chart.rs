@@ -17,7 +17,7 @@ pub struct Figure {
     pub subtitle: String,
     /// Under each x axis.
     pub x_label: String,
-    /// Places on the x axis that have data, and what stands there; ascending.
+    /// Places on the x axis that have data, and their labels; ascending.
     pub x_ticks: Vec<(f64, String)>,
     /// From left to right; curves without marks come last in each.
     pub panels: Vec<Panel>,

@@ -20,7 +20,7 @@ const MARGIN_PX: f64 = 24.0;
 /// Height of the line of text above the panels, pixels.
 const TITLE_PX: f64 = 28.0;
 
-/// Corners that stand for a curve.
+/// Corners that represent a curve.
 const CURVE_CORNERS: usize = 64;
 
 /// The picture of `actions` on `problem`, with `title` above it.

@@ -49,7 +49,7 @@ pub enum PrintFault {
     NoSuchMarker {
         /// The family's name.
         family: &'static str,
-        /// What was asked for.
+        /// What was requested.
         id: u32,
         /// The largest number it has.
         last: u32,

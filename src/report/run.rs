@@ -1,4 +1,4 @@
-//! What there is to tell about a finished run: the figures, the moves, the objects, the log.
+//! What there is to report about a finished run: the figures, the moves, the objects, the log.
 //!
 //! In: plain values from the daemon. Out: the same, named, for `report::html` and `report::summary`. Pure.
 

@@ -18,7 +18,7 @@ pub fn summary(report: &RunReport) -> String {
     parts.join("\n\n")
 }
 
-/// Labels and values of the figures, in the order people ask for them.
+/// Labels and values of the figures, in the order people look for them.
 pub fn figures(figures: &Figures) -> Vec<(String, String)> {
     let count = |value: usize| value.to_string();
     [

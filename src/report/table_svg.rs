@@ -1,7 +1,7 @@
 //! A drawing of the table from above: where objects began, should be, and are.
 //!
 //! In: workspace, footprints and poses in the table frame (m). Out: one SVG element of fixed style that reads
-//! in light and in dark. y points up as in the table frame; the robot stands below the lower edge.
+//! in light and in dark. y points up as in the table frame; the robot is below the lower edge.
 
 use crate::report::text::escape;
 use rearrange::geometry::footprint::Footprint;
@@ -159,7 +159,7 @@ fn legend(svg: &mut String, drawing: &TableDrawing, width: f64, height: f64) {
     let _ = write!(svg, r#"<text class="t-note" x="{width:.0}" y="{y:.0}" text-anchor="end">{size}</text>"#);
 }
 
-/// Colours of middle lightness, told apart on light and dark ground; hues a golden angle apart.
+/// Colours of middle lightness, distinct on light and dark ground; hues a golden angle apart.
 pub fn colour(index: usize) -> String {
     let hue = (210.0 + 137.508 * index as f64) % 360.0;
     let lightness = [46, 54, 40][index / 12 % 3];

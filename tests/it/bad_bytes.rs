@@ -39,7 +39,7 @@ fn the_fuzzers_corpora_are_survived() {
     }
 }
 
-/// Every server of a cell, by what a healthy client asks there and how the answer has to begin.
+/// Every server of a cell, by what a healthy client requests there and how the answer has to begin.
 fn servers(sim: &RunningSim) -> Vec<(&'static str, SocketAddr, Vec<u8>, Vec<u8>)> {
     let robot = &sim.addresses.robot;
     let [primary, secondary, realtime] = robot.read_only;
@@ -91,7 +91,7 @@ async fn every_port_survives_bad_clients_and_serves_a_good_one() {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(7);
     let mut silent = Vec::new();
     for (name, address, request, _) in servers(&sim) {
-        // A client that asks for everything and never reads.
+        // A client that requests everything and never reads.
         let mut lazy = TcpStream::connect(address).await.unwrap();
         let many = request.repeat(2000);
         let _ = tokio::time::timeout(Duration::from_millis(200), lazy.write_all(&many)).await;

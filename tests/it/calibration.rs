@@ -1,6 +1,6 @@
 //! Calibration as a user does it, against simulated devices over sockets: poses proposed in a taught box and
-//! visited, points of the table touched, the table tied to both; and a cell that works from a camera that
-//! stands. What comes out is held against the world's truth, which only the test reads.
+//! visited, points of the table touched, the table tied to both; and a cell that works from a fixed
+//! camera. What comes out is held against the world's truth, which only the test reads.
 
 use crate::cell::{CELLD, celld, configuration, result_of, start_daemon, text, wait_until};
 use crate::edit::replace_once;
@@ -59,7 +59,7 @@ fn table_of(folder: &Path) -> TableCalibration {
     TableCalibration::parse(&written(folder, "table.yaml"), "table.yaml").expect("sound")
 }
 
-/// Holds what was written about a standing camera and the table against the truth.
+/// Holds what was written about a fixed camera and the table against the truth.
 fn assert_stands(
     folder: &Path,
     base_from_camera: &Isometry3<f64>,
@@ -75,8 +75,8 @@ fn assert_stands(
     assert!(mm < 0.5 && deg < 0.1, "table: {mm} mm, {deg} degrees\n{said}");
 }
 
-/// The flange stayed in the box, on the way and where it stood, and it went somewhere. A controller's path is
-/// within a millimetre.
+/// The flange stayed in the box, on the way and where it stopped, and it went somewhere. A controller's path
+/// is within a millimetre.
 fn assert_stayed_in(cell: &Path, recorded: &Path, way: &[Vector3<f64>]) {
     let room = load_cell(cell).expect("a configuration").calibration_box.expect("a box");
     let seen = std::fs::read_to_string(recorded.join("samples.yaml")).expect("recorded");
@@ -95,7 +95,7 @@ fn assert_stayed_in(cell: &Path, recorded: &Path, way: &[Vector3<f64>]) {
     assert!(far > 0.1, "it moved {far} m");
 }
 
-/// Jogs the arm as the pendant would, and returns when it stands there.
+/// Jogs the arm as the pendant would, and returns when it is there.
 fn jog(sim: &RunningSim, secondary: SocketAddr, q: &Joints) {
     let joints = q.0.map(|q| format!("{q:.9}")).join(", ");
     let mut socket = TcpStream::connect(secondary).expect("the secondary interface");
@@ -240,7 +240,8 @@ impl OnHand<'_> {
         assert!(by_touch.residuals_m.len() == 4 && by_touch.residuals_m.iter().all(|m| *m < 5e-4));
     }
 
-    /// Touches of another robot are told as soon as this one has said which it is; nothing moves for them.
+    /// Touches of another robot are reported as soon as this one has sent its identity; nothing
+    /// moves for them.
     fn refuses_touches_of_another_robot(&self) {
         let touched = std::fs::read_to_string(self.folder.join("touches.yaml")).expect("written");
         let other = replace_once(&touched, "robot_serial: ", "robot_serial: other-");
@@ -382,7 +383,7 @@ const CARRIED_TO: [([f64; 3], [f64; 3]); 14] = [
     ([0.21, 0.24, 0.36], [0.2, -0.2, -0.6]),
 ];
 
-/// The configuration of a cell whose camera stands, taught to carry a board through its picture; and its
+/// The configuration of a cell whose camera is fixed, taught to carry a board through its picture; and its
 /// simulation.
 fn standing_camera(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
     let (cell, sim) = configuration(folder, address, 2);
@@ -429,7 +430,7 @@ fn standing_camera(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
     (cell, sim)
 }
 
-/// A cell whose camera stands, running, and the truth about it.
+/// A cell whose camera is fixed, running, and the truth about it.
 struct Standing {
     runtime: tokio::runtime::Runtime,
     sim: RunningSim,
@@ -470,7 +471,7 @@ impl Standing {
         assert_eq!(hand_eye_of(folder).samples.len(), CARRIED_TO.len(), "{said}");
     }
 
-    /// The same round from its pictures; and with another board in the configuration nothing is believed.
+    /// The same round from its pictures; and with another board in the configuration nothing is accepted.
     fn believes_no_other_board(&self, folder: &Path) {
         let again = ["--from", "round"];
         assert_eq!(self.calibrate(folder, &again).0, Some(0));

@@ -1,7 +1,7 @@
-//! Faults of the camera, end to end: the real daemon against the simulator that was told to break its camera.
+//! Faults of the camera, end to end: the real daemon against the simulator with a broken camera.
 //!
-//! Each fault is named while the arm stands and waits, and when it ends the job goes on by itself; one that
-//! does not end fails the job under that name, and the next job is worked on as if nothing had been.
+//! Each fault is named while the arm is stopped and waits, and when it ends the job goes on by itself; one
+//! that does not end fails the job under that name, and the next job is worked on as if nothing had been.
 
 use crate::cell::{
     LOG, PATIENCE, celld, configuration, copy_calibration, result_of, start_daemon, start_sim, text,
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 const ADDRESS: &str = "127.7.5.2";
 
-/// What is asked of the simulator's control server.
+/// A request to the simulator's control server.
 fn control(path: &str, body: Option<&str>) -> serde_json::Value {
     let url = format!("http://{ADDRESS}:8091{path}");
     let agent: ureq::Agent = ureq::Agent::config_builder().timeout_global(Some(PATIENCE)).build().into();
@@ -106,7 +106,7 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
         ("{do: camera.repeat}", "camera_repeats"),
     ];
     for (number, (order, code)) in cases.into_iter().enumerate() {
-        // There is always something to move, so that standing still means something.
+        // There is always something to move, so that the absence of motion means something.
         let x = if number % 2 == 0 { 0.30 } else { 0.36 };
         let result = desk.job(code, x, || {
             fault(order);

@@ -83,7 +83,7 @@ pub(crate) fn wait_until(what: &str, condition: impl Fn() -> bool) {
     let started = Instant::now();
     while !condition() {
         assert!(started.elapsed() < PATIENCE, "{what}");
-        // Asking without a break would take the core from those that are asked.
+        // Polling without a break would take the core from the processes that are polled.
         std::thread::sleep(Duration::from_millis(20));
     }
 }

@@ -79,7 +79,7 @@ fn no_rule_is_broken_and_no_job_lost_under_random_faults() {
 }
 
 /// A program that is paused cannot be stopped by its registers, and not by a dashboard that does not answer:
-/// whoever presses play later finds that it does not move on. Found by random faults.
+/// a person who presses play later finds that it does not move on. Found by random faults.
 #[test]
 fn a_paused_program_does_not_move_on_after_a_stop() {
     const DASHBOARD: &str = r#"{"do": "net.timeout", "args": {"link": "dashboard", "seconds": 20}}"#;
@@ -153,7 +153,7 @@ fn a_calibration_round_ends_disarmed_whatever_happens() {
     }
 }
 
-/// Ctrl-C of `celld calibrate` is an abort: while a picture is taken the arm stands, and goes on standing.
+/// Ctrl-C of `celld calibrate` is an abort: while a picture is taken the arm is at rest, and stays at rest.
 #[test]
 fn a_round_that_is_aborted_at_a_picture_leaves_the_arm_where_it_is() {
     let stage = stage(6, Eye::Corners).unwrap();

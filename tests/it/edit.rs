@@ -3,7 +3,7 @@
 //! In: a text, and what is replaced by what. Out: the changed text, or a panic that names what is not there,
 //! or not as often as the test means. The unit tests of the library take these functions from here too.
 
-/// The text with `from`, which stands in it exactly once, replaced.
+/// The text with `from`, which is in it exactly once, replaced.
 #[track_caller]
 pub(crate) fn replace_once(text: &str, from: &str, to: &str) -> String {
     replace_times(text, from, to, 1)

@@ -1,7 +1,7 @@
 //! Mutants of the cell: whatever goes wrong between machine and world, the rules of the closed loop notice.
 //!
 //! Each mutant is planted by an adapter, here and nowhere else; the same drill without one breaks no rule.
-//! What a mutant stands for is the fault in celld's own code that would have the same effect at the border.
+//! What a mutant represents is the fault in celld's own code that would have the same effect at the border.
 
 use cell_vision::observe::Observation;
 use celld::cell::device::gripper::{Channels, ModbusRequest};

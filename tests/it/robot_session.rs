@@ -50,7 +50,7 @@ pub fn config(running: bool) -> SimConfig {
     }
 }
 
-/// Session, sockets and clock: a small stand-in for the daemon's links.
+/// Session, sockets and clock: a small substitute for the daemon's links.
 struct Cell {
     sim: RunningSim,
     robot: Robot,
@@ -263,7 +263,7 @@ async fn the_arm_stops_when_the_pc_falls_silent() {
     cell.start_program(31).await;
     cell.command(RobotCommand::Stream(cell.path(1.0)));
     cell.wait("motion", |cell| cell.saw(|e| matches!(e, RobotEvent::SegmentFinished { index: 0, .. }))).await;
-    // From here on nobody turns: the process might as well be dead.
+    // From here on no turn is made: the process might as well be dead.
     let status = || cell.sim.robot().controller().core.registers.output_ints[27];
     while status() != 2 {
         tokio::task::yield_now().await;

@@ -1,5 +1,5 @@
 //! What the cell sees in the closed loop, with rendered pictures, the real detector and depth: things without
-//! a marker, faults of the camera, a camera that stands.
+//! a marker, faults of the camera, a fixed camera.
 //!
 //! The example cell of `config/`, calibrated as well as a round leaves it, in virtual time. What is compared
 //! is the truth of the simulated world, in every frame.
@@ -37,7 +37,7 @@ use ur_sim::world::lock;
 const MUG: &str = r#"{"do": "world.foreign", "args":
     {"shape": "mug", "size_m": [0.08, 0.08], "height_m": 0.09, "pose": [0.23, 0.22, 0]}}"#;
 
-/// Middle, half an edge and height of the box that stands between the lid's start and its goal, m.
+/// Middle, half an edge and height of the box between the lid's start and its goal, m.
 const BOX: [f64; 2] = [0.285, 0.295];
 const HALF_M: f64 = 0.03;
 const HEIGHT_M: f64 = 0.045;
@@ -112,7 +112,7 @@ fn number(sentence: &str, after: &str) -> f64 {
     digits.parse().unwrap_or(f64::NAN)
 }
 
-/// A mug that nobody told the cell of keeps everything where it is, for as long as it stands there.
+/// A mug that is unknown to the cell keeps everything where it is, for as long as it is there.
 #[test]
 fn nothing_moves_while_something_without_a_marker_stands_on_the_table() {
     let mut pair = example(ForeignRule::Refuse { depth_needed: true }).unwrap();
@@ -125,7 +125,7 @@ fn nothing_moves_while_something_without_a_marker_stands_on_the_table() {
     let (code, moves, _) = ended(&mut pair, |_| ());
     assert_eq!((code, moves), (Code::Done, 1), "{:?}", pair.notices());
 
-    // There to stay: the job ends, told where and how high, and nothing was moved.
+    // There to stay: the job ends, its message has place and height, and nothing was moved.
     fault(&mut pair, MUG).unwrap();
     submit(&mut pair, "two", [0.40, 0.38]);
     let (code, moves, message) = ended(&mut pair, |_| ());
@@ -186,7 +186,7 @@ fn an_obstacle_without_a_marker_is_worked_round_and_nothing_comes_near_it() {
     assert_eq!(pair.breaches(), []);
 }
 
-/// Each fault of a camera is named while the arm stands and waits; when it is over, the job goes on by
+/// Each fault of a camera is named while the arm is stopped and waits; when it is over, the job goes on by
 /// itself.
 #[test]
 fn every_fault_of_a_camera_is_named_and_nothing_is_touched_until_it_is_over() {
@@ -206,7 +206,7 @@ fn every_fault_of_a_camera_is_named_and_nothing_is_touched_until_it_is_over() {
         (world.object("lid").expect("the lid").pose(), grips)
     };
     for (number, (fault_name, args, code)) in cases.into_iter().enumerate() {
-        // There is always something to move, so that standing still means something.
+        // There is always something to move, so that the absence of motion means something.
         let x = if number % 2 == 0 { 0.30 } else { 0.36 };
         let before = truth(&pair);
         fault(&mut pair, &format!(r#"{{"do": "{fault_name}", "args": {args}}}"#)).unwrap();

@@ -123,7 +123,7 @@ fn says_who_sees(code: &str, path: &CodePath) -> bool {
     code[..path.offset].trim_end().ends_with("pub(in")
 }
 
-/// A path that begins at `crate`, `self` or `super`, from `crate` on; `depth` inline modules stand around it.
+/// A path that begins at `crate`, `self` or `super`, from `crate` on; `depth` inline modules enclose it.
 fn absolute(module: &[String], depth: usize, path: &CodePath) -> Option<Module> {
     let supers = path.segments.iter().take_while(|segment| *segment == "super").count();
     let mut base = match path.segments[0].as_str() {

@@ -40,7 +40,7 @@ pub fn allows(table: &[Row], module: &str, used: &str) -> bool {
     }
 }
 
-/// Names the table uses before they stand in it: a cycle or a wrong reading order.
+/// Names the table uses before they are in it: a cycle or a wrong reading order.
 pub fn table_faults(table: &[Row]) -> Vec<String> {
     let mut faults = Vec::new();
     for (index, row) in table.iter().enumerate() {
@@ -400,7 +400,7 @@ fn stands_alone(line: &str, mark: &str) -> bool {
     })
 }
 
-/// Marks of unfinished work, wherever they stand.
+/// Marks of unfinished work, wherever they are.
 pub fn unfinished_marks(file: &File) -> Vec<String> {
     let marks = marks();
     let lines = file.text.lines().enumerate();

@@ -1,7 +1,7 @@
 //! A small scanner for Rust sources: what a file names, without comments, strings and the compiler.
 //!
 //! In: the text of one file. Out: its code with comments and literals blanked (same length, same lines),
-//! the paths it names (use groups unfolded), the macros it calls, and where its test-only items stand. It
+//! the paths it names (use groups unfolded), the macros it calls, and where its test-only items are. It
 //! is lexical on purpose: it needs no build, reads files behind any `cfg`, and cannot be fooled by a
 //! re-export because the tidy test forbids those.
 
@@ -307,7 +307,7 @@ pub fn file_modules(code: &str) -> Vec<String> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Function {
     pub name: String,
-    /// Line of its `fn`; attributes and docs stand before it.
+    /// Line of its `fn`; attributes and docs come before it.
     pub first_line: usize,
     /// Line of the brace that closes it.
     pub last_line: usize,

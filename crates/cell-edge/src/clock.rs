@@ -2,7 +2,7 @@
 //!
 //! In: the machine's monotonic clock and a factor, or the [`Pace`] of a simulation in the same process. Out:
 //! [`Timestamp`]s since the clock was made. Every deadline and poll rate is counted on this clock, so none
-//! changes its meaning when the simulation runs faster. A clock that follows a pace stands still while the
+//! changes its meaning when the simulation runs faster. A clock that follows a pace stops while the
 //! simulation is held up, so that a busy computer slows both sides instead of making the robot look silent.
 //! The calendar time is read here too, for names and records only.
 
@@ -15,15 +15,15 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 /// that every deadline still comes.
 const PACE_LOST: Duration = Duration::from_secs(2);
 
-/// Simulated time that the simulation may be ahead of whoever follows its clock: five states at 125 Hz, and
+/// Simulated time that the simulation may be ahead of a follower of its clock: five states at 125 Hz, and
 /// well below the age at which a state counts as stale.
 const LEAD: Duration = Duration::from_millis(40);
 
-/// Stands for "nobody follows".
+/// Means "no follower".
 const NOBODY: u64 = u64::MAX;
 
 /// How far a simulation has come, written by its frame thread, and how far a daemon in the same process has
-/// heard of it.
+/// taken it in.
 #[derive(Debug)]
 pub struct Pace {
     start: Instant,
@@ -46,15 +46,14 @@ impl Pace {
         }
     }
 
-    /// True while whoever follows has not yet heard of what happened `LEAD` ago: the simulation has to
-    /// wait.
+    /// True while a follower has not yet taken in what happened `LEAD` ago: the simulation has to wait.
     pub fn ahead(&self) -> bool {
         let heard = self.heard_us.load(Ordering::Relaxed);
         heard != NOBODY
             && self.simulated_us.load(Ordering::Relaxed).saturating_sub(heard) > LEAD.as_micros() as u64
     }
 
-    /// Waits no longer, until the follower is heard of again.
+    /// Waits no longer, until the follower reports again.
     pub fn give_up(&self) {
         self.heard_us.store(NOBODY, Ordering::Relaxed);
     }
@@ -118,7 +117,7 @@ impl Clock {
         }
     }
 
-    /// Tells a simulation in this process that its state of controller time `at_s` has been taken in.
+    /// Reports to a simulation in this process that its state of controller time `at_s` has been taken in.
     pub fn heard(&self, at_s: f64) {
         if let Source::Paced(pace, _) = &self.source {
             let heard = ((at_s - pace.epoch_s).max(0.0) * 1e6) as u64;

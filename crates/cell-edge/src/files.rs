@@ -76,7 +76,7 @@ impl FileError {
     }
 }
 
-/// What tells one file from another of the same name, and a finished one from one still being written.
+/// What distinguishes files of the same name, and a finished one from one still being written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FileIdentity {
     /// Device number.

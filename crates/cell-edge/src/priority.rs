@@ -1,4 +1,4 @@
-//! Scheduling priority of the calling thread: those that talk to the robot go first, pictures and plans last.
+//! Scheduling priority of the calling thread: robot communication goes first, pictures and plans last.
 //!
 //! On Linux `nice` belongs to the thread, so nothing but the caller changes. Going up needs a privilege that
 //! the daemon may not have; without it the threads that do the slow work go down instead, which is enough on
@@ -24,8 +24,8 @@ pub fn raise() {
 }
 
 /// Goes before all ordinary threads, where that is allowed; else as far up as it may. Threads it starts
-/// inherit it, and whoever holds a lock it waits for does not. It has to sleep: nothing ordinary runs on its
-/// core before it does.
+/// inherit it, and a thread that holds a lock it waits for does not. It has to sleep: nothing ordinary runs
+/// on its core before it does.
 pub fn real_time() {
     if !schedule(ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo)) {
         tracing::debug!("no real-time scheduling for this thread");

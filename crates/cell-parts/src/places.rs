@@ -1,4 +1,4 @@
-//! Where the keys of a configuration stand in its text.
+//! Where the keys of a configuration are in its text.
 //!
 //! In: the tree of the text. Out: locations, for complaints about values that were read long ago. Pure.
 

@@ -50,14 +50,14 @@ pub enum ImageError {
         #[source]
         source: image::ImageError,
     },
-    /// The pixel buffer has not the length that width and height ask for.
+    /// The pixel buffer has not the length that width and height require.
     #[error("a {width} x {height} picture needs {needed} bytes, there are {found}")]
     Length {
         /// Pixels per row.
         width: u32,
         /// Rows.
         height: u32,
-        /// Bytes that width and height ask for.
+        /// Bytes that width and height require.
         needed: usize,
         /// Bytes there are.
         found: usize,

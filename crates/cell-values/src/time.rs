@@ -1,8 +1,8 @@
 //! Monotonic time as a value: a timestamp that can be stored, compared and added to, but not read here.
 //!
 //! In: nanoseconds since an epoch that the caller chooses (its own start). Out: differences as [`Duration`].
-//! Pure by construction: there is no way to ask for "now" in this module, so sessions and the supervisor
-//! take time as an argument and a test can turn the clock.
+//! Pure by construction: there is no way to read "now" in this module, so sessions and the supervisor take
+//! time as an argument and a test can turn the clock.
 
 use serde::{Deserialize, Serialize};
 use std::ops::{Add, AddAssign};

@@ -43,7 +43,7 @@ pub struct Overlay {
     pub colour: [u8; 3],
 }
 
-/// Outlines of what nothing explains, as high as it stands.
+/// Outlines of what nothing explains, at its height.
 pub fn foreign_overlays(objects: &[ForeignObject]) -> Vec<Overlay> {
     let overlay = |object: &ForeignObject| {
         let [x, y] = object.centre;

@@ -20,7 +20,7 @@ pub enum CvError {
     /// The library reported an error.
     #[error("OpenCV could not {what}")]
     Library {
-        /// What was asked of it.
+        /// The requested operation.
         what: &'static str,
         /// What it says.
         #[source]
@@ -29,7 +29,7 @@ pub enum CvError {
     /// The answer holds NaN, infinity, or too few values.
     #[error("OpenCV gave no usable answer when asked to {what}")]
     NoAnswer {
-        /// What was asked of it.
+        /// The requested operation.
         what: &'static str,
     },
 }
@@ -103,8 +103,7 @@ pub fn project(
     points(&target, target_points.len(), WHAT)
 }
 
-/// The poses a square marker can have, best first: usually two, of which only perspective tells which is
-/// true.
+/// The poses a square marker can have, best first: usually two, and only perspective decides which is true.
 ///
 /// In: corners in the order of `Detection::corners`, the edge of the black square in m. IPPE (Collins and
 /// Bartoli, "Infinitesimal plane-based pose estimation", 2014).

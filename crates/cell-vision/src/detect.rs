@@ -29,8 +29,8 @@ pub struct DetectSettings {
     /// Exponent of a curve over the grey levels before anything is searched, 0.25 to 2; below 1 it lifts the
     /// dark ones. The library parts black from white half-way between the darkest and the brightest pixel
     /// near by. Where a sheet of paper brighter than the marker's white lies at its ring, half-way is above
-    /// the ring; it is not on a curve that tells dark greys better apart than bright ones, as the eye does.
-    /// The library's own corners, which stand where ours find no clear step, lie a fraction of a pixel inside
+    /// the ring; it is not on a curve that separates dark greys better than bright ones, as the eye does. The
+    /// library's own corners, which remain where ours find no clear step, lie a fraction of a pixel inside
     /// the square's on it.
     pub tone: f32,
     /// Threads of the library, 1 to 16.
@@ -314,7 +314,7 @@ fn library_image(picture: &GrayImage, curve: &[u8; 256]) -> Result<apriltag::Ima
 }
 
 /// The library's detection in our conventions: corner order stays, half a pixel comes off. `None` for a
-/// family that was not asked for, which cannot be.
+/// family that was not requested, which cannot be.
 #[allow(unsafe_code)]
 fn convert(found: apriltag::Detection, families: &[Family]) -> Option<(Detection, Family)> {
     let mut detection = Detection {

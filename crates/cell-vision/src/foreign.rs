@@ -1,10 +1,10 @@
 //! What lies on the table and carries no marker: a mug, a tool, a hand, an object on its face.
 //!
 //! In: [`HeightMap`]s of one look, the objects whose place is known, [`ForeignLimits`]. Out:
-//! [`ForeignReport`]: everything that stands higher than the table and the known objects explain, over an
-//! area large enough, with its outline, area and height; and how much of the table was measured at all, with
-//! the largest piece that was not. A known object that is tipped, or lies on its marker, was not seen as
-//! itself and so explains nothing: it is found like any stranger. Where there is no depth, `change` tells by
+//! [`ForeignReport`]: everything that is higher than the table and the known objects explain, over an area
+//! large enough, with its outline, area and height; and how much of the table was measured at all, with the
+//! largest piece that was not. A known object that is tipped, or lies on its marker, was not seen as itself
+//! and so explains nothing: it is found like any stranger. Where there is no depth, `change` decides by
 //! colour. What is flat, thinner than the limit, smaller than the limit, or of a kind that the camera cannot
 //! measure (clear glass, black velvet, mirrors) is not found. Pure.
 
@@ -53,7 +53,7 @@ pub struct ForeignObject {
     pub centre: [f64; 2],
     /// The area of the table over which it was measured, m2.
     pub area_m2: f64,
-    /// Height of its highest point over the table, m; infinite where only colour tells of it.
+    /// Height of its highest point over the table, m; infinite where only colour shows it.
     pub height_m: f64,
 }
 
@@ -66,7 +66,7 @@ pub struct ForeignReport {
     pub measured_share: f64,
     /// The largest piece of the table in which it was not, outside known objects and their shadows.
     pub largest_hole: Option<Hole>,
-    /// Told by comparing colours with those of the empty table; "measured" then means compared.
+    /// Found by comparing colours with those of the empty table; "measured" then means compared.
     pub by_colour: bool,
 }
 
@@ -152,7 +152,7 @@ pub fn find(
         .filter(|object| object.area_m2 >= limits.area_m2)
         .collect();
     objects.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
-    // Known objects, their shadows and keep-outs are not asked about.
+    // Known objects, their shadows and keep-outs are left out.
     let bare: Vec<bool> = expected.surface_m.iter().map(|surface| *surface == 0.0).collect();
     let unmeasured = holes::unmeasured(&maps, &bare, &measured, known);
     let count = |cells: &[bool]| cells.iter().filter(|cell| **cell).count() as f64;
@@ -169,7 +169,7 @@ struct Expected {
     /// Height up to which nothing is foreign, m.
     highest_m: Vec<f32>,
     /// Height of the surface that is seen when nothing is, m; NaN at the edges of known objects and where
-    /// anything may stand.
+    /// anything may be.
     surface_m: Vec<f32>,
 }
 
@@ -215,7 +215,7 @@ impl Expected {
     }
 }
 
-/// What known objects change on the table's picture: where they stand, what they hide from the camera, and
+/// What known objects change on the table's picture: where they are, what they hide from the camera, and
 /// their shadows.
 struct Shaded<'a> {
     known: Vec<(&'a KnownBody, Vec<[f64; 2]>)>,

@@ -188,7 +188,7 @@ impl Step {
             }
         }
         information.fill_lower_triangle_with_upper_triangle();
-        // Between the transitions of a small print there is too little to tell the blur by: it is what is
+        // Between the transitions of a small print there is too little to determine the blur: it is what is
         // usual then.
         information[(4, 4)] += BLUR_WEIGHT;
         pull[4] += BLUR_WEIGHT * (BLUR_USUAL_PX - self.blur);

@@ -1,9 +1,9 @@
 //! When the camera exposes a frame, and from where: the part of the camera that has nothing to do with HTTP.
 //!
-//! In: the moment at which a picture is asked for, the arm's recent way. Out: the window in which the frame
+//! In: the moment at which a picture is requested, the arm's recent way. Out: the window in which the frame
 //! is exposed, when it reaches the client, and the camera's poses during the exposure. A sensor that runs
-//! free exposes at multiples of its period; a frame that is asked for is the next one that begins, exposed
-//! for a while and then transferred. An arm that moves meanwhile smears the picture. Pure.
+//! free exposes at multiples of its period; a requested frame is the next one that begins, exposed for a
+//! while and then transferred. An arm that moves meanwhile smears the picture. Pure.
 
 use crate::render::Renderer;
 use crate::render::depth::DepthImage;
@@ -25,7 +25,7 @@ const PLACES: usize = 5;
 /// How a camera takes its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraTiming {
-    /// From frame to frame, s; 0: a frame begins when it is asked for.
+    /// From frame to frame, s; 0: a frame begins when it is requested.
     pub period_s: f64,
     /// For which a pixel gathers light, s.
     pub exposure_s: f64,
@@ -40,7 +40,7 @@ impl CameraTiming {
     /// A picture of the moment, at once.
     pub const INSTANT: CameraTiming = CameraTiming { period_s: 0.0, exposure_s: 0.0, latency_s: 0.0 };
 
-    /// The frame that a client gets who asks at `asked_s`.
+    /// The frame for a client's request at `asked_s`.
     pub fn window(&self, asked_s: f64) -> Window {
         let begin_s = match self.period_s > 0.0 {
             // A frame that begins at this very moment counts.

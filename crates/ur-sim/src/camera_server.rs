@@ -5,7 +5,7 @@
 //! with 16 bits, 0.1 mm a unit and 0 where nothing was found, aligned to the colour picture; the factory
 //! intrinsics as JSON. A frame is exposed and transferred in its own time ([`crate::camera`]); drawing
 //! happens afterwards on a blocking thread, without the world, one picture at a time. A camera that is
-//! switched off (a fault) answers 503; other faults of the camera are asked of the world at every frame.
+//! switched off (a fault) answers 503; other faults of the camera are read from the world at every frame.
 
 use crate::camera::{CameraSetup, Window};
 use crate::faults::link::Link;
@@ -142,7 +142,7 @@ impl Camera {
         (headers, frame.png).into_response()
     }
 
-    /// Waits until the simulation has come so far, or has stood for too long: a test's world may stand still.
+    /// Waits until the simulation has come so far, but not for too long: a test's world may not advance.
     async fn until(&self, time_s: f64) {
         let begun = tokio::time::Instant::now();
         while lock(&self.world).now_s() < time_s && begun.elapsed() < WAIT_LIMIT {

@@ -84,7 +84,7 @@ pub struct SimAddresses {
     pub modbus: SocketAddr,
     /// The camera.
     pub camera: SocketAddr,
-    /// The control server, if it was asked for.
+    /// The control server, if it was requested.
     pub control: Option<SocketAddr>,
 }
 

@@ -1,4 +1,4 @@
-//! The simulator's configuration after all checks: what stands on the table, and how far the truth is off.
+//! The simulator's configuration after all checks: what is on the table, and how far the truth is off.
 //!
 //! In: nothing; `config::read_sim` builds it from YAML, the demo from an instance. Out: the numbers from
 //! which `celld sim` builds its world. The nominal values are those the cell's own configuration states; the
@@ -52,7 +52,7 @@ pub struct SimFile {
     pub start_pose: Joints,
     /// Folder with the programs that the dashboard loads, relative to the file's own; absent: none.
     pub program_folder: Option<String>,
-    /// The scripts in it by the program's name; whoever opens files fills them in.
+    /// The scripts in it by the program's name; the code that opens files fills them in.
     pub programs: BTreeMap<String, String>,
     /// How far the truth is off.
     pub errors: SimErrors,

@@ -2,7 +2,7 @@
 //!
 //! In: the tables that the simulator itself runs by (built-ins of scripts, RTDE variables), and for the rest
 //! rows that name a test of theirs. Out: Markdown, `docs/simulator-conformance.md`, which a test compares
-//! with this; `celld sim --conformance` prints it. A claim without a test does not stand here.
+//! with this; `celld sim --conformance` prints it. A claim without a test is not listed here.
 
 use crate::controller::builtins::{self, Entry, Grade};
 use crate::controller::outputs;

@@ -3,7 +3,7 @@
 //! In: `GET /world.json`, `GET /timing.json`, `POST /fault` with `{"do": NAME, "args": {...}}`, with a
 //! trigger `at`, or a whole `{"faults": [...]}` as in a fault file. Out: the true state; how late RTDE
 //! packages have left the simulator (us after their frame was due), how many were sent and skipped; `{"ok":
-//! true}`, or 400 with `{"error": TEXT}`. Loopback only, and only when asked for: the daemon has no client
+//! true}`, or 400 with `{"error": TEXT}`. Loopback only, and only when requested: the daemon has no client
 //! for it.
 
 use crate::faults::injector::FaultInjector;
@@ -27,7 +27,7 @@ const BODY_LIMIT: usize = 64 * 1024;
 /// Why the control server ended.
 #[derive(Debug, thiserror::Error)]
 pub enum ControlError {
-    /// It was asked to listen where others could reach it.
+    /// The requested address is one that others could reach.
     #[error("the simulator's control server listens on loopback only, not on {0}")]
     NotLoopback(IpAddr),
     /// The listener failed.

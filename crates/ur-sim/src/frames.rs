@@ -60,7 +60,7 @@ impl Schedule {
     }
 }
 
-/// What the frame thread tells the rest of the process.
+/// What the frame thread reports to the rest of the process.
 #[derive(Debug)]
 pub struct Progress {
     /// Simulated time as it goes on.
@@ -117,7 +117,7 @@ pub fn run(core: &Core, progress: &Progress, factor: f64, stopped: &watch::Recei
     }
 }
 
-/// Waits for a daemon in the same process that reads this simulation's clock; what it has not heard of must
+/// Waits for a daemon in the same process that reads this simulation's clock; what it has not received must
 /// not look stale to it.
 fn wait_for_follower(progress: &Progress, stopped: &watch::Receiver<bool>) {
     let start = Instant::now();
@@ -137,7 +137,7 @@ fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
         let controller = robot.controller();
         (controller.core.step, controller.programs.playing())
     };
-    // Only a running program listens for signs of life; without one a client may stop writing at any time.
+    // Only a running program checks for signs of life; without one a client may stop writing at any time.
     let waiting = || {
         let publisher = robot.publisher();
         (playing && publisher.a_client_is_late(step)) || publisher.a_client_is_behind()

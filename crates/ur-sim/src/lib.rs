@@ -1,4 +1,4 @@
-//! The stand-in for the hardware: world, UR controller, VGC10 and camera behind the real protocols.
+//! The replacement for the hardware: world, UR controller, VGC10 and camera behind the real protocols.
 
 pub mod camera;
 

@@ -144,8 +144,8 @@ impl Socket {
     }
 }
 
-/// Connects on a thread; the stream arrives when it stands, and the channel closes when it does not. `None`
-/// if too many are being tried.
+/// Connects on a thread; the stream arrives once connected, and the channel closes when connecting fails.
+/// `None` if too many are being tried.
 fn connect(
     host: &str,
     port: u16,

@@ -1,9 +1,9 @@
 //! A client's connection without its socket: the one place where its bytes become answers.
 //!
 //! In: a [`Port`], then the client's bytes in any pieces, its last byte, its end. Out: [`Heard`], the answers
-//! to what was received; and at the connection's [`Inlet`] what it is sent without asking: the greeting,
-//! states, data. Whoever carries the bytes (real sockets in `serve`, calls in `simulator`) takes
-//! first what is in the inlet, then the answers, and says that they are on their way ([`Session::answered`]).
+//! to what was received; and at the connection's [`Inlet`] what it is sent without a request: the greeting,
+//! states, data. The carrier of the bytes (real sockets in `serve`, calls in `simulator`) takes first what is
+//! in the inlet, then the answers, and reports that they are on their way ([`Session::answered`]).
 
 use crate::core::Core;
 use crate::faults::link::LinkName;

@@ -90,7 +90,7 @@ impl Simulator {
         }
     }
 
-    /// A client connects; `None` while nobody listens there.
+    /// A client connects; `None` while no server listens there.
     pub fn connect(&mut self, port: Port) -> Option<ConnectionId> {
         if self.link(port.link()).down {
             return None;
@@ -135,7 +135,7 @@ impl Simulator {
     }
 }
 
-/// What the controller sends to a connection without being asked.
+/// What the controller sends to a connection without a request.
 fn pass_on(id: ConnectionId, inlet: &mut Inlet, out: &mut VecDeque<Transmission>) {
     while let Some(bytes) = inlet.take() {
         out.push_back(Transmission::Bytes(id, bytes));

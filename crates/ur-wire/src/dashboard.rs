@@ -1,7 +1,7 @@
 //! Dashboard server (TCP 29999): one command per line, one reply line per command.
 //!
 //! In: lines of text. Out: [`Command`]s and [`Reply`]s, and lines again. A reply means *accepted*, never
-//! *done*: whoever sent the command waits for the state to change. A reply can only be read by who knows the
+//! *done*: the sender of the command waits for the state to change. A reply can only be read with the
 //! command it answers, so the command is an argument. Source: the vendor's dashboard guide and the texts
 //! client libraries match on (reference on UR interfaces, 2.2).
 
@@ -73,7 +73,7 @@ impl ProgramState {
     }
 }
 
-/// What a client asks for. Texts in it must not contain line ends; [`Command::line`] cuts them there.
+/// What a client requests. Texts in it must not contain line ends; [`Command::line`] cuts them there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
     /// `power on`.
@@ -148,7 +148,7 @@ pub enum Command {
     Quit,
     /// `shutdown`.
     Shutdown,
-    /// Anything else, as it stood.
+    /// Anything else, as received.
     Unknown(String),
 }
 
@@ -272,7 +272,7 @@ impl Command {
 /// What the server answers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reply {
-    /// The command was taken; what it asks for has yet to happen. The text is the whole line, which for
+    /// The command was taken; what it requests has yet to happen. The text is the whole line, which for
     /// `load` names the file.
     Accepted(String),
     /// The pendant is in local mode.

@@ -1,4 +1,4 @@
-//! Modbus TCP as a server hears and answers it: framing, the three register functions, exceptions.
+//! Modbus TCP as a server receives and answers it: framing, the three register functions, exceptions.
 //!
 //! In: bytes of a master's stream. Out: [`Adu`]s and the [`Function`] in each, and the bytes of answers. The
 //! daemon's master uses a library; this end is ours, so that a misreading does not meet itself, and so that
@@ -40,7 +40,7 @@ pub enum Exception {
     DeviceFailure,
     /// 6.
     DeviceBusy,
-    /// 11: nobody with this unit number.
+    /// 11: no device with this unit number.
     NoTarget,
 }
 
@@ -66,7 +66,7 @@ impl Exception {
     }
 }
 
-/// What a request asks for.
+/// The function that a request names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Function {
     /// 0x03: 1 to 125 holding registers from `first` on.
@@ -122,7 +122,7 @@ impl Splitter {
 }
 
 impl Adu {
-    /// What the request asks for.
+    /// The function that the request names.
     ///
     /// # Errors
     /// The exception to answer with: a function that is not offered, or data that do not fit it.
@@ -172,7 +172,7 @@ fn write_many(reader: &mut Reader) -> Result<Option<Function>, WireError> {
 }
 
 impl Function {
-    /// Data of the answer to a write: what was asked, without the values of several.
+    /// Data of the answer to a write: what was requested, without the values of several.
     pub fn echo(&self) -> Vec<u8> {
         let mut out = Writer::new();
         match self {

@@ -25,7 +25,7 @@ pub enum Package {
     RobotState(Vec<SubPackage>),
     /// Type 20.
     Message(Message),
-    /// Any other type (safety set-up broadcast, program state, ...), which nobody here needs to read.
+    /// Any other type (safety set-up broadcast, program state, ...), which need not be read here.
     Other {
         /// Type byte.
         kind: u8,
@@ -156,7 +156,7 @@ mod tests {
             bytes.truncate(cut.index(length));
             let mut splitter = Splitter::default();
             splitter.push(&bytes);
-            // Every call consumes a package, drops everything, or asks for more: at most one per 5 bytes.
+            // Every call consumes a package, drops everything, or needs more: at most one per 5 bytes.
             for _ in 0..length {
                 if splitter.next_package() == Ok(None) { break; }
             }

@@ -36,7 +36,7 @@ pub enum MessageBody {
     Popup {
         /// Number of the request; answers name it.
         request: u32,
-        /// Type of the value asked for; 8 is none.
+        /// Type of the value requested; 8 is none.
         value_type: u32,
         /// Shown as a warning.
         warning: bool,
@@ -112,7 +112,7 @@ pub enum MessageBody {
         /// What went wrong.
         text: String,
     },
-    /// Types nobody here needs to read (labels, requests for values).
+    /// Types that need not be read here (labels, requests for values).
     Other {
         /// Type byte.
         kind: u8,

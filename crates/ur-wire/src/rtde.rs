@@ -149,7 +149,7 @@ impl TextMessage {
 pub enum Request {
     /// `V`: wants to speak this version.
     ProtocolVersion(u16),
-    /// `v`: asks for the controller's software version.
+    /// `v`: requests the controller's software version.
     ControllerVersion,
     /// `M`: a text for the controller's log.
     Text(TextMessage),

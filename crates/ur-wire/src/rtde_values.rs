@@ -72,7 +72,7 @@ impl VariableType {
         }
     }
 
-    /// What a register or field of this type holds before anybody wrote it.
+    /// What a register or field of this type holds before the first write.
     pub fn zero(self) -> Value {
         match self {
             VariableType::Bool => Value::Bool(false),

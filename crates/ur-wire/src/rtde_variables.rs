@@ -1,4 +1,4 @@
-//! The variables of RTDE with their types: what may stand in an output and in an input recipe.
+//! The variables of RTDE with their types: what may be in an output and in an input recipe.
 //!
 //! In: a name. Out: its type. Clients unpack by tables of their own, so a simulator has to use exactly these
 //! types. Source: the vendor's RTDE guide and client libraries (reference on UR interfaces, 1.6 and 1.7).

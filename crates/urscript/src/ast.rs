@@ -31,7 +31,7 @@ pub struct Function {
     pub parameters: Vec<Parameter>,
     /// Statements.
     pub body: Vec<Statement>,
-    /// Where its keyword stands.
+    /// Where its keyword is.
     pub at: Position,
 }
 

@@ -81,7 +81,7 @@ impl Call<'_> {
 pub enum Reply {
     /// The call is done.
     Value(Value),
-    /// Ask again in the next frame; the thread waits.
+    /// Call again in the next frame; the thread waits.
     Wait,
 }
 

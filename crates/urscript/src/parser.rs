@@ -76,7 +76,7 @@ impl Parser {
         token
     }
 
-    /// Where the parser stands, for [`Parser::rewind`].
+    /// The parser's position, for [`Parser::rewind`].
     pub(crate) fn mark(&self) -> usize {
         self.next
     }

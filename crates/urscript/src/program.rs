@@ -6,11 +6,11 @@
 //! started; a thread that becomes ready in a frame (joined, handed the critical section, just started) still
 //! runs in it. A slice longer than [`SLICE`] instructions is an endless loop and an exception, as the
 //! controller aborts a program that does not let time pass.
-//! The critical section is a lock that is handed on in the order of asking, with sleeping allowed inside.
-//! While its holder waits in a built-in (a motion, a socket) or joins a thread the section is lent to who
-//! asks for it: deployed scripts run whole trajectories within it and still read their orders, a cancellation
-//! among them, in another one, and wait within it for the end of a thread that has one more round in it to
-//! go.
+//! The critical section is a lock that is handed on in the order of request, with sleeping allowed inside.
+//! While its holder waits in a built-in (a motion, a socket) or joins a thread the section is lent to a
+//! thread that requests it: deployed scripts run whole trajectories within it and still read their orders, a
+//! cancellation among them, in another one, and wait within it for the end of a thread that has one more
+//! round in it to go.
 
 use crate::code::Code;
 use crate::fault::{Position, RuntimeException};
@@ -50,7 +50,7 @@ enum Wait {
     Frames(u64),
     Thread(ThreadId),
     Critical,
-    /// The host's answer, asked for once per frame.
+    /// The host's answer, polled once per frame.
     Host,
 }
 
@@ -323,7 +323,7 @@ impl Program {
             }
             _ => return Err(self.exception(index, "exit_critical without enter_critical".to_owned())),
         }
-        // Who lent it goes on as soon as it is free: not only if nobody takes it again at once.
+        // The lender goes on as soon as it is free: not only if no thread takes it again at once.
         let lender_waits = self.holder.is_none() && self.threads.iter().any(|other| other.lent > 0);
         Ok(if lender_waits { Turn::Over } else { Turn::Kept })
     }

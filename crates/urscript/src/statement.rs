@@ -2,8 +2,8 @@
 //! [`super::parser`]).
 //!
 //! In: the parser's tokens. Out: statements with positions. `return` is the one place that looks at lines:
-//! what stands on its line is its value; on a later line only what cannot be a statement is, because
-//! nothing else tells `return` followed by a call from a returned call.
+//! what is on its line is its value; on a later line only what cannot be a statement is, because nothing
+//! else distinguishes `return` followed by a call from a returned call.
 
 use crate::ast::{
     Expression, ExpressionKind, Function, FunctionKind, Parameter, Qualifier, Script, Statement,

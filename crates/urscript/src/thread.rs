@@ -146,7 +146,7 @@ impl Thread {
         }
     }
 
-    /// Asks the host again; true if it answered.
+    /// Polls the host again; true if it answered.
     fn poll(&mut self, host: &mut dyn Host) -> Result<bool, String> {
         let Some(mut pending) = self.pending.take() else { return Ok(true) };
         let call = Call {

@@ -1,4 +1,4 @@
-//! What a calibration from the benchmark's own pictures finds, so that accuracy can be told with it too.
+//! What a calibration from the benchmark's own pictures finds, so that accuracy can be reported with it too.
 //!
 //! In: the true lens. Out: [`Found`]: the lens that pictures of a board give, and the mount that a round over
 //! reference markers gives with that lens, found by the code behind `celld calibrate camera` and `celld
@@ -68,7 +68,7 @@ pub struct Column {
 
 impl Found {
     /// Where the calibration says the camera is that really is there: the bench's arm carries the camera in
-    /// its flange's origin and stands on the table's.
+    /// its flange's origin and is mounted on the table's.
     pub fn table_from_camera(&self, truly: &Isometry3<f64>) -> Isometry3<f64> {
         self.base_from_table.inverse() * truly * self.flange_from_camera
     }

@@ -5,9 +5,8 @@
 //! noise. A bump shifts the camera by 2 mm in any direction or turns it by 0.3 degrees about any axis, for
 //! the whole look. Most looks use the corners as the lens projects them, with normal noise twice what the
 //! detector leaves on rendered pictures; some are rendered and detected. Observation and decision are the
-//! cell's own. A last part asks how much of the limits a calibration's own error takes up on a cell that
-//! nobody has touched: mounts off by what the hand-eye calibration may be off, and mounts as its rounds find
-//! them.
+//! cell's own. A last part measures how much of the limits a calibration's own error takes up on an untouched
+//! cell: mounts off by what the hand-eye calibration may be off, and mounts as its rounds find them.
 
 use crate::bench::vision::hand_eye::Calibration;
 use crate::bench::vision::render::{Ground, Lens, Print, render};
@@ -90,7 +89,7 @@ pub struct Report {
     pub limit_deg: f64,
 }
 
-/// Looks of cells that nobody touched, each with a calibration of its own.
+/// Looks of untouched cells, each with a calibration of its own.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Untouched {
     /// Looks.
@@ -179,7 +178,7 @@ pub fn run(task: Task, limits: DriftLimits, stop: &AtomicBool) -> Result<Option<
     }))
 }
 
-/// From where the camera truly is to where the cell believes it.
+/// From where the camera truly is to where the cell assumes it.
 type Belief<'a> = Box<dyn Fn(&Isometry3<f64>) -> Isometry3<f64> + 'a>;
 
 /// By turns a shift and a turn, in a direction of its own, in the camera's frame.
@@ -322,7 +321,7 @@ impl Bench {
         Ok((check.drifted(limits), share.max(check.residual_rms_m / limits.residual_m)))
     }
 
-    /// One frame with the camera truly there, for a cell that believes it elsewhere.
+    /// One frame with the camera truly there, for a cell that assumes it elsewhere.
     fn view(
         &self,
         truly: &Isometry3<f64>,

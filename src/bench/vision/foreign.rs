@@ -128,7 +128,7 @@ struct Outcome {
     ms: f64,
 }
 
-/// Runs; `done` hears after every scene. `None` when `stop` was set.
+/// Runs; `done` is called after every scene. `None` when `stop` was set.
 ///
 /// # Errors
 /// What the lens or the height map says.
@@ -200,7 +200,7 @@ impl Bench {
         self.search.compare_with(empty);
     }
 
-    /// What the cell knows of a table on which these bodies stand.
+    /// What the cell knows of a table on which these bodies are.
     pub(super) fn knowing(&self, bodies: Vec<KnownBody>) -> perception::Scene {
         let foreign = Some(self.search.clone().with_fixed(bodies));
         perception::Scene { foreign, ..self.known.clone() }
@@ -271,7 +271,7 @@ pub(super) fn look<'a>(
     seen.foreign.ok_or_else(|| "neither depth nor colour told of the table".to_string())
 }
 
-/// A table, with something foreign of that kind on it: all that stands there, the foreign thing, and what is
+/// A table, with something foreign of that kind on it: all that is there, the foreign thing, and what is
 /// known of the rest.
 pub(super) fn tables(
     kind: Option<usize>,
@@ -331,7 +331,7 @@ fn foreign(kind: usize, random: &mut ChaCha8Rng) -> Thing {
         0 => upright(Footprint::Rectangle { length, width }, height),
         1 => upright(Footprint::Disc { radius: length.max(width) / 2.0 }, height),
         2 => {
-            // A plank of 15 to 30 mm stands on its long edge: its section is turned up about x.
+            // A plank of 15 to 30 mm rests on its long edge: its section is turned up about x.
             let thick = random.random_range(0.015..LEAST_M);
             let mut thing = upright(Footprint::Rectangle { length, width }, thick);
             let up = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), FRAC_PI_2);

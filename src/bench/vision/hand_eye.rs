@@ -1,5 +1,5 @@
-//! How exact the camera's place on the flange comes out of twenty poses, and what poses that do not tell it
-//! are answered.
+//! How exact the camera's place on the flange comes out of twenty poses, and what the answer is to poses that
+//! do not determine it.
 //!
 //! In: how many rounds, a seed. Out: [`Report`]. Twenty poses over a table with reference markers, as an
 //! operator would teach them, corners with a noise of 0.2 px and the arm with one of 0.05 mm along each axis;
@@ -118,7 +118,7 @@ impl Calibration {
         found(lens, &poses, random).map(Calibration)
     }
 
-    /// Where the camera is believed to be, in the table's frame, when it truly is at `table_from_camera`.
+    /// Where the camera is assumed to be, in the table's frame, when it truly is at `table_from_camera`.
     pub fn believed(&self, table_from_camera: &Isometry3<f64>) -> Isometry3<f64> {
         let truth = truth();
         let base_from_flange = truth.base_from_table * table_from_camera * truth.flange_from_camera.inverse();

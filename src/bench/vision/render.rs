@@ -102,7 +102,7 @@ impl Print {
         self.square(self.reach_m(), lens, table_from_camera)
     }
 
-    /// The corners of the marker's square in the picture, in the order in which detections tell them.
+    /// The corners of the marker's square in the picture, in the order in which detections give them.
     pub fn corners(&self, lens: &Lens, table_from_camera: &Isometry3<f64>) -> Option<[[f64; 2]; 4]> {
         self.square(self.size_m / 2.0, lens, table_from_camera)
     }

@@ -2,7 +2,7 @@
 //! not ours.
 //!
 //! In: a seed. Out: [`Scene`]s with their truth, [`Sheet`]s of wood grain and printed words, cameras. Figures
-//! as the benchmark asks: 30 mm markers 0.5 m from the camera, tops level within 1 degree and 0.2 mm,
+//! as the benchmark requires: 30 mm markers 0.5 m from the camera, tops level within 1 degree and 0.2 mm,
 //! contrast 50 to 100 %; every other scene lies on a printed sheet among markers of other families and
 //! squares of random modules.
 
@@ -36,7 +36,7 @@ pub const DISTANCE_M: f64 = 0.5;
 pub const VIEWS: usize = 5;
 /// Markers in one scene.
 pub const MARKERS: usize = 20;
-/// How far the camera stands beside the middle in each view, m: a second look is from another place.
+/// How far the camera is beside the middle in each view, m: a second look is from another place.
 const LOOK_AROUND_M: f64 = 0.08;
 /// Sides of a sheet, pixels, and their size, m.
 const SHEET_EDGE: usize = 1200;

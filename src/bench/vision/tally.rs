@@ -35,7 +35,7 @@ pub struct Tally {
     pub visible: usize,
     /// Those that were found.
     pub found: usize,
-    /// Detections that are nobody.
+    /// Detections that match no marker.
     pub false_ids: Vec<Slip>,
     /// Markers read rightly with a corner far off.
     pub misplaced: Vec<Slip>,

@@ -59,8 +59,8 @@ impl CameraCalibration {
         }
     }
 
-    /// That these numbers are of the camera that tells `own` about itself, at its picture size; `name` is the
-    /// file's.
+    /// That these numbers are of the camera that reports `own` about itself, at its picture size; `name` is
+    /// the file's.
     ///
     /// # Errors
     /// A sentence that says how they differ.

@@ -2,7 +2,7 @@
 //!
 //! In: text, or a [`HandEye`] or [`FixedCamera`] solution and the devices it was made with. Out:
 //! [`HandEyeCalibration`], or complaints; and the text of a new file. Camera and robot serial numbers and the
-//! checksum of the robot's kinematics tell when it no longer holds. Pure.
+//! checksum of the robot's kinematics show when it no longer holds. Pure.
 
 use crate::calibration::drawn::CameraMount;
 use crate::calibration::files;
@@ -124,7 +124,7 @@ impl HandEyeCalibration {
         }
     }
 
-    /// The file's content for a camera that stands.
+    /// The file's content for a fixed camera.
     pub fn from_fixed(solution: &FixedCamera, provenance: Provenance) -> HandEyeCalibration {
         HandEyeCalibration {
             mount: Mount::Fixed { base_from_camera: solution.base_from_camera() },

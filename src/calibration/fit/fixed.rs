@@ -1,4 +1,4 @@
-//! Where a camera stands that does not move, and the table before it: the hand carries a board through its
+//! Where a camera is that does not move, and the table before it: the hand carries a board through its
 //! picture.
 //!
 //! In: [`Sample`]s whose pictures show the board on the hand (and the reference markers, where the arm leaves
@@ -25,7 +25,7 @@ pub struct FixedGuess {
     pub base_from_table: Isometry3<f64>,
 }
 
-/// A camera that stands, the board on the hand and the table.
+/// A fixed camera, the board on the hand and the table.
 #[derive(Clone, Debug)]
 pub struct FixedCamera {
     /// The fit behind camera and board, base and flange changed round: read it through the methods below.
@@ -85,7 +85,7 @@ pub fn solve_fixed(
         .collect();
     let mut guess =
         HandEyeGuess { flange_from_camera: start.base_from_camera, base_from_table: Isometry3::identity() };
-    // Nobody has to measure how the board was clamped: the drawing's camera tells it well enough.
+    // How the board was clamped need not be measured: the drawing's camera gives it well enough.
     let problem = Problem::new(&turned, &board, camera)?;
     if let Some(clamped) = closed_form(&problem, camera, Some(&guess)) {
         guess = clamped;
@@ -124,7 +124,7 @@ pub fn table_before(
     let pictures = table.samples.iter().filter(|sample| !sample.rejected).count().max(1);
     table.base_from_table_covariance *= pictures as f64;
     // The camera carries the table along. Where it was calibrated, its shift and turn go against each other,
-    // which two standard deviations would not tell.
+    // which two standard deviations would not show.
     let carried = carries(&(table.base_from_table.inverse() * base_from_camera));
     table.base_from_table_covariance += carried * camera_covariance * carried.transpose();
     table.base_from_table_std = TransformStd::of(&table.base_from_table_covariance);
@@ -283,8 +283,8 @@ mod tests {
         println!("worst table {:.3} mm; mean normalised square {camera:.2} {table:.2}", worst * 1e3);
         assert!(worst < 1.5e-3, "{worst}");
         assert!((0.5..2.0).contains(&camera), "{camera}");
-        // Pictures of a table before a camera that stands count as one, and here their noise is not the same:
-        // less than 1.
+        // Pictures of a table before a fixed camera count as one, and here their noise is not the same: less
+        // than 1.
         assert!((0.3..1.5).contains(&table), "{table}");
     }
 

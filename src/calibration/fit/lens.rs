@@ -17,7 +17,7 @@ pub struct BoardView {
     pub corners: BoardCorners,
 }
 
-/// What is asked of the pictures.
+/// What is required of the pictures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LensSettings {
     /// Fewest pictures that show the board.
@@ -87,7 +87,7 @@ pub enum LensError {
         found: usize,
         /// Pictures given.
         given: usize,
-        /// Corners asked of each.
+        /// Corners required of each.
         corners: usize,
         /// Pictures needed.
         wanted: usize,

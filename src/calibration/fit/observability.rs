@@ -3,8 +3,8 @@
 //! In: a fit and its samples. Out: nothing, or `NotObservable` with a sentence for the operator. The smallest
 //! singular value of the problem says how well the worst direction is known; the rotations between the
 //! samples, taken about the camera's axes, say why. Without rotation about two different axes the camera's
-//! place along the common axis cannot be told from the table's, and OpenCV's solvers return a number all the
-//! same.
+//! place along the common axis cannot be distinguished from the table's, and OpenCV's solvers return a number
+//! all the same.
 
 use crate::calibration::fit::problem::{Fit, Problem};
 use crate::calibration::fit::{CalibrateError, HandEyeSettings};

@@ -1,4 +1,4 @@
-//! How good a hand-eye fit is, in numbers a person can believe or doubt.
+//! How good a hand-eye fit is, in numbers a person can trust or doubt.
 //!
 //! In: the problem, the stops used, the fit. Out: [`HandEye`] with residuals by sample, errors of samples
 //! predicted without having been used, the difference of two halves, and standard deviations. Corner scatter
@@ -9,7 +9,7 @@ use crate::calibration::fit::problem::{Fit, Problem, Stop};
 use crate::calibration::fit::{HandEye, HandEyeGuess, HandEyeSettings, SampleResidual, TransformStd};
 use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
 
-/// Everything a person needs to believe or doubt the fit.
+/// Everything a person needs to trust or doubt the fit.
 pub fn report(
     problem: &Problem,
     used: &[usize],

@@ -1,4 +1,4 @@
-//! Camera and table from a round's samples, whether the camera sits on the flange or stands.
+//! Camera and table from a round's samples, whether the camera sits on the flange or is fixed.
 //!
 //! In: the cell as drawn, the lens, samples of a round, the mount where it was measured before. Out:
 //! [`Solved`], or why there is no solution. With a known mount only the table is looked for. Pure.
@@ -20,7 +20,7 @@ pub enum FitError {
     /// The samples do not give a solution.
     #[error("calibration")]
     Solve(#[from] CalibrateError),
-    /// The same with a camera that stands.
+    /// The same with a fixed camera.
     #[error(transparent)]
     Standing(CalibrateError),
 }

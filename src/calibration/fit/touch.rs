@@ -23,13 +23,13 @@ pub struct Touch {
     pub in_base: Point3<f64>,
 }
 
-/// What is asked of the touches.
+/// What is required of the touches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TouchSettings {
-    /// How far a careful hand misses the point along each axis, m: what is believed before the residuals are
+    /// How far a careful hand misses the point along each axis, m: what is assumed before the residuals are
     /// seen.
     pub hand_std_m: f64,
-    /// How many degrees of freedom that belief is worth against those of the residuals.
+    /// How many degrees of freedom that assumption is worth against those of the residuals.
     pub hand_weight: f64,
     /// Largest standard deviation of the worst determined direction, m (rotations count by a lever of 0.3 m).
     pub std_max_m: f64,

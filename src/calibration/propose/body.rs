@@ -1,5 +1,4 @@
-//! The arm's body as lines along its links: what it hides from a camera that stands, and how near it comes to
-//! it.
+//! The arm's body as lines along its links: what it hides from a fixed camera, and how near it comes to it.
 //!
 //! In: the arm's model and joints. Out: a [`Body`] in the base frame, distances in m. A drawing to propose
 //! poses by, wide enough for that; the path check's heights and the person who gives `--yes` guard the arm.
@@ -37,8 +36,8 @@ impl Body {
         Body { links, tool: [at[5], frames[5] * model.flange_from_tool * Point3::origin()] }
     }
 
-    /// Something on the line of sight between two points, the tool apart: whoever clamps a board to it sees
-    /// that it is free.
+    /// Something on the line of sight between two points, the tool apart: the person who clamps a board to it
+    /// sees that it is free.
     pub(super) fn hides(&self, from: &Point3<f64>, to: &Point3<f64>) -> bool {
         self.links.iter().any(|link| apart_m(link, &[*from, *to]) < HALF_WIDTH_M)
     }

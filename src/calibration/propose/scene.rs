@@ -2,8 +2,8 @@
 //!
 //! In: a [`Scene`]: arm, box, lens, and which of camera and target the hand carries. Out: flange poses for a
 //! direction of view, the markers that appear well inside the picture. A camera on the hand before the table
-//! and a board on the hand before a camera that stands are one geometry: the camera looks at a flat target,
-//! and one of the two is on the flange. Pure.
+//! and a board on the hand before a fixed camera are one geometry: the camera looks at a flat target, and one
+//! of the two is on the flange. Pure.
 
 use crate::calibration::propose::body::Body;
 use crate::motion::path::ArmModel;
@@ -33,12 +33,12 @@ pub(super) const SEEN_MIN: usize = 4;
 const RIM: f64 = 0.05;
 /// Least edge of a marker in the picture, px.
 const EDGE_PX: f64 = 18.0;
-/// Least distance of the arm's and the board's middle from a camera that stands, m: half an arm, half a
-/// camera, and the 10 cm by which its place may be wrong.
+/// Least distance of the arm's and the board's middle from a fixed camera, m: half an arm, half a camera, and
+/// the 10 cm by which its place may be wrong.
 const CAMERA_CLEAR_M: f64 = 0.2;
 /// Least height of the board's corners over the table, m; plates are larger than the print.
 const BOARD_CLEAR_M: f64 = 0.08;
-/// The hand may hang so differently from home before a camera that stands, rad; more is a clamp told wrongly.
+/// The hand may hang so differently from home before a fixed camera, rad; more is a clamp given wrongly.
 const UPRIGHT_MAX: f64 = PI / 3.0;
 /// Places looked at on the way between two poses.
 const ON_THE_WAY: u32 = 25;
@@ -48,7 +48,7 @@ const ON_THE_WAY: u32 = 25;
 pub(super) enum Carried {
     /// The camera; the target is the table with its reference markers.
     Camera { flange_from_camera: Isometry3<f64>, base_from_table: Isometry3<f64> },
-    /// The target, a board; the camera stands.
+    /// The target, a board; the camera is fixed.
     Board { flange_from_board: Isometry3<f64>, base_from_camera: Isometry3<f64> },
 }
 
@@ -95,8 +95,8 @@ impl Scene<'_> {
         }
     }
 
-    /// The target's markers as the arm shows them with these joints: to a camera that stands, those that the
-    /// arm does not hide.
+    /// The target's markers as the arm shows them with these joints: to a fixed camera, those that the arm
+    /// does not hide.
     pub(super) fn shown(&self, q: &Joints) -> Vec<Detection> {
         let [base_from_target, _] = self.placed(&forward(&self.model.dh, q));
         self.shown_of(&self.target, &base_from_target, q)
@@ -122,7 +122,7 @@ impl Scene<'_> {
         seen
     }
 
-    /// On the way between two postures arm and board stay clear of a camera that stands, and the board of the
+    /// On the way between two postures arm and board stay clear of a fixed camera, and the board of the
     /// table.
     pub(super) fn keeps_clear(&self, from: &Joints, to: &Joints) -> bool {
         let Carried::Board { base_from_camera, .. } = self.carried else { return true };
@@ -171,7 +171,7 @@ impl Scene<'_> {
     }
 
     /// Finds the turn about the optical axis with which the hand hangs as it does at home. A camera is
-    /// mounted to look at the table that way; how a board is clamped is anybody's choice.
+    /// mounted to look at the table that way; how a board is clamped is a free choice.
     ///
     /// # Errors
     /// With no turn the hand hangs as at home: how far it is off, rad.
@@ -189,7 +189,7 @@ impl Scene<'_> {
     }
 
     /// Points of the target's plane to look at, m: on the table, the middle first. A board that the camera
-    /// always looked at the middle of would tell nothing of the picture's rest, so points beside it, another
+    /// always looked at the middle of would show nothing of the picture's rest, so points beside it, another
     /// first each time.
     fn aims(&self, turn: usize) -> Vec<[f64; 2]> {
         let shares = match self.carried {

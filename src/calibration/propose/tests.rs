@@ -143,7 +143,7 @@ fn a_board_is_carried_through_the_picture_of_a_camera_that_stands_however_it_is_
     }
     let reported = proposed(&standing(None), None).err().unwrap();
     assert!(reported.contains("camera.flange_from_board is missing"), "{reported}");
-    // The print away from the camera: the hand would have to stand on its head.
+    // The print away from the camera: the hand would have to be upside down.
     let away = Isometry3::translation(0.05, 0.049, 0.03);
     let reported = proposed(&standing(Some(away)), None).err().unwrap();
     assert!(reported.contains("degrees away from work_pose_deg"), "{reported}");

@@ -1,8 +1,8 @@
 //! Dashboard session: one question at a time, answers matched to questions, remote control polled.
 //!
 //! In: bytes of TCP 29999, commands, the time. Out: bytes and [`DashboardEvent`]s. Right after the greeting
-//! the session asks who the controller is; every second it asks whether remote control is on and for the
-//! modes. A reply means accepted, not done: whoever asked watches the state.
+//! the session queries who the controller is; every second it polls whether remote control is on, and the
+//! modes. A reply means accepted, not done: the requester watches the state.
 
 use crate::cell::device::outbox::{Outbox, earlier};
 use cell_values::time::{Duration, Timestamp};
@@ -67,7 +67,7 @@ impl Default for DashboardSession {
 }
 
 impl DashboardSession {
-    /// The TCP connection stands.
+    /// The TCP connection is established.
     pub fn connected(&mut self, now: Timestamp) {
         self.outbox.reset_link();
         self.splitter = LineSplitter::default();

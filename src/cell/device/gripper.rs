@@ -3,7 +3,7 @@
 //! In: [`GripperCommand`]s, answers to Modbus requests, the time. Out: [`ModbusRequest`]s (one at a time),
 //! [`GripperEvent`]s. Vacuum is relative, as a fraction (0 ambient, 0.6 = 60 %). The device has no "part
 //! detected": vacuum over a threshold within a time is all there is. It has no watchdog either: without us it
-//! goes on as last told, which is what a held object needs.
+//! goes on as last commanded, which is what a held object needs.
 //!
 //! Registers (hardware/gripper/README.md): 0, 1 control of channel A, B; 258, 259 their vacuum in per mille.
 //! Only the registers of the channels in question are written, so that nothing is released by the way.
@@ -18,7 +18,7 @@ pub const CONTROL: u16 = 0;
 pub const VACUUM: u16 = 258;
 /// Modbus unit of a single or primary tool.
 pub const UNIT: u8 = 65;
-/// Highest vacuum that may be asked for.
+/// Highest vacuum that may be requested.
 pub const MAX_TARGET: f64 = 0.8;
 
 /// Reading while an object is or may be held: 50 Hz.
@@ -118,7 +118,7 @@ pub struct GripperParameters {
     pub release_within: Duration,
 }
 
-/// What may be asked for.
+/// What may be requested.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum GripperCommand {
     /// Pump on, up to `target` (fraction, at most 0.8).
@@ -128,7 +128,7 @@ pub enum GripperCommand {
         /// Vacuum to keep.
         target: f64,
     },
-    /// Vents open. Whoever asks makes sure that the object is placed, or that a person wants it.
+    /// Vents open. The requester makes sure that the object is placed, or that a person wants it.
     Release {
         /// Which channels.
         channels: Channels,
@@ -297,7 +297,7 @@ impl Gripper {
         }
     }
 
-    /// Asks for something. The event that it leads to comes in any case: done, or failed after its deadline.
+    /// Requests something. The event that it leads to comes in any case: done, or failed after its deadline.
     ///
     /// # Errors
     /// Why it is not done; then nothing has changed.
@@ -465,7 +465,7 @@ impl Gripper {
         self.answering
     }
 
-    /// True while an object is held as far as the vacuum tells.
+    /// True while an object is held as far as the vacuum shows.
     pub fn holding(&self) -> bool {
         matches!(self.hold, Hold::Holding { .. })
     }

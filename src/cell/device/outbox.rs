@@ -1,6 +1,6 @@
 //! What a link session has to hand out: bytes, events, and the wish to have its link dropped.
 //!
-//! In: pushes by the session. Out: polls by whoever drives it. Shared so that all sessions hand out alike.
+//! In: pushes by the session. Out: polls by its driver. Shared so that all sessions hand out alike.
 
 use std::collections::VecDeque;
 

@@ -81,7 +81,7 @@ impl Default for PrimarySession {
 }
 
 impl PrimarySession {
-    /// The TCP connection stands.
+    /// The TCP connection is established.
     pub fn connected(&mut self, now: Timestamp) {
         self.outbox.reset_link();
         self.splitter = Splitter::default();

@@ -38,7 +38,7 @@ pub const HEARTBEAT_ECHO: u8 = 28;
 /// Commands the on-robot program holds besides the one it is carrying out.
 pub const QUEUE_DEPTH: i32 = 8;
 
-/// What a command asks for.
+/// What a command requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Opcode {
     /// movej to the joint target.
@@ -110,7 +110,7 @@ impl ProgramStatus {
     }
 }
 
-/// One command as it stands in the registers.
+/// One command as it is in the registers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandRegisters {
     /// Number of the command.

@@ -12,7 +12,7 @@
 //! `received`, `disconnected`), so that a computer that was held up judges deadlines by fresh states and
 //! never calls a robot silent whose states wait in a socket.
 //!
-//! The work is split by subject: `links` takes what the link sessions report, `commands` what is asked for,
+//! The work is split by subject: `links` takes what the link sessions report, `commands` what is requested,
 //! `life` follows the program, `feed` gives it work; `parts` is what they share.
 
 mod commands;
@@ -52,11 +52,11 @@ pub struct Robot {
     stream: Stream,
     setup: Setup,
     state: Option<RobotState>,
-    /// As last heard on the dashboard link that stands now.
+    /// As last reported on the dashboard link that is established now.
     remote_control: Option<bool>,
-    /// When the dashboard said so.
+    /// When the dashboard reported it.
     remote_control_at: Timestamp,
-    /// As last heard on an earlier one: a change since then means that links have to be made anew.
+    /// As last reported on an earlier one: a change since then means that links have to be made anew.
     remote_control_before: Option<bool>,
     /// Since when commands wait although the program runs.
     held_since: Option<Timestamp>,
@@ -122,7 +122,7 @@ impl Robot {
         })
     }
 
-    /// A TCP connection stands.
+    /// A TCP connection is established.
     pub fn connected(&mut self, now: Timestamp, link: Link) {
         self.clock = now;
         match link {
@@ -159,7 +159,7 @@ impl Robot {
         }
     }
 
-    /// Asks for something.
+    /// Requests something.
     ///
     /// # Errors
     /// Why it is not done; then nothing has changed.

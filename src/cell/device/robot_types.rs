@@ -71,7 +71,7 @@ pub const STALE_AFTER: Duration = Duration::from_millis(100);
 /// The robot as the last package showed it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotState {
-    /// When the package arrived. Stays if the controller's own time stands still.
+    /// When the package arrived. Stays if the controller's own time does not advance.
     pub received: Timestamp,
     /// Controller time, s since it started.
     pub controller_time_s: f64,
@@ -136,7 +136,7 @@ impl RobotState {
     }
 }
 
-/// What the supervisor may ask for.
+/// What the supervisor may request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RobotCommand {
     /// Arm power on; done at once if it is on.
@@ -202,7 +202,7 @@ pub enum Refused {
     /// The arm is not RUNNING.
     #[error("robot mode is {0}, not RUNNING")]
     RobotMode(RobotMode),
-    /// The pendant is in local mode, or nobody knows.
+    /// The pendant is in local mode, or the mode is unknown.
     #[error("remote control is off: switch the pendant to remote control")]
     LocalMode,
     /// The dashboard's last answer about remote control is too old to begin a path.
@@ -323,7 +323,7 @@ pub enum RobotEvent {
         /// Index of the segment in the path.
         index: usize,
     },
-    /// The arm stands at the end of a path.
+    /// The arm is at rest at the end of a path.
     PathFinished {
         /// Number of the path.
         batch: u32,
@@ -332,9 +332,9 @@ pub enum RobotEvent {
     PayloadSet,
     /// The TCP is set.
     TcpSet,
-    /// The arm stands after a stop.
+    /// The arm is at rest after a stop.
     Stopped,
-    /// The program is held (pendant, safeguard); deadlines stand still.
+    /// The program is held (pendant, safeguard); deadlines do not advance.
     Paused,
     /// The program goes on.
     Resumed,
@@ -348,14 +348,14 @@ pub enum RobotEvent {
         /// New mode.
         mode: RobotMode,
     },
-    /// Something a person asked for is done.
+    /// Something a person requested is done.
     Completed {
-        /// What was asked for.
+        /// What was requested.
         what: &'static str,
     },
-    /// The controller did not do what was asked.
+    /// The controller did not do what was requested.
     Refused {
-        /// What was asked for.
+        /// What was requested.
         what: String,
         /// Its words.
         reply: String,

@@ -24,7 +24,7 @@ const SILENT_AFTER: Duration = Duration::from_millis(2500);
 const IN_USE_RETRY: Duration = Duration::from_secs(5);
 /// Tries before the link is dropped.
 const IN_USE_TRIES: u32 = 4;
-/// While it boots the controller restarts its RTDE service once; before this time nothing is believed.
+/// While it boots the controller restarts its RTDE service once; before this time nothing is trusted.
 const SETTLED_AT_S: f64 = 40.0;
 /// Or until packages have come for this long, s.
 const SETTLED_AFTER_S: f64 = 2.0;
@@ -88,7 +88,7 @@ impl RtdeSession {
         }
     }
 
-    /// The TCP connection stands.
+    /// The TCP connection is established.
     pub fn connected(&mut self, now: Timestamp) {
         self.outbox.reset_link();
         self.splitter = Splitter::default();
@@ -344,7 +344,7 @@ impl RtdeSession {
         if step_s < 0.0 {
             return self.fault(format!("controller time jumped back by {:.3} s: it has restarted", -step_s));
         }
-        // A package whose time stands still proves nothing about now.
+        // A package whose time does not advance proves nothing about now.
         let received = before.filter(|_| step_s == 0.0).map_or(state.received, |before| before.received);
         let settled_by_time = state.controller_time_s > SETTLED_AT_S;
         self.latest = Some(RobotState { received, ..state });
@@ -381,7 +381,7 @@ impl Refusal {
     }
 }
 
-/// The recipe if everything asked for was offered.
+/// The recipe if everything requested was offered.
 fn agree(id: u8, names: &[String], offers: &[Offer]) -> Result<Recipe, Refusal> {
     if offers.len() != names.len() {
         return Err(Refusal::Broken(format!(

@@ -60,7 +60,7 @@ impl Supervisor {
         let patient = closed == GateClosed::Disarmed;
         self.waiting_for = Some(closed);
         if !patient && now.since(self.waiting_since) > NOT_READY_LIMIT {
-            // Nobody shall be surprised by a cell that comes to life when its device does.
+            // No person shall be surprised by a cell that comes to life when its device does.
             self.mode.disarm();
             alarm(out, format!("disarmed: {message} for {} s", NOT_READY_LIMIT.as_secs()));
             let seconds = NOT_READY_LIMIT.as_secs();
@@ -109,7 +109,7 @@ impl Supervisor {
         }
     }
 
-    /// Tells the controller what hangs on the flange: the gripper and `mass` kg below the cups.
+    /// Sends the controller what hangs on the flange: the gripper and `mass` kg below the cups.
     pub(crate) fn set_payload(&self, mass: f64, out: &mut Vec<Action>) {
         let grip = &self.model.grip;
         let tool = self.model.arm.flange_from_tool.translation.vector;

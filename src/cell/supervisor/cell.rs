@@ -3,7 +3,7 @@
 //! In: time, the devices' last state, one [`Input`]. Out: actions, to be carried out in order.
 //! Level-triggered: between two things the supervisor is `Ready` and `pursue` decides from what is known what
 //! comes next, so that a lost edge cannot leave it hanging. Every phase has a deadline that runs with the
-//! robot's speed slider, and stands still while the program is paused. What must be on disk first is a phase
+//! robot's speed slider, and is held while the program is paused. What must be on disk first is a phase
 //! too: it waits for the number of its record.
 
 use crate::cell::code::Code;
@@ -57,7 +57,7 @@ pub struct Supervisor {
     pub(crate) waiting_since: Timestamp,
     /// Releases whose answer is what the gripper says next.
     pub(crate) release_orders: Vec<(u64, Channels)>,
-    /// Orders that are answered, or go on, once the arm stands.
+    /// Orders that are answered, or go on, once the arm is at rest.
     pub(crate) until_it_stands: Vec<UntilItStands>,
     /// The robot has reported standstill since it was last ordered to stop.
     pub(crate) stands: bool,
@@ -130,7 +130,7 @@ impl Supervisor {
         &self.model
     }
 
-    /// The number that the next program is told apart by.
+    /// The number that identifies the next program.
     pub fn next_nonce(&self) -> u64 {
         self.next_nonce
     }
@@ -183,7 +183,8 @@ impl Supervisor {
         out
     }
 
-    /// An order is answered last, by what has become of it; one that waits for the arm to stand, then.
+    /// An order is answered last, by what has become of it; one that waits for the arm to come to
+    /// rest, then.
     fn on_order(
         &mut self,
         now: Timestamp,
@@ -439,7 +440,7 @@ pub(crate) fn say(out: &mut Vec<Action>, text: impl Into<String>) {
     out.push(Action::Say(Notice { alarm: false, text: text.into() }));
 }
 
-/// A sentence that asks a person to act.
+/// A sentence that requires a person to act.
 pub(crate) fn alarm(out: &mut Vec<Action>, text: impl Into<String>) {
     out.push(Action::Say(Notice { alarm: true, text: text.into() }));
 }

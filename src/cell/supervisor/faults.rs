@@ -17,7 +17,7 @@ use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
 use ur_wire::enumerations::{RobotMode, SafetyMode};
 
-/// After this long a held motion is given up: nobody can say what happened on the table meanwhile.
+/// After this long a held motion is given up: what happened on the table meanwhile is unknown.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 
 /// How long the arm may take to stop after the order to end.
@@ -67,8 +67,8 @@ impl Supervisor {
         }
     }
 
-    /// The daemon may end when the arm stands, the gripper has confirmed what was ordered and everything is
-    /// written; and when that was waited for long enough.
+    /// The daemon may end when the arm is at rest, the gripper has confirmed what was ordered and everything
+    /// is written; and when that was waited for long enough.
     fn watch_end(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Mode::Ending { since, fault } = &self.mode else { return };
         let stands = self.stands || outside.robot.is_none() || now.since(*since) >= STOP_WITHIN;
@@ -256,7 +256,7 @@ impl Supervisor {
     pub(crate) fn stop_robot(&mut self, out: &mut Vec<Action>) {
         out.push(Action::Robot(RobotCommand::Stop));
         self.stands = false;
-        // The program ends or stands; its number in the registers proves nothing any more.
+        // The program ends or is stopped; its number in the registers proves nothing any more.
         self.nonce = None;
     }
 

@@ -59,7 +59,7 @@ pub enum GateClosed {
     /// The program neither plays nor is paused.
     #[error("the program does not play: the controller is {0}")]
     NotPlaying(String),
-    /// Nobody armed the cell.
+    /// The cell was not armed.
     #[error("the cell is disarmed")]
     Disarmed,
     /// The gripper does not answer.
@@ -81,7 +81,7 @@ pub enum GateClosed {
 /// # Errors
 /// The first condition that does not hold.
 pub fn any_motion(armed: bool, outside: &DeviceSnapshot, nonce: Option<Nonce>) -> Result<(), GateClosed> {
-    // First, because a cell that nobody armed is no cell in trouble.
+    // First, because a cell that was not armed is no cell in trouble.
     if !armed {
         return Err(GateClosed::Disarmed);
     }

@@ -1,4 +1,4 @@
-//! What goes into the supervisor, and what it asks for.
+//! What goes into the supervisor, and what it requests.
 
 use crate::cell::code::Code;
 use crate::cell::device::gripper::{GripperCommand, GripperEvent};
@@ -53,7 +53,7 @@ pub enum PlanAnswer {
     Found {
         /// Its actions; objects are indices into the request's instance.
         actions: Vec<PlanAction>,
-        /// Its cost in the objective asked for.
+        /// Its cost in the objective requested.
         cost: f64,
         /// Lower bound in the same objective.
         lower_bound: f64,
@@ -206,7 +206,7 @@ pub enum Action {
     RoundOver(Result<(), RoundFault>),
     /// For the operator.
     Say(Notice),
-    /// The daemon may end: the arm stands and everything is written, or it was waited for long enough.
+    /// The daemon may end: the arm is at rest and everything is written, or it was waited for long enough.
     End(Result<(), EndFault>),
 }
 

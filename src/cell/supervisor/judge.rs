@@ -23,7 +23,7 @@ const MEASURED_SHARE: f64 = 0.9;
 /// do not count.
 const HOLE_M2: f64 = 20e-4;
 
-/// Share of the limits of drift from which on a look that is still within them is told of.
+/// Share of the limits of drift from which on a look that is still within them is reported.
 const DRIFT_TOLD: f64 = 0.5;
 
 impl Supervisor {
@@ -48,7 +48,7 @@ impl Supervisor {
         }
     }
 
-    /// The reference markers are not where they were surveyed, or too few of them are seen to tell.
+    /// The reference markers are not where they were surveyed, or too few of them are seen to decide.
     fn doubt_calibration(&self, observation: &Observation) -> Option<Reason> {
         let tolerances = &self.model.tolerances;
         let seen = observation.reference.as_ref().map_or(0, |check| check.markers.len());
@@ -59,7 +59,7 @@ impl Supervisor {
             return Some(Code::ReferenceHidden.because(message, hint));
         }
         let check = observation.reference.as_ref()?;
-        // Their mean over all looks does not tell a bump: what it shifts from one side it shifts back from
+        // Their mean over all looks does not show a bump: what it shifts from one side it shifts back from
         // another.
         if tolerances.reference_seen >= MARKERS_MIN && check.looks.is_empty() {
             let message = format!("no look pose shows {MARKERS_MIN} reference markers at once");
@@ -136,7 +136,7 @@ impl Supervisor {
         Some(Code::ObjectTilted.because(message, "").of(id))
     }
 
-    /// Something stands on the table that nothing explains, or depth does not say.
+    /// Something is on the table that nothing explains, or depth gives no answer.
     fn doubt_foreign(&self, observation: &Observation) -> Option<Reason> {
         let needed = match self.model.foreign {
             ForeignRule::Off => return None,
@@ -190,7 +190,7 @@ impl Supervisor {
         }
     }
 
-    /// Says where the obstacles are that nobody put into the configuration.
+    /// Reports where the obstacles are that are not in the configuration.
     pub(crate) fn tell_obstacles(&self, observation: &Observation, out: &mut Vec<Action>) {
         for object in foreign_obstacles(&self.model, observation) {
             say(out, format!("{object} is kept clear of"));
@@ -274,7 +274,7 @@ fn margin_m(model: &CellModel) -> f64 {
 }
 
 /// Height over which the arm has to travel because of what carries no marker, m; `None` when depth does not
-/// tell. It counts also where such things are refused: the arm still has to look again, and to be parked.
+/// show it. It counts also where such things are refused: the arm still has to look again, and to be parked.
 pub(crate) fn foreign_height(model: &CellModel, seen: &Observation) -> Option<f64> {
     if model.foreign == ForeignRule::Off {
         return Some(0.0);

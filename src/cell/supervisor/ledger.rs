@@ -7,7 +7,7 @@
 use cell_values::time::{Duration, Timestamp};
 use std::collections::VecDeque;
 
-/// An entry that takes longer is told: the arm waits for it, and people should know why.
+/// An entry that takes longer is reported: the arm waits for it, and people should know why.
 const SLOW_AFTER: Duration = Duration::from_secs(1);
 
 /// A disk that has not answered for so long is given up.

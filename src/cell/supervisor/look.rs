@@ -1,6 +1,6 @@
 //! Looking at the table: going round the look poses, judging what was seen, deciding what to do about it.
 //!
-//! A frame counts only if the arm stood still before and after it was taken. What a look tells is valid until
+//! A frame counts only if the arm was at rest before and after it was taken. What a look shows is valid until
 //! an object is picked, placed or dropped, or the cell was stopped.
 
 use crate::cell::code::Code;
@@ -85,7 +85,7 @@ impl Supervisor {
         self.finish(now, JobEnd::Failed, reason, out);
     }
 
-    /// A checked joint move, gripper empty, over everything that stands on the table.
+    /// A checked joint move, gripper empty, over everything that is on the table.
     pub(crate) fn transfer_to(
         &self,
         from: &Joints,
@@ -100,7 +100,7 @@ impl Supervisor {
         };
         let floor = cycle.tallest + 0.5 * cycle.air;
         let mut legs = Vec::new();
-        // After a stop the arm may stand between the objects: straight up first, for there is no room aside.
+        // After a stop the arm may be between the objects: straight up first, for there is no room aside.
         if self.model.arm.tool_at(from).translation.vector.z < floor {
             legs.push(self.straight_up(from)?);
         }
@@ -108,7 +108,7 @@ impl Supervisor {
         CheckedPath::new(&self.model.arm, from, &legs)
     }
 
-    /// Vertically to where nothing stands any more.
+    /// Vertically to where there is nothing any more.
     fn straight_up(&self, from: &Joints) -> Result<Leg, crate::motion::path::PathFault> {
         let cycle = self.cycle();
         let here = self.model.arm.tool_at(from);
@@ -145,7 +145,7 @@ impl Supervisor {
         }
     }
 
-    /// While settling: asks for frames once the arm has stood still long enough.
+    /// While settling: requests frames once the arm has been at rest long enough.
     pub(crate) fn watch_settling(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Phase::Look(Look { stage: LookStage::Settling { still_since }, .. }) = &mut self.phase else {
             return;
@@ -203,11 +203,11 @@ impl Supervisor {
         }
     }
 
-    /// The arm stands and waits for the camera; the look's deadline decides when this has gone on for too
+    /// The arm is at rest and waits for the camera; the look's deadline decides when this has gone on for too
     /// long.
     fn no_picture(&mut self, now: Timestamp, fault: CameraFault, out: &mut Vec<Action>) {
         if self.job.as_ref().is_some_and(|job| job.cancel) {
-            // Nobody waits for this picture any more.
+            // This picture is not awaited any more.
             self.phase = Phase::Ready;
             return;
         }
@@ -222,8 +222,8 @@ impl Supervisor {
         look.fault = Some(fault);
     }
 
-    /// Ends the job for want of a picture. The arm stands, nothing hangs on it and nothing was stopped, so
-    /// the cell stays armed: the next job looks again.
+    /// Ends the job for want of a picture. The arm is at rest, nothing hangs on it and nothing was stopped,
+    /// so the cell stays armed: the next job looks again.
     pub(crate) fn give_up_looking(&mut self, now: Timestamp, fault: &CameraFault, out: &mut Vec<Action>) {
         self.phase = Phase::Ready;
         self.seen = None;
@@ -335,7 +335,7 @@ impl Supervisor {
     /// The table as seen, with the job's goals, as a planning instance.
     ///
     /// An object that counts as being at its goal is given its present pose as goal: it need not move, and it
-    /// must not be nudged for the sake of a tenth of a millimetre. Unless it then stands in the goal of
+    /// must not be nudged for the sake of a tenth of a millimetre. Unless it is then in the goal of
     /// another one: there the millimetre counts, for the other would be put down onto it.
     fn instance(&self, job: &JobRun, seen: &Observation, clearance: f64) -> Instance {
         let worst_std = seen.objects.iter().map(|estimate| estimate.std_xy_m).fold(0.0, f64::max);

@@ -1,7 +1,7 @@
 //! Whether and how the cell may move: one value in place of flags that could contradict each other.
 //!
-//! In: orders, stops, faults. Out: what may begin. A pause outlasts disarming and arming, because whoever
-//! paused a cell does not expect it to move when somebody else arms it.
+//! In: orders, stops, faults. Out: what may begin. A pause outlasts disarming and arming, because the
+//! person who paused a cell does not expect it to move when another person arms it.
 
 use cell_values::time::Timestamp;
 
@@ -26,7 +26,7 @@ pub enum Mode {
     Ending {
         /// Since when.
         since: Timestamp,
-        /// What made it end, unless it was told to.
+        /// What made it end, unless it was ordered to.
         fault: Option<EndFault>,
     },
 }

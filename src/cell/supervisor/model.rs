@@ -57,7 +57,7 @@ pub struct Tolerances {
     pub measurement_std: f64,
     /// How often a failed grip, an incomplete look or a disturbed table is tried again before the job fails.
     pub retries: u32,
-    /// How long the arm has to stand still before a frame counts.
+    /// How long the arm has to be at rest before a frame counts.
     pub settle: Duration,
     /// Deadline of one look pose: motion, settling and frames together.
     pub look_deadline: Duration,
@@ -70,7 +70,7 @@ pub struct Tolerances {
 /// What is done about things on the table that carry no marker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ForeignRule {
-    /// Nobody looks for them.
+    /// They are not looked for.
     Off,
     /// Nothing is moved while there is one.
     Refuse {
@@ -89,7 +89,7 @@ pub enum ForeignRule {
 pub struct GripSettings {
     /// Channels whose cups are used.
     pub channels: Channels,
-    /// Relative vacuum asked for, 0..0.8.
+    /// Relative vacuum requested, 0..0.8.
     pub vacuum_target: f64,
     /// Radius about the tool's axis of the gripper's body, m.
     pub body_radius: f64,
@@ -101,7 +101,7 @@ pub struct GripSettings {
     pub tool_centre: Vector3<f64>,
 }
 
-/// Where the devices are, for the sentences of whoever waits for them.
+/// Where the devices are, for the sentences about waiting for them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceAddresses {
     /// Host of the controller.

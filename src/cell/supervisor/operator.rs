@@ -104,7 +104,7 @@ impl Supervisor {
                 }
             });
         }
-        // Whoever arms has been at the table: what stood on it may be gone, and only a look can tell.
+        // The person who arms has been at the table: what was on it may be gone, and only a look can show it.
         self.seen = None;
         self.foreign_height = 0.0;
         self.drift_told = false;
@@ -112,9 +112,9 @@ impl Supervisor {
         None
     }
 
-    /// A pick-n-place under way is finished, then nothing moves; whoever disarms may put hands on the table.
-    /// What is held in the middle of a motion does not go on by itself later: it is stopped. So is a robot
-    /// that is being started: power, brakes and program would come after the answer.
+    /// A pick-n-place under way is finished, then nothing moves; the person who disarms may put hands on the
+    /// table. What is held in the middle of a motion does not go on by itself later: it is stopped. So is a
+    /// robot that is being started: power, brakes and program would come after the answer.
     fn on_disarm(&mut self, now: Timestamp, outside: &DeviceSnapshot, number: u64, out: &mut Vec<Action>) {
         let held = self.moving() && motion_speed(outside) == 0.0;
         if held || self.round.is_some() {
@@ -231,9 +231,9 @@ impl Supervisor {
         }
     }
 
-    /// What is let go in motion flies, and a carry must not go on without its object: the arm stands first.
-    /// Whoever orders it has hands at the gripper: an armed cell, which could begin a motion at any time, is
-    /// stopped and disarmed.
+    /// What is let go in motion flies, and a carry must not go on without its object: the arm is stopped
+    /// first. The person who orders it has hands at the gripper: an armed cell, which could begin a motion at
+    /// any time, is stopped and disarmed.
     fn on_release_order(
         &mut self,
         now: Timestamp,

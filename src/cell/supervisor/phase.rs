@@ -103,7 +103,7 @@ pub(crate) enum WorkStage {
     Withdrawing,
 }
 
-/// What comes once the arm stands.
+/// What comes once the arm is at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Then {
     /// The answer.
@@ -112,7 +112,7 @@ pub(crate) enum Then {
     Release(Channels),
 }
 
-/// An order that waits for the arm to stand.
+/// An order that waits for the arm to come to rest.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct UntilItStands {
     pub number: u64,

@@ -2,8 +2,8 @@
 //!
 //! In: the orders, the robot's state after a stop. Out: answers that say what is so, and the release. A
 //! person who reads "stopped" reaches into the cell, and one who releases holds the object: neither may
-//! happen while the arm still brakes. Where it is not known to stand within [`STANDS_WITHIN`], the answer
-//! says that.
+//! happen while the arm still brakes. Where it is not known to be at rest within [`STANDS_WITHIN`], the
+//! answer says that.
 
 use crate::cell::device::robot_types::RobotState;
 use crate::cell::orders::Reply;
@@ -17,13 +17,13 @@ use ur_wire::enumerations::RuntimeState;
 const STANDS_WITHIN: Duration = Duration::from_millis(5500);
 
 impl Supervisor {
-    /// The order with this number waits for the arm to stand.
+    /// The order with this number waits for the arm to come to rest.
     pub(crate) fn answer_when_it_stands(&mut self, now: Timestamp, number: u64, then: Then) {
         self.until_it_stands.push(UntilItStands { number, since: now, then });
     }
 
-    /// Carries out and answers what waited, as soon as the arm stands or is not known to in time. What is
-    /// known of the robot is from before `order`, which is judged by what comes after it.
+    /// Carries out and answers what waited, as soon as the arm is at rest or is not known to be so in time.
+    /// What is known of the robot is from before `order`, which is judged by what comes after it.
     pub(crate) fn watch_standing(
         &mut self,
         now: Timestamp,

@@ -455,7 +455,7 @@ fn shutdown_stops_the_arm_first_and_names_the_job() {
     assert_eq!(streams(&bench.ticks(100)), 0);
 }
 
-/// Looks until the job ends; nothing may be asked of the planner or the gripper meanwhile.
+/// Looks until the job ends; nothing may be requested of the planner or the gripper meanwhile.
 fn ends_without_planning(reference: ReferenceCheck) -> (JobEnd, String) {
     let mut bench = Bench::new();
     bench.reference = reference;

@@ -1,7 +1,7 @@
 //! A calibration round: slow moves to given poses, one picture at each.
 //!
 //! In: the poses and the taught box; the order to begin is the operator's leave to move (design, section 7,
-//! rule 1, class *calibrate*). Out: a picture request at each pose where the arm stands still, and at the end
+//! rule 1, class *calibrate*). Out: a picture request at each pose where the arm is at rest, and at the end
 //! the cell disarmed, whatever happened, and the on-robot program ended, or stopped where a stop ended the
 //! round. The gates and the bring-up are those of every other motion.
 
@@ -57,7 +57,7 @@ impl Supervisor {
         }
     }
 
-    /// While settling: asks for the picture once the arm has stood still long enough.
+    /// While settling: requests the picture once the arm has been at rest long enough.
     pub(crate) fn watch_visit(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Phase::Visit(Visit::Settling { still_since }) = &mut self.phase else { return };
         let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };

@@ -1,4 +1,4 @@
-//! What `celld bench vision` is asked for, and what each of its parts gives.
+//! What the arguments of `celld bench vision` request, and what each of its parts gives.
 //!
 //! In: the command line. Out: the arguments; the shape of a part's figures.
 

@@ -91,7 +91,7 @@ pub(super) fn foreign(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Optio
     for row in &report.kinds {
         let _ = writeln!(text, "  {:<22} {:>4} of {:>4}", row.kind, row.found, row.scenes);
     }
-    // Colour pictures take longer to draw, and no figure is asked for.
+    // Colour pictures take longer to draw, and no figure is required.
     let scenes = (args.scenes as usize).div_ceil(COLOUR_SHARE);
     let Some(colour) = change::run(scenes, args.seed, usize::from(args.threads), stop)? else {
         return Ok(None);

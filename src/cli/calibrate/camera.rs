@@ -53,7 +53,7 @@ pub struct CameraArgs {
     /// White between two squares as measured, mm; default: 0.3 of the edge, as `celld markers` prints
     #[arg(long, value_name = "MM", value_parser = millimetres)]
     pub gap_mm: Option<f64>,
-    /// The camera's serial number, as its label tells it; with --config, the camera is asked
+    /// The camera's serial number, as on its label; with --config, the camera is queried
     #[arg(long, value_name = "TEXT", required_unless_present = "config")]
     pub serial: Option<String>,
     /// Leave these pictures out, by name

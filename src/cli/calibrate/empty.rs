@@ -28,7 +28,8 @@ pub struct EmptyArgs {
     config: PathBuf,
 }
 
-/// The cell as it goes round its look poses, and the folder for the pictures; without, it has been told why.
+/// The cell as it goes round its look poses, and the folder for the pictures; without, the reason has been
+/// reported.
 pub(super) fn prepare(args: &EmptyArgs) -> Option<(CellConfig, PathBuf)> {
     let mut config = load_cell(&args.config).map_err(|error| complain(&error.to_string())).ok()?;
     let Some(folder) = config.calibration.empty.clone() else {

@@ -1,8 +1,8 @@
-//! From a round's samples to calibration files: solve for what is asked, say every sample's error, tie to
-//! touches, write.
+//! From a round's samples to calibration files: solve for what is requested, report every sample's error, tie
+//! to touches, write.
 //!
 //! In: the cell's configuration and a [`Taken`] round. Out: the three files, or why not; nothing is written
-//! unless all of it can be believed. Whether the camera sits on the flange or stands decides the solver,
+//! unless all of it can be trusted. Whether the camera sits on the flange or is fixed decides the solver,
 //! never the report.
 
 use crate::calibration::files::hand_eye::{HandEyeCalibration, Provenance};

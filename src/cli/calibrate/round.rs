@@ -1,4 +1,4 @@
-//! A round: what is asked of it, and what it was.
+//! A round: what is requested of it, and what it was.
 //!
 //! In: the command line; lens, arm and samples. Out: what taking a round and solving it have in common.
 
@@ -31,7 +31,7 @@ pub struct RoundArgs {
 /// Poses and names of a recorded round's pictures, in its folder.
 pub(super) const SAMPLES: &str = "samples.yaml";
 
-/// What is asked of a round.
+/// What is requested of a round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Wanted {
     /// Where the camera sits, and the table.

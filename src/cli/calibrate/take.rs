@@ -2,7 +2,7 @@
 //! was yet.
 //!
 //! In: a camera, the board, a person who moves it. Out: numbered pictures in a folder. A picture in which
-//! nothing can be measured is told and not kept, so that nobody finds out after the last one.
+//! nothing can be measured is reported and not kept, so that this is not found out after the last one.
 
 use crate::calibration::fit::lens::{BoardView, LensSettings, uncovered};
 use crate::cli::calibrate::fault::{Fault, bad_input};

@@ -174,7 +174,7 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
     assert!(reported(&args).message.contains("01.png: the picture is 1280 x 720"));
 }
 
-/// A round before a camera that stands over the example cell's table: the hand carries the board through its
+/// A round before a camera fixed over the example cell's table: the hand carries the board through its
 /// picture.
 fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::bench::vision::render::{Ground, Print, render};
@@ -373,7 +373,7 @@ fn touches_that_cannot_place_the_table_are_told_before_anything_moves() {
     let config = cell(folder.path());
     let path = folder.path().join("touches.yaml");
     let provenance = read_calibration(&config).unwrap().hand_eye.provenance;
-    // Nobody listens at these addresses: asking a device first would end with another code.
+    // No server listens at these addresses: querying a device first would end with another code.
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read_to_string(root.join("config/cell.yaml")).unwrap();
     let file = folder.path().join("cell.yaml");
@@ -400,7 +400,7 @@ fn touches_and_mount_of_another_robot_are_told_before_anything_moves() {
     fitted.check_robot(&provenance).unwrap();
     let other = Provenance { robot_serial: "other".into(), ..provenance.clone() };
     assert!(fitted.check_robot(&other).unwrap_err().message.contains("touched with robot"));
-    // The arm and the camera answer: then what was made with others is told, and the mount too.
+    // The arm and the camera answer: then what was made with others is reported, and the mount too.
     let args = RoundArgs { tie, ..args_of(Path::new("."), vec![]) };
     fits_arm(&config, &args, Wanted::Table, &provenance).unwrap();
     assert!(fits_arm(&config, &args, Wanted::MountAndTable, &other).unwrap_err().message.contains("touched"));

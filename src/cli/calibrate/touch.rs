@@ -232,7 +232,7 @@ pub(super) struct Fitted {
 }
 
 impl TieArgs {
-    /// The touches, if any were given, and the table by them alone. What is wrong with them is to be told
+    /// The touches, if any were given, and the table by them alone. What is wrong with them is to be reported
     /// before the arm moves for them.
     ///
     /// # Errors

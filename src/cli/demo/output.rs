@@ -23,7 +23,7 @@ use rearrange::tabletop::instance::Instance;
 use serde_json::json;
 use std::path::Path;
 
-/// What the issue of the demo asks for: every object within this of its goal, in truth and as measured.
+/// What the demo requires: every object within this of its goal, in truth and as measured.
 const GOOD_MM: f64 = 2.0;
 const GOOD_DEG: f64 = 1.0;
 

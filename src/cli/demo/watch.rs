@@ -1,4 +1,4 @@
-//! What the demo keeps of a run while it happens: pictures, log, plans, times; and what it tells the person
+//! What the demo keeps of a run while it happens: pictures, log, plans, times; and what it shows the person
 //! in front of the screen.
 //!
 //! In: the daemon's events. Out: [`Watch`], from which the report is made, a recording, and lines on stderr.

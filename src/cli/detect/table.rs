@@ -2,8 +2,8 @@
 //! carries no marker.
 //!
 //! In: the cell's configuration and calibration, the markers of a picture, a depth picture aligned to it.
-//! Out: sentences, JSON and outlines to draw. Where the picture was taken is told by the reference markers in
-//! it.
+//! Out: sentences, JSON and outlines to draw. Where the picture was taken is determined by the reference
+//! markers in it.
 
 use crate::calibration::drawn::CameraMount;
 use crate::cli::capture::{perception, reported};

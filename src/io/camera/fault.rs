@@ -78,7 +78,7 @@ pub enum CameraError {
          (for the simulator: is `celld sim` running?), then try: curl -I {address}"
     )]
     Unreachable {
-        /// The address asked.
+        /// The address requested.
         address: String,
         /// The time limit.
         limit: Duration,
@@ -89,7 +89,7 @@ pub enum CameraError {
     /// It answered that it has no picture.
     #[error("camera at {address} answered with status {status} instead of a picture")]
     Status {
-        /// The address asked.
+        /// The address requested.
         address: String,
         /// HTTP status.
         status: u16,
@@ -97,7 +97,7 @@ pub enum CameraError {
     /// The answer lacks a header or has a broken one.
     #[error("camera at {address}: header {name} is {found:?}, a {wanted} is wanted")]
     Header {
-        /// The address asked.
+        /// The address requested.
         address: String,
         /// Which header.
         name: &'static str,
@@ -131,7 +131,7 @@ pub enum CameraError {
         "{address} is camera {found:?}, the calibration is of camera {wanted:?}: connect that one or calibrate this one"
     )]
     OtherSerial {
-        /// The address asked.
+        /// The address requested.
         address: String,
         /// Its serial number.
         found: String,
@@ -172,7 +172,7 @@ pub enum CameraError {
     NotRenewed {
         /// The address.
         address: String,
-        /// How long it was asked.
+        /// How long it was polled.
         within: Duration,
     },
     /// The time is no number, or runs backwards.
@@ -203,7 +203,7 @@ pub enum CameraError {
         /// The time limit.
         limit: Duration,
     },
-    /// The camera does not do what the configuration asks for.
+    /// The camera does not do what the configuration requests.
     #[error("{place}: {what}")]
     Setting {
         /// The camera.
@@ -211,7 +211,7 @@ pub enum CameraError {
         /// What it does not do, and what to change.
         what: String,
     },
-    /// Pictures come, but not all that were asked for.
+    /// Pictures come, but not all that were requested.
     #[error("{place}: {what}")]
     Incomplete {
         /// The camera.

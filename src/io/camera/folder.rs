@@ -77,7 +77,7 @@ impl CameraSource for FolderCamera {
         let sequence = self.next as u64;
         let place = path.display().to_string();
         let bytes = std::fs::read(path).map_err(|source| CameraError::File { path: path.clone(), source });
-        // A broken file is told once; the next call goes on behind it.
+        // A broken file is reported once; the next call goes on behind it.
         self.next += 1;
         let image =
             Image::decode(&bytes?).map_err(|source| CameraError::Picture { place: place.clone(), source })?;

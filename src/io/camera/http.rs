@@ -1,7 +1,7 @@
 //! A camera behind an HTTP address: the simulator's, or any that speaks the same few words.
 //!
 //! `GET /frame.png` gives a picture with headers `X-Sequence` (whole number), `X-Time` (s) and `X-Serial`;
-//! `GET /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is asked for, 16
+//! `GET /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is requested, 16
 //! bits of 0.1 mm with a number of its own. Every request has a time limit and the answer a size limit.
 
 use crate::io::camera::validator::FrameValidator;
@@ -30,7 +30,7 @@ pub struct HttpCamera {
     watch: FrameValidator,
 }
 
-/// What asks an address for bytes.
+/// What requests bytes from an address.
 pub(super) struct Client {
     limit: Duration,
     agent: ureq::Agent,
@@ -96,7 +96,7 @@ impl HttpCamera {
         self
     }
 
-    /// Asks for the depth picture with every frame.
+    /// Requests the depth picture with every frame.
     pub fn with_depth(mut self) -> HttpCamera {
         self.depth = true;
         self

@@ -1,7 +1,7 @@
 //! A camera that may come after the program: opened when it is first there.
 //!
 //! In: how it is opened. Out: a source that answers with the reason while the camera is away and is the
-//! camera from then on. A cell must not go down because somebody plugs the camera in a minute later than the
+//! camera from then on. A cell must not go down because the camera is plugged in a minute later than the
 //! computer.
 
 use crate::io::camera::{CameraError, CameraSource, FaultKind, Frame};
@@ -18,7 +18,7 @@ pub struct LateCamera {
 }
 
 impl LateCamera {
-    /// Opens it now or, when it is away, later: each picture asked for and each reconnection tries again.
+    /// Opens it now or, when it is away, later: each requested picture and each reconnection tries again.
     /// With it, why it is away.
     ///
     /// # Errors

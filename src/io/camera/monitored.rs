@@ -10,7 +10,7 @@ use cell_values::image::quality::{PictureLimits, judge, measure};
 use cell_vision::camera::CameraModel;
 use std::time::{Duration, Instant};
 
-/// No further step is begun after this long: whoever waits for the picture has to hear something.
+/// No further step is begun after this long: the caller that waits for the picture has to get an answer.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A source under supervision.
@@ -109,7 +109,7 @@ mod tests {
     use cell_values::image::Image;
     use std::sync::{Arc, Mutex};
 
-    /// What a made-up camera does with each picture it is asked for.
+    /// What a made-up camera does at each request for a picture.
     #[derive(Clone, Copy, PartialEq)]
     enum Does {
         Good,
@@ -188,7 +188,7 @@ mod tests {
         }
     }
 
-    /// The camera, and what it was asked.
+    /// The camera, and what was requested of it.
     fn camera(does: &[Does], live: bool, resets: bool) -> (MonitoredCamera, Arc<Mutex<String>>) {
         let log = Arc::<Mutex<String>>::default();
         let (does, watch) = (does.to_vec(), FrameValidator::default());

@@ -3,7 +3,7 @@
 //! In: settings (which camera or file, size, rate, exposure, depth or not). Out: colour pictures with the
 //! camera's own count and time, depth laid over the colour picture, the factory's lens. The SDK is loaded
 //! when such a camera is opened and not before (`sdk`). Each picture of a live camera is one whose exposure
-//! began after it was asked for; of a recording, every frame comes once.
+//! began after it was requested; of a recording, every frame comes once.
 
 pub mod sdk;
 
@@ -16,7 +16,7 @@ use sdk::{Align, Context, Device, Frames, Pipeline, Sdk, SdkError, Stream};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// What is asked of the camera.
+/// What is requested of the camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RealSenseSettings {
     /// Which camera; the only one connected if absent. Of a recording: which camera it must be of.
@@ -140,7 +140,7 @@ impl RealSenseCamera {
 
     /// The next set with everything in it, of one moment, with a new colour picture. The SDK hands out a set
     /// whenever one of its streams has something new; a camera that never has is let through in the end, for
-    /// the watch to tell.
+    /// the watch to report.
     fn whole_set(&mut self) -> Result<Frames, CameraError> {
         let begun = Instant::now();
         loop {
@@ -418,8 +418,8 @@ impl CameraSource for RealSenseCamera {
 
     fn reset(&mut self) -> Result<(), CameraError> {
         let refused = self.refused();
-        // A camera that has gone away altogether cannot be told to restart; waiting for it is all that is
-        // left.
+        // A camera that has gone away altogether cannot be commanded to restart; waiting for it is all that
+        // is left.
         if let Some(running) = self.running.take() {
             running.device.reset().map_err(&refused)?;
         } else {

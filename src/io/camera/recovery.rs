@@ -1,9 +1,9 @@
 //! What is tried, and in which order, with a camera that gives no usable picture. Pure.
 //!
 //! In: the kind of fault, what the camera can do, what was tried since the last good picture. Out: the next
-//! step. From mild to harsh: ask again, connect anew, restart the device, give up; every step has a count, so
-//! the ladder ends. What is wrong with the light or the focus is only waited for, and what is wrong with the
-//! configuration not even that.
+//! step. From mild to harsh: request again, connect anew, restart the device, give up; every step has a
+//! count, so the ladder ends. What is wrong with the light or the focus is only waited for, and what is wrong
+//! with the configuration not even that.
 
 use crate::io::camera::FaultKind;
 use std::time::Duration;
@@ -11,9 +11,9 @@ use std::time::Duration;
 /// A step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Ask for a picture again after this time.
+    /// Request a picture again after this time.
     Retry(Duration),
-    /// Connect anew after this time, then ask.
+    /// Connect anew after this time, then request a picture.
     Reopen(Duration),
     /// Restart the device, then connect anew.
     Reset,
@@ -24,7 +24,7 @@ pub enum Step {
 /// What was tried since the last good picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tried {
-    /// Pictures asked for again.
+    /// Pictures requested again.
     pub retries: u32,
     /// Connections made anew.
     pub reopened: u32,
@@ -32,7 +32,7 @@ pub struct Tried {
     pub resets: u32,
 }
 
-/// How often a picture is asked for again before anything else.
+/// How often a picture is requested again before anything else.
 const RETRIES: u32 = 2;
 /// How often the connection is made anew before and after a restart of the device.
 const REOPENINGS: u32 = 2;

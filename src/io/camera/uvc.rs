@@ -1,9 +1,9 @@
 //! A USB camera as the kernel shows it (V4L2), read by OpenCV.
 //!
-//! In: the device file, size, rate, exposure, and the lens from a calibration, for such a camera tells none.
-//! Out: frames with a count of our own and the driver's time. The driver keeps pictures until they are read;
-//! those that were exposed before a picture was asked for are passed over, or a look would see the table as
-//! it was at the last one.
+//! In: the device file, size, rate, exposure, and the lens from a calibration, for such a camera reports
+//! none. Out: frames with a count of our own and the driver's time. The driver keeps pictures until they are
+//! read; those that were exposed before a picture was requested are passed over, or a look would see the
+//! table as it was at the last one.
 
 use crate::io::camera::mat::image_of;
 use crate::io::camera::validator::FrameValidator;
@@ -19,7 +19,7 @@ use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// What is asked of the camera.
+/// What is requested of the camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UvcSettings {
     /// Its device file; one under `/dev/v4l/by-id` stays the same camera after a restart.
@@ -34,7 +34,7 @@ pub struct UvcSettings {
     pub exposure: Exposure,
 }
 
-/// Where the kernel tells what its cameras are.
+/// Where the kernel shows what its cameras are.
 const SYSTEM_CAMERAS: &str = "/sys/class/video4linux";
 /// Where cameras have names that last.
 const LASTING_NAMES: &str = "/dev/v4l/by-id";
@@ -147,7 +147,7 @@ fn begin(settings: &UvcSettings) -> Result<VideoCapture, CameraError> {
         ]),
     }
     for &(property, value, ..) in &wanted {
-        // Whether it took the value is asked below, when all are set: some change each other.
+        // Whether it took the value is checked below, when all are set: some change each other.
         let _ = capture.set(property, value);
     }
     for (property, value, must, words) in wanted {
@@ -174,8 +174,8 @@ fn stamp_of(told_ms: f64, now_ms: f64) -> Option<f64> {
     (told_ms > 0.0 && told_ms <= now_ms).then_some(told_ms)
 }
 
-/// True for a picture whose exposure began after it was asked for; without a time of the driver's only the
-/// count tells.
+/// True for a picture whose exposure began after it was requested; without a time of the driver's only the
+/// count decides.
 fn is_fresh(stamp_ms: Option<f64>, asked_ms: f64, exposure: Duration, passed: u32) -> bool {
     let exposure_ms = exposure.as_secs_f64() * 1e3;
     passed >= KEPT_MAX || stamp_ms.is_some_and(|stamp_ms| stamp_ms - exposure_ms >= asked_ms)

@@ -71,7 +71,7 @@ impl FrameValidator {
     }
 }
 
-/// Grey levels between which a sensor's noise shows, and the least share of them that tells pictures apart.
+/// Grey levels between which a sensor's noise shows, and the least share of them that distinguishes pictures.
 const NOISY: std::ops::RangeInclusive<u8> = 6..=249;
 const NOISY_SHARE: f64 = 1e-3;
 

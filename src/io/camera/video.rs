@@ -2,7 +2,7 @@
 //!
 //! In: a file and the lens it was taken with. Out: frames numbered from 0 with the file's own time stamps.
 //! Compressed video blurs corners: good for trying things out, not for measuring. Only the FFmpeg reader is
-//! asked: the others guess at file names and write their guesses to the log.
+//! used: the others guess at file names and write their guesses to the log.
 
 use crate::io::camera::mat::image_of;
 use crate::io::camera::validator::FrameValidator;

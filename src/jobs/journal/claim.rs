@@ -17,7 +17,7 @@ pub struct NewJob<'a> {
     pub sha256: &'a str,
     /// The file, verbatim.
     pub text: &'a str,
-    /// What it asks for.
+    /// What it requests.
     pub spec: &'a JobSpec,
     /// The very file in `incoming`.
     pub source: FileIdentity,

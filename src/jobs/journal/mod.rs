@@ -71,7 +71,7 @@ CREATE TABLE rejections (
 CREATE INDEX rejections_source ON rejections (source);
 ";
 
-/// Why the journal did not do what it was asked.
+/// Why the journal did not do what was requested.
 #[derive(Debug, thiserror::Error)]
 pub enum JournalError {
     /// SQLite's own answer.
@@ -96,7 +96,7 @@ pub enum JournalError {
     /// No job of that id.
     #[error("no job {id:?} is known; `celld jobs` lists them")]
     UnknownJob {
-        /// What was asked for.
+        /// What was requested.
         id: String,
     },
     /// The job is in a state that does not allow it.
@@ -104,9 +104,9 @@ pub enum JournalError {
     WrongState {
         /// The job.
         id: String,
-        /// Where it stands.
+        /// Its state.
         state: &'static str,
-        /// What was asked for.
+        /// What was requested.
         action: &'static str,
     },
     /// The step is not the open one.
@@ -116,7 +116,7 @@ pub enum JournalError {
         id: String,
         /// The step.
         step: u32,
-        /// What was asked for.
+        /// What was requested.
         action: &'static str,
     },
     /// A row that this program cannot have written.
@@ -139,7 +139,7 @@ pub enum Recovered {
         /// The job.
         id: String,
     },
-    /// A step was open: nobody knows how far it got. The job ended as `interrupted`.
+    /// A step was open: how far it got is not known. The job ended as `interrupted`.
     Interrupted {
         /// The job.
         id: String,

@@ -1,7 +1,7 @@
 //! Where the files of jobs are, and which files were refused: the columns that the spool works with.
 //!
 //! In: places and refusals. Out: what is not yet in its place. A place is written here after the file got
-//! there; whoever crashes in between finds both and finishes the work (`jobs::spool`).
+//! there; after a crash in between, both are found and the work is finished (`jobs::spool`).
 
 use crate::jobs::journal::rows::source_text;
 use crate::jobs::journal::{Journal, JournalError, Rejection};

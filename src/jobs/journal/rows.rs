@@ -73,7 +73,7 @@ pub(super) fn storable(result: &JobResult) -> JobResult {
     }
 }
 
-/// The result of a job with a step of which nobody knows how far it got.
+/// The result of a job with a step of which it is not known how far it got.
 pub(super) fn interrupted(
     job: &JobRecord,
     steps: &[StepRecord],

@@ -1,7 +1,7 @@
 //! The folders in which people see and drop jobs, kept in line with the journal.
 //!
 //! In: `STATE/jobs/incoming` and the journal. Out: claims and refusals as [`SpoolEvent`]s, and every file in
-//! the folder its job's state asks for: `hold` (accepted, not begun), `active`, `done/<month>`,
+//! the folder its job's state requires: `hold` (accepted, not begun), `active`, `done/<month>`,
 //! `failed/<month>`, `rejected`. Order of work, always: the journal commits first, then files move, then the
 //! journal notes that they are in place. A crash between any two of these leaves work that
 //! [`Spool::reconcile`] finishes, and never a file in two places or none. Change notifications are not
@@ -155,7 +155,7 @@ impl Refusal {
     }
 }
 
-/// Reads the text of a job file (second argument: its name) into what it asks for.
+/// Reads the text of a job file (second argument: its name) into what it requests.
 pub type ReadJob<'a> = dyn Fn(&str, &str) -> Result<JobSpec, Refusal> + 'a;
 
 /// What a scan found.
@@ -179,7 +179,7 @@ pub enum SpoolEvent {
         /// The reason file.
         reason: PathBuf,
     },
-    /// Somebody dropped `<id>.cancel`.
+    /// `<id>.cancel` was dropped.
     Cancel {
         /// The job.
         id: String,

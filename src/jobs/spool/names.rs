@@ -1,12 +1,12 @@
 //! Names of job files: which are taken, what they become, and the ids made of them.
 //!
-//! In: a name as somebody wrote it. Out: whether it may stand as it is, one that may, and the id of a job
+//! In: a name as it was written. Out: whether it may stay as it is, one that may, and the id of a job
 //! that states none.
 
 use crate::jobs::utc;
 use std::path::Path;
 
-/// Name endings of files that are still being written by somebody.
+/// Name endings of files that are still being written.
 const UNFINISHED: [&str; 5] = [".tmp", ".part", ".swp", "~", ".crdownload"];
 
 /// True for names that a job or its file may have: `[A-Za-z0-9._-]{1,80}`, not hidden.
@@ -15,7 +15,7 @@ pub fn is_plain_name(name: &str) -> bool {
     (1..=80).contains(&name.len()) && !name.starts_with('.') && name.bytes().all(plain)
 }
 
-/// Names that are left alone: hidden, or still being written by somebody.
+/// Names that are left alone: hidden, or still being written.
 pub(super) fn is_unfinished_name(name: &str) -> bool {
     name.starts_with('.') || UNFINISHED.iter().any(|ending| name.ends_with(ending))
 }

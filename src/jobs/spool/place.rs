@@ -95,7 +95,7 @@ impl Spool {
     }
 
     /// Makes `folder` hold the job's file, and its result once it ended. The result comes before any rename
-    /// into `done` or `failed`, so that nobody ever sees an ended job without one.
+    /// into `done` or `failed`, so that an ended job is never seen without one.
     fn fill(&self, folder: &Path, job: &JobRecord, source: Option<&Path>) -> Result<(), SpoolError> {
         create_folder(folder)?;
         self.point()?;
@@ -147,7 +147,7 @@ impl Spool {
                 other => other?,
             }
         }
-        // Only an empty folder goes; whatever else somebody put there stays.
+        // Only an empty folder goes; whatever else was put there stays.
         if std::fs::remove_dir(folder).is_ok() {
             sync_folder(folder.parent().unwrap_or(folder))?;
         }

@@ -67,7 +67,7 @@ pub enum PictureFault {
         /// Allowed.
         limit: f64,
     },
-    /// Nothing stands out.
+    /// Nothing is distinct.
     #[error(
         "the picture shows nothing: its strongest edges differ by {contrast} grey levels, {limit} are needed"
     )]

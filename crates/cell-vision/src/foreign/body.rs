@@ -1,4 +1,4 @@
-//! A body that may stand on the table without being foreign. Pure data.
+//! A body that may be on the table without being foreign. Pure data.
 
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
@@ -10,6 +10,6 @@ pub struct KnownBody {
     pub footprint: Footprint,
     /// Where it is, table frame.
     pub pose: Pose2,
-    /// How high it stands, m.
+    /// How high it is, m.
     pub height_m: f64,
 }

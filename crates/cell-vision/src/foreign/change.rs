@@ -1,7 +1,7 @@
 //! What changed on the table since it was empty, for cameras without depth.
 //!
 //! In: pictures of the empty table from the look poses, then a picture from one of them. Out: a [`HeightMap`]
-//! of another kind: each cell is as it was (0), changed (infinitely high, for nobody knows how high) or not
+//! of another kind: each cell is as it was (0), changed (infinitely high, as its height is unknown) or not
 //! compared (NaN). Colours are compared as logarithms of their ratio, cell by cell, after a smooth change of
 //! the light over the whole picture is taken out, for each of red, green and blue. What has the table's own
 //! colour does not show; a shadow or a stain does. Pure.
@@ -24,7 +24,7 @@ const CHANGED_SIGMAS: f64 = 6.0;
 const SIGMA_MAX: f64 = 2.0 * CHANGED / CHANGED_SIGMAS;
 /// Pixels without which a cell has no colour.
 const PIXELS_MIN: u32 = 2;
-/// Cells without which the light cannot be told.
+/// Cells without which the light cannot be determined.
 const CELLS_MIN: usize = 500;
 /// Rounds of fitting the light and leaving out what does not follow it.
 const ROUNDS: usize = 8;

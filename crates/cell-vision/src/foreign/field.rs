@@ -1,7 +1,7 @@
 //! By what share a stereo camera reads too far, as a smooth function of the direction, learnt from surfaces
 //! whose distance is known.
 //!
-//! In: [`Sample`]s: direction, share by which a point reads too far. Out: [`Field`]. What stands on the table
+//! In: [`Sample`]s: direction, share by which a point reads too far. Out: [`Field`]. What is on the table
 //! reads too near and never too far, and it may cover more of the view than the table does. So the fit starts
 //! from a camera without error, drops what is clearly nearer than the fit so far, and follows the rest; far
 //! points are dropped less readily. Pure.
@@ -22,7 +22,7 @@ const SAMPLES_MIN: usize = 300;
 /// Rounds of fitting and dropping.
 const ROUNDS: usize = 8;
 /// How strongly each term is drawn to 0, against the samples' mean square: nothing where the table is seen
-/// all over, much where a strip of it has to tell about all of the picture.
+/// all over, much where a strip of it has to serve for all of the picture.
 const DRAWN: [f64; 4] = [6e-4, 2.4e-3, 2.4e-3, 2e-4];
 
 /// A point of a surface whose distance is known.

@@ -1,10 +1,10 @@
-//! From a depth picture to a map of how high the table's surface and what stands on it are.
+//! From a depth picture to a map of how high the table's surface and the things on it are.
 //!
 //! In: a [`DepthImage`], the lens, the camera's pose, the part of the table that matters, what of the robot
 //! is in view. Out: a [`HeightMap`]: for each cell of the table the median height of the points measured over
 //! it. Medians, because single points near edges are wild. Stereo cameras read flat targets up to a per cent
 //! or two too far towards the corners, by an amount that differs from camera to camera: the table itself,
-//! whose place is known from its markers, tells how much (`field`). The picture is corrected by that before
+//! whose place is known from its markers, shows how much (`field`). The picture is corrected by that before
 //! it is mapped, and the map once more when it is known what lies where ([`HeightMap::levelled`]). Pure.
 
 use crate::camera::CameraModel;
@@ -22,7 +22,7 @@ const STRIDE: u32 = 2;
 const POINTS_MIN: usize = 2;
 /// Cells along one edge at most: a workspace larger than 4 m is none.
 const EDGE_MAX: usize = 1100;
-/// Every so many of those points tell how far off the depth is.
+/// Every so many of those points determine how far off the depth is.
 const SAMPLED: usize = 11;
 
 /// A rectangle of the table, m, table frame.
@@ -132,7 +132,7 @@ pub struct HeightMap {
     pub rows: usize,
     /// Where the camera was, m, table frame.
     pub eye_m: [f64; 3],
-    /// Heights are none but 0 and infinite: what is there was told by its colour.
+    /// Heights are none but 0 and infinite: what is there was found by its colour.
     pub by_colour: bool,
     /// Median height of the points over each cell, m, NaN where too few were measured; x runs fastest.
     pub heights_m: Vec<f32>,
@@ -193,9 +193,9 @@ impl HeightMap {
 
     /// The heights, corrected by what the map says about surfaces whose height is known.
     ///
-    /// `surface_m` is the height of the table or the known top in each cell, NaN where nobody knows it. The
-    /// picture's own correction took every surface near the table for the table; here known objects are told
-    /// from it.
+    /// `surface_m` is the height of the table or the known top in each cell, NaN where it is unknown. The
+    /// picture's own correction took every surface near the table for the table; here known objects are
+    /// distinguished from it.
     pub fn levelled(&self, surface_m: &[f32]) -> Vec<f32> {
         let eye_m = self.eye_m[2];
         let ray = |cell: usize| {

@@ -2,8 +2,8 @@
 //!
 //! In: the height maps of a look, the cells in which none of them measured anything, the known objects. Out:
 //! [`Hole`]. Black, mirrors and clear glass leave such holes, and so do look poses that do not show all of
-//! the table: something may stand there unseen. Left out are what known objects hide from every look pose,
-//! and gaps too narrow for anything to stand in. Pure.
+//! the table: something may be there unseen. Left out are what known objects hide from every look pose, and
+//! gaps too narrow for anything to fit in. Pure.
 
 use crate::foreign::body::KnownBody;
 use crate::foreign::height_map::{CELL_M, HeightMap};
@@ -63,7 +63,7 @@ pub(crate) fn largest(map: &HeightMap, open: &[bool]) -> Option<Hole> {
     Some(Hole { area_m2: cells.len() as f64 * CELL_M * CELL_M, centre: [mean(0), mean(1)] })
 }
 
-/// True when a body stands between a place on the table and the camera.
+/// True when a body is between a place on the table and the camera.
 pub(crate) fn hides(body: &KnownBody, outline: &[[f64; 2]], at: [f64; 2], eye_m: [f64; 3]) -> bool {
     TRIED.iter().any(|share| {
         let up = share * body.height_m / eye_m[2];

@@ -23,9 +23,9 @@ pub struct Inventory {
     pub area: Area,
     /// What carries a marker: name, footprint, height in m.
     pub objects: Vec<(String, Footprint, f64)>,
-    /// What stands there and never moves.
+    /// What is there and never moves.
     pub fixed: Vec<KnownBody>,
-    /// Where anything may stand: regions that are kept out of anyway.
+    /// Where anything may be: regions that are kept out of anyway.
     pub ignored: Vec<KeepOut>,
     /// The gripper, if the camera may see it.
     pub own: Option<OwnBody>,
@@ -53,7 +53,7 @@ impl ForeignSearch {
         Ok(ForeignSearch { lens: DepthLens::new(camera)?, inventory, limits, empty: None })
     }
 
-    /// The same search of a table on which these bodies stand and never move.
+    /// The same search of a table with these bodies on it, which never move.
     pub fn with_fixed(mut self, fixed: Vec<KnownBody>) -> ForeignSearch {
         self.inventory.fixed = fixed;
         self

@@ -163,7 +163,7 @@ fn known_flat_objects_all_over_the_table_do_not_hide_what_stands_between_them() 
         let (edge, mut blocks, mut tiles) = (0.05 * share.sqrt(), Vec::new(), Vec::new());
         for place in 0..80 {
             let (x, y) = (-0.225 + 0.05 * f64::from(place % 10), -0.175 + 0.05 * f64::from(place / 10));
-            // One tile is not there, a stranger stands in its place.
+            // One tile is not there, a stranger is in its place.
             if place == 68 {
                 blocks.push(block(x, y, 0.03, 0.03, 0.0125));
             } else {

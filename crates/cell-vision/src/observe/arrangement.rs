@@ -61,7 +61,7 @@ pub struct Duplicate {
 /// What the pictures say about the table.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Observation {
-    /// Objects whose pose can be trusted, in the order they were asked for.
+    /// Objects whose pose can be trusted, in the order they were requested.
     pub objects: Vec<ObjectEstimate>,
     /// Objects whose marker was not seen at all.
     pub missing: Vec<String>,
@@ -75,7 +75,7 @@ pub struct Observation {
     pub reference: Option<reference::ReferenceCheck>,
     /// Root mean square error of the reference markers' centres, m; `None` when none was seen.
     pub reference_residual_m: Option<f64>,
-    /// What stands there and carries no marker; `None` where no depth was measured. Whoever has depth fills
+    /// What is there and carries no marker; `None` where no depth was measured. The caller with depth fills
     /// it in.
     pub foreign: Option<ForeignReport>,
 }

@@ -1,10 +1,10 @@
 //! Several views of one marker become one pose; a view that disagrees is left out, two places are not one.
 //!
-//! In: the placed sightings of one marker. Out: [`Fused`], or [`Disagreement`]. The median decides who is an
-//! outlier; one square is fitted to the corners of all the rest, so that views from several sides also tell
-//! height and tilt. Corner errors that repeat while the camera stands still (the bias of the pixel grid) are
-//! counted once for each place the camera was at, not once for each picture: five pictures from one place are
-//! hardly better than one, and the standard deviation says so. Pure.
+//! In: the placed sightings of one marker. Out: [`Fused`], or [`Disagreement`]. The median decides which is
+//! an outlier; one square is fitted to the corners of all the rest, so that views from several sides also
+//! determine height and tilt. Corner errors that repeat while the camera is at rest (the bias of the pixel
+//! grid) are counted once for each place the camera was at, not once for each picture: five pictures from one
+//! place are hardly better than one, and the standard deviation says so. Pure.
 
 use crate::observe::input::{ObserveLimits, View};
 use crate::observe::planar::{self, Placed, Target};
@@ -93,7 +93,7 @@ pub fn middle(placed: &[Placed]) -> Option<Pose2> {
     ))
 }
 
-/// The sightings grouped by where the camera stood (within 1 mm and 2 mrad), as indices into `placed`.
+/// The sightings grouped by where the camera was (within 1 mm and 2 mrad), as indices into `placed`.
 pub fn places<P: std::borrow::Borrow<Placed>>(placed: &[P], views: &[View]) -> Vec<Vec<usize>> {
     let stood = |i: usize| views.get(placed[i].borrow().sighting.view).map(|view| view.table_from_camera);
     let mut groups: Vec<Vec<usize>> = Vec::new();

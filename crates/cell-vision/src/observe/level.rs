@@ -1,4 +1,4 @@
-//! Does a marker lie level at the height it should have? Told by all views together.
+//! Does a marker lie level at the height it should have? Decided by all views together.
 //!
 //! In: the placed sightings of one marker, its target plane. Out: [`Level`]: tilt, height error, and how much
 //! better a tilted or raised square explains the corners. A complaint needs both size (more than the limit)
@@ -20,13 +20,13 @@ pub struct Level {
     pub normal: Vector3<f64>,
     /// Standard deviation of the tilt in its worse direction, rad.
     pub tilt_std_rad: f64,
-    /// Standard deviations by which the corners ask for a tilt.
+    /// Standard deviations by which the corners indicate a tilt.
     pub tilt_significance: f64,
     /// Height above the one it should have, m, the marker taken as level.
     pub height_error_m: f64,
     /// Standard deviation of that, m.
     pub height_std_m: f64,
-    /// Standard deviations by which the corners ask for another height.
+    /// Standard deviations by which the corners indicate another height.
     pub height_significance: f64,
     /// Height error of the centre when the marker may also tilt, m.
     pub free_height_error_m: f64,

@@ -2,7 +2,7 @@
 //!
 //! In: sightings, views, a start pose, which degrees of freedom may move. Out: [`SquareFit`] with the sum of
 //! squared pixel errors. Levenberg-Marquardt on pixels; a [`Prior`] holds the marker nearly level at nearly
-//! its height. Comparing the costs of fits with more and less freedom tells whether a marker is really
+//! its height. Comparing the costs of fits with more and less freedom shows whether a marker is really
 //! tilted: near a frontal view a tilt's own standard deviation lies, a difference of costs does not.
 
 use crate::marker;

@@ -26,7 +26,7 @@ pub struct ReferenceError {
     pub views: usize,
 }
 
-/// How far the camera seems to be from where it should have been at one place, told by the markers it saw
+/// How far the camera seems to be from where it should have been at one place, shown by the markers it saw
 /// from there.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LookShift {
@@ -72,7 +72,7 @@ pub struct ReferenceCheck {
     pub looks: Vec<LookShift>,
 }
 
-/// Fewest markers that tell shift, turn and lift apart with one to spare.
+/// Fewest markers that separate shift, turn and lift with one to spare.
 pub const MARKERS_MIN: usize = 3;
 
 impl ReferenceCheck {

@@ -1,8 +1,8 @@
 //! A located tree to typed values, with all complaints collected.
 //!
 //! In: [`Node`]s. Out: `Some(value)`, or `None` and a complaint kept in the [`Decoder`]; the caller goes on
-//! with the next field either way, and asks [`Decoder::finish`] at the end. A [`At`] is a node with its path
-//! (`objects[2].start`), a [`Fields`] is a map whose keys have been checked.
+//! with the next field either way, and calls [`Decoder::finish`] at the end. A [`At`] is a node with its
+//! path (`objects[2].start`), a [`Fields`] is a map whose keys have been checked.
 
 use std::ops::RangeInclusive;
 

@@ -1,6 +1,6 @@
 //! What is wrong with a text, and where.
 //!
-//! In: places and words of whoever reads the text. Out: complaints as one line each, `file:line:column`
+//! In: places and words from the reader of the text. Out: complaints as one line each, `file:line:column`
 //! first.
 
 use std::fmt;

@@ -1,4 +1,4 @@
-//! Text to a tree that knows where every key and value stands.
+//! Text to a tree with the location of every key and value.
 //!
 //! In: YAML 1.2 or JSON text. Out: a [`Node`], or [`Diagnostics`]. Scalars stay text here; what a field
 //! should be decides how they are read, so that `id: 007` is a name where a name is wanted. Anchors, aliases,
@@ -18,7 +18,7 @@ pub const MAX_DEPTH: usize = 48;
 /// Most values accepted.
 pub const MAX_NODES: usize = 1_000_000;
 
-/// A value and where it stands.
+/// A value and where it is.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Node {
     /// Where it begins.

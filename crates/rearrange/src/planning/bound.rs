@@ -5,9 +5,9 @@
 //! of the dependency graph not all objects can go home in one move each, for each would have to wait for the
 //! next; so the objects that move twice form a feedback vertex set, and the cheapest one is added. Members of
 //! a group count only by what holds for every assignment: they take no part in the cycles, and the group
-//! needs as many moves as it has goals at which no member stands (or members that stand in the way of a goal,
-//! if that is more). The feedback vertex set is exact. `buffer_space` proves more where there is no room to
-//! put objects aside.
+//! needs as many moves as it has goals at which there is no member (or members that are in the way of a
+//! goal, if that is more). The feedback vertex set is exact. `buffer_space` proves more where there is no
+//! room to put objects aside.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::feedback;
@@ -31,7 +31,7 @@ pub struct LowerBound {
     pub cycle_cost: f64,
 }
 
-/// Arc i -> j exactly when i at its own goal and j at its start may not stand at once. Vertices are the
+/// Arc i -> j exactly when i at its own goal and j at its start may not be there at once. Vertices are the
 /// problem's objects; those that are fixed have no arcs, those without a goal no outgoing ones, and neither
 /// have those that start at their goal: they may stay, and a pair of starts is never refused.
 pub fn start_goal_graph(scene: &Scene) -> DependencyGraph {
@@ -113,8 +113,7 @@ fn blocking(
     }
     for members in groups.values() {
         for &i in members {
-            // A member that starts at this goal might stay, and what stands beside it since the start as
-            // well.
+            // A member that starts at this goal might stay, and what is beside it since the start as well.
             let taken = scene.goal(i).is_some_and(|goal| stands_at(scene, members, &goal.pose));
             if !taken {
                 blocking = blocking | graph.blockers(i);

@@ -5,7 +5,7 @@
 //! a step makes poses of objects in buffers impossible, these are chosen anew for their whole stay, as if
 //! they had been put there from the beginning. Source: the paper, section TRLB. Deviation: a sampled pose
 //! that also avoids everything that will still arrive during the stay is preferred, as the plan already
-//! tells.
+//! shows.
 
 use crate::planning::effort::Effort;
 use crate::planning::primitive::{Step, Target};
@@ -173,7 +173,7 @@ impl<'a> Allocator<'a> {
         short_sighted
     }
 
-    /// Nothing that stands on the table between the stay's begin and the end of `step` is in the way.
+    /// Nothing that is on the table between the stay's begin and the end of `step` is in the way.
     fn fits(&self, stay: usize, spot: &Spot, step: usize) -> bool {
         let Stay { object, begin, .. } = self.stays[stay];
         let clear_of_waiting = (0..self.from.len())

@@ -1,10 +1,10 @@
 //! Completes a goal: which member of a group takes which goal, and where objects without a goal end.
 //!
-//! In: a scene, random numbers. Out: one spot for every object, an arrangement that may stand as a whole.
-//! Members of a group are matched to the group's goals before the search: who stands at a goal keeps it, the
+//! In: a scene, random numbers. Out: one spot for every object, an arrangement that is valid as a whole.
+//! Members of a group are matched to the group's goals before the search: a member at a goal keeps it, the
 //! rest go to near ones. Any matching gives a valid plan; the lower bound holds for all of them. An object
-//! without a goal stays where it is if nobody needs its place, else it gets a random free pose, one that
-//! blocks as few unmoved objects as possible. Another call gives other free poses.
+//! without a goal stays where it is if no other object needs its place, else it gets a random free pose, one
+//! that blocks as few unmoved objects as possible. Another call gives other free poses.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::buffers::Arrangement;

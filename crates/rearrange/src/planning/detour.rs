@@ -1,4 +1,4 @@
-//! Clears a place for an object that finds no buffer: whoever stands there makes way first.
+//! Clears a place for an object that finds no buffer: what is there makes way first.
 //!
 //! In: an arrangement, the one to reach, the object. Out: moves that end with the object at a place of its
 //! own, and the objects it displaced elsewhere. A primitive plan moves only objects that block a goal; where
@@ -18,7 +18,7 @@ const PLACES: usize = 60;
 /// Poses tried for each displaced object.
 const SAMPLES: usize = 40;
 
-/// Moves from `from` that put `object` where the least area stands in its way, now and at the places of `to`
+/// Moves from `from` that put `object` where the least area is in its way, now and at the places of `to`
 /// that are still to be filled. None if a displaced object found no room.
 pub fn clear_a_place(
     scene: &Scene,
@@ -86,8 +86,8 @@ impl Detour<'_> {
         best.map(|(_, spot)| spot)
     }
 
-    /// A free place for a displaced object: its final one if that is open, else one that blocks nobody's,
-    /// else any.
+    /// A free place for a displaced object: its final one if that is open, else one that blocks no other
+    /// object's, else any.
     fn out_of_the_way(
         &self,
         now: &Arrangement,

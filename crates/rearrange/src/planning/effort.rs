@@ -2,7 +2,7 @@
 //!
 //! In: a work limit and a stop function (the caller's clock, Ctrl-C). Out: whether to go on. A step is one
 //! sampled pose or one node of a graph search. The limit gives the same result on every run; the stop
-//! function is asked once in `ASK_EVERY` steps and promises nothing of the kind.
+//! function is called once in `ASK_EVERY` steps and promises nothing of the kind.
 
 /// Steps between two questions to the stop function: a step costs about a microsecond, the question more.
 const ASK_EVERY: u64 = 128;
@@ -37,7 +37,7 @@ impl<'a> Effort<'a> {
         !self.stopped
     }
 
-    /// A meter for a part of the search that may take `most` steps; tell with [`Effort::spend`] what it took.
+    /// A meter for a part of the search that may take `most` steps; pass what it took to [`Effort::spend`].
     pub fn part(&self, most: u64) -> Effort<'a> {
         Effort::new(Some(most.min(self.left())), self.stop)
     }
@@ -49,8 +49,8 @@ impl<'a> Effort<'a> {
         self.stopped |= part.stopped && part.done <= part.limit;
     }
 
-    /// A meter for the rest of the search in another one, of whose steps `steps` count as one of these; tell
-    /// with [`Effort::spend_cheap`] what it took.
+    /// A meter for the rest of the search in another one, of whose steps `steps` count as one of these; pass
+    /// what it took to [`Effort::spend_cheap`].
     pub fn cheap_part(&self, steps: u64) -> Effort<'a> {
         Effort::new(Some(self.left().saturating_mul(steps)), self.stop)
     }

@@ -3,7 +3,7 @@
 //! In: a [`Recipe`] (scenario, number of objects, density, law of the side ratios), a seed and the number of
 //! the case. Out: an [`Instance`] on a table of 1 m x 1 m whose two arrangements are free of contact for the
 //! true shapes, and how they were found; or an error that names the density. Source: the paper, section
-//! Evaluation. Case k of a seed does not depend on how many cases are asked for, and nothing here reads a
+//! Evaluation. Case k of a seed does not depend on how many cases are requested, and nothing here reads a
 //! clock.
 
 mod arrange;
@@ -45,7 +45,7 @@ pub enum GenerateError {
     /// Too few or too many objects.
     #[error("{found} objects; {scenario} takes {least} to {MOST_OBJECTS}")]
     Objects {
-        /// Number asked for.
+        /// Number requested.
         found: usize,
         /// Scenario.
         scenario: &'static str,
@@ -58,7 +58,7 @@ pub enum GenerateError {
     /// Outlines too small for a footprint.
     #[error("density {density}: {fault}")]
     Footprint {
-        /// Density asked for.
+        /// Density requested.
         density: f64,
         /// What is wrong.
         fault: FootprintFault,
@@ -70,7 +70,7 @@ pub enum GenerateError {
          or another seed"
     )]
     NoArrangement {
-        /// Density asked for.
+        /// Density requested.
         density: f64,
         /// Number of objects.
         objects: usize,

@@ -3,10 +3,11 @@
 //! In: footprints and poses, m. Out: yes or no. Built on `geo` (exact orientation predicates, ear cutting,
 //! polygon intersection and distance) and shares nothing with `geometry::collision` but the shapes, so that a
 //! mistake there cannot vouch for itself. It works differently on purpose: polygons are cut into triangles,
-//! and a question is answered by asking whether *shifting one of two convex pieces by the allowed depth along
-//! an edge's normal puts all of it beyond that edge*, decided by exact orientation of every corner. A curve
-//! is held between an inscribed and a circumscribed polygon of tangents, which are refined where the answer
-//! hangs on them until both give the same one; what is still open at the limit of `f64` counts as an overlap.
+//! and a question is answered by testing if *shifting one of two convex pieces by the allowed depth along an
+//! edge's normal puts all of it beyond that edge*, decided by exact orientation of every corner. A curve is
+//! held between an inscribed and a circumscribed polygon of tangents, which are refined where the answer
+//! hangs on them until both give the same one; what is still open at the limit of `f64` counts as an
+//! overlap.
 
 use std::f64::consts::TAU;
 

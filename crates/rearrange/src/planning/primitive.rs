@@ -6,7 +6,7 @@
 //! Source: the paper, sections TRLB and ETRLB. Deviations: an object whose goal is open goes home at once
 //! (never worse for peak or count: it can only leave a buffer); the limit grows to the next value at which
 //! anything changes instead of by one; among plans of that peak fewer (cheaper) buffered objects are
-//! preferred until a fixed number of nodes is spent, unless [`Preference::FirstFound`] asks for the paper's
+//! preferred until a fixed number of nodes is spent, unless [`Preference::FirstFound`] selects the paper's
 //! first find.
 
 use crate::planning::effort::Effort;

@@ -1,6 +1,6 @@
 //! Small random problems for property tests, and their optimum when objects may also wait beside the table.
 //!
-//! In: random numbers, a number of objects. Out: instances whose start and goal arrangements stand; the least
+//! In: random numbers, a number of objects. Out: instances with valid start and goal arrangements; the least
 //! cost of any plan that may use places outside the table, by exhaustive search. Contact is decided with the
 //! plan checker's polygons, not with the kernel of the code under test. Tests only.
 
@@ -143,7 +143,7 @@ fn options(problem: &Problem, i: usize) -> Options {
     Options { poses, bodies }
 }
 
-/// Everybody with a goal of its own is there, and each goal of a group has a member on it.
+/// Every object with a goal of its own is there, and each goal of a group has a member on it.
 fn is_goal(problem: &Problem, options: &[Options], at: &[usize]) -> bool {
     (0..at.len()).all(|i| {
         let Some(goal) = problem.objects[i].goal else { return true };

@@ -1,4 +1,4 @@
-//! The table as the solvers see it: objects placed at poses, and which two of them may stand there at once.
+//! The table as the solvers see it: objects placed at poses, and which two of them may be there at once.
 //!
 //! In: a [`Problem`] and, for every object, the goal it is to take (its own, one of its group's, or a free
 //! pose found for it). Out: [`Spot`]s, shared and never changed, that know whether they are the object's
@@ -87,14 +87,14 @@ impl<'a> Scene<'a> {
         Arc::new(new_spot(self.problem, object, pose, self.cores[object]))
     }
 
-    /// May two objects stand at these spots at the same time?
+    /// May two objects be at these spots at the same time?
     pub fn clear(&self, a: &Spot, b: &Spot) -> bool {
         let goals = a.goal_of.is_some() && b.goal_of.is_some() && a.goal_of != b.goal_of;
         let given = (a.at_start && b.at_start) || goals;
         given || self.apart(a, b)
     }
 
-    /// The same for poses that nobody gave together.
+    /// The same for poses that were not given together.
     pub fn apart(&self, a: &Spot, b: &Spot) -> bool {
         !cores_meet(a, b) && !self.near(&a.placed, &b.placed)
     }
@@ -162,7 +162,7 @@ fn between(rng: &mut ChaCha8Rng, low: f64, high: f64) -> Option<f64> {
     (low < high).then(|| rng.random_range(low..high))
 }
 
-/// The discs within the footprints overlap: most pairs that collide are told by that, at a tenth of the
+/// The discs within the footprints overlap: most pairs that collide are detected by that, at a tenth of the
 /// price.
 fn cores_meet(a: &Spot, b: &Spot) -> bool {
     let reach = a.core + b.core - CORE_MARGIN_M;

@@ -1,8 +1,8 @@
 //! One shape for all solvers: a problem, a control, a seed in; an outcome with its lower bound out.
 //!
 //! In: [`Problem`], the kind of solver, the objective, [`Control`]. Out: [`Outcome`]: optimal, solved,
-//! infeasible with a witness, or no plan found. Every plan has passed the independent checker before anybody
-//! sees it. Deterministic: the same seed and work limit give the same outcome; no clock is read here.
+//! infeasible with a witness, or no plan found. Every plan has passed the independent checker before the
+//! caller gets it. Deterministic: the same seed and work limit give the same outcome; no clock is read here.
 
 use crate::planning::bound::buffer_space::BufferSpaceBound;
 use crate::planning::bound::{self, LowerBound};
@@ -50,7 +50,7 @@ pub enum SolveError {
         /// The limit.
         most: usize,
     },
-    /// The objective `time` without anybody who knows times.
+    /// The objective `time` without a source of move times.
     #[error("the objective time needs a cell that knows how long its moves take; use pp or ti here")]
     NoTimes,
 }

@@ -92,7 +92,8 @@ impl<'a> Ordering<'a> {
         while self.home != self.all {
             self.objects.shuffle(rng);
             let open = self.objects.iter().copied().find(|&o| self.in_the_way(o).is_empty());
-            // Without the objects that make way the rest has no cycle, so somebody is blocked by these alone.
+            // Without the objects that make way the rest has no cycle: some object is blocked by these
+            // alone.
             let Some(next) = open.or_else(|| self.cheapest_to_open()) else { break };
             for blocker in self.in_the_way(next) {
                 self.steps.push(Step { object: blocker, target: Target::Buffer });

@@ -1,6 +1,6 @@
 //! Whether the things of a file can lie where the file puts them.
 //!
-//! In: what could be read of a table and its objects, and where that stands in the text. Out: a complaint for
+//! In: what could be read of a table and its objects, and where that is in the text. Out: a complaint for
 //! every overlap and overhang beyond the tolerance, at the later of the two objects. Parts that could not be
 //! read are absent here and not judged: two objects that are sound do overlap, whatever is wrong with a
 //! third. Pure.
@@ -11,16 +11,16 @@ use crate::geometry::collision::{Placed, TOUCH_M, overhang};
 use crate::geometry::pose::Pose2;
 use crate::tabletop::instance::{KeepOut, ObjectSpec, Workspace};
 
-/// Where an object's parts stand in the text.
+/// Where an object's parts are in the text.
 #[derive(Clone, Debug)]
 pub struct Place {
-    /// Its name, as far as it can be told.
+    /// Its name, as far as it could be read.
     pub name: Option<String>,
-    /// Where the name stands, or else the object.
+    /// Where the name is, or else the object.
     pub at: Location,
     /// Path of the object.
     pub path: String,
-    /// Where its start stands, or else the object, and the path of the start.
+    /// Where its start is, or else the object, and the path of the start.
     pub start: (Location, String),
     /// The same of its goal.
     pub goal: (Location, String),
@@ -55,7 +55,7 @@ pub struct Layout<'a> {
     pub keep_out: &'a [Option<KeepOut>],
     /// The objects.
     pub objects: Vec<Option<&'a ObjectSpec>>,
-    /// Where they stand in the text, one place for each.
+    /// Where they are in the text, one place for each.
     pub places: &'a [Place],
 }
 

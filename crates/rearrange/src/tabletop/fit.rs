@@ -23,7 +23,7 @@ pub const OBJECT_IDS: std::ops::Range<u32> = 0..200;
 pub const DEFAULT_HEIGHT_M: f64 = 0.02;
 /// Density of an object that states no mass (light wood), kg/m3.
 pub const DEFAULT_DENSITY: f64 = 450.0;
-/// Sizes of markers are multiples of this: what a printer and a ruler can tell apart, m.
+/// Sizes of markers are multiples of this: what a printer and a ruler can distinguish, m.
 const SIZE_STEP_M: f64 = 1e-4;
 /// Table sizes that are proposed are multiples of 1 / this, in 1/m.
 const TABLE_STEPS_PER_M: f64 = 100.0;
@@ -155,7 +155,7 @@ pub enum FitError {
     /// No table up to the given size would do.
     #[error("no table up to {max:.2} m is large enough: {first}")]
     NoTable {
-        /// The largest table asked about, m.
+        /// The largest table considered, m.
         max: f64,
         /// The first object in the way, on that table.
         first: Refusal,

@@ -1,10 +1,10 @@
-//! Instance files: design section 4.1 in YAML or JSON, and the public data told apart by their keys.
+//! Instance files: design section 4.1 in YAML or JSON, and the public data distinguished by their keys.
 //!
 //! In: text, the name to put into complaints, and a way to look up a named shape (the public data keep
 //! polygons in files of their own; this module opens nothing). Out: an [`Instance`], or all complaints at
 //! once, each with line and column. Besides the fields, the start arrangement is checked (bad input, design
-//! 4.2); a bad goal arrangement is a valid, infeasible task and is checked by whoever must not accept one
-//! ([`parse_with_sound_goals`]).
+//! 4.2); a bad goal arrangement is a valid, infeasible task and is checked by the caller that must not
+//! accept one ([`parse_with_sound_goals`]).
 
 use std::collections::HashMap;
 
@@ -252,7 +252,7 @@ pub struct MarkerUse {
     pub number: i64,
     /// The object's name.
     pub owner: String,
-    /// Where the number stands.
+    /// Where the number is.
     pub at: Location,
 }
 

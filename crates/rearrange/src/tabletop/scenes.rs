@@ -1,6 +1,6 @@
 //! The named scenes of the demo: instance files that come with the binary.
 //!
-//! In: a name. Out: an [`Instance`], parsed by the same parser as anybody's file, so that a scene is also an
+//! In: a name. Out: an [`Instance`], parsed by the same parser as any other file, so that a scene is also an
 //! example of the format. Goals keep gaps of at least 3 mm, starts of 4 mm (a robot places within a
 //! millimetre or so and the planner's clearance is 2 mm), and in every scene some objects have to wait in a
 //! buffer.

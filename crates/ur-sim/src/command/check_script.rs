@@ -47,7 +47,7 @@ fn report(source: &str, text: &str) -> Result<String, String> {
 fn complaint(source: &str, text: &str, error: &CompileError) -> String {
     let line = text.lines().nth(error.at.line.saturating_sub(1) as usize).unwrap_or_default();
     let before = line.chars().take(error.at.column.saturating_sub(1) as usize);
-    // Tabs stay tabs, so that the caret stands under its character whatever their width.
+    // Tabs stay tabs, so that the caret is under its character whatever their width.
     let margin: String = before.map(|c| if c == '\t' { '\t' } else { ' ' }).collect();
     format!("{source}:{}:{}: {}\n  {line}\n  {margin}^", error.at.line, error.at.column, error.kind)
 }

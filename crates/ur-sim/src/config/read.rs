@@ -174,7 +174,7 @@ fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
     Some(ports)
 }
 
-/// An address to listen at. A name is refused: it may stand for several, and the cell's side compares
+/// An address to listen at. A name is refused: it may resolve to several, and the cell's side compares
 /// addresses.
 fn address(decoder: &mut Decoder, at: &At) -> Option<String> {
     let text = decoder.text(at)?;

@@ -1,9 +1,9 @@
 //! How the tool gives way to forces in force mode and freedrive.
 //!
-//! In: what the script asked for, the force felt at the tool. Out: the speed of the tool. Modelled, not
+//! In: what the script requested, the force felt at the tool. Out: the speed of the tool. Modelled, not
 //! measured: a compliant axis moves at a speed in proportion to the force that is missing, up to its limit.
-//! Free in the air it so runs at its limit, and against a stiff wall it comes to rest at the force asked for.
-//! In freedrive the force asked for is none: the arm stands until something pushes it. Pure.
+//! Free in the air it so runs at its limit, and against a stiff wall it comes to rest at the requested force.
+//! In freedrive the requested force is zero: the arm is at rest until something pushes it. Pure.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3, Vector6};
 
@@ -34,7 +34,7 @@ pub struct Compliance {
     pub frame: TaskFrame,
     /// Which axes give way.
     pub free: [bool; 6],
-    /// What is asked for along them, N and Nm.
+    /// What is requested along them, N and Nm.
     pub wrench: [f64; 6],
     /// Fastest along them, m/s and rad/s.
     pub limits: [f64; 6],

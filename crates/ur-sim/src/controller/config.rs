@@ -10,8 +10,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use ur_arm::kinematics::{ARM_MODELS, ArmModel, DhParameters};
 
-/// Standard deviation of the arm's calibrated parameters about the nominal ones unless asked otherwise: m,
-/// rad.
+/// Standard deviation of the arm's calibrated parameters about the nominal ones unless set otherwise: m, rad.
 const CALIBRATION_STD_M: f64 = 5e-4;
 const CALIBRATION_STD_RAD: f64 = 0.05 / 360.0 * TAU;
 
@@ -22,7 +21,7 @@ pub struct ControllerConfig {
     pub arm: ArmModel,
     /// Calibrated kinematics of this arm.
     pub dh: DhParameters,
-    /// Where the arm stands at first.
+    /// Where the arm is at first.
     pub start: Joints,
     /// Digits.
     pub serial_number: String,

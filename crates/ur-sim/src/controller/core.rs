@@ -32,7 +32,7 @@ const MAX_MESSAGES: usize = 1000;
 /// Braking of moves whose program went away, rad/s2.
 pub(super) const DEFAULT_STOP: f64 = 4.0;
 
-/// The tool as the controller is told about it.
+/// The tool as set in the controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Payload {
     /// kg
@@ -72,7 +72,7 @@ pub struct Core {
     pub compliance: Option<Compliance>,
     /// Damping and gain of force mode.
     pub force_settings: ForceSettings,
-    /// What scripts set and ask back.
+    /// What scripts set and read back.
     pub settings: Settings,
     /// The network, for scripts' sockets.
     pub sockets: Box<dyn ScriptSockets>,
@@ -130,12 +130,12 @@ impl Core {
         FIRST_TIMESTAMP + self.step as f64 * FRAME_SECONDS
     }
 
-    /// Software version as clients are told: major, minor, bug fix, build.
+    /// Software version as reported to clients: major, minor, bug fix, build.
     pub fn version(&self) -> [u32; 4] {
         self.pendant.claimed_version().unwrap_or(self.config.version)
     }
 
-    /// Model as clients are told, in the dashboard's words: without the "e".
+    /// Model as reported to clients, in the dashboard's words: without the "e".
     pub fn model(&self) -> &str {
         self.pendant.claimed_model().unwrap_or(&self.config.model)
     }
@@ -166,7 +166,7 @@ impl Core {
         self.messages.drain(..).collect()
     }
 
-    /// Adds a message for the primary interface; the oldest goes when nobody fetches them.
+    /// Adds a message for the primary interface; the oldest goes when they are not fetched.
     pub fn message(&mut self, body: MessageBody) {
         if self.messages.len() >= MAX_MESSAGES {
             self.messages.pop_front();

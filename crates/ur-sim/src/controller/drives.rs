@@ -38,7 +38,7 @@ impl Core {
         dynamics::inverse_dynamics(&mover.arm.dh, &self.masses(), &q, &qd, &qdd, &gravity)
     }
 
-    /// What a standing arm feels, m/s2: gravity, and the acceleration of a base that moves.
+    /// What an arm at rest feels, m/s2: gravity, and the acceleration of a base that moves.
     fn felt_gravity(&self) -> Vector3<f64> {
         Vector3::from(self.payload.gravity) + Vector3::from(self.settings.base_acceleration)
     }
@@ -53,7 +53,7 @@ impl Core {
         std::array::from_fn(|i| own[i] + added[i])
     }
 
-    /// What the measured forces at the tool ask of the joints, Nm.
+    /// What the measured forces at the tool require of the joints, Nm.
     pub fn contact_torques(&self) -> [f64; 6] {
         self.torques_against(self.tcp_force())
     }

@@ -18,7 +18,7 @@ use ur_wire::primary_message::MessageBody;
 use urscript::host::{Call, Host, Reply};
 use urscript::value::{ThreadId, Value};
 
-/// Frames the arm must have stood still to count as steady (0.5 s).
+/// Frames the arm must have been at rest to count as steady (0.5 s).
 const STEADY_FRAMES: u64 = 250;
 
 impl Host for Core {
@@ -294,7 +294,7 @@ fn set_watchdog(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     Ok(())
 }
 
-/// Shows a text on the pendant; a blocking one waits until somebody has closed it.
+/// Shows a text on the pendant; a blocking one waits until it has been closed.
 fn popup(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     let text = call.required(0)?.to_string();
     let blocking = call.argument(4).map_or(Ok(false), Value::truth)?;

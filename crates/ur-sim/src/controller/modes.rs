@@ -3,7 +3,7 @@
 //! In: what an operator, a client or the arm does. Out: the numbers that RTDE, dashboard and primary
 //! interface show. Power: off -> booting -> idle (brakes shut) -> releasing -> running. Safety is beside it:
 //! a protective stop leaves the arm powered, an emergency stop and a fault do not. The times are shorter than
-//! a real arm's (3 to 8 s and 2 to 5 s) but not zero, so that nobody mistakes a reply for completion.
+//! a real arm's (3 to 8 s and 2 to 5 s) but not zero, so that no client mistakes a reply for completion.
 
 use ur_wire::enumerations::{RobotMode, SafetyMode};
 

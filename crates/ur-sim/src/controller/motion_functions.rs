@@ -99,7 +99,7 @@ fn finite(call: &Call<'_>, index: usize) -> Result<[f64; 6], String> {
     }
 }
 
-/// Nobody else may be moving the arm.
+/// No other thread may be moving the arm.
 fn take_arm(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     let other = core.owner.is_some_and(|(owner, id)| owner != call.thread && !core.mover.released(id));
     if other {
@@ -152,7 +152,7 @@ fn start_move(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
     Ok(Reply::Wait)
 }
 
-/// Speeds, accelerations, duration and blend of a move; where each argument stands depends on the move.
+/// Speeds, accelerations, duration and blend of a move; the place of each argument depends on the move.
 fn limits_of(core: &Core, call: &Call<'_>) -> Result<MoveLimits, String> {
     let arm = &core.mover.arm;
     let joint = matches!(call.name, "movej" | "optimovej");
@@ -282,7 +282,7 @@ fn torque(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     Ok(Reply::Wait)
 }
 
-/// Of a simulated arm only: it stands elsewhere at once.
+/// Of a simulated arm only: it is elsewhere at once.
 fn place(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     let q = Joints(finite(call, 0)?);
     if core.mover.arm.outside(&q).is_some() || !core.mover.stands() {

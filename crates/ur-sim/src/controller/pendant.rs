@@ -1,4 +1,4 @@
-//! What stands on the pendant and what the dashboard may change there: loaded program, installation, popups,
+//! What is on the pendant and what the dashboard may change there: loaded program, installation, popups,
 //! operational mode, user role; and which controller this claims to be.
 //!
 //! In: commands. Out: what was chosen. The pendant has no screen; nothing here moves the arm. A real
@@ -36,7 +36,7 @@ impl OperationalMode {
         }
     }
 
-    /// The mode that `set operational mode` may ask for.
+    /// The mode that `set operational mode` may request.
     pub fn from_name(name: &str) -> Option<OperationalMode> {
         [OperationalMode::Manual, OperationalMode::Automatic]
             .into_iter()
@@ -108,12 +108,12 @@ impl Pendant {
         self.model.as_deref()
     }
 
-    /// Claims another software version (a fault), or tells the true one again.
+    /// Claims another software version (a fault), or reports the true one again.
     pub fn pretend_version(&mut self, version: Option<[u32; 4]>) {
         self.version = version;
     }
 
-    /// Claims to be another robot (a fault), or tells the true model again.
+    /// Claims to be another robot (a fault), or reports the true model again.
     pub fn pretend_model(&mut self, model: Option<String>) {
         self.model = model;
     }

@@ -160,7 +160,7 @@ impl Registers {
         self.claims.retain(|_, owner| *owner != client);
     }
 
-    /// Gives an input to `client` whoever has it (a fault).
+    /// Gives an input to `client` whichever client has it (a fault).
     pub fn seize(&mut self, client: ClientId, name: &str) {
         self.claims.insert(name.to_owned(), client);
     }

@@ -1,4 +1,4 @@
-//! Built-ins that set something and ask it back: flags, ports, Modbus signals, encoders, configuration of
+//! Built-ins that set something and read it back: flags, ports, Modbus signals, encoders, configuration of
 //! inputs.
 //!
 //! In: calls from running programs. Out: values, or the message of a runtime exception for an address or name

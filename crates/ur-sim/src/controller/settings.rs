@@ -1,4 +1,4 @@
-//! What scripts set and ask back, and little else depends on: flags, port memory, Modbus signals, encoders.
+//! What scripts set and read back, and little else depends on: flags, port memory, Modbus signals, encoders.
 //!
 //! In and out: the functions of `setting_functions`. Bounded: names and addresses are checked there.
 

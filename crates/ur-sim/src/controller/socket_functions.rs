@@ -12,7 +12,7 @@ use crate::motion::FRAME_SECONDS;
 use urscript::host::{Call, Reply};
 use urscript::value::Value;
 
-/// Values a script may ask for in one call.
+/// Values a script may request in one call.
 const MAX_VALUES: i32 = 30;
 
 /// Characters that `socket_read_string` gives at most.
@@ -179,7 +179,7 @@ fn line(bytes: &[u8]) -> Option<(usize, String)> {
     Some((end + 1, text(bytes.get(..end)?).trim_end_matches('\r').to_owned()))
 }
 
-/// Without a prefix and suffix: all that has arrived. With them: what stands between, which they are cut off.
+/// Without a prefix and suffix: all that has arrived. With them: what is between, which they are cut off.
 fn read_string(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     let socket = name(call, 0)?;
     let escapes = call.argument(3).map_or(Ok(false), Value::truth)?;

@@ -1,8 +1,8 @@
 //! The network as scripts see it: sockets by name, opened from the controller to a server.
 //!
 //! In: orders of the socket functions, once per frame at most. Out: bytes that have arrived, and whether the
-//! connection stands. The controller is pure, so the real network is behind this trait
-//! (`script_sockets`); nothing of it waits. [`NoNetwork`] is a controller whose cable is not plugged in.
+//! connection is open. The controller is pure, so the real network is behind this trait (`script_sockets`);
+//! nothing of it waits. [`NoNetwork`] is a controller whose cable is not plugged in.
 
 /// Bytes kept for a script that does not read, and bytes a script may send ahead of its peer.
 pub const MAX_BUFFER: usize = 65_536;
@@ -23,7 +23,7 @@ pub trait ScriptSockets: std::fmt::Debug + Send {
     /// Starts to connect; what was open under that name is closed first.
     fn open(&mut self, name: &str, host: &str, port: u16);
 
-    /// How the socket called `name` stands.
+    /// State of the socket called `name`.
     fn state(&mut self, name: &str) -> SocketState;
 
     /// Bytes that have arrived and were not taken yet, at most [`MAX_BUFFER`]; the caller removes what it

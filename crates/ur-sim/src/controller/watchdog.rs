@@ -26,7 +26,7 @@ pub struct Watchdog {
 
 impl Watchdog {
     /// A watch over an input that is to be written `frequency_hz` times a second; without an action it only
-    /// stands in the way of another.
+    /// takes the place of another.
     pub fn new(
         input: Input,
         frequency_hz: f64,

@@ -1,7 +1,7 @@
 //! What is wrong with the camera at this moment, as one value.
 //!
 //! In: the faults in force. Out: [`CameraFaults`], which the world keeps for the scene and the camera server
-//! asks for at every exposure.
+//! reads at every exposure.
 
 use crate::faults::{CameraFault, ExtraPrint};
 use crate::render::sensor::Exposure;

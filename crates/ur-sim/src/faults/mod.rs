@@ -3,7 +3,7 @@
 //! In: a fault file or a posted text ([`read`]), the state of the world and of the arm in each frame. Out:
 //! plans ([`Planned`]), the faults that are due ([`schedule`]), and their effect on controller, world,
 //! pictures and connections ([`injector`], [`link`]). Reading and scheduling are pure; only the desk and the
-//! links touch what is shared. Nothing happens unless a file or a post asks for it. The table of all faults
+//! links touch what is shared. Nothing happens unless a file or a post requests it. The table of all faults
 //! is docs/faults.md.
 
 pub mod camera;
@@ -63,7 +63,7 @@ pub enum Trigger {
     },
 }
 
-/// Parts of a pick-n-place, in their order, as far as the world can tell them.
+/// Parts of a pick-n-place, in their order, as far as the world can distinguish them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Phase {
     /// Nothing is held, and the arm has left the last place.
@@ -138,7 +138,7 @@ pub enum Fault {
     Vacuum(VacuumFault),
     /// The camera or what it sees.
     Camera(CameraFault),
-    /// Somebody moves an object that lies on the table, or leaves something there.
+    /// A person moves an object that lies on the table, or leaves something there.
     World(WorldFault),
     /// A server's connections.
     Net {
@@ -171,7 +171,7 @@ pub enum RobotFault {
     Local,
     /// The program is stopped from the pendant.
     KillProgram,
-    /// Somebody else's program replaces ours, for so many seconds.
+    /// A foreign program replaces ours, for so many seconds.
     ForeignScript(f64),
     /// The running program meets a runtime exception.
     ScriptError,
@@ -185,7 +185,7 @@ pub enum RobotFault {
     Stall,
     /// Another client owns this RTDE input.
     Claim(String),
-    /// The controller believes in another payload, kg.
+    /// The controller assumes another payload, kg.
     Payload(f64),
     /// RTDE comes at this rate whatever was agreed, Hz.
     Rate(f64),
@@ -250,7 +250,7 @@ pub enum CameraFault {
     },
 }
 
-/// A print that somebody has put on the table.
+/// A print that a person has put on the table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExtraPrint {
     /// Number in the family tag36h11.

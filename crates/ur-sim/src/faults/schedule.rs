@@ -3,11 +3,11 @@
 //! In: plans, and in each frame what the world shows ([`Glance`]), how far the arm is in its move, and what
 //! has happened. Out: the orders that are due, each once. Pure.
 //!
-//! The world knows no plan, so steps and phases are told from what happens: a pick-n-place ends when the arm
-//! has left the place where it let go, and the phases follow from pump, hold and the way the tool moves. How
-//! long a carry will be cannot be known; `progress` therefore is the share of the move that the arm is in (a
-//! carry mostly is one move). A phase that ends before its progress was reached fires the fault at its end,
-//! so that none is lost.
+//! The world has no plan, so steps and phases are inferred from what happens: a pick-n-place ends when the
+//! arm has left the place where it let go, and the phases follow from pump, hold and the way the tool moves.
+//! How long a carry will be cannot be known; `progress` therefore is the share of the move that the arm is in
+//! (a carry mostly is one move). A phase that ends before its progress was reached fires the fault at its
+//! end, so that none is lost.
 
 use crate::faults::{DeviceEvent, Order, Phase, Planned, Trigger};
 use crate::world::event::{Event, EventKind};
@@ -16,7 +16,7 @@ use crate::world::event::{Event, EventKind};
 const ASIDE_M: f64 = 5e-3;
 /// Height over the place of grip from which the object is lifted, m.
 const LIFTED_M: f64 = 2e-3;
-/// Slower than this the tool stands, m/s.
+/// Slower than this the tool is at rest, m/s.
 const STANDING_M_S: f64 = 2e-3;
 
 /// What the world shows of a pick-n-place in one frame.

@@ -61,7 +61,7 @@ pub(super) fn config() -> SimConfig {
         controller,
         world: WorldSpec {
             table: TableSpec { width_m: 1.0, height_m: 1.0, margin_m: 0.1 },
-            // The tool stands 0.1 m over the block's middle.
+            // The tool is 0.1 m over the block's middle.
             base_from_table: Isometry3::translation(at.x - 0.5, at.y - 0.5, at.z - 0.13),
             objects: vec![block],
             reference_markers: vec![ReferenceMarker {

@@ -65,7 +65,7 @@ pub struct Masses<'a> {
 }
 
 /// Torque of each joint (Nm) for the motion `q`, `qd` (rad/s), `qdd` (rad/s2). `gravity` (m/s2, base frame)
-/// is the acceleration a standing arm feels: upwards.
+/// is the acceleration an arm at rest feels: upwards.
 pub fn inverse_dynamics(
     dh: &DhParameters,
     masses: &Masses<'_>,

@@ -101,7 +101,7 @@ impl Arm {
     }
 }
 
-/// Why the arm cannot do what it was told; the controller stops protectively.
+/// Why the arm cannot carry out its command; the controller stops protectively.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MotionFault {
     /// A joint would leave its range.

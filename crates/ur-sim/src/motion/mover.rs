@@ -1,4 +1,4 @@
-//! What the arm is doing: following segments, servoing, moving at a speed, stopping or standing.
+//! What the arm is doing: following segments, servoing, moving at a speed, stopping or resting.
 //!
 //! In: commands, and [`Mover::step`] once per frame with the speed scaling of that frame. Out: joint
 //! positions, speeds and accelerations. The speed slider, pauses and protective stops scale the time of the
@@ -79,7 +79,7 @@ pub struct Mover {
     own: [f64; 6],
     task: Task,
     scaling: f64,
-    /// A fault: the arm does not follow, and nobody is told.
+    /// A fault: the arm does not follow, and this is not reported.
     stalled: bool,
     /// Share of the motion that reaches the arm, 0 while it is stalled.
     drive: f64,
@@ -97,7 +97,7 @@ pub struct Mover {
 }
 
 impl Mover {
-    /// An arm that stands at `q`.
+    /// An arm at rest at `q`.
     pub fn new(arm: Arm, q: Joints) -> Mover {
         Mover {
             arm,
@@ -288,12 +288,12 @@ impl Mover {
         Ok(())
     }
 
-    /// Moves the joints at `target` (rad/s) until told otherwise.
+    /// Moves the joints at `target` (rad/s) until the next command.
     pub fn joint_speed(&mut self, target: [f64; 6], acceleration: f64) {
         self.task = Task::JointSpeed { target, acceleration };
     }
 
-    /// Moves the tool at `target` (m/s, rad/s in the base frame) until told otherwise.
+    /// Moves the tool at `target` (m/s, rad/s in the base frame) until the next command.
     pub fn tool_speed(&mut self, target: Vector6<f64>, acceleration: f64, turn_acceleration: f64) {
         self.task = Task::ToolSpeed { target, acceleration, turn_acceleration };
     }
@@ -318,7 +318,7 @@ impl Mover {
         self.scaling * self.drive
     }
 
-    /// Speed asked for has been reached, or there is none asked for.
+    /// The requested speed has been reached, or none is requested.
     pub fn at_speed(&self) -> bool {
         match &self.task {
             Task::JointSpeed { target, .. } => {
@@ -338,12 +338,12 @@ impl Mover {
         Some((last.time / last.segment.duration().max(FRAME_SECONDS)).clamp(0.0, 1.0))
     }
 
-    /// Keeps the arm from following what it is told (a fault), or lets it go on.
+    /// Keeps the arm from following its commands (a fault), or lets it go on.
     pub fn set_stalled(&mut self, stalled: bool) {
         self.stalled = stalled;
     }
 
-    /// Places a standing arm elsewhere (start of the simulation, tests).
+    /// Places an arm at rest elsewhere (start of the simulation, tests).
     pub fn place(&mut self, q: Joints) {
         self.freeze();
         (self.q, self.drifted, self.tool_speed) = (q, [0.0; 6], None);
@@ -363,10 +363,10 @@ impl Mover {
         self.drift = Vector6::zeros();
     }
 
-    /// One frame of `FRAME_SECONDS`; `scaling` is where the speed scaling should go (0 stands still).
+    /// One frame of `FRAME_SECONDS`; `scaling` is where the speed scaling should go (0: at rest).
     ///
     /// # Errors
-    /// When the arm cannot go on; it then stands where the last frame left it.
+    /// When the arm cannot go on; it then stays where the last frame left it.
     pub fn step(&mut self, scaling: f64) -> Result<(), MotionFault> {
         if !matches!(self.task, Task::ToolSpeed { .. } | Task::StopTool { .. }) {
             self.tool_speed = None;

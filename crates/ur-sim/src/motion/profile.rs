@@ -37,7 +37,7 @@ struct Phase {
 pub struct Profile {
     phases: Vec<Phase>,
     length: f64,
-    /// Profile seconds per second, when a duration was asked for.
+    /// Profile seconds per second, when a duration was requested.
     rate: f64,
     tail: f64,
 }

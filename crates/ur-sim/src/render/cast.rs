@@ -327,7 +327,7 @@ impl<'a> Caster<'a> {
     /// Depth of what the direction `ray` meets, m along the optical axis; infinite if there is nothing.
     pub fn depth(&self, candidates: &Candidates, ray: [f64; 2]) -> f64 {
         let d = self.table.direction(ray);
-        // The floor far below the board is too far to matter: the board's plane stands for both.
+        // The floor far below the board is too far to matter: the board's plane represents both.
         let ground = if d[2] < -1e-9 { -self.table.eye[2] / d[2] } else { f64::INFINITY };
         let nearest = |depth: f64, index: &usize| {
             self.prisms[*index].meet(ray, depth.min(f64::MAX)).map_or(depth, |(at, ..)| at)

@@ -11,7 +11,7 @@ use ur_wire::bytes::WireError;
 use ur_wire::dashboard::{Command, GREETING, LineSplitter, ProgramState, Reply};
 use ur_wire::enumerations::RuntimeState;
 
-/// Name that stands where no program has one.
+/// Name given where no program has one.
 const NO_PROGRAM: &str = "<unnamed>";
 
 /// One connection, without its socket.
@@ -28,7 +28,7 @@ impl Session {
         Session { splitter: LineSplitter::default(), switches, over: false }
     }
 
-    /// What a client hears first.
+    /// What a client receives first.
     pub fn greeting() -> String {
         format!("{GREETING}\n")
     }
@@ -98,7 +98,7 @@ fn load(controller: &mut Controller, name: &str) -> Reply {
     }
 }
 
-/// Commands that change what stands on the pendant.
+/// Commands that change what is on the pendant.
 fn at_the_pendant(controller: &mut Controller, command: &Command) -> Option<Reply> {
     let core = &mut controller.core;
     match command {
@@ -137,7 +137,7 @@ fn at_the_pendant(controller: &mut Controller, command: &Command) -> Option<Repl
     Some(Reply::accepted(command))
 }
 
-/// Commands that only ask.
+/// Commands that only query.
 fn question(controller: &Controller, command: &Command) -> Option<Reply> {
     let core = &controller.core;
     let [major, minor, bugfix, build] = core.version();

@@ -1,9 +1,9 @@
 //! The way from a session to its client: a bounded queue, and a shortcut past it.
 //!
-//! In: what answers and outlets send on a [`Line`]. Out: [`Packet`]s at its [`Inlet`], in order, for whoever
-//! writes them to the client. A full queue means that the client is behind. While nothing is queued a package
-//! may go straight to the socket on the [`Way`] that the shell has given, from the thread that makes the
-//! frames; without one everything is queued.
+//! In: what answers and outlets send on a [`Line`]. Out: [`Packet`]s at its [`Inlet`], in order, for the
+//! writer that sends them to the client. A full queue means that the client is behind. While nothing is
+//! queued a package may go straight to the socket on the [`Way`] that the shell has given, from the thread
+//! that makes the frames; without one everything is queued.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -47,7 +47,7 @@ impl From<Bytes> for Packet {
     }
 }
 
-/// What takes bytes to a client at once, past the queue. Whoever uses it sees to it that nothing else writes
+/// What takes bytes to a client at once, past the queue. Its user makes sure that nothing else writes
 /// meanwhile.
 pub trait Way: fmt::Debug + Send + Sync {
     /// Takes as many of `bytes` as go at once; 0 also when the connection is broken.
@@ -82,7 +82,7 @@ pub struct Queue {
 }
 
 impl Queue {
-    /// The next parcel when there is one; `None` when nobody can send any more.
+    /// The next parcel when there is one; `None` when no sender is left.
     pub async fn next(&mut self) -> Option<Packet> {
         self.packets.recv().await
     }
@@ -114,7 +114,7 @@ impl Backlog {
 }
 
 impl Line {
-    /// Both ends of a connection's queue; with a way packages need not wait for whoever writes.
+    /// Both ends of a connection's queue; with a way packages need not wait for the writer.
     pub fn open(way: Option<Arc<dyn Way>>) -> (Line, Inlet) {
         let (sender, packets) = mpsc::channel(QUEUE);
         let (backlog, dropped) = (Backlog::default(), Arc::new(Notify::new()));
@@ -161,7 +161,7 @@ impl Line {
         self.queue.capacity() < QUEUE / 2
     }
 
-    /// Nobody takes anything from the queue any more.
+    /// Nothing is taken from the queue any more.
     pub fn is_closed(&self) -> bool {
         self.queue.is_closed()
     }

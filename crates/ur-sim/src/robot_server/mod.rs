@@ -4,7 +4,7 @@
 //!
 //! In: a client's bytes, and one call of [`shared::RobotShared::frame`] per controller frame. Out: whatever
 //! the clients of the real controller expect. Sessions act on the controller under one lock. Nothing waits
-//! for a client: what is sent without being asked for goes through a bounded queue per connection (`line`).
+//! for a client: what is sent without a request goes through a bounded queue per connection (`line`).
 
 pub mod dashboard;
 

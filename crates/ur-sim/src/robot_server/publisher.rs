@@ -1,5 +1,5 @@
-//! What the controller sends without being asked: who gets what, how often, and what happens when a client
-//! does not read.
+//! What the controller sends without a request: which client gets what, how often, and what happens when a
+//! client does not read.
 //!
 //! In: connections that subscribe, and the controller's state at the end of every frame. Out: bytes into one
 //! bounded queue per connection ([`Line`]). A full queue means that the client is behind: its package is
@@ -37,7 +37,7 @@ const REGULAR_INTERVALS: u32 = 5;
 /// Sender of robot messages as the vendor's interface numbers it.
 const SOURCE_ROBOT: i8 = -3;
 
-/// `requested type` of a popup that asks for nothing.
+/// `requested type` of a popup that requests nothing.
 const NO_VALUE: u32 = 8;
 
 /// What a connection is fed.
@@ -295,7 +295,7 @@ impl Publisher {
         }
     }
 
-    /// A popup that has come up is told on the primary interface, whoever opened it.
+    /// A popup that has come up is reported on the primary interface, whatever opened it.
     fn tell_popup(&mut self, controller: &mut Controller) {
         if self.popup == controller.core.popup {
             return;

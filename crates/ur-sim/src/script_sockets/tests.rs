@@ -1,4 +1,4 @@
-//! Scripts that talk to real listeners, frame by frame.
+//! Scripts that exchange bytes with real listeners, frame by frame.
 
 use super::*;
 use crate::controller::builtins::compile_program;

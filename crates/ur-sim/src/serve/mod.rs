@@ -3,7 +3,7 @@
 //! In: ports to listen on, the [`Core`] that something else advances. Out: the addresses, and tasks that run
 //! until the shutdown signal. Each connection has a task that reads and one that writes: a client that does
 //! not read can still send. All of them pass through their server's link ([`stream`]), where faults act;
-//! while a server is down nobody listens.
+//! while a server is down nothing listens.
 
 pub mod stream;
 
@@ -121,7 +121,7 @@ pub async fn listen(
     Ok((listener, address))
 }
 
-/// Takes connections until shutdown, and ends them with it. While the link is down nobody listens.
+/// Takes connections until shutdown, and ends them with it. While the link is down nothing listens.
 async fn accept(
     (listener, address): (TcpListener, SocketAddr),
     core: Core,
@@ -215,7 +215,7 @@ async fn read_all(core: &Core, session: &mut Session, reader: &mut ReadHalf<Link
     }
 }
 
-/// Writes what is queued until the connection breaks or nobody can send any more.
+/// Writes what is queued until the connection breaks or no sender is left.
 async fn write_all(mut queue: Queue, mut writer: WriteHalf<LinkStream>, robot: Arc<RobotShared>) {
     while let Some(packet) = queue.next().await {
         if writer.write_all(packet.bytes()).await.is_err() {

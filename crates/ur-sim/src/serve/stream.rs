@@ -123,7 +123,7 @@ impl Lane {
     }
 }
 
-/// The way to a connection's socket past its task. Whoever uses it sees to it that the task writes nothing
+/// The way to a connection's socket past its task. Its user makes sure that the task writes nothing
 /// meanwhile.
 #[derive(Clone, Debug)]
 pub struct Shortcut {
@@ -158,7 +158,7 @@ pub struct LinkStream {
     delayed: VecDeque<(Instant, Vec<u8>)>,
     delayed_bytes: usize,
     timer: Pin<Box<Sleep>>,
-    /// Whoever waits to read, who sends what is held back when its time has come.
+    /// The task that waits to read, which sends what is held back when its time has come.
     reader: Option<Waker>,
 }
 

@@ -69,7 +69,7 @@ impl World {
         self.record(EventKind::Fault { name: name.to_owned() });
     }
 
-    /// Somebody moves an object by `by`: a shift in the table frame and a turn about itself.
+    /// A person moves an object by `by`: a shift in the table frame and a turn about itself.
     ///
     /// # Errors
     /// [`FaultError::NoSuchObject`], [`FaultError::NotFree`].
@@ -80,7 +80,7 @@ impl World {
         Ok(())
     }
 
-    /// Somebody puts an object to `pose`.
+    /// A person puts an object to `pose`.
     ///
     /// # Errors
     /// [`FaultError::NoSuchObject`], [`FaultError::NotFree`].

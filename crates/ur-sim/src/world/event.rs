@@ -63,7 +63,7 @@ pub enum EventKind {
     },
     /// The arm pressed something into something, beyond what the cups give.
     Contact(Contact),
-    /// A fault was asked for.
+    /// A fault was requested.
     Fault {
         /// Its name.
         name: String,
@@ -75,7 +75,7 @@ pub enum EventKind {
 pub struct Contact {
     /// What the arm moves: an object's name, `cup` or `gripper`.
     pub moving: String,
-    /// What stands in the way: an object's name or `table`.
+    /// What is in the way: an object's name or `table`.
     pub against: String,
     /// How far, m.
     pub depth_m: f64,

@@ -16,9 +16,9 @@ const COMPLIANCE_M: f64 = 2e-3;
 const SEAL_ANGLE_RAD: f64 = 3.0 * std::f64::consts::PI / 180.0;
 /// Vacuum at which a sealed cup takes hold.
 const HOLD_VACUUM: f64 = 0.2;
-/// Vacuum below which an object that stands on something is let go.
+/// Vacuum below which an object that rests on something is let go.
 const LET_GO_VACUUM: f64 = 0.05;
-/// An object this close above what it stands on is carried by it, m.
+/// An object this close above what it rests on is carried by it, m.
 const STANDING_M: f64 = 1e-3;
 /// Overlap from which a neighbour is in the way, m; less gives way.
 pub(super) const YIELD_M: f64 = 1e-3;
@@ -84,7 +84,7 @@ impl World {
         for (index, body) in self.bodies.iter().enumerate() {
             let Some((over, local)) = over(body, lip) else { continue };
             if over < -COMPLIANCE_M {
-                return None; // something stands higher than the lip: the cup cannot be on what lies below it
+                return None; // something is higher than the lip: the cup cannot be on what lies below it
             }
             let normal = body.table_from_object.rotation * Vector3::z();
             let top = body.grippable.as_deref().unwrap_or(&body.section);

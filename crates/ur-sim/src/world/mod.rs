@@ -11,7 +11,7 @@
 //! - A channel is sealed when all its cups lie on one object's top, within 2 mm in height and 3 degrees of
 //!   its normal, each lip inside the top (and inside `grippable`) and nothing else above it.
 //! - A sealed channel takes hold at 20 % vacuum. The object then moves rigidly with the tool while the vacuum
-//!   carries m (a - g); below that it falls. Standing on something it is let go below 5 %.
+//!   carries m (a - g); below that it falls. Resting on something it is let go below 5 %.
 //! - Grip and placing each add a random offset; nothing is ever moved towards a goal.
 //! - A placed object that penetrates others by up to 1 mm shares the push with them; deeper, it stays tilted
 //!   on top.
@@ -94,7 +94,7 @@ pub struct World {
     recorded: u64,
     camera: CameraFaults,
     sticky: bool,
-    /// Things without a marker that stand on the table, with their places among the bodies.
+    /// Things without a marker that are on the table, with their places among the bodies.
     foreign: Vec<(ForeignBody, usize)>,
     hand_board: Option<Plate>,
     /// Where the flange was lately: time and `base_from_flange`, for exposures that take a while.

@@ -184,7 +184,7 @@ impl World {
         let axis = Unit::new_normalize(Vector3::z().cross(&away));
         let flat = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), pose.theta);
         let rotation = UnitQuaternion::from_axis_angle(&axis, tilt_rad) * flat;
-        // Its lower edge stands on the table, or on the lower object if its middle lies over that.
+        // Its lower edge rests on the table, or on the lower object if its middle lies over that.
         let seat = &self.bodies[under];
         let on_top = seat.section.contains(seat.pose().inverse_transform([pose.x, pose.y]), 0.0);
         let body = &mut self.bodies[index];

@@ -5,8 +5,8 @@
 //! as one that slides with uniform pressure does (ellipsoidal limit surface: a force `f` at `r` moves it
 //! along `f` and turns it by `r x f / c^2`, with `c` the mean distance of its points from its centre). What
 //! the object meets is pushed in turn. Whether a touch is one from the side or from above is decided when it
-//! begins, by which penetration is the smaller. An object that is screwed down, or stands before one that is,
-//! does not give way: the arm presses on it.
+//! begins, by which penetration is the smaller. An object that is screwed down, or is in front of one that
+//! is, does not give way: the arm presses on it.
 
 use crate::world::event::EventKind;
 use crate::world::placing::TOUCH_M;

@@ -9,7 +9,7 @@
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 
-/// Vertices that stand for an ellipse in the contact model.
+/// Vertices that represent an ellipse in the contact model.
 const CURVE_VERTICES: usize = 96;
 
 /// The shape a horizontal plane cuts out of a body, m, in the body's frame.

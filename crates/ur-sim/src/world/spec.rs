@@ -80,14 +80,14 @@ pub struct WorldObject {
     pub colour: Option<[u8; 3]>,
 }
 
-/// A thing without a marker that somebody puts on the table: an upright prism.
+/// A thing without a marker that a person puts on the table: an upright prism.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ForeignBody {
     /// Its footprint.
     pub footprint: Footprint,
     /// Its height, m.
     pub height_m: f64,
-    /// Where it stands.
+    /// Where it is.
     pub pose: Pose2,
 }
 
@@ -183,7 +183,7 @@ impl Cup {
     }
 }
 
-/// A plate with a grid of tag36h11 markers on the hand, for calibrating a camera that stands.
+/// A plate with a grid of tag36h11 markers on the hand, for calibrating a fixed camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HandBoard {
     /// The board in the flange frame: origin in the lower left corner of the lower left marker, x right, y

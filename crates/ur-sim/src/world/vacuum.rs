@@ -100,7 +100,7 @@ impl Pump {
 
     /// Limits the pump's current, mA.
     pub fn set_current_limit_ma(&mut self, limit: u16) {
-        // Without current the time constant is infinite, which `step` takes as standing still.
+        // Without current the time constant is infinite, which `step` takes as no change.
         self.pump_tau_s = PUMP_TAU_S * (f64::from(FULL_SPEED_MA) / f64::from(limit)).max(1.0);
     }
 

@@ -216,7 +216,7 @@ fn the_critical_section_is_handed_on_in_order() {
          join 0 say('m') sync() say('m2') exit_critical join h",
         "m|m2|a|a2",
     );
-    // A thread that is told within the section to end, waited for there, and has to pass it once more itself.
+    // A thread that is ordered in the section to end, waited for there, and has to pass it once more itself.
     check(
         "on = True thread a(): while on: enter_critical wait(2) exit_critical end say('ended') end\n\
          h = run a() sync() enter_critical on = False join h say('joined') exit_critical enter_critical say('free') \

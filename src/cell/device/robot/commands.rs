@@ -1,4 +1,4 @@
-//! What may be asked of the robot, and what has to hold before it is done.
+//! What may be requested of the robot, and what has to hold before it is done.
 //!
 //! In: [`RobotCommand`]s. Out: dashboard commands, programs and streams, or a [`Refused`] with the reason.
 

@@ -53,8 +53,8 @@ impl Robot {
         self.report(event);
     }
 
-    /// True if the controller shows the payload and TCP that the program was told; a path waits for that, and
-    /// not for ever.
+    /// True if the controller shows the payload and TCP that the program was given; a path waits for that,
+    /// and not for ever.
     pub(super) fn setup_is_shown(&mut self, now: Timestamp) -> bool {
         let Some(state) = &self.state else { return false };
         let Some(difference) = setup_difference(&self.setup, state) else {
@@ -102,7 +102,7 @@ impl Robot {
     }
 }
 
-/// What the controller shows differently from what the program was told; `None` if nothing.
+/// What the controller shows differently from what the program was given; `None` if nothing.
 fn setup_difference(setup: &Setup, state: &RobotState) -> Option<String> {
     if let Some((mass, cog)) = setup.payload {
         let cog_off = cog.iter().zip(state.payload_cog).any(|(a, b)| (a - b).abs() > 1e-3);

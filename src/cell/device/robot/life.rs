@@ -91,7 +91,7 @@ impl Robot {
     }
 
     /// Stops by dashboard and by silence. The opcode goes out as well: a program that is paused, and that the
-    /// dashboard cannot end, reads it in the first frame after somebody presses play.
+    /// dashboard cannot end, reads it in the first frame after a person presses play.
     pub(super) fn halt(&mut self, now: Timestamp, reason: Option<ProgramEnd>, asked: bool) {
         self.stream.clear();
         self.setup.deadline = None;
@@ -271,7 +271,7 @@ impl Robot {
         self.uploaded.is_some_and(|nonce| nonce.number() == state.nonce)
     }
 
-    /// The program that was stopped is still the one that is there, and it still stands.
+    /// The program that was stopped is still the one that is there, and it is still stopped.
     fn keeps_still(&self) -> bool {
         self.state.as_ref().is_some_and(|state| {
             self.is_uploaded(state)
@@ -280,7 +280,7 @@ impl Robot {
     }
 
     /// A program that was given up may still be on the controller, paused: it finds a stop in its registers
-    /// if somebody presses play. One that plays without heartbeats ends by its own watchdog.
+    /// if a person presses play. One that plays without heartbeats ends by its own watchdog.
     fn follow_left_behind(&mut self, state: &RobotState) {
         if state.runtime_state == RuntimeState::Stopped {
             self.left_behind = None;

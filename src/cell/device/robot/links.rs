@@ -118,7 +118,7 @@ impl Robot {
             (Command::CloseSafetyPopup, Reply::Accepted(_)) => {
                 self.report(RobotEvent::Completed { what: "close safety popup" });
             }
-            // Power, brakes and unlock: accepted is not done, the arm's modes tell.
+            // Power, brakes and unlock: accepted is not done, the arm's modes show it.
             (command, Reply::Accepted(_)) => {
                 self.arm_waits.iter_mut().filter(|wait| wait.command == command).for_each(|wait| {
                     wait.answered = true;
@@ -130,7 +130,7 @@ impl Robot {
 
     /// A stop came: power and brakes are wanted no more. What was sent already is answered still, and the
     /// answer must not count for the same command sent again later; nor may the brakes open seconds after a
-    /// person was told that the arm stands.
+    /// person was informed that the arm is at rest.
     pub(super) fn drop_arm_waits(&mut self, now: Timestamp) {
         for wait in std::mem::take(&mut self.arm_waits) {
             if self.dashboard.forget(&wait.command) {
@@ -281,7 +281,7 @@ impl Robot {
         }
     }
 
-    /// Things asked of the arm: done, or overdue.
+    /// Things requested of the arm: done, or overdue.
     pub(super) fn check_arm_waits(&mut self, now: Timestamp) {
         for wait in std::mem::take(&mut self.arm_waits) {
             if self.state.as_ref().is_some_and(|state| wait.goal.reached(state)) {

@@ -12,7 +12,7 @@ use ur_wire::enumerations::{RobotMode, SafetyMode};
 /// Commands that the program could take may be held back (stale state, remote control unknown) this long.
 pub const SEND_WITHIN: Duration = Duration::from_secs(5);
 
-/// No path begins when the dashboard's last answer about remote control is older: it is asked every second,
+/// No path begins when the dashboard's last answer about remote control is older: it is polled every second,
 /// and a pendant that was switched meanwhile must not see the arm set off.
 pub const REMOTE_CONTROL_WITHIN: Duration = Duration::from_millis(1500);
 
@@ -50,7 +50,7 @@ pub enum Program {
         /// For standstill.
         deadline: Timestamp,
     },
-    /// Runs, stands still, takes nothing but its end.
+    /// Runs, is at rest, takes nothing but its end.
     Stopped,
     /// Will end by itself.
     Ending {
@@ -63,7 +63,7 @@ pub enum Program {
     Halting {
         /// Why; `None` if the program was not ours.
         reason: Option<ProgramEnd>,
-        /// Somebody waits for [`RobotEvent::Stopped`].
+        /// A requester waits for [`RobotEvent::Stopped`].
         asked: bool,
         /// Until when.
         deadline: Timestamp,
@@ -171,7 +171,7 @@ impl ArmGoal {
     }
 }
 
-/// Payload and TCP as the running program was told.
+/// Payload and TCP as given to the running program.
 #[derive(Default)]
 pub struct Setup {
     pub payload: Option<(f64, [f64; 3])>,

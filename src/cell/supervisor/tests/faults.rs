@@ -305,7 +305,7 @@ fn camera_trouble(code: Code, lasting: bool) -> Input {
     Input::Captured(Err(CameraFault { code, message, hint: "look at its cable", lasting }))
 }
 
-/// At the first look pose, with a picture asked for.
+/// At the first look pose, with a picture requested.
 fn looking() -> Bench {
     let mut bench = Bench::new();
     bench.job(false);

@@ -21,7 +21,7 @@ fn with(rule: ForeignRule, foreign: Option<ForeignReport>) -> Bench {
 
 const REFUSE: ForeignRule = ForeignRule::Refuse { depth_needed: false };
 
-/// Looks until the job ends or a plan is asked for; the report of the job, and what was asked of the planner.
+/// Looks until the job ends or a plan is requested; the report of the job, and the request to the planner.
 fn goes(bench: &mut Bench) -> Result<crate::cell::supervisor::input::PlanRequest, (String, String, String)> {
     bench.job(false);
     let mut all = bench.until_planning();
@@ -104,7 +104,7 @@ fn depth_that_is_asked_for_has_to_come_and_to_cover_the_table() {
         message.contains("empty table on 0 %") && hint.contains("celld calibrate empty"),
         "{message} {hint}"
     );
-    // Much of the table was measured, but not where something large may stand.
+    // Much of the table was measured, but not where something large may be.
     for (area_m2, refused) in [(12e-4, false), (30e-4, true), (f64::NAN, true)] {
         let hole = Some(Hole { area_m2, centre: [0.31, 0.12] });
         let seen =
@@ -184,7 +184,7 @@ fn nothing_moves_below_what_is_taller_than_the_way_until_a_person_has_taken_it_a
             assert_eq!(ended(&all), Some((JobEnd::Failed, "foreign_object".into())), "{all:?}");
             assert!(!bench.cell.status().armed);
         } else {
-            // With the obstacle rule the plan is asked for, and found: its cycle cannot be driven, nor can
+            // With the obstacle rule the plan is requested, and found: its cycle cannot be driven, nor can
             // the next look.
             assert!(all.iter().any(|action| matches!(action, Action::Plan(_))), "{all:?}");
             let mut all = bench.plan();

@@ -1,4 +1,4 @@
-//! What waits for the arm to stand: the answer to an abort, and the air after a release in motion.
+//! What waits for the arm to come to rest: the answer to an abort, and the air after a release in motion.
 
 use super::faults::working;
 use super::*;

@@ -2,7 +2,7 @@
 //!
 //! In: where the library is, or nothing. Out: handles that free themselves, and results instead of error
 //! pointers. Every call that can fail hands the SDK a place for its error and looks at it before anything
-//! else; every pointer that comes back is checked; sizes that the SDK tells are compared with what the
+//! else; every pointer that comes back is checked; sizes that the SDK reports are compared with what the
 //! picture needs before a byte is read. All unsafe code for the camera is in the files below this one:
 //! `library` (its functions and how they are called), `profiles` (what a stream is), `devices` (what is
 //! connected, its settings) and `streams` (what it sends). The declarations follow the headers of SDK 2.59;

@@ -51,7 +51,7 @@ impl Groups {
         self.members.is_empty()
     }
 
-    /// Movable objects that stand on no goal of theirs in this arrangement: they may end elsewhere as well.
+    /// Movable objects that are on no goal of theirs in this arrangement: they may end elsewhere as well.
     pub fn flexible(&self, scene: &Scene, ends: &Arrangement) -> ObjectSet {
         scene.movable.iter().copied().filter(|&o| !self.at_goal(o, &ends[o])).collect()
     }
@@ -60,7 +60,7 @@ impl Groups {
         self.goals[object].iter().any(|goal| goal.same(&spot.pose))
     }
 
-    /// The arrangement with the ends of two members of a group exchanged; None where that cannot stand.
+    /// The arrangement with the ends of two members of a group exchanged; None where that is not valid.
     pub fn exchanged(&self, scene: &Scene, ends: &Arrangement, rng: &mut ChaCha8Rng) -> Option<Arrangement> {
         let members = self.members.choose(rng)?;
         let (a, b) = (rng.random_range(0..members.len()), rng.random_range(0..members.len() - 1));
@@ -75,7 +75,7 @@ impl Groups {
         (stands(a) && stands(b)).then_some(new)
     }
 
-    /// The object at the end of another one: whoever is left without a goal rather stays where it is.
+    /// The object at the end of another one: an object left without a goal rather stays where it is.
     fn taking_over(&self, scene: &Scene, object: usize, end: &Arc<Spot>) -> Arc<Spot> {
         let start = scene.start(object);
         if !self.at_goal(object, end) || end.pose.same(&start.pose) {

@@ -3,8 +3,8 @@
 //! In: two arrangements. Out: moves from the one to the other, more than needed. Where free space lies about
 //! in pieces too small for anything, a search over places to park has none to choose from. Here it is
 //! gathered: an object that is not at its end yet is taken, and everything that is not at its end for good is
-//! shifted, by steps of any size at any angle, as far as it will go from where that one is to end, until
-//! nobody stands there. Of all these shifts only those are made that the one object needs, at once as far as
+//! shifted, by steps of any size at any angle, as far as it will go from where that one is to end, until no
+//! object is there. Of all these shifts only those are made that the one object needs, at once as far as
 //! they go. It goes home and stays, and the next one is taken. Mostly these go from one side of the table to
 //! the other, so that what is still loose keeps its room in one piece; large ones come before small ones
 //! beside them. Shifts take long: the work may stop at any step.
@@ -37,7 +37,7 @@ const HALVINGS: i32 = 7;
 /// How much more the side counts than the size when objects are put in order: the least and the most.
 const SWEEP: (f64, f64) = (1.0, 10.0);
 
-/// Whoever stands where nobody may stand is worse than anybody far off, m.
+/// An object where none may be is worse than any object far off, m.
 const IN_THE_WAY_M: f64 = 1e3;
 
 /// How far it came.
@@ -62,7 +62,7 @@ pub struct Compaction<'a> {
     moves: Vec<Move>,
     /// Who is not home for good, the next one last.
     loose: Vec<usize>,
-    /// Where everything stood when the next one was taken, and the shifts since.
+    /// Where everything was when the next one was taken, and the shifts since.
     opening: Option<(Arrangement, Vec<Move>)>,
     rounds: usize,
 }
@@ -139,7 +139,7 @@ impl<'a> Compaction<'a> {
         }
     }
 
-    /// The object, those that stood `before` where it is now, those that stood where these are, and so on.
+    /// The object, those that were `before` where it is now, those that were where these are, and so on.
     fn needed_by(&self, object: usize, before: &Arrangement) -> ObjectSet {
         let mut needed = ObjectSet::EMPTY.with(object);
         let mut fringe = needed;
@@ -153,7 +153,7 @@ impl<'a> Compaction<'a> {
         needed
     }
 
-    /// Shifts everybody once away from `place`, where `object` is to be.
+    /// Shifts every object once away from `place`, where `object` is to be.
     fn press(&mut self, object: usize, place: &Spot, rng: &mut ChaCha8Rng, effort: &mut Effort) {
         self.rounds += 1;
         if self.opening.is_none() {
@@ -225,7 +225,7 @@ mod tests {
     use crate::tabletop::instance::ObjectSpec;
     use rand::SeedableRng;
 
-    /// A large disc has to go to the middle, where eight small ones stand in its way, and they to the walls.
+    /// A large disc has to go to the middle, where eight small ones are in its way, and they to the walls.
     fn crowd() -> Problem {
         let mut objects = Vec::new();
         let mut add = |id: String, radius: f64, start: Pose2, goal: Pose2| {
@@ -279,7 +279,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut compaction = Compaction::new(&scene, &start, &start, &mut rng);
         compaction.opening = Some((start.clone(), Vec::new()));
-        // One goes where it stood in nobody's way, one out of the way of the large one.
+        // One goes where it was in no object's way, one out of the way of the large one.
         compaction.put(1, scene.spot(1, Pose2::new(0.9, 0.9, 0.0)));
         compaction.put(5, scene.spot(5, Pose2::new(0.06, 0.94, 0.0)));
         compaction.put(0, scene.spot(0, Pose2::new(0.26, 0.5, 0.0)));

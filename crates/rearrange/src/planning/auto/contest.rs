@@ -1,4 +1,4 @@
-//! A place for an object where others stand: which one costs the least, all things considered.
+//! A place for an object where others are: which one costs the least, all things considered.
 //!
 //! In: a table on which the object finds no free place. Out: a place, who has to leave it first, and what has
 //! to be put aside after that. A place is priced by what must still follow: a move for each object displaced,
@@ -42,7 +42,7 @@ pub struct Contest<'a> {
 pub struct Contested {
     /// The place.
     pub spot: Arc<Spot>,
-    /// Who stands there.
+    /// The objects that are there.
     pub displaced: ObjectSet,
     /// The displaced, and who else has to be put aside then.
     pub aside: ObjectSet,

@@ -1,6 +1,6 @@
 //! `auto`, our own anytime solver: a portfolio of randomised searches that share their best plan.
 //!
-//! In: a [`PortfolioTask`]: a scene, costs, two of the paper's solvers to ask; a seed. Out: plans, each
+//! In: a [`PortfolioTask`]: a scene, costs, two of the paper's solvers to call; a seed. Out: plans, each
 //! offered as it is found. Members (`worker`) search beside each other, on the caller's threads if there are
 //! any; after a fixed number of steps they meet, in the order of their numbers, and those that have a worse
 //! plan take over the best. Between the rounds the lower bound is raised (`bound::buffer_space`), as long as
@@ -47,7 +47,7 @@ pub struct Search<'a> {
     pub seed: u64,
 }
 
-/// Who hears of what is found.
+/// Receives what is found.
 pub trait Audience {
     /// A plan better than those before, to be checked.
     fn offer(&mut self, plan: &[Move]) -> Verdict;
@@ -74,7 +74,7 @@ impl Search<'_> {
                 return;
             }
             steps = LONGEST_ROUND.min(steps + steps / 2);
-            // A round in which nobody could make a step comes to an end here.
+            // A round in which no member could make a step comes to an end here.
             effort.step();
         }
     }

@@ -1,4 +1,4 @@
-//! Places to park one object: free now, and in nobody's way who has to go home before it.
+//! Places to park one object: free now, and out of the way of every object that has to go home before it.
 //!
 //! In: a table, the object, who else is put aside. Out: the best place found. A place is *ideal* when it
 //! closes no new cycle of objects that wait for each other: then parking there is worth one vertex of the
@@ -173,7 +173,7 @@ impl Search<'_> {
         false
     }
 
-    /// The region free of everything that stands and of the ends that must stay open.
+    /// The region free of everything on the table and of the ends that must stay open.
     fn region(&self, theta: f64) -> Option<Region> {
         let (table, object) = (self.table, self.wish.object);
         let parts = |o: usize, pose: &Pose2| all_placed(&self.shapes.obstacles[o], pose);

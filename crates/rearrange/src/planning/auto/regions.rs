@@ -1,11 +1,11 @@
 //! The exact free region of a footprint at one angle, by no-fit polygons, and its corners as places to park.
 //!
-//! In: convex outlines of what stands on the table. Out: positions at which the outline touches two of these,
-//! or one and the table's edge: the vertices of the free region, where a parked object wastes the least room.
+//! In: convex outlines of what is on the table. Out: positions at which the outline touches two of these, or
+//! one and the table's edge: the vertices of the free region, where a parked object wastes the least room.
 //! The positions that a convex obstacle forbids are its Minkowski sum with the mirrored outline; of
-//! non-convex shapes every convex part counts, so that bays are used. Curves count as circumscribed polygons,
-//! so a position is a proposal that `scene` has the last word on, and where curves decide, some places are
-//! missed.
+//! non-convex shapes every convex part counts, so that bays are used. Curves count as circumscribed
+//! polygons, so a position is a proposal that `scene` has the last word on, and where curves decide, some
+//! places are missed.
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::{Point, convex_hull, cross, sub};

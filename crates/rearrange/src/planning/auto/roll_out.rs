@@ -36,7 +36,7 @@ pub struct Task<'a> {
     pub shapes: &'a Shapes,
     /// Cost of a move of each object.
     pub costs: &'a [f64],
-    /// Where everything stands.
+    /// Where everything is.
     pub from: &'a Arrangement,
     /// Where it is to go.
     pub to: &'a Arrangement,
@@ -109,7 +109,7 @@ impl RollOut<'_> {
         self.table.put(object, spot);
     }
 
-    /// Makes the vertex's move; false if an end is taken by somebody who is at his own, so that it never
+    /// Makes the vertex's move; false if an end is taken by an object that is at its own, so that it never
     /// comes free.
     fn follow(&mut self, vertex: usize) -> bool {
         let stop = vertex >= self.table.now.len();
@@ -137,7 +137,7 @@ impl RollOut<'_> {
                 }
             }
         }
-        // Held objects wait for a parked one only; where nobody has to be parked, nothing would ever free
+        // Held objects wait for a parked one only; where no object has to be parked, nothing would ever free
         // them.
         if !held.is_empty() && self.feedback(ObjectSet::EMPTY).is_empty() {
             while let Some(object) = self.table.free_to_go().smallest() {
@@ -149,7 +149,7 @@ impl RollOut<'_> {
         true
     }
 
-    /// What putting a vertex aside counts: whoever has a stop planned is not to be parked elsewhere.
+    /// What putting a vertex aside counts: an object with a stop planned is not to be parked elsewhere.
     fn weights(&self) -> Vec<f64> {
         let weight =
             |v: usize| if self.table.is_planned(v) { STEADFAST * self.costs[v] } else { self.nudged[v] };
@@ -211,7 +211,7 @@ impl RollOut<'_> {
         self.style.detours && self.park_at_a_price(compromises, rng, effort)
     }
 
-    /// Those first whose absence lets somebody go, mostly.
+    /// Those first whose absence lets another object go, mostly.
     fn order(&self, aside: ObjectSet, rng: &mut ChaCha8Rng) -> Vec<usize> {
         let mut order: Vec<usize> = aside.iter().collect();
         order.shuffle(rng);
@@ -248,8 +248,8 @@ impl RollOut<'_> {
         self.clear_a_place(rng, effort)
     }
 
-    /// Plans a stop for somebody who has to be put aside anyway, the large ones rather than the small; false
-    /// where that is not affordable.
+    /// Plans a stop for an object that has to be put aside anyway, the large ones rather than the small;
+    /// false where that is not affordable.
     fn plan_a_stop(&mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
         if self.stops == 0 {
             return false;
@@ -271,7 +271,7 @@ impl RollOut<'_> {
         true
     }
 
-    /// Parks somebody where others have to make way first.
+    /// Parks an object where others have to make way first.
     fn clear_a_place(&mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
         let aside = self.feedback(ObjectSet::EMPTY);
         let mut order: Vec<usize> = aside.iter().collect();

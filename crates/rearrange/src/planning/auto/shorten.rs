@@ -1,4 +1,4 @@
-//! Shorter plans without any search: stops that nobody needs.
+//! Shorter plans without any search: stops that are not needed.
 //!
 //! In: a plan. Out: one with no more moves, of which none can be left out alone. An object that moves twice
 //! does with one of the two moves if it can wait where it is until the second, or go on to where the second

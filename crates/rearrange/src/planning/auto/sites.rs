@@ -2,9 +2,9 @@
 //!
 //! In: two arrangements. Out: moves from the one to the other, more than needed. Discs that fill the table
 //! almost can all be shifted a little, and none can be put aside, so they cannot pass each other. They can
-//! where they stand as in a packing of one disc more: its last site is a place for whoever has to make way.
-//! So a packing is searched for (random points pushed apart), both arrangements are pressed (`compaction`) to
-//! the sites that are nearest, and between these the discs move into the vacant site one by one.
+//! where they are as in a packing of one disc more: its last site is a place for one that has to make way.
+//! So a packing is searched for (random points pushed apart), both arrangements are pressed (`compaction`)
+//! to the sites that are nearest, and between these the discs move into the vacant site one by one.
 
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::Point;

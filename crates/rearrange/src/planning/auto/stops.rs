@@ -1,9 +1,9 @@
 //! A stop planned ahead: where an object is to be parked later, so that room is made and kept for it.
 //!
 //! In: a table, an object that has to be put aside. Out: the place after which the least must follow. What
-//! stands there has to go first, what belongs there waits until the object has left, and every cycle this
-//! closes costs a feedback vertex: the place is priced by the minimum feedback vertex set of the graph with
-//! the stop in it.
+//! is there has to go first, what belongs there waits until the object has left, and every cycle this closes
+//! costs a feedback vertex: the place is priced by the minimum feedback vertex set of the graph with the
+//! stop in it.
 
 use crate::planning::auto::aside::{STEADFAST, node_limit};
 use crate::planning::auto::parking;
@@ -36,7 +36,7 @@ pub struct Stop<'a> {
     pub hints: &'a [Arc<Spot>],
 }
 
-/// A place, who stands there, and which vertices lead there.
+/// A place, which objects are there, and which vertices lead there.
 struct Place {
     spot: Arc<Spot>,
     standing: ObjectSet,
@@ -62,7 +62,7 @@ impl Stop<'_> {
         best.filter(|(price, _)| *price <= most).map(|(_, spot)| spot)
     }
 
-    /// None where an object at its end, or something fixed, stands in the way.
+    /// None where an object at its end, or something fixed, is in the way.
     fn place(&self, spot: Arc<Spot>) -> Option<Place> {
         let standing = self.table.standing_at(self.object, &spot);
         let possible = standing.is_subset(&self.table.remaining) && self.table.scene.admissible(&spot);

@@ -1,11 +1,11 @@
-//! A table on its way to an arrangement: what stands where, who still has to go, and who is in whose way.
+//! A table on its way to an arrangement: what is where, what still has to go, and what blocks what.
 //!
 //! In: an arrangement to leave, one to reach, moves. Out: the dependency graph of the moment, kept up to date
 //! move by move. A vertex is a move that has to be made: that of an object to its end, or, after these in
-//! number, to a stop that was planned on its way. Who waits for an object to go away waits for its stop, who
-//! waits for the stop to be free again waits for its end: so what stands at a place that a large object needs
-//! leaves in time, and what belongs there stays away. Objects that may end anywhere take the first place that
-//! is in nobody's way.
+//! number, to a stop that was planned on its way. What waits for an object to go away waits for its stop,
+//! what waits for the stop to be free again waits for its end: so what is at a place that a large object
+//! needs leaves in time, and what belongs there stays away. Objects that may end anywhere take the first
+//! place that is in no object's way.
 
 use crate::planning::buffers::Arrangement;
 use crate::planning::graph::DependencyGraph;
@@ -18,7 +18,7 @@ use std::sync::Arc;
 pub struct Table<'a> {
     /// The scene behind it.
     pub scene: &'a Scene<'a>,
-    /// Where everything stands.
+    /// Where everything is.
     pub now: Arrangement,
     /// Where each vertex leads.
     pub ends: Vec<Arc<Spot>>,
@@ -110,7 +110,7 @@ impl<'a> Table<'a> {
         others.filter(|&i| !self.scene.clear(&self.ends[i], spot)).collect()
     }
 
-    /// Makes the vertex's move; false, and a stop is given up, if somebody came to stand there.
+    /// Makes the vertex's move; false, and a stop is given up, if another object came to be there.
     pub fn follow(&mut self, vertex: usize) -> bool {
         let object = self.owner[vertex];
         if !self.is_free(object, &self.ends[vertex]) {
@@ -140,7 +140,7 @@ impl<'a> Table<'a> {
         self.moves.push(Move { object, from, to: spot });
     }
 
-    /// Plans that the object goes to `spot` before its end; false where an object at its end stands there.
+    /// Plans that the object goes to `spot` before its end; false where an object at its end is there.
     pub fn plan_stop(&mut self, object: usize, spot: Arc<Spot>) -> bool {
         let vertex = self.ends.len();
         let standing = self.standing_at(object, &spot);
@@ -197,13 +197,13 @@ impl<'a> Table<'a> {
         standing.iter().map(|o| self.next[o]).collect()
     }
 
-    /// Other movable objects that stand in the way of `object` at `spot`.
+    /// Other movable objects that are in the way of `object` at `spot`.
     pub fn standing_at(&self, object: usize, spot: &Spot) -> ObjectSet {
         let others = self.scene.movable.iter().copied().filter(|&o| o != object);
         others.filter(|&o| !self.scene.clear(spot, &self.now[o])).collect()
     }
 
-    /// Nobody stands in the way of `object` at `spot`.
+    /// No object is in the way of `object` at `spot`.
     pub fn is_free(&self, object: usize, spot: &Spot) -> bool {
         let mut others = self.scene.movable.iter().filter(|&&o| o != object);
         others.all(|&o| self.scene.clear(spot, &self.now[o]))

@@ -2,13 +2,13 @@
 //!
 //! In: a task that all members share, a seed. Out: after each round a plan no dearer than before. A first
 //! plan comes from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from the
-//! goal; where none of them arrives, from pressing everything out of the way (`compaction`); two members ask
-//! the paper's solvers and nothing else, once a few rounds have found none. From then on a piece of the plan,
-//! its tail, its head (backwards) or a window, is replaced by a roll-out between the same two arrangements
-//! whenever that costs no more; equal cost counts as progress, so that the plan drifts until a better one is
-//! near. Under the objective `time` the roll-outs count moves, the caller's cost function judges what they
-//! find, and `polish` tries what no count of moves can tell apart. Ideas: feedback vertex set as bound and
-//! guide (Gao et al., TRLB), plan shortening by large-neighbourhood search.
+//! goal; where none of them arrives, from pressing everything out of the way (`compaction`); two members
+//! call the paper's solvers and nothing else, once a few rounds have found none. From then on a piece of the
+//! plan, its tail, its head (backwards) or a window, is replaced by a roll-out between the same two
+//! arrangements whenever that costs no more; equal cost counts as progress, so that the plan drifts until a
+//! better one is near. Under the objective `time` the roll-outs count moves, the caller's cost function
+//! judges what they find, and `polish` tries what no count of moves can distinguish. Ideas: feedback vertex
+//! set as bound and guide (Gao et al., TRLB), plan shortening by large-neighbourhood search.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::assignment::Groups;
@@ -32,7 +32,7 @@ use std::sync::Arc;
 /// Rounds without a plan after which everything is tried side by side.
 const PATIENCE: u64 = 8;
 
-/// Times the bound from which on a plan is so poor that a fallback solver is asked all the same.
+/// Times the bound from which on a plan is so poor that a fallback solver is called all the same.
 const POOR: f64 = 1.5;
 
 /// Rounds after which nothing better is hoped for from a fallback solver any more.
@@ -55,7 +55,7 @@ pub struct PortfolioTask<'a> {
     pub judge: Option<&'a Judge<'a>>,
     /// What a unit of these costs is worth at least in the objective.
     pub worth: f64,
-    /// What a worker asks for help, if anything: its number, a seed.
+    /// A worker's fallback solver, if it has one: its number, a seed.
     pub fallback: &'a (dyn Fn(u64, u64) -> Option<Fallback<'a>> + Sync + 'a),
     /// A plan made before, perhaps for objects that lie elsewhere now: who was to go where.
     pub known: &'a [(usize, Pose2)],
@@ -71,7 +71,7 @@ pub type Search<'a> = dyn FnMut(&mut Effort) -> Option<Vec<Move>> + Send + 'a;
 pub struct Fallback<'a> {
     /// The search.
     pub search: Box<Search<'a>>,
-    /// The first round of its worker in which it is asked.
+    /// The first round of its worker in which it is called.
     pub from_round: u64,
     /// Its steps that count one of the roll-outs.
     pub steps: u64,
@@ -137,7 +137,7 @@ impl<'a> Worker<'a> {
     pub fn search(&mut self, enough: f64, effort: &mut Effort) {
         self.rounds += 1;
         if self.plan.is_none() {
-            self.from_fallback(f64::INFINITY, effort);
+            self.improved_by_fallback(f64::INFINITY, effort);
             self.first_plan(2, effort, |worker, effort| match worker.tries {
                 1..=3 if !worker.task.known.is_empty() => worker.resumed(effort),
                 _ => worker.whole_plan(f64::INFINITY, effort),
@@ -148,7 +148,7 @@ impl<'a> Worker<'a> {
         self.fallback = self.fallback.take().filter(|fallback| fallback.betters);
         let mut cost = self.plan_cost();
         if self.is_poor(cost, enough) {
-            cost = self.from_fallback(cost, effort);
+            cost = self.improved_by_fallback(cost, effort);
         }
         // A step each time: a search that samples nothing has to come to its limit too.
         while effort.step() && cost > enough + self.slack {
@@ -162,9 +162,9 @@ impl<'a> Worker<'a> {
         }
     }
 
-    /// Asks this worker's fallback solver, if it has one, for a plan that costs less than `cost`; what the
+    /// Calls this worker's fallback solver, if it has one, for a plan that costs less than `cost`; what the
     /// best one costs then.
-    fn from_fallback(&mut self, cost: f64, effort: &mut Effort) -> f64 {
+    fn improved_by_fallback(&mut self, cost: f64, effort: &mut Effort) -> f64 {
         let Some(mut fallback) = self.fallback.take() else { return cost };
         if self.rounds < fallback.from_round {
             self.fallback = Some(fallback);
@@ -251,7 +251,7 @@ impl<'a> Worker<'a> {
         let flexible = self.groups.flexible(scene, &goal);
         let mut ends = goal;
         for o in flexible {
-            // Who may end anywhere stays where it was put, if nobody is to end there.
+            // An object that may end anywhere stays where it was put, if no other is to end there.
             let mut others = scene.movable.iter().filter(|&&other| other != o);
             if others.all(|&other| scene.clear(&now[o], &ends[other])) {
                 ends[o] = now[o].clone();

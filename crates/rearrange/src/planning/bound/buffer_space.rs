@@ -1,19 +1,19 @@
 //! A stronger lower bound where the table has no room: what it costs at least to put an object aside.
 //!
 //! In: a scene, the cost of a move of each object, steps to spend. Out: a number no valid plan is cheaper
-//! than, which grows with the steps. The feedback vertex set assumes that whoever is put aside finds a place.
+//! than, which grows with the steps. The feedback vertex set assumes that an object put aside finds a place.
 //! Here, for one object after the other, every pose it could first be put aside at is covered by boxes of
 //! positions and angles. All poses of a box have a core in common, the footprint shrunk by what position and
 //! angle may differ; who meets that core at his start has to leave before, who meets it at his goal has to
-//! wait, and the feedback vertex set of the graph with the stop in it bounds every plan that stops there. The
-//! box of the lowest bound is halved until it is too small or the lowest bound is high enough. As the boxes
-//! cover every pose and every angle, and a second stop of the same object is allowed to cost its move alone,
-//! nothing is sampled or assumed.
+//! wait, and the feedback vertex set of the graph with the stop in it bounds every plan that stops there.
+//! The box of the lowest bound is halved until it is too small or the lowest bound is high enough. As the
+//! boxes cover every pose and every angle, and a second stop of the same object is allowed to cost its move
+//! alone, nothing is sampled or assumed.
 //!
 //! The objects looked at are a small set X of large ones without which every feedback vertex set costs more.
-//! Then either nobody of X is put aside, and the set has to do without them; or one of X is put aside first.
-//! That one alone, and then the others of X move once; or another one later, and then that one still was at
-//! its start. The cheapest of these cases is a bound, whatever X is.
+//! Then either no object of X is put aside, and the set has to do without them; or one of X is put aside
+//! first. That one alone, and then the others of X move once; or another one later, and then that one still
+//! was at its start. The cheapest of these cases is a bound, whatever X is.
 
 use crate::geometry::collision::{Placed, overhang};
 use crate::geometry::footprint::Footprint;
@@ -154,7 +154,7 @@ impl<'a> BufferSpaceBound<'a> {
     fn conclude(&mut self) {
         let prices = self.set.iter().filter_map(|o| self.prices.get(&(self.set, o)));
         let least = prices.copied().fold(self.without(self.set), f64::min);
-        // Without end: there is no plan at all. Who wants to hear that wants a reason, which this is not.
+        // Without end: there is no plan at all. That result needs a reason, which this is not.
         if least.is_finite() {
             self.value = self.value.max(least);
             self.choose();
@@ -163,7 +163,7 @@ impl<'a> BufferSpaceBound<'a> {
         }
     }
 
-    /// What plans cost at least that put nobody of the set aside.
+    /// What plans cost at least that put no object of the set aside.
     fn without(&self, set: ObjectSet) -> f64 {
         self.parts.required_cost + self.feedback(&self.parts.graph, set)
     }
@@ -225,7 +225,7 @@ impl Eq for PoseBox {}
 /// All poses that an object could first be put aside at.
 struct Cover {
     object: usize,
-    /// Those whose goal is as near to the object's as nobody may be elsewhere: they wait for nothing.
+    /// Those whose goal is as near to the object's as no object may be elsewhere: they wait for nothing.
     given: ObjectSet,
     finest: f64,
     boxes: BinaryHeap<PoseBox>,
@@ -334,14 +334,14 @@ struct Stop<'a> {
 }
 
 impl Stop<'_> {
-    /// What a plan costs at least in which the object's first move leads there, and nobody of the set was put
-    /// aside before: with one more move of the object or with more, with nobody else of the set put aside or
-    /// with another one.
+    /// What a plan costs at least in which the object's first move leads there, and no object of the set was
+    /// put aside before: with one more move of the object or with more, with no other of the set put aside
+    /// or with another one.
     fn price(&self) -> f64 {
         let proof = self.proof;
         let cost = proof.costs[self.object];
         let others = proof.set.without(self.object);
-        // Who was put aside later stood at its start until then.
+        // An object put aside later was at its start until then.
         let later = others - self.starts;
         let rest = |more: bool| {
             let alone = self.cycles(more, others, None);

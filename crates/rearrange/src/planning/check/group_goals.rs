@@ -1,6 +1,6 @@
 //! Whether every goal of a group has a member of its own.
 //!
-//! In: for each goal, the members that stand there. Out: a goal that is left over when every member takes one
+//! In: for each goal, the members that are there. Out: a goal that is left over when every member takes one
 //! goal at most. Two goals may be the same pose (within the given overlap), and then one member does not
 //! serve both. Pure.
 
@@ -14,7 +14,7 @@ pub(super) fn unserved(standing: &[Vec<usize>]) -> Option<usize> {
     })
 }
 
-/// Finds a member for `goal`, moving others to their second choice; each member is asked once.
+/// Finds a member for `goal`, moving others to their second choice; each member is tried once.
 fn serve(goal: usize, standing: &[Vec<usize>], taken: &mut [Option<usize>], asked: &mut [bool]) -> bool {
     for &member in &standing[goal] {
         if std::mem::replace(&mut asked[member], true) {

@@ -135,7 +135,7 @@ fn by_push_apart(shapes: &[Footprint], density: f64, rng: &mut ChaCha8Rng) -> Op
     None
 }
 
-/// At full size the very footprints asked for, not ones with rounded extents.
+/// At full size the very footprints requested, not ones with rounded extents.
 fn scaled(shapes: &[Footprint], size: f64) -> Option<Vec<Footprint>> {
     if size >= 1.0 {
         return Some(shapes.to_vec());

@@ -1,4 +1,4 @@
-//! Who counts how much in the tree search: the numbers that tell MCTS and EMCTS apart.
+//! Which object counts how much in the tree search: the numbers that distinguish MCTS and EMCTS.
 //!
 //! In: the number of objects, or a weight for each. Out: a [`Rule`]: exploration, rewards and costs by
 //! object.
@@ -10,7 +10,7 @@ pub const MCTS_EXPLORATION: f64 = 0.03;
 /// The constant C of EMCTS, for rewards between 0 and 1; chosen like that of MCTS.
 pub const EMCTS_EXPLORATION: f64 = 0.03;
 
-/// Numbers by object that tell MCTS and EMCTS apart.
+/// Numbers by object that distinguish MCTS and EMCTS.
 #[derive(Clone, Debug)]
 pub struct Rule {
     /// Factor of the exploration term for the action that serves the object: C, or C (1 + w / sum of w).

@@ -2,10 +2,10 @@
 //! blocks.
 //!
 //! In: start and goal arrangement, objects to move. Out: a state's actions carried out: the object goes home,
-//! or whoever really blocks it is put somewhere else. A state is one place number for each object, so that
-//! two orders of the same moves lead to the same state. The collision check has the paper's two steps
-//! (bounding discs, then shapes; `geometry::collision`), and the check of a goal is done once for each new
-//! place.
+//! or the object that really blocks it is put somewhere else. A state is one place number for each object,
+//! so that two orders of the same moves lead to the same state. The collision check has the paper's two
+//! steps (bounding discs, then shapes; `geometry::collision`), and the check of a goal is done once for each
+//! new place.
 
 use crate::planning::buffers::Arrangement;
 use crate::planning::effort::Effort;
@@ -23,7 +23,7 @@ pub(super) type State = [u32];
 /// A pose that an object has or had.
 struct Place {
     spot: Arc<Spot>,
-    /// Objects that cannot go home while somebody stands here.
+    /// Objects that cannot go home while another object is here.
     blocks: ObjectSet,
 }
 
@@ -62,7 +62,7 @@ impl<'a> Table<'a> {
         (0..self.goals.len() as u32).collect()
     }
 
-    /// Objects that stand at their goals, x, y and angle.
+    /// Objects that are at their goals, x, y and angle.
     pub(super) fn home(&self, state: &State) -> ObjectSet {
         (0..state.len()).filter(|&o| state[o] == self.goals[o]).collect()
     }
@@ -72,7 +72,7 @@ impl<'a> Table<'a> {
         &self.places[place as usize].spot
     }
 
-    /// The action that serves `object`: it goes home if nobody blocks its goal; else the nearest of those
+    /// The action that serves `object`: it goes home if no object blocks its goal; else the nearest of those
     /// that do is put at a free random pose clear of that goal. Which object moves to which place; None if
     /// there is none.
     pub(super) fn act(
@@ -89,7 +89,7 @@ impl<'a> Table<'a> {
         for o in (0..state.len()).filter(|&o| o != object && blocks(o)) {
             blocked = true;
             let distance = self.spot(state[o]).pose.distance(&goal[object].pose);
-            // At home nobody blocks a goal; a fixed object that does leaves this action without effect.
+            // At home no object blocks a goal; a fixed object that does leaves this action without effect.
             let movable = state[o] != self.goals[o];
             if movable && nearest.is_none_or(|(least, _)| distance < least) {
                 nearest = Some((distance, o));

@@ -111,7 +111,7 @@ fn obstacles_clearance_bays_and_loose_objects_go_together() {
 
 #[test]
 fn members_of_a_group_may_take_goals_nearer_than_the_clearance() {
-    // Two goals 1 mm apart, clearance 5 mm: exempt whoever of the two takes which.
+    // Two goals 1 mm apart, clearance 5 mm: exempt whichever of the two takes which.
     let disc = |id: &str, start: (f64, f64), goal: (f64, f64)| {
         let mut object = ObjectSpec::new(id, Footprint::disc(0.1).expect("valid"));
         object.start = Some(Pose2::new(start.0, start.1, 0.0));

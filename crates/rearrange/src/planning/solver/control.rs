@@ -1,4 +1,4 @@
-//! What is asked of a solver: which one, within which limits, and how its plans are judged.
+//! What a solver is to do: which one, within which limits, and how its plans are judged.
 //!
 //! In: words of the command line, limits, plans. Out: [`SolverKind`], [`Control`], the cost of a plan in an
 //! objective, and whether that cost is the least there can be.
@@ -49,11 +49,11 @@ impl SolverKind {
 /// Estimated seconds of a whole plan.
 pub type PlanSeconds<'a> = &'a (dyn Fn(&[Action]) -> f64 + Sync);
 
-/// What limits a search, and who hears of its progress.
+/// What limits a search, and what receives its progress.
 pub struct Control<'a> {
     /// Deterministic steps (sampled poses, search nodes) after which the search ends.
     pub work_limit: Option<u64>,
-    /// Asked often; true ends the search: the caller's clock, Ctrl-C.
+    /// Called often; true ends the search: the caller's clock, Ctrl-C.
     pub stop: &'a (dyn Fn() -> bool + Sync),
     /// Called with each better plan and its cost, after the plan was checked.
     pub on_plan: &'a (dyn Fn(&[Action], f64) + Sync),
@@ -77,7 +77,7 @@ pub struct Control<'a> {
 }
 
 impl<'a> Control<'a> {
-    /// No limit but `stop`, nobody listening.
+    /// No limit but `stop`, progress not reported.
     pub fn until(stop: &'a (dyn Fn() -> bool + Sync)) -> Control<'a> {
         Control {
             work_limit: None,

@@ -1,7 +1,7 @@
 //! The paper's solvers as fallback solvers of `auto`: first plans where it is crowded, in searches that can
 //! be left and gone on with.
 //!
-//! In: a scene whose goal arrangement stands, the number of a worker of the portfolio, a seed. Out: an
+//! In: a scene with a valid goal arrangement, the number of a worker of the portfolio, a seed. Out: an
 //! [`Fallback`] for some members. On the public instances of density 0.6, ETBM comes to short plans of discs
 //! in a fraction of a second, and MCTS to plans of shapes that nothing else finds in seconds, long ones, but
 //! a plan to shorten. A step of theirs takes an eighth of one of the roll-outs'; MCTS has twice as many, for
@@ -18,7 +18,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-/// What the worker of this number asks for help.
+/// The fallback solver of the worker of this number.
 pub(super) fn fallback<'a>(
     scene: &'a Scene<'a>,
     objective: Objective,

@@ -1,8 +1,8 @@
 //! Between the solvers and the caller: the best checked plan, and how `auto` is set up.
 //!
-//! In: a scene whose goal arrangement stands, solver, objective, control, seed. Out: the best checked plan
+//! In: a scene with a valid goal arrangement, solver, objective, control, seed. Out: the best checked plan
 //! and its cost, left in [`Incumbent`]. `auto` gets the costs of moves by objective, and two of the paper's
-//! solvers to ask.
+//! solvers to call.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::worker::PortfolioTask;
@@ -42,7 +42,7 @@ impl<'a> Incumbent<'a> {
 }
 
 impl Audience for Incumbent<'_> {
-    /// Takes a plan if the independent checker does, keeps it if it is cheaper, and tells the caller then.
+    /// Takes a plan if the independent checker does, keeps it if cheaper, and reports it to the caller then.
     fn offer(&mut self, moves: &[Move]) -> Verdict {
         let Ok(plan) = CheckedPlan::new(self.problem, &actions(self.problem, moves)) else {
             return Verdict::Refused;

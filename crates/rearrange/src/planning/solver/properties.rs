@@ -322,7 +322,7 @@ fn auto_finds_the_same_on_any_number_of_threads_where_it_asks_others() {
             (actions(&outcome), outcome.work)
         };
         let alone = outcome(None);
-        // Its own first rounds take 40,000 steps; the others are asked after them.
+        // Its own first rounds take 40,000 steps; the others are called after them.
         assert!(!alone.0.is_empty() && alone.1 > 40_000, "{} moves, {} steps", alone.0.len(), alone.1);
         assert_eq!(alone, outcome(Some(&pool)));
     }

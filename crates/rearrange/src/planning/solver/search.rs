@@ -1,6 +1,6 @@
 //! Runs the paper's solvers: which weights and which search each of them is made of.
 //!
-//! In: a scene whose goal arrangement stands, solver, objective, seed. Out: plans, offered to the caller.
+//! In: a scene with a valid goal arrangement, solver, objective, seed. Out: plans, offered to the caller.
 //! TBM, RBM and MCTS search alike under every objective; ETBM, ERBM and EMCTS weigh objects by HeCP, and by
 //! HeTI under TI. TRLB ends with its first plan that is accepted, as the paper does; the tree searches go on
 //! for better ones until the limit, or until the caller has enough.

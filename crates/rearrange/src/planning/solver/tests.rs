@@ -142,7 +142,7 @@ fn overlapping_goals_are_infeasible_with_a_witness() {
 
 #[test]
 fn a_failed_search_is_a_timeout_and_never_infeasible() {
-    // Two squares fill a table of 0.2 m x 0.1 m: nobody can make way.
+    // Two squares fill a table of 0.2 m x 0.1 m: no object can make way.
     let mut full = row(0.2, &[(0.05, Some(0.15)), (0.15, Some(0.05))]);
     full.workspace.height = 0.1;
     for object in &mut full.objects {

@@ -5,8 +5,8 @@
 use super::*;
 use std::path::Path;
 
-/// Expressions and what `textmsg` says of them on an arm that stands, the inputs being those of
-/// [`prepared`]. Numbers that are not exact are compared in the script.
+/// Expressions and what `textmsg` says of them on an arm at rest, the inputs being those of [`prepared`].
+/// Numbers that are not exact are compared in the script.
 const LINES: &[(&str, &str)] = &[
     // Mathematics.
     (
@@ -72,7 +72,7 @@ const LINES: &[(&str, &str)] = &[
     ("norm(rotvec2rpy(rpy2rotvec([0.3, -0.2, 0.5])) - [0.3, -0.2, 0.5]) < 0.000000001", "True"),
     // A force along x seen from 1 m along y is also a torque about z.
     ("norm(wrench_trans(p[0,1,0,0,0,0], [1,0,0,0,0,0]) - [1,0,0,0,0,1]) < 0.000000001", "True"),
-    // State of an arm that stands.
+    // State of an arm at rest.
     ("is_steady()", "True"),
     ("get_steptime()", "0.002"),
     ("norm(get_actual_joint_positions() - get_target_joint_positions()) == 0", "True"),

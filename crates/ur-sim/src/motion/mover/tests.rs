@@ -15,7 +15,7 @@ fn limits(acceleration: f64, speed: f64, blend: f64) -> MoveLimits {
     MoveLimits { acceleration, speed, seconds: 0.0, blend }
 }
 
-/// Steps until the arm stands, calling `each` after every frame; the number of frames.
+/// Steps until the arm is at rest, calling `each` after every frame; the number of frames.
 fn finish(mover: &mut Mover, mut each: impl FnMut(&Mover)) -> u32 {
     for frame in 1..100_000 {
         mover.step(1.0).unwrap();

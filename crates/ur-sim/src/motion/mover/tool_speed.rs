@@ -11,7 +11,7 @@ use nalgebra::Vector6;
 
 impl Mover {
     /// Slows segments down in the next frame to the tool speed allowed: the speed this frame would have had
-    /// without the limiter tells by how much.
+    /// without the limiter determines by how much.
     pub(super) fn limit_tool_speed(&mut self, next: &Joints) {
         let at = |q: &Joints| self.arm.tcp(q).translation.vector;
         let speed = (at(next) - at(&self.q)).norm() / FRAME_SECONDS;

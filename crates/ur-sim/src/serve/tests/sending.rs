@@ -105,7 +105,7 @@ async fn the_shortcut_is_closed_while_anything_is_wrong_with_the_link() {
     let link = Link::default();
     let mut stream = LinkStream::new(listener.accept().await.unwrap().0, &link);
     let shortcut = stream.shortcut();
-    // The runtime has to hear from the socket once.
+    // The runtime has to get an event from the socket once.
     stream.write_all(b"a").await.unwrap();
     assert_eq!(shortcut.try_write(b"bc"), 2);
     let wrong = [
@@ -126,7 +126,7 @@ async fn the_shortcut_is_closed_while_anything_is_wrong_with_the_link() {
     let mut nothing = [0; 1];
     tokio::select! {
         read = peer.read_exact(&mut all) => drop(read.unwrap()),
-        // Held back bytes are sent by whoever reads.
+        // Held back bytes are sent by the reader.
         _ = stream.read(&mut nothing) => unreachable!("the peer sent nothing"),
     }
     assert_eq!(&all, b"abcd");

@@ -21,7 +21,7 @@ struct Rig {
     fake: Fake,
     now: Timestamp,
     events: Vec<RobotEvent>,
-    /// Links that stand.
+    /// Links that are established.
     up: Vec<Link>,
     /// Made again this long after a close; `None`: never.
     reconnect: Option<Duration>,

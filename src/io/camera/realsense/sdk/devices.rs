@@ -63,7 +63,7 @@ impl Device {
         if self.0.call(|f, at, e| unsafe { (f.rs2_supports_device_info)(at, what, e) })? == 0 {
             return Ok(None);
         }
-        // The text is the device's and is copied before anything else is asked of it.
+        // The text is the device's and is copied before anything else is requested of it.
         self.0.call(|f, at, e| unsafe { text_at((f.rs2_get_device_info)(at, what, e)) }).map(Some)
     }
 

@@ -50,7 +50,7 @@ pub struct Version {
 }
 
 impl Version {
-    /// From the number that the library tells: 25901 is 2.59.1.
+    /// From the number that the library reports: 25901 is 2.59.1.
     pub fn of(number: u32) -> Version {
         Version { major: number / 10_000, minor: number / 100 % 100, patch: number % 100 }
     }
