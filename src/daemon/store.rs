@@ -299,15 +299,17 @@ mod tests {
     use super::*;
     use std::sync::Mutex;
 
-    /// Writes into a list; its first record waits for a sign.
+    /// Writes into a list; its first record waits for a sign, and `taken` shows that it does.
     struct Slow {
         lines: Arc<Mutex<Vec<String>>>,
         sign: Option<Receiver<()>>,
+        taken: Arc<AtomicBool>,
     }
 
     impl Keeper for Slow {
         fn commit(&mut self, record: &Record) -> Result<(), String> {
             if let Some(sign) = self.sign.take() {
+                self.taken.store(true, Ordering::Relaxed);
                 sign.recv().unwrap();
             }
             self.lines.lock().unwrap().push(format!("{record:?}"));
@@ -331,15 +333,16 @@ mod tests {
         }
     }
 
-    /// Three orders at once; their answers are kept.
+    /// Three orders at once, when the record is being written; their answers are kept.
     struct Three {
         given: bool,
+        taken: Arc<AtomicBool>,
         answers: Arc<Mutex<Vec<(u64, Reply)>>>,
     }
 
     impl Orders for Three {
         fn take(&mut self) -> Vec<(u64, Order)> {
-            if std::mem::replace(&mut self.given, true) {
+            if !self.taken.load(Ordering::Relaxed) || std::mem::replace(&mut self.given, true) {
                 return Vec::new();
             }
             vec![(1, Order::Abort), (2, Order::Cancel("waits".into())), (3, Order::Cancel("active".into()))]
@@ -365,8 +368,9 @@ mod tests {
         let (lines, answers) = (Arc::default(), Arc::default());
         let (sign, waiting) = channel();
         let (sender, mut events) = mpsc::channel(64);
-        let keeper = Slow { lines: Arc::clone(&lines), sign: Some(waiting) };
-        let orders = Three { given: false, answers: Arc::clone(&answers) };
+        let taken = Arc::new(AtomicBool::new(false));
+        let keeper = Slow { lines: Arc::clone(&lines), sign: Some(waiting), taken: Arc::clone(&taken) };
+        let orders = Three { given: false, taken, answers: Arc::clone(&answers) };
         let store = Store::open(Box::new(keeper), Box::new(orders), Clock::new(1.0), sender);
         store.commit(7, Record::Done { step: 4 });
         for job in ["one", "two", "three"] {
@@ -397,7 +401,7 @@ mod tests {
     fn a_store_that_hangs_does_not_keep_the_daemon_from_ending() {
         let (_sign, waiting) = channel();
         let (sender, _events) = mpsc::channel(64);
-        let keeper = Slow { lines: Arc::default(), sign: Some(waiting) };
+        let keeper = Slow { lines: Arc::default(), sign: Some(waiting), taken: Arc::default() };
         let store = Store::open(Box::new(keeper), Box::new(NoOrders), Clock::new(1.0), sender);
         store.commit(1, Record::Done { step: 7 });
         assert!(!runtime().block_on(store.close(std::time::Duration::ZERO)));
