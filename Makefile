@@ -82,7 +82,7 @@ clients: setup
 
 # The first build takes most of the time; cargo shows how far it is.
 demo: setup
-	@echo "demo: building celld (about six minutes the first time on two cores, seconds afterwards)"
+	@echo "demo: building celld (about ten minutes the first time on two cores, seconds afterwards)"
 	@cargo build --release --bin celld
 	@echo "demo: the cell in simulation (about a minute)"
 	@cargo run --release --quiet -- demo $(ARGS)

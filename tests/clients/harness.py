@@ -1,8 +1,9 @@
 """What the client tests share: checks, waiting, and forward kinematics that owe nothing to celld.
 
-In: the address of a running `celld sim` as the first argument. Out: a line for each check; the exit code is 1 when one
-failed. The kinematics are those the controller itself publishes on its primary interface (sub-package 5), so that a
-pose can be compared with the joint positions it belongs to without trusting the simulator's own arithmetic.
+In: the address of a running `celld sim` as the first argument. Out: a line for each check; the exit code is 1
+when one failed. The kinematics are those the controller itself publishes on its primary interface
+(sub-package 5), so that a pose can be compared with the joint positions it belongs to without trusting the
+simulator's own arithmetic.
 """
 
 import faulthandler
@@ -100,7 +101,8 @@ def kinematics(host):
 
 
 def forward(model, q, tcp=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)):
-    """Pose of the tool centre point for joint positions, standard Denavit-Hartenberg: x, y, z, rotation vector."""
+    """Pose of the tool centre point for joint positions, standard Denavit-Hartenberg: x, y, z, rotation
+    vector."""
     theta, a, d, alpha = model
     frame = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
     for i in range(6):

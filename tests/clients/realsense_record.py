@@ -1,7 +1,7 @@
 """Records what a made-up RealSense camera sends: colour, depth from a second viewpoint, a distorted lens.
 
-In: the file to write (.db3). Out: that file, made by the SDK's own recorder. The Rust tests compare what celld reads
-with the numbers below (src/io/camera/realsense/tests.rs has the same ones).
+In: the file to write (.db3). Out: that file, made by the SDK's own recorder. The Rust tests compare what
+celld reads with the numbers below (src/io/camera/realsense/tests.rs has the same ones).
 """
 
 import sys

@@ -1,5 +1,5 @@
-"""Universal Robots' own Python client of the real-time data exchange: recipes, rates, inputs, and a control loop in
-the style of its examples (a program on the robot follows set points written to registers)."""
+"""Universal Robots' own Python client of the real-time data exchange: recipes, rates, inputs, and a control
+loop in the style of its examples (a program on the robot follows set points written to registers)."""
 
 import logging
 import socket

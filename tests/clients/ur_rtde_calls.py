@@ -1,5 +1,5 @@
-"""SDU's ur_rtde: what is not a move. Kinematics, tool, forces, contact, watchdog, scripts of the user's own, and what
-happens to a program that is stopped from elsewhere."""
+"""SDU's ur_rtde: what is not a move. Kinematics, tool, forces, contact, watchdog, scripts of the user's own,
+and what happens to a program that is stopped from elsewhere."""
 
 import math
 import tempfile
@@ -40,7 +40,8 @@ same_pose("poseTrans", control.poseTrans(step_x, step_turn), [0.1, 0.25, 0.3, 0.
 
 
 def derivative(column, q, h=1e-6):
-    """Column of the geometric Jacobian by differences: metres and radians of the flange per radian of a joint."""
+    """Column of the geometric Jacobian by differences: metres and radians of the flange per radian of a
+    joint."""
     low, high = list(q), list(q)
     low[column] -= h
     high[column] += h
@@ -51,8 +52,8 @@ def derivative(column, q, h=1e-6):
 
 
 def fresh(call):
-    """The answer to a call of those that the client makes "in real time": it returns what the registers held when it
-    asked, so the answer is there when it asks again."""
+    """The answer to a call of those that the client makes "in real time": it returns what the registers held
+    when it asked, so the answer is there when it asks again."""
     call()
     stamp = receive.getTimestamp()
     wait_until("some cycles pass", lambda: receive.getTimestamp() > stamp + 0.02)

@@ -1,4 +1,5 @@
-"""SDU's ur_rtde: moves, paths, servoing, speeds and stops. The arm must be where the call says it is (1e-4 rad)."""
+"""SDU's ur_rtde: moves, paths, servoing, speeds and stops. The arm must be where the call says it is (1e-4
+rad)."""
 
 import math
 import time

@@ -1,5 +1,5 @@
-"""pymodbus on the gripper, ur_rtde on the arm, and the world's truth from the control socket: an object is lifted only
-when the cup covers it and the vacuum holds it. Also what the Compute Box refuses."""
+"""pymodbus on the gripper, ur_rtde on the arm, and the world's truth from the control socket: an object is
+lifted only when the cup covers it and the vacuum holds it. Also what the Compute Box refuses."""
 
 import json
 import math

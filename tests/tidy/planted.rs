@@ -178,6 +178,7 @@ fn wide_comments_are_flagged_and_wide_code_is_not() {
     flagged(wide("a.rs", "/// short\n/// rather wide\nlet a = 1; // wide"), &["a.rs:2", "a.rs:3"]);
     flagged(wide("a.rs", "let a = \"// a literal\";\nlet b = call_it_now();"), &[]);
     flagged(wide("a.yaml", "# rather wide\nkey: value # here\nkey: [1, 2, 3, 4]"), &["a.yaml:1", "a.yaml:2"]);
+    flagged(wide("a.py", "\"\"\"One.\nrather wide too\n\"\"\"\nlong_name(of_it)"), &["a.py:2"]);
     flagged(wide("a.md", "# A heading that is wide"), &[]);
 }
 

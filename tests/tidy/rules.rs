@@ -346,17 +346,31 @@ pub fn wide_comments(file: &File, most: usize) -> Vec<String> {
         return Vec::new();
     }
     let code = if is_rust { scan::blank_comments_and_literals(&file.text) } else { String::new() };
+    let docstrings = if file.path.ends_with(".py") { docstring_lines(&file.text) } else { Vec::new() };
     let has_comment = |number: usize, line: &str| {
         if is_rust {
             // What was blanked and is no literal: the code ends before the slashes do.
             let kept = code.lines().nth(number).unwrap_or("").trim_end();
             return line.get(kept.len()..).is_some_and(|rest| rest.trim_start().starts_with("//"));
         }
-        line.trim_start().starts_with('#') || line.contains(" # ")
+        let in_docstring = docstrings.get(number).is_some_and(|inside| *inside);
+        in_docstring || line.trim_start().starts_with('#') || line.contains(" # ")
     };
     let wide = file.text.lines().enumerate().filter(|(_, line)| line.chars().count() > most);
     let found = wide.filter(|(number, line)| has_comment(*number, line));
     found.map(|(number, _)| format!("{}:{}: a comment beyond column {most}", file.path, number + 1)).collect()
+}
+
+/// For each line of a Python file, whether it belongs to a text in three quotes.
+fn docstring_lines(text: &str) -> Vec<bool> {
+    let mut inside = false;
+    let lines = text.lines().map(|line| {
+        let quotes = line.matches("\"\"\"").count();
+        let belongs = inside || quotes > 0;
+        inside ^= quotes % 2 == 1;
+        belongs
+    });
+    lines.collect()
 }
 
 /// Functions of more than `most` lines, from the `fn` to the closing brace.
