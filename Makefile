@@ -6,8 +6,12 @@ SHELL := /bin/bash
 
 # Found missing by the build otherwise: clang is run by the OpenCV bindings' generator, the others are the
 # OpenCV modules celld calls. Not libapriltag-dev: the crate brings the C sources it was made for.
-PACKAGES := clang pkg-config libopencv-core-dev libopencv-imgproc-dev libopencv-imgcodecs-dev \
-            libopencv-calib3d-dev libopencv-videoio-dev
+# Debian's calib3d headers depend on those of every other module down to Qt and GDAL: fewer names here would
+# install no fewer packages.
+PACKAGES := clang pkg-config libopencv-calib3d-dev libopencv-videoio-dev
+
+# `make demo FEATURES=--no-default-features`: without USB cameras, video files and PNG figures.
+FEATURES ?=
 
 # python3-venv runs the third-party clients of the tests; their RealSense SDK needs libusb and the interpreter
 # as a library.
@@ -31,7 +35,7 @@ FUZZ_FLAGS := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
               -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
               -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing
 
-.PHONY: help setup clients demo test test-clients bench figures fuzz
+.PHONY: help setup clients demo test test-clients bench figures fuzz fuzz-corpus
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
@@ -83,9 +87,9 @@ clients: setup
 # The first build takes most of the time; cargo shows how far it is.
 demo: setup
 	@echo "demo: building celld (about ten minutes the first time on two cores, seconds afterwards)"
-	@cargo build --release --bin celld
+	@cargo build --release --bin celld $(FEATURES)
 	@echo "demo: the cell in simulation (about a minute)"
-	@cargo run --release --quiet -- demo $(ARGS)
+	@cargo run --release --quiet $(FEATURES) -- demo $(ARGS)
 
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
@@ -125,14 +129,22 @@ figures: setup
 	cargo run --release --quiet -- bench figures out/figures/limit-$(LIMIT)s.csv --out out/figures
 
 # New inputs are kept in target/fuzz/found, crashes in target/fuzz/crashes; fuzz/README.md says what to do
-# with them.
+# with them. `make fuzz-corpus` packs target/fuzz/corpus into the archives that are checked in, byte for byte
+# the same for the same files.
 fuzz: setup
 	host=$$(rustc -vV | sed -n 's/^host: //p'); \
 	RUSTFLAGS="$(FUZZ_FLAGS)" cargo build --release --manifest-path fuzz/Cargo.toml --target-dir target/fuzz --target $$host; \
 	mkdir -p target/fuzz/crashes; \
 	for target in $(FUZZ_TARGETS); do \
-	  mkdir -p target/fuzz/found/$$target; \
+	  mkdir -p target/fuzz/found/$$target target/fuzz/corpus/$$target; \
+	  tar -xzf fuzz/corpus/$$target.tar.gz -C target/fuzz/corpus/$$target; \
 	  target/fuzz/$$host/release/$$target -max_total_time=$(SECONDS) -timeout=20 -rss_limit_mb=2048 -max_len=8192 \
 	    -print_final_stats=1 -artifact_prefix=target/fuzz/crashes/$$target- \
-	    target/fuzz/found/$$target fuzz/corpus/$$target; \
+	    target/fuzz/found/$$target target/fuzz/corpus/$$target; \
+	done
+
+fuzz-corpus:
+	@for target in $(FUZZ_TARGETS); do \
+	  (cd target/fuzz/corpus/$$target && tar --sort=name --mtime=@0 --owner=0 --group=0 --numeric-owner --mode=644 \
+	    -cf - -- *) | gzip -9n > fuzz/corpus/$$target.tar.gz; \
 	done

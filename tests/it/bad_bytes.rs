@@ -6,6 +6,8 @@
 
 use crate::robot_session::config;
 use rand::{RngExt, SeedableRng};
+use std::fs::File;
+use std::io::Read;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
@@ -23,15 +25,16 @@ const PATIENCE: Duration = Duration::from_secs(60);
 #[test]
 fn the_fuzzers_corpora_are_survived() {
     for (name, target) in targets::TARGETS {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(name);
-        let entries =
-            std::fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("fuzz/corpus/{name}.tar.gz"));
+        let file = File::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let mut corpus = tar::Archive::new(flate2::read::GzDecoder::new(file));
         let mut count = 0;
-        for entry in entries {
-            let path = entry.unwrap().path();
-            let bytes = std::fs::read(&path).unwrap();
+        for entry in corpus.entries().unwrap() {
+            let mut entry = entry.unwrap();
+            let mut bytes = Vec::new();
+            entry.read_to_end(&mut bytes).unwrap();
             if std::panic::catch_unwind(|| target(&bytes)).is_err() {
-                panic!("{name} fails on {}", path.display());
+                panic!("{name} fails on {} of {}", entry.path().unwrap().display(), path.display());
             }
             count += 1;
         }
