@@ -3,8 +3,8 @@
 //! In: pairs of footprints of like size at random poses, by seed; near pairs (bounding discs meet, so that
 //! the exact test decides) and any pairs on a table of 1 m, where most are separated by their discs. Out: a
 //! table of nanoseconds a pair, least of many rounds: what else the machine does only adds. Poses are placed
-//! beforehand; placing is measured by itself. Then whole checks of a pose among many objects, with three
-//! broad phases (`broad`).
+//! beforehand; placing is measured by itself. Then the same pairs with `parry2d` (`parry`), and whole checks
+//! of a pose among many objects, with four broad phases (`broad`).
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -16,6 +16,8 @@ use std::time::Instant;
 
 #[path = "collision/broad.rs"]
 mod broad;
+#[path = "collision/parry.rs"]
+mod parry;
 
 /// Pairs of one kind, and poses of one broad phase.
 const PAIRS: usize = 4096;
@@ -48,6 +50,7 @@ fn main() {
         let poses: Vec<Pose2> = (0..PAIRS).map(|_| anywhere(&mut rng)).collect();
         println!("{name:<22} {:>10.1}", nanoseconds(|k| Placed::new(shape, poses[k])));
     }
+    parry::run();
     broad::run();
 }
 
@@ -78,13 +81,18 @@ fn anywhere(rng: &mut ChaCha8Rng) -> Pose2 {
 }
 
 fn pairs(a: &Footprint, b: &Footprint, near: bool) -> Vec<(Placed, Placed)> {
+    let placed = |(here, there)| (Placed::new(a, here), Placed::new(b, there));
+    pose_pairs(a, b, near).into_iter().map(placed).collect()
+}
+
+fn pose_pairs(a: &Footprint, b: &Footprint, near: bool) -> Vec<(Pose2, Pose2)> {
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let reach = a.bounding_radius() + b.bounding_radius();
     let mut out = Vec::with_capacity(PAIRS);
     while out.len() < PAIRS {
         let (here, there) = (anywhere(&mut rng), anywhere(&mut rng));
         if !near || here.distance(&there) < reach {
-            out.push((Placed::new(a, here), Placed::new(b, there)));
+            out.push((here, there));
         }
     }
     out

@@ -1,11 +1,13 @@
-//! Broad phases in comparison: bounding discs alone, a uniform grid, a quadtree, before the same exact test.
+//! Broad phases in comparison: bounding discs alone, a uniform grid, a quadtree, and the tree of boxes of
+//! `parry2d`, before the same exact test.
 //!
-//! In: arrangements of 20, 40 and 100 objects of RAND, density 0.4, by seed; poses of one of their objects,
+//! In: arrangements of 20, 40, 60, 100 and 200 objects of RAND, density 0.4, by seed; poses of one of their objects,
 //! the others being where they are. Out: nanoseconds a check of one pose, for poses drawn uniformly and for
 //! those among them that are free (a drawn pose mostly ends at the first object it meets, a free one passes
-//! all), and nanoseconds to keep the structure when an object moves. The paper tried the same three and kept
-//! the discs. All three have to answer alike.
+//! all), and nanoseconds to keep the structure when an object moves. The paper tried the first three and kept
+//! the discs. All have to answer alike.
 
+use crate::parry::Tree;
 use crate::{PAIRS, SEED, nanoseconds};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -23,10 +25,10 @@ const DEEPEST: u32 = 6;
 
 /// A disc around an object.
 #[derive(Clone, Copy)]
-struct Ball {
-    x: f64,
-    y: f64,
-    radius: f64,
+pub struct Ball {
+    pub x: f64,
+    pub y: f64,
+    pub radius: f64,
 }
 
 impl Ball {
@@ -36,7 +38,7 @@ impl Ball {
 }
 
 /// Keeps where objects are and names those that may meet a disc, some of them perhaps twice.
-trait Broad {
+pub trait Broad {
     fn insert(&mut self, object: usize, ball: Ball);
     fn remove(&mut self, object: usize, ball: Ball);
     /// True as soon as `test` is true of a candidate.
@@ -92,7 +94,7 @@ impl Broad for Grid {
 
     fn any(&self, ball: Ball, test: &mut dyn FnMut(usize) -> bool) -> bool {
         // Each object once: an exact test costs more than the mark.
-        let mut seen = [0_u64; 2];
+        let mut seen = [0_u64; 4];
         self.indices(ball).flat_map(|cell| &self.cells[cell]).any(|&object| {
             let (word, bit) = (object / 64, 1 << (object % 64));
             let fresh = seen[word] & bit == 0;
@@ -239,13 +241,14 @@ pub fn run() {
         "\n{:<22} {:>10} {:>10} {:>10} {:>10}",
         "ns a check of a pose", "any", "free", "move", "colliding"
     );
-    for objects in [20, 40, 100] {
+    for objects in [20, 40, 60, 100, 200] {
         let scene = Scene::new(objects);
         let (any, free) = (scene.questions(false), scene.questions(true));
-        let made: [(&str, Box<dyn Broad>); 3] = [
+        let made: [(&str, Box<dyn Broad>); 4] = [
             ("discs", Box::new(Discs(Vec::new()))),
             ("grid", Box::new(Grid::new(objects))),
             ("quadtree", Box::new(Quadtree::new([0.0, 0.0], 1.0, 0))),
+            ("parry2d's tree", Box::new(Tree::new())),
         ];
         let mut answers = Vec::new();
         for (name, mut broad) in made {

@@ -4,9 +4,8 @@
 //! usable picture. What is measured of a camera, its lens and its place, is in calibration files and not
 //! here; size, rate and serial number are requested because a calibration holds for them alone.
 
-use crate::io::camera::Exposure;
 use crate::io::camera::realsense::RealSenseSettings;
-use crate::io::camera::uvc::UvcSettings;
+use crate::io::camera::{Exposure, UvcSettings};
 use cell_parts::fields::{host, optional, path, port, required_number, required_positive};
 use cell_values::image::quality::PictureLimits;
 use rearrange::document::decode::{At, Decoder, Fields};

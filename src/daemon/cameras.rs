@@ -6,15 +6,17 @@
 use crate::cell::code::Code;
 use crate::cell::supervisor::input::CameraFault;
 use crate::config::cell::{CameraDevice, Devices};
+#[cfg(not(feature = "video"))]
+use crate::io::camera::UvcSettings;
 use crate::io::camera::folder::FolderCamera;
 use crate::io::camera::http::HttpCamera;
 use crate::io::camera::late::LateCamera;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::io::camera::realsense::RealSenseCamera;
 use crate::io::camera::snapshot::SnapshotCamera;
-use crate::io::camera::uvc::UvcCamera;
-use crate::io::camera::video::VideoCamera;
 use crate::io::camera::{CameraError, CameraSource, FaultKind};
+#[cfg(feature = "video")]
+use crate::io::camera::{uvc::UvcCamera, video::VideoCamera};
 use cell_vision::camera::CameraModel;
 use rearrange::document::chain::chain;
 use std::time::Duration;
@@ -66,9 +68,15 @@ fn open_source(
         CameraDevice::RealSense(settings) => {
             Box::new(RealSenseCamera::open(settings.clone(), CAMERA_LIMIT, lens)?)
         }
-        CameraDevice::Uvc(settings) => Box::new(UvcCamera::open(settings.clone(), lens)?),
         CameraDevice::Folder { path } => Box::new(FolderCamera::open(path, lens)?),
+        #[cfg(feature = "video")]
+        CameraDevice::Uvc(settings) => Box::new(UvcCamera::open(settings.clone(), lens)?),
+        #[cfg(feature = "video")]
         CameraDevice::Video { path } => Box::new(VideoCamera::open(path, lens)?),
+        #[cfg(not(feature = "video"))]
+        CameraDevice::Uvc(UvcSettings { device: path, .. }) | CameraDevice::Video { path } => {
+            return Err(CameraError::NotBuilt { place: path.display().to_string(), feature: "video" });
+        }
     })
 }
 
@@ -103,8 +111,8 @@ pub fn fault_of(error: &CameraError) -> CameraFault {
 mod tests {
     use super::*;
     use crate::io::camera::Exposure;
+    use crate::io::camera::UvcSettings;
     use crate::io::camera::realsense::RealSenseSettings;
-    use crate::io::camera::uvc::UvcSettings;
     use cell_values::image::Image;
     use cell_values::image::quality::{PictureFault, PictureLimits};
     use std::path::PathBuf;

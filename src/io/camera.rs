@@ -11,13 +11,16 @@ pub mod fault;
 pub mod folder;
 pub mod http;
 pub mod late;
+#[cfg(feature = "video")]
 mod mat;
 pub mod monitored;
 pub mod realsense;
 pub mod recovery;
 pub mod snapshot;
+#[cfg(feature = "video")]
 pub mod uvc;
 pub mod validator;
+#[cfg(feature = "video")]
 pub mod video;
 
 pub use fault::{CameraError, FaultKind};
@@ -25,6 +28,22 @@ pub use fault::{CameraError, FaultKind};
 use cell_values::image::Image;
 use cell_values::image::depth::DepthImage;
 use cell_vision::camera::CameraModel;
+use std::path::PathBuf;
+
+/// What is requested of a USB camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UvcSettings {
+    /// Its device file; one under `/dev/v4l/by-id` stays the same camera after a restart.
+    pub device: PathBuf,
+    /// Its serial number: compared with the USB device's, where that has one.
+    pub serial: String,
+    /// Pixels per row and rows.
+    pub size: [u32; 2],
+    /// Pictures a second.
+    pub rate: u32,
+    /// Exposure.
+    pub exposure: Exposure,
+}
 
 /// A picture as it came from a camera.
 #[derive(Clone, Debug)]

@@ -3,12 +3,17 @@
 //! In: SVG text and a scale. Out: the bytes of a PNG file. The font comes with the binary, and none of the
 //! machine's is looked at, so that a picture does not depend on what is installed.
 
+#[cfg(feature = "figures")]
 use epaint_default_fonts::UBUNTU_LIGHT;
+#[cfg(feature = "figures")]
 use resvg::tiny_skia::{Pixmap, Transform};
+#[cfg(feature = "figures")]
 use resvg::usvg::{Options, Tree};
+#[cfg(feature = "figures")]
 use std::sync::Arc;
 
 /// Largest edge of a picture, pixels.
+#[cfg(feature = "figures")]
 const MOST_PIXELS: f32 = 20_000.0;
 
 /// Why there is no picture.
@@ -23,12 +28,27 @@ pub enum RasterFault {
     /// The pixels cannot be packed.
     #[error("the picture cannot be packed: {0}")]
     Png(String),
+    /// The feature is left out.
+    #[error(
+        "this celld is built without PNG figures (cargo's feature `figures`); the SVG file is the same drawing"
+    )]
+    NotBuilt,
+}
+
+/// Without the feature `figures` there is no PNG.
+///
+/// # Errors
+/// Always, with what to build.
+#[cfg(not(feature = "figures"))]
+pub fn png(_svg: &str, _scale: f32) -> Result<Vec<u8>, RasterFault> {
+    Err(RasterFault::NotBuilt)
 }
 
 /// The drawing as a PNG file, `scale` pixels to one of its units.
 ///
 /// # Errors
 /// What is wrong with the drawing, or with its size.
+#[cfg(feature = "figures")]
 pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, RasterFault> {
     let mut options = Options::default();
     let fonts = Arc::make_mut(&mut options.fontdb);
@@ -49,6 +69,7 @@ pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, RasterFault> {
     pixels.encode_png().map_err(|fault| RasterFault::Png(fault.to_string()))
 }
 
+#[cfg(feature = "figures")]
 #[cfg(test)]
 mod tests {
     use super::*;

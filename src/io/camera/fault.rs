@@ -1,6 +1,6 @@
 //! What goes wrong with cameras: every error with place and cause, and the kind of fault that it is.
 //!
-//! In: nothing. Out: [`CameraError`], and [`FaultKind`], by which the restart ladder chooses its steps and by
+//! In: nothing. Out: [`CameraError`], and [`FaultKind`], by which the recovery policy chooses its steps and by
 //! which the cell names the fault in a job's result.
 
 use crate::io::camera::realsense::sdk::SdkError;
@@ -288,7 +288,17 @@ pub enum CameraError {
         what: &'static str,
         /// What OpenCV says, if anything.
         #[source]
-        source: Option<opencv::Error>,
+        source: Option<Box<dyn std::error::Error + Send + Sync>>,
+    },
+    /// A camera that this binary leaves out.
+    #[error(
+        "{place}: this celld is built without its cameras of this kind: cargo build --release --features {feature}"
+    )]
+    NotBuilt {
+        /// Device or file.
+        place: String,
+        /// Cargo's feature that brings it.
+        feature: &'static str,
     },
 }
 
@@ -324,6 +334,7 @@ impl CameraError {
             | CameraError::NoIntrinsics { .. }
             | CameraError::OtherSerial { .. }
             | CameraError::Setting { .. }
+            | CameraError::NotBuilt { .. }
             | CameraError::Recording { .. }
             | CameraError::RealSense { .. }
             | CameraError::File { .. }

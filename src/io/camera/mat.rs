@@ -1,9 +1,17 @@
 //! From OpenCV's pictures to ours.
 //!
-//! In: a matrix as OpenCV's readers give it. Out: an [`Image`], or why the matrix is none.
+//! In: a matrix as OpenCV's readers give it. Out: an [`Image`], or why the matrix is none, as an error that
+//! needs nothing of OpenCV's, so that celld's errors are the same without it.
 
+use crate::io::camera::CameraError;
 use cell_values::image::Image;
 use opencv::core::{Mat, MatTraitConst, MatTraitConstManual};
+use std::path::Path;
+
+/// A video or camera file that OpenCV does not read.
+pub(super) fn video_error(path: &Path, what: &'static str, source: Option<opencv::Error>) -> CameraError {
+    CameraError::Video { path: path.to_owned(), what, source: source.map(Into::into) }
+}
 
 /// OpenCV's blue, green, red in our order.
 ///

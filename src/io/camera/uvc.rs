@@ -5,9 +5,9 @@
 //! read; those that were exposed before a picture was requested are passed over, or a look would see the
 //! table as it was at the last one.
 
-use crate::io::camera::mat::image_of;
+use crate::io::camera::mat::{image_of, video_error};
 use crate::io::camera::validator::FrameValidator;
-use crate::io::camera::{CameraError, CameraSource, Exposure, Frame};
+use crate::io::camera::{CameraError, CameraSource, Exposure, Frame, UvcSettings};
 use cell_vision::camera::CameraModel;
 use opencv::core::{Mat, MatTraitConst};
 use opencv::videoio::{
@@ -16,23 +16,8 @@ use opencv::videoio::{
     VideoCaptureTraitConst,
 };
 use std::os::unix::fs::FileTypeExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
-
-/// What is requested of the camera.
-#[derive(Clone, Debug, PartialEq)]
-pub struct UvcSettings {
-    /// Its device file; one under `/dev/v4l/by-id` stays the same camera after a restart.
-    pub device: PathBuf,
-    /// Its serial number: compared with the USB device's, where that has one.
-    pub serial: String,
-    /// Pixels per row and rows.
-    pub size: [u32; 2],
-    /// Pictures a second.
-    pub rate: u32,
-    /// Exposure.
-    pub exposure: Exposure,
-}
 
 /// Where the kernel shows what its cameras are.
 const SYSTEM_CAMERAS: &str = "/sys/class/video4linux";
@@ -120,11 +105,8 @@ fn serial_of(device: &Path, system: &Path) -> Option<String> {
 
 fn begin(settings: &UvcSettings) -> Result<VideoCapture, CameraError> {
     let place = settings.device.display().to_string();
-    let failed = |what: &'static str, source: Option<opencv::Error>| CameraError::Video {
-        path: settings.device.clone(),
-        what,
-        source,
-    };
+    let failed =
+        |what: &'static str, source: Option<opencv::Error>| video_error(&settings.device, what, source);
     let mut capture = VideoCapture::from_file(&settings.device, CAP_V4L2)
         .map_err(|source| failed("OpenCV refuses the device", Some(source)))?;
     if !capture.is_opened().unwrap_or(false) {
@@ -213,12 +195,8 @@ impl CameraSource for UvcCamera {
             }
             passed += 1;
         };
-        let path = || self.settings.device.clone();
-        let image = image_of(&mat).map_err(|source| CameraError::Video {
-            path: path(),
-            what: "a frame is not 8 bit colour",
-            source,
-        })?;
+        let image = image_of(&mat)
+            .map_err(|source| video_error(&self.settings.device, "a frame is not 8 bit colour", source))?;
         let time_s = stamp_ms.unwrap_or(asked_ms) / 1e3;
         let frame = Frame { image, sequence: self.taken, time_s, source: place, depth: None };
         self.taken += 1;

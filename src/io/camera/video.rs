@@ -4,7 +4,7 @@
 //! Compressed video blurs corners: good for trying things out, not for measuring. Only the FFmpeg reader is
 //! used: the others guess at file names and write their guesses to the log.
 
-use crate::io::camera::mat::image_of;
+use crate::io::camera::mat::{image_of, video_error};
 use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use cell_vision::camera::CameraModel;
@@ -31,7 +31,7 @@ impl VideoCamera {
     /// `File` if there is no such file, `Video` if it is no video that OpenCV reads.
     pub fn open(path: &Path, lens: Option<CameraModel>) -> Result<VideoCamera, CameraError> {
         std::fs::metadata(path).map_err(|source| CameraError::File { path: path.to_owned(), source })?;
-        let failed = |what, source| CameraError::Video { path: path.to_owned(), what, source };
+        let failed = |what, source| video_error(path, what, source);
         let capture = VideoCapture::from_file(path, CAP_FFMPEG)
             .map_err(|source| failed("OpenCV refuses it", Some(source)))?;
         if !capture.is_opened().unwrap_or(false) {
@@ -41,7 +41,7 @@ impl VideoCamera {
     }
 
     fn failed(&self, what: &'static str, source: Option<opencv::Error>) -> CameraError {
-        CameraError::Video { path: self.path.clone(), what, source }
+        video_error(&self.path, what, source)
     }
 }
 
