@@ -184,7 +184,12 @@ pub fn report(measured: &[Measured], rows: &[Row]) -> String {
     let mut cells: BTreeMap<_, Vec<&Pair>> = BTreeMap::new();
     for pair in &pairs {
         let Measured { cell, solver, .. } = pair.theirs;
-        let name = (&cell.scenario, density_word(cell.density), cell.objects, cell.objective.word());
+        let name = CellName {
+            scenario: &cell.scenario,
+            density: density_word(cell.density),
+            objects: cell.objects,
+            objective: cell.objective.word(),
+        };
         cells.entry((solver.word(), name)).or_default().push(pair);
     }
     let lines: Vec<Vec<String>> =
@@ -193,17 +198,28 @@ pub fn report(measured: &[Measured], rows: &[Row]) -> String {
     format!("{}\n\n{}{}", columns(&HEAD, &lines), totals(&all), worse(&cells))
 }
 
-type Name<'a> = (&'a String, String, usize, &'static str);
+/// A cell in the words of the report, which is sorted by them.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+struct CellName<'a> {
+    /// Name of the scenario.
+    scenario: &'a str,
+    /// Density, as in the table of results.
+    density: String,
+    /// Number of objects.
+    objects: usize,
+    /// Word of the objective.
+    objective: &'static str,
+}
 
-fn line(solver: &str, (scenario, density, objects, objective): &Name, pairs: &[&Pair]) -> Vec<String> {
+fn line(solver: &str, name: &CellName, pairs: &[&Pair]) -> Vec<String> {
     let (ours, theirs) = over_bound(pairs).unzip();
     let ratio = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3}"));
     vec![
-        (*scenario).clone(),
-        density.clone(),
-        objects.to_string(),
+        name.scenario.to_string(),
+        name.density.clone(),
+        name.objects.to_string(),
         solver.to_string(),
-        (*objective).to_string(),
+        name.objective.to_string(),
         format!("{}/{}", pairs.iter().filter(|pair| pair.dependable()).count(), pairs.len()),
         format!("{}/{}", pairs.iter().filter(|pair| pair.theirs.cost.is_some()).count(), pairs.len()),
         ratio(ours),
@@ -258,10 +274,10 @@ fn missed(pair: &Pair) -> String {
     )
 }
 
-fn worse(cells: &BTreeMap<(&str, Name), Vec<&Pair>>) -> String {
+fn worse(cells: &BTreeMap<(&str, CellName), Vec<&Pair>>) -> String {
     let mut text = format!("cells where ours costs over {:.0} % more:", WORSE * 100.0);
     let before = text.len();
-    for ((solver, (scenario, density, objects, objective)), pairs) in cells {
+    for ((solver, CellName { scenario, density, objects, objective }), pairs) in cells {
         let Some((ours, theirs)) = over_bound(pairs) else { continue };
         if ours > theirs * (1.0 + WORSE) {
             let more = (ours / theirs - 1.0) * 100.0;

@@ -10,12 +10,11 @@ use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::input::{CameraFault, Notice, PlanAnswer, PlanRequest, Record};
 use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::{JobOrder, JobReport};
+use crate::cell::supervisor::order::{JobOrder, JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::Status;
 use cell_vision::observe::{Observation, View};
 use nalgebra::Isometry3;
-use rearrange::geometry::pose::Pose2;
 use ur_arm::kinematics::DhParameters;
 
 /// Something happened.
@@ -138,8 +137,8 @@ pub enum News {
     Notice(Notice),
     /// The status changed.
     Status(Status),
-    /// A new route: object, from, to, whether that is its goal.
-    Route(Vec<(String, Pose2, Pose2, bool)>),
+    /// A new route.
+    Route(Vec<RouteAction>),
     /// A job ended; its report is on its way to the disk.
     Ended(Box<JobReport>),
 }

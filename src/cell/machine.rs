@@ -17,9 +17,9 @@ use crate::cell::orders::Reply;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Record};
 use crate::cell::supervisor::model::CellModel;
+use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::status::Status;
 use cell_values::time::{Duration, Timestamp};
-use rearrange::geometry::pose::Pose2;
 use std::collections::VecDeque;
 use ur_arm::kinematics::DhParameters;
 
@@ -79,7 +79,7 @@ struct Requests {
 #[derive(Default)]
 struct Shown {
     status: Option<Status>,
-    route: Vec<(String, Pose2, Pose2, bool)>,
+    route: Vec<RouteAction>,
 }
 
 impl Machine {

@@ -59,6 +59,9 @@ fn id_list(text: &str) -> Result<IdList, String> {
 }
 
 /// `7x5` as columns and rows.
+///
+/// # Errors
+/// The text is not two numbers from 1 to 100 with an `x` between them.
 pub fn grid(text: &str) -> Result<[u32; 2], String> {
     let number = |text: &str| text.parse::<u32>().ok().filter(|n| (1..=100).contains(n));
     let numbers = text.split_once(['x', 'X']).and_then(|(c, r)| Some([number(c)?, number(r)?]));
@@ -66,6 +69,9 @@ pub fn grid(text: &str) -> Result<[u32; 2], String> {
 }
 
 /// A marker's edge in mm.
+///
+/// # Errors
+/// The text is not a number from 1 to 1000.
 pub fn millimetres(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if (1.0..=1000.0).contains(&value) => Ok(value),

@@ -9,8 +9,8 @@ mod storms;
 pub mod table;
 
 use crate::pair::eyes::Eye;
-use crate::pair::outcome::{Outcome, Phase};
-use crate::pair::page::{self, PAGE, PAGE_SEED, expected, title};
+use crate::pair::outcome::Phase;
+use crate::pair::page::{self, CaseOutcome, PAGE, PAGE_SEED, expected, title};
 use crate::pair::reactions::Row;
 use crate::pair::run::{Summary, run_jobs};
 use crate::pair::sweep::{case, cases, judge};
@@ -116,17 +116,17 @@ fn sweep(args: &SimulateArgs) -> u8 {
     let expected = (args.seed == PAGE_SEED).then(|| expected(PAGE));
     let bar = ProgressBar::new(chosen.len() as u64);
     let began = Instant::now();
-    let ran: Result<Vec<(&Row, Phase, Outcome)>, String> = chosen
+    let ran: Result<Vec<CaseOutcome>, String> = chosen
         .par_iter()
-        .map(|(row, phase)| {
-            let (outcome, pair) = case(&stage, row, *phase, args.seed, args.trace.is_some())?;
+        .map(|&(row, phase)| {
+            let (outcome, pair) = case(&stage, row, phase, args.seed, args.trace.is_some())?;
             bar.inc(1);
-            let faults = judge(row, *phase, &outcome, expected.as_ref());
+            let faults = judge(row, phase, &outcome, expected.as_ref());
             if !faults.is_empty() || args.only.is_some() {
-                bar.suspend(|| print(&case_text(&title(row, *phase), &faults, &pair, args.only.is_some())));
+                bar.suspend(|| print(&case_text(&title(row, phase), &faults, &pair, args.only.is_some())));
             }
             keep_trace(args, &pair)?;
-            Ok((*row, *phase, outcome))
+            Ok(CaseOutcome { row, phase, outcome })
         })
         .collect();
     bar.finish_and_clear();
@@ -145,7 +145,7 @@ fn sweep(args: &SimulateArgs) -> u8 {
     }
     let bad = outcomes
         .iter()
-        .filter(|(row, phase, found)| !judge(row, *phase, found, expected.as_ref()).is_empty());
+        .filter(|found| !judge(found.row, found.phase, &found.outcome, expected.as_ref()).is_empty());
     let (mut bad, seconds) = (bad.count(), began.elapsed().as_secs_f64());
     print(&format!("{} cases, {bad} not as expected, {seconds:.0} s\n", outcomes.len()));
     if args.seed == PAGE_SEED && args.only.is_none() && bad == 0 && page::write(&outcomes) != PAGE {

@@ -9,16 +9,25 @@ use cell_edge::terminal::within;
 use std::net::IpAddr;
 
 /// A planning budget, s.
+///
+/// # Errors
+/// The text is not a number from 0.001 to 86400.
 pub fn planning_seconds(text: &str) -> Result<f64, String> {
     within(text, 0.001..=86_400.0, "s")
 }
 
 /// Edge of a demo table, m.
+///
+/// # Errors
+/// The text is not a number from 0.1 to 2.
 pub fn table_size(text: &str) -> Result<f64, String> {
     within(text, 0.1..=2.0, "m")
 }
 
 /// A solver's name.
+///
+/// # Errors
+/// The text is none of [`SOLVER_WORDS`].
 pub fn solver(text: &str) -> Result<String, String> {
     if SOLVER_WORDS.contains(&text) {
         return Ok(text.to_owned());
@@ -28,6 +37,9 @@ pub fn solver(text: &str) -> Result<String, String> {
 }
 
 /// An objective's name.
+///
+/// # Errors
+/// The text is none of [`JobObjective::WORDS`].
 pub fn objective(text: &str) -> Result<JobObjective, String> {
     JobObjective::from_word(text).ok_or_else(|| {
         let (message, help) = unknown_word(text, &JobObjective::WORDS);
@@ -36,6 +48,9 @@ pub fn objective(text: &str) -> Result<JobObjective, String> {
 }
 
 /// An address of this machine that no other machine can reach.
+///
+/// # Errors
+/// The text is not an IP address, or other machines can reach the address.
 pub fn loopback(text: &str) -> Result<IpAddr, String> {
     match text.parse::<IpAddr>() {
         Ok(address) if address.is_loopback() => Ok(address),

@@ -154,19 +154,28 @@ fn realsense(decoder: &mut Decoder, fields: &Fields, folder: &Path) -> Option<Re
         let (size, rate, exposure) = ([0; 2], 0, Exposure::Auto);
         return Some(RealSenseSettings { serial, file, library, size, rate, exposure, depth });
     }
-    let (size, rate, exposure) = stream(decoder, fields)?;
+    let StreamProfile { size, rate, exposure } = stream(decoder, fields)?;
     Some(RealSenseSettings { serial, file, library, size, rate, exposure, depth })
 }
 
 fn uvc(decoder: &mut Decoder, fields: &Fields) -> Option<UvcSettings> {
     let device = required_text(decoder, fields, "device").map(PathBuf::from);
     let serial = required_text(decoder, fields, "serial");
-    let (size, rate, exposure) = stream(decoder, fields)?;
+    let StreamProfile { size, rate, exposure } = stream(decoder, fields)?;
     Some(UvcSettings { device: device?, serial: serial?, size, rate, exposure })
 }
 
-/// Size, rate and exposure of a live camera.
-fn stream(decoder: &mut Decoder, fields: &Fields) -> Option<([u32; 2], u32, Exposure)> {
+/// What is requested of the pictures of a live camera.
+struct StreamProfile {
+    /// Width and height, pixels.
+    size: [u32; 2],
+    /// Pictures per second.
+    rate: u32,
+    /// Exposure.
+    exposure: Exposure,
+}
+
+fn stream(decoder: &mut Decoder, fields: &Fields) -> Option<StreamProfile> {
     let mut count = |key: &str, range| {
         let at = fields.required(key, decoder)?;
         decoder.integer(&at, range).and_then(|value| u32::try_from(value).ok())
@@ -177,7 +186,7 @@ fn stream(decoder: &mut Decoder, fields: &Fields) -> Option<([u32; 2], u32, Expo
         None => Some(Exposure::Auto),
         Some(_) => required_positive(decoder, fields, "exposure_us", 1e6, "us").map(Exposure::Fixed),
     };
-    Some(([width?, height?], rate?, exposure?))
+    Some(StreamProfile { size: [width?, height?], rate: rate?, exposure: exposure? })
 }
 
 fn required_text(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<String> {

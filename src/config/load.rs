@@ -9,6 +9,10 @@ use cell_parts::file::{ConfigError, open, read_text};
 use std::path::Path;
 
 /// Reads the configuration of a cell.
+///
+/// # Errors
+/// The file cannot be read ([`ConfigError::Unreadable`]), or its content or that of a file it names is wrong
+/// ([`ConfigError::Wrong`]).
 pub fn load_cell(path: &Path) -> Result<CellConfig, ConfigError> {
     let (text, folder) = open(path)?;
     let source = path.display().to_string();

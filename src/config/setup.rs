@@ -18,7 +18,7 @@ use crate::perception::Scene;
 use cell_parts::gripper::CupChannel;
 use cell_values::time::Duration;
 use cell_vision::camera::CameraModel;
-use cell_vision::foreign::search::{ForeignSearch, Inventory};
+use cell_vision::foreign::search::{CatalogueObject, ForeignSearch, Inventory};
 use cell_vision::foreign::{Area, ForeignLimits, HeightMapError, KnownBody, OwnBody};
 use cell_vision::observe::reference::DriftLimits;
 use cell_vision::observe::{MarkedObject, ObserveLimits, ReferenceMarker};
@@ -358,7 +358,11 @@ pub fn inventory(config: &CellConfig, camera_from_tool: Option<Isometry3<f64>>) 
             .objects
             .iter()
             .filter(marked)
-            .map(|object| (object.id.clone(), object.footprint.clone(), object.height.unwrap_or(0.0)))
+            .map(|object| CatalogueObject {
+                id: object.id.clone(),
+                footprint: object.footprint.clone(),
+                height_m: object.height.unwrap_or(0.0),
+            })
             .collect(),
         fixed: config.objects.iter().filter(|object| object.fixed).filter_map(body).collect(),
         ignored: config.workspace.keep_out.clone(),

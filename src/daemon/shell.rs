@@ -384,7 +384,11 @@ impl Shell {
                     store.status(status);
                 }
             }
-            News::Route(route) => observer.on(now, Scene::Route(&route)),
+            News::Route(route) => {
+                let steps: Vec<_> =
+                    route.into_iter().map(|step| (step.object, step.from, step.to, step.to_goal)).collect();
+                observer.on(now, Scene::Route(&steps));
+            }
             News::Ended(report) => observer.on(now, Scene::Ended(&report)),
         }
     }

@@ -126,7 +126,8 @@ impl Store {
         let order = {
             let (beat, ending) = (ordering.clone(), ending.clone());
             std::thread::spawn(move || {
-                take_orders(orders, &clock, (&events, &cancels, &answers), &beat, &ending);
+                let channels = OrderChannels { events: &events, cancels: &cancels, answers: &answers };
+                take_orders(orders, &clock, channels, &beat, &ending);
             })
         };
         Store {
@@ -262,11 +263,21 @@ impl Keeping {
     }
 }
 
+/// Where the thread of the orders sends them, and where their answers come from.
+struct OrderChannels<'a> {
+    /// To the machine.
+    events: &'a mpsc::Sender<Heard>,
+    /// To the thread of the journal.
+    cancels: &'a Sender<Request>,
+    /// Answers, each with the number of its order.
+    answers: &'a Receiver<(u64, Reply)>,
+}
+
 /// The thread of the orders: takes them, and writes the answers that have come.
 fn take_orders(
     mut orders: Box<dyn Orders>,
     clock: &Clock,
-    (events, cancels, answers): (&mpsc::Sender<Heard>, &Sender<Request>, &Receiver<(u64, Reply)>),
+    OrderChannels { events, cancels, answers }: OrderChannels,
     beat: &Beat,
     ending: &AtomicBool,
 ) {

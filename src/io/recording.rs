@@ -132,6 +132,10 @@ pub struct Recording {
 
 impl Recording {
     /// Creates the file. `epoch_unix_s`: calendar time at the clock's epoch, so that viewers show dates.
+    ///
+    /// # Errors
+    /// The file cannot be created ([`RecordingError::Create`]), or its header cannot be written
+    /// ([`RecordingError::Write`]).
     pub fn create(path: &Path, epoch_unix_s: f64) -> Result<Recording, RecordingError> {
         let file =
             File::create(path).map_err(|source| RecordingError::Create { path: path.to_owned(), source })?;
@@ -153,11 +157,17 @@ impl Recording {
     }
 
     /// Joint positions in rad and velocities in rad/s.
+    ///
+    /// # Errors
+    /// The file cannot be written, mostly for want of space ([`RecordingError::Write`]).
     pub fn joints(&mut self, at: Timestamp, q: &Joints, qd: &[f64; 6]) -> Result<(), RecordingError> {
         self.write(&JOINTS, at, json!({"position_rad": q.0, "velocity_rad_s": qd}))
     }
 
     /// Where the objects are; `source` says who says so ("camera", "goal").
+    ///
+    /// # Errors
+    /// As [`Recording::joints`].
     pub fn arrangement(
         &mut self,
         at: Timestamp,
@@ -168,12 +178,18 @@ impl Recording {
     }
 
     /// A plan as its JSON file.
+    ///
+    /// # Errors
+    /// As [`Recording::joints`].
     pub fn plan(&mut self, at: Timestamp, plan: &Value) -> Result<(), RecordingError> {
         self.write(&PLAN, at, json!({"plan": plan}))?;
         self.flush()
     }
 
     /// A log line; `name` is the part of celld that speaks.
+    ///
+    /// # Errors
+    /// As [`Recording::joints`].
     pub fn log(
         &mut self,
         at: Timestamp,
@@ -186,6 +202,9 @@ impl Recording {
     }
 
     /// A compressed picture as the camera gave it.
+    ///
+    /// # Errors
+    /// As [`Recording::joints`].
     pub fn picture(
         &mut self,
         at: Timestamp,
@@ -202,11 +221,17 @@ impl Recording {
     }
 
     /// Closes the chunk: everything written so far can be read after a crash.
+    ///
+    /// # Errors
+    /// As [`Recording::joints`].
     pub fn flush(&mut self) -> Result<(), RecordingError> {
         self.writer.flush().map_err(|source| RecordingError::Write { path: self.path.clone(), source })
     }
 
     /// Writes index and summary and closes the file.
+    ///
+    /// # Errors
+    /// As [`Recording::joints`]; the file then has no index.
     pub fn finish(mut self) -> Result<PathBuf, RecordingError> {
         let finished = self.writer.finish();
         finished.map_err(|source| RecordingError::Write { path: self.path.clone(), source })?;

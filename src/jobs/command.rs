@@ -108,6 +108,9 @@ pub struct Inbox {
 
 impl Inbox {
     /// Opens the folder for the daemon called `daemon` (a name no other run has) and clears what was left.
+    ///
+    /// # Errors
+    /// The folder cannot be created or listed, or a file in it cannot be removed.
     pub fn open(folder: &Path, daemon: impl Into<String>) -> Result<Inbox, FileError> {
         create_folder(folder)?;
         for path in list(folder)? {
@@ -119,6 +122,9 @@ impl Inbox {
     /// Takes what is there, in the order of sending. Files that are no command for this daemon are removed.
     /// Whatever happens to one file, the commands taken before it are returned: an abort must not be lost to
     /// a full disk.
+    ///
+    /// # Errors
+    /// The folder cannot be listed. A single file that makes trouble is logged and is no error.
     pub fn take(&mut self) -> Result<Vec<Taken>, FileError> {
         let mut taken = Vec::new();
         for path in list(&self.folder)?.into_iter().filter(|path| is_command(path)).take(MAX_AT_ONCE) {
@@ -146,6 +152,9 @@ impl Inbox {
     }
 
     /// Answers a command.
+    ///
+    /// # Errors
+    /// The answer cannot be written.
     pub fn reply(&self, taken: &Taken, reply: &Reply) -> Result<(), FileError> {
         answer(&taken.reply, reply.accepted, &reply.message)
     }
@@ -160,6 +169,10 @@ pub struct Sent {
 
 impl Sent {
     /// Leaves `command` for the daemon called `daemon`. `unix_s` orders the commands of several senders.
+    ///
+    /// # Errors
+    /// The command cannot be written, or 1000 commands of this process with the same `unix_s` are still
+    /// there.
     pub fn send(folder: &Path, daemon: &str, command: &Command, unix_s: f64) -> Result<Sent, FileError> {
         let envelope = Envelope { daemon: daemon.to_owned(), command: command.clone() };
         let text = serde_json::to_string(&envelope).expect("commands have string keys only");
@@ -178,6 +191,9 @@ impl Sent {
     }
 
     /// The answer, once it is there; it is removed.
+    ///
+    /// # Errors
+    /// The answer is there, but it cannot be read or removed.
     pub fn poll(&self) -> Result<Option<Reply>, FileError> {
         let text = match read_regular(&self.reply, MAX_BYTES) {
             Err(error) if error.is_absent() => return Ok(None),
@@ -190,6 +206,9 @@ impl Sent {
     }
 
     /// Takes the command back; false when the daemon has it already.
+    ///
+    /// # Errors
+    /// The command cannot be removed, or its folder cannot be synced.
     pub fn withdraw(&self) -> Result<bool, FileError> {
         let there = self.command.exists();
         remove(&self.command)?;

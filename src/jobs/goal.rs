@@ -182,10 +182,20 @@ fn decode_instance_goals(decoder: &mut Decoder, top: &At) -> Option<Vec<GoalEntr
     Some(entries)
 }
 
+/// A goal of an object that the catalogue has.
+struct KnownGoal<'a> {
+    /// The entry, for complaints.
+    entry: &'a GoalEntry,
+    /// The object.
+    object: &'a ObjectSpec,
+    /// Where it is wanted, table frame.
+    pose: Pose2,
+}
+
 /// Complains about what the catalogue does not know and the table cannot hold.
 pub fn check_goal(decoder: &mut Decoder, entries: &[GoalEntry], context: &GoalContext) {
     let ids: Vec<_> = context.objects.iter().map(|object| object.id.as_str()).collect();
-    let mut known: Vec<(&GoalEntry, &ObjectSpec, Pose2)> = Vec::new();
+    let mut known: Vec<KnownGoal> = Vec::new();
     for entry in entries {
         let Some(id) = entry.id.as_deref() else { continue };
         match context.objects.iter().find(|object| object.id == id) {
@@ -194,21 +204,22 @@ pub fn check_goal(decoder: &mut Decoder, entries: &[GoalEntry], context: &GoalCo
                 let message = format!("object {:?} is fixed, it never moves", object.id);
                 decoder.complain(entry.at, &entry.path, message, "remove it from the goal");
             }
-            Some(object) => known.extend(entry.pose.map(|pose| (entry, object, pose))),
+            Some(object) => known.extend(entry.pose.map(|pose| KnownGoal { entry, object, pose })),
         }
     }
     let tolerance_m = context.overlap_tolerance_m.max(TOUCH_M);
-    for (index, (entry, object, pose)) in known.iter().enumerate() {
-        check_place(decoder, (entry, object, pose), context, tolerance_m);
-        for (other, other_object, other_pose) in known.iter().take(index) {
-            let depth = penetration(&object.footprint, pose, &other_object.footprint, other_pose);
+    for (index, goal) in known.iter().enumerate() {
+        check_place(decoder, goal, context, tolerance_m);
+        let KnownGoal { entry, object, pose } = goal;
+        for other in known.iter().take(index) {
+            let depth = penetration(&object.footprint, pose, &other.object.footprint, &other.pose);
             // The same object twice is another complaint, and has been made.
-            if depth > tolerance_m && object.id != other_object.id {
+            if depth > tolerance_m && object.id != other.object.id {
                 let message = format!(
                     "the goals of {:?} and {:?} (line {}) overlap by {}",
                     object.id,
-                    other_object.id,
-                    other.at.line,
+                    other.object.id,
+                    other.entry.at.line,
                     millimetres(depth)
                 );
                 decoder.complain(entry.at, &entry.path, message, "move them apart");
@@ -225,12 +236,8 @@ fn complain_unknown(decoder: &mut Decoder, entry: &GoalEntry, id: &str, ids: &[&
     decoder.complain(entry.at, &entry.path, format!("object {id:?} is unknown"), help);
 }
 
-fn check_place(
-    decoder: &mut Decoder,
-    (entry, object, pose): (&GoalEntry, &ObjectSpec, &Pose2),
-    context: &GoalContext,
-    tolerance_m: f64,
-) {
+fn check_place(decoder: &mut Decoder, goal: &KnownGoal, context: &GoalContext, tolerance_m: f64) {
+    let KnownGoal { entry, object, pose } = goal;
     let beyond = overhang(&object.footprint, pose, context.width_m, context.height_m);
     if beyond > tolerance_m {
         let message =

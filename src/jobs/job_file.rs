@@ -205,6 +205,9 @@ fn poses(entries: Vec<GoalEntry>) -> Vec<GoalPose> {
 }
 
 /// [`read_job`] in the words of the spool.
+///
+/// # Errors
+/// The job or its goal is faulty; the refusal holds every complaint of [`read_job`].
 pub fn read_for_spool(text: &str, name: &str, context: &JobContext) -> Result<JobSpec, Refusal> {
     read_job(text, name, context).map_err(|complaints| refusal(text, name, &complaints))
 }

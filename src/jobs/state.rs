@@ -76,6 +76,10 @@ impl StateFolder {
     }
 
     /// True while a daemon holds the folder.
+    ///
+    /// # Errors
+    /// The lock file is present, but the system refuses to open it or to try the lock
+    /// ([`StateError::Files`]).
     pub fn is_taken(&self) -> Result<bool, StateError> {
         Ok(FileLock::is_held(&self.lock_file())?)
     }

@@ -57,12 +57,19 @@ pub struct DeviceStatus {
 
 impl Status {
     /// Writes the file whole.
+    ///
+    /// # Errors
+    /// The system refuses to write the file.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         let text = serde_json::to_string_pretty(self).expect("a status has string keys only");
         write_atomic(path, text.as_bytes())
     }
 
     /// Reads the file; `None` when there is none or it is of another version.
+    ///
+    /// # Errors
+    /// The file is present, but the system refuses to read it, or it is larger than 1 MiB, no UTF-8 text or
+    /// no regular file with one name.
     pub fn read(path: &Path) -> Result<Option<Status>, FileError> {
         match read_regular(path, 1024 * 1024) {
             Err(error) if error.is_absent() => Ok(None),

@@ -3,8 +3,23 @@
 //! In and out: seconds since 1970 and `2026-11-21T08:00:00Z`. Pure. The conversion between days and dates is
 //! that of the proleptic Gregorian calendar (Hinnant, "chrono-compatible low-level date algorithms").
 
-/// Year, month, day, hour, minute, second.
-fn civil(unix_s: f64) -> (i64, i64, i64, i64, i64, i64) {
+/// A date and a time of day, UTC.
+struct CivilTime {
+    /// Of the common era.
+    year: i64,
+    /// From 1.
+    month: i64,
+    /// Of the month, from 1.
+    day: i64,
+    /// 0 to 23.
+    hour: i64,
+    /// 0 to 59.
+    minute: i64,
+    /// 0 to 59.
+    second: i64,
+}
+
+fn civil(unix_s: f64) -> CivilTime {
     let total = unix_s.clamp(0.0, 253_402_300_799.0) as i64;
     let (days, seconds) = (total.div_euclid(86_400), total.rem_euclid(86_400));
     let z = days + 719_468;
@@ -16,12 +31,12 @@ fn civil(unix_s: f64) -> (i64, i64, i64, i64, i64, i64) {
     let day = day_of_year - (153 * shifted + 2) / 5 + 1;
     let month = if shifted < 10 { shifted + 3 } else { shifted - 9 };
     let year = year_of_era + era * 400 + i64::from(month <= 2);
-    (year, month, day, seconds / 3_600, seconds / 60 % 60, seconds % 60)
+    CivilTime { year, month, day, hour: seconds / 3_600, minute: seconds / 60 % 60, second: seconds % 60 }
 }
 
 /// `2026-11-21T08:00:00Z`.
 pub fn text(unix_s: f64) -> String {
-    let (year, month, day, hour, minute, second) = civil(unix_s);
+    let CivilTime { year, month, day, hour, minute, second } = civil(unix_s);
     format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
 }
 
@@ -32,7 +47,7 @@ pub fn compact(unix_s: f64) -> String {
 
 /// `2026-11`, for folders.
 pub fn month(unix_s: f64) -> String {
-    let (year, month, ..) = civil(unix_s);
+    let CivilTime { year, month, .. } = civil(unix_s);
     format!("{year:04}-{month:02}")
 }
 

@@ -27,12 +27,22 @@ pub enum Mood {
 /// Frame in which a swallowed commit is due.
 const NEVER: u64 = u64::MAX / 2;
 
+/// A commit that is not acknowledged yet.
+struct Commit {
+    /// Frame in which it comes back.
+    due: u64,
+    /// For the acknowledgement.
+    number: u64,
+    /// What it writes.
+    record: Record,
+}
+
 /// The disk. See the module.
 pub struct Disk {
     rng: ChaCha8Rng,
     /// How it is from now on.
     pub mood: Mood,
-    under_way: VecDeque<(u64, u64, Record)>,
+    under_way: VecDeque<Commit>,
     durable: Vec<Record>,
 }
 
@@ -50,14 +60,14 @@ impl Disk {
             Mood::Slow(seconds) => (seconds * 500.0) as u64,
             Mood::Silent => NEVER,
         };
-        let after = self.under_way.back().map_or(0, |(due, ..)| *due);
-        self.under_way.push_back(((frame + frames).max(after), number, record));
+        let after = self.under_way.back().map_or(0, |commit| commit.due);
+        self.under_way.push_back(Commit { due: (frame + frames).max(after), number, record });
     }
 
     /// Commits that come back in this frame, with what they wrote.
     pub fn step(&mut self, frame: u64) -> Option<(u64, Result<Record, String>)> {
-        self.under_way.front().filter(|(due, ..)| *due <= frame)?;
-        let (_, number, record) = self.under_way.pop_front()?;
+        self.under_way.front().filter(|commit| commit.due <= frame)?;
+        let Commit { number, record, .. } = self.under_way.pop_front()?;
         Some(match self.mood {
             Mood::Full => (number, Err("database or disk is full".to_string())),
             Mood::Broken => (number, Err("disk I/O error".to_string())),
@@ -72,12 +82,12 @@ impl Disk {
     pub fn cut(&mut self) {
         let survivors = self.rng.random_range(0..=self.under_way.len());
         let survivors = if self.mood == Mood::Fine { survivors } else { 0 };
-        self.durable.extend(self.under_way.drain(..).take(survivors).map(|(.., record)| record));
+        self.durable.extend(self.under_way.drain(..).take(survivors).map(|commit| commit.record));
     }
 
     /// A commit never comes back, or would not if one began.
     pub fn swallows(&self) -> bool {
-        self.mood == Mood::Silent || self.under_way.back().is_some_and(|(due, ..)| *due >= NEVER)
+        self.mood == Mood::Silent || self.under_way.back().is_some_and(|commit| commit.due >= NEVER)
     }
 
     /// Everything on disk, in order.

@@ -32,6 +32,16 @@ with it and checks the [rules](../ARCHITECTURE.md) after every step.
 |---|---|---|---|---|---|---|---|---|
 ";
 
+/// What became of a case of the sweep.
+pub struct CaseOutcome<'a> {
+    /// The fault.
+    pub row: &'a Row,
+    /// The phase in which it was brought about.
+    pub phase: Phase,
+    /// What became of it.
+    pub outcome: Outcome,
+}
+
 /// Name of a case: number, fault, phase.
 pub fn title(row: &Row, phase: Phase) -> String {
     format!("{} {} / {}", row.number, row.name, phase.name())
@@ -77,11 +87,11 @@ fn plain_word(word: &str) -> String {
 }
 
 /// The page for these outcomes, phases with the same reaction in one line.
-pub fn write(outcomes: &[(&Row, Phase, Outcome)]) -> String {
+pub fn write(outcomes: &[CaseOutcome]) -> String {
     let mut page = HEAD.to_string();
     for row in ROWS {
         let mut lines: Vec<(String, Vec<&str>)> = Vec::new();
-        for (_, phase, outcome) in outcomes.iter().filter(|(other, ..)| std::ptr::eq(*other, row)) {
+        for CaseOutcome { phase, outcome, .. } in outcomes.iter().filter(|case| std::ptr::eq(case.row, row)) {
             let reaction = reaction(outcome);
             match lines.iter_mut().find(|(known, _)| *known == reaction) {
                 Some((_, phases)) => phases.push(phase.name()),
@@ -97,7 +107,7 @@ pub fn write(outcomes: &[(&Row, Phase, Outcome)]) -> String {
 }
 
 /// Where rules of [`KNOWN`] are broken.
-fn known(outcomes: &[(&Row, Phase, Outcome)]) -> String {
+fn known(outcomes: &[CaseOutcome]) -> String {
     let mut text =
         "\n## Known violations\n\nTo be cured by what arming, stops and bodies become; this list is to be \
                     empty then. A breach of any other rule fails the sweep.\n"
@@ -106,8 +116,8 @@ fn known(outcomes: &[(&Row, Phase, Outcome)]) -> String {
         for row in ROWS {
             let here = outcomes
                 .iter()
-                .filter(|(other, _, outcome)| std::ptr::eq(*other, row) && outcome.breaches.contains(rule));
-            let phases: Vec<&str> = here.map(|(_, phase, _)| phase.name()).collect();
+                .filter(|case| std::ptr::eq(case.row, row) && case.outcome.breaches.contains(rule));
+            let phases: Vec<&str> = here.map(|case| case.phase.name()).collect();
             if !phases.is_empty() {
                 text.push_str(&format!("\n- {rule:?}: {} {} ({})", row.number, row.name, phases.join(", ")));
             }

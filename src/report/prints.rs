@@ -78,6 +78,17 @@ pub enum PrintFault {
 /// A filled black rectangle by its lower left corner: x, y, width, height, mm.
 type Bar = [f64; 4];
 
+/// Words on a sheet.
+#[derive(Clone, Debug, PartialEq)]
+struct Label {
+    /// Left end of the base line, mm.
+    at_mm: [f64; 2],
+    /// Letter height, mm.
+    height_mm: f64,
+    /// The words.
+    text: String,
+}
+
 /// One sheet of paper.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sheet {
@@ -87,8 +98,7 @@ pub struct Sheet {
     shapes: Vec<Vec<Bar>>,
     /// Grey hairlines to cut along: from, to.
     cuts: Vec<[[f64; 2]; 2]>,
-    /// Words: left end of the base line, letter height, text.
-    words: Vec<([f64; 2], f64, String)>,
+    words: Vec<Label>,
 }
 
 /// Object markers, as many to a sheet as fit, each with its name and cutting lines.
@@ -122,7 +132,7 @@ pub fn markers(family: Family, ids: &[u32], size_m: f64, paper: Paper) -> Result
             sheet.marker(pattern, [x, top - edge], edge);
             sheet.frame([x, top - edge], edge);
             let text = format!("{family} {id}, {} mm", number(mm_from_m(size_m)));
-            sheet.words.push(([x + CAPTION_MM, top - edge - 3.4], 2.4, text));
+            sheet.words.push(Label { at_mm: [x + CAPTION_MM, top - edge - 3.4], height_mm: 2.4, text });
         }
         sheet.foot(&format!("{family}, black square {} mm", number(mm_from_m(size_m))));
         sheet
@@ -238,8 +248,9 @@ impl Sheet {
         }
         self.shapes.push(bars);
         let check = "This ruler is 100 mm from end to end. Print at 100 %, measure it, and do not use the sheet if it is not.";
-        self.words.push(([x, MARGIN_MM], 2.6, check.to_owned()));
-        self.words.push(([x + RULER_MM + 5.0, y + 1.0], 3.0, what.to_owned()));
+        self.words.push(Label { at_mm: [x, MARGIN_MM], height_mm: 2.6, text: check.to_owned() });
+        let at_mm = [x + RULER_MM + 5.0, y + 1.0];
+        self.words.push(Label { at_mm, height_mm: 3.0, text: what.to_owned() });
     }
 
     /// The sheet as an SVG file in true millimetres.
@@ -272,7 +283,7 @@ impl Sheet {
                 high - by
             );
         }
-        for ([x, y], size, text) in &self.words {
+        for Label { at_mm: [x, y], height_mm: size, text } in &self.words {
             let _ =
                 writeln!(svg, "<text x=\"{x:.3}\" y=\"{:.3}\" font-size=\"{size}\">{text}</text>", high - y);
         }
@@ -294,7 +305,7 @@ impl Sheet {
         for [[ax, ay], [bx, by]] in &self.cuts {
             let _ = writeln!(text, "{} {} m {} {} l S", pt(*ax), pt(*ay), pt(*bx), pt(*by));
         }
-        for ([x, y], size, words) in &self.words {
+        for Label { at_mm: [x, y], height_mm: size, text: words } in &self.words {
             let safe = words.replace('\\', "\\\\").replace('(', "\\(").replace(')', "\\)");
             let _ = writeln!(text, "BT /F1 {} Tf {} {} Td ({safe}) Tj ET", pt(*size), pt(*x), pt(*y));
         }

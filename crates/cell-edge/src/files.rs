@@ -90,6 +90,9 @@ pub struct FileIdentity {
 }
 
 /// Identity of `path` itself (links are not followed) and whether it is a regular file.
+///
+/// # Errors
+/// There is nothing at `path`, or the system refuses to look at it ([`FileError::Io`]).
 pub fn identify(path: &Path) -> Result<(FileIdentity, bool), FileError> {
     let metadata = path.symlink_metadata().map_err(|e| FileError::io("look at", path, e))?;
     Ok((identity_of(&metadata), metadata.is_file()))
@@ -175,6 +178,10 @@ fn text(path: &Path, bytes: Vec<u8>) -> Result<String, FileError> {
 }
 
 /// Writes `bytes` to `path` whole or not at all, and on return durably. Replaces what was there.
+///
+/// # Errors
+/// The system refuses to create, write, rename or sync the file ([`FileError::Io`]). Until the rename has
+/// succeeded, the old file stays as it was.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let temporary = temporary_name(path);
     let result = write_synced(&temporary, bytes)
@@ -199,6 +206,9 @@ fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 }
 
 /// Renames `from` to `to` durably; fails if `to` exists. Both must be on one file system.
+///
+/// # Errors
+/// `from` is absent, `to` is present, or the system refuses the rename or a sync ([`FileError::Io`]).
 pub fn rename_new(from: &Path, to: &Path) -> Result<(), FileError> {
     rustix::fs::renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE)
         .map_err(|e| FileError::io("rename to", to, e.into()))?;
@@ -210,6 +220,10 @@ pub fn rename_new(from: &Path, to: &Path) -> Result<(), FileError> {
 }
 
 /// Removes a file durably; a file that is not there is fine.
+///
+/// # Errors
+/// The system refuses to remove the file or to sync its folder ([`FileError::Io`]); a folder that is absent
+/// cannot be synced.
 pub fn remove(path: &Path) -> Result<(), FileError> {
     match std::fs::remove_file(path) {
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(FileError::io("remove", path, e)),
@@ -218,12 +232,18 @@ pub fn remove(path: &Path) -> Result<(), FileError> {
 }
 
 /// Creates a folder with its parents, durably as far as its own entry goes.
+///
+/// # Errors
+/// The system refuses to create the folder or a parent, or to sync the parent ([`FileError::Io`]).
 pub fn create_folder(path: &Path) -> Result<(), FileError> {
     std::fs::create_dir_all(path).map_err(|e| FileError::io("create folder", path, e))?;
     sync_folder(parent(path))
 }
 
 /// Makes the entries of a folder durable.
+///
+/// # Errors
+/// The folder is absent, or the system refuses to open or sync it ([`FileError::Io`]).
 pub fn sync_folder(path: &Path) -> Result<(), FileError> {
     File::open(path).and_then(|folder| folder.sync_all()).map_err(|e| FileError::io("sync folder", path, e))
 }
@@ -243,6 +263,9 @@ pub struct FileLock {
 
 impl FileLock {
     /// Takes the lock and leaves `note` in the file; `None` when another process holds it.
+    ///
+    /// # Errors
+    /// The system refuses to open, lock or write the file ([`FileError::Io`]).
     pub fn take(path: &Path, note: &str) -> Result<Option<FileLock>, FileError> {
         let mut file = open_lock(path)?;
         match file.try_lock() {
@@ -256,6 +279,9 @@ impl FileLock {
     }
 
     /// True when some process holds the lock.
+    ///
+    /// # Errors
+    /// The file is present, but the system refuses to open it or to try the lock ([`FileError::Io`]).
     pub fn is_held(path: &Path) -> Result<bool, FileError> {
         if !path.exists() {
             return Ok(false);

@@ -86,6 +86,9 @@ impl<'a> Reader<'a> {
     }
 
     /// The next `count` bytes.
+    ///
+    /// # Errors
+    /// Fewer than `count` bytes are left ([`WireError::Truncated`]).
     pub fn bytes(&mut self, field: &'static str, count: usize) -> Result<&'a [u8], WireError> {
         let taken = self.offset.checked_add(count).and_then(|end| self.bytes.get(self.offset..end));
         let Some(taken) = taken else {
@@ -113,12 +116,18 @@ impl<'a> Reader<'a> {
     }
 
     /// A length byte and that many bytes of text.
+    ///
+    /// # Errors
+    /// No length byte is left, or fewer bytes follow than it counts ([`WireError::Truncated`]).
     pub fn short_text(&mut self, field: &'static str) -> Result<String, WireError> {
         let length = usize::from(self.u8(field)?);
         Ok(String::from_utf8_lossy(self.bytes(field, length)?).into_owned())
     }
 
     /// `N` fields of one kind.
+    ///
+    /// # Errors
+    /// `field` fails; its first error is passed on.
     pub fn array<T: Copy + Default, const N: usize>(
         &mut self,
         mut field: impl FnMut(&mut Reader<'a>) -> Result<T, WireError>,
@@ -131,6 +140,10 @@ impl<'a> Reader<'a> {
     }
 
     /// 0 or 1.
+    ///
+    /// # Errors
+    /// The byte is neither 0 nor 1 ([`WireError::Unexpected`]), or no byte is left
+    /// ([`WireError::Truncated`]).
     pub fn bool(&mut self, field: &'static str) -> Result<bool, WireError> {
         let offset = self.offset;
         match self.u8(field)? {
@@ -143,6 +156,9 @@ impl<'a> Reader<'a> {
     }
 
     /// Nothing may follow.
+    ///
+    /// # Errors
+    /// Bytes are left ([`WireError::Leftover`]).
     pub fn finish(&self) -> Result<(), WireError> {
         match self.left() {
             0 => Ok(()),
@@ -156,6 +172,9 @@ macro_rules! numbers {
         impl Reader<'_> {
             $(
                 /// A big-endian number.
+                ///
+                /// # Errors
+                /// Fewer bytes are left than the number takes ([`WireError::Truncated`]).
                 pub fn $name(&mut self, field: &'static str) -> Result<$kind, WireError> {
                     let mut raw = [0; size_of::<$kind>()];
                     raw.copy_from_slice(self.bytes(field, size_of::<$kind>())?);

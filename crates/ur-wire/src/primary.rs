@@ -48,6 +48,10 @@ impl Package {
     }
 
     /// Reads what follows the header.
+    ///
+    /// # Errors
+    /// A robot state or a message ends inside a field, or a field holds a value that it cannot hold. Other
+    /// types never fail.
     pub fn decode(kind: u8, payload: &[u8]) -> Result<Package, WireError> {
         Ok(match kind {
             ROBOT_STATE => Package::RobotState(SubPackage::decode_all(payload)?),
@@ -69,6 +73,9 @@ impl Splitter {
 
     /// The next whole package. After an error inside a package the next call goes on behind it; after an
     /// error in a length the stream cannot be trusted any more and what waits is dropped.
+    ///
+    /// # Errors
+    /// The length is impossible ([`WireError::Length`]), or [`Package::decode`] fails.
     pub fn next_package(&mut self) -> Result<Option<Package>, WireError> {
         let [a, b, c, d, kind, ..] = *self.0.waiting() else { return Ok(None) };
         let length = i32::from_be_bytes([a, b, c, d]);

@@ -155,6 +155,9 @@ impl Message {
     }
 
     /// Reads what follows the package header.
+    ///
+    /// # Errors
+    /// The payload ends inside a field, or a yes/no of a popup is neither 0 nor 1.
     pub fn decode(payload: &[u8]) -> Result<Message, WireError> {
         let mut reader = Reader::new(payload);
         let timestamp = reader.u64("message timestamp")?;

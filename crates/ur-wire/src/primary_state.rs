@@ -270,6 +270,10 @@ impl SubPackage {
     }
 
     /// Reads all sub-packages of a robot state.
+    ///
+    /// # Errors
+    /// A sub-package's length is below 5 or beyond the end, it ends inside a field, or a yes/no in it is
+    /// neither 0 nor 1.
     pub fn decode_all(payload: &[u8]) -> Result<Vec<SubPackage>, WireError> {
         let mut reader = Reader::new(payload);
         let mut parts = Vec::new();

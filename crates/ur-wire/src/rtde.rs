@@ -214,6 +214,10 @@ impl Request {
     }
 
     /// Reads a client's package. Bytes behind the last field are ignored, as controllers do.
+    ///
+    /// # Errors
+    /// The type is unknown, the package ends inside a field, a level is above 3, or variable names are not
+    /// ASCII.
     pub fn decode(version: Version, frame: &Frame) -> Result<Request, WireError> {
         let mut reader = Reader::new(&frame.payload);
         Ok(match frame.kind {
@@ -348,6 +352,10 @@ impl Reply {
     }
 
     /// Reads a controller's package; every byte of it has to be accounted for.
+    ///
+    /// # Errors
+    /// The type is unknown, the package ends inside a field or goes on behind the last one, or a field holds
+    /// a value that it cannot hold.
     pub fn decode(version: Version, frame: &Frame) -> Result<Reply, WireError> {
         let mut reader = Reader::new(&frame.payload);
         let reply = match frame.kind {

@@ -195,6 +195,9 @@ impl Value {
     }
 
     /// Reads a value of a given type.
+    ///
+    /// # Errors
+    /// Fewer bytes are left than the type takes, or a BOOL is neither 0 nor 1.
     pub fn decode(kind: VariableType, reader: &mut Reader) -> Result<Value, WireError> {
         Ok(match kind {
             VariableType::Bool => Value::Bool(reader.bool("BOOL")?),
@@ -264,6 +267,10 @@ impl Recipe {
     }
 
     /// Packs values into the bytes that follow the recipe id.
+    ///
+    /// # Errors
+    /// There are more or fewer values than fields ([`RecipeError::Count`]), or a value has another type than
+    /// its field ([`RecipeError::Type`]).
     pub fn encode(&self, values: &[Value]) -> Result<Vec<u8>, RecipeError> {
         if values.len() != self.fields.len() {
             let (fields, values) = (self.fields.len(), values.len());
@@ -281,6 +288,10 @@ impl Recipe {
     }
 
     /// Unpacks the bytes that follow the recipe id.
+    ///
+    /// # Errors
+    /// The payload ends inside a field, a BOOL is neither 0 nor 1, or bytes are left over that `leftover`
+    /// refuses.
     pub fn decode(&self, payload: &[u8], leftover: Leftover) -> Result<Vec<Value>, WireError> {
         let mut reader = Reader::new(payload);
         let values = self

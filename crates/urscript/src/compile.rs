@@ -20,11 +20,18 @@ use std::sync::Arc;
 pub type LookUp<'a> = &'a dyn Fn(&str) -> Option<&'static Builtin>;
 
 /// Parses and compiles one upload.
+///
+/// # Errors
+/// The text is not URScript, or [`compile_script`] fails. The error has the place of the first fault.
 pub fn compile(text: &str, host: LookUp<'_>) -> Result<Code, CompileError> {
     compile_script(&parser::parse(text)?, host)
 }
 
 /// Compiles a parsed upload.
+///
+/// # Errors
+/// A name is not known, the arguments of a call do not match its parameters, or a `break` or `continue` is
+/// outside a `while`.
 pub fn compile_script(script: &Script, host: LookUp<'_>) -> Result<Code, CompileError> {
     let program = &script.main;
     let mut compiler =

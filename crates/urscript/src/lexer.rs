@@ -94,6 +94,10 @@ words! {
 }
 
 /// All tokens of `text`.
+///
+/// # Errors
+/// A character begins no token, a number has no digits or is too large, or a string is not closed on its
+/// line.
 pub fn tokens(text: &str) -> Result<Vec<Located>, CompileError> {
     let mut lexer = Lexer { rest: text.chars().peekable(), here: Position::START };
     let mut found = Vec::new();

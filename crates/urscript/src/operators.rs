@@ -9,6 +9,9 @@ use crate::value::{List, Value};
 use std::sync::Arc;
 
 /// `operator value`.
+///
+/// # Errors
+/// The operator does not apply to the type of the value.
 pub fn unary(operator: Unary, value: &Value) -> Result<Value, String> {
     match (operator, value) {
         (Unary::Not, value) => Ok(Value::Bool(!value.truth()?)),
@@ -18,6 +21,10 @@ pub fn unary(operator: Unary, value: &Value) -> Result<Value, String> {
 }
 
 /// `left operator right`. `and` and `or` get here only with both sides evaluated.
+///
+/// # Errors
+/// The operator does not apply to these types, the sizes of lists or matrices do not fit, or the divisor is
+/// 0.
 pub fn binary(operator: Binary, left: &Value, right: &Value) -> Result<Value, String> {
     match operator {
         Binary::And => Ok(Value::Bool(left.truth()? && right.truth()?)),
@@ -158,6 +165,9 @@ fn matrix_product(a: &[Value], b: &[Value]) -> Result<Value, String> {
 }
 
 /// `value[index]`, counted from 0.
+///
+/// # Errors
+/// The index is no whole number or out of range, or the value has no elements.
 pub fn index(value: &Value, index: &Value) -> Result<Value, String> {
     let at = index.integer()?;
     let found = usize::try_from(at).ok().and_then(|at| match value {
@@ -179,6 +189,9 @@ pub fn index(value: &Value, index: &Value) -> Result<Value, String> {
 }
 
 /// `value.name`.
+///
+/// # Errors
+/// The value is no struct, or the struct has no member of this name.
 pub fn member(value: &Value, name: &str) -> Result<Value, String> {
     let Value::Struct(members) = value else {
         return Err(format!("{} has no members", value.type_name()));

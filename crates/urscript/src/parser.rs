@@ -14,6 +14,9 @@ use std::sync::Arc;
 pub const MAX_NESTING: u32 = 100;
 
 /// Parses one upload.
+///
+/// # Errors
+/// The text is not URScript, or it is nested too deep. The error has the place of the first fault.
 pub fn parse(text: &str) -> Result<Script, CompileError> {
     let mut parser = Parser { tokens: tokens(text)?, next: 0, nesting: 0 };
     parser.script()

@@ -44,6 +44,9 @@ pub fn call(call: &Call<'_>) -> Option<Result<Value, String>> {
 }
 
 /// The inverse of a pose.
+///
+/// # Errors
+/// The value is no pose.
 pub fn inverse(pose: &Value) -> Result<Value, String> {
     Ok(value(isometry(pose)?.inverse()))
 }

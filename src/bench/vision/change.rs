@@ -6,7 +6,9 @@
 //! light that is up to 15 % brighter or darker than when the table was empty. There are no shadows: the
 //! renderer has none.
 
-use crate::bench::vision::foreign::{Bench, CAMERA_HEIGHT_M, EYES_Y_M, WIDTH_M, jitter, look, same, tables};
+use crate::bench::vision::foreign::{
+    Bench, CAMERA_HEIGHT_M, Capture, DrawnTable, EYES_Y_M, WIDTH_M, jitter, look, same, tables,
+};
 use crate::bench::vision::scene::looking_down;
 use crate::bench::vision::tally::quantile;
 use cell_values::image::Image;
@@ -84,7 +86,7 @@ fn scene(bench: &Bench, poses: &[Isometry3<f64>; 2], [seed, number]: [u64; 2]) -
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(number);
     let kind = (number % 2 == 1).then_some(number as usize / 2 % 4);
-    let (mut things, foreign, known) = tables(kind, &mut random);
+    let DrawnTable { mut things, foreign, known } = tables(kind, &mut random);
     for thing in &mut things {
         thing.prism.colour = [0; 3].map(|_: u8| random.random_range(20..235));
     }
@@ -97,7 +99,12 @@ fn scene(bench: &Bench, poses: &[Isometry3<f64>; 2], [seed, number]: [u64; 2]) -
     }
     let cell = bench.knowing(known);
     let started = Instant::now();
-    let seen = look(&cell, images.iter().zip(poses).map(|(image, pose)| (None, Some(image), pose)))?;
+    let captures = images.iter().zip(poses).map(|(image, pose)| Capture {
+        depth: None,
+        colour: Some(image),
+        table_from_camera: pose,
+    });
+    let seen = look(&cell, captures)?;
     let ms = started.elapsed().as_secs_f64() * 1e3;
     let is_it = |object| foreign.as_ref().is_some_and(|truth| same(object, truth));
     Ok(Outcome {

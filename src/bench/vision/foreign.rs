@@ -118,6 +118,27 @@ pub(super) struct Thing {
     pub(super) prism: Prism,
 }
 
+/// A table as it was drawn.
+pub(super) struct DrawnTable {
+    /// All that is on it.
+    pub things: Vec<Thing>,
+    /// The foreign thing among them, if there is one.
+    pub foreign: Option<KnownBody>,
+    /// What is known of the rest.
+    pub known: Vec<KnownBody>,
+}
+
+/// What was taken from one place of a look.
+#[derive(Clone, Copy)]
+pub(super) struct Capture<'a> {
+    /// Depth, where it is measured.
+    pub depth: Option<&'a DepthImage>,
+    /// Colour, where there is no depth.
+    pub colour: Option<&'a Image>,
+    /// Where the camera is, as the cell believes.
+    pub table_from_camera: &'a Isometry3<f64>,
+}
+
 /// What one scene gave.
 struct Outcome {
     kind: Option<usize>,
@@ -211,7 +232,7 @@ impl Bench {
         let mut random = ChaCha8Rng::seed_from_u64(task.seed);
         random.set_stream(number as u64);
         let kind = (number % 2 == 1).then_some(number / 2 % KINDS.len());
-        let (things, foreign, known) = tables(kind, &mut random);
+        let DrawnTable { things, foreign, known } = tables(kind, &mut random);
         let prisms: Vec<Prism> = things.into_iter().map(|thing| thing.prism).collect();
         let mut taken = Vec::with_capacity(EYES_Y_M.len());
         for (look, y) in (0..).zip(EYES_Y_M) {
@@ -225,7 +246,12 @@ impl Bench {
         }
         let cell = self.knowing(known);
         let started = Instant::now();
-        let seen = look(&cell, taken.iter().map(|(depth, believed)| (Some(depth), None, believed)))?;
+        let captures = taken.iter().map(|(depth, believed)| Capture {
+            depth: Some(depth),
+            colour: None,
+            table_from_camera: believed,
+        });
+        let seen = look(&cell, captures)?;
         let ms = started.elapsed().as_secs_f64() * 1e3;
         let is_it = |object: &&ForeignObject| foreign.as_ref().is_some_and(|truth| same(object, truth));
         let found = seen.objects.iter().find(is_it).zip(foreign.as_ref());
@@ -259,10 +285,10 @@ impl Bench {
 /// marker is drawn on these tables, so none is searched for.
 pub(super) fn look<'a>(
     cell: &perception::Scene,
-    taken: impl Iterator<Item = (Option<&'a DepthImage>, Option<&'a Image>, &'a Isometry3<f64>)>,
+    taken: impl Iterator<Item = Capture<'a>>,
 ) -> Result<ForeignReport, String> {
     let mut views = Vec::with_capacity(EYES_Y_M.len());
-    for (depth, colour, table_from_camera) in taken {
+    for Capture { depth, colour, table_from_camera } in taken {
         let heights = cell.heights(depth, colour, table_from_camera).map_err(|error| chain(&error))?;
         let (table_from_camera, time) = (*table_from_camera, Timestamp::ZERO);
         views.push(View { table_from_camera, detections: Vec::new(), time, heights });
@@ -271,12 +297,8 @@ pub(super) fn look<'a>(
     seen.foreign.ok_or_else(|| "neither depth nor colour told of the table".to_string())
 }
 
-/// A table, with something foreign of that kind on it: all that is there, the foreign thing, and what is
-/// known of the rest.
-pub(super) fn tables(
-    kind: Option<usize>,
-    random: &mut ChaCha8Rng,
-) -> (Vec<Thing>, Option<KnownBody>, Vec<KnownBody>) {
+/// A table, with something foreign of that kind on it.
+pub(super) fn tables(kind: Option<usize>, random: &mut ChaCha8Rng) -> DrawnTable {
     let mut things: Vec<Thing> = Vec::new();
     // First, while there is room for it.
     let foreign = kind.and_then(|kind| {
@@ -289,7 +311,7 @@ pub(super) fn tables(
     }
     let known = things.iter().skip(usize::from(foreign.is_some()));
     let known = known.map(|thing| measured(&thing.known, random)).collect();
-    (things, foreign, known)
+    DrawnTable { things, foreign, known }
 }
 
 /// True when an outline that was found is that of the thing that is there.

@@ -260,14 +260,22 @@ struct Outstanding {
     tries: u32,
 }
 
+/// A write to try again.
+struct Retry {
+    /// Not before this.
+    due: Timestamp,
+    request: ModbusRequest,
+    /// Which try it will be, from 2.
+    tries: u32,
+}
+
 /// The session. See the module.
 pub struct Gripper {
     parameters: GripperParameters,
     hold: Hold,
     waiting: VecDeque<(Vec<u16>, u16)>,
     outstanding: Option<Outstanding>,
-    /// A write to try again, not before the time.
-    again: Option<(Timestamp, ModbusRequest, u32)>,
+    again: Option<Retry>,
     /// The last command got through.
     written: bool,
     next_read: Timestamp,
@@ -359,7 +367,7 @@ impl Gripper {
     }
 
     fn next_request(&mut self, now: Timestamp) -> Option<(ModbusRequest, u32)> {
-        if let Some((_, request, tries)) = self.again.take_if(|(at, ..)| *at <= now) {
+        if let Some(Retry { request, tries, .. }) = self.again.take_if(|retry| retry.due <= now) {
             return Some((request, tries));
         }
         if self.again.is_none()
@@ -443,7 +451,7 @@ impl Gripper {
             Some(outstanding) => (outstanding.deadline, "gripper answer"),
             None if !self.waiting.is_empty() && self.again.is_none() => (Timestamp::ZERO, "gripper command"),
             None => match &self.again {
-                Some((at, ..)) => (*at, "gripper command again"),
+                Some(retry) => (retry.due, "gripper command again"),
                 None => (self.next_read, "gripper reading"),
             },
         };
@@ -492,7 +500,8 @@ impl Gripper {
         // A command that came meanwhile (a release after a grip) makes this one void.
         let overtaken = !self.waiting.is_empty();
         if outstanding.tries < MAX_FAILURES && !overtaken && !matches!(self.hold, Hold::Failed) {
-            self.again = Some((now + READ_BUSY, outstanding.request, outstanding.tries + 1));
+            let Outstanding { request, tries, .. } = outstanding;
+            self.again = Some(Retry { due: now + READ_BUSY, request, tries: tries + 1 });
         }
     }
 

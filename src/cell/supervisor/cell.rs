@@ -16,12 +16,11 @@ use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Notice, Reco
 use crate::cell::supervisor::ledger::Ledger;
 use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult};
+use crate::cell::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult, RouteAction};
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, UntilItStands, Visit};
 use crate::cell::supervisor::round::Round;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::observe::Observation;
-use rearrange::geometry::pose::Pose2;
 use ur_wire::enumerations::RuntimeState;
 
 /// What a look showed, valid until something is picked, placed, dropped or stopped.
@@ -117,12 +116,9 @@ impl Supervisor {
         self.seen.as_ref()
     }
 
-    /// The remaining route of the active job: object, from, to, whether `to` is its goal.
-    pub fn route(&self) -> Vec<(String, Pose2, Pose2, bool)> {
-        let route = self.job.as_ref().and_then(|job| job.route.as_ref());
-        route.map_or_else(Vec::new, |route| {
-            route.iter().map(|a| (a.object.clone(), a.from, a.to, a.to_goal)).collect()
-        })
+    /// The remaining route of the active job.
+    pub fn route(&self) -> Vec<RouteAction> {
+        self.job.as_ref().and_then(|job| job.route.clone()).unwrap_or_default()
     }
 
     /// The cell as configured.

@@ -1,7 +1,7 @@
 //! A job as the supervisor carries it out, and how it ended.
 //!
-//! In: goals by object name, how to plan, whether a person has to approve. Out: a [`JobReport`] with a code a
-//! program can test and a sentence a person can act on.
+//! In: goals by object name, how to plan, whether a person has to approve. Out: the [`RouteAction`]s that
+//! remain to be done, and a [`JobReport`] with a code a program can test and a sentence a person can act on.
 
 use crate::cell::code::Code;
 use cell_values::time::Duration;
@@ -37,6 +37,19 @@ pub enum ApprovalRule {
     FirstPlan,
     /// Every one.
     EveryPlan,
+}
+
+/// One remaining pick-n-place of a job's route.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RouteAction {
+    /// Name of the object.
+    pub object: String,
+    /// Where it is picked, table frame.
+    pub from: Pose2,
+    /// Where it is placed, table frame.
+    pub to: Pose2,
+    /// `to` is its goal, not a buffer.
+    pub to_goal: bool,
 }
 
 /// How a job ended.

@@ -4,7 +4,7 @@
 
 use crate::cell::device::gripper::Channels;
 use crate::cell::supervisor::input::CameraFault;
-use crate::cell::supervisor::order::JobOrder;
+use crate::cell::supervisor::order::{JobOrder, RouteAction};
 use crate::motion::pick_n_place::PickNPlacePaths;
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;
@@ -118,15 +118,6 @@ pub(crate) struct UntilItStands {
     pub number: u64,
     pub since: Timestamp,
     pub then: Then,
-}
-
-/// One remaining action of the route.
-#[derive(Clone, Debug)]
-pub(crate) struct RouteAction {
-    pub object: String,
-    pub from: Pose2,
-    pub to: Pose2,
-    pub to_goal: bool,
 }
 
 /// The job being carried out.

@@ -80,7 +80,7 @@ pub(super) fn calibrate(args: &CameraArgs) -> Result<(), Fault> {
     let Places { folder, out, serial } = places(args)?;
     let names = pictures(&folder, &args.drop)?;
     let ([columns, rows], board) = (args.board, board_of(args));
-    let (views, width, height) = look(&folder, &names, &board)?;
+    let BoardPictures { views, width, height } = look(&folder, &names, &board)?;
     let solved = solve_lens(&views, width, height, &LensSettings::default());
     let solved = solved.map_err(|error| Fault { message: chain(&error), code: 1 })?;
     report(&solved);
@@ -168,8 +168,18 @@ fn pictures(folder: &Path, drop: &[String]) -> Result<Vec<String>, Fault> {
     Ok(names)
 }
 
-/// The board's corners in every picture, and the size they share.
-fn look(folder: &Path, names: &[String], board: &Board) -> Result<(Vec<BoardView>, u32, u32), Fault> {
+/// What pictures of one size show of the board.
+struct BoardPictures {
+    /// The board's corners in every picture.
+    views: Vec<BoardView>,
+    /// Width of each picture, pixels.
+    width: u32,
+    /// Height of each picture, pixels.
+    height: u32,
+}
+
+/// Finds the board in the folder's pictures.
+fn look(folder: &Path, names: &[String], board: &Board) -> Result<BoardPictures, Fault> {
     let settings = DetectSettings::default();
     let mut detector =
         Detector::of(&[board.family], settings).map_err(|error| bad_input(error.to_string()))?;
@@ -191,7 +201,7 @@ fn look(folder: &Path, names: &[String], board: &Board) -> Result<(Vec<BoardView
         views.push(BoardView { name: name.clone(), corners: board.seen(&detections) });
     }
     let (width, height) = size.unwrap_or_default();
-    Ok((views, width, height))
+    Ok(BoardPictures { views, width, height })
 }
 
 fn report(solved: &LensSolution) {

@@ -46,6 +46,9 @@ pub(super) struct Table {
 
 impl Cell {
     /// Reads the configuration and the lens it names.
+    ///
+    /// # Errors
+    /// The configuration or the lens that it names cannot be read, or its content is wrong.
     pub fn read(path: &Path) -> Result<Cell, String> {
         let config = load_cell(path).map_err(|error| error.to_string())?;
         let lens = read_camera(&config.calibration.camera).map_err(|error| {
@@ -55,6 +58,10 @@ impl Cell {
     }
 
     /// The table in a picture with these markers.
+    ///
+    /// # Errors
+    /// The reference markers do not fix where the picture was taken, the depth picture cannot be read or does
+    /// not fit the lens, or OpenCV fails.
     pub fn look(self, detections: &[Detection], depth: Option<&Path>) -> Result<Table, String> {
         let Cell { config, lens } = self;
         // Markers of the cell are of one family; in others the same numbers mean nothing to it.
@@ -103,6 +110,9 @@ impl Table {
     }
 
     /// Draws outlines of what lies where.
+    ///
+    /// # Errors
+    /// OpenCV fails to project an outline into the picture.
     pub fn draw(&self, image: &mut Image) -> Result<(), String> {
         let good = self.seen.objects.iter().map(|object| (object, GOOD));
         let doubted = self.seen.suspicious.iter().filter_map(|doubted| doubted.estimate.as_ref());

@@ -452,17 +452,18 @@ fn frame_of(set: &Frames, unit_m: f64, with_depth: bool, place: &str) -> Result<
         let stream = picture.stream().map_err(refused)?;
         match (stream.kind, stream.format) {
             (sdk::STREAM_COLOUR, sdk::FORMAT_RGB8) => {
-                let (width, height, rgb) = picture.rows(3).map_err(refused)?;
-                let image = Image::from_rgb(width, height, rgb).map_err(broken)?;
+                let rows = picture.rows(3).map_err(refused)?;
+                let image = Image::from_rgb(rows.width, rows.height, rows.data).map_err(broken)?;
                 let (sequence, time_s) =
                     (picture.number().map_err(refused)?, picture.time_s().map_err(refused)?);
                 colour = Some((image, sequence, time_s));
             }
             (sdk::STREAM_DEPTH, sdk::FORMAT_Z16) if with_depth => {
-                let (width, height, bytes) = picture.rows(2).map_err(refused)?;
+                let rows = picture.rows(2).map_err(refused)?;
                 let units: Vec<u16> =
-                    bytes.chunks_exact(2).map(|pair| u16::from_ne_bytes([pair[0], pair[1]])).collect();
-                depth = Some(DepthImage::from_units(width, height, &units, unit_m).map_err(broken)?);
+                    rows.data.chunks_exact(2).map(|pair| u16::from_ne_bytes([pair[0], pair[1]])).collect();
+                depth =
+                    Some(DepthImage::from_units(rows.width, rows.height, &units, unit_m).map_err(broken)?);
             }
             _ => {}
         }

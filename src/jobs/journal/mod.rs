@@ -176,6 +176,10 @@ pub struct Journal {
 
 impl Journal {
     /// Opens or creates the database.
+    ///
+    /// # Errors
+    /// SQLite cannot open, create or read the file ([`JournalError::Database`]), or the file has another
+    /// schema version ([`JournalError::Version`]).
     pub fn open(path: &Path) -> Result<Journal, JournalError> {
         let fail = |source| JournalError::Database { path: path.to_owned(), source };
         let database = Connection::open(path).map_err(fail)?;
@@ -193,6 +197,10 @@ impl Journal {
     }
 
     /// Opens an existing database to read it beside a running daemon.
+    ///
+    /// # Errors
+    /// The file is absent or SQLite cannot open it ([`JournalError::Database`]), or it has another schema
+    /// version ([`JournalError::Version`]).
     pub fn open_to_read(path: &Path) -> Result<Journal, JournalError> {
         let fail = |source| JournalError::Database { path: path.to_owned(), source };
         // Not read-only: a reader of a WAL database may have to create its shared-memory file.
@@ -235,6 +243,9 @@ impl Journal {
     }
 
     /// Claims a job: known from now on, once and for all.
+    ///
+    /// # Errors
+    /// SQLite fails ([`JournalError::Database`]).
     pub fn claim(&mut self, job: &NewJob, unix_s: f64) -> Result<Claim, JournalError> {
         let spec = encode(job.spec);
         self.transact(|transaction| {
@@ -262,11 +273,17 @@ impl Journal {
     }
 
     /// The job that is worked on.
+    ///
+    /// # Errors
+    /// SQLite fails ([`JournalError::Database`]), or a row is damaged ([`JournalError::Damaged`]).
     pub fn active(&self) -> Result<Option<JobRecord>, JournalError> {
         Ok(self.select("WHERE state = 'active'", params![])?.pop())
     }
 
     /// The job whose turn it is: at the head after a restart, then by priority, `not_before`, arrival.
+    ///
+    /// # Errors
+    /// As [`Journal::active`].
     pub fn next_ready(&self, unix_s: f64) -> Result<Option<JobRecord>, JournalError> {
         let order = "WHERE state = 'waiting' AND (not_before IS NULL OR not_before <= ?1)
                      ORDER BY head DESC, priority DESC, coalesce(not_before, 0), sequence LIMIT 1";
@@ -274,22 +291,35 @@ impl Journal {
     }
 
     /// Number of jobs that wait.
+    ///
+    /// # Errors
+    /// SQLite fails ([`JournalError::Database`]).
     pub fn waiting(&self) -> Result<u32, JournalError> {
         let count = "SELECT count(*) FROM jobs WHERE state = 'waiting'";
         self.database.query_row(count, [], |row| row.get(0)).map_err(|e| self.fail(e))
     }
 
     /// One job.
+    ///
+    /// # Errors
+    /// As [`Journal::active`].
     pub fn job(&self, id: &str) -> Result<Option<JobRecord>, JournalError> {
         Ok(self.select("WHERE id = ?1", params![id])?.pop())
     }
 
     /// Jobs in the order of arrival, newest first, at most `limit`.
+    ///
+    /// # Errors
+    /// As [`Journal::active`].
     pub fn latest(&self, limit: u32) -> Result<Vec<JobRecord>, JournalError> {
         self.select("ORDER BY sequence DESC LIMIT ?1", params![limit])
     }
 
     /// Makes a waiting job the active one.
+    ///
+    /// # Errors
+    /// No job has this id ([`JournalError::UnknownJob`]), it does not wait or another job is active
+    /// ([`JournalError::WrongState`]), or as [`Journal::active`].
     pub fn start(&mut self, id: &str, unix_s: f64) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET state = 'active', started = coalesce(started, ?2), head = 0
                       WHERE id = ?1 AND state = 'waiting' AND NOT EXISTS (SELECT 1 FROM jobs WHERE state = 'active')";
@@ -297,6 +327,10 @@ impl Journal {
     }
 
     /// Puts an active job back to the head of the queue; only without an open step.
+    ///
+    /// # Errors
+    /// No job has this id ([`JournalError::UnknownJob`]), it is not active or has an open step
+    /// ([`JournalError::WrongState`]), or as [`Journal::active`].
     pub fn requeue(&mut self, id: &str) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET state = 'waiting', head = 1 WHERE id = ?1 AND state = 'active'
                       AND NOT EXISTS (SELECT 1 FROM steps WHERE job = sequence AND phase IN ('intent','gripped','released'))";
@@ -304,12 +338,19 @@ impl Journal {
     }
 
     /// Notes that a person approved `what` (the caller's name for a plan).
+    ///
+    /// # Errors
+    /// No job has this id ([`JournalError::UnknownJob`]), it has ended ([`JournalError::WrongState`]), or as
+    /// [`Journal::active`].
     pub fn approve(&mut self, id: &str, what: &str) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET approved = ?2 WHERE id = ?1 AND state IN ('waiting','active')";
         self.change(id, "approve it", update, params![id, what])
     }
 
     /// Ends a job. Folders follow with the next `Spool::reconcile`.
+    ///
+    /// # Errors
+    /// As [`Journal::approve`].
     pub fn finish(&mut self, id: &str, result: &JobResult, unix_s: f64) -> Result<(), JournalError> {
         let text = encode(&storable(result));
         let state = result.status.word();
@@ -335,6 +376,9 @@ impl Journal {
 
     /// Decides about jobs that were active when celld ended; to be called once, at start, before anything
     /// else.
+    ///
+    /// # Errors
+    /// SQLite fails ([`JournalError::Database`]), or a row is damaged ([`JournalError::Damaged`]).
     pub fn recover(&mut self, unix_s: f64) -> Result<Vec<Recovered>, JournalError> {
         let mut recovered = Vec::new();
         for job in self.select("WHERE state = 'active'", params![])? {

@@ -103,11 +103,17 @@ impl Journal {
     }
 
     /// The newest job that came in a file of this name.
+    ///
+    /// # Errors
+    /// As [`Journal::active`].
     pub fn job_of_file(&self, name: &str) -> Result<Option<JobRecord>, JournalError> {
         Ok(self.select("WHERE name = ?1 ORDER BY sequence DESC LIMIT 1", params![name])?.pop())
     }
 
     /// The newest refusal of a file of this name.
+    ///
+    /// # Errors
+    /// SQLite fails ([`JournalError::Database`]).
     pub fn rejection_of_name(&self, name: &str) -> Result<Option<Rejection>, JournalError> {
         let select = "SELECT sequence, name, stored, code, reason, moves, source FROM rejections
                       WHERE name = ?1 ORDER BY sequence DESC LIMIT 1";

@@ -34,21 +34,34 @@ impl Journal {
     }
 
     /// The vacuum holds: the object left the table.
+    ///
+    /// # Errors
+    /// The job has no open step of this number ([`JournalError::WrongStep`]), or SQLite fails
+    /// ([`JournalError::Database`]).
     pub fn step_gripped(&mut self, id: &str, step: u32, unix_s: f64) -> Result<(), JournalError> {
         self.step_phase(id, step, StepPhase::Gripped, unix_s)
     }
 
     /// The vacuum is off at the place.
+    ///
+    /// # Errors
+    /// As [`Journal::step_gripped`].
     pub fn step_released(&mut self, id: &str, step: u32, unix_s: f64) -> Result<(), JournalError> {
         self.step_phase(id, step, StepPhase::Released, unix_s)
     }
 
     /// The step is over.
+    ///
+    /// # Errors
+    /// As [`Journal::step_gripped`].
     pub fn step_done(&mut self, id: &str, step: u32, unix_s: f64) -> Result<(), JournalError> {
         self.step_phase(id, step, StepPhase::Done, unix_s)
     }
 
     /// The step was given up after a fault that is understood; a new look has to come first.
+    ///
+    /// # Errors
+    /// As [`Journal::step_gripped`].
     pub fn step_abandoned(&mut self, id: &str, step: u32, unix_s: f64) -> Result<(), JournalError> {
         self.step_phase(id, step, StepPhase::Abandoned, unix_s)
     }
@@ -65,6 +78,9 @@ impl Journal {
     }
 
     /// All steps of a job, in order.
+    ///
+    /// # Errors
+    /// As [`Journal::active`].
     pub fn steps(&self, id: &str) -> Result<Vec<StepRecord>, JournalError> {
         let select =
             "SELECT step, intent, phase FROM steps WHERE job = (SELECT sequence FROM jobs WHERE id = ?1)

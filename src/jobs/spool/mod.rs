@@ -219,6 +219,10 @@ pub struct Spool {
 
 impl Spool {
     /// Opens (and creates) the folders below `state/jobs`.
+    ///
+    /// # Errors
+    /// A folder cannot be created ([`SpoolError::Files`]) or is on another file system
+    /// ([`SpoolError::OtherFileSystem`]).
     pub fn open(state: &Path, settings: SpoolSettings) -> Result<Spool, SpoolError> {
         let jobs = state.join("jobs");
         for folder in FOLDERS {

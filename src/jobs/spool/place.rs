@@ -15,6 +15,10 @@ use std::path::{Path, PathBuf};
 impl Spool {
     /// Finishes what a crash cut short and moves folders after their jobs' states. Cheap when all is in
     /// place.
+    ///
+    /// # Errors
+    /// A file or folder cannot be read, written or moved ([`SpoolError::Files`]), or the journal fails
+    /// ([`SpoolError::Journal`]).
     pub fn reconcile(&mut self, journal: &mut Journal) -> Result<(), SpoolError> {
         for placed in journal.placed(false)? {
             self.place(journal, &placed)?;
@@ -28,6 +32,9 @@ impl Spool {
 
     /// [`Spool::reconcile`], and besides a check of all unfinished jobs' folders against the journal: to be
     /// called once, at start. A folder that the journal does not know goes back to `incoming`.
+    ///
+    /// # Errors
+    /// As [`Spool::reconcile`].
     pub fn reconcile_at_start(&mut self, journal: &mut Journal) -> Result<(), SpoolError> {
         self.reconcile(journal)?;
         for placed in journal.placed(true)? {
@@ -46,6 +53,9 @@ impl Spool {
     }
 
     /// The folder of a job, where there is one.
+    ///
+    /// # Errors
+    /// The journal cannot be read ([`SpoolError::Journal`]).
     pub fn folder_of(&self, journal: &Journal, id: &str) -> Result<Option<PathBuf>, SpoolError> {
         let job = journal.job(id)?;
         Ok(job.map(|job| self.jobs.join(wanted_folder(&job))))

@@ -21,14 +21,25 @@ use rearrange::tabletop::instance::KeepOut;
 pub struct Inventory {
     /// The part of the table that is searched.
     pub area: Area,
-    /// What carries a marker: name, footprint, height in m.
-    pub objects: Vec<(String, Footprint, f64)>,
+    /// What carries a marker.
+    pub objects: Vec<CatalogueObject>,
     /// What is there and never moves.
     pub fixed: Vec<KnownBody>,
     /// Where anything may be: regions that are kept out of anyway.
     pub ignored: Vec<KeepOut>,
     /// The gripper, if the camera may see it.
     pub own: Option<OwnBody>,
+}
+
+/// An object of the catalogue, wherever it lies.
+#[derive(Clone, Debug)]
+pub struct CatalogueObject {
+    /// Its name.
+    pub id: String,
+    /// Its outline in its own frame.
+    pub footprint: Footprint,
+    /// Its height, m.
+    pub height_m: f64,
 }
 
 /// The search.
@@ -93,9 +104,9 @@ impl ForeignSearch {
         if maps.is_empty() {
             return None;
         }
-        let placed = |(id, footprint, height_m): &(String, Footprint, f64)| {
-            let pose = seen.object(id)?.pose;
-            Some(KnownBody { footprint: footprint.clone(), pose, height_m: *height_m })
+        let placed = |object: &CatalogueObject| {
+            let pose = seen.object(&object.id)?.pose;
+            Some(KnownBody { footprint: object.footprint.clone(), pose, height_m: object.height_m })
         };
         let known: Vec<KnownBody> = self
             .inventory

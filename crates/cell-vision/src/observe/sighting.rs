@@ -20,6 +20,9 @@ pub struct Sighting {
 }
 
 /// All detections of all views by marker id, undistorted in one go per view.
+///
+/// # Errors
+/// OpenCV reports an error or gives no usable answer for the corners of a view.
 pub fn sightings(camera: &CameraModel, views: &[View]) -> Result<BTreeMap<u32, Vec<Sighting>>, CvError> {
     let mut by_id: BTreeMap<u32, Vec<Sighting>> = BTreeMap::new();
     for (view, seen) in views.iter().enumerate() {

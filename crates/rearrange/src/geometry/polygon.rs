@@ -242,18 +242,28 @@ fn convex_parts(points: &[Point]) -> Vec<Vec<Point>> {
         })
         .filter(|corners| signed_area(corners) > 0.0)
         .collect();
-    while let Some((i, j, merged)) = mergeable(&parts) {
-        parts[i] = merged;
-        parts.swap_remove(j);
+    while let Some(merger) = mergeable(&parts) {
+        parts[merger.kept] = merger.union;
+        parts.swap_remove(merger.removed);
     }
     parts
 }
 
-fn mergeable(parts: &[Vec<Point>]) -> Option<(usize, usize, Vec<Point>)> {
+/// Two convex parts whose union is convex too.
+struct Merger {
+    /// Index of the part that the union replaces.
+    kept: usize,
+    /// Index of the other part, larger than `kept`.
+    removed: usize,
+    /// Corners of the union, counter-clockwise.
+    union: Vec<Point>,
+}
+
+fn mergeable(parts: &[Vec<Point>]) -> Option<Merger> {
     for i in 0..parts.len() {
         for j in i + 1..parts.len() {
-            if let Some(merged) = merged(&parts[i], &parts[j]) {
-                return Some((i, j, merged));
+            if let Some(union) = merged(&parts[i], &parts[j]) {
+                return Some(Merger { kept: i, removed: j, union });
             }
         }
     }

@@ -93,6 +93,16 @@ impl CheckedPlan {
     }
 }
 
+/// An overlap of a body.
+struct Contact {
+    /// What is met: another object, a keep-out region, the table's edge.
+    meets: String,
+    /// Depth of the overlap, m.
+    depth_m: f64,
+    /// The depth is beyond what a given pose is allowed to have.
+    too_deep: bool,
+}
+
 /// Who lies where.
 struct Table<'p> {
     problem: &'p Problem,
@@ -158,8 +168,8 @@ impl<'p> Table<'p> {
     }
 
     /// Takes given overlaps within the tolerance as they are, and refuses deeper ones.
-    fn admit(&mut self, k: usize, found: Vec<(String, f64, bool)>, given: GivenIn) -> Result<(), PlanFault> {
-        for (meets, depth_m, too_deep) in found {
+    fn admit(&mut self, k: usize, found: Vec<Contact>, given: GivenIn) -> Result<(), PlanFault> {
+        for Contact { meets, depth_m, too_deep } in found {
             if too_deep {
                 let (depth_um, tolerated_um) = (depth_m * 1e6, self.problem.overlap_tolerance * 1e6);
                 return Err(PlanFault::Start { object: self.name(k), meets, depth_um, tolerated_um });
@@ -180,30 +190,36 @@ impl<'p> Table<'p> {
         }
     }
 
-    /// What is met, how deep, and whether that is beyond the tolerance.
-    fn edge_contact(&self, _k: usize, body: &Body) -> Vec<(String, f64, bool)> {
+    fn edge_contact(&self, _k: usize, body: &Body) -> Vec<Contact> {
         let (width, height) = (self.problem.workspace.width, self.problem.workspace.height);
         if !body.reaches_over(width, height, TOUCH_M) {
             return Vec::new();
         }
-        let too_far = body.reaches_over(width, height, self.tolerated());
-        vec![("the table's edge".to_string(), body.overhang(width, height), too_far)]
+        vec![Contact {
+            meets: "the table's edge".to_string(),
+            depth_m: body.overhang(width, height),
+            too_deep: body.reaches_over(width, height, self.tolerated()),
+        }]
     }
 
-    fn region_contacts(&self, body: &Body) -> Vec<(String, f64, bool)> {
+    fn region_contacts(&self, body: &Body) -> Vec<Contact> {
         let contact = |(r, region): (usize, &Body)| {
-            region.overlaps_deeper(body, TOUCH_M).then(|| {
-                (format!("keep_out[{r}]"), region.depth(body), region.overlaps_deeper(body, self.tolerated()))
+            region.overlaps_deeper(body, TOUCH_M).then(|| Contact {
+                meets: format!("keep_out[{r}]"),
+                depth_m: region.depth(body),
+                too_deep: region.overlaps_deeper(body, self.tolerated()),
             })
         };
         self.regions.iter().enumerate().filter_map(contact).collect()
     }
 
-    fn object_contact(&self, j: usize, body: &Body) -> Option<(String, f64, bool)> {
+    fn object_contact(&self, j: usize, body: &Body) -> Option<Contact> {
         let other = &self.bodies[j];
-        other
-            .overlaps_deeper(body, TOUCH_M)
-            .then(|| (self.name(j), other.depth(body), other.overlaps_deeper(body, self.tolerated())))
+        other.overlaps_deeper(body, TOUCH_M).then(|| Contact {
+            meets: self.name(j),
+            depth_m: other.depth(body),
+            too_deep: other.overlaps_deeper(body, self.tolerated()),
+        })
     }
 
     fn carry_out(&mut self, index: usize, action: &Action) -> Result<(), PlanFault> {
@@ -248,7 +264,7 @@ impl<'p> Table<'p> {
         body: &Body,
     ) -> Result<(), PlanFault> {
         let given = self.given_alone(k, to);
-        for (_, depth_m, too_deep) in self.edge_contact(k, body) {
+        for Contact { depth_m, too_deep, .. } in self.edge_contact(k, body) {
             match given {
                 Some(given) if !too_deep => {
                     let meets = "the table's edge".to_string();
@@ -257,7 +273,7 @@ impl<'p> Table<'p> {
                 _ => return Err(PlanFault::Edge { action, object: self.name(k), depth_um: depth_m * 1e6 }),
             }
         }
-        for (meets, depth_m, too_deep) in self.region_contacts(body) {
+        for Contact { meets, depth_m, too_deep } in self.region_contacts(body) {
             match given {
                 Some(given) if !too_deep => self.note(Exempt { object: self.name(k), meets, given, depth_m }),
                 _ => {
@@ -284,10 +300,10 @@ impl<'p> Table<'p> {
         for j in (0..self.poses.len()).filter(|&j| j != k) {
             let given = self.given_together(k, to, j);
             match (self.object_contact(j, body), given) {
-                (Some((meets, depth_m, false)), Some(given)) => {
+                (Some(Contact { meets, depth_m, too_deep: false }), Some(given)) => {
                     self.note(Exempt { object: self.name(k), meets, given, depth_m });
                 }
-                (Some((meets, depth_m, _)), _) => {
+                (Some(Contact { meets, depth_m, .. }), _) => {
                     let (object, depth_um) = (self.name(k), depth_m * 1e6);
                     return Err(PlanFault::Overlap { action, object, meets, depth_um });
                 }

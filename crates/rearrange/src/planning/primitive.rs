@@ -121,6 +121,16 @@ struct State {
     peak: u32,
 }
 
+/// An object that could go home next.
+struct Successor {
+    /// Who.
+    object: usize,
+    /// The blockers that would have to make way first.
+    parked: ObjectSet,
+    /// What parking them costs.
+    cost: f64,
+}
+
 struct Search<'a> {
     buffer: &'a RunningBuffer<'a>,
     all: ObjectSet,
@@ -171,7 +181,7 @@ impl<'a> Search<'a> {
             return false;
         }
         self.nodes -= 1;
-        for (object, parked, cost) in self.children(&state) {
+        for Successor { object, parked, cost } in self.children(&state) {
             if self.best.as_ref().is_some_and(|best| state.cost + cost >= best.cost) {
                 continue;
             }
@@ -220,7 +230,7 @@ impl<'a> Search<'a> {
 
     /// Objects that could go home next, with the blockers that would have to make way and their cost, those
     /// within the limit only; cheapest first if fewer buffers are preferred, else in the seed's order.
-    fn children(&mut self, state: &State) -> Vec<(usize, ObjectSet, f64)> {
+    fn children(&mut self, state: &State) -> Vec<Successor> {
         let mut children = Vec::new();
         for &object in self.order {
             if state.home.contains(object) {
@@ -232,10 +242,10 @@ impl<'a> Search<'a> {
                 self.next_limit = self.next_limit.min(peak);
                 continue;
             }
-            children.push((object, parked, parked.weight(self.buffer.costs)));
+            children.push(Successor { object, parked, cost: parked.weight(self.buffer.costs) });
         }
         if self.buffer.preference == Preference::FewerBuffers {
-            children.sort_by(|a, b| a.2.total_cmp(&b.2));
+            children.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         }
         children
     }

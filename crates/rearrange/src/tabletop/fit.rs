@@ -196,7 +196,7 @@ pub fn fit(instance: &Instance, needs: &Requirements) -> Result<Fitted, FitError
             continue;
         }
         match fit_object(object, needs) {
-            Ok((size, centre, grip)) => {
+            Ok(ObjectFit { size, centre, grip }) => {
                 fitted.grips.push(Some(grip));
                 if object.marker.is_none() {
                     let offset = Pose2::new(centre[0], centre[1], 0.0);
@@ -247,8 +247,17 @@ fn free_ids(instance: &Instance) -> Result<Vec<u32>, FitError> {
     Ok(free)
 }
 
-/// Black square and centre of the marker, and the grip.
-fn fit_object(object: &ObjectSpec, needs: &Requirements) -> Result<(f64, Point, Grip), Lack> {
+/// An object's marker and grip.
+struct ObjectFit {
+    /// Edge of the marker's black square, m.
+    size: f64,
+    /// Centre of the marker in the object's frame, m.
+    centre: Point,
+    /// Where the cups take hold.
+    grip: Grip,
+}
+
+fn fit_object(object: &ObjectSpec, needs: &Requirements) -> Result<ObjectFit, Lack> {
     let (size, centre) = match &object.marker {
         Some(marker) => (marker.size, [marker.offset.x, marker.offset.y]),
         None => largest_marker(&object.footprint),
@@ -264,7 +273,7 @@ fn fit_object(object: &ObjectSpec, needs: &Requirements) -> Result<(f64, Point, 
         });
     }
     let grip = place_for_cups(&object.footprint, object.grippable.as_ref(), &needs.cups, needs.cup_margin);
-    Ok((size, centre, grip.ok_or(cups_lack(needs))?))
+    Ok(ObjectFit { size, centre, grip: grip.ok_or(cups_lack(needs))? })
 }
 
 fn cups_lack(needs: &Requirements) -> Lack {

@@ -13,6 +13,10 @@ use std::path::Path;
 const MAX_PROGRAMS: usize = 1000;
 
 /// Reads the configuration of a simulated cell.
+///
+/// # Errors
+/// The file, its folder of programs or a script there cannot be read ([`ConfigError::Unreadable`]), or the
+/// file's content is wrong ([`ConfigError::Wrong`]).
 pub fn load_sim(path: &Path) -> Result<SimFile, ConfigError> {
     let (text, folder) = open(path)?;
     let mut file = read_sim(&text, &path.display().to_string()).map_err(ConfigError::Wrong)?;

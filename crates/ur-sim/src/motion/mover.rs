@@ -279,6 +279,9 @@ impl Mover {
     }
 
     /// Lets the arm follow `target` with a first-order lag of `lookahead` (s) for `seconds`.
+    ///
+    /// # Errors
+    /// A target is out of a joint's range; the arm then goes on with what it did.
     pub fn servo(&mut self, target: &Joints, lookahead: f64, seconds: f64) -> Result<(), MotionFault> {
         if let Some(joint) = self.arm.outside(target) {
             return Err(MotionFault::JointRange { joint, position: target.0[joint] });

@@ -84,6 +84,28 @@ struct Sheet {
     cells: Cells,
 }
 
+/// Where a ray meets a body.
+#[derive(Clone, Copy)]
+struct Hit {
+    /// Depth along the optical axis, m.
+    depth_m: f64,
+    /// Number of the face within the body.
+    face: u32,
+    /// Grey levels, red, green, blue.
+    colour: Colour,
+}
+
+/// Where a ray crosses a wall into a body.
+#[derive(Clone, Copy)]
+struct WallHit {
+    /// Share of the searched part of the ray that lies before it, 0 to 1.
+    share: f64,
+    /// Number of the face within the body.
+    face: u32,
+    /// Factor of the wall's colour.
+    shade: f32,
+}
+
 impl Plane {
     fn new(camera_in_frame: &Isometry3<f64>) -> Plane {
         let m = camera_in_frame.rotation.to_rotation_matrix();
@@ -157,9 +179,9 @@ impl<'a> Target<'a> {
         }
     }
 
-    /// Depth, face and colour of the first hit nearer than `limit`.
+    /// The first hit nearer than `limit`, m.
     #[inline]
-    fn meet(&self, ray: [f64; 2], limit: f64) -> Option<(f64, u32, Colour)> {
+    fn meet(&self, ray: [f64; 2], limit: f64) -> Option<Hit> {
         let d = self.view.direction(ray);
         let o = self.view.eye;
         let (to_bottom, to_top) = (-o[2] / d[2], (self.height_m - o[2]) / d[2]);
@@ -179,10 +201,11 @@ impl<'a> Target<'a> {
         if enter > NEAR_M && self.inside(start) {
             let (face, colour) =
                 if d[2] < 0.0 { self.top_at(start) } else { (1, self.wall.map(|c| c * 0.4)) };
-            return Some((enter, face, colour));
+            return Some(Hit { depth_m: enter, face, colour });
         }
-        let (share, face, shade) = self.wall_hit(start, along)?;
-        Some((enter + share * (leave - enter), face, self.wall.map(|c| c * shade)))
+        let WallHit { share, face, shade } = self.wall_hit(start, along)?;
+        let depth_m = enter + share * (leave - enter);
+        Some(Hit { depth_m, face, colour: self.wall.map(|c| c * shade) })
     }
 
     #[inline]
@@ -205,7 +228,7 @@ impl<'a> Target<'a> {
     }
 
     /// First crossing of `start + s * along`, s in [0, 1], into the outline.
-    fn wall_hit(&self, start: [f64; 2], along: [f64; 2]) -> Option<(f64, u32, f32)> {
+    fn wall_hit(&self, start: [f64; 2], along: [f64; 2]) -> Option<WallHit> {
         if let Shape::Ellipse(half) = self.shape {
             return self.round_wall_hit(*half, start, along);
         }
@@ -222,13 +245,13 @@ impl<'a> Target<'a> {
             let r = (x * along[1] - y * along[0]) / across;
             if s >= 0.0 && s < nearest && (0.0..=1.0).contains(&r) {
                 nearest = s;
-                first = Some((s, 4 + number as u32, edge.shade));
+                first = Some(WallHit { share: s, face: 4 + number as u32, shade: edge.shade });
             }
         }
         first
     }
 
-    fn round_wall_hit(&self, half: [f64; 2], start: [f64; 2], along: [f64; 2]) -> Option<(f64, u32, f32)> {
+    fn round_wall_hit(&self, half: [f64; 2], start: [f64; 2], along: [f64; 2]) -> Option<WallHit> {
         let (p, d) = ([start[0] / half[0], start[1] / half[1]], [along[0] / half[0], along[1] / half[1]]);
         let (a, b) = (d[0] * d[0] + d[1] * d[1], p[0] * d[0] + p[1] * d[1]);
         let c = p[0] * p[0] + p[1] * p[1] - 1.0;
@@ -242,7 +265,8 @@ impl<'a> Target<'a> {
         }
         let (x, y) = ((p[0] + s * d[0]) / half[0], (p[1] + s * d[1]) / half[1]);
         let length = x.hypot(y).max(1e-12);
-        Some((s, 4, wall_shade(Vector3::new(x / length, y / length, 0.0).dot(&self.light))))
+        let shade = wall_shade(Vector3::new(x / length, y / length, 0.0).dot(&self.light));
+        Some(WallHit { share: s, face: 4, shade })
     }
 }
 
@@ -312,8 +336,8 @@ impl<'a> Caster<'a> {
         let ground = depth;
         let mut hit = None;
         for &index in &candidates.prisms {
-            if let Some((at, face, colour)) = self.prisms[index].meet(ray, depth) {
-                depth = at;
+            if let Some(Hit { depth_m, face, colour }) = self.prisms[index].meet(ray, depth) {
+                depth = depth_m;
                 hit = Some(Sample { key: ((index as u32 + 1) << 12) | face, colour });
             }
         }
@@ -330,7 +354,7 @@ impl<'a> Caster<'a> {
         // The floor far below the board is too far to matter: the board's plane represents both.
         let ground = if d[2] < -1e-9 { -self.table.eye[2] / d[2] } else { f64::INFINITY };
         let nearest = |depth: f64, index: &usize| {
-            self.prisms[*index].meet(ray, depth.min(f64::MAX)).map_or(depth, |(at, ..)| at)
+            self.prisms[*index].meet(ray, depth.min(f64::MAX)).map_or(depth, |hit| hit.depth_m)
         };
         candidates.prisms.iter().fold(ground, nearest)
     }

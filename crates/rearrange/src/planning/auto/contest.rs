@@ -48,19 +48,29 @@ pub struct Contested {
     pub aside: ObjectSet,
 }
 
+/// A place priced roughly.
+struct Candidate {
+    /// What must still follow, in the unit of the costs, roughly.
+    price: f64,
+    /// The place.
+    spot: Arc<Spot>,
+    /// The objects that are there.
+    displaced: ObjectSet,
+}
+
 impl Contest<'_> {
     /// A place after which little must follow, no more than `most`; mostly the cheapest found.
     pub fn cheapest(&self, most: f64, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Option<Contested> {
         let mut places = self.places(rng, effort);
-        places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        places.sort_by(|a, b| a.price.total_cmp(&b.price));
         // One place for each set of displaced objects: places beside each other would crowd out all others.
         let mut seen: Vec<ObjectSet> = Vec::new();
-        places.retain(|(.., displaced)| {
-            let new = !seen.contains(displaced);
-            seen.push(*displaced);
+        places.retain(|place| {
+            let new = !seen.contains(&place.displaced);
+            seen.push(place.displaced);
             new
         });
-        let priced = places.into_iter().take(CONTENDERS).map(|(_, spot, displaced)| {
+        let priced = places.into_iter().take(CONTENDERS).map(|Candidate { spot, displaced, .. }| {
             let (price, aside) = self.price(&spot, displaced);
             (price, Contested { spot, displaced, aside })
         });
@@ -72,7 +82,7 @@ impl Contest<'_> {
     }
 
     /// Places with a rough price.
-    fn places(&self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Vec<(f64, Arc<Spot>, ObjectSet)> {
+    fn places(&self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Vec<Candidate> {
         let (table, scene) = (self.table, self.table.scene);
         let before = table.before(self.object, self.others);
         let mut places = Vec::new();
@@ -92,7 +102,7 @@ impl Contest<'_> {
             let closing = (table.blocked_by(self.object, &spot) & before).weight(self.costs);
             let area: f64 = displaced.iter().map(|o| scene.problem.objects[o].footprint.area()).sum();
             let price = (self.rough(displaced) + closing + 0.5 * area) * rng.random_range(1.0..2.5);
-            places.push((price, spot, displaced));
+            places.push(Candidate { price, spot, displaced });
         }
         places
     }

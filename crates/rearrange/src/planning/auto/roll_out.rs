@@ -71,6 +71,16 @@ pub fn roll_out(task: &Task, style: &Style, rng: &mut ChaCha8Rng, effort: &mut E
     RollOut { task, style, table, costs, nudged, stops, slack, spent: 0.0 }.run(rng, effort)
 }
 
+/// A place that closes cycles, for want of an ideal one.
+struct Compromise {
+    /// Objects that wait in these cycles.
+    closing: usize,
+    /// Who is parked there.
+    object: usize,
+    /// The place.
+    spot: Arc<Spot>,
+}
+
 struct RollOut<'a> {
     task: &'a Task<'a>,
     style: &'a Style,
@@ -171,7 +181,7 @@ impl RollOut<'_> {
     /// Parks one object; false when nothing affordable is left.
     fn park(&mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
         let mut tried = ObjectSet::EMPTY;
-        let mut compromises: Vec<(usize, usize, Arc<Spot>)> = Vec::new();
+        let mut compromises: Vec<Compromise> = Vec::new();
         for _ in 0..SETS {
             let aside = self.feedback(tried);
             if self.too_dear(aside) {
@@ -197,7 +207,8 @@ impl RollOut<'_> {
                     self.pay(object, spot);
                     return true;
                 }
-                compromises.extend(found.compromise.map(|(closing, spot)| (closing, object, spot)));
+                let compromise = found.compromise;
+                compromises.extend(compromise.map(|(closing, spot)| Compromise { closing, object, spot }));
                 if effort.is_over() {
                     return false;
                 }
@@ -230,18 +241,18 @@ impl RollOut<'_> {
 
     fn park_at_a_price(
         &mut self,
-        compromises: Vec<(usize, usize, Arc<Spot>)>,
+        compromises: Vec<Compromise>,
         rng: &mut ChaCha8Rng,
         effort: &mut Effort,
     ) -> bool {
         if rng.random_bool(0.5) && self.plan_a_stop(rng, effort) {
             return true;
         }
-        let cheapest = compromises.into_iter().min_by_key(|(closing, ..)| *closing);
+        let cheapest = compromises.into_iter().min_by_key(|compromise| compromise.closing);
         if rng.random_bool(0.5) && self.clear_a_place(rng, effort) {
             return true;
         }
-        if let Some((_, object, spot)) = cheapest {
+        if let Some(Compromise { object, spot, .. }) = cheapest {
             self.pay(object, spot);
             return true;
         }

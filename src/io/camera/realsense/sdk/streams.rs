@@ -200,6 +200,16 @@ impl Frames {
 /// One frame.
 pub struct Picture(Handle);
 
+/// The rows of a frame without padding.
+pub struct Rows {
+    /// Pixels across.
+    pub width: u32,
+    /// Pixels down.
+    pub height: u32,
+    /// Bytes of the rows, one row after the other.
+    pub data: Vec<u8>,
+}
+
 impl Picture {
     /// Kind and format of its stream.
     ///
@@ -227,11 +237,11 @@ impl Picture {
         self.0.call(|f, at, e| unsafe { (f.rs2_get_frame_timestamp)(at, e) }).map(|ms| ms / 1e3)
     }
 
-    /// Its rows without padding, with `bytes` bytes a pixel: width, height, data.
+    /// Its rows, with `bytes` bytes a pixel.
     ///
     /// # Errors
     /// The SDK's, and sizes that do not fit each other.
-    pub fn rows(&self, bytes: usize) -> Result<(u32, u32, Vec<u8>), SdkError> {
+    pub fn rows(&self, bytes: usize) -> Result<Rows, SdkError> {
         let width = self.0.call(|f, at, e| unsafe { (f.rs2_get_frame_width)(at, e) })?;
         let height = self.0.call(|f, at, e| unsafe { (f.rs2_get_frame_height)(at, e) })?;
         let stride = self.0.call(|f, at, e| unsafe { (f.rs2_get_frame_stride_in_bytes)(at, e) })?;
@@ -250,7 +260,7 @@ impl Picture {
         // function.
         let all = unsafe { std::slice::from_raw_parts(data.cast::<u8>(), size) };
         let rows = all.chunks(row).take(h).flat_map(|line| line.iter().take(w * bytes)).copied().collect();
-        Ok((w as u32, h as u32, rows))
+        Ok(Rows { width: w as u32, height: h as u32, data: rows })
     }
 }
 
