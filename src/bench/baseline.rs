@@ -82,7 +82,7 @@ fn measured<'a>(field: &dyn Fn(&str) -> Result<&'a str, String>) -> Result<Measu
         other => other,
     };
     let word = field("method")?.to_lowercase();
-    let solver = SolverKind::from_word(&word).ok_or(format!("method: {word:?} is not one of ours"))?;
+    let solver = word.parse::<SolverKind>().map_err(|_| format!("method: {word:?} is not one of ours"))?;
     let cost = if objective == Objective::Ti { "ti_cost" } else { "actions" };
     let solved = field("status")? == "ok";
     let objects = field("n")?.parse().map_err(|_| "n is not a number of objects".to_string())?;
@@ -188,9 +188,9 @@ pub fn report(measured: &[Measured], rows: &[Row]) -> String {
             scenario: &cell.scenario,
             density: density_word(cell.density),
             objects: cell.objects,
-            objective: cell.objective.word(),
+            objective: cell.objective.as_str(),
         };
-        cells.entry((solver.word(), name)).or_default().push(pair);
+        cells.entry((solver.as_str(), name)).or_default().push(pair);
     }
     let lines: Vec<Vec<String>> =
         cells.iter().map(|((solver, name), pairs)| line(solver, name, pairs)).collect();
@@ -264,11 +264,10 @@ fn totals(pairs: &[&Pair]) -> String {
 fn missed(pair: &Pair) -> String {
     let Measured { cell, id, solver, .. } = pair.theirs;
     format!(
-        "  not dependable: {} {} n {} {id} {}: {} of {} seeds\n",
+        "  not dependable: {} {} n {} {id} {solver}: {} of {} seeds\n",
         cell.scenario,
         cell.density,
         cell.objects,
-        solver.word(),
         pair.solved(),
         pair.ours.len()
     )

@@ -161,7 +161,7 @@ fn curves(cases: &Cases, value: Value) -> Vec<Curve> {
             })
             .collect();
         if here.count() > 0 {
-            curves.push(Curve { name: solver.word().to_uppercase(), look: *look, points });
+            curves.push(Curve { name: solver.as_str().to_uppercase(), look: *look, points });
         }
     }
     curves

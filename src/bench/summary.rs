@@ -29,7 +29,7 @@ pub fn summary(rows: &[Row]) -> String {
     let mut cells: BTreeMap<_, Vec<&Row>> = BTreeMap::new();
     for row in rows {
         let key = &row.key;
-        let cell = (&key.scenario, &key.density, key.objects, key.objective.word(), key.solver.word());
+        let cell = (&key.scenario, &key.density, key.objects, key.objective.as_str(), key.solver.as_str());
         cells.entry(cell).or_default().push(row);
     }
     let lines: Vec<Vec<String>> = cells

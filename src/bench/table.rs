@@ -63,9 +63,7 @@ impl Row {
         let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.6}"));
         let Key { scenario, density, objects, id, solver, objective, seed } = &self.key;
         format!(
-            "{scenario},{density},{objects},{id},{},{},{seed},{},{},{},{:.6},{},{:.6}",
-            solver.word(),
-            objective.word(),
+            "{scenario},{density},{objects},{id},{solver},{objective},{seed},{},{},{},{:.6},{},{:.6}",
             status_word(self.status),
             self.moves.map_or(String::new(), |moves| moves.to_string()),
             number(self.cost),
@@ -99,8 +97,8 @@ impl Row {
                 density,
                 objects: fields[2].parse().map_err(|_| bad(2))?,
                 id: fields[3].to_string(),
-                solver: SolverKind::from_word(fields[4]).ok_or_else(|| bad(4))?,
-                objective: objective(fields[5]).ok_or_else(|| bad(5))?,
+                solver: fields[4].parse().map_err(|_| bad(4))?,
+                objective: fields[5].parse().map_err(|_| bad(5))?,
                 seed: fields[6].parse().map_err(|_| bad(6))?,
             },
             status: status(fields[7]).ok_or_else(|| bad(7))?,
@@ -174,10 +172,6 @@ fn status(word: &str) -> Option<Status> {
     [Status::Optimal, Status::Solved, Status::Infeasible, Status::Timeout]
         .into_iter()
         .find(|status| status_word(*status) == word)
-}
-
-fn objective(word: &str) -> Option<Objective> {
-    [Objective::Pp, Objective::Ti, Objective::Time].into_iter().find(|objective| objective.word() == word)
 }
 
 #[cfg(test)]

@@ -112,7 +112,7 @@ impl Target {
         let densities: Vec<String> = self.densities.iter().map(f64::to_string).collect();
         let (least, most) = (self.objects.first().unwrap_or(&0), self.objects.last().unwrap_or(&0));
         let objects = if least == most { format!("{least}") } else { format!("{least}-{most}") };
-        format!("{} {} {} n {objects}", self.scenario, self.objective.word(), densities.join(","))
+        format!("{} {} {} n {objects}", self.scenario, self.objective, densities.join(","))
     }
 }
 
@@ -140,7 +140,7 @@ impl Selection {
     /// Is the cell one of these?
     pub fn takes(&self, cell: &Cell) -> bool {
         let Cell { scenario, density, objects, objective } = cell;
-        let cell = [scenario.clone(), objective.word().into(), density.to_string(), objects.to_string()];
+        let cell = [scenario.clone(), objective.to_string(), density.to_string(), objects.to_string()];
         self.words.len() <= cell.len() && self.words.iter().zip(&cell).all(|(word, of_cell)| word == of_cell)
     }
 }
@@ -159,7 +159,7 @@ pub fn report(rows: &[Row]) -> String {
     for target in &TARGETS {
         let mut by_solver: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
         for row in rows.iter().filter(|row| target.has(row)) {
-            by_solver.entry(row.key.solver.word()).or_default().push(row);
+            by_solver.entry(row.key.solver.as_str()).or_default().push(row);
         }
         lines.extend(by_solver.into_iter().map(|(solver, rows)| line(target, solver, &rows)));
     }

@@ -31,7 +31,7 @@ pub enum CameraMount {
 
 impl CameraMount {
     /// The word for it in files, as of the measured `Mount`.
-    pub fn word(&self) -> &'static str {
+    pub fn as_str(&self) -> &'static str {
         match self {
             CameraMount::Flange { .. } => "flange",
             CameraMount::Fixed { .. } => "fixed",

@@ -1,4 +1,5 @@
-//! The result codes: one word for each way in which a job, a job file or an order can end.
+//! How a job ended in one of four words, [`JobStatus`]; and the result codes: one word for each way in which
+//! a job, a job file or an order can end.
 //!
 //! In: a decision of the cell, of the job folders, or of a restart. Out: [`Code`], its word for files and
 //! programs, and where it appears. One enum in place of texts in many files, so that a page, a script and the
@@ -6,6 +7,43 @@
 //! it to that.
 
 use cell_values::image::quality::PictureFault;
+use rearrange::document::word::{UnknownWord, named};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
+
+/// How a job ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum JobStatus {
+    /// Every object is at its goal, and the camera says so. Folder `done`.
+    Done,
+    /// It could not be done. Folder `failed`.
+    Failed,
+    /// A person ended it. Folder `failed`.
+    Cancelled,
+    /// It was cut off by a stop, a fault or an end of celld, maybe in motion; the table has to be looked at.
+    /// Folder `failed`.
+    Interrupted,
+}
+
+impl JobStatus {
+    /// The word in `result.yaml`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            JobStatus::Done => "done",
+            JobStatus::Failed => "failed",
+            JobStatus::Cancelled => "cancelled",
+            JobStatus::Interrupted => "interrupted",
+        }
+    }
+}
+
+impl fmt::Display for JobStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
 
 /// Where a code appears.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,7 +145,7 @@ impl Code {
     };
 
     /// The word in files and tables.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         self.row().0
     }
 
@@ -148,13 +186,7 @@ impl Code {
 
     /// The word with the object that it is about, as in `object_missing:lid`.
     pub fn about(self, object: &str) -> String {
-        if self.names_an_object() { format!("{}:{object}", self.word()) } else { self.word().to_string() }
-    }
-
-    /// The code of a word, with or without an object.
-    pub fn from_word(word: &str) -> Option<Code> {
-        let bare = word.split(':').next().unwrap_or(word);
-        Code::ALL.into_iter().find(|code| code.word() == bare)
+        if self.names_an_object() { format!("{self}:{object}") } else { self.to_string() }
     }
 
     fn row(self) -> (&'static str, &'static str) {
@@ -235,9 +267,18 @@ const TABLE: [(Code, &str, &str); 60] = [
     (Code::NotText, "not_text", "the file is not UTF-8 text"),
 ];
 
-impl std::fmt::Display for Code {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.word())
+impl fmt::Display for Code {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl FromStr for Code {
+    type Err = UnknownWord;
+
+    /// The code of a word, with or without an object.
+    fn from_str(text: &str) -> Result<Code, UnknownWord> {
+        named(text.split(':').next().unwrap_or(text), &Code::ALL, Code::as_str)
     }
 }
 
@@ -250,7 +291,7 @@ pub fn table() -> String {
             Place::Rejection => "rejection",
         };
         let object = if code.names_an_object() { ":OBJECT" } else { "" };
-        let (word, exit, meaning) = (code.word(), code.exit_code(), code.meaning());
+        let (word, exit, meaning) = (code.as_str(), code.exit_code(), code.meaning());
         text.push_str(&format!("| `{word}{object}` | {place} | {exit} | {meaning} |\n"));
     }
     text
@@ -265,15 +306,15 @@ mod tests {
 
     #[test]
     fn every_word_is_one_code_and_reads_back() {
-        let words: BTreeSet<&str> = Code::ALL.into_iter().map(Code::word).collect();
+        let words: BTreeSet<&str> = Code::ALL.into_iter().map(Code::as_str).collect();
         assert_eq!(words.len(), Code::ALL.len());
         for code in Code::ALL {
-            assert_eq!(Code::from_word(&code.about("lid")), Some(code));
-            assert!(code.word().bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_'), "{code}");
+            assert_eq!(code.about("lid").parse::<Code>(), Ok(code));
+            assert!(code.as_str().bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_'), "{code}");
         }
         assert_eq!(Code::ObjectMissing.about("lid"), "object_missing:lid");
         assert_eq!(Code::Aborted.about("lid"), "aborted");
-        assert_eq!(Code::from_word("E_GRIP"), None);
+        assert!("E_GRIP".parse::<Code>().is_err());
     }
 
     #[test]

@@ -1,10 +1,13 @@
-//! What an operator may order, and the answer.
+//! What an operator may order, and the answer; and which plans wait for an operator.
 //!
 //! In: a person's order, with the number under which it came. Out: a [`Reply`] that says what the cell
 //! decided; the machine gives it after the decision, never before.
 
 use crate::cell::device::gripper::Channels;
+use rearrange::document::word::{UnknownWord, named};
 use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
 
 /// An order of the operator.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,6 +38,46 @@ pub enum Order {
     Recover,
 }
 
+/// Who has to agree before the arm moves. Ordered by strictness: a job may only be stricter than the cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Approval {
+    /// No person: an armed cell carries out accepted jobs at once.
+    Never,
+    /// A person approves each job once, with its first plan; a new plan for it does not wait again.
+    Job,
+    /// A person approves every plan, also each new plan within a job.
+    Always,
+}
+
+impl Approval {
+    /// All of them, in the order of strictness.
+    pub const ALL: [Approval; 3] = [Approval::Never, Approval::Job, Approval::Always];
+
+    /// The word a file uses.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Approval::Never => "never",
+            Approval::Job => "job",
+            Approval::Always => "always",
+        }
+    }
+}
+
+impl fmt::Display for Approval {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for Approval {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<Approval, UnknownWord> {
+        named(word, &Approval::ALL, Approval::as_str)
+    }
+}
+
 /// The answer to an order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reply {
@@ -53,5 +96,18 @@ impl Reply {
     /// It is not.
     pub fn refuse(message: impl Into<String>) -> Reply {
         Reply { accepted: false, message: message.into() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn approval_is_ordered_by_strictness_and_reads_back() {
+        for approval in Approval::ALL {
+            assert_eq!(approval.as_str().parse::<Approval>(), Ok(approval));
+        }
+        assert!(Approval::Always > Approval::Job && Approval::Job > Approval::Never);
     }
 }

@@ -94,7 +94,7 @@ impl Source {
 }
 
 fn recipe(cell: &Cell, ratios: RatioLaw) -> Result<Recipe, String> {
-    let scenario = Scenario::from_word(&cell.scenario).ok_or_else(|| {
+    let scenario = cell.scenario.parse::<Scenario>().map_err(|_| {
         format!("scenario {}: only rand and sq can be generated; others need --data DIR", cell.scenario)
     })?;
     Ok(Recipe { scenario, objects: cell.objects, density: cell.density, ratios })

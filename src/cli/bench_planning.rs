@@ -121,7 +121,7 @@ pub fn figures(names: &[String]) -> Vec<Spec> {
 }
 
 fn solvers_parser() -> PossibleValuesParser {
-    PossibleValuesParser::new(["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto", "paper"])
+    PossibleValuesParser::new(SolverKind::ALL.map(SolverKind::as_str).into_iter().chain(["paper"]))
 }
 
 fn solvers(words: &[String]) -> Vec<SolverKind> {
@@ -131,7 +131,7 @@ fn solvers(words: &[String]) -> Vec<SolverKind> {
         word => vec![word],
     });
     let mut kinds: Vec<SolverKind> = Vec::new();
-    for kind in words.filter_map(SolverKind::from_word) {
+    for kind in words.filter_map(|word| word.parse::<SolverKind>().ok()) {
         if !kinds.contains(&kind) {
             kinds.push(kind);
         }
@@ -219,7 +219,7 @@ fn wanted(
     }
     for &solver in &solvers {
         for cell in &cells {
-            probe(solver, cell.objective).map_err(|error| format!("--solver {}: {error}", solver.word()))?;
+            probe(solver, cell.objective).map_err(|error| format!("--solver {solver}: {error}"))?;
         }
     }
     for cell in &cells {

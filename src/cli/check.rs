@@ -6,12 +6,12 @@
 //! Nothing is changed and no daemon is needed.
 
 use crate::calibration::files;
+use crate::cell::orders::Approval;
 use crate::cli::task::outln;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::jobs::goal::parse_goal_file;
 use crate::jobs::job_file::{JobContext, read_job};
-use crate::jobs::policy::Approval;
 use cell_parts::file::read_text;
 use clap::{Args, ValueEnum};
 use rearrange::document::tree::Node;

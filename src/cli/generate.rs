@@ -42,15 +42,12 @@ pub struct GenerateArgs {
 
 /// A scenario by its word.
 pub fn scenario_parser() -> impl TypedValueParser<Value = Scenario> {
-    PossibleValuesParser::new(["rand", "sq"]).map(|word| Scenario::from_word(&word).unwrap_or(Scenario::Rand))
+    PossibleValuesParser::new(Scenario::ALL.map(Scenario::as_str)).try_map(|word| word.parse::<Scenario>())
 }
 
 /// A law of side ratios by its word.
 pub fn ratios_parser() -> impl TypedValueParser<Value = RatioLaw> {
-    PossibleValuesParser::new(["paper", "public"]).map(|word| match word.as_str() {
-        "public" => RatioLaw::Public,
-        _ => RatioLaw::Paper,
-    })
+    PossibleValuesParser::new(RatioLaw::ALL.map(RatioLaw::as_str)).try_map(|word| word.parse::<RatioLaw>())
 }
 
 /// Runs `celld generate`. Returns the exit code.
@@ -73,7 +70,7 @@ fn write_all(args: &GenerateArgs) -> Result<(), String> {
         let generated =
             generate(&recipe, seed, case).map_err(|error| format!("seed {seed}, case {case}: {error}"))?;
         let law = if ratios == RatioLaw::Public && scenario == Scenario::Rand { "-public" } else { "" };
-        let name = format!("{}{law}-n{objects}-d{density}-s{seed}-{case}.yaml", scenario.word());
+        let name = format!("{scenario}{law}-n{objects}-d{density}-s{seed}-{case}.yaml");
         let path = args.out.join(name);
         let text = format!("# {}\n{}", generated.origin, to_yaml(&generated.instance));
         write_atomic(&path, text.as_bytes()).map_err(|error| chain(&error))?;

@@ -253,7 +253,7 @@ fn job_row(job: &JobRecord) -> Vec<String> {
     let result = job.result.as_ref();
     vec![
         job.id.clone(),
-        job.state.word().to_owned(),
+        job.state.to_string(),
         utc::text(job.claimed_unix_s),
         or_dash(result, |result| result.moves.to_string()),
         or_dash(result, |result| result.code.clone()),
@@ -265,7 +265,7 @@ fn job_json(job: &JobRecord) -> String {
     format!(
         "{{\"id\": {}, \"state\": {}, \"claimed_unix_s\": {}, \"result\": {result}}}",
         quoted(&job.id),
-        quoted(job.state.word()),
+        quoted(job.state.as_str()),
         job.claimed_unix_s
     )
 }

@@ -95,17 +95,13 @@ pub struct PlanArgs {
 
 /// A solver by its word.
 pub fn solver_parser() -> impl TypedValueParser<Value = SolverKind> {
-    PossibleValuesParser::new(["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"])
-        .map(|word| SolverKind::from_word(&word).unwrap_or(SolverKind::Auto))
+    PossibleValuesParser::new(SolverKind::ALL.map(SolverKind::as_str))
+        .try_map(|word| word.parse::<SolverKind>())
 }
 
 /// An objective by its word.
 pub fn objective_parser() -> impl TypedValueParser<Value = Objective> {
-    PossibleValuesParser::new(["pp", "ti", "time"]).map(|word| match word.as_str() {
-        "ti" => Objective::Ti,
-        "time" => Objective::Time,
-        _ => Objective::Pp,
-    })
+    PossibleValuesParser::new(Objective::ALL.map(Objective::as_str)).try_map(|word| word.parse::<Objective>())
 }
 
 /// A finite number that is not negative.
@@ -287,7 +283,7 @@ fn standing(cost: f64, bound: f64) -> String {
 fn plan_file(args: &PlanArgs, problem: &Problem, outcome: &Outcome, timing: &Timing) -> PlanFile {
     let actions = outcome.plan.as_ref().map(CheckedPlan::actions);
     PlanFile {
-        solver: args.solver.word().to_string(),
+        solver: args.solver.to_string(),
         objective: args.objective,
         seed: args.seed,
         status: outcome.status,
@@ -317,7 +313,7 @@ fn write_files(args: &PlanArgs, problem: &Problem, outcome: &Outcome, file: &Pla
 
 fn headline(file: &PlanFile) -> String {
     let bound = file.lower_bound;
-    let objective = file.objective.word();
+    let objective = file.objective;
     match (file.status, file.cost, file.moves) {
         (Status::Infeasible, ..) => format!("{}: there is no plan", file.solver),
         (_, Some(cost), Some(moves)) => {

@@ -5,13 +5,14 @@
 //! file is read here and its poses go into what is handed in, so that it need not be where the daemon looks.
 //! Exit code 0 when handed in (with `--wait`: when done), 1 when the job did not succeed, 2 when it is wrong.
 
+use crate::cell::code::JobStatus;
+use crate::cell::orders::Approval;
 use crate::cli::check::beside;
 use crate::cli::client::{ClientError, StateArg, complain};
 use crate::cli::task::outln;
 use crate::jobs::job_file::{JobContext, job_yaml, read_job};
 use crate::jobs::journal::Journal;
-use crate::jobs::policy::Approval;
-use crate::jobs::record::{JobRecord, JobSpec, JobState, JobStatus};
+use crate::jobs::record::{JobRecord, JobSpec, JobState};
 use crate::jobs::spool::id_of_file;
 use crate::jobs::state::StateFolder;
 use crate::jobs::utc;
@@ -133,7 +134,7 @@ fn follow(state: &StateFolder, handed: &Handed) -> u8 {
                     return tell_end(&job, status);
                 }
                 if last != Some(job.state) {
-                    eprintln!("{}: {}", job.id, job.state.word());
+                    eprintln!("{}: {}", job.id, job.state);
                     last = Some(job.state);
                 }
             }
@@ -169,7 +170,7 @@ fn look(state: &StateFolder, handed: &Handed) -> Result<Found, ClientError> {
 fn tell_end(job: &JobRecord, status: JobStatus) -> u8 {
     match &job.result {
         Some(result) => cell_edge::terminal::print(&result.to_yaml()),
-        None => outln!("{}: {}", job.id, status.word()),
+        None => outln!("{}: {status}", job.id),
     }
     if status == JobStatus::Done { 0 } else { 1 }
 }

@@ -1,10 +1,8 @@
-//! Values on the command line that have to be sound before anything starts: numbers in a range, solvers,
-//! addresses.
+//! Values on the command line that have to be sound before anything starts: numbers in a range, addresses.
 //!
 //! In: the text after an option. Out: the value, or one sentence that says what to give; clap adds the
 //! option's name and ends with exit code 2. The ranges are those of the same keys in the configuration.
 
-use crate::jobs::policy::{JobObjective, SOLVER_WORDS, unknown_word};
 use cell_edge::terminal::within;
 use std::net::IpAddr;
 
@@ -22,29 +20,6 @@ pub fn planning_seconds(text: &str) -> Result<f64, String> {
 /// The text is not a number from 0.1 to 2.
 pub fn table_size(text: &str) -> Result<f64, String> {
     within(text, 0.1..=2.0, "m")
-}
-
-/// A solver's name.
-///
-/// # Errors
-/// The text is none of [`SOLVER_WORDS`].
-pub fn solver(text: &str) -> Result<String, String> {
-    if SOLVER_WORDS.contains(&text) {
-        return Ok(text.to_owned());
-    }
-    let (message, help) = unknown_word(text, &SOLVER_WORDS);
-    Err(format!("{message}; {help}"))
-}
-
-/// An objective's name.
-///
-/// # Errors
-/// The text is none of [`JobObjective::WORDS`].
-pub fn objective(text: &str) -> Result<JobObjective, String> {
-    JobObjective::from_word(text).ok_or_else(|| {
-        let (message, help) = unknown_word(text, &JobObjective::WORDS);
-        format!("{message}; {help}")
-    })
 }
 
 /// An address of this machine that no other machine can reach.
@@ -75,9 +50,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_solvers_and_open_addresses_are_refused() {
-        assert!(solver("foo").unwrap_err().contains("\"foo\" is not known here; one of: tbm, rbm"));
-        assert_eq!((solver("rbm").as_deref(), solver("auto").as_deref()), (Ok("rbm"), Ok("auto")));
+    fn open_addresses_are_refused() {
         assert!(
             loopback("127.0.0.9").is_ok() && loopback("0.0.0.0").is_err() && loopback("localhost").is_err()
         );

@@ -6,10 +6,10 @@
 //! start.
 
 use crate::calibration::drawn::CameraMount;
+use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
 pub use crate::config::camera::CameraDevice;
 use crate::jobs::goal::GoalContext;
-use crate::jobs::policy::{Approval, JobObjective};
 use crate::motion::slow::CalibrationBox;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;
@@ -17,6 +17,8 @@ use cell_values::image::quality::PictureLimits;
 use cell_values::units::Joints;
 use cell_vision::observe::ObserveLimits;
 use nalgebra::Isometry3;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::instance::{KeepOut, ObjectSpec};
 use std::path::PathBuf;
 
@@ -189,10 +191,10 @@ pub struct Tolerances {
 /// How plans are made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlannerConfig {
-    /// One of `jobs::policy::SOLVER_WORDS`.
-    pub solver: String,
     /// For jobs that do not say.
-    pub objective: JobObjective,
+    pub solver: SolverKind,
+    /// For jobs that do not say.
+    pub objective: Objective,
     /// Planning budget, s.
     pub time_limit_s: f64,
     /// For jobs that do not say.

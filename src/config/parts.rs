@@ -4,12 +4,12 @@
 //! parts run on this, so that a wrong unit in one place does not hide a marker used twice in another. Pure.
 
 use crate::calibration::drawn::CameraMount;
+use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::config::cell::{
     CalibrationFiles, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig,
     Tolerances, WorkspaceConfig,
 };
-use crate::jobs::policy::Approval;
 use crate::motion::slow::CalibrationBox;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;

@@ -4,6 +4,7 @@
 //! checked configuration, or every complaint at once. Nothing measured and no limit has a default; what may
 //! be left out are the keys that only switch something on.
 
+use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration;
 use crate::config::camera::camera_device;
@@ -12,7 +13,6 @@ use crate::config::cell::{
 };
 use crate::config::check::check_cell;
 use crate::config::parts::{CellParts, TableParts};
-use crate::jobs::policy::{Approval, decode_objective, decode_solver};
 use cell_parts::fields::{
     each, host, joints_deg, list, optional, path, port, required_each, required_number, required_positive,
     transform,
@@ -144,7 +144,7 @@ fn parts(
         limits,
         tolerances: fields.required("tolerances", d).and_then(|at| tolerances(d, &at)),
         planner: fields.required("planner", d).and_then(|at| planner(d, &at)),
-        approval: optional(d, fields, "approval", Approval::Always, approval),
+        approval: optional(d, fields, "approval", Approval::Always, |d, at| d.word(at)),
         arm_at_start: optional(d, fields, "arm_at_start", false, |d, at| d.boolean(at)),
         simulation: optional(d, fields, "simulation", None, |d, at| simulation(d, at).map(Some)),
         recording: optional(d, fields, "recording", None, |d, at| recording(d, at, folder).map(Some)),
@@ -157,11 +157,6 @@ fn parts(
 fn required_joints(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<Joints> {
     let at = fields.required(key, decoder)?;
     joints_deg(decoder, &at)
-}
-
-fn approval(decoder: &mut Decoder, at: &At) -> Option<Approval> {
-    let approvals = [Approval::Never, Approval::Job, Approval::Always].map(|value| (value.word(), value));
-    decoder.choice(at, &approvals)
 }
 
 fn marker_number(decoder: &mut Decoder, at: &At) -> Option<u32> {
@@ -383,12 +378,12 @@ fn foreign(decoder: &mut Decoder, at: &At) -> Option<ForeignRule> {
 
 fn planner(decoder: &mut Decoder, at: &At) -> Option<PlannerConfig> {
     let fields = decoder.map(at, &["solver", "objective", "time_limit_s", "seed"])?;
-    let solver = fields.required("solver", decoder).and_then(|at| decode_solver(decoder, &at));
-    let objective = fields.required("objective", decoder).and_then(|at| decode_objective(decoder, &at));
+    let solver = fields.required("solver", decoder).and_then(|at| decoder.word(&at));
+    let objective = fields.required("objective", decoder).and_then(|at| decoder.word(&at));
     let time_limit_s = required_positive(decoder, &fields, "time_limit_s", 86_400.0, "s");
     let seed = fields.required("seed", decoder).and_then(|at| decoder.integer(&at, 0..=i64::MAX));
     Some(PlannerConfig {
-        solver: solver?.to_owned(),
+        solver: solver?,
         objective: objective?,
         time_limit_s: time_limit_s?,
         seed: u64::try_from(seed?).ok()?,

@@ -156,7 +156,7 @@ mod tests {
             let code = Code::of_picture(&fault);
             let error = CameraError::Unusable { place: "camera".into(), sequence: 1, fault };
             assert_eq!(fault_of(&error).code, code);
-            assert_eq!(error.kind().code(), code.word());
+            assert_eq!(error.kind().code(), code.as_str());
         }
     }
 

@@ -4,11 +4,11 @@
 //! In: a state folder whose lock this process holds, and the configuration. Out: what
 //! [`crate::daemon::store`] requests; what is committed is on disk when the call returns.
 
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper::Channels;
-use crate::cell::orders::{Order, Reply};
+use crate::cell::orders::{Approval, Order, Reply};
 use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::order::{ApprovalRule, JobEnd, JobOrder, JobReport};
+use crate::cell::supervisor::order::{JobOrder, JobReport};
 use crate::cell::supervisor::status::{Doing, Status};
 use crate::config::cell::CellConfig;
 use crate::daemon::store::{Keeper, Orders};
@@ -16,14 +16,13 @@ use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
-use crate::jobs::policy::{Approval, JobObjective};
-use crate::jobs::record::{JobRecord, JobResult, JobState, JobStatus, ObjectResult, StepIntent, StepKind};
+use crate::jobs::record::{JobRecord, JobResult, JobState, ObjectResult, StepIntent, StepKind};
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status;
 use cell_edge::clock::unix_now_s;
 use cell_values::time::{Duration, Timestamp};
-use rearrange::planning::plan::{ActionKind, Objective};
+use rearrange::planning::plan::ActionKind;
 use rearrange::planning::solver::SolverKind;
 use std::collections::VecDeque;
 
@@ -135,7 +134,7 @@ impl StateKeeper {
         let result = JobResult {
             id: id.to_string(),
             status,
-            code: code.word().to_string(),
+            code: code.to_string(),
             message,
             hint,
             moves: 0,
@@ -171,14 +170,17 @@ impl StateKeeper {
     fn order(&self, job: &JobRecord) -> Result<JobOrder, String> {
         let planner = &self.config.planner;
         let spec = &job.spec;
-        let word = spec.solver.as_deref().unwrap_or(&planner.solver);
-        let solver =
-            SolverKind::from_word(word).ok_or_else(|| format!("this celld has no solver {word:?}"))?;
+        let solver = match &spec.solver {
+            Some(word) => {
+                word.parse::<SolverKind>().map_err(|_| format!("this celld has no solver {word:?}"))?
+            }
+            None => planner.solver,
+        };
         let seconds = spec.time_limit_s.unwrap_or(planner.time_limit_s);
         Ok(JobOrder {
             id: job.id.clone(),
             goals: spec.goal.iter().map(|goal| (goal.id.clone(), goal.pose)).collect(),
-            objective: objective_of(spec.objective.unwrap_or(planner.objective)),
+            objective: spec.objective.unwrap_or(planner.objective),
             solver,
             time_limit: Duration::from_secs_f64(seconds.clamp(0.001, 86_400.0)),
             seed: spec.seed.unwrap_or(planner.seed),
@@ -187,12 +189,8 @@ impl StateKeeper {
     }
 
     /// The cell's policy is a floor, also for a job that was taken in under a laxer one.
-    fn approval(&self, job: Option<Approval>) -> ApprovalRule {
-        match self.config.approval.max(job.unwrap_or(Approval::Never)) {
-            Approval::Always => ApprovalRule::EveryPlan,
-            Approval::Job => ApprovalRule::FirstPlan,
-            Approval::Never => ApprovalRule::NoPlan,
-        }
+    fn approval(&self, job: Option<Approval>) -> Approval {
+        self.config.approval.max(job.unwrap_or(Approval::Never))
     }
 
     fn write(&mut self, record: &Record) -> Result<(), JournalError> {
@@ -234,12 +232,7 @@ impl StateKeeper {
 fn result_of(report: &JobReport) -> JobResult {
     JobResult {
         id: report.id.clone(),
-        status: match report.end {
-            JobEnd::Done => JobStatus::Done,
-            JobEnd::Failed => JobStatus::Failed,
-            JobEnd::Cancelled => JobStatus::Cancelled,
-            JobEnd::Interrupted => JobStatus::Interrupted,
-        },
+        status: report.end,
         code: report.code_text(),
         message: report.message.clone(),
         hint: report.hint.clone(),
@@ -391,14 +384,5 @@ fn order_of(command: &Command) -> Order {
             None => Channels::Both,
         }),
         Command::Recover { .. } => Order::Recover,
-    }
-}
-
-/// The planner's objective for a job's.
-pub fn objective_of(objective: JobObjective) -> Objective {
-    match objective {
-        JobObjective::Pp => Objective::Pp,
-        JobObjective::Ti => Objective::Ti,
-        JobObjective::Time => Objective::Time,
     }
 }

@@ -6,14 +6,15 @@
 //! such a job is rejected, it does not fail later.
 
 use crate::cell::code::Code;
+use crate::cell::orders::Approval;
 use crate::jobs::goal::{GoalContext, GoalEntry, check_goal, decode_goal, parse_goal_file, stays_below};
-use crate::jobs::policy::{Approval, decode_objective, decode_solver};
 use crate::jobs::record::{GoalPose, JobSpec, quoted};
 use crate::jobs::spool::{Refusal, RefusalDetail, is_plain_name};
 use crate::jobs::utc;
 use rearrange::document::decode::{At, Decoder, Fields};
 use rearrange::document::{Diagnostic, Diagnostics, Location, parse};
 use rearrange::geometry::pose::Pose2;
+use rearrange::planning::solver::SolverKind;
 use std::fmt::Write as _;
 
 /// Keys of a job file.
@@ -86,8 +87,8 @@ fn decode_job(
         .required("goal", decoder)
         .and_then(|at| decode_goal_source(decoder, &at, context, goal_complaints));
     let id = fields.optional("id").and_then(|at| decode_id(decoder, &at));
-    let objective = fields.optional("objective").and_then(|at| decode_objective(decoder, &at));
-    let solver = fields.optional("solver").and_then(|at| decode_solver(decoder, &at));
+    let objective = fields.optional("objective").and_then(|at| decoder.word(&at));
+    let solver = fields.optional("solver").and_then(|at| decoder.word::<SolverKind>(&at));
     let time_limit_s =
         fields.optional("time_limit_s").and_then(|at| decoder.number_in(&at, 0.001..=MAX_TIME_LIMIT_S, "s"));
     let seed = fields.optional("seed").and_then(|at| decoder.integer(&at, 0..=i64::MAX));
@@ -99,7 +100,7 @@ fn decode_job(
         id,
         goal: goal?,
         objective,
-        solver: solver.map(str::to_owned),
+        solver: solver.map(|solver| solver.to_string()),
         time_limit_s,
         seed: seed.and_then(|seed| u64::try_from(seed).ok()),
         priority: priority.unwrap_or(0),
@@ -129,10 +130,9 @@ fn decode_time(decoder: &mut Decoder, at: &At) -> Option<f64> {
 }
 
 fn decode_approval(decoder: &mut Decoder, at: &At, floor: Approval) -> Option<Approval> {
-    let approval =
-        decoder.choice(at, &[Approval::Never, Approval::Job, Approval::Always].map(|a| (a.word(), a)))?;
+    let approval = decoder.word::<Approval>(at)?;
     if approval < floor {
-        let message = format!("the cell asks for approval {:?}, a job may only be stricter", floor.word());
+        let message = format!("the cell asks for approval {:?}, a job may only be stricter", floor.as_str());
         decoder.complain_at(at, message, "remove the key");
         return None;
     }
@@ -262,13 +262,13 @@ pub fn job_yaml(job: &JobSpec) -> String {
         }
     };
     line("id", job.id.as_deref().map(quoted));
-    line("objective", job.objective.map(|objective| objective.word().to_owned()));
+    line("objective", job.objective.map(|objective| objective.to_string()));
     line("solver", job.solver.clone());
     line("time_limit_s", job.time_limit_s.map(|limit| limit.to_string()));
     line("seed", job.seed.map(|seed| seed.to_string()));
     line("priority", (job.priority != 0).then(|| job.priority.to_string()));
     line("not_before", job.not_before_unix_s.map(|time| quoted(&utc::text(time))));
-    line("approval", job.approval.map(|approval| approval.word().to_owned()));
+    line("approval", job.approval.map(|approval| approval.to_string()));
     line("rerun", job.rerun.then(|| "true".to_owned()));
     yaml.push_str("goal:\n");
     yaml.push_str(&goal_yaml(job.goal.iter().map(|goal| (goal.id.as_str(), goal.pose)), "  "));

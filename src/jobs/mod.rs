@@ -7,7 +7,6 @@ pub(crate) mod edit;
 pub mod goal;
 pub mod job_file;
 pub mod journal;
-pub mod policy;
 pub mod record;
 pub mod spool;
 pub mod state;

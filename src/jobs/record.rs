@@ -3,10 +3,14 @@
 //! In and out: plain values; `result.yaml` as text. Pure. The words of [`JobState`] and [`JobStatus`] are
 //! what people read in files and tables, so they do not change.
 
-use crate::jobs::policy::{Approval, JobObjective};
+use crate::cell::code::JobStatus;
+use crate::cell::orders::Approval;
+use rearrange::document::word::{UnknownWord, named};
 use rearrange::geometry::pose::Pose2;
+use rearrange::planning::plan::Objective;
 use serde::{Deserialize, Serialize};
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
+use std::str::FromStr;
 
 /// One object's wanted pose, table frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,8 +29,8 @@ pub struct JobSpec {
     /// Objects not named may end anywhere.
     pub goal: Vec<GoalPose>,
     /// Absent: the cell's.
-    pub objective: Option<JobObjective>,
-    /// Absent: the cell's.
+    pub objective: Option<Objective>,
+    /// Absent: the cell's. A word, since a journal may come from a celld with other solvers.
     pub solver: Option<String>,
     /// Planning budget, s. Absent: the cell's.
     pub time_limit_s: Option<f64>,
@@ -54,56 +58,38 @@ pub enum JobState {
     Ended(JobStatus),
 }
 
-/// How a job ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum JobStatus {
-    /// The camera saw the goal. Folder `done`.
-    Done,
-    /// It could not be done. Folder `failed`.
-    Failed,
-    /// A person ended it. Folder `failed`.
-    Cancelled,
-    /// celld ended or lost the cell while something may have been in motion. Folder `failed`.
-    Interrupted,
-}
-
 impl JobState {
+    /// All of them.
+    pub const ALL: [JobState; 6] = [
+        JobState::Waiting,
+        JobState::Active,
+        JobState::Ended(JobStatus::Done),
+        JobState::Ended(JobStatus::Failed),
+        JobState::Ended(JobStatus::Cancelled),
+        JobState::Ended(JobStatus::Interrupted),
+    ];
+
     /// The word in the database and in tables.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             JobState::Waiting => "waiting",
             JobState::Active => "active",
-            JobState::Ended(status) => status.word(),
-        }
-    }
-
-    /// The state that `word` names.
-    pub fn from_word(word: &str) -> Option<JobState> {
-        match word {
-            "waiting" => Some(JobState::Waiting),
-            "active" => Some(JobState::Active),
-            other => JobStatus::from_word(other).map(JobState::Ended),
+            JobState::Ended(status) => status.as_str(),
         }
     }
 }
 
-impl JobStatus {
-    /// The word in `result.yaml`.
-    pub fn word(self) -> &'static str {
-        match self {
-            JobStatus::Done => "done",
-            JobStatus::Failed => "failed",
-            JobStatus::Cancelled => "cancelled",
-            JobStatus::Interrupted => "interrupted",
-        }
+impl fmt::Display for JobState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
     }
+}
 
-    /// The status that `word` names.
-    pub fn from_word(word: &str) -> Option<JobStatus> {
-        [JobStatus::Done, JobStatus::Failed, JobStatus::Cancelled, JobStatus::Interrupted]
-            .into_iter()
-            .find(|status| status.word() == word)
+impl FromStr for JobState {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<JobState, UnknownWord> {
+        named(word, &JobState::ALL, JobState::as_str)
     }
 }
 
@@ -176,8 +162,12 @@ pub enum StepPhase {
 }
 
 impl StepPhase {
+    /// All of them, in their order.
+    pub const ALL: [StepPhase; 5] =
+        [StepPhase::Intent, StepPhase::Gripped, StepPhase::Released, StepPhase::Done, StepPhase::Abandoned];
+
     /// The word in the database.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             StepPhase::Intent => "intent",
             StepPhase::Gripped => "gripped",
@@ -187,15 +177,23 @@ impl StepPhase {
         }
     }
 
-    /// The phase that `word` names.
-    pub fn from_word(word: &str) -> Option<StepPhase> {
-        use StepPhase::{Abandoned, Done, Gripped, Intent, Released};
-        [Intent, Gripped, Released, Done, Abandoned].into_iter().find(|phase| phase.word() == word)
-    }
-
     /// True while motion may be under way or unfinished.
     pub fn is_open(self) -> bool {
         matches!(self, StepPhase::Intent | StepPhase::Gripped | StepPhase::Released)
+    }
+}
+
+impl fmt::Display for StepPhase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for StepPhase {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<StepPhase, UnknownWord> {
+        named(word, &StepPhase::ALL, StepPhase::as_str)
     }
 }
 
@@ -270,7 +268,7 @@ impl JobResult {
             let _ = writeln!(yaml, "{key}: {value}");
         };
         line("id", quoted(&self.id));
-        line("status", self.status.word().to_owned());
+        line("status", self.status.to_string());
         line("code", quoted(&self.code));
         line("message", quoted(&self.message));
         line("remedy", quoted(&self.hint));
@@ -362,10 +360,10 @@ mod tests {
     #[test]
     fn states_and_phases_keep_their_words() {
         for word in ["waiting", "active", "done", "failed", "cancelled", "interrupted"] {
-            assert_eq!(JobState::from_word(word).map(JobState::word), Some(word));
+            assert_eq!(word.parse::<JobState>().map(JobState::as_str), Ok(word));
         }
         for word in ["intent", "gripped", "released", "done", "abandoned"] {
-            assert_eq!(StepPhase::from_word(word).map(StepPhase::word), Some(word));
+            assert_eq!(word.parse::<StepPhase>().map(StepPhase::as_str), Ok(word));
         }
     }
 }

@@ -1,7 +1,6 @@
 //! Phases of a pick-n-place, and what a fault in one of them came to.
 
-use crate::cell::code::Code;
-use crate::cell::supervisor::order::JobEnd;
+use crate::cell::code::{Code, JobStatus};
 use crate::pair::rules::Rule;
 
 /// A phase in which a fault may come.
@@ -70,7 +69,7 @@ impl Phase {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// How the job ended, without an operator; `None` while it waits or where there was none.
-    pub end: Option<JobEnd>,
+    pub end: Option<JobStatus>,
     /// There was one.
     pub has_job: bool,
     /// The code of its report.

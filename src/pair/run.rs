@@ -4,9 +4,9 @@
 //! sentences request: arms, clears stops at the pendant once faults have ended, arms again; a caller that
 //! needs another operator drives [`Pair`] directly.
 
+use crate::cell::code::JobStatus;
 use crate::cell::orders::Order;
 use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::JobEnd;
 use crate::pair::rules::Breach;
 use crate::pair::stage::Stage;
 use crate::pair::work::job;
@@ -109,8 +109,8 @@ fn one_job(pair: &mut Pair, stage: &Stage, seed: u64, number: usize, summary: &m
     if let Some(report) = pair.reports().last() {
         summary.jobs += 1;
         summary.moves += report.moves;
-        *summary.ends.entry(report.code.word().to_string()).or_default() += 1;
-        if report.end != JobEnd::Done {
+        *summary.ends.entry(report.code.to_string()).or_default() += 1;
+        if report.end != JobStatus::Done {
             // The reader of the report looks at the cell before the next job.
             pair.run_until(5.0, |_| false);
         }

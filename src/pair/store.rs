@@ -4,9 +4,9 @@
 //! restart the rules are the journal's: a job without an open step waits again, one with an open step is
 //! interrupted.
 
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
 use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::order::{JobEnd, JobOrder, JobReport};
+use crate::cell::supervisor::order::{JobOrder, JobReport};
 use std::collections::VecDeque;
 
 /// Jobs. See the module.
@@ -83,7 +83,7 @@ impl Store {
     fn interrupt(&mut self, job: &JobOrder, code: Code) {
         self.reports.push(JobReport {
             id: job.id.clone(),
-            end: JobEnd::Interrupted,
+            end: JobStatus::Interrupted,
             code,
             object: None,
             message: code.meaning().to_string(),

@@ -10,9 +10,9 @@
 use crate::cell::code::Code;
 use crate::cell::event::{Effect, Event};
 use crate::cell::machine::Machine;
-use crate::cell::orders::Order;
+use crate::cell::orders::{Approval, Order};
 use crate::cell::supervisor::input::PlanAnswer;
-use crate::cell::supervisor::order::{ApprovalRule, JobOrder};
+use crate::cell::supervisor::order::JobOrder;
 use crate::cell::supervisor::status::Doing;
 use crate::pair::disk::Mood;
 use crate::pair::outcome::{Outcome, Phase};
@@ -200,7 +200,7 @@ fn reach(pair: &mut Pair, stage: &Stage, row: &Row, phase: Phase, seed: u64) -> 
     } else {
         let mut order = job(&stage.model, &true_poses(pair, &stage.model), seed, 0);
         if phase == Phase::Approve {
-            order.approval = ApprovalRule::EveryPlan;
+            order.approval = Approval::Always;
         }
         if matches!(row.cause, Cause::OverlappingGoals) {
             overlap(&mut order);

@@ -3,8 +3,9 @@
 //! In: where the objects are, the workspace, a seed. Out: a job that brings two or three objects to places
 //! that are free once those objects have left theirs, so that some of them have to wait in a buffer.
 
+use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::{ApprovalRule, JobOrder};
+use crate::cell::supervisor::order::JobOrder;
 use cell_values::time::Duration;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
@@ -48,7 +49,7 @@ pub fn job(model: &CellModel, at: &[(String, Pose2)], seed: u64, number: usize) 
         solver: SolverKind::Auto,
         time_limit: Duration::from_secs(2),
         seed,
-        approval: ApprovalRule::NoPlan,
+        approval: Approval::Never,
     }
 }
 

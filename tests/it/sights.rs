@@ -11,9 +11,9 @@ use cell_vision::board::Board;
 use cell_vision::detect::Family;
 use celld::calibration::drawn::CameraMount;
 use celld::cell::code::Code;
-use celld::cell::orders::Order;
+use celld::cell::orders::{Approval, Order};
 use celld::cell::supervisor::model::ForeignRule;
-use celld::cell::supervisor::order::{ApprovalRule, JobOrder};
+use celld::cell::supervisor::order::JobOrder;
 use celld::cell::supervisor::round::RoundOrder;
 use celld::cell::supervisor::status::Doing;
 use celld::cli::simulate::table::stage_of;
@@ -84,7 +84,7 @@ fn submit(pair: &mut Pair, id: &str, [x, y]: [f64; 2]) {
         solver: SolverKind::Auto,
         time_limit: Duration::from_secs(2),
         seed: 1,
-        approval: ApprovalRule::NoPlan,
+        approval: Approval::Never,
     });
 }
 
@@ -210,7 +210,7 @@ fn every_fault_of_a_camera_is_named_and_nothing_is_touched_until_it_is_over() {
         let x = if number % 2 == 0 { 0.30 } else { 0.36 };
         let before = truth(&pair);
         fault(&mut pair, &format!(r#"{{"do": "{fault_name}", "args": {args}}}"#)).unwrap();
-        submit(&mut pair, code.word(), [x, 0.38]);
+        submit(&mut pair, code.as_str(), [x, 0.38]);
         let named = |pair: &Pair| matches!(&pair.status().expect("a status").doing, Doing::Looking(.., Some(named)) if *named == code);
         assert!(pair.run_until(60.0, named), "{code:?} is not named: {:?}", pair.reports().last());
         assert_eq!(truth(&pair), before, "{code:?}: nothing is touched while nothing is seen");

@@ -225,19 +225,11 @@ them (`crates/ur-sim/src/controller/builtins.rs`, `crates/ur-sim/src/robot_serve
 real (`crates/ur-sim/src/controller/tests/judged.rs`).
 ";
 
-fn word(grade: Grade) -> &'static str {
-    match grade {
-        Grade::Real => "real",
-        Grade::Modelled => "modelled",
-        Grade::Absent => "absent",
-    }
-}
-
 fn claims(page: &mut String, title: &str, rows: &[Claim]) {
     let _ = writeln!(page, "\n## {title}\n\n| what | | note | test |\n|---|---|---|---|");
     for Claim(what, grade, note, test) in rows {
         let test = if test.is_empty() { String::new() } else { format!("`{test}`") };
-        let _ = writeln!(page, "| {what} | {} | {note} | {test} |", word(*grade));
+        let _ = writeln!(page, "| {what} | {grade} | {note} | {test} |");
     }
 }
 
@@ -259,7 +251,7 @@ fn scripts(page: &mut String) {
     let _ = writeln!(page, "| built-in | | note |\n|---|---|---|");
     for grade in [Grade::Modelled, Grade::Absent] {
         for entry in of(grade) {
-            let _ = writeln!(page, "| `{}` | {} | {} |", signature(entry), word(grade), entry.note);
+            let _ = writeln!(page, "| `{}` | {grade} | {} |", signature(entry), entry.note);
         }
     }
     let mut real: Vec<_> = of(Grade::Real).map(|entry| format!("`{}`", entry.builtin.name)).collect();

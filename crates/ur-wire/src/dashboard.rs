@@ -7,6 +7,7 @@
 
 use crate::bytes::{Pending, WireError, cut_text};
 use crate::enumerations::{RobotMode, SafetyMode};
+use std::fmt;
 
 /// Sent by the server as soon as it accepts a connection.
 pub const GREETING: &str = "Connected: Universal Robots Dashboard Server";
@@ -64,12 +65,18 @@ pub enum ProgramState {
 
 impl ProgramState {
     /// The word on the wire.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             ProgramState::Stopped => "STOPPED",
             ProgramState::Playing => "PLAYING",
             ProgramState::Paused => "PAUSED",
         }
+    }
+}
+
+impl fmt::Display for ProgramState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
     }
 }
 
@@ -359,7 +366,7 @@ impl Reply {
                 format!("Safetystatus: {}", mode.name())
             }
             Reply::SafetyMode(mode) => format!("Safetymode: {}", mode.name()),
-            Reply::ProgramState { state, program } => format!("{} {program}", state.word()),
+            Reply::ProgramState { state, program } => format!("{state} {program}"),
         };
         format!("{}\n", cut_text(text.split(['\n', '\r']).next().unwrap_or_default(), MAX_LINE - 1))
     }
@@ -392,7 +399,7 @@ fn mode<T>(line: &str, prefix: &str, from_name: fn(&str) -> Option<T>) -> Result
 fn program_state(line: &str) -> Result<Reply, WireError> {
     let states = [ProgramState::Stopped, ProgramState::Playing, ProgramState::Paused];
     let (word, program) = line.split_once(' ').unwrap_or((line, ""));
-    match states.into_iter().find(|state| state.word().eq_ignore_ascii_case(word)) {
+    match states.into_iter().find(|state| state.as_str().eq_ignore_ascii_case(word)) {
         Some(state) => Ok(Reply::ProgramState { state, program: program.to_string() }),
         None => Err(unexpected("program state", line, "STOPPED, PLAYING or PAUSED")),
     }

@@ -68,7 +68,7 @@ pub enum Mount {
 
 impl Mount {
     /// The word for it in files.
-    pub fn word(&self) -> &'static str {
+    pub fn as_str(&self) -> &'static str {
         match self {
             Mount::Flange { .. } => "flange",
             Mount::Fixed { .. } => "fixed",
@@ -141,11 +141,11 @@ impl HandEyeCalibration {
     /// # Errors
     /// A sentence that says how they differ.
     pub fn check_devices(&self, name: &str, mount: &CameraMount, now: &Provenance) -> Result<(), String> {
-        let (made, wanted) = (&self.provenance, mount.word());
-        if self.mount.word() != wanted {
+        let (made, wanted) = (&self.provenance, mount.as_str());
+        if self.mount.as_str() != wanted {
             return Err(format!(
                 "{name}: made with `mount: {}`, but the configuration says {wanted}; run `celld calibrate hand-eye`",
-                self.mount.word()
+                self.mount.as_str()
             ));
         }
         if made.same_devices(now) {
@@ -173,7 +173,7 @@ impl HandEyeCalibration {
             (
                 "hand_eye",
                 Out::map(vec![
-                    ("mount", Out::Text(self.mount.word().to_owned())),
+                    ("mount", Out::Text(self.mount.as_str().to_owned())),
                     (key, files::transform_out(transform)),
                     ("std_m", files::finite(self.std.translation_m)),
                     ("std_rad", files::finite(self.std.rotation_rad)),
@@ -379,7 +379,7 @@ mod tests {
             assert!(there.0 == here.0 && there.1.rotation.angle_to(&here.1.rotation) < 1e-12);
             assert!((there.1.translation.vector - here.1.translation.vector).norm() == 0.0);
             assert_eq!(HandEyeCalibration { mount: file.mount, ..back }, file, "{text}");
-            assert!(text.contains(&format!("mount: {}", file.mount.word())), "{text}");
+            assert!(text.contains(&format!("mount: {}", file.mount.as_str())), "{text}");
         }
     }
 

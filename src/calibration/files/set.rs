@@ -78,7 +78,7 @@ impl CalibrationSet {
                 ));
             }
         };
-        differ(hand_eye, "mount", self.hand_eye.mount.word(), mount.word());
+        differ(hand_eye, "mount", self.hand_eye.mount.as_str(), mount.as_str());
         let (hand, flat) = (&self.hand_eye.provenance, &self.table.provenance);
         differ(hand_eye, "camera", &hand.camera_serial, &self.camera.model.serial);
         differ(table, "camera", &flat.camera_serial, &self.camera.model.serial);

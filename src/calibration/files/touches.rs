@@ -13,7 +13,9 @@ use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Point3};
 use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, read};
+use rearrange::document::word::{UnknownWord, named};
 use rearrange::document::write::Out;
+use std::str::FromStr;
 
 /// A point that can be touched.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,18 +47,19 @@ pub enum Spot {
 }
 
 impl Spot {
-    /// All, with their words in files and on the command line.
-    pub const WORDS: [(&'static str, Spot); 5] = [
-        ("centre", Spot::Centre),
-        ("lower_left", Spot::LowerLeft),
-        ("lower_right", Spot::LowerRight),
-        ("upper_right", Spot::UpperRight),
-        ("upper_left", Spot::UpperLeft),
-    ];
+    /// All of them.
+    pub const ALL: [Spot; 5] =
+        [Spot::Centre, Spot::LowerLeft, Spot::LowerRight, Spot::UpperRight, Spot::UpperLeft];
 
-    /// The word.
-    pub fn word(self) -> &'static str {
-        Spot::WORDS.iter().find(|(_, spot)| *spot == self).map_or("centre", |(word, _)| word)
+    /// The word in files and on the command line.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Spot::Centre => "centre",
+            Spot::LowerLeft => "lower_left",
+            Spot::LowerRight => "lower_right",
+            Spot::UpperRight => "upper_right",
+            Spot::UpperLeft => "upper_left",
+        }
     }
 
     /// Where it is on a marker, m.
@@ -69,6 +72,14 @@ impl Spot {
             Spot::UpperRight => upper_right,
             Spot::UpperLeft => upper_left,
         }
+    }
+}
+
+impl FromStr for Spot {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<Spot, UnknownWord> {
+        named(word, &Spot::ALL, Spot::as_str)
     }
 }
 
@@ -90,7 +101,7 @@ impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Target::Marker { id, at } => {
-                write!(f, "marker {id}, {}", at.word().replace('_', " "))
+                write!(f, "marker {id}, {}", at.as_str().replace('_', " "))
             }
             Target::Point([x, y, z]) => write!(f, "point ({x}, {y}, {z}) m"),
         }
@@ -199,7 +210,7 @@ impl Touches {
 fn touch_out(touch: &RecordedTouch) -> Out {
     let mut pairs = match touch.target {
         Target::Marker { id, at } => {
-            vec![("marker", Out::Integer(i64::from(id))), ("at", Out::Text(at.word().to_owned()))]
+            vec![("marker", Out::Integer(i64::from(id))), ("at", Out::Text(at.as_str().to_owned()))]
         }
         Target::Point(point) => vec![("point_m", Out::numbers(&point))],
     };
@@ -238,7 +249,7 @@ fn touch(at: &At, no_tip: bool, decoder: &mut Decoder) -> Option<RecordedTouch> 
         (Some(at), None) => {
             let id = decoder.integer(&at, 0..=i64::from(u16::MAX));
             let spot = match fields.optional("at") {
-                Some(at) => decoder.choice(&at, &Spot::WORDS),
+                Some(at) => decoder.word(&at),
                 None => Some(Spot::Centre),
             };
             id.zip(spot).map(|(id, at)| Target::Marker { id: id as u32, at })

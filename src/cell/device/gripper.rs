@@ -11,6 +11,7 @@
 use crate::cell::device::outbox::{Outbox, earlier};
 use cell_values::time::{Duration, Timestamp};
 use std::collections::VecDeque;
+use std::fmt;
 
 /// First control register, channel A; B follows.
 pub const CONTROL: u16 = 0;
@@ -53,7 +54,7 @@ pub enum Channels {
 
 impl Channels {
     /// For sentences.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Channels::A => "channel A",
             Channels::B => "channel B",
@@ -102,6 +103,12 @@ impl Channels {
             Channels::B => vacuum[1],
             Channels::Both => vacuum[0].max(vacuum[1]),
         }
+    }
+}
+
+impl fmt::Display for Channels {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
     }
 }
 

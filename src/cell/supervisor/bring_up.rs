@@ -1,13 +1,12 @@
 //! Between a closed gate and the first motion: waiting with a bound, powering the arm, starting the on-robot
 //! program.
 
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::{Supervisor, alarm, say};
 use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
-use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{BringUp, Phase};
 use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
@@ -69,7 +68,7 @@ impl Supervisor {
                 true => format!("{hint} and submit again"),
                 false => format!("{hint}; then `celld arm` and submit again"),
             };
-            self.finish(now, JobEnd::Failed, Code::NotReady.because(message, hint), out);
+            self.finish(now, JobStatus::Failed, Code::NotReady.because(message, hint), out);
         }
     }
 

@@ -6,7 +6,7 @@
 //! robot's speed slider, and is held while the program is paused. What must be on disk first is a phase
 //! too: it waits for the number of its record.
 
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper::{Channels, GripperEvent};
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent};
@@ -16,7 +16,7 @@ use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Notice, Reco
 use crate::cell::supervisor::ledger::Ledger;
 use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::{JobEnd, JobOrder, JobReport, ObjectResult, RouteAction};
+use crate::cell::supervisor::order::{JobOrder, JobReport, ObjectReport, RouteAction};
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, UntilItStands, Visit};
 use crate::cell::supervisor::round::Round;
 use cell_values::time::{Duration, Timestamp};
@@ -283,7 +283,7 @@ impl Supervisor {
         if self.job.as_ref().is_some_and(|job| job.cancel) {
             self.finish(
                 now,
-                JobEnd::Cancelled,
+                JobStatus::Cancelled,
                 Code::Cancelled.because("the operator cancelled the job", ""),
                 out,
             );
@@ -373,14 +373,14 @@ impl Supervisor {
     }
 
     /// Ends the active job, if there is one. It is over when its report is on disk.
-    pub(crate) fn finish(&mut self, now: Timestamp, end: JobEnd, reason: Reason, out: &mut Vec<Action>) {
+    pub(crate) fn finish(&mut self, now: Timestamp, end: JobStatus, reason: Reason, out: &mut Vec<Action>) {
         self.waiting_for = None;
         let Some(job) = self.job.take() else { return };
         let objects = job
             .order
             .goals
             .iter()
-            .map(|(id, goal)| ObjectResult {
+            .map(|(id, goal)| ObjectReport {
                 id: id.clone(),
                 goal: Some(*goal),
                 measured: job.last_seen.iter().find(|(seen, _)| seen == id).map(|(_, pose)| *pose),

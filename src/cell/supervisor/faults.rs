@@ -4,14 +4,13 @@
 //! One rule: the arm is stopped first, the vacuum stays as it is, the job gets a named end, the cell is
 //! disarmed, and nothing continues until a person has armed it and the table has been seen again.
 
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
 use crate::cell::supervisor::cell::{Reason, Supervisor, alarm, say};
 use crate::cell::supervisor::gates::motion_speed;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::cell::supervisor::mode::{EndFault, Mode};
-use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{Look, LookStage, Phase};
 use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
@@ -39,17 +38,17 @@ impl Supervisor {
         self.watch_visit(now, outside, out);
         self.bring_up(outside, out);
         if let Some(message) = motion_trouble(now, outside).filter(|_| self.moving()) {
-            return self.stop_all(now, JobEnd::Interrupted, Code::RobotStopped.because(message, ""), out);
+            return self.stop_all(now, JobStatus::Interrupted, Code::RobotStopped.because(message, ""), out);
         }
         let held = self.held_for(now, outside);
         if held > Duration::ZERO && !self.mode.armed() {
             let message = "the arm was held after the cell was disarmed: it does not go on by itself later";
-            return self.stop_all(now, JobEnd::Interrupted, Code::Aborted.because(message, ""), out);
+            return self.stop_all(now, JobStatus::Interrupted, Code::Aborted.because(message, ""), out);
         }
         if held > LONGEST_PAUSE {
             let message = "the program was paused for too long: the table may have changed";
             let reason = Code::PausedTooLong.because(message, "");
-            return self.stop_all(now, JobEnd::Interrupted, reason, out);
+            return self.stop_all(now, JobStatus::Interrupted, reason, out);
         }
         if self.remaining.is_zero() {
             self.on_deadline(now, out);
@@ -121,7 +120,7 @@ impl Supervisor {
                 (Code::WorkTimeout, "the calibration pose was not reached in time".to_string())
             }
         };
-        self.stop_all(now, JobEnd::Failed, code.because(message, ""), out);
+        self.stop_all(now, JobStatus::Failed, code.because(message, ""), out);
     }
 
     /// Everything the robot reports besides a finished path.
@@ -148,7 +147,7 @@ impl Supervisor {
         }
         let Some(reason) = self.fault_of(event) else { return };
         if self.moving() || matches!(self.phase, Phase::BringUp(_)) {
-            self.stop_all(now, JobEnd::Interrupted, reason, out);
+            self.stop_all(now, JobStatus::Interrupted, reason, out);
         } else {
             self.stand_down(now, reason, out);
         }
@@ -209,17 +208,17 @@ impl Supervisor {
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
         let hint = "see that the cell is safe, then `celld arm` and submit again".to_string();
         let hint = if reason.hint.is_empty() { hint } else { reason.hint };
-        self.finish(now, JobEnd::Interrupted, Reason { hint, ..reason }, out);
+        self.finish(now, JobStatus::Interrupted, Reason { hint, ..reason }, out);
     }
 
     pub(crate) fn on_abort(&mut self, now: Timestamp, out: &mut Vec<Action>) {
         let reason = Code::Aborted.because("the operator stopped the cell", "");
-        self.stop_all(now, JobEnd::Interrupted, reason, out);
+        self.stop_all(now, JobStatus::Interrupted, reason, out);
     }
 
     pub(crate) fn on_shutdown(&mut self, now: Timestamp, out: &mut Vec<Action>) {
         let reason = Code::Shutdown.because("celld was told to end", "");
-        self.stop_all(now, JobEnd::Interrupted, reason, out);
+        self.stop_all(now, JobStatus::Interrupted, reason, out);
         if !self.mode.ending() {
             self.mode = Mode::Ending { since: now, fault: None };
         }
@@ -232,7 +231,7 @@ impl Supervisor {
         }
         let reason =
             Code::JournalFailed.because(fault.to_string(), "see what ails the disk, start celld again");
-        self.stop_all(now, JobEnd::Interrupted, reason, out);
+        self.stop_all(now, JobStatus::Interrupted, reason, out);
         self.mode = Mode::Ending { since: now, fault: Some(fault) };
     }
 
@@ -261,7 +260,7 @@ impl Supervisor {
     }
 
     /// Stops the arm, keeps the vacuum, ends the job, disarms.
-    pub(crate) fn stop_all(&mut self, now: Timestamp, end: JobEnd, reason: Reason, out: &mut Vec<Action>) {
+    pub(crate) fn stop_all(&mut self, now: Timestamp, end: JobStatus, reason: Reason, out: &mut Vec<Action>) {
         self.stop_robot(out);
         self.phase = Phase::Ready;
         self.seen = None;

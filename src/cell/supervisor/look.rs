@@ -3,14 +3,15 @@
 //! A frame counts only if the arm was at rest before and after it was taken. What a look shows is valid until
 //! an object is picked, placed or dropped, or the cell was stopped.
 
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::robot_types::RobotCommand;
+use crate::cell::orders::Approval;
 use crate::cell::supervisor::cell::{Supervisor, alarm, say};
 use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot, PlanAnswer, PlanRequest};
 use crate::cell::supervisor::judge::foreign_height;
 use crate::cell::supervisor::model::CellObject;
-use crate::cell::supervisor::order::{ApprovalRule, JobEnd, RouteAction};
+use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase};
 use crate::motion::cycle_time::CycleTimes;
 use crate::motion::path::{CheckedPath, Leg, Segment};
@@ -82,7 +83,7 @@ impl Supervisor {
             Code::Unreachable.because(message, hint)
         };
         alarm(out, format!("{}; disarmed", reason.message));
-        self.finish(now, JobEnd::Failed, reason, out);
+        self.finish(now, JobStatus::Failed, reason, out);
     }
 
     /// A checked joint move, gripper empty, over everything that is on the table.
@@ -228,7 +229,7 @@ impl Supervisor {
         self.phase = Phase::Ready;
         self.seen = None;
         let reason = fault.code.because(fault.message.clone(), fault.hint);
-        self.finish(now, JobEnd::Failed, reason, out);
+        self.finish(now, JobStatus::Failed, reason, out);
     }
 
     pub(crate) fn on_observed(
@@ -245,7 +246,7 @@ impl Supervisor {
             Ok(observation) => *observation,
             Err(reason) => {
                 let hint = "check the camera's calibration and the markers in the configuration";
-                self.finish(now, JobEnd::Failed, Code::Observation.because(reason, hint), out);
+                self.finish(now, JobStatus::Failed, Code::Observation.because(reason, hint), out);
                 return;
             }
         };
@@ -273,7 +274,7 @@ impl Supervisor {
                 self.seen_at = now;
             }
             Some(doubt) if job.look_failures >= self.model.tolerances.retries => {
-                self.finish(now, JobEnd::Failed, doubt, out);
+                self.finish(now, JobStatus::Failed, doubt, out);
             }
             Some(doubt) => {
                 job.look_failures += 1;
@@ -294,7 +295,7 @@ impl Supervisor {
             seen.objects.iter().any(|object| object.id == *id && self.model.at_goal(&object.pose, goal))
         };
         if job.order.goals.iter().all(there) {
-            self.finish(now, JobEnd::Done, Code::Done.because("every object is at its goal", ""), out);
+            self.finish(now, JobStatus::Done, Code::Done.because("every object is at its goal", ""), out);
             return;
         }
         match self.checked_remainder(job, seen) {
@@ -385,7 +386,7 @@ impl Supervisor {
         if job.replans > 0 && job.replans > self.model.tolerances.retries + job.moves as u32 {
             let message = format!("the table disagreed with the plan {} times", job.replans);
             let hint = "see that nothing else moves the objects, then submit again";
-            self.finish(now, JobEnd::Failed, Code::TableDisturbed.because(message, hint), out);
+            self.finish(now, JobStatus::Failed, Code::TableDisturbed.because(message, hint), out);
             return;
         }
         let instance = self.instance(job, seen, self.model.clearance);
@@ -440,9 +441,9 @@ impl Supervisor {
         job.replans += 1;
         job.route = Some(route);
         job.approved = match job.order.approval {
-            ApprovalRule::NoPlan => true,
-            ApprovalRule::FirstPlan => job.approved,
-            ApprovalRule::EveryPlan => false,
+            Approval::Never => true,
+            Approval::Job => job.approved,
+            Approval::Always => false,
         };
         if !job.approved {
             alarm(out, format!("job {}: the plan waits for approval", job.order.id));
@@ -467,6 +468,6 @@ impl Supervisor {
                 Code::NoPlan.because("no plan was found in time", hint)
             }
         };
-        self.finish(now, JobEnd::Failed, reason, out);
+        self.finish(now, JobStatus::Failed, reason, out);
     }
 }

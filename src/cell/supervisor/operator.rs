@@ -3,14 +3,13 @@
 //! In: an order. Out: what changes, and a [`Reply`] made after the decision from the state that it led to. An
 //! order that changes nothing says so.
 
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper::{Channels, GripperCommand, GripperEvent};
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::cell::{Supervisor, say};
 use crate::cell::supervisor::gates::motion_speed;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::mode::{Mode, Pace};
-use crate::cell::supervisor::order::JobEnd;
 use crate::cell::supervisor::phase::{Phase, Then, WorkStage};
 use cell_values::time::Timestamp;
 
@@ -120,7 +119,7 @@ impl Supervisor {
         if held || self.round.is_some() {
             let what = if held { "while the arm was held" } else { "in a calibration round" };
             let reason = Code::Aborted.because(format!("the operator disarmed the cell {what}"), "");
-            self.stop_all(now, JobEnd::Interrupted, reason, out);
+            self.stop_all(now, JobStatus::Interrupted, reason, out);
             return self.answer_when_it_stands(now, number, Then::Say);
         }
         if matches!(self.phase, Phase::BringUp(_)) {
@@ -161,7 +160,12 @@ impl Supervisor {
         job.approved = approved;
         self.phase = Phase::Ready;
         if !approved {
-            self.finish(now, JobEnd::Cancelled, Code::PlanRejected.because("the plan was rejected", ""), out);
+            self.finish(
+                now,
+                JobStatus::Cancelled,
+                Code::PlanRejected.because("the plan was rejected", ""),
+                out,
+            );
         }
         None
     }
@@ -245,7 +249,7 @@ impl Supervisor {
         self.seen = None;
         if self.moving() || self.mode.armed() {
             let reason = Code::Released.because("the operator releases the vacuum", "");
-            self.stop_all(now, JobEnd::Interrupted, reason, out);
+            self.stop_all(now, JobStatus::Interrupted, reason, out);
         } else if self.arm_stands(outside) || (self.stands && !outside.robot_fresh) {
             return self.release(number, channels, out);
         }
@@ -255,7 +259,7 @@ impl Supervisor {
     /// Switches the vacuum off; the answer is what the gripper says.
     pub(crate) fn release(&mut self, number: u64, channels: Channels, out: &mut Vec<Action>) {
         self.release_orders.push((number, channels));
-        say(out, format!("vacuum off by the operator's order, {}", channels.word()));
+        say(out, format!("vacuum off by the operator's order, {channels}"));
         out.push(Action::Gripper(GripperCommand::Release { channels }));
     }
 
@@ -264,7 +268,7 @@ impl Supervisor {
         let reply = |channels: Channels| match event {
             GripperEvent::Released => Reply::accept(match channels {
                 Channels::Both => "vacuum off; the cell is disarmed".to_string(),
-                one => format!("vacuum off, {} only; the cell is disarmed", one.word()),
+                one => format!("vacuum off, {one} only; the cell is disarmed"),
             }),
             GripperEvent::ReleaseFailed { vacuum } => Reply::refuse(format!(
                 "the vacuum does not go: {:.0} %; see the gripper, what it holds may still hang there",

@@ -3,7 +3,8 @@
 //! In: goals by object name, how to plan, whether a person has to approve. Out: the [`RouteAction`]s that
 //! remain to be done, and a [`JobReport`] with a code a program can test and a sentence a person can act on.
 
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
+use crate::cell::orders::Approval;
 use cell_values::time::Duration;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::Objective;
@@ -25,18 +26,7 @@ pub struct JobOrder {
     /// Seed of the planner.
     pub seed: u64,
     /// Which plans a person has to approve before anything is picked.
-    pub approval: ApprovalRule,
-}
-
-/// Which plans of a job wait for a person.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ApprovalRule {
-    /// None.
-    NoPlan,
-    /// The first one; a new plan for the same goal does not wait again.
-    FirstPlan,
-    /// Every one.
-    EveryPlan,
+    pub approval: Approval,
 }
 
 /// One remaining pick-n-place of a job's route.
@@ -52,22 +42,9 @@ pub struct RouteAction {
     pub to_goal: bool,
 }
 
-/// How a job ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum JobEnd {
-    /// Every object is at its goal, and the camera says so.
-    Done,
-    /// It could not be done.
-    Failed,
-    /// A person cancelled it.
-    Cancelled,
-    /// It was cut off by a stop, a fault or a shutdown; the table has to be looked at.
-    Interrupted,
-}
-
 /// One object at the end of a job.
 #[derive(Clone, Debug)]
-pub struct ObjectResult {
+pub struct ObjectReport {
     /// Name.
     pub id: String,
     /// Where it should be.
@@ -82,7 +59,7 @@ pub struct JobReport {
     /// Name of the job.
     pub id: String,
     /// How it ended.
-    pub end: JobEnd,
+    pub end: JobStatus,
     /// Stable code.
     pub code: Code,
     /// The object that the code is about, if it is about one.
@@ -102,7 +79,7 @@ pub struct JobReport {
     /// Seconds from the job's start to its end.
     pub seconds: f64,
     /// Each object.
-    pub objects: Vec<ObjectResult>,
+    pub objects: Vec<ObjectReport>,
 }
 
 impl JobReport {

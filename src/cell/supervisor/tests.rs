@@ -1,17 +1,17 @@
 //! What the machine must never do, played through with made-up devices.
 
 use crate::calibration::files::hand_eye::Mount;
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper::{Channels, GripperCommand};
 use crate::cell::device::registers::ProgramStatus;
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent, RobotState};
-use crate::cell::orders::{Order, Reply};
+use crate::cell::orders::{Approval, Order, Reply};
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, PlanAnswer, Record};
 use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
-use crate::cell::supervisor::order::{ApprovalRule, JobEnd, JobOrder};
+use crate::cell::supervisor::order::JobOrder;
 use crate::motion::path::{ArmLimits, ArmModel};
 use crate::motion::pick_n_place::CycleParameters;
 use cell_values::time::{Duration, Timestamp};
@@ -235,10 +235,10 @@ impl Bench {
     }
 
     fn job(&mut self, needs_approval: bool) -> Vec<Action> {
-        self.job_with(if needs_approval { ApprovalRule::EveryPlan } else { ApprovalRule::NoPlan })
+        self.job_with(if needs_approval { Approval::Always } else { Approval::Never })
     }
 
-    fn job_with(&mut self, approval: ApprovalRule) -> Vec<Action> {
+    fn job_with(&mut self, approval: Approval) -> Vec<Action> {
         self.feed(Input::Job(Box::new(JobOrder {
             id: "j".into(),
             goals: vec![("a".into(), Pose2::new(0.35, 0.3, 0.0))],
@@ -318,7 +318,7 @@ fn streams(actions: &[Action]) -> usize {
     actions.iter().filter(|action| matches!(action, Action::Robot(RobotCommand::Stream(_)))).count()
 }
 
-fn ended(actions: &[Action]) -> Option<(JobEnd, String)> {
+fn ended(actions: &[Action]) -> Option<(JobStatus, String)> {
     actions.iter().find_map(|action| match action {
         Action::Commit { record: Record::Ended(report), .. } => Some((report.end, report.code_text())),
         _ => None,
@@ -395,7 +395,7 @@ fn a_disk_that_cannot_write_or_is_silent_stops_the_arm_and_ends_the_daemon() {
     silent.extend(bench.feed(Input::Robot(RobotEvent::Stopped)));
     silent.extend(bench.ticks(2));
     for all in [failed, silent] {
-        assert_eq!(ended(&all), Some((JobEnd::Interrupted, Code::JournalFailed.word().into())));
+        assert_eq!(ended(&all), Some((JobStatus::Interrupted, Code::JournalFailed.as_str().into())));
         let stop = all.iter().position(|a| matches!(a, Action::Robot(RobotCommand::Stop)));
         let end = all.iter().position(|a| matches!(a, Action::End(Err(_))));
         assert!(stop.is_some() && stop < end, "{all:?}");
@@ -422,7 +422,7 @@ fn silence_while_moving_stops_first_then_ends_the_job_and_disarms() {
     bench.silent = true;
     let actions = bench.feed(Input::Tick);
     assert!(matches!(actions.first(), Some(Action::Robot(RobotCommand::Stop))), "{actions:?}");
-    assert_eq!(ended(&actions), Some((JobEnd::Interrupted, "robot_stopped".into())));
+    assert_eq!(ended(&actions), Some((JobStatus::Interrupted, "robot_stopped".into())));
     assert!(!bench.cell.status().armed);
     bench.silent = false;
     bench.job(false);
@@ -451,12 +451,12 @@ fn shutdown_stops_the_arm_first_and_names_the_job() {
     bench.plan();
     let actions = bench.feed(Input::Shutdown);
     assert!(matches!(actions.first(), Some(Action::Robot(RobotCommand::Stop))), "{actions:?}");
-    assert_eq!(ended(&actions), Some((JobEnd::Interrupted, "shutdown".into())));
+    assert_eq!(ended(&actions), Some((JobStatus::Interrupted, "shutdown".into())));
     assert_eq!(streams(&bench.ticks(100)), 0);
 }
 
 /// Looks until the job ends; nothing may be requested of the planner or the gripper meanwhile.
-fn ends_without_planning(reference: ReferenceCheck) -> (JobEnd, String) {
+fn ends_without_planning(reference: ReferenceCheck) -> (JobStatus, String) {
     let mut bench = Bench::new();
     bench.reference = reference;
     bench.job(false);
@@ -474,9 +474,9 @@ fn ends_without_planning(reference: ReferenceCheck) -> (JobEnd, String) {
 #[test]
 fn a_bumped_camera_stops_the_job_before_anything_is_picked() {
     let (end, code) = ends_without_planning(reference(4, 1.2e-3));
-    assert_eq!((end, code.as_str()), (JobEnd::Failed, "calibration_invalid"));
+    assert_eq!((end, code.as_str()), (JobStatus::Failed, "calibration_invalid"));
     let (end, code) = ends_without_planning(reference(4, f64::NAN));
-    assert_eq!((end, code.as_str()), (JobEnd::Failed, "calibration_invalid"));
+    assert_eq!((end, code.as_str()), (JobStatus::Failed, "calibration_invalid"));
 }
 
 #[test]
@@ -521,13 +521,13 @@ fn a_look_near_its_limits_is_worked_on_and_told_of_once() {
 #[test]
 fn markers_that_no_look_shows_together_tell_nothing() {
     let spread = ReferenceCheck { looks: Vec::new(), ..reference(4, 0.0) };
-    assert_eq!(ends_without_planning(spread), (JobEnd::Failed, "reference_hidden".into()));
+    assert_eq!(ends_without_planning(spread), (JobStatus::Failed, "reference_hidden".into()));
 }
 
 #[test]
 fn hidden_reference_markers_are_not_taken_for_a_bump() {
     let (end, code) = ends_without_planning(reference(2, 0.0));
-    assert_eq!((end, code.as_str()), (JobEnd::Failed, "reference_hidden"));
+    assert_eq!((end, code.as_str()), (JobStatus::Failed, "reference_hidden"));
 }
 
 #[test]

@@ -1,13 +1,13 @@
 //! One pick-n-place: approach, grip and verify, carry, release, retreat; and what to do when a grip fails.
 
-use crate::cell::code::Code;
+use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper::{GripperCommand, GripperEvent};
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::{Supervisor, alarm, say};
 use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, Record};
 use crate::cell::supervisor::model::CellObject;
-use crate::cell::supervisor::order::{JobEnd, RouteAction};
+use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::phase::{Phase, Work, WorkStage};
 use crate::motion::pick_n_place::{PickNPlace, plan};
 use cell_values::time::Timestamp;
@@ -43,7 +43,7 @@ impl Supervisor {
             let message = format!("the gripper's body would meet {neighbour} beside {}", next.object);
             let hint = "move the two apart by hand, or give the job a goal with more room";
             let reason = Code::Unpickable.because(message, hint).of(&next.object);
-            return self.finish(now, JobEnd::Failed, reason, out);
+            return self.finish(now, JobStatus::Failed, reason, out);
         }
         let paths = match plan(&self.model.arm, &robot.q, &task, &self.cycle()) {
             Ok(paths) => paths,
@@ -51,7 +51,7 @@ impl Supervisor {
                 let message = format!("{} cannot be moved: {fault}", next.object);
                 let hint = "put the object or its goal nearer to the robot";
                 let reason = Code::Unreachable.because(message, hint).of(&next.object);
-                return self.finish(now, JobEnd::Failed, reason, out);
+                return self.finish(now, JobStatus::Failed, reason, out);
             }
         };
         let record = Record::Intent {
@@ -213,7 +213,7 @@ impl Supervisor {
             (WorkStage::NotingGrip(_) | WorkStage::Carrying, GripperEvent::VacuumLost { vacuum }) => {
                 let message = format!("{} was lost: vacuum {:.0} %", work.object, vacuum * 100.0);
                 let reason = Code::VacuumLost.because(message, "").of(&work.object);
-                return self.stop_all(now, JobEnd::Failed, reason, out);
+                return self.stop_all(now, JobStatus::Failed, reason, out);
             }
             // Readings and repeated answers change nothing; a phase that waits in vain runs into its
             // deadline.
@@ -250,7 +250,7 @@ impl Supervisor {
         };
         let message = format!("the gripper stopped answering {during} {}", work.object);
         let reason = Code::GripperUnreachable.because(message, "").of(&work.object);
-        self.stop_all(now, JobEnd::Interrupted, reason, out);
+        self.stop_all(now, JobStatus::Interrupted, reason, out);
     }
 
     fn set_stage(&mut self, stage: WorkStage) {
@@ -269,7 +269,7 @@ impl Supervisor {
             let message = format!("{object} could not be gripped in {} tries", retries + 1);
             alarm(out, message.clone());
             let hint = "clean cups and object, check the grip point, submit again";
-            self.finish(now, JobEnd::Failed, Code::Unpickable.because(message, hint).of(object), out);
+            self.finish(now, JobStatus::Failed, Code::Unpickable.because(message, hint).of(object), out);
         }
     }
 }

@@ -68,7 +68,7 @@ fn tell(solved: &Solved) {
     let (camera, table) = (&solved.hand_eye.std, &solved.table.base_from_table_std);
     complain(&format!(
         "camera ({}) known {}; table {} (standard deviations)",
-        solved.hand_eye.mount.word(),
+        solved.hand_eye.mount.as_str(),
         reported(camera.translation_m, camera.rotation_rad),
         reported(table.translation_m, table.rotation_rad)
     ));

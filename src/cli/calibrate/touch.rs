@@ -99,7 +99,7 @@ fn tip(text: &str) -> Result<Tip, String> {
 
 fn target(text: &str) -> Result<Target, String> {
     let help = || {
-        let words = Spot::WORDS.map(|(word, _)| word).join(", ");
+        let words = Spot::ALL.map(Spot::as_str).join(", ");
         format!("give a marker's number, number:spot ({words}), or x/y in m")
     };
     if text.contains('/') {
@@ -109,7 +109,7 @@ fn target(text: &str) -> Result<Target, String> {
         return near.map(Target::Point).ok_or_else(help);
     }
     let (id, spot) = text.split_once(':').unwrap_or((text, "centre"));
-    let at = Spot::WORDS.iter().find(|(word, _)| *word == spot).map(|(_, at)| *at).ok_or_else(help)?;
+    let at = spot.parse::<Spot>().map_err(|_| help())?;
     Ok(Target::Marker { id: id.trim().parse().map_err(|_| help())?, at })
 }
 

@@ -5,6 +5,7 @@
 //! and a [`SimFile`] whose truth deviates from them by the seed. Nothing measured passes between the two.
 
 use crate::calibration::drawn::CameraMount;
+use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::cli::demo::teach::{
     BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
@@ -15,12 +16,13 @@ use crate::config::cell::{
 };
 use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::config::setup::arm_model;
-use crate::jobs::policy::{Approval, JobObjective};
 use cell_parts::gripper::{CupChannel, CupConfig, GripperConfig};
 use cell_parts::reference::ReferenceMarkerConfig;
 use cell_values::image::quality::PictureLimits;
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::instance::{Instance, ObjectSpec};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -63,10 +65,10 @@ pub struct DemoChoice {
     pub time_factor: f64,
     /// Seed of the world's truth and its errors.
     pub seed: u64,
-    /// Solver's name.
-    pub solver: String,
+    /// Solver.
+    pub solver: SolverKind,
     /// What plans are judged by.
-    pub objective: JobObjective,
+    pub objective: Objective,
     /// Planning budget, s.
     pub time_limit_s: f64,
 }
@@ -175,7 +177,7 @@ fn tolerances() -> Tolerances {
 
 fn planner(choice: &DemoChoice) -> PlannerConfig {
     PlannerConfig {
-        solver: choice.solver.clone(),
+        solver: choice.solver,
         objective: choice.objective,
         time_limit_s: choice.time_limit_s,
         seed: choice.seed,

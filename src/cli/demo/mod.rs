@@ -16,9 +16,10 @@ use crate::cli::task::outln;
 use crate::cli::values;
 use crate::config::cell::CellConfig;
 use crate::config::setup::{CUP_MARGIN_M, check_reach};
-use crate::jobs::policy::JobObjective;
 use cell_edge::priority;
 use clap::Args;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
 use rearrange::tabletop::instance::{Instance, ObjectSpec, Workspace};
 use rearrange::tabletop::room::Cup;
@@ -45,11 +46,11 @@ pub struct DemoArgs {
     #[arg(long, value_name = "M", value_parser = values::table_size)]
     table_size: Option<f64>,
     /// Solver: tbm, rbm, etbm, erbm, mcts, emcts or auto.
-    #[arg(long, default_value = "auto", value_parser = values::solver)]
-    solver: String,
+    #[arg(long, default_value = "auto")]
+    solver: SolverKind,
     /// What plans are judged by: pp moves, ti total impedance, time the arm's seconds.
-    #[arg(long, default_value = "pp", value_parser = values::objective)]
-    objective: JobObjective,
+    #[arg(long, default_value = "pp")]
+    objective: Objective,
     /// Seed of the simulated world's truth, its errors and the planner.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -146,7 +147,7 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
         bind: args.bind,
         time_factor: args.time_factor,
         seed: args.seed,
-        solver: args.solver.clone(),
+        solver: args.solver,
         objective: args.objective,
         time_limit_s: args.time_limit,
     };
@@ -245,7 +246,8 @@ mod tests {
     #[test]
     fn wrong_options_are_refused_before_anything_starts() {
         let wrong = [
-            ("--solver=foo", "one of: tbm"),
+            ("--solver=foo", "\"foo\" is not known here; one of: tbm, rbm"),
+            ("--objective=foo", "one of: pp, ti, time"),
             ("--time-limit=-1", "between 0.001 and 86400 s"),
             ("--time-limit=nan", "between 0.001 and 86400 s"),
             ("--time-limit=1e30", "between 0.001 and 86400 s"),

@@ -4,7 +4,7 @@
 //! output folder, the summary on stdout, and the exit code: 0 only if the simulated world itself says that
 //! every object is where the job wanted it.
 
-use crate::cell::supervisor::order::JobEnd;
+use crate::cell::code::JobStatus;
 use crate::cell::supervisor::order::JobReport;
 use crate::cli::demo::cell::DemoChoice;
 use crate::cli::demo::run::DemoOutcome;
@@ -76,7 +76,7 @@ fn report(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice) -> Ru
     };
     let all_good = objects.iter().all(|o| good(o.goal, o.truth) && good(o.goal, o.measured));
     let job = watch.report.as_ref();
-    let done = job.is_some_and(|job| job.end == JobEnd::Done);
+    let done = job.is_some_and(|job| job.end == JobStatus::Done);
     RunReport {
         title: "celld demo".to_string(),
         reached: done && all_good,
@@ -112,8 +112,8 @@ fn settings(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice) -> 
     vec![
         pair("table", format!("{:.2} x {:.2} m", instance.workspace.width, instance.workspace.height)),
         pair("density", format!("{:.2}", instance.density())),
-        pair("solver", choice.solver.clone()),
-        pair("objective", choice.objective.word().to_string()),
+        pair("solver", choice.solver.to_string()),
+        pair("objective", choice.objective.to_string()),
         pair("seed", choice.seed.to_string()),
         pair("time factor", format!("{} asked, {:.1} reached", choice.time_factor, outcome.factor)),
         pair("calibration", format!("{:.2} px rms", calibration.reprojection_px_rms)),
@@ -227,7 +227,7 @@ fn result_json(outcome: &DemoOutcome, report: &RunReport, choice: &DemoChoice) -
     let (measured_mm, measured_deg) = worst(|o| o.measured);
     let value = json!({
         "reached": report.reached, "headline": report.headline, "code": job.map(JobReport::code_text),
-        "seed": choice.seed, "solver": choice.solver, "objective": choice.objective.word(), "moves": report.figures.moves,
+        "seed": choice.seed, "solver": choice.solver.as_str(), "objective": choice.objective.as_str(), "moves": report.figures.moves,
         "buffers": report.figures.buffers, "lower_bound": report.figures.lower_bound,
         "plans": report.figures.plans, "looks": report.figures.looks,
         "planning_seconds": report.figures.planning_s, "cycle_seconds": report.figures.cycle_s,

@@ -7,9 +7,9 @@ use crate::calibration::files::hand_eye::Mount;
 use crate::calibration::fit::HandEye;
 use crate::calibration::fit::solve::on_the_flange;
 use crate::calibration::visit::{Samples, Stop};
-use crate::cell::orders::Reply;
+use crate::cell::orders::{Approval, Reply};
 use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::order::{ApprovalRule, JobOrder};
+use crate::cell::supervisor::order::JobOrder;
 use crate::cell::supervisor::round::RoundOrder;
 use crate::cell::supervisor::status::Status;
 use crate::cli::daemon::machine_parameters;
@@ -19,7 +19,6 @@ use crate::cli::recorder::Recorder;
 use crate::config::cell::{CameraDevice, CellConfig, Devices};
 use crate::config::setup::{Measured, cell_model, drawn, nominal_model, scene};
 use crate::daemon::cameras::open_camera;
-use crate::daemon::keeper::objective_of;
 use crate::daemon::shell::Shell;
 use crate::daemon::sockets::Addresses;
 use crate::daemon::store::{Keeper, NoOrders};
@@ -33,7 +32,6 @@ use cell_vision::camera::CameraModel;
 use cell_vision::detect::{DetectSettings, Detector};
 use rearrange::document::chain::chain;
 use rearrange::geometry::pose::Pose2;
-use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::instance::Instance;
 use std::path::Path;
 use std::sync::Arc;
@@ -137,7 +135,7 @@ async fn with_sim(
     let model = cell_model(config, &measured).map_err(|error| error.to_string())?;
     // Nothing real moves: the cell arms itself.
     shell.commission(model, true);
-    let job = OneJob { order: Some(order(instance, choice)?), over: stop.clone() };
+    let job = OneJob { order: Some(order(instance, choice)), over: stop.clone() };
     shell.keep_in(Box::new(job), Box::new(NoOrders));
     let mut watch = Watch::new(Recorder::create(&out.join("run.mcap"), true));
     shell.run(&mut watch, stop).await.map_err(|error| error.to_string())?;
@@ -196,18 +194,16 @@ fn camera_of(
     open_camera(&devices, lens).map_err(|error| chain(&error))
 }
 
-fn order(instance: &Instance, choice: &DemoChoice) -> Result<JobOrder, String> {
-    let solver = SolverKind::from_word(&choice.solver)
-        .ok_or_else(|| format!("there is no solver {:?}", choice.solver))?;
-    Ok(JobOrder {
+fn order(instance: &Instance, choice: &DemoChoice) -> JobOrder {
+    JobOrder {
         id: "demo".to_string(),
         goals: instance.objects.iter().filter_map(|o| Some((o.id.clone(), o.goal?))).collect(),
-        objective: objective_of(choice.objective),
-        solver,
+        objective: choice.objective,
+        solver: choice.solver,
         time_limit: Duration::from_secs_f64(choice.time_limit_s),
         seed: choice.seed,
-        approval: ApprovalRule::NoPlan,
-    })
+        approval: Approval::Never,
+    }
 }
 
 /// The demo's keeper: one job, over when the job is. Nothing is kept.

@@ -4,9 +4,10 @@ use crate::cli::daemon::machine_parameters;
 use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config, sim_file};
 use crate::config::cell::CellConfig;
 use crate::config::setup::CUP_MARGIN_M;
-use crate::jobs::policy::JobObjective;
 use crate::pair::eyes::Eye;
 use crate::pair::stage::Stage;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::fit::{Requirements, fit};
 use rearrange::tabletop::parse::parse_instance;
 use rearrange::tabletop::room::Cup;
@@ -46,8 +47,8 @@ pub fn stage(seed: u64, eye: Eye) -> Result<Stage, String> {
         bind: IpAddr::V4(Ipv4Addr::LOCALHOST),
         time_factor: 1.0,
         seed,
-        solver: "auto".to_string(),
-        objective: JobObjective::Pp,
+        solver: SolverKind::Auto,
+        objective: Objective::Pp,
         time_limit_s: 2.0,
     };
     let mut config = cell_config(&instance, &choice, Path::new("."))?;

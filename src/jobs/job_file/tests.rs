@@ -1,9 +1,9 @@
 //! Job files as people write them: whole, wrong in every key, torn, and with goals that cannot be.
 
 use super::*;
-use crate::jobs::policy::JobObjective;
 use proptest::prelude::*;
 use rearrange::geometry::footprint::Footprint;
+use rearrange::planning::plan::Objective;
 use rearrange::tabletop::instance::ObjectSpec;
 
 fn no_file(path: &str) -> Result<String, String> {
@@ -46,7 +46,7 @@ fn every_key_is_read() {
         JobSpec {
             id: Some("tidy-42".into()),
             goal: vec![GoalPose { id: "mug".into(), pose }],
-            objective: Some(JobObjective::Ti),
+            objective: Some(Objective::Ti),
             solver: Some("erbm".into()),
             time_limit_s: Some(2.5),
             seed: Some(7),

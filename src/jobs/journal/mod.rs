@@ -353,7 +353,7 @@ impl Journal {
     /// As [`Journal::approve`].
     pub fn finish(&mut self, id: &str, result: &JobResult, unix_s: f64) -> Result<(), JournalError> {
         let text = encode(&storable(result));
-        let state = result.status.word();
+        let state = result.status.as_str();
         let update = "UPDATE jobs SET state = ?2, result = ?3, ended = ?4 WHERE id = ?1 AND state IN ('waiting','active')";
         self.change(id, "end it", update, params![id, state, text, unix_s])
     }
@@ -370,7 +370,9 @@ impl Journal {
         }
         match self.job(id)? {
             None => Err(JournalError::UnknownJob { id: id.to_owned() }),
-            Some(job) => Err(JournalError::WrongState { id: id.to_owned(), state: job.state.word(), action }),
+            Some(job) => {
+                Err(JournalError::WrongState { id: id.to_owned(), state: job.state.as_str(), action })
+            }
         }
     }
 
@@ -409,7 +411,7 @@ impl Journal {
     }
 
     fn job_record(&self, row: JobRow) -> Result<JobRecord, JournalError> {
-        let state = JobState::from_word(&row.state).ok_or_else(|| self.damaged("jobs.state", &row.state))?;
+        let state = row.state.parse::<JobState>().map_err(|_| self.damaged("jobs.state", &row.state))?;
         let result = row.result.map(|text| self.decode("jobs.result", &text)).transpose()?;
         Ok(JobRecord {
             sequence: row.sequence,

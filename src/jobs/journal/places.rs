@@ -52,7 +52,9 @@ impl Journal {
     /// Notes that a job's files are in `folder`, as its state wants, and no longer in `incoming`.
     pub(in crate::jobs) fn set_place(&mut self, job: &JobRecord, folder: &str) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET folder = ?2, placed_as = ?3, source = NULL WHERE id = ?1";
-        self.transact(|transaction| transaction.execute(update, params![job.id, folder, job.state.word()]))?;
+        self.transact(|transaction| {
+            transaction.execute(update, params![job.id, folder, job.state.as_str()])
+        })?;
         Ok(())
     }
 

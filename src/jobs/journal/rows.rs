@@ -3,8 +3,8 @@
 //! In: rows, records. Out: records, JSON text. A job whose file is being moved is recognised by the file's
 //! identity (device, inode, size, time), so a crash between commit and rename is not a duplicate.
 
-use crate::cell::code::Code;
-use crate::jobs::record::{JobRecord, JobResult, JobStatus, ObjectResult, StepPhase, StepRecord};
+use crate::cell::code::{Code, JobStatus};
+use crate::jobs::record::{JobRecord, JobResult, ObjectResult, StepPhase, StepRecord};
 use cell_edge::files::FileIdentity;
 use rusqlite::Row;
 
@@ -93,11 +93,10 @@ pub(super) fn interrupted(
     JobResult {
         id: job.id.clone(),
         status: JobStatus::Interrupted,
-        code: if holding { Code::InterruptedCarrying } else { Code::Interrupted }.word().to_owned(),
+        code: if holding { Code::InterruptedCarrying } else { Code::Interrupted }.to_string(),
         message: format!(
             "celld ended during step {} ({object:?}, {}); how far the motion got is not known",
-            open.step,
-            open.phase.word()
+            open.step, open.phase
         ),
         hint,
         moves: steps.iter().filter(|step| step.phase == StepPhase::Done).count() as u32,

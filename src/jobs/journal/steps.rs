@@ -18,7 +18,7 @@ impl Journal {
         let job = self.job(id)?.ok_or_else(|| JournalError::UnknownJob { id: id.to_owned() })?;
         let open = self.steps(id)?.iter().any(|step| step.phase.is_open());
         if job.state != JobState::Active || open {
-            let state = if open { "in the middle of a step" } else { job.state.word() };
+            let state = if open { "in the middle of a step" } else { job.state.as_str() };
             return Err(JournalError::WrongState { id: id.to_owned(), state, action: "begin a step" });
         }
         let text = encode(intent);
@@ -70,11 +70,11 @@ impl Journal {
         let update = "UPDATE steps SET phase = ?3, changed = ?4 WHERE step = ?2
              AND job = (SELECT sequence FROM jobs WHERE id = ?1) AND phase IN ('intent','gripped','released')";
         let changed =
-            self.transact(|transaction| transaction.execute(update, params![id, step, to.word(), unix_s]))?;
+            self.transact(|transaction| transaction.execute(update, params![id, step, to.as_str(), unix_s]))?;
         if changed == 1 {
             return Ok(());
         }
-        Err(JournalError::WrongStep { id: id.to_owned(), step, action: to.word() })
+        Err(JournalError::WrongStep { id: id.to_owned(), step, action: to.as_str() })
     }
 
     /// All steps of a job, in order.
@@ -96,7 +96,7 @@ impl Journal {
     }
 
     fn step_record(&self, step: u32, intent: &str, phase: &str) -> Result<StepRecord, JournalError> {
-        let phase = StepPhase::from_word(phase).ok_or_else(|| self.damaged("steps.phase", phase))?;
+        let phase = phase.parse::<StepPhase>().map_err(|_| self.damaged("steps.phase", phase))?;
         Ok(StepRecord { step, intent: self.decode("steps.intent", intent)?, phase })
     }
 }

@@ -1,7 +1,8 @@
 //! Claims, order, steps and recovery against a database on disk.
 
 use super::*;
-use crate::jobs::record::{JobSpec, JobStatus, StepIntent, StepKind};
+use crate::cell::code::JobStatus;
+use crate::jobs::record::{JobSpec, StepIntent, StepKind};
 use cell_edge::files::FileIdentity;
 use rearrange::geometry::pose::Pose2;
 
@@ -152,7 +153,7 @@ fn check_recovery(steps: impl FnOnce(&mut Journal), expected: &str) {
     assert!(journal.recover(NOW).unwrap().is_empty(), "recovery is done once");
     let job = journal.job("a").unwrap().unwrap();
     let code = job.result.map(|result| result.code).unwrap_or_default();
-    assert_eq!(format!("{} {code}", job.state.word()).trim(), expected);
+    assert_eq!(format!("{} {code}", job.state).trim(), expected);
     let next = journal.next_ready(NOW).unwrap().unwrap().id;
     assert_eq!(next, if expected == "waiting" { "a" } else { "other" });
 }

@@ -125,7 +125,7 @@ impl Refusal {
     fn to_yaml(&self, name: &str, sha256: Option<&str>, unix_s: f64) -> String {
         let mut yaml = format!(
             "version: 1\ncode: {}\nmessage: {}\nhint: {}\nfile: {}\n",
-            quoted(self.code.word()),
+            quoted(self.code.as_str()),
             quoted(&self.message),
             quoted(&self.hint),
             quoted(name)

@@ -246,7 +246,7 @@ impl Spool {
         let new = NewRejection {
             name: &entry.name,
             stored: &stored,
-            code: refusal.code.word(),
+            code: refusal.code.as_str(),
             reason: &reason,
             moves: refusal.code != Code::NotAPlainFile,
             source: identity,

@@ -1,8 +1,9 @@
 //! The life of job files, with a reader of its own and a clock turned by hand; crashes at every point.
 
 use super::*;
+use crate::cell::code::JobStatus;
 use crate::jobs::journal::{Journal, Recovered};
-use crate::jobs::record::{JobResult, JobState, JobStatus, StepIntent, StepKind};
+use crate::jobs::record::{JobResult, JobState, StepIntent, StepKind};
 use rearrange::geometry::pose::Pose2;
 use std::fs;
 

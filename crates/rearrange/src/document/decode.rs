@@ -5,8 +5,10 @@
 //! path (`objects[2].start`), a [`Fields`] is a map whose keys have been checked.
 
 use std::ops::RangeInclusive;
+use std::str::FromStr;
 
 use crate::document::tree::{Entry, Node, Value};
+use crate::document::word::UnknownWord;
 use crate::document::{Diagnostic, Diagnostics, Location, parse};
 
 /// Most complaints kept; a file that is wrong everywhere need not fill a screen per object.
@@ -274,6 +276,18 @@ impl Decoder {
             Value::Scalar { text, quoted: false } if text == "true" => Some(true),
             Value::Scalar { text, quoted: false } if text == "false" => Some(false),
             _ => self.wrong_type(at, "true or false"),
+        }
+    }
+
+    /// The value of an enum by its word.
+    pub fn word<T: FromStr<Err = UnknownWord>>(&mut self, at: &At) -> Option<T> {
+        let text = self.text(at)?;
+        match text.parse::<T>() {
+            Ok(value) => Some(value),
+            Err(unknown) => {
+                self.complain_at(at, unknown.message(), unknown.help());
+                None
+            }
         }
     }
 

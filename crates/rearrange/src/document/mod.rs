@@ -1,9 +1,9 @@
 //! Text (YAML or JSON) to typed values, every complaint with line and column.
 //!
 //! `tree`: text to a tree of located values. `decode`: the tree to numbers, names, lists and maps, with all
-//! complaints collected before anything is refused. `write`: values back to YAML and JSON. `chain`: an error
-//! and its causes on one line. Pure: the text comes in, nothing is opened. JSON is read by the same parser:
-//! YAML 1.2 contains it.
+//! complaints collected before anything is refused. `word`: the words of enums. `write`: values back to YAML
+//! and JSON. `chain`: an error and its causes on one line. Pure: the text comes in, nothing is opened. JSON
+//! is read by the same parser: YAML 1.2 contains it.
 
 pub mod chain;
 pub mod decode;
@@ -12,6 +12,7 @@ mod diagnostic;
 #[path = "../../../../tests/it/edit.rs"]
 pub(crate) mod edit;
 pub mod tree;
+pub mod word;
 pub mod write;
 
 pub use diagnostic::{Diagnostic, Diagnostics, Location};

@@ -87,7 +87,7 @@ impl Recipe {
     pub fn check(&self) -> Result<(), GenerateError> {
         let least = if self.scenario == Scenario::Sq { 3 } else { 1 };
         if !(least..=MOST_OBJECTS).contains(&self.objects) {
-            let scenario = self.scenario.word();
+            let scenario = self.scenario.as_str();
             return Err(GenerateError::Objects { found: self.objects, scenario, least });
         }
         if self.density > 0.0 && self.density < 1.0 {
@@ -130,13 +130,12 @@ pub fn generate(recipe: &Recipe, seed: u64, case: u64) -> Result<Generated, Gene
 fn origin(recipe: &Recipe, seed: u64, case: u64, draw: usize, found: (&Arranged, &Arranged)) -> String {
     let Recipe { scenario, objects, density, ratios } = recipe;
     let ratios = match scenario {
-        Scenario::Rand => format!(" --ratios {}", ratios.word()),
+        Scenario::Rand => format!(" --ratios {ratios}"),
         Scenario::Sq => String::new(),
     };
     format!(
-        "celld generate {} --objects {objects} --density {density}{ratios} --seed {seed}, case {case}: start by {}, \
+        "celld generate {scenario} --objects {objects} --density {density}{ratios} --seed {seed}, case {case}: start by {}, \
          goal by {}, outlines of draw {draw}",
-        scenario.word(),
         found.0.how(),
         found.1.how()
     )

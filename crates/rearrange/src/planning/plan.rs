@@ -2,9 +2,12 @@
 //!
 //! In and out: poses in m and rad in the table frame, objects by index into the problem (by name in files).
 
+use crate::document::word::{UnknownWord, named};
 use crate::geometry::pose::Pose2;
 use crate::planning::problem::Problem;
 use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
 
 /// What a plan minimises (paper, section III-A; `time` is ours).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -19,13 +22,30 @@ pub enum Objective {
 }
 
 impl Objective {
+    /// All of them.
+    pub const ALL: [Objective; 3] = [Objective::Pp, Objective::Ti, Objective::Time];
+
     /// The word on the command line and in files.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Objective::Pp => "pp",
             Objective::Ti => "ti",
             Objective::Time => "time",
         }
+    }
+}
+
+impl fmt::Display for Objective {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for Objective {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<Objective, UnknownWord> {
+        named(word, &Objective::ALL, Objective::as_str)
     }
 }
 

@@ -4,6 +4,7 @@
 //! that is here and [`Grade::Absent`] lets a script load that mentions it without calling it; calling it is a
 //! runtime exception. Names and parameters are those of the script manual; a test calls every row.
 
+use std::fmt;
 use urscript::code::Code;
 use urscript::compile::compile;
 use urscript::fault::CompileError;
@@ -19,6 +20,23 @@ pub enum Grade {
     Modelled,
     /// Known by name; calling it is a runtime exception.
     Absent,
+}
+
+impl Grade {
+    /// The word in the conformance table.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Grade::Real => "real",
+            Grade::Modelled => "modelled",
+            Grade::Absent => "absent",
+        }
+    }
+}
+
+impl fmt::Display for Grade {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
 }
 
 /// A row of the table.

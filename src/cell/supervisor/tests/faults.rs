@@ -25,7 +25,7 @@ fn said(actions: &[Action], what: &str) -> bool {
 fn after_a_stop_and_arming_a_new_program_is_started_and_the_next_job_runs() {
     let mut bench = working();
     let stopped = bench.feed(order(Order::Abort));
-    assert_eq!(ended(&stopped), Some((JobEnd::Interrupted, "aborted".into())));
+    assert_eq!(ended(&stopped), Some((JobStatus::Interrupted, "aborted".into())));
     bench.feed(Input::Robot(RobotEvent::Stopped));
     // The register keeps the old program's number; the controller says that it ended.
     let reason = ProgramEnd::StoppedByUs;
@@ -68,7 +68,7 @@ fn an_emergency_stop_while_a_plan_is_made_ends_the_job() {
     bench.job(false);
     bench.until_planning();
     let stopped = bench.feed(Input::Robot(RobotEvent::Safety { mode: SafetyMode::RobotEmergencyStop }));
-    assert_eq!(ended(&stopped), Some((JobEnd::Interrupted, "robot_stopped".into())));
+    assert_eq!(ended(&stopped), Some((JobStatus::Interrupted, "robot_stopped".into())));
     assert_eq!(streams(&bench.plan()), 0, "the plan comes too late");
 }
 
@@ -151,7 +151,7 @@ fn a_gripper_that_does_not_answer_is_told_and_the_job_ends_in_time() {
     }
     assert_eq!(soon.iter().filter(|action| matches!(action, Action::Say(_))).count(), 1, "once: {soon:?}");
     let later = bench.ticks(3100);
-    assert_eq!(ended(&later), Some((JobEnd::Failed, "not_ready".into())));
+    assert_eq!(ended(&later), Some((JobStatus::Failed, "not_ready".into())));
     assert_eq!(streams(&later), 0);
     assert!(!bench.cell.status().armed, "nobody shall be surprised when it answers again");
 }
@@ -175,7 +175,7 @@ fn a_short_pause_costs_no_deadline_and_a_long_one_ends_the_motion() {
     assert_eq!(ended(&on), None, "29 s of pause are not counted against the 20 s of the phase: {on:?}");
     bench.robot.runtime_state = RuntimeState::Paused;
     let long = bench.ticks(31 * 50);
-    assert_eq!(ended(&long), Some((JobEnd::Interrupted, "paused_too_long".into())));
+    assert_eq!(ended(&long), Some((JobStatus::Interrupted, "paused_too_long".into())));
 }
 
 #[test]
@@ -188,7 +188,7 @@ fn letting_go_in_mid_carry_stops_the_arm_first_and_opens_only_that_channel() {
         |a| matches!(a, Action::Gripper(GripperCommand::Release { channels }) if *channels == Channels::B),
     );
     assert!(stop.is_some() && stop < open, "{actions:?}");
-    assert_eq!(ended(&actions), Some((JobEnd::Interrupted, "released".into())));
+    assert_eq!(ended(&actions), Some((JobStatus::Interrupted, "released".into())));
 }
 
 #[test]
@@ -235,7 +235,7 @@ fn an_unknown_marker_on_the_table_is_not_free_room() {
     bench.job(false);
     let mut all = bench.until_planning();
     all.extend(bench.look());
-    assert_eq!(ended(&all), Some((JobEnd::Failed, "unknown_marker".into())), "{all:?}");
+    assert_eq!(ended(&all), Some((JobStatus::Failed, "unknown_marker".into())), "{all:?}");
 
     let mut ignoring = Bench::new();
     ignoring.unknown = vec![78];
@@ -276,13 +276,13 @@ fn the_gripper_does_not_come_down_onto_a_taller_neighbour() {
         let actions = bench.plan();
         let end = ended(&actions);
         assert_eq!(end.is_none(), fits, "tower at {y}: {actions:?}");
-        assert!(fits || end == Some((JobEnd::Failed, "unpickable:a".into())));
+        assert!(fits || end == Some((JobStatus::Failed, "unpickable:a".into())));
     }
 }
 
 #[test]
 fn approval_of_the_first_plan_covers_the_next_for_the_same_goal() {
-    for (approval, waits) in [(ApprovalRule::FirstPlan, false), (ApprovalRule::EveryPlan, true)] {
+    for (approval, waits) in [(Approval::Job, false), (Approval::Always, true)] {
         let mut bench = Bench::new();
         bench.job_with(approval);
         bench.until_planning();
@@ -344,7 +344,7 @@ fn a_camera_that_stays_away_fails_the_job_by_its_name_and_leaves_the_cell_armed(
     let mut all = bench.feed(camera_trouble(Code::CameraUnplugged, false));
     // The look's deadline is 20 s; a tick here is 20 ms.
     all.extend(bench.ticks(1100));
-    assert_eq!(ended(&all), Some((JobEnd::Failed, "camera_unplugged".into())));
+    assert_eq!(ended(&all), Some((JobStatus::Failed, "camera_unplugged".into())));
     assert!(bench.cell.status().armed && !all.iter().any(|a| matches!(a, Action::Robot(_))), "{all:?}");
     let mut next = bench.job(false);
     next.extend(bench.ticks(5));
@@ -355,7 +355,7 @@ fn a_camera_that_stays_away_fails_the_job_by_its_name_and_leaves_the_cell_armed(
 fn another_camera_than_the_calibrated_one_is_not_waited_for() {
     let mut bench = looking();
     let reported = bench.feed(camera_trouble(Code::CameraMisfit, true));
-    assert_eq!(ended(&reported), Some((JobEnd::Failed, "camera_misfit".into())));
+    assert_eq!(ended(&reported), Some((JobStatus::Failed, "camera_misfit".into())));
 }
 
 #[test]
@@ -363,7 +363,7 @@ fn a_camera_that_says_nothing_at_all_fails_the_job_and_leaves_the_cell_armed() {
     let mut bench = looking();
     // The look's deadline is 20 s; a tick here is 20 ms.
     let all = bench.ticks(1_100);
-    assert_eq!(ended(&all), Some((JobEnd::Failed, "camera_unplugged".into())));
+    assert_eq!(ended(&all), Some((JobStatus::Failed, "camera_unplugged".into())));
     assert!(bench.cell.status().armed);
 }
 

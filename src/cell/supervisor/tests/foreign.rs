@@ -61,7 +61,7 @@ fn what_only_its_colour_tells_of_may_be_of_any_height_so_nothing_moves_over_it()
     let mut all = bench.until_planning();
     all.extend(bench.ticks(20));
     assert_eq!(streams(&all), 0, "{all:?}");
-    assert_eq!(ended(&all), Some((JobEnd::Failed, "foreign_object".into())), "{all:?}");
+    assert_eq!(ended(&all), Some((JobStatus::Failed, "foreign_object".into())), "{all:?}");
     assert!(!bench.cell.status().armed, "a person has to look");
     bench.foreign = report(Vec::new(), 0.99);
     bench.feed(order(Order::Abort));
@@ -181,7 +181,7 @@ fn nothing_moves_below_what_is_taller_than_the_way_until_a_person_has_taken_it_a
             all.iter().filter(|action| matches!(action, Action::Robot(RobotCommand::Stream(_)))).count();
         assert_eq!(looks, 0, "{rule:?}: {all:?}");
         if rule == REFUSE {
-            assert_eq!(ended(&all), Some((JobEnd::Failed, "foreign_object".into())), "{all:?}");
+            assert_eq!(ended(&all), Some((JobStatus::Failed, "foreign_object".into())), "{all:?}");
             assert!(!bench.cell.status().armed);
         } else {
             // With the obstacle rule the plan is requested, and found: its cycle cannot be driven, nor can
@@ -191,7 +191,7 @@ fn nothing_moves_below_what_is_taller_than_the_way_until_a_person_has_taken_it_a
             all.extend(bench.ticks(20));
             assert_eq!(streams(&all), 0, "{all:?}");
             assert!(!all.iter().any(|action| matches!(action, Action::Gripper(_))), "{all:?}");
-            assert!(ended(&all).is_some_and(|(end, _)| end == JobEnd::Failed), "{all:?}");
+            assert!(ended(&all).is_some_and(|(end, _)| end == JobStatus::Failed), "{all:?}");
         }
         // Taken away and armed: the cell looks again and goes on.
         bench.foreign = report(Vec::new(), 0.99);

@@ -55,7 +55,7 @@ fn a_release_in_motion_stops_the_arm_first() {
     let mut bench = working();
     moving_arm(&mut bench);
     let mut actions = bench.feed(order(Order::Release(Channels::Both)));
-    assert_eq!(ended(&actions), Some((JobEnd::Interrupted, "released".into())));
+    assert_eq!(ended(&actions), Some((JobStatus::Interrupted, "released".into())));
     actions.extend(bench.ticks(20));
     // A second one, in haste.
     actions.extend(bench.feed(order(Order::Release(Channels::Both))));
@@ -121,7 +121,7 @@ fn an_arm_that_is_held_after_disarming_does_not_go_on() {
     bench.robot.runtime_state = RuntimeState::Paused;
     let held = bench.ticks(3);
     assert!(held.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{held:?}");
-    assert_eq!(ended(&held), Some((JobEnd::Interrupted, "aborted".into())));
+    assert_eq!(ended(&held), Some((JobStatus::Interrupted, "aborted".into())));
 }
 
 #[test]
@@ -133,7 +133,7 @@ fn disarming_a_held_arm_stops_it_for_good() {
     assert!(reported, "a person reads that play goes on with the motion: {paused:?}");
     let disarmed = bench.feed(order(Order::Disarm));
     assert!(disarmed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{disarmed:?}");
-    assert_eq!(ended(&disarmed), Some((JobEnd::Interrupted, "aborted".into())));
+    assert_eq!(ended(&disarmed), Some((JobStatus::Interrupted, "aborted".into())));
     assert_eq!(answer(&disarmed), None, "the arm is not known to stand for good yet");
     let stopped = bench.feed(Input::Robot(RobotEvent::Stopped));
     assert_eq!(answer(&stopped), Some(Reply::accept("stopped and disarmed")));

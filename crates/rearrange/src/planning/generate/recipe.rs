@@ -2,7 +2,10 @@
 //!
 //! In: words of the command line. Out: a [`Recipe`], not checked yet.
 
+use crate::document::word::{UnknownWord, named};
 use crate::tabletop::instance::Workspace;
+use std::fmt;
+use std::str::FromStr;
 
 /// The table of every generated instance, m.
 pub const TABLE: Workspace = Workspace { width: 1.0, height: 1.0 };
@@ -17,17 +20,29 @@ pub enum Scenario {
 }
 
 impl Scenario {
+    /// Both.
+    pub const ALL: [Scenario; 2] = [Scenario::Rand, Scenario::Sq];
+
     /// The word on the command line and in tables.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Scenario::Rand => "rand",
             Scenario::Sq => "sq",
         }
     }
+}
 
-    /// The scenario of that word.
-    pub fn from_word(word: &str) -> Option<Scenario> {
-        [Scenario::Rand, Scenario::Sq].into_iter().find(|scenario| scenario.word() == word)
+impl fmt::Display for Scenario {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for Scenario {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<Scenario, UnknownWord> {
+        named(word, &Scenario::ALL, Scenario::as_str)
     }
 }
 
@@ -41,12 +56,29 @@ pub enum RatioLaw {
 }
 
 impl RatioLaw {
+    /// Both.
+    pub const ALL: [RatioLaw; 2] = [RatioLaw::Paper, RatioLaw::Public];
+
     /// The word on the command line and in files.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             RatioLaw::Paper => "paper",
             RatioLaw::Public => "public",
         }
+    }
+}
+
+impl fmt::Display for RatioLaw {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for RatioLaw {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<RatioLaw, UnknownWord> {
+        named(word, &RatioLaw::ALL, RatioLaw::as_str)
     }
 }
 

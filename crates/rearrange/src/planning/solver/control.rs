@@ -3,8 +3,11 @@
 //! In: words of the command line, limits, plans. Out: [`SolverKind`], [`Control`], the cost of a plan in an
 //! objective, and whether that cost is the least there can be.
 
+use crate::document::word::{UnknownWord, named};
 use crate::planning::plan::{Action, Objective};
 use crate::planning::problem::Problem;
+use std::fmt;
+use std::str::FromStr;
 
 /// The solvers of the paper, and ours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -26,8 +29,19 @@ pub enum SolverKind {
 }
 
 impl SolverKind {
+    /// All of them, those of the paper first.
+    pub const ALL: [SolverKind; 7] = [
+        SolverKind::Tbm,
+        SolverKind::Rbm,
+        SolverKind::Etbm,
+        SolverKind::Erbm,
+        SolverKind::Mcts,
+        SolverKind::Emcts,
+        SolverKind::Auto,
+    ];
+
     /// The word on the command line and in files.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             SolverKind::Tbm => "tbm",
             SolverKind::Rbm => "rbm",
@@ -38,11 +52,19 @@ impl SolverKind {
             SolverKind::Auto => "auto",
         }
     }
+}
 
-    /// The kind of that word.
-    pub fn from_word(word: &str) -> Option<SolverKind> {
-        use SolverKind::{Auto, Emcts, Erbm, Etbm, Mcts, Rbm, Tbm};
-        [Tbm, Rbm, Etbm, Erbm, Mcts, Emcts, Auto].into_iter().find(|kind| kind.word() == word)
+impl fmt::Display for SolverKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for SolverKind {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<SolverKind, UnknownWord> {
+        named(word, &SolverKind::ALL, SolverKind::as_str)
     }
 }
 

@@ -44,8 +44,7 @@ fn every_plan_passes_the_check_and_costs_no_less_than_the_bound() {
                 let Some(cost) = outcome.cost else { continue };
                 solved += 1;
                 let plan = actions(&outcome);
-                let name = solver.word();
-                assert!(CheckedPlan::new(problem, &plan).is_ok(), "{name} case {case}: {plan:?}");
+                assert!(CheckedPlan::new(problem, &plan).is_ok(), "{solver} case {case}: {plan:?}");
                 let impedance = |action: &Action| problem.objects[action.object].impedance;
                 let sum = if objective == Objective::Ti {
                     plan.iter().map(impedance).sum()
@@ -54,11 +53,11 @@ fn every_plan_passes_the_check_and_costs_no_less_than_the_bound() {
                 };
                 assert!(
                     (cost - sum).abs() < 1e-9 && cost >= outcome.lower_bound - 1e-9,
-                    "{name} case {case}"
+                    "{solver} case {case}"
                 );
             }
         }
-        assert!(solved >= 18, "{} solved {solved} of 20", solver.word());
+        assert!(solved >= 18, "{solver} solved {solved} of 20");
     }
 }
 
@@ -67,7 +66,7 @@ fn same_seed_and_work_limit_same_plan_for_every_solver() {
     for problem in &random_problems(22, 3) {
         for solver in all() {
             let plans = [3, 3, 4].map(|seed| actions(&run(problem, solver, Objective::Pp, seed)));
-            assert_eq!(plans[0], plans[1], "{}", solver.word());
+            assert_eq!(plans[0], plans[1], "{solver}");
         }
     }
 }
@@ -102,7 +101,7 @@ fn the_plain_solvers_search_alike_under_both_objectives() {
     for problem in &random_problems(23, 5) {
         for solver in PLAIN {
             let plan = |objective| actions(&solve(problem, solver, objective, &control, 7).expect("built"));
-            assert_eq!(plan(Objective::Pp), plan(Objective::Ti), "{}", solver.word());
+            assert_eq!(plan(Objective::Pp), plan(Objective::Ti), "{solver}");
         }
     }
 }
@@ -154,11 +153,11 @@ fn weights_decide_who_makes_way_in_the_extended_solvers_only() {
     let sets = |solver, objective| buffered(&swap(), solver, objective, false);
     let either = BTreeSet::from([vec![0], vec![1]]);
     for solver in [SolverKind::Tbm, SolverKind::Rbm] {
-        assert_eq!(sets(solver, Objective::Ti), either, "{}", solver.word());
+        assert_eq!(sets(solver, Objective::Ti), either, "{solver}");
     }
     for solver in [SolverKind::Etbm, SolverKind::Erbm] {
-        assert_eq!(sets(solver, Objective::Pp), BTreeSet::from([vec![1]]), "{}: HeCP", solver.word());
-        assert_eq!(sets(solver, Objective::Ti), BTreeSet::from([vec![0]]), "{}: HeTI", solver.word());
+        assert_eq!(sets(solver, Objective::Pp), BTreeSet::from([vec![1]]), "{solver}: HeCP");
+        assert_eq!(sets(solver, Objective::Ti), BTreeSet::from([vec![0]]), "{solver}: HeTI");
     }
 }
 
@@ -225,8 +224,8 @@ fn a_place_is_cleared_for_an_object_that_finds_none() {
             let control = Control { work_limit: Some(work), strict_paper, ..Control::until(&|| false) };
             solve(&problem, solver, Objective::Pp, &control, 1).expect("built").status
         };
-        assert_eq!(status(false, 300_000), Status::Solved, "{}", solver.word());
-        assert_eq!(status(true, 30_000), Status::Timeout, "{}: as in the paper", solver.word());
+        assert_eq!(status(false, 300_000), Status::Solved, "{solver}");
+        assert_eq!(status(true, 30_000), Status::Timeout, "{solver}: as in the paper");
     }
 }
 
