@@ -59,15 +59,15 @@ fn simulator() -> Simulator {
     Simulator::new(controller, world, 1, Vec::new()).expect("a sound cell")
 }
 
-/// Sends to a server of the simulator, `frames` frames after each piece; `heard` gets what it sends, in the
-/// pieces in which it sends it. The client then leaves.
-fn talk(port: Port, data: &[u8], frames: usize, mut heard: impl FnMut(&[u8])) -> Simulator {
+/// Sends to a server of the simulator, `frames` frames after each piece; `received` gets what it sends, in
+/// the pieces in which it sends it. The client then leaves.
+fn talk(port: Port, data: &[u8], frames: usize, mut received: impl FnMut(&[u8])) -> Simulator {
     let mut simulator = simulator();
     let id = simulator.connect(port).expect("the server listens");
     let mut listen = |simulator: &mut Simulator| {
         while let Some(transmission) = simulator.transmit() {
             if let Transmission::Bytes(_, bytes) = transmission {
-                heard(&bytes);
+                received(&bytes);
             }
         }
     };
@@ -83,7 +83,7 @@ fn talk(port: Port, data: &[u8], frames: usize, mut heard: impl FnMut(&[u8])) ->
 
 /// Gives a client of ours the bytes a second apart, and takes what it has to say; `$before` is done before
 /// each piece.
-macro_rules! hear {
+macro_rules! receive {
     ($client:expr, $data:expr, $before:expr) => {{
         let (mut client, mut now) = ($client, Timestamp::ZERO);
         client.connected(now);
@@ -117,7 +117,7 @@ pub fn rtde(data: &[u8]) {
         !simulator.core().robot.controller().core.registers.claimed("input_int_register_24"),
         "a claim has outlived its client"
     );
-    hear!(RtdeSession::new(500.0), data, |_: &mut RtdeSession, _| {});
+    receive!(RtdeSession::new(500.0), data, |_: &mut RtdeSession, _| {});
 }
 
 /// A client of ours reads what the simulator sends, whatever the request was.
@@ -141,7 +141,7 @@ pub fn dashboard(data: &[u8]) {
         }
     }
     talk(Port::Dashboard, data, 3, |replies| assert!(replies.ends_with(b"\n"), "{replies:?}"));
-    hear!(DashboardSession::default(), data, |client: &mut DashboardSession, now| {
+    receive!(DashboardSession::default(), data, |client: &mut DashboardSession, now| {
         let _ = client.ask(now, Command::SafetyMode);
     });
 }
@@ -159,13 +159,13 @@ pub fn primary(data: &[u8]) {
             }
         }
     }
-    let mut heard = PrimarySplitter::default();
+    let mut received = PrimarySplitter::default();
     let mut simulator = talk(Port::Primary, data, 3, |bytes| {
-        heard.push(bytes);
-        while heard.next_package().expect("what we send can be read").is_some() {}
+        received.push(bytes);
+        while received.next_package().expect("what we send can be read").is_some() {}
     });
     (0..FRAMES).for_each(|_| simulator.advance());
-    hear!(PrimarySession::default(), data, |_: &mut PrimarySession, _| {});
+    receive!(PrimarySession::default(), data, |_: &mut PrimarySession, _| {});
 }
 
 /// A program: parsed, checked, and run for some frames.

@@ -111,6 +111,9 @@ const TABLE: &[Row] = &[
 /// Source lines a file may have before it has to be split.
 const MOST_LINES: usize = 600;
 
+/// The same without its test module; files of tests are exempt.
+const MOST_LINES_WITHOUT_TESTS: usize = 500;
+
 /// Columns of a line with a comment.
 const MOST_COLUMNS: usize = 110;
 
@@ -166,6 +169,11 @@ fn files_open_with_a_doc_and_stay_short() {
         breaches.extend(rules::length_breach(&file, MOST_LINES));
     }
     none(breaches);
+}
+
+#[test]
+fn files_stay_short_without_their_tests() {
+    none(rules::long_files(&tree::rust_files(), MOST_LINES_WITHOUT_TESTS));
 }
 
 #[test]

@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn every_line_at_fault_is_told() {
+    fn every_line_at_fault_is_reported() {
         let fault =
             table(&["disk,disk,0.2,x,1-3,RBM,100,ok,11", "disk,disk,0.2,5,1-3,SOLVE,100,ok,11"]).unwrap_err();
         assert!(fault.contains("x.csv:2: n is not") && fault.contains("x.csv:3: method"), "{fault}");

@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn the_probe_tells_what_cannot_be_run() {
+    fn the_probe_reports_what_cannot_be_run() {
         assert_eq!(probe(SolverKind::Erbm, Objective::Ti), Ok(()));
         assert_eq!(probe(SolverKind::Erbm, Objective::Time), Err(SolveError::NoTimes));
     }

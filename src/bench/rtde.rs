@@ -8,7 +8,7 @@
 
 use crate::bench::rtde_client::{Client, Seen, bring_up, play, watch};
 use crate::bench::rtde_process::Simulator;
-use crate::cell::device::rtde_session::output_names;
+use crate::cell::device::rtde_recipes::output_names;
 use cell_edge::priority;
 use serde::Serialize;
 use std::net::IpAddr;

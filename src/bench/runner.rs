@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_error_ends_the_run_and_is_told() {
+    fn the_first_error_ends_the_run_and_is_reported() {
         let runner =
             Runner { load: &|_| Err("gone".into()), limits: &|_| LIMITS, threads: 2, stop: &|| false };
         assert_eq!(runner.run(&some_units(), &mut |_| Ok(())), Err("gone".into()));

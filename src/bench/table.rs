@@ -235,7 +235,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn faults_are_told_with_their_lines() {
+    fn faults_are_reported_with_their_lines() {
         let read = |text: &str| Table::default().read(text, "x.csv").unwrap_err();
         assert!(read("a,b\n").starts_with("x.csv:1: not a table"));
         let fault = read(&format!("{CSV_HEADER}\n{}\nrand,0.40\n", row("1", None).csv()));

@@ -18,7 +18,7 @@ pub enum Quality {
     /// Mean cost over mean bound of the cases solved.
     OverBound(f64),
     /// Reported, without an aim.
-    Told,
+    Reported,
 }
 
 /// One line of the table.
@@ -62,7 +62,7 @@ const fn long(
     objects: &'static [usize],
     solved: f64,
 ) -> Target {
-    let (objective, quality) = (Objective::Pp, Quality::Told);
+    let (objective, quality) = (Objective::Pp, Quality::Reported);
     Target { scenario, densities, objects, objective, solved, first_plan: None, quality, limit: 60.0 }
 }
 
@@ -176,14 +176,14 @@ fn line(target: &Target, solver: &str, rows: &[&Row]) -> Vec<String> {
     let good = match target.quality {
         Quality::AtBound(least) => at_bound >= least,
         Quality::OverBound(most) => over <= most + 1e-9,
-        Quality::Told => true,
+        Quality::Reported => true,
     };
     let in_time = target.first_plan.is_none_or(|most| first <= most);
     let met = share(solved.len()) >= target.solved && in_time && good;
     let aim = |wanted: Quality| match wanted {
         Quality::AtBound(least) => (format!(" (aim {:.0} %)", 100.0 * least), String::new()),
         Quality::OverBound(most) => (String::new(), format!(" (aim {most})")),
-        Quality::Told => (String::new(), String::new()),
+        Quality::Reported => (String::new(), String::new()),
     };
     let (aim_at_bound, aim_over) = aim(target.quality);
     let time = |value: f64| if value.is_finite() { seconds(value) } else { "-".to_string() };

@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn the_kind_is_told_by_the_keys() {
+    fn the_keys_determine_the_kind() {
         let reported = |text: &str| kind(&parse(text, "f").unwrap());
         assert_eq!(reported("version: 1\ndate: d\ntable: {}\n"), Some(Kind::Table));
         assert_eq!(reported("version: 1\ndate: d\nhand_eye: {}\n"), Some(Kind::HandEye));

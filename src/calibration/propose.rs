@@ -200,7 +200,7 @@ fn pose(scene: &Scene, from: Option<&Joints>, tilt: f64, turn: usize, number: us
         let tool = table_from_base * flange * scene.model.flange_from_tool;
         let q = scene.model.joints_in_work_posture(&tool, near)?;
         let from = from.unwrap_or(&q);
-        let goes = scene.shown(&q).len() >= SEEN_MIN
+        let goes = scene.visible(&q).len() >= SEEN_MIN
             && slow_move(scene.model, Some(scene.room), number, from, q).is_ok()
             && scene.keeps_clear(from, &q);
         goes.then_some(q)
@@ -213,9 +213,9 @@ fn play_through(drawn: &Drawn, scene: &Scene, poses: &[Joints]) -> Result<Transf
     let settings = HandEyeSettings { corner_std_px: NOISE_PX, ..HandEyeSettings::default() };
     let sample = |q: &Joints| {
         let base_from_flange = forward(&scene.model.dh, q);
-        let mut detections = scene.shown(q);
+        let mut detections = scene.visible(q);
         if let Carried::Board { .. } = scene.carried {
-            detections.extend(scene.shown_of(reference, &base_from_table, q));
+            detections.extend(scene.visible_of(reference, &base_from_table, q));
         }
         Sample { base_from_flange, detections }
     };

@@ -4,7 +4,7 @@
 //! and never how. Answers carry the number of the effect that they answer, so that one that comes too late is
 //! known as such.
 
-use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
+use crate::cell::device::gripper_types::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::input::{CameraFault, Notice, PlanAnswer, PlanRequest, Record};

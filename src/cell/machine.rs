@@ -7,7 +7,8 @@
 //! never calls a device silent whose words it had not read. No effect has to be taken back: what must be on
 //! disk first is waited for as an event.
 
-use crate::cell::device::gripper::{Gripper, GripperEvent, GripperParameters};
+use crate::cell::device::gripper::Gripper;
+use crate::cell::device::gripper_types::{GripperEvent, GripperParameters};
 use crate::cell::device::program::TemplateError;
 use crate::cell::device::robot::Robot;
 use crate::cell::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters, RobotState};
@@ -55,7 +56,7 @@ pub struct Machine {
     requests: Requests,
     /// A job was requested and has not come.
     wants_job: bool,
-    shown: Shown,
+    notified: Notified,
     last_turn: Timestamp,
     ended: bool,
 }
@@ -77,7 +78,7 @@ struct Requests {
 
 /// What was notified last.
 #[derive(Default)]
-struct Shown {
+struct Notified {
     status: Option<Status>,
     route: Vec<RouteAction>,
 }
@@ -100,7 +101,7 @@ impl Machine {
             effects: VecDeque::new(),
             requests: Requests::default(),
             wants_job: false,
-            shown: Shown::default(),
+            notified: Notified::default(),
             last_turn: Timestamp::ZERO,
             ended: false,
         })
@@ -381,13 +382,13 @@ impl Machine {
         self.report_identity();
         let Some(supervisor) = &self.supervisor else { return };
         let status = supervisor.status();
-        if self.shown.status.as_ref() != Some(&status) {
+        if self.notified.status.as_ref() != Some(&status) {
             self.effects.push_back(Effect::Notify(News::Status(status.clone())));
-            self.shown.status = Some(status);
+            self.notified.status = Some(status);
             let route = supervisor.route();
-            if self.shown.route != route {
+            if self.notified.route != route {
                 self.effects.push_back(Effect::Notify(News::Route(route.clone())));
-                self.shown.route = route;
+                self.notified.route = route;
             }
         }
         if supervisor.wants_job() && !self.wants_job {

@@ -176,7 +176,12 @@ mod tests {
     use std::path::Path;
 
     /// A picture of the example cell from above, with some of its objects in a row; returns where they lie.
-    fn picture(config: &CellConfig, shown: usize, references: usize, path: &Path) -> Vec<(String, Pose2)> {
+    fn picture(
+        config: &CellConfig,
+        object_count: usize,
+        references: usize,
+        path: &Path,
+    ) -> Vec<(String, Pose2)> {
         let lens = read_camera(&config.calibration.camera).unwrap();
         let mut random = ChaCha8Rng::seed_from_u64(3);
         let print = |id: u32, size_m: f64, pose: Pose2, z_m: f64| Print {
@@ -190,7 +195,7 @@ mod tests {
         let mut prints: Vec<Print> =
             surveyed.iter().take(references).map(|m| print(m.id, m.size, m.pose, 0.0)).collect();
         let mut truth = Vec::new();
-        for (i, object) in objects(config).iter().take(shown).enumerate() {
+        for (i, object) in objects(config).iter().take(object_count).enumerate() {
             let pose = Pose2::new(0.13 + 0.24 * (i % 2) as f64, 0.13 + 0.24 * (i / 2) as f64, 0.4 * i as f64);
             let marker = pose.compose(&object.offset);
             prints.push(print(object.marker_id, object.marker_size, marker, object.height));

@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn the_kind_is_told_by_the_keys() {
+    fn the_keys_determine_the_kind() {
         check_kind("version: 1\ngoal: {file: goal.yaml}\n", Some(Kind::Job));
         check_kind("objects: []\n", Some(Kind::Goal));
         check_kind("workspace: {width: 1, height: 1}\nobjects: []\n", Some(Kind::Instance));

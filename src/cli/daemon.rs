@@ -104,7 +104,7 @@ where
     };
     let raise = stop.clone();
     runtime.spawn(async move {
-        told_to_end().await;
+        end_requested().await;
         raise.store(true, Ordering::Relaxed);
     });
     match runtime.block_on(work(stop.clone())) {
@@ -117,7 +117,7 @@ where
 }
 
 /// Returns at Ctrl-C and at SIGTERM, which `kill` and service managers send.
-async fn told_to_end() {
+async fn end_requested() {
     let Ok(mut terminate) = signal(SignalKind::terminate()) else {
         // Without the one signal the other still counts.
         let _ = tokio::signal::ctrl_c().await;

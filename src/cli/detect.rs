@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn a_marker_is_told_drawn_and_placed() {
+    fn a_marker_is_reported_drawn_and_placed() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         std::fs::write(path("m.png"), marker::draw(9, 10).unwrap().encode_png().unwrap()).unwrap();
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn with_the_cell_and_depth_objects_are_placed_and_a_mug_is_told_and_outlined() {
+    fn with_the_cell_and_depth_objects_are_placed_and_a_mug_is_reported_and_outlined() {
         let folder = tempfile::tempdir().unwrap();
         let (colour, depth) = drawn_table(folder.path());
         let out = folder.path().join("drawn.png");
@@ -372,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn exit_codes_tell_nothing_found_from_bad_input() {
+    fn exit_codes_distinguish_nothing_found_from_bad_input() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         std::fs::write(path("empty.png"), Image::filled(64, 64, [90; 3]).encode_png().unwrap()).unwrap();

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_and_grids_are_read_or_told_what_is_wrong() {
+    fn lists_and_grids_are_read_or_refused() {
         assert_eq!(id_list("0-2,7").unwrap(), IdList(vec![0, 1, 2, 7]));
         for wrong in ["", "3-1", "a", "1-99999999", "-4"] {
             assert!(id_list(wrong).is_err(), "{wrong}");

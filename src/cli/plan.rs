@@ -221,7 +221,7 @@ impl Progress {
         if let Ok(mut best) = self.best.lock() {
             *best = Some(cost);
         }
-        self.tell(cost);
+        self.display(cost);
     }
 
     fn proved(&self, bound: f64) {
@@ -230,11 +230,11 @@ impl Progress {
         }
         let best = self.best.lock().ok().and_then(|best| *best);
         if let Some(cost) = best {
-            self.tell(cost);
+            self.display(cost);
         }
     }
 
-    fn tell(&self, cost: f64) {
+    fn display(&self, cost: f64) {
         let Some(bound) = self.bound.lock().ok().and_then(|bound| *bound) else { return };
         let line = format!("{:.3} s: {}", self.begun.elapsed().as_secs_f64(), standing(cost, bound));
         match self.bar.lock().as_deref() {

@@ -5,7 +5,7 @@
 //! into PNG on a thread of their own, for it takes tens of milliseconds in which the robot would get no
 //! message from us.
 
-use crate::daemon::heard::Shown;
+use crate::daemon::messages::Displayed;
 use crate::daemon::shell::Scene;
 use crate::io::recording::{PictureFormat, RecordedObject, Recording, RecordingError, Severity};
 use cell_edge::clock::unix_now_s;
@@ -74,10 +74,10 @@ impl Recorder {
                 let severity = if notice.alarm { Severity::Warning } else { Severity::Info };
                 self.write(|recording| recording.log(now, severity, "cell", &notice.text));
             }
-            Scene::Shown(Shown::Picture { image, .. } | Shown::Sample { image, .. }) => {
+            Scene::Displayed(Displayed::Picture { image, .. } | Displayed::Sample { image, .. }) => {
                 self.picture(now, image)
             }
-            Scene::Shown(Shown::Observed(observation)) => {
+            Scene::Displayed(Displayed::Observed(observation)) => {
                 let objects = recorded(observation);
                 self.write(|recording| recording.arrangement(now, "camera", &objects));
             }
@@ -195,15 +195,15 @@ mod tests {
         let image = Image::filled(64, 48, [10, 20, 30]);
         for k in 0..5 {
             let now = Timestamp::from_secs_f64(f64::from(k));
-            let shown = Shown::Picture { image: image.clone(), views: Vec::new() };
-            recorder.on(now, &Scene::Shown(&shown));
+            let displayed = Displayed::Picture { image: image.clone(), views: Vec::new() };
+            recorder.on(now, &Scene::Displayed(&displayed));
         }
         assert_eq!(recorder.close(), None);
         assert_eq!(pictures_in(&path), 5);
     }
 
     #[test]
-    fn a_recording_that_cannot_be_made_is_told() {
+    fn a_recording_that_cannot_be_made_is_reported() {
         let folder = tempfile::tempdir().unwrap();
         let mut recorder = Recorder::create(&folder.path().join("missing/run.mcap"), false);
         let notice = Notice { alarm: true, text: "x".to_string() };

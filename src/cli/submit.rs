@@ -131,7 +131,7 @@ fn follow(state: &StateFolder, handed: &Handed) -> u8 {
             }
             Ok(Found::Job(job)) => {
                 if let JobState::Ended(status) = job.state {
-                    return tell_end(&job, status);
+                    return report_end(&job, status);
                 }
                 if last != Some(job.state) {
                     eprintln!("{}: {}", job.id, job.state);
@@ -167,7 +167,7 @@ fn look(state: &StateFolder, handed: &Handed) -> Result<Found, ClientError> {
     })
 }
 
-fn tell_end(job: &JobRecord, status: JobStatus) -> u8 {
+fn report_end(job: &JobRecord, status: JobStatus) -> u8 {
     match &job.result {
         Some(result) => cell_edge::terminal::print(&result.to_yaml()),
         None => outln!("{}: {status}", job.id),
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn the_id_told_is_the_id_given() {
+    fn the_id_reported_is_the_id_given() {
         let (reported, given) = ids("version: 1\ngoal: {objects: [{id: a, pose: [0, 0, 0]}]}\n");
         assert_eq!(reported, given);
         assert!(reported.starts_with("20261121T080000Z-tidy_up-"), "{reported}");

@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_out_of_range_are_told_the_range() {
+    fn numbers_out_of_range_are_refused_with_the_range() {
         for text in ["-1", "nan", "inf", "1e30", "0", "", "2 s"] {
             let reported = planning_seconds(text).unwrap_err();
             assert_eq!(reported, "give a number between 0.001 and 86400 s", "{text}");

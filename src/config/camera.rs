@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_or_belongs_elsewhere_is_told() {
+    fn what_is_missing_or_belongs_elsewhere_is_reported() {
         let reported = |text: &str| read(text).unwrap_err();
         assert!(reported("{kind: realsense, serial: '1'}").contains("width"));
         assert!(reported("{kind: realsense, file: a.bag, exposure_us: 10}").contains("exposure_us"));

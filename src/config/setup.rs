@@ -5,7 +5,7 @@
 
 use crate::calibration::drawn::{CameraMount, Drawn};
 use crate::calibration::files::hand_eye::Mount;
-use crate::cell::device::gripper::{Channels, GripperParameters};
+use crate::cell::device::gripper_types::{Channels, GripperParameters};
 use crate::cell::event::Arm;
 use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,

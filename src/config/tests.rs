@@ -28,10 +28,10 @@ fn check(from: &str, to: &str, expected: &str) {
     assert!(reported.contains(expected), "{reported}");
     assert_eq!(complaints.0.len(), 1, "{reported}");
     let line = CELL.split(from).next().unwrap().lines().count();
-    let told_line = complaints.0[0].at.line;
+    let reported_line = complaints.0[0].at.line;
     assert!(
-        told_line.abs_diff(line) <= 4 || expected.contains("missing"),
-        "line {told_line}, not {line}: {reported}"
+        reported_line.abs_diff(line) <= 4 || expected.contains("missing"),
+        "line {reported_line}, not {line}: {reported}"
     );
 }
 
@@ -52,8 +52,8 @@ fn the_example_cell_is_sound() {
 fn the_example_shows_and_comments_every_key() {
     for key in CELL_KEYS {
         // One that excludes another is shown as a comment.
-        let shown = |line: &str| line.strip_prefix("# ").unwrap_or(line).starts_with(&format!("{key}:"));
-        assert!(CELL.lines().any(shown), "{key} is not shown");
+        let has_key = |line: &str| line.strip_prefix("# ").unwrap_or(line).starts_with(&format!("{key}:"));
+        assert!(CELL.lines().any(has_key), "{key} is not shown");
     }
 }
 
@@ -92,7 +92,7 @@ fn a_missing_key_is_named() {
 }
 
 #[test]
-fn a_unit_or_type_is_told() {
+fn a_unit_or_type_is_reported() {
     check("joint_speed_deg_s: 60", "joint_speed_deg_s: 60 deg", "write the number alone, without \"deg\"");
     check("tool_speed_m_s: 0.25", "tool_speed_m_s: 250", "out of range");
     check("vacuum_min: 0.3", "vacuum_min: 30", "out of range");
@@ -131,7 +131,7 @@ fn limits_are_not_optional() {
 }
 
 #[test]
-fn parts_that_do_not_fit_are_told() {
+fn parts_that_do_not_fit_are_reported() {
     let reported =
         cell(&replace_once(CELL, "host: 127.0.0.2}", "host: 192.168.1.20}")).unwrap_err().to_string();
     assert!(reported.contains("simulation: the robot is at \"192.168.1.20\""), "{reported}");
@@ -292,7 +292,7 @@ fn all_cups_have_to_sit_on_an_object() {
 }
 
 #[test]
-fn goals_may_overlap_by_what_the_camera_cannot_tell() {
+fn goals_may_overlap_by_what_the_camera_cannot_resolve() {
     let text = replace_once(CELL, "goal_position_m: 0.002 ", "goal_position_m: 0.1 ");
     let cell = cell(&text).unwrap();
     let allowed_m = cell.goal_context(&[]).overlap_tolerance_m;

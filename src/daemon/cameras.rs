@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_opened_is_told_at_once() {
+    fn what_cannot_be_opened_is_reported_at_once() {
         let gone = PathBuf::from("no/such/thing");
         let (serial, size, rate, exposure) = ("1".to_string(), [640, 480], 30, Exposure::Auto);
         let uvc = UvcSettings { device: gone.clone(), serial, size, rate, exposure };

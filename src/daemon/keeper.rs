@@ -5,7 +5,7 @@
 //! [`crate::daemon::store`] requests; what is committed is on disk when the call returns.
 
 use crate::cell::code::{Code, JobStatus};
-use crate::cell::device::gripper::Channels;
+use crate::cell::device::gripper_types::Channels;
 use crate::cell::orders::{Approval, Order, Reply};
 use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::order::{JobOrder, JobReport};

@@ -17,7 +17,7 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::JobReport;
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::Status;
-use crate::daemon::heard::{Heard, Shown};
+use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Orders, Store};
 use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_eyes, spawn_plan};
@@ -37,7 +37,7 @@ pub enum Scene<'a> {
     /// A sentence.
     Notice(&'a Notice),
     /// From a worker.
-    Shown(&'a Shown),
+    Displayed(&'a Displayed),
     /// A new route: object, from, to, whether that is its goal.
     Route(&'a [(String, Pose2, Pose2, bool)]),
     /// The robot's state, as often as it comes.
@@ -54,7 +54,7 @@ pub trait Observer {
 
 impl Observer for Samples<'_> {
     fn on(&mut self, _now: Timestamp, scene: Scene) {
-        if let Scene::Shown(Shown::Sample { pose, image, sample }) = scene {
+        if let Scene::Displayed(Displayed::Sample { pose, image, sample }) = scene {
             self.add(&Stop { pose: *pose, image, sample });
         }
     }
@@ -85,7 +85,7 @@ pub enum StartError {
 }
 
 /// Things that may wait for the loop: at 50 readings a second, seconds' worth.
-const HEARD: usize = 256;
+const QUEUE: usize = 256;
 
 /// For the controller to say which arm it moves.
 const IDENTIFY_WITHIN: Duration = Duration::from_secs(30);
@@ -98,9 +98,9 @@ const CLOSE_WITHIN: Duration = Duration::from_secs(15);
 const CLOSE_SILENT_WITHIN: Duration = Duration::from_secs(1);
 
 /// An observer that shows nothing.
-struct Nobody;
+struct NoObserver;
 
-impl Observer for Nobody {
+impl Observer for NoObserver {
     fn on(&mut self, _now: Timestamp, _scene: Scene) {}
 }
 
@@ -117,8 +117,8 @@ pub struct Shell {
     machine: Machine,
     clock: Clock,
     sockets: Sockets,
-    heard: mpsc::Receiver<Heard>,
-    heard_in: mpsc::Sender<Heard>,
+    messages: mpsc::Receiver<Message>,
+    messages_in: mpsc::Sender<Message>,
     eyes: Option<mpsc::Sender<(u64, SeeRequest)>>,
     /// Ends the planning run under way.
     planning: Option<Arc<AtomicBool>>,
@@ -136,13 +136,13 @@ impl Shell {
         clock: Clock,
         parameters: MachineParameters,
     ) -> Result<Shell, crate::cell::device::program::TemplateError> {
-        let (heard_in, heard) = mpsc::channel(HEARD);
+        let (messages_in, messages) = mpsc::channel(QUEUE);
         Ok(Shell {
             machine: Machine::new(parameters)?,
-            sockets: Sockets::new(addresses, clock.clone(), heard_in.clone()),
+            sockets: Sockets::new(addresses, clock.clone(), messages_in.clone()),
             clock,
-            heard,
-            heard_in,
+            messages,
+            messages_in,
             eyes: None,
             planning: None,
             store: None,
@@ -172,7 +172,7 @@ impl Shell {
     pub async fn identify(&mut self, stop: &dyn Fn() -> bool) -> Result<Arm, StartError> {
         let began = self.now();
         loop {
-            self.turn(&mut Nobody).await;
+            self.turn(&mut NoObserver).await;
             if let Some(arm) = self.outcome.arm.take() {
                 return Ok(arm);
             }
@@ -182,7 +182,7 @@ impl Shell {
 
     /// One turn for a caller that only watches the robot.
     pub async fn listen(&mut self) {
-        self.turn(&mut Nobody).await;
+        self.turn(&mut NoObserver).await;
     }
 
     /// Makes a cell of the machine; `arm` arms it without a person: simulated cells only.
@@ -193,12 +193,12 @@ impl Shell {
 
     /// From now on this is what the cell sees with.
     pub fn see_with(&mut self, eyes: PerceptionSetup) {
-        self.eyes = Some(spawn_eyes(eyes, self.clock.clone(), self.heard_in.clone()));
+        self.eyes = Some(spawn_eyes(eyes, self.clock.clone(), self.messages_in.clone()));
     }
 
     /// From now on jobs and orders come from here, and what is done is written here.
     pub fn keep_in(&mut self, keeper: Box<dyn Keeper>, orders: Box<dyn Orders>) {
-        self.store = Some(Store::open(keeper, orders, self.clock.clone(), self.heard_in.clone()));
+        self.store = Some(Store::open(keeper, orders, self.clock.clone(), self.messages_in.clone()));
     }
 
     /// Carries out a calibration round. The arm is at rest afterwards, and the program has ended, or was
@@ -263,7 +263,7 @@ impl Shell {
                 closed = &mut closed => {
                     return if closed { ended } else { ended.and(Err(EndFault::Silent(limit.as_secs()))) };
                 }
-                _ = self.heard.recv() => {}
+                _ = self.messages.recv() => {}
             }
         }
     }
@@ -290,16 +290,16 @@ impl Shell {
     async fn turn(&mut self, observer: &mut dyn Observer) {
         let wait = self.machine.next_wake().since(self.clock.now());
         let first = tokio::select! {
-            first = self.heard.recv() => first,
+            first = self.messages.recv() => first,
             () = self.sockets.ready() => None,
             () = tokio::time::sleep(self.clock.wall(wait)) => None,
         };
         let mut events = Vec::new();
-        if let Some(heard) = first {
-            self.take(heard, observer, &mut events);
+        if let Some(message) = first {
+            self.take(message, observer, &mut events);
         }
-        while let Ok(heard) = self.heard.try_recv() {
-            self.take(heard, observer, &mut events);
+        while let Ok(message) = self.messages.try_recv() {
+            self.take(message, observer, &mut events);
         }
         self.sockets.take(&mut events);
         if let Some(fault) = self.store.as_mut().and_then(Store::fault) {
@@ -315,16 +315,16 @@ impl Shell {
             self.carry_out(now, effect, observer);
         }
         if let Some(state) = self.machine.robot_state() {
-            self.clock.heard(state.controller_time_s);
+            self.clock.received(state.controller_time_s);
             observer.on(now, Scene::Robot(state));
         }
     }
 
-    fn take(&mut self, heard: Heard, observer: &mut dyn Observer, events: &mut Vec<Event>) {
-        match heard {
-            Heard::Event(event) => events.push(event),
-            Heard::Made(made) => events.extend(self.sockets.made(made)),
-            Heard::Shown(shown) => observer.on(self.clock.now(), Scene::Shown(&shown)),
+    fn take(&mut self, message: Message, observer: &mut dyn Observer, events: &mut Vec<Event>) {
+        match message {
+            Message::Event(event) => events.push(event),
+            Message::Made(made) => events.extend(self.sockets.made(made)),
+            Message::Displayed(displayed) => observer.on(self.clock.now(), Scene::Displayed(&displayed)),
         }
     }
 
@@ -344,7 +344,7 @@ impl Shell {
             Effect::Plan { number, request } => {
                 let stop = Arc::new(AtomicBool::new(false));
                 self.planning = Some(stop.clone());
-                spawn_plan(number, *request, stop, self.heard_in.clone());
+                spawn_plan(number, *request, stop, self.messages_in.clone());
             }
             Effect::CancelPlan => self.cancel_plan(),
             Effect::Commit { number, record } => match &self.store {

@@ -4,10 +4,10 @@
 //! sockets is read in one call, so that nothing of it is missing when time is judged. Writing never waits:
 //! what the system does not take is kept, and a controller that does not read for 2 s is disconnected.
 
-use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
+use crate::cell::device::gripper_types::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
-use crate::daemon::heard::{Heard, Made};
+use crate::daemon::messages::{Made, Message};
 use cell_edge::clock::Clock;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -58,13 +58,13 @@ pub struct Sockets {
     lines: [Line; 3],
     gripper: mpsc::Sender<ModbusRequest>,
     clock: Clock,
-    heard: mpsc::Sender<Heard>,
+    messages: mpsc::Sender<Message>,
     buffer: Vec<u8>,
 }
 
 impl Sockets {
-    /// Nothing is connected yet; what is made is reported through `heard`.
-    pub fn new(addresses: &Addresses, clock: Clock, heard: mpsc::Sender<Heard>) -> Sockets {
+    /// Nothing is connected yet; what is made is reported through `messages`.
+    pub fn new(addresses: &Addresses, clock: Clock, messages: mpsc::Sender<Message>) -> Sockets {
         let line = |link: Link| Line {
             link,
             address: match link {
@@ -80,9 +80,9 @@ impl Sockets {
         };
         Sockets {
             lines: Link::ALL.map(line),
-            gripper: spawn_modbus(addresses.gripper, clock.clone(), heard.clone()),
+            gripper: spawn_modbus(addresses.gripper, clock.clone(), messages.clone()),
             clock,
-            heard,
+            messages,
             buffer: vec![0; 64 * 1024],
         }
     }
@@ -98,7 +98,7 @@ impl Sockets {
 
     /// Begins to connect; [`Made`] follows.
     pub fn connect(&mut self, link: Link) {
-        let heard = self.heard.clone();
+        let messages = self.messages.clone();
         let line = self.line(link);
         line.close();
         line.attempt += 1;
@@ -106,7 +106,7 @@ impl Sockets {
         line.connecting = Some(tokio::spawn(async move {
             let result = TcpStream::connect(address).await;
             // The loop has ended if there is no receiver.
-            let _ = heard.send(Heard::Made(Made { link, attempt, result })).await;
+            let _ = messages.send(Message::Made(Made { link, attempt, result })).await;
         }));
     }
 
@@ -228,7 +228,7 @@ impl Line {
 fn spawn_modbus(
     address: SocketAddr,
     clock: Clock,
-    heard: mpsc::Sender<Heard>,
+    messages: mpsc::Sender<Message>,
 ) -> mpsc::Sender<ModbusRequest> {
     let (requests_in, mut requests) = mpsc::channel::<ModbusRequest>(4);
     tokio::spawn(async move {
@@ -242,7 +242,7 @@ fn spawn_modbus(
             if answer.is_err() {
                 connection = None;
             }
-            if heard.send(Heard::Event(Event::Registers(answer))).await.is_err() {
+            if messages.send(Message::Event(Event::Registers(answer))).await.is_err() {
                 return;
             }
         }

@@ -11,7 +11,7 @@ use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::order::JobOrder;
 use crate::cell::supervisor::status::Status;
-use crate::daemon::heard::Heard;
+use crate::daemon::messages::Message;
 use cell_edge::clock::Clock;
 use cell_values::time::{Duration, Timestamp};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -111,7 +111,7 @@ impl Store {
         keeper: Box<dyn Keeper>,
         orders: Box<dyn Orders>,
         clock: Clock,
-        events: mpsc::Sender<Heard>,
+        events: mpsc::Sender<Message>,
     ) -> Store {
         let (requests, asked) = channel();
         let (replies, answers) = channel();
@@ -200,7 +200,7 @@ impl Store {
 struct Keeping {
     keeper: Box<dyn Keeper>,
     clock: Clock,
-    events: mpsc::Sender<Heard>,
+    events: mpsc::Sender<Message>,
     answers: Sender<(u64, Reply)>,
     beat: Arc<Beat>,
 }
@@ -218,7 +218,7 @@ impl Keeping {
             match asked.recv_timeout(patience) {
                 Ok(Request::Commit(number, record)) => {
                     let result = self.keeper.commit(&record);
-                    self.tell(Event::Committed(number, result));
+                    self.send_event(Event::Committed(number, result));
                 }
                 Ok(Request::Want) => wanted = true,
                 Ok(Request::Cancel(number, id)) => self.cancel(number, id),
@@ -238,11 +238,11 @@ impl Keeping {
             if looked.elapsed() >= every || wanted {
                 looked = Instant::now();
                 for id in self.keeper.look_after(self.clock.now()) {
-                    self.tell(Event::Order(UNASKED, Order::Cancel(id)));
+                    self.send_event(Event::Order(UNASKED, Order::Cancel(id)));
                 }
                 if let Some(job) = wanted.then(|| self.keeper.claim()).flatten() {
                     wanted = false;
-                    self.tell(Event::Job(Box::new(job)));
+                    self.send_event(Event::Job(Box::new(job)));
                 }
             }
         }
@@ -253,20 +253,20 @@ impl Keeping {
         match self.keeper.cancel_waiting(&id) {
             // The other thread has ended if there is no receiver, and its commands with it.
             Some(reply) => drop(self.answers.send((number, reply))),
-            None => self.tell(Event::Order(number, Order::Cancel(id))),
+            None => self.send_event(Event::Order(number, Order::Cancel(id))),
         }
     }
 
     /// The loop has ended if there is no receiver; what is left is written all the same.
-    fn tell(&self, event: Event) {
-        let _ = self.events.blocking_send(Heard::Event(event));
+    fn send_event(&self, event: Event) {
+        let _ = self.events.blocking_send(Message::Event(event));
     }
 }
 
 /// Where the thread of the orders sends them, and where their answers come from.
 struct OrderChannels<'a> {
     /// To the machine.
-    events: &'a mpsc::Sender<Heard>,
+    events: &'a mpsc::Sender<Message>,
     /// To the thread of the journal.
     cancels: &'a Sender<Request>,
     /// Answers, each with the number of its order.
@@ -286,7 +286,7 @@ fn take_orders(
         for (number, order) in orders.take() {
             let sent = match order {
                 Order::Cancel(id) => cancels.send(Request::Cancel(number, id)).is_ok(),
-                other => events.blocking_send(Heard::Event(Event::Order(number, other))).is_ok(),
+                other => events.blocking_send(Message::Event(Event::Order(number, other))).is_ok(),
             };
             if !sent {
                 return;
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn an_abort_is_heard_while_a_record_is_written_and_answers_come_in_order() {
+    fn an_abort_is_received_while_a_record_is_written_and_answers_come_in_order() {
         let (lines, answers) = (Arc::default(), Arc::default());
         let (sign, waiting) = channel();
         let (sender, mut events) = mpsc::channel(64);
@@ -387,16 +387,16 @@ mod tests {
         for job in ["one", "two", "three"] {
             store.status(status(job));
         }
-        let Some(Heard::Event(Event::Order(1, Order::Abort))) = events.blocking_recv() else {
+        let Some(Message::Event(Event::Order(1, Order::Abort))) = events.blocking_recv() else {
             panic!("the abort comes")
         };
         assert!(lines.lock().unwrap().is_empty(), "nothing is written yet");
         sign.send(()).unwrap();
-        let Some(Heard::Event(Event::Committed(7, Err(why)))) = events.blocking_recv() else {
+        let Some(Message::Event(Event::Committed(7, Err(why)))) = events.blocking_recv() else {
             panic!("then the record")
         };
         assert_eq!(why, "full");
-        let Some(Heard::Event(Event::Order(3, Order::Cancel(id)))) = events.blocking_recv() else {
+        let Some(Message::Event(Event::Order(3, Order::Cancel(id)))) = events.blocking_recv() else {
             panic!("not waiting")
         };
         assert_eq!(id, "active");

@@ -10,7 +10,7 @@ use crate::cell::event::Event;
 use crate::cell::planner::answer;
 use crate::cell::supervisor::input::{CameraFault, PlanRequest};
 use crate::daemon::cameras::fault_of;
-use crate::daemon::heard::{Heard, Shown};
+use crate::daemon::messages::{Displayed, Message};
 use crate::io::camera::{CameraSource, Frame};
 use crate::perception::diagnostic_images::{self, SHOTS_MAX, Shot};
 use crate::perception::{Perception, PerceptionError, Picture};
@@ -69,15 +69,15 @@ pub enum Sight {
 pub fn spawn_eyes(
     eyes: PerceptionSetup,
     clock: Clock,
-    heard: mpsc::Sender<Heard>,
+    messages: mpsc::Sender<Message>,
 ) -> mpsc::Sender<(u64, SeeRequest)> {
     let (requests_in, mut requests) = mpsc::channel(4);
     std::thread::spawn(move || {
         priority::lower();
-        let mut seeing = Seeing { eyes, clock, heard, shots: Vec::new() };
+        let mut seeing = Seeing { eyes, clock, messages, shots: Vec::new() };
         while let Some((number, request)) = requests.blocking_recv() {
             let event = seeing.answer(number, request);
-            if seeing.heard.blocking_send(Heard::Event(event)).is_err() {
+            if seeing.messages.blocking_send(Message::Event(event)).is_err() {
                 return;
             }
         }
@@ -103,7 +103,7 @@ pub fn busy(number: u64, request: &SeeRequest) -> Event {
 struct Seeing {
     eyes: PerceptionSetup,
     clock: Clock,
-    heard: mpsc::Sender<Heard>,
+    messages: mpsc::Sender<Message>,
     shots: Vec<Shot>,
 }
 
@@ -125,9 +125,9 @@ impl Seeing {
         }
     }
 
-    fn show(&self, shown: Shown) {
+    fn show(&self, displayed: Displayed) {
         // The loop has ended if there is no receiver.
-        let _ = self.heard.blocking_send(Heard::Shown(shown));
+        let _ = self.messages.blocking_send(Message::Displayed(displayed));
     }
 
     fn look(&mut self, frames: usize, table_from_camera: Isometry3<f64>) -> Result<Vec<View>, CameraFault> {
@@ -140,7 +140,7 @@ impl Seeing {
         if diagnostic_images.is_some() {
             diagnostic_images::keep(&mut self.shots, Shot { image: frame.image.clone(), table_from_camera });
         }
-        self.show(Shown::Picture { image: frame.image, views: views.clone() });
+        self.show(Displayed::Picture { image: frame.image, views: views.clone() });
         Ok(views)
     }
 
@@ -159,7 +159,7 @@ impl Seeing {
                     folder,
                 );
             }
-            self.show(Shown::Observed(Box::new(seen.clone())));
+            self.show(Displayed::Observed(Box::new(seen.clone())));
         }
         self.shots.clear();
         seen
@@ -177,7 +177,7 @@ impl Seeing {
         };
         let detections = found.map_err(|error| failed(&error))?;
         let sample = Sample { base_from_flange, detections };
-        self.show(Shown::Sample { pose, image: frame.image, sample });
+        self.show(Displayed::Sample { pose, image: frame.image, sample });
         Ok(())
     }
 }
@@ -244,14 +244,14 @@ fn write_diagnostic_images(pictures: Result<Vec<Vec<u8>>, String>, folder: &Path
 }
 
 /// Starts one planning run; `stop` ends it early with the best plan so far.
-pub fn spawn_plan(number: u64, request: PlanRequest, stop: Arc<AtomicBool>, heard: mpsc::Sender<Heard>) {
+pub fn spawn_plan(number: u64, request: PlanRequest, stop: Arc<AtomicBool>, messages: mpsc::Sender<Message>) {
     std::thread::spawn(move || {
         priority::lower();
         // Planning is work of this computer, so its budget is real time even when the cell's time is scaled.
         let started = Instant::now();
         let over = || stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit;
         let answer = answer(&request, None, &over, &|| started.elapsed().as_secs_f64());
-        let _ = heard.blocking_send(Heard::Event(Event::Planned(number, Box::new(answer))));
+        let _ = messages.blocking_send(Message::Event(Event::Planned(number, Box::new(answer))));
     });
 }
 

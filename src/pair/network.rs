@@ -6,7 +6,7 @@
 //! A cut cable is silence in both directions that goes on where it was when the fault ends, as TCP does; a
 //! reset ends a connection for both sides.
 
-use crate::cell::device::gripper::{ModbusFailure, ModbusRequest};
+use crate::cell::device::gripper_types::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
 use crate::pair::modbus::{Answer, Master};

@@ -3,7 +3,7 @@
 //! In: nothing. Out: [`ROWS`], numbered as in the reference's fault table, each with the cause, how long it
 //! lasts and the phases in which it can occur. What is expected of each is the page itself (`pair::page`).
 
-use crate::cell::device::gripper::Channels;
+use crate::cell::device::gripper_types::Channels;
 use crate::cell::device::robot_types::Link;
 use crate::cell::orders::Order;
 use crate::pair::Loss;

@@ -291,7 +291,7 @@ pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
     pair.order(Order::Abort);
     pair.run_until(4.0, |_| false);
     if lock(&pair.simulator().core().world).glance().gripping {
-        pair.order(Order::Release(crate::cell::device::gripper::Channels::Both));
+        pair.order(Order::Release(crate::cell::device::gripper_types::Channels::Both));
         pair.run_until(4.0, |_| false);
     }
     pair.order(Order::Arm);

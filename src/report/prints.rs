@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn many_markers_take_several_sheets_and_bad_wishes_are_told() {
+    fn many_markers_take_several_sheets_and_bad_wishes_are_reported() {
         let ids: Vec<u32> = (0..100).collect();
         assert!(markers(Family::Tag36h11, &ids, 0.03, Paper::Letter).unwrap().len() > 1);
         let reported = |result: Result<Vec<Sheet>, PrintFault>| result.unwrap_err().to_string();

@@ -152,7 +152,7 @@ fn legend(svg: &mut String, drawing: &TableDrawing, width: f64, height: f64) {
         (any(|object| object.goal.is_some()), "dashed: goal"),
         (any(|object| object.measured.is_some()), "filled: measured"),
     ];
-    let text: Vec<_> = kinds.iter().filter(|(shown, _)| *shown).map(|(_, text)| *text).collect();
+    let text: Vec<_> = kinds.iter().filter(|(present, _)| *present).map(|(_, text)| *text).collect();
     let y = height + 17.0;
     let _ = write!(svg, r#"<text class="t-note" x="0" y="{y:.0}">{}</text>"#, text.join("   "));
     let size = format!("{:.2} m x {:.2} m, grid 0.1 m", drawing.width_m, drawing.height_m);

@@ -117,7 +117,7 @@ fn place(text: &str, index: usize) -> String {
 }
 
 #[test]
-fn every_fault_is_told_with_file_line_and_column() {
+fn every_fault_is_reported_with_file_line_and_column() {
     let folder = tempfile::tempdir().expect("a folder");
     for (base, from, to, at, words) in CASES {
         let start = base.find(from).unwrap_or_else(|| panic!("{from:?} is not in the sound text"));
@@ -160,7 +160,7 @@ fn syntax_errors_have_a_place_in_every_kind_of_file() {
 }
 
 #[test]
-fn three_faults_of_one_file_are_told_in_one_run() {
+fn three_faults_of_one_file_are_reported_in_one_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let spoilt = |text: &str, changes: [(&str, &str); 3]| {
         changes.iter().fold(text.to_owned(), |text, (from, to)| replace_first(&text, from, to))

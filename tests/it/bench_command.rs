@@ -134,7 +134,7 @@ fn the_parts_of_several_machines_make_the_whole() {
 }
 
 #[test]
-fn what_cannot_be_run_is_told_before_anything_is() {
+fn what_cannot_be_run_is_reported_before_anything_is() {
     let folder = Folder::new();
     assert_eq!(folder.bench("rows.csv", &["--objective", "time"], false), 2);
     assert!(!folder.path("rows.csv").exists());

@@ -4,7 +4,7 @@
 //! What a mutant represents is the fault in celld's own code that would have the same effect at the border.
 
 use cell_vision::observe::Observation;
-use celld::cell::device::gripper::{Channels, ModbusRequest};
+use celld::cell::device::gripper_types::{Channels, ModbusRequest};
 use celld::cell::device::robot_types::Link;
 use celld::cell::event::{Effect, Event, News};
 use celld::cell::machine::Machine;

@@ -98,7 +98,7 @@ fn every_false_claim_is_found() {
 }
 
 #[test]
-fn exit_codes_tell_how_it_ended() {
+fn exit_codes_report_how_it_ended() {
     let files = Files::new();
     let overlapping = files.write("a.yaml", &replace_once(SWAP, "[0.2, 0.25, 30]", "[0.55, 0.25, 30]"));
     assert_eq!(files.plan(&overlapping, &[], false), 1);
@@ -129,7 +129,7 @@ fn seconds_are_minimised_without_a_cell_too() {
 }
 
 #[test]
-fn every_solver_of_the_paper_plans_and_help_tells_them_apart() {
+fn every_solver_of_the_paper_plans_and_help_distinguishes_them() {
     let files = Files::new();
     let instance = files.write("swap.yaml", SWAP);
     let mut command = PlanArgs::augment_args(Command::new("celld").no_binary_name(true));

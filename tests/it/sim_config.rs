@@ -36,8 +36,8 @@ fn the_example_simulation_is_sound_and_fits_the_cell() {
 fn the_example_shows_and_comments_every_key() {
     for key in SIM_KEYS {
         // One that excludes another is shown as a comment.
-        let shown = |line: &str| line.strip_prefix("# ").unwrap_or(line).starts_with(&format!("{key}:"));
-        assert!(SIM.lines().any(shown), "{key} is not shown");
+        let has_key = |line: &str| line.strip_prefix("# ").unwrap_or(line).starts_with(&format!("{key}:"));
+        assert!(SIM.lines().any(has_key), "{key} is not shown");
     }
 }
 
@@ -53,7 +53,7 @@ fn check_sim(from: &str, to: &str, expected: &str) {
 }
 
 #[test]
-fn parts_of_a_simulation_that_do_not_fit_are_told() {
+fn parts_of_a_simulation_that_do_not_fit_are_reported() {
     check_sim("{id: 501, size", "{id: 0500, size", "reference_markers[1].id: marker 500 is used twice");
     check_sim("{id: 501, size", "{id: 2, size", "marker 2 is also that of object \"block\"");
     check_sim(
@@ -76,13 +76,13 @@ fn the_simulated_camera_may_stand_and_the_hand_carry_a_board() {
     };
     let (stands, grid) = (format!("base_from_camera: {place}"), "columns: 5, rows: 4, size: 0.02");
     // As the example has it in its comments.
-    let shown = replace_once(SIM, "flange_from_camera:", "# flange:");
-    let shown = replace_once(&shown, "# base_from_camera:", "base_from_camera:");
-    let mut shown = replace_once(&shown, "# hand_board:", "hand_board:");
+    let text = replace_once(SIM, "flange_from_camera:", "# flange:");
+    let text = replace_once(&text, "# base_from_camera:", "base_from_camera:");
+    let mut text = replace_once(&text, "# hand_board:", "hand_board:");
     for key in ["  board:", "  flange_from_board:"] {
-        shown = replace_once(&shown, &format!("# {key}"), key);
+        text = replace_once(&text, &format!("# {key}"), key);
     }
-    let read = read_sim(&shown, "sim.yaml").unwrap();
+    let read = read_sim(&text, "sim.yaml").unwrap();
     let held = read.hand_board.unwrap();
     assert_eq!((held.board.columns * held.board.rows, held.board.first_id), (20, 100));
     let SimMount::Fixed(base_from_camera) = read.camera else { panic!("{:?}", read.camera) };

@@ -311,6 +311,32 @@ fn what_is_no_circle_of_imports_is_left_alone() {
     }
 }
 
+fn long_files(files: &[(&str, &str)]) -> Vec<String> {
+    let files: Vec<File> = files.iter().map(|(path, text)| File::planted(path, text)).collect();
+    rules::long_files(&files, 2)
+}
+
+#[test]
+fn long_files_are_flagged_by_their_lines_before_the_test_module() {
+    let module = "#[cfg(test)]\npub(crate) mod tests {\nx\nx\n}\n";
+    flagged(long_files(&[("src/a.rs", "x\nx\nx\n")]), &["src/a.rs: 3 lines without its tests"]);
+    flagged(long_files(&[("src/a.rs", &format!("x\nx\nx\n{module}"))]), &["src/a.rs: 3 lines"]);
+    flagged(long_files(&[("src/a.rs", &format!("x\nx\n{module}"))]), &[]);
+    flagged(long_files(&[("src/a.rs", "x\nx\n#[cfg(test)]\nmod tests;\n")]), &[]);
+    // Neither another test-only item nor a comment begins the tests.
+    flagged(long_files(&[("src/a.rs", &format!("#[cfg(test)]\nuse b::{{c}};\nx\n{module}"))]), &["3 lines"]);
+    flagged(long_files(&[("benches/a.rs", "// #[cfg(test)]\n// mod tests;\nx\n")]), &["benches/a.rs: 3"]);
+}
+
+#[test]
+fn long_files_of_tests_are_left_alone() {
+    let declared = ("src/a.rs", "mod real;\n#[cfg(test)]\nmod tests;\n");
+    let long = "x\nx\nx\n";
+    flagged(long_files(&[declared, ("src/a/tests.rs", long), ("src/a/tests/deep.rs", long)]), &[]);
+    flagged(long_files(&[declared, ("src/a/real.rs", long)]), &["src/a/real.rs"]);
+    flagged(long_files(&[("tests/it/main.rs", long)]), &[]);
+}
+
 #[test]
 fn long_functions_are_flagged_wherever_they_stand() {
     let long = |text: &str| rules::long_functions(&File::planted("a.rs", text), 3);

@@ -338,6 +338,26 @@ pub fn length_breach(file: &File, most: usize) -> Option<String> {
     (lines > most).then(|| format!("{}: {lines} lines; split it by subject (at most {most})", file.path))
 }
 
+/// Files with more than `most` lines before their test module. Files of tests may be longer: a test is read
+/// by itself.
+pub fn long_files(files: &[File], most: usize) -> Vec<String> {
+    let test_files = test_only_files(files);
+    let is_test =
+        |path: &str| path.starts_with("tests/") || test_files.iter().any(|stem| belongs_to(path, stem));
+    let mut breaches = Vec::new();
+    for file in files.iter().filter(|file| !is_test(&file.path)) {
+        let code = scan::blank_comments_and_literals(&file.text);
+        let lines = scan::test_module_line(&code).map_or(file.text.lines().count(), |line| line - 1);
+        if lines > most {
+            breaches.push(format!(
+                "{}: {lines} lines without its tests; split it by subject (at most {most})",
+                file.path
+            ));
+        }
+    }
+    breaches
+}
+
 /// Comments that reach beyond column `most`. A line of code that is longer than that carries none.
 pub fn wide_comments(file: &File, most: usize) -> Vec<String> {
     let is_rust = file.path.ends_with(".rs");
@@ -378,14 +398,14 @@ pub fn long_functions(file: &File, most: usize) -> Vec<String> {
     let code = scan::blank_comments_and_literals(&file.text);
     let functions = scan::functions(&code).into_iter().map(|f| (f.last_line + 1 - f.first_line, f));
     let long = functions.filter(|(lines, _)| *lines > most);
-    let told = long.map(|(lines, function)| {
+    let found = long.map(|(lines, function)| {
         let scan::Function { name, first_line, .. } = function;
         format!(
             "{}:{first_line}: `{name}` has {lines} lines; give its parts names (at most {most})",
             file.path
         )
     });
-    told.collect()
+    found.collect()
 }
 
 /// Marks of unfinished work, places kept free for figures among them. Put together here, so that this file

@@ -294,6 +294,16 @@ pub fn test_only_file_modules(code: &str) -> Vec<String> {
     found
 }
 
+/// Line of the first module behind `#[cfg(test)]`, inline or in a file of its own.
+pub fn test_module_line(code: &str) -> Option<usize> {
+    let tokens = tokens(code);
+    let is_module = |at: usize| {
+        let mut head = tokens[at + 7..].iter().take_while(|token| token.text != "{" && token.text != ";");
+        head.any(|token| token.text == "mod")
+    };
+    (0..tokens.len()).find(|&at| is_cfg_test(&tokens[at..]) && is_module(at)).map(|at| tokens[at].line)
+}
+
 /// Names of modules declared as files of their own (`mod name;`).
 pub fn file_modules(code: &str) -> Vec<String> {
     let tokens = tokens(code);

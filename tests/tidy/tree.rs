@@ -50,10 +50,11 @@ pub fn text_files() -> Vec<File> {
                     folders.push(path);
                 }
             } else if is_text(&name) {
-                let shown =
+                let relative =
                     path.strip_prefix(root()).expect("below the root").to_string_lossy().replace('\\', "/");
-                let text = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{shown}: {error}"));
-                found.push(File { path: shown, text });
+                let text =
+                    std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{relative}: {error}"));
+                found.push(File { path: relative, text });
             }
         }
     }

@@ -20,7 +20,7 @@ const PACE_LOST: Duration = Duration::from_secs(2);
 const LEAD: Duration = Duration::from_millis(40);
 
 /// Means "no follower".
-const NOBODY: u64 = u64::MAX;
+const NO_FOLLOWER: u64 = u64::MAX;
 
 /// How far a simulation has come, written by its frame thread, and how far a daemon in the same process has
 /// taken it in.
@@ -31,7 +31,7 @@ pub struct Pace {
     epoch_s: f64,
     simulated_us: AtomicU64,
     wall_us: AtomicU64,
-    heard_us: AtomicU64,
+    received_us: AtomicU64,
 }
 
 impl Pace {
@@ -42,20 +42,20 @@ impl Pace {
             epoch_s,
             simulated_us: AtomicU64::new(0),
             wall_us: AtomicU64::new(0),
-            heard_us: AtomicU64::new(NOBODY),
+            received_us: AtomicU64::new(NO_FOLLOWER),
         }
     }
 
     /// True while a follower has not yet taken in what happened `LEAD` ago: the simulation has to wait.
     pub fn ahead(&self) -> bool {
-        let heard = self.heard_us.load(Ordering::Relaxed);
-        heard != NOBODY
-            && self.simulated_us.load(Ordering::Relaxed).saturating_sub(heard) > LEAD.as_micros() as u64
+        let received = self.received_us.load(Ordering::Relaxed);
+        received != NO_FOLLOWER
+            && self.simulated_us.load(Ordering::Relaxed).saturating_sub(received) > LEAD.as_micros() as u64
     }
 
     /// Waits no longer, until the follower reports again.
     pub fn give_up(&self) {
-        self.heard_us.store(NOBODY, Ordering::Relaxed);
+        self.received_us.store(NO_FOLLOWER, Ordering::Relaxed);
     }
 
     /// Notes that so much simulated time is over.
@@ -118,10 +118,10 @@ impl Clock {
     }
 
     /// Reports to a simulation in this process that its state of controller time `at_s` has been taken in.
-    pub fn heard(&self, at_s: f64) {
+    pub fn received(&self, at_s: f64) {
         if let Source::Paced(pace, _) = &self.source {
-            let heard = ((at_s - pace.epoch_s).max(0.0) * 1e6) as u64;
-            pace.heard_us.store(heard.min(NOBODY - 1), Ordering::Relaxed);
+            let received = ((at_s - pace.epoch_s).max(0.0) * 1e6) as u64;
+            pace.received_us.store(received.min(NO_FOLLOWER - 1), Ordering::Relaxed);
         }
     }
 
@@ -185,14 +185,14 @@ mod tests {
         let clock = Clock::paced(pace.clone(), 5.0);
         pace.reached(Duration::from_secs(3));
         assert!(!pace.ahead(), "nobody follows yet");
-        clock.heard(43.9);
+        clock.received(43.9);
         assert!(pace.ahead(), "100 ms are too many");
-        clock.heard(43.98);
+        clock.received(43.98);
         assert!(!pace.ahead());
-        clock.heard(43.9);
+        clock.received(43.9);
         pace.give_up();
         assert!(!pace.ahead());
-        Clock::new(5.0).heard(1.0);
+        Clock::new(5.0).received(1.0);
     }
 
     #[test]

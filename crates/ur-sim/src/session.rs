@@ -1,9 +1,10 @@
 //! A client's connection without its socket: the one place where its bytes become answers.
 //!
-//! In: a [`Port`], then the client's bytes in any pieces, its last byte, its end. Out: [`Heard`], the answers
-//! to what was received; and at the connection's [`Inlet`] what it is sent without a request: the greeting,
-//! states, data. The carrier of the bytes (real sockets in `serve`, calls in `simulator`) takes first what is
-//! in the inlet, then the answers, and reports that they are on their way ([`Session::answered`]).
+//! In: a [`Port`], then the client's bytes in any pieces, its last byte, its end. Out: [`Outcome`], the
+//! answers to what was received; and at the connection's [`Inlet`] what it is sent without a request: the
+//! greeting, states, data. The carrier of the bytes (real sockets in `serve`, calls in `simulator`) takes
+//! first what is in the inlet, then the answers, and reports that they are on their way
+//! ([`Session::answered`]).
 
 use crate::core::Core;
 use crate::faults::link::LinkName;
@@ -69,21 +70,21 @@ impl Port {
 
 /// What became of a client's bytes.
 #[derive(Debug, Default)]
-pub struct Heard {
+pub struct Outcome {
     /// For the client, in this order.
     pub answers: Vec<Bytes>,
     /// The connection ends behind the answers.
     pub over: bool,
 }
 
-impl Heard {
+impl Outcome {
     /// The bytes break the protocol.
-    const NONSENSE: Heard = Heard { answers: Vec::new(), over: true };
+    const NONSENSE: Outcome = Outcome { answers: Vec::new(), over: true };
 
     /// One piece, if there is anything to say.
-    fn one(answer: Vec<u8>, over: bool) -> Heard {
+    fn one(answer: Vec<u8>, over: bool) -> Outcome {
         let answers = if answer.is_empty() { Vec::new() } else { vec![answer.into()] };
-        Heard { answers, over }
+        Outcome { answers, over }
     }
 }
 
@@ -132,28 +133,28 @@ impl Session {
     }
 
     /// Carries out what arrived.
-    pub fn receive(&mut self, core: &Core, bytes: &[u8]) -> Heard {
+    pub fn receive(&mut self, core: &Core, bytes: &[u8]) -> Outcome {
         let robot = &core.robot;
-        let heard = match &mut self.kind {
+        let outcome = match &mut self.kind {
             Kind::Rtde(session) => session.receive(robot, bytes).map(|answers| {
                 let answers = answers.into_iter().map(Bytes::from).collect();
-                Heard { answers, over: false }
+                Outcome { answers, over: false }
             }),
-            Kind::Dashboard(session) => {
-                session.receive(robot, bytes).map(|replies| Heard::one(replies.into_bytes(), session.over()))
-            }
+            Kind::Dashboard(session) => session
+                .receive(robot, bytes)
+                .map(|replies| Outcome::one(replies.into_bytes(), session.over())),
             Kind::Script(session) => {
                 let over = session.receive(robot, bytes).is_err();
-                Ok(Heard { answers: Vec::new(), over })
+                Ok(Outcome { answers: Vec::new(), over })
             }
             Kind::Gripper(session) => {
                 let faults = robot.links.get(self.port.link()).state();
                 session
                     .receive(&mut lock(&core.world), &faults, bytes)
-                    .map(|answers| Heard::one(answers, false))
+                    .map(|answers| Outcome::one(answers, false))
             }
         };
-        heard.unwrap_or(Heard::NONSENSE)
+        outcome.unwrap_or(Outcome::NONSENSE)
     }
 
     /// The answers to what was received last are on their way.

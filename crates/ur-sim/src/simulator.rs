@@ -107,10 +107,10 @@ impl Simulator {
     pub fn receive(&mut self, id: ConnectionId, bytes: &[u8]) {
         let Simulator { core, sessions, out, .. } = self;
         let Some((session, inlet)) = sessions.get_mut(&id) else { return };
-        let heard = session.receive(core, bytes);
+        let outcome = session.receive(core, bytes);
         pass_on(id, inlet, out);
-        out.extend(heard.answers.into_iter().map(|answer| Transmission::Bytes(id, answer)));
-        if heard.over {
+        out.extend(outcome.answers.into_iter().map(|answer| Transmission::Bytes(id, answer)));
+        if outcome.over {
             self.end(id);
         } else {
             session.answered(core);

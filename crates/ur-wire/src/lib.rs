@@ -24,6 +24,10 @@ pub mod primary_message;
 
 pub mod primary_state;
 
+pub mod primary_arm;
+
+pub mod primary_masterboard;
+
 pub mod primary_tool;
 
 pub mod modbus;

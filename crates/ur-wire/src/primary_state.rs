@@ -6,6 +6,8 @@
 //! client-interface guide (reference on UR interfaces, 3.3).
 
 use crate::bytes::{Reader, WireError, Writer};
+use crate::primary_arm::{ConfigurationData, KinematicsData};
+use crate::primary_masterboard::MasterboardData;
 use crate::primary_tool::{AdditionalData, ForceModeData, ToolCommunicationData, ToolModeData};
 
 const HEADER: usize = 5;
@@ -117,58 +119,6 @@ pub struct ToolData {
     pub mode: u8,
 }
 
-/// Optional part of sub-package 3.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct EuromapData {
-    /// Input bits.
-    pub input_bits: u32,
-    /// Output bits.
-    pub output_bits: u32,
-    /// 24 V rail, V.
-    pub voltage_24v: f32,
-    /// Current, A.
-    pub current: f32,
-}
-
-/// Sub-package 3.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct MasterboardData {
-    /// Digital inputs.
-    pub digital_input_bits: u32,
-    /// Digital outputs.
-    pub digital_output_bits: u32,
-    /// Ranges of the analog inputs.
-    pub analog_input_range: [u8; 2],
-    /// Analog inputs, A or V.
-    pub analog_input: [f64; 2],
-    /// Domains of the analog outputs.
-    pub analog_output_domain: [u8; 2],
-    /// Analog outputs, A or V.
-    pub analog_output: [f64; 2],
-    /// Temperature.
-    pub temperature: f32,
-    /// 48 V rail, V.
-    pub robot_voltage_48v: f32,
-    /// Robot current, A.
-    pub robot_current: f32,
-    /// I/O current, A.
-    pub io_current: f32,
-    /// Number of the safety mode.
-    pub safety_mode: u8,
-    /// Reduced mode.
-    pub reduced_mode: u8,
-    /// Present if an injection moulding interface is installed.
-    pub euromap: Option<EuromapData>,
-    /// Not used.
-    pub reserved: u32,
-    /// Operational mode selector.
-    pub operational_mode_selector: u8,
-    /// Three-position enabling device.
-    pub three_position_input: u8,
-    /// Not used.
-    pub reserved_end: u8,
-}
-
 /// Sub-package 4.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CartesianData {
@@ -176,52 +126,6 @@ pub struct CartesianData {
     pub tcp_pose: [f64; 6],
     /// TCP in the flange frame, same form.
     pub tcp_offset: [f64; 6],
-}
-
-/// Sub-package 5: Denavit-Hartenberg parameters of the arm at hand, with its calibration.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct KinematicsData {
-    /// One checksum per joint; together they name this arm's calibration.
-    pub checksum: [u32; 6],
-    /// Joint angle offsets, rad.
-    pub theta: [f64; 6],
-    /// Link lengths, m.
-    pub a: [f64; 6],
-    /// Link offsets, m.
-    pub d: [f64; 6],
-    /// Link twists, rad.
-    pub alpha: [f64; 6],
-    /// Calibration status.
-    pub calibration_status: u32,
-}
-
-/// Sub-package 6.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ConfigurationData {
-    /// Joint limits (least, greatest), rad.
-    pub joint_limits: [[f64; 2]; 6],
-    /// Largest speed (rad/s) and acceleration (rad/s2) per joint.
-    pub joint_maxima: [[f64; 2]; 6],
-    /// Default joint speed, joint acceleration, tool speed, tool acceleration.
-    pub defaults: [f64; 4],
-    /// Equivalent radius, m.
-    pub equivalent_radius: f64,
-    /// Link lengths, m.
-    pub a: [f64; 6],
-    /// Link offsets, m.
-    pub d: [f64; 6],
-    /// Link twists, rad.
-    pub alpha: [f64; 6],
-    /// Joint angle offsets, rad.
-    pub theta: [f64; 6],
-    /// Masterboard version.
-    pub masterboard_version: i32,
-    /// Controller box type.
-    pub controller_box_type: i32,
-    /// UR5 = 1, UR10 = 2, UR3 = 3, UR16 = 4, UR20 = 7, UR30 = 8, UR15 = 9.
-    pub robot_type: i32,
-    /// Sub type.
-    pub robot_sub_type: i32,
 }
 
 impl SubPackage {
@@ -249,12 +153,12 @@ impl SubPackage {
             SubPackage::RobotMode(data) => encode_robot_mode(data, &mut body),
             SubPackage::Joints(joints) => joints.iter().for_each(|joint| encode_joint(joint, &mut body)),
             SubPackage::Tool(data) => encode_tool(data, &mut body),
-            SubPackage::Masterboard(data) => encode_masterboard(data, &mut body),
+            SubPackage::Masterboard(data) => data.encode(&mut body),
             SubPackage::Cartesian(data) => {
                 body.f64s(&data.tcp_pose).f64s(&data.tcp_offset);
             }
-            SubPackage::Kinematics(data) => encode_kinematics(data, &mut body),
-            SubPackage::Configuration(data) => encode_configuration(data, &mut body),
+            SubPackage::Kinematics(data) => data.encode(&mut body),
+            SubPackage::Configuration(data) => data.encode(&mut body),
             SubPackage::ForceMode(data) => data.encode(&mut body),
             SubPackage::Additional(data) => data.encode(&mut body),
             SubPackage::ToolCommunication(data) => data.encode(&mut body),
@@ -301,13 +205,13 @@ impl SubPackage {
             0 => SubPackage::RobotMode(decode_robot_mode(&mut reader)?),
             1 => SubPackage::Joints(reader.array(decode_joint)?),
             2 => SubPackage::Tool(decode_tool(&mut reader)?),
-            3 => SubPackage::Masterboard(decode_masterboard(&mut reader)?),
+            3 => SubPackage::Masterboard(MasterboardData::decode(&mut reader)?),
             4 => SubPackage::Cartesian(CartesianData {
                 tcp_pose: reader.array(|r| r.f64("TCP pose"))?,
                 tcp_offset: reader.array(|r| r.f64("TCP offset"))?,
             }),
-            5 => SubPackage::Kinematics(decode_kinematics(&mut reader)?),
-            6 => SubPackage::Configuration(decode_configuration(&mut reader)?),
+            5 => SubPackage::Kinematics(KinematicsData::decode(&mut reader)?),
+            6 => SubPackage::Configuration(ConfigurationData::decode(&mut reader)?),
             7 => SubPackage::ForceMode(ForceModeData::decode(&mut reader)?),
             8 => SubPackage::Additional(AdditionalData::decode(&mut reader)?),
             11 => SubPackage::ToolCommunication(ToolCommunicationData::decode(&mut reader)?),
@@ -397,110 +301,6 @@ fn decode_tool(reader: &mut Reader) -> Result<ToolData, WireError> {
         current: reader.f32("tool current")?,
         temperature: reader.f32("tool temperature")?,
         mode: reader.u8("tool mode")?,
-    })
-}
-
-fn encode_masterboard(data: &MasterboardData, out: &mut Writer) {
-    out.u32(data.digital_input_bits)
-        .u32(data.digital_output_bits)
-        .bytes(&data.analog_input_range)
-        .f64s(&data.analog_input)
-        .bytes(&data.analog_output_domain)
-        .f64s(&data.analog_output)
-        .f32(data.temperature)
-        .f32(data.robot_voltage_48v)
-        .f32(data.robot_current)
-        .f32(data.io_current)
-        .u8(data.safety_mode)
-        .u8(data.reduced_mode)
-        .bool(data.euromap.is_some());
-    if let Some(euromap) = &data.euromap {
-        out.u32(euromap.input_bits).u32(euromap.output_bits).f32(euromap.voltage_24v).f32(euromap.current);
-    }
-    out.u32(data.reserved)
-        .u8(data.operational_mode_selector)
-        .u8(data.three_position_input)
-        .u8(data.reserved_end);
-}
-
-fn decode_masterboard(reader: &mut Reader) -> Result<MasterboardData, WireError> {
-    Ok(MasterboardData {
-        digital_input_bits: reader.u32("digital input bits")?,
-        digital_output_bits: reader.u32("digital output bits")?,
-        analog_input_range: reader.array(|r| r.u8("analog input range"))?,
-        analog_input: reader.array(|r| r.f64("analog input"))?,
-        analog_output_domain: reader.array(|r| r.u8("analog output domain"))?,
-        analog_output: reader.array(|r| r.f64("analog output"))?,
-        temperature: reader.f32("masterboard temperature")?,
-        robot_voltage_48v: reader.f32("robot voltage")?,
-        robot_current: reader.f32("robot current")?,
-        io_current: reader.f32("I/O current")?,
-        safety_mode: reader.u8("safety mode")?,
-        reduced_mode: reader.u8("reduced mode")?,
-        euromap: decode_euromap(reader)?,
-        reserved: reader.u32("reserved")?,
-        operational_mode_selector: reader.u8("operational mode selector")?,
-        three_position_input: reader.u8("three-position input")?,
-        reserved_end: if reader.left() > 0 { reader.u8("reserved")? } else { 0 },
-    })
-}
-
-fn decode_euromap(reader: &mut Reader) -> Result<Option<EuromapData>, WireError> {
-    if reader.u8("euromap installed")? == 0 {
-        return Ok(None);
-    }
-    Ok(Some(EuromapData {
-        input_bits: reader.u32("euromap input bits")?,
-        output_bits: reader.u32("euromap output bits")?,
-        voltage_24v: reader.f32("euromap voltage")?,
-        current: reader.f32("euromap current")?,
-    }))
-}
-
-fn encode_kinematics(data: &KinematicsData, out: &mut Writer) {
-    for checksum in data.checksum {
-        out.u32(checksum);
-    }
-    out.f64s(&data.theta).f64s(&data.a).f64s(&data.d).f64s(&data.alpha).u32(data.calibration_status);
-}
-
-fn decode_kinematics(reader: &mut Reader) -> Result<KinematicsData, WireError> {
-    Ok(KinematicsData {
-        checksum: reader.array(|r| r.u32("kinematics checksum"))?,
-        theta: reader.array(|r| r.f64("DH theta"))?,
-        a: reader.array(|r| r.f64("DH a"))?,
-        d: reader.array(|r| r.f64("DH d"))?,
-        alpha: reader.array(|r| r.f64("DH alpha"))?,
-        calibration_status: reader.u32("calibration status")?,
-    })
-}
-
-fn encode_configuration(data: &ConfigurationData, out: &mut Writer) {
-    for pair in data.joint_limits.iter().chain(&data.joint_maxima) {
-        out.f64s(pair);
-    }
-    out.f64s(&data.defaults).f64(data.equivalent_radius);
-    out.f64s(&data.a).f64s(&data.d).f64s(&data.alpha).f64s(&data.theta);
-    out.i32(data.masterboard_version)
-        .i32(data.controller_box_type)
-        .i32(data.robot_type)
-        .i32(data.robot_sub_type);
-}
-
-fn decode_configuration(reader: &mut Reader) -> Result<ConfigurationData, WireError> {
-    Ok(ConfigurationData {
-        joint_limits: reader.array(|r| r.array(|r| r.f64("joint limit")))?,
-        joint_maxima: reader.array(|r| r.array(|r| r.f64("joint maximum")))?,
-        defaults: reader.array(|r| r.f64("default speed or acceleration"))?,
-        equivalent_radius: reader.f64("equivalent radius")?,
-        a: reader.array(|r| r.f64("DH a"))?,
-        d: reader.array(|r| r.f64("DH d"))?,
-        alpha: reader.array(|r| r.f64("DH alpha"))?,
-        theta: reader.array(|r| r.f64("DH theta"))?,
-        masterboard_version: reader.i32("masterboard version")?,
-        controller_box_type: reader.i32("controller box type")?,
-        robot_type: reader.i32("robot type")?,
-        robot_sub_type: reader.i32("robot sub type")?,
     })
 }
 

@@ -20,7 +20,7 @@ pub fn call(call: &Call<'_>) -> Option<Result<Value, String>> {
         "str_at" => at(call),
         "str_sub" => part(call),
         "str_find" => find(call),
-        "to_str" => call.required(0).and_then(|value| shown(&[value])).map(Value::text),
+        "to_str" => call.required(0).and_then(|value| text_of(&[value])).map(Value::text),
         "to_num" => number(call),
         "assert" => assertion(call),
         _ => return None,
@@ -32,11 +32,11 @@ fn concatenate(call: &Call<'_>) -> Result<Value, String> {
     if both.iter().any(|value| matches!(value, Value::Struct(_))) {
         return Err("str_cat: a struct is no part of a string".to_owned());
     }
-    shown(&both).map(Value::text)
+    text_of(&both).map(Value::text)
 }
 
 /// Values as one string, floats with 6 decimals at most.
-fn shown(values: &[&Value]) -> Result<String, String> {
+fn text_of(values: &[&Value]) -> Result<String, String> {
     let mut text = Bounded::default();
     for value in values {
         // What is written is bounded, so that a list of long strings does not become a longer one first.

@@ -2,27 +2,21 @@
 //!
 //! In: the compiled code, the global variables and the host. Out: an `Event` whenever the thread needs the
 //! scheduler (time passes, another thread is concerned, it ended). Bounded: instructions per frame, depth of
-//! calls, size of values.
+//! calls, size of values (`bounds`).
 
-use crate::ast::{Qualifier, Unary};
-use crate::code::{Code, Instruction, PathStep, Variable};
+use crate::ast::Unary;
+use crate::code::{Code, Instruction};
 use crate::fault::{Position, RuntimeException};
 use crate::host::{Builtin, Call, Host, Reply};
 use crate::library::{self, Random};
 use crate::methods;
-use crate::operators::{self, Step};
+use crate::operators;
+use crate::thread::bounds::bounded;
 use crate::value::{ThreadId, Value};
 use std::sync::Arc;
 
 /// Deepest nesting of calls.
 const MAX_CALLS: usize = 200;
-
-/// Most elements of a list, those of its lists included, and deepest nesting of lists.
-const MAX_ELEMENTS: usize = 200_000;
-const MAX_LIST_NESTING: usize = 8;
-
-/// Elements that a list may grow by until all elements of its variable are counted again.
-const COUNTED_EVERY: usize = 64;
 
 /// Length of a controller frame, s.
 pub const FRAME_SECONDS: f64 = 0.002;
@@ -229,23 +223,6 @@ impl Thread {
         Ok(None)
     }
 
-    /// Puts a value into a variable.
-    #[inline]
-    fn store(
-        &mut self,
-        variable: &Variable,
-        qualifier: Qualifier,
-        shared: &mut Shared,
-    ) -> Result<(), String> {
-        let value = self.stored_value()?;
-        match self.place(variable, qualifier, shared)? {
-            // `local` declares anew, whatever had the name before.
-            Some(target) if qualifier != Qualifier::Local => operators::assign(target, value)?,
-            place => *place = Some(value),
-        }
-        Ok(())
-    }
-
     /// Calls a function of the program.
     #[inline]
     fn call(&mut self, code: &Code, function: usize, slots: &[usize]) -> Result<(), String> {
@@ -409,102 +386,6 @@ impl Thread {
             other => Err(format!("expected a thread handle, found {}", other.type_name())),
         }
     }
-
-    fn stored_value(&mut self) -> Result<Value, String> {
-        match self.pop() {
-            Value::Nothing => Err("a function without a return value cannot be assigned".to_owned()),
-            value => Ok(value),
-        }
-    }
-
-    fn load(&mut self, variable: &Variable, shared: &Shared) -> Result<Value, String> {
-        let local = variable.local.and_then(|slot| self.calls.last()?.locals.get(slot)?.as_ref());
-        let found = local.or_else(|| shared.globals.get(variable.global?)?.as_ref());
-        found.cloned().ok_or_else(|| format!("variable `{}` is used before it has a value", variable.name))
-    }
-
-    fn place<'a>(
-        &'a mut self,
-        variable: &Variable,
-        qualifier: Qualifier,
-        shared: &'a mut Shared,
-    ) -> Result<&'a mut Option<Value>, String> {
-        let has_local = variable.local.is_some_and(|slot| {
-            self.calls.last().is_some_and(|c| c.locals.get(slot).is_some_and(Option::is_some))
-        });
-        let has_global =
-            variable.global.is_some_and(|slot| shared.globals.get(slot).is_some_and(Option::is_some));
-        let global = match qualifier {
-            Qualifier::Global => true,
-            Qualifier::Local => false,
-            Qualifier::Plain => variable.local.is_none() || (!has_local && has_global),
-        };
-        let place = if global {
-            variable.global.and_then(|slot| shared.globals.get_mut(slot))
-        } else {
-            variable.local.and_then(|slot| self.calls.last_mut()?.locals.get_mut(slot))
-        };
-        place.ok_or_else(|| format!("variable `{}` cannot be assigned here", variable.name))
-    }
-
-    /// A path with the indices that were left on the stack.
-    fn steps(&mut self, path: &[PathStep]) -> Vec<Step> {
-        let count = path.iter().filter(|step| matches!(step, PathStep::Index)).count();
-        let mut indices = self.pop_many(count).into_iter();
-        let step = |step: &PathStep| match step {
-            PathStep::Index => Step::Index(indices.next().unwrap_or(Value::Nothing)),
-            PathStep::Member(name) => Step::Member(name.clone()),
-        };
-        path.iter().map(step).collect()
-    }
-
-    /// A method that changes a part of a variable.
-    fn change(
-        &mut self,
-        variable: &Variable,
-        path: &[PathStep],
-        (name, count): (&str, usize),
-        shared: &mut Shared,
-    ) -> Result<(), String> {
-        let arguments = self.pop_many(count);
-        let nests = arguments.iter().any(|value| matches!(value, Value::List(_) | Value::Struct(_)));
-        let steps = self.steps(path);
-        let Some(whole) = self.place(variable, Qualifier::Plain, shared)? else {
-            return Err(format!("variable `{}` is used before it has a value", variable.name));
-        };
-        let of = operators::part(whole, &steps)?;
-        let result = methods::change(of, name, arguments)?;
-        // Counting everything at every element would make filling a list as slow as its square.
-        let counts = nests || matches!(of, Value::List(list) if list.len().is_multiple_of(COUNTED_EVERY));
-        if counts && let Err(message) = bounded_ref(whole) {
-            *whole = Value::Nothing;
-            return Err(message);
-        }
-        self.stack.push(result);
-        Ok(())
-    }
-
-    fn store_into(
-        &mut self,
-        variable: &Variable,
-        qualifier: Qualifier,
-        path: &[PathStep],
-        shared: &mut Shared,
-    ) -> Result<(), String> {
-        let value = self.stored_value()?;
-        let steps = self.steps(path);
-        let nests = matches!(value, Value::List(_) | Value::Struct(_));
-        let place = self.place(variable, qualifier, shared)?;
-        let Some(target) = place else {
-            return Err(format!("variable `{}` is used before it has a value", variable.name));
-        };
-        operators::replace(target, &steps, value)?;
-        if nests && let Err(message) = bounded_ref(target) {
-            *target = Value::Nothing;
-            return Err(message);
-        }
-        Ok(())
-    }
 }
 
 /// Frames that `sleep(seconds)` takes: up to the next multiple of a frame, at least one.
@@ -515,26 +396,5 @@ fn sleep_frames(seconds: f64) -> Result<u64, String> {
     Ok(((seconds / FRAME_SECONDS - 1e-6).ceil() as u64).max(1))
 }
 
-fn bounded(value: Value) -> Result<Value, String> {
-    bounded_ref(&value)?;
-    Ok(value)
-}
-
-fn bounded_ref(value: &Value) -> Result<(), String> {
-    let mut left = MAX_ELEMENTS;
-    if fits(value, MAX_LIST_NESTING, &mut left) { Ok(()) } else { Err("the list is too large".to_owned()) }
-}
-
-fn fits(value: &Value, levels: usize, left: &mut usize) -> bool {
-    if *left == 0 {
-        return false;
-    }
-    *left -= 1;
-    match value {
-        Value::List(elements) => levels > 0 && elements.iter().all(|element| fits(element, levels - 1, left)),
-        Value::Struct(members) => {
-            levels > 0 && members.iter().all(|(_, element)| fits(element, levels - 1, left))
-        }
-        _ => true,
-    }
-}
+mod bounds;
+mod variables;

@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn every_fault_is_told_with_its_line() {
+    fn every_fault_is_reported_with_its_line() {
         let text = measured().to_yaml().replace("focal_px: [650", "focal_px: [650 mm").replace("date", "dat");
         let reported = CameraCalibration::parse(&text, "camera.yaml").unwrap_err().to_string();
         assert!(reported.contains("camera.yaml:7:") && reported.contains("is not a number"), "{reported}");

@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn one_sample_taken_while_the_arm_moved_is_left_out_and_shown() {
+    fn one_sample_taken_while_the_arm_moved_is_left_out_and_marked() {
         let mut samples = samples(&varied(), 0.1, 5e-5, 1);
         samples[6].base_from_flange.translation.vector += Vector3::new(6e-3, 0.0, 0.0);
         let found = solve(&samples, &nominal()).unwrap();

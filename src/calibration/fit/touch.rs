@@ -480,7 +480,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_tip_and_a_wrong_survey_are_told_apart() {
+    fn a_wrong_tip_and_a_wrong_survey_are_distinguished() {
         let mut random = ChaCha8Rng::seed_from_u64(5);
         let touch = fit_touches(&touches(&ROUND, 2e-4, &mut random), &Default::default()).unwrap();
         let covariance = Matrix6::identity() * 1e-8;

@@ -97,13 +97,13 @@ impl Scene<'_> {
 
     /// The target's markers as the arm shows them with these joints: to a fixed camera, those that the arm
     /// does not hide.
-    pub(super) fn shown(&self, q: &Joints) -> Vec<Detection> {
+    pub(super) fn visible(&self, q: &Joints) -> Vec<Detection> {
         let [base_from_target, _] = self.placed(&forward(&self.model.dh, q));
-        self.shown_of(&self.target, &base_from_target, q)
+        self.visible_of(&self.target, &base_from_target, q)
     }
 
     /// The same of markers elsewhere.
-    pub(super) fn shown_of(
+    pub(super) fn visible_of(
         &self,
         markers: &[ReferenceMarker],
         base_from_markers: &Isometry3<f64>,

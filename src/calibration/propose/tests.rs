@@ -129,7 +129,7 @@ fn a_board_is_carried_through_the_picture_of_a_camera_that_stands_however_it_is_
         let scene = scene(&drawn, &lens, &model).unwrap();
         let mut parts = [false; 4];
         for q in &found.poses {
-            let seen = scene.shown(q);
+            let seen = scene.visible(q);
             assert!(seen.len() >= SEEN_MIN);
             // The camera is not where the elbow goes, nor does the wrist hide the board from it.
             let near = body::Body::new(&model, q).clears_m(&Point3::new(0.0, 0.43, 0.75));
@@ -153,7 +153,7 @@ fn a_board_is_carried_through_the_picture_of_a_camera_that_stands_however_it_is_
 }
 
 #[test]
-fn a_box_that_is_too_small_low_or_missing_is_told() {
+fn a_box_that_is_too_small_low_or_missing_is_reported() {
     let mut drawn = example();
     let here = forward(&DhParameters::UR5E, &park()).translation.vector;
     let round = |half: f64| CalibrationBox {

@@ -3,24 +3,16 @@
 //! In: [`GripperCommand`]s, answers to Modbus requests, the time. Out: [`ModbusRequest`]s (one at a time),
 //! [`GripperEvent`]s. Vacuum is relative, as a fraction (0 ambient, 0.6 = 60 %). The device has no "part
 //! detected": vacuum over a threshold within a time is all there is. It has no watchdog either: without us it
-//! goes on as last commanded, which is what a held object needs.
-//!
-//! Registers (hardware/gripper/README.md): 0, 1 control of channel A, B; 258, 259 their vacuum in per mille.
-//! Only the registers of the channels in question are written, so that nothing is released by the way.
+//! goes on as last commanded, which is what a held object needs. Only the registers of the channels in
+//! question are written, so that nothing is released by the way.
 
+use crate::cell::device::gripper_types::{
+    Channels, GripperCommand, GripperEvent, GripperParameters, GripperRefused, MAX_TARGET, ModbusFailure,
+    ModbusRequest, VACUUM,
+};
 use crate::cell::device::outbox::{Outbox, earlier};
 use cell_values::time::{Duration, Timestamp};
 use std::collections::VecDeque;
-use std::fmt;
-
-/// First control register, channel A; B follows.
-pub const CONTROL: u16 = 0;
-/// First vacuum register, channel A; B follows. Per mille.
-pub const VACUUM: u16 = 258;
-/// Modbus unit of a single or primary tool.
-pub const UNIT: u8 = 65;
-/// Highest vacuum that may be requested.
-pub const MAX_TARGET: f64 = 0.8;
 
 /// Reading while an object is or may be held: 50 Hz.
 const READ_BUSY: Duration = Duration::from_millis(20);
@@ -40,202 +32,6 @@ const RELEASED_BELOW: f64 = 0.05;
 const MAX_PER_MILLE: u16 = 1050;
 /// Commands that may wait.
 const MAX_WAITING: usize = 4;
-
-/// Which channels; at least one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Channels {
-    /// A.
-    A,
-    /// B.
-    B,
-    /// Both, acting at once.
-    Both,
-}
-
-impl Channels {
-    /// For sentences.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Channels::A => "channel A",
-            Channels::B => "channel B",
-            Channels::Both => "both channels",
-        }
-    }
-
-    /// These and the others.
-    fn and(self, other: Channels) -> Channels {
-        if self == other { self } else { Channels::Both }
-    }
-
-    /// What is left of these without the others.
-    fn without(self, other: Channels) -> Option<Channels> {
-        match (self, other) {
-            (Channels::Both, Channels::A) => Some(Channels::B),
-            (Channels::Both, Channels::B) => Some(Channels::A),
-            (Channels::A, Channels::B) | (Channels::B, Channels::A) => Some(self),
-            (_, Channels::Both) | (Channels::A, Channels::A) | (Channels::B, Channels::B) => None,
-        }
-    }
-
-    fn first_register(self) -> u16 {
-        match self {
-            Channels::A | Channels::Both => CONTROL,
-            Channels::B => CONTROL + 1,
-        }
-    }
-
-    fn count(self) -> usize {
-        if self == Channels::Both { 2 } else { 1 }
-    }
-
-    /// The lowest vacuum of these channels: a grip is as good as its worst cup.
-    fn lowest(self, vacuum: [f64; 2]) -> f64 {
-        match self {
-            Channels::A => vacuum[0],
-            Channels::B => vacuum[1],
-            Channels::Both => vacuum[0].min(vacuum[1]),
-        }
-    }
-
-    fn highest(self, vacuum: [f64; 2]) -> f64 {
-        match self {
-            Channels::A => vacuum[0],
-            Channels::B => vacuum[1],
-            Channels::Both => vacuum[0].max(vacuum[1]),
-        }
-    }
-}
-
-impl fmt::Display for Channels {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.as_str())
-    }
-}
-
-/// What the session needs to know; measured or decided for the cell, so nothing has a default.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GripperParameters {
-    /// Vacuum from which on an object counts as gripped, fraction.
-    pub vacuum_min: f64,
-    /// Vacuum below which a held object counts as lost, fraction; a little below `vacuum_min`.
-    pub vacuum_hold: f64,
-    /// Time for reaching `vacuum_min`.
-    pub grip_within: Duration,
-    /// Time for letting the air in.
-    pub release_within: Duration,
-}
-
-/// What may be requested.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum GripperCommand {
-    /// Pump on, up to `target` (fraction, at most 0.8).
-    Grip {
-        /// Which channels.
-        channels: Channels,
-        /// Vacuum to keep.
-        target: f64,
-    },
-    /// Vents open. The requester makes sure that the object is placed, or that a person wants it.
-    Release {
-        /// Which channels.
-        channels: Channels,
-    },
-    /// Pump off, vents shut, both channels; refused while something is or may be held.
-    Idle,
-}
-
-/// Why a command was not taken.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum GripperRefused {
-    /// Vacuum outside what the device can do.
-    #[error("vacuum target {0} is outside 0.05 to 0.8")]
-    Target(f64),
-    /// Something is or may be held.
-    #[error("the gripper holds, or is about to")]
-    Holding,
-    /// Commands wait for a gripper that does not answer.
-    #[error("{0} commands are waiting already")]
-    QueueFull(usize),
-}
-
-/// A request to be sent; exactly one answer is expected, an error if none comes.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ModbusRequest {
-    /// Read holding registers (function 3).
-    Read {
-        /// First register.
-        address: u16,
-        /// How many.
-        count: u16,
-    },
-    /// Write registers (function 16).
-    Write {
-        /// First register.
-        address: u16,
-        /// Their values.
-        values: Vec<u16>,
-    },
-}
-
-/// Why a request got no answer.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ModbusFailure {
-    /// Nothing came.
-    #[error("no answer in time")]
-    Timeout,
-    /// The device said no.
-    #[error("Modbus exception {0}")]
-    Exception(u8),
-    /// The connection is gone or was never there.
-    #[error("connection: {0}")]
-    Connection(String),
-    /// An answer that is none.
-    #[error("malformed answer: {0}")]
-    Malformed(String),
-}
-
-/// What happened.
-#[derive(Clone, Debug, PartialEq)]
-pub enum GripperEvent {
-    /// The object is held.
-    Gripped {
-        /// Lowest vacuum of the channels used.
-        vacuum: f64,
-    },
-    /// The vacuum did not come, or the command did not get through; the pump may still be on.
-    GripFailed {
-        /// Lowest vacuum of the channels used; NaN never, 0 if there was no reading.
-        vacuum: f64,
-    },
-    /// The air is in.
-    Released,
-    /// The air did not get in, or the command did not get through; the object may still hang there.
-    ReleaseFailed {
-        /// Highest vacuum of the channels released.
-        vacuum: f64,
-    },
-    /// What was held is held no more. Reported once.
-    VacuumLost {
-        /// Lowest vacuum of the channels used.
-        vacuum: f64,
-    },
-    /// No answer three times in a row. Reported once until it answers again.
-    Unreachable {
-        /// Failures in a row.
-        failures: u32,
-        /// The last one.
-        cause: ModbusFailure,
-    },
-    /// It answers: the first time, or again.
-    Answering,
-    /// A command was not taken; nothing of it reaches the device.
-    Refused,
-    /// A reading of both channels, A and B, as fractions.
-    Reading {
-        /// Vacuum of A and B.
-        vacuum: [f64; 2],
-    },
-}
 
 #[derive(Clone, Copy, Debug)]
 enum Hold {
@@ -288,7 +84,7 @@ pub struct Gripper {
     next_read: Timestamp,
     failures: u32,
     answering: bool,
-    unreachable_told: bool,
+    unreachable_reported: bool,
     reading: Option<(Timestamp, [f64; 2])>,
     outbox: Outbox<GripperEvent>,
 }
@@ -306,7 +102,7 @@ impl Gripper {
             next_read: Timestamp::ZERO,
             failures: 0,
             answering: false,
-            unreachable_told: false,
+            unreachable_reported: false,
             reading: None,
             outbox: Outbox::default(),
         }
@@ -514,7 +310,7 @@ impl Gripper {
 
     fn answered(&mut self) {
         self.failures = 0;
-        self.unreachable_told = false;
+        self.unreachable_reported = false;
         if !self.answering {
             self.answering = true;
             self.outbox.report(GripperEvent::Answering);
@@ -523,8 +319,8 @@ impl Gripper {
 
     fn failed(&mut self, cause: ModbusFailure) {
         self.failures = self.failures.saturating_add(1);
-        if self.failures >= MAX_FAILURES && !self.unreachable_told {
-            self.unreachable_told = true;
+        if self.failures >= MAX_FAILURES && !self.unreachable_reported {
+            self.unreachable_reported = true;
             self.answering = false;
             self.outbox.report(GripperEvent::Unreachable { failures: self.failures, cause });
         }

@@ -12,6 +12,8 @@ pub mod registers;
 
 pub mod program;
 
+pub mod rtde_recipes;
+
 pub mod rtde_session;
 
 pub mod dashboard_session;
@@ -23,5 +25,7 @@ pub mod stream;
 pub mod robot_types;
 
 pub mod robot;
+
+pub mod gripper_types;
 
 pub mod gripper;

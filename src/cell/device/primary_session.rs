@@ -6,8 +6,9 @@
 use crate::cell::device::outbox::Outbox;
 use cell_values::time::{Duration, Timestamp};
 use ur_wire::primary::{Package, Splitter};
+use ur_wire::primary_arm::KinematicsData;
 use ur_wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED, READ_ONLY};
-use ur_wire::primary_state::{KinematicsData, SubPackage};
+use ur_wire::primary_state::SubPackage;
 
 /// Robot state comes at 10 Hz; this long without a package and the link is dead.
 const SILENT_AFTER: Duration = Duration::from_millis(2500);

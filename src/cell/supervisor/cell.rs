@@ -7,7 +7,7 @@
 //! too: it waits for the number of its record.
 
 use crate::cell::code::{Code, JobStatus};
-use crate::cell::device::gripper::{Channels, GripperEvent};
+use crate::cell::device::gripper_types::{Channels, GripperEvent};
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent};
 use crate::cell::orders::Order;
@@ -41,7 +41,7 @@ pub struct Supervisor {
     /// Height of what was last seen without a marker and counts as an obstacle, with its margin, m.
     pub(crate) foreign_height: f64,
     /// A look near the limits of drift was reported since the cell was armed.
-    pub(crate) drift_told: bool,
+    pub(crate) drift_reported: bool,
     /// Since when the arm has been held in the middle of a motion.
     pub(crate) held_since: Option<Timestamp>,
     /// Nonce of the program uploaded last.
@@ -79,7 +79,7 @@ impl Supervisor {
             seen: None,
             seen_at: Timestamp::ZERO,
             foreign_height: 0.0,
-            drift_told: false,
+            drift_reported: false,
             held_since: None,
             nonce: None,
             next_nonce: nonce_seed,
@@ -269,7 +269,7 @@ impl Supervisor {
             replans: 0,
             grip_failures: 0,
             look_failures: 0,
-            absent_told: false,
+            absent_reported: false,
             last_seen: Vec::new(),
             cancel: false,
         });

@@ -1,7 +1,7 @@
 //! What goes into the supervisor, and what it requests.
 
 use crate::cell::code::Code;
-use crate::cell::device::gripper::{GripperCommand, GripperEvent};
+use crate::cell::device::gripper_types::{GripperCommand, GripperEvent};
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent, RobotState};
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::mode::EndFault;

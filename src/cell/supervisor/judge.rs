@@ -24,7 +24,7 @@ const MEASURED_SHARE: f64 = 0.9;
 const HOLE_M2: f64 = 20e-4;
 
 /// Share of the limits of drift from which on a look that is still within them is reported.
-const DRIFT_TOLD: f64 = 0.5;
+const DRIFT_REPORTED: f64 = 0.5;
 
 impl Supervisor {
     /// What makes an observation useless for the active job.
@@ -174,11 +174,11 @@ impl Supervisor {
 
     /// Says once that a look, although within its limits, comes near to those of drift: a calibration that
     /// starts there leaves little room for what it should notice.
-    pub(crate) fn tell_drift(&mut self, observation: &Observation, out: &mut Vec<Action>) {
+    pub(crate) fn report_drift(&mut self, observation: &Observation, out: &mut Vec<Action>) {
         let limits = &self.model.tolerances.reference;
         let worst = observation.reference.as_ref().and_then(|check| check.worst_look(limits));
-        let Some((_, share)) = worst.filter(|(_, share)| *share > DRIFT_TOLD) else { return };
-        if !std::mem::replace(&mut self.drift_told, true) {
+        let Some((_, share)) = worst.filter(|(_, share)| *share > DRIFT_REPORTED) else { return };
+        if !std::mem::replace(&mut self.drift_reported, true) {
             let share = share * 100.0;
             say(
                 out,
@@ -191,7 +191,7 @@ impl Supervisor {
     }
 
     /// Reports where the obstacles are that are not in the configuration.
-    pub(crate) fn tell_obstacles(&self, observation: &Observation, out: &mut Vec<Action>) {
+    pub(crate) fn report_obstacles(&self, observation: &Observation, out: &mut Vec<Action>) {
         for object in foreign_obstacles(&self.model, observation) {
             say(out, format!("{object} is kept clear of"));
         }

@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slow_disk_is_told_once_and_a_silent_one_is_given_up() {
+    fn a_slow_disk_is_reported_once_and_a_silent_one_is_given_up() {
         let at = Timestamp::from_secs_f64;
         let mut ledger = Ledger::default();
         assert!(ledger.is_clear());

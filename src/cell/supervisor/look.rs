@@ -254,9 +254,9 @@ impl Supervisor {
         if let Some(height) = foreign_height(&self.model, &observation) {
             self.foreign_height = height;
         }
-        self.tell_obstacles(&observation, out);
+        self.report_obstacles(&observation, out);
         if fault.is_none() {
-            self.tell_drift(&observation, out);
+            self.report_drift(&observation, out);
         }
         let Some(job) = &mut self.job else { return };
         for object in &observation.objects {
@@ -266,7 +266,7 @@ impl Supervisor {
         match fault {
             None => {
                 job.look_failures = 0;
-                if !std::mem::replace(&mut job.absent_told, true) && !observation.missing.is_empty() {
+                if !std::mem::replace(&mut job.absent_reported, true) && !observation.missing.is_empty() {
                     let absent = observation.missing.join(", ");
                     alarm(out, format!("not to be seen, taken as not on the table: {absent}"));
                 }

@@ -4,7 +4,7 @@
 //! Lengths in m, angles in rad, masses in kg.
 
 use crate::calibration::files::hand_eye::Mount;
-use crate::cell::device::gripper::Channels;
+use crate::cell::device::gripper_types::Channels;
 use crate::motion::path::ArmModel;
 use crate::motion::pick_n_place::CycleParameters;
 use cell_values::time::Duration;

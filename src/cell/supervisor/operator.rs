@@ -4,7 +4,7 @@
 //! order that changes nothing says so.
 
 use crate::cell::code::{Code, JobStatus};
-use crate::cell::device::gripper::{Channels, GripperCommand, GripperEvent};
+use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::cell::{Supervisor, say};
 use crate::cell::supervisor::gates::motion_speed;
@@ -106,7 +106,7 @@ impl Supervisor {
         // The person who arms has been at the table: what was on it may be gone, and only a look can show it.
         self.seen = None;
         self.foreign_height = 0.0;
-        self.drift_told = false;
+        self.drift_reported = false;
         say(out, "armed");
         None
     }

@@ -2,7 +2,7 @@
 //!
 //! Plain data; the transitions are in the modules named after the phases.
 
-use crate::cell::device::gripper::Channels;
+use crate::cell::device::gripper_types::Channels;
 use crate::cell::supervisor::input::CameraFault;
 use crate::cell::supervisor::order::{JobOrder, RouteAction};
 use crate::motion::pick_n_place::PickNPlacePaths;
@@ -136,7 +136,7 @@ pub(crate) struct JobRun {
     pub grip_failures: u32,
     pub look_failures: u32,
     /// It was said which objects of the catalogue are not seen.
-    pub absent_told: bool,
+    pub absent_reported: bool,
     pub last_seen: Vec<(String, Pose2)>,
     pub cancel: bool,
 }

@@ -2,7 +2,7 @@
 
 use crate::calibration::files::hand_eye::Mount;
 use crate::cell::code::{Code, JobStatus};
-use crate::cell::device::gripper::{Channels, GripperCommand};
+use crate::cell::device::gripper_types::{Channels, GripperCommand};
 use crate::cell::device::registers::ProgramStatus;
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent, RobotState};
 use crate::cell::orders::{Approval, Order, Reply};
@@ -500,7 +500,7 @@ fn a_camera_that_was_lifted_shifted_or_turned_at_one_look_pose_stops_the_job() {
 }
 
 #[test]
-fn a_look_near_its_limits_is_worked_on_and_told_of_once() {
+fn a_look_near_its_limits_is_worked_on_and_reported_once() {
     let mut bench = Bench::new();
     let limit = bench.cell.model().tolerances.reference.shift_m;
     let reported = |all: &[Action]| {
@@ -519,7 +519,7 @@ fn a_look_near_its_limits_is_worked_on_and_told_of_once() {
 }
 
 #[test]
-fn markers_that_no_look_shows_together_tell_nothing() {
+fn markers_that_no_look_shows_together_prove_nothing() {
     let spread = ReferenceCheck { looks: Vec::new(), ..reference(4, 0.0) };
     assert_eq!(ends_without_planning(spread), (JobStatus::Failed, "reference_hidden".into()));
 }

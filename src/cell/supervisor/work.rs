@@ -1,7 +1,7 @@
 //! One pick-n-place: approach, grip and verify, carry, release, retreat; and what to do when a grip fails.
 
 use crate::cell::code::{Code, JobStatus};
-use crate::cell::device::gripper::{GripperCommand, GripperEvent};
+use crate::cell::device::gripper_types::{GripperCommand, GripperEvent};
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::{Supervisor, alarm, say};
 use crate::cell::supervisor::gates;

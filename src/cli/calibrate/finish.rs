@@ -42,7 +42,7 @@ pub(super) fn finish(
     let drawn = drawn(config);
     let solved = solve(&drawn, &taken.lens.model, &samples, known, &provenance);
     let solved = solved.map_err(|error| Fault { message: chain(&error), code: 1 })?;
-    tell(&solved);
+    report_solution(&solved);
     let mut table = TableCalibration::from_solution(&solved.table, &drawn.reference, provenance.clone());
     if let Some((touched, tied)) = touch::tied(config, &args.tie, &provenance, &solved.table)? {
         table = table.tied(&touched, &tied);
@@ -57,7 +57,7 @@ pub(super) fn finish(
 }
 
 /// Says how every sample fits, and how well camera and table are known.
-fn tell(solved: &Solved) {
+fn report_solution(solved: &Solved) {
     if let Some(board) = &solved.board {
         report("board on the hand", board);
     }

@@ -88,8 +88,8 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     #[test]
-    fn pictures_without_the_board_or_light_are_told_and_not_kept() {
-        let (shown, save) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    fn pictures_without_the_board_or_light_are_reported_and_not_kept() {
+        let (input, save) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let mut random = ChaCha8Rng::seed_from_u64(8);
         let lens = Lens::new(bench_camera(), &mut random);
         let mut board = || board_picture(&lens, &bench_board(), &mut random).0.to_image();
@@ -98,10 +98,10 @@ mod tests {
         let (first, second) = (board(), board());
         let pictures = [Image::filled(1280, 720, [5; 3]), wall, first.clone(), second.clone()];
         for (number, picture) in pictures.iter().enumerate() {
-            std::fs::write(shown.path().join(format!("{number}.png")), picture.encode_png().unwrap())
+            std::fs::write(input.path().join(format!("{number}.png")), picture.encode_png().unwrap())
                 .unwrap();
         }
-        let source = FolderCamera::open(shown.path(), None).unwrap();
+        let source = FolderCamera::open(input.path(), None).unwrap();
         let mut camera = MonitoredCamera::new(Box::new(source), PictureLimits::STANDARD);
         let mut asked = 0;
         let mut ready = || {
@@ -112,7 +112,7 @@ mod tests {
         let kept = |name: &str| Image::decode(&std::fs::read(save.path().join(name)).unwrap()).unwrap();
         assert!(kept("01.png") == first && kept("02.png") == second && !save.path().join("03.png").exists());
         assert_eq!(asked, 5, "the fifth finds the recording at its end");
-        let source = FolderCamera::open(shown.path(), None).unwrap();
+        let source = FolderCamera::open(input.path(), None).unwrap();
         let mut camera = MonitoredCamera::new(Box::new(source), PictureLimits::STANDARD);
         let none = tempfile::tempdir().unwrap();
         take(&mut camera, &bench_board(), none.path(), 3, &mut || false).unwrap();

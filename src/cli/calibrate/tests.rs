@@ -65,7 +65,7 @@ fn a_folder_of_board_pictures_becomes_a_lens_file() {
 }
 
 #[test]
-fn a_folder_without_pictures_is_told() {
+fn a_folder_without_pictures_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let args = camera_args(folder.path(), &folder.path().join("camera.yaml"));
     assert!(calibrate(&args).unwrap_err().message.contains("no PNG or JPEG"));
@@ -368,7 +368,7 @@ const UNFIT_TOUCHES: [UnfitTouches; 5] = [
 ];
 
 #[test]
-fn touches_that_cannot_place_the_table_are_told_before_anything_moves() {
+fn touches_that_cannot_place_the_table_are_reported_before_anything_moves() {
     let folder = tempfile::tempdir().unwrap();
     let config = cell(folder.path());
     let path = folder.path().join("touches.yaml");
@@ -389,7 +389,7 @@ fn touches_that_cannot_place_the_table_are_told_before_anything_moves() {
 }
 
 #[test]
-fn touches_and_mount_of_another_robot_are_told_before_anything_moves() {
+fn touches_and_mount_of_another_robot_are_reported_before_anything_moves() {
     let folder = tempfile::tempdir().unwrap();
     let config = cell(folder.path());
     let path = folder.path().join("touches.yaml");

@@ -181,8 +181,8 @@ async fn read_pose(
     loop {
         complain(prompt);
         // A thread of its own and not the runtime's, which would wait for the line at Ctrl-C.
-        let (tell, mut reported) = tokio::sync::oneshot::channel();
-        std::thread::spawn(move || tell.send(enter()));
+        let (sender, mut reported) = tokio::sync::oneshot::channel();
+        std::thread::spawn(move || sender.send(enter()));
         let pressed = loop {
             match reported.try_recv() {
                 Ok(pressed) => break pressed,

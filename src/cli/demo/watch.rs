@@ -5,7 +5,7 @@
 
 use crate::cell::supervisor::order::JobReport;
 use crate::cli::recorder::Recorder;
-use crate::daemon::heard::Shown;
+use crate::daemon::messages::Displayed;
 use crate::daemon::shell::{Observer, Scene};
 use crate::report::run::LogRow;
 use cell_values::image::Image;
@@ -136,12 +136,12 @@ impl Observer for Watch {
                 self.bar.println(format!("{:8.1} s  {}", now.as_secs_f64(), notice.text));
                 self.log.push(LogRow { seconds: now.as_secs_f64(), level, text: notice.text.clone() });
             }
-            Scene::Shown(Shown::Picture { image, views }) => {
+            Scene::Displayed(Displayed::Picture { image, views }) => {
                 let detections = views.last().map_or(&[][..], |view| &view.detections);
                 self.picture(image, detections);
             }
-            Scene::Shown(Shown::Observed(observation)) => self.observed(observation),
-            Scene::Shown(Shown::Sample { .. }) | Scene::Robot(_) => {}
+            Scene::Displayed(Displayed::Observed(observation)) => self.observed(observation),
+            Scene::Displayed(Displayed::Sample { .. }) | Scene::Robot(_) => {}
             Scene::Route(route) => self.routed(now, route),
             Scene::Ended(report) => self.report = Some(report.clone()),
         }

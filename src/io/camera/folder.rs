@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_file_is_told_by_name_and_passed() {
+    fn a_broken_file_is_reported_by_name_and_passed() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("a.png"), b"nonsense").unwrap();
         write(folder.path(), "b.png", 50);

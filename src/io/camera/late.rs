@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waiting_does_not_mend_is_told_at_once() {
+    fn what_waiting_does_not_mend_is_reported_at_once() {
         let wrong = || {
             let (found, wanted) = ("1".into(), "2".into());
             Err(CameraError::OtherSerial { address: "usb".into(), found, wanted })

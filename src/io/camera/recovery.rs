@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn pauses_grow_and_what_was_tried_is_told() {
+    fn pauses_grow_and_what_was_tried_is_reported() {
         let tried = Tried { retries: 1, ..Tried::default() };
         assert_eq!(next(FaultKind::Repeated, false, &tried), Step::Retry(2 * PAUSE));
         let tried = Tried { retries: 2, reopened: 2, resets: 1 };

@@ -152,8 +152,8 @@ fn driver_now_ms() -> f64 {
 
 /// The driver's time of a picture, ms, where it is one of that clock: some drivers give none, some that of
 /// the day.
-fn stamp_of(told_ms: f64, now_ms: f64) -> Option<f64> {
-    (told_ms > 0.0 && told_ms <= now_ms).then_some(told_ms)
+fn stamp_of(driver_ms: f64, now_ms: f64) -> Option<f64> {
+    (driver_ms > 0.0 && driver_ms <= now_ms).then_some(driver_ms)
 }
 
 /// True for a picture whose exposure began after it was requested; without a time of the driver's only the
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_is_not_there_is_told_with_those_that_are() {
+    fn a_camera_that_is_not_there_is_reported_with_those_that_are() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("usb-Other_Cam-video-index0"), b"").unwrap();
         let gone = settings(Path::new("/dev/v4l/by-id/usb-gone-video-index0"));
@@ -274,7 +274,7 @@ mod tests {
     #[test]
     fn pictures_from_before_the_question_are_passed_over() {
         let exposure = Duration::from_millis(33);
-        let fresh = |told_ms, passed| is_fresh(stamp_of(told_ms, 1060.0), 1010.0, exposure, passed);
+        let fresh = |driver_ms, passed| is_fresh(stamp_of(driver_ms, 1060.0), 1010.0, exposure, passed);
         assert!(!fresh(1000.0, 0), "kept by the driver");
         assert!(!fresh(1030.0, 1), "its exposure had begun");
         assert!(fresh(1050.0, 2));

@@ -145,7 +145,7 @@ goal:
 }
 
 #[test]
-fn a_torn_file_is_told_from_a_wrong_one() {
+fn a_torn_file_is_distinguished_from_a_wrong_one() {
     let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file };
     let refuse = |text: &str| read_for_spool(text, "job.yaml", &context).unwrap_err();
     for torn in ["", "  \n", "version: 1\ngoal: {objects: [{id: mug, pose: [0.1,", "version: 1\ngoal: {obj"] {

@@ -192,7 +192,7 @@ mod tests {
     use cell_values::image::tag36h11;
 
     #[test]
-    fn names_go_there_and_back_and_others_are_told_the_known_ones() {
+    fn names_go_there_and_back_and_others_are_refused_with_the_known_ones() {
         for family in Family::all() {
             assert_eq!(family.name().parse(), Ok(family));
             assert_eq!(family.pattern(0).unwrap().square_modules, family.square_modules(), "{family}");

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_colour_is_found_where_it_is_and_how_high_it_is_nobody_says() {
+    fn a_new_colour_is_found_where_it_is_and_its_height_is_unknown() {
         for (gain, darker) in [(1.0, 0.0), (0.8, 0.3)] {
             let seen = report(&picture(&[MUG], gain, darker, 3), &eye(), &[]);
             let [object] = &seen.objects[..] else { panic!("{seen:?}") };

@@ -224,7 +224,7 @@ fn what_a_known_object_hides_is_no_hole() {
 }
 
 #[test]
-fn what_is_the_robots_or_lies_where_nobody_looks_is_left_out() {
+fn what_is_the_robots_or_lies_outside_what_is_searched_is_left_out() {
     let stranger = block(0.05, 0.05, 0.04, 0.04, 0.05);
     let place = KeepOut { footprint: Footprint::disc(0.06).unwrap(), pose: Pose2::new(0.05, 0.05, 0.0) };
     let limits = ForeignLimits::default();

@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_makes_way_before_it_has_to() {
+    fn no_object_makes_way_before_it_has_to() {
         // Six swaps (even, odd), every even object blocked by the next even one too: one component, six
         // buffers.
         let graph = DependencyGraph::from_fn(12, |i, j| i ^ 1 == j || (i % 2 == 0 && j == (i + 2) % 12));

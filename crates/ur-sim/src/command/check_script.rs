@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_one_is_shown_with_its_place() {
+    fn a_bad_one_is_reported_with_its_place() {
         let text = "def tidy():\n\tx = nowhere(1)\nend\n";
         let expected = "a.script:2:6: name not found: nowhere\n  \tx = nowhere(1)\n  \t    ^";
         assert_eq!(report("a.script", text).unwrap_err(), expected);

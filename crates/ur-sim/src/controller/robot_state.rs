@@ -10,10 +10,9 @@ use crate::controller::drives::actual_currents;
 use crate::controller::outputs::{joint_mode, speed_scaling};
 use sha2::{Digest, Sha256};
 use ur_wire::enumerations::SafetyMode;
-use ur_wire::primary_state::{
-    CartesianData, ConfigurationData, JointData, KinematicsData, MasterboardData, RobotModeData, SubPackage,
-    ToolData,
-};
+use ur_wire::primary_arm::{ConfigurationData, KinematicsData};
+use ur_wire::primary_masterboard::MasterboardData;
+use ur_wire::primary_state::{CartesianData, JointData, RobotModeData, SubPackage, ToolData};
 use ur_wire::primary_tool::{AdditionalData, ForceModeData, ToolCommunicationData, ToolModeData};
 
 /// `robot type` by the dashboard's name of the model.

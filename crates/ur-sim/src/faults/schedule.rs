@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_and_phases_are_told_from_what_happens() {
+    fn steps_and_phases_are_derived_from_what_happens() {
         use Phase::{Approach, Carry, Grip, Lift, Place, Retreat};
         let mut walk = Walk::new();
         walk.pick_and_place(0.2, 0.4);

@@ -245,7 +245,7 @@ impl Publisher {
     /// recorded.
     pub fn publish(&mut self, controller: &mut Controller, due: Option<Instant>, latency: &LatencyHistogram) {
         self.close_after_switch(controller);
-        self.tell_popup(controller);
+        self.report_popup(controller);
         self.send_states(controller);
         self.send_packages(controller, due, latency);
         self.drop_the_hopeless();
@@ -296,7 +296,7 @@ impl Publisher {
     }
 
     /// A popup that has come up is reported on the primary interface, whatever opened it.
-    fn tell_popup(&mut self, controller: &mut Controller) {
+    fn report_popup(&mut self, controller: &mut Controller) {
         if self.popup == controller.core.popup {
             return;
         }

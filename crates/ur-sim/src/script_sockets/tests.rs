@@ -71,8 +71,8 @@ fn every_way_of_reading_takes_its_part_of_the_stream() {
     let port = server(|mut stream| {
         stream.write_all(&integers(&[5, -6])).unwrap();
         stream.write_all(b"\x01\xff( 1.5 , -2,3e1)line\r\n<a><b>rest").unwrap();
-        let mut heard = Vec::new();
-        stream.read_to_end(&mut heard).unwrap();
+        let mut received = Vec::new();
+        stream.read_to_end(&mut received).unwrap();
     });
     let script = format!(
         "def r():\n textmsg(socket_open(\"127.0.0.1\", {port}))\n \
@@ -97,11 +97,11 @@ fn every_way_of_reading_takes_its_part_of_the_stream() {
 
 #[test]
 fn every_way_of_sending_arrives_as_documented() {
-    let (heard, arrived) = sync_channel(1);
+    let (sender, arrived) = sync_channel(1);
     let port = server(move |mut stream| {
         let mut bytes = Vec::new();
         stream.read_to_end(&mut bytes).unwrap();
-        heard.send(bytes).unwrap();
+        sender.send(bytes).unwrap();
     });
     let script = format!(
         "def s():\n socket_open(\"127.0.0.1\", {port}, \"x\")\n textmsg(socket_send_int(-2, \"x\"))\n \

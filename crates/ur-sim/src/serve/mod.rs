@@ -202,13 +202,13 @@ async fn read_all(core: &Core, session: &mut Session, reader: &mut ReadHalf<Link
             Ok(count) => count,
             Err(_) => return,
         };
-        let heard = session.receive(core, &buffer[..count]);
-        for answer in heard.answers {
+        let outcome = session.receive(core, &buffer[..count]);
+        for answer in outcome.answers {
             if !replies.send(Packet::from(answer)).await {
                 return;
             }
         }
-        if heard.over {
+        if outcome.over {
             return;
         }
         session.answered(core);

@@ -316,7 +316,7 @@ async fn read_only_ports_send_the_same_and_take_nothing() {
 }
 
 #[tokio::test]
-async fn popups_are_told_on_the_primary_interface() {
+async fn popups_are_reported_on_the_primary_interface() {
     let bench = bench(13, running()).await;
     let mut watcher = Primary::connect(bench.at.primary).await;
     bench.during(watcher.next()).await;

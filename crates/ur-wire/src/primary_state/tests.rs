@@ -1,6 +1,7 @@
 //! Tests of the robot state codec. A failure of a golden string or length here means the wire changed.
 
 use super::*;
+use crate::primary_masterboard::EuromapData;
 
 pub(crate) fn kinematics() -> KinematicsData {
     KinematicsData {

@@ -29,12 +29,12 @@ impl Host for Recorder {
             }
             "wait" if call.frames < call.required(0)?.integer()? as u64 => return Ok(Reply::Wait),
             "movej" => {
-                let shown: Vec<String> = call
+                let texts: Vec<String> = call
                     .arguments
                     .iter()
                     .map(|a| a.as_ref().map_or("-".to_owned(), Value::to_string))
                     .collect();
-                self.said.push(shown.join(" "));
+                self.said.push(texts.join(" "));
             }
             _ => {}
         }
@@ -330,7 +330,7 @@ fn methods_work_on_lists_structs_and_matrices() {
 }
 
 #[test]
-fn a_pause_is_told_once_and_the_program_goes_on_behind_it() {
+fn a_pause_is_reported_once_and_the_program_goes_on_behind_it() {
     let mut host = Recorder::default();
     let code = compile("say(1) pause say(2)", &find).unwrap();
     let mut program = Program::new(Arc::new(code), 7);

@@ -1,6 +1,7 @@
 //! The gripper session against scripted answers, in virtual time.
 
 use super::*;
+use crate::cell::device::gripper_types::{CONTROL, UNIT};
 
 const README: &str = include_str!("../../../../hardware/gripper/README.md");
 
@@ -157,7 +158,7 @@ fn readings_come_at_50_hz_while_holding_and_10_hz_otherwise() {
 }
 
 #[test]
-fn vacuum_lost_is_told_once_after_50_ms() {
+fn vacuum_lost_is_reported_once_after_50_ms() {
     let mut rig = Rig::holding();
     rig.vacuum = [390, 0];
     rig.run_ms(40);

@@ -55,7 +55,7 @@ impl Robot {
 
     /// True if the controller shows the payload and TCP that the program was given; a path waits for that,
     /// and not for ever.
-    pub(super) fn setup_is_shown(&mut self, now: Timestamp) -> bool {
+    pub(super) fn setup_is_reported(&mut self, now: Timestamp) -> bool {
         let Some(state) = &self.state else { return false };
         let Some(difference) = setup_difference(&self.setup, state) else {
             self.setup.deadline = None;
@@ -79,7 +79,7 @@ impl Robot {
             return self.hold_commands(now, Refused::RemoteControlUnknown);
         }
         self.held_since = None;
-        if self.stream.path_begins() && !self.setup_is_shown(now) {
+        if self.stream.path_begins() && !self.setup_is_reported(now) {
             return;
         }
         if let Some(command) = self.stream.poll_command() {
@@ -115,9 +115,9 @@ fn setup_difference(setup: &Setup, state: &RobotState) -> Option<String> {
     }
     let tcp = setup.tcp?;
     let pose = |p: [f64; 6]| Isometry3::new(Vector3::new(p[0], p[1], p[2]), Vector3::new(p[3], p[4], p[5]));
-    let (reported, shown) = (pose(tcp), pose(state.tcp_offset));
-    let way = (reported.translation.vector - shown.translation.vector).norm();
-    let turn = reported.rotation.angle_to(&shown.rotation);
+    let (set, reported) = (pose(tcp), pose(state.tcp_offset));
+    let way = (set.translation.vector - reported.translation.vector).norm();
+    let turn = set.rotation.angle_to(&reported.rotation);
     let differs = way > 1e-4 || turn > 1e-3;
     differs.then(|| format!("TCP reads {:?}, {tcp:?} was set", state.tcp_offset))
 }

@@ -140,7 +140,7 @@ fn nothing_moves_while_something_may_hang_on_the_gripper() {
 }
 
 #[test]
-fn a_gripper_that_does_not_answer_is_told_and_the_job_ends_in_time() {
+fn a_gripper_that_does_not_answer_is_reported_and_the_job_ends_in_time() {
     let mut bench = Bench::new();
     bench.gripper_answers = false;
     bench.job(false);
@@ -244,7 +244,7 @@ fn an_unknown_marker_on_the_table_is_not_free_room() {
 }
 
 #[test]
-fn objects_of_the_catalogue_that_are_not_seen_are_told_once() {
+fn objects_of_the_catalogue_that_are_not_seen_are_reported_once() {
     let mut bench = Bench::new();
     bench.missing = vec!["b".into()];
     bench.job(false);
@@ -397,10 +397,10 @@ fn a_release_is_answered_by_what_the_gripper_says() {
     let mut bench = Bench::new();
     let ordered = bench.feed(order(Order::Release(Channels::Both)));
     assert_eq!(answer(&ordered), None, "not before the air is in: {ordered:?}");
-    let released = bench.feed(Input::Gripper(crate::cell::device::gripper::GripperEvent::Released));
+    let released = bench.feed(Input::Gripper(crate::cell::device::gripper_types::GripperEvent::Released));
     assert!(answer(&released).expect("an answer").accepted);
     bench.feed(order(Order::Release(Channels::A)));
-    let failed = crate::cell::device::gripper::GripperEvent::ReleaseFailed { vacuum: 0.4 };
+    let failed = crate::cell::device::gripper_types::GripperEvent::ReleaseFailed { vacuum: 0.4 };
     let reply = answer(&bench.feed(Input::Gripper(failed))).expect("an answer");
     assert!(!reply.accepted && reply.message.contains("40 %"), "{reply:?}");
 }
@@ -436,6 +436,6 @@ fn parking_is_not_held_back_by_a_pause_and_a_pause_takes_it_back() {
 #[test]
 fn what_falls_while_no_job_is_under_way_is_an_alarm() {
     let mut bench = Bench::new();
-    let lost = crate::cell::device::gripper::GripperEvent::VacuumLost { vacuum: 0.1 };
+    let lost = crate::cell::device::gripper_types::GripperEvent::VacuumLost { vacuum: 0.1 };
     assert!(said(&bench.feed(Input::Gripper(lost)), "has fallen"));
 }

@@ -52,7 +52,7 @@ fn a_foreign_object_is_refused_with_where_it_is_and_how_high() {
 }
 
 #[test]
-fn what_only_its_colour_tells_of_may_be_of_any_height_so_nothing_moves_over_it() {
+fn what_only_its_colour_reveals_may_be_of_any_height_so_nothing_moves_over_it() {
     let thing = thing(0.212, 0.105, f64::INFINITY);
     let seen =
         ForeignReport { objects: vec![thing], measured_share: 0.99, largest_hole: None, by_colour: true };

@@ -2,7 +2,7 @@
 
 use super::faults::working;
 use super::*;
-use crate::cell::device::gripper::GripperEvent;
+use crate::cell::device::gripper_types::GripperEvent;
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 
 fn vents(actions: &[Action]) -> bool {
@@ -89,7 +89,7 @@ fn what_hangs_on_a_silent_robot_can_be_taken() {
 }
 
 #[test]
-fn nobody_arms_while_a_stop_is_under_way() {
+fn arming_is_refused_while_a_stop_is_under_way() {
     let mut bench = working();
     moving_arm(&mut bench);
     bench.feed(order(Order::Release(Channels::Both)));
@@ -215,7 +215,7 @@ fn disarmed_is_not_said_while_an_earlier_stop_still_brakes() {
 }
 
 #[test]
-fn nobody_arms_while_the_arm_brakes_after_a_fault() {
+fn arming_is_refused_while_the_arm_brakes_after_a_fault() {
     let mut bench = working();
     moving_arm(&mut bench);
     bench.feed(Input::Robot(RobotEvent::Safety { mode: SafetyMode::ProtectiveStop }));

@@ -6,8 +6,8 @@
 //! they run: what a live one does is not tested.
 
 use super::*;
-use crate::io::camera::FaultKind;
-use std::path::Path;
+use crate::io::camera::{Exposure, FaultKind};
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// The environment with the third-party clients; `None` if there is none and none was promised.
@@ -157,7 +157,7 @@ fn depth_is_laid_over_the_colour_picture_in_metres() {
 }
 
 #[test]
-fn what_does_not_fit_is_told_before_the_first_picture() {
+fn what_does_not_fit_is_reported_before_the_first_picture() {
     let Some(library) = clients().as_deref().and_then(library_in) else { return };
     let Some(file) = recording("sample-d405.db3") else { return };
     let depth = RealSenseSettings { depth: true, ..settings(&library, &file) };
@@ -221,7 +221,7 @@ fn without_a_camera_the_sdk_says_that_none_is_connected() {
 }
 
 #[test]
-fn without_the_sdk_the_remedy_is_told() {
+fn without_the_sdk_the_remedy_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("a.bag");
     std::fs::write(&file, b"x").unwrap();

@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn shifts_that_nobody_needs_are_not_made() {
+    fn unneeded_shifts_are_not_made() {
         let problem = crowd();
         let scene = Scene::new(&problem);
         let start: Arrangement = (0..9).map(|o| scene.start(o).clone()).collect();

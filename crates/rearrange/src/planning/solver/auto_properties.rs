@@ -204,8 +204,9 @@ fn a_known_plan_is_continued_where_it_is_still_good() {
     for (case, problem) in random_problems(47, 10).iter().enumerate() {
         let plan = actions(&run(problem, SolverKind::Auto, Objective::Pp, case as u64));
         let Some(changed) = after_one_action(problem, &plan, &mut rng) else { continue };
-        let heard = Mutex::new(Vec::new());
-        let on_plan = |actions: &[Action], _: f64| heard.lock().expect("one thread").push(actions.to_vec());
+        let reported = Mutex::new(Vec::new());
+        let on_plan =
+            |actions: &[Action], _: f64| reported.lock().expect("one thread").push(actions.to_vec());
         let control = Control {
             known_plan: &plan[1..],
             first: true,
@@ -214,7 +215,7 @@ fn a_known_plan_is_continued_where_it_is_still_good() {
             ..Control::until(&|| false)
         };
         solve(&changed, SolverKind::Auto, Objective::Pp, &control, 1).expect("built");
-        let first = heard.into_inner().expect("one thread").remove(0);
+        let first = reported.into_inner().expect("one thread").remove(0);
         let who = |plan: &[Action]| plan.iter().map(|action| (action.object, action.to)).collect::<Vec<_>>();
         // Who had been home already has to be set right; the rest goes on as it was.
         let rest: Vec<_> = who(&plan[1..]);

@@ -181,8 +181,8 @@ fn tree_searches_go_on_until_the_limit_unless_asked_for_the_first_plan() {
         for solver in [SolverKind::Mcts, SolverKind::Emcts] {
             for objective in [Objective::Pp, Objective::Ti] {
                 let costs = |first| {
-                    let heard = Mutex::new(Vec::new());
-                    let on_plan = |_: &[Action], cost: f64| heard.lock().expect("one thread").push(cost);
+                    let reported = Mutex::new(Vec::new());
+                    let on_plan = |_: &[Action], cost: f64| reported.lock().expect("one thread").push(cost);
                     let control = Control {
                         work_limit: Some(4000),
                         on_plan: &on_plan,
@@ -190,10 +190,10 @@ fn tree_searches_go_on_until_the_limit_unless_asked_for_the_first_plan() {
                         ..Control::until(&|| false)
                     };
                     let outcome = solve(problem, solver, objective, &control, 1).expect("built");
-                    let heard = heard.into_inner().expect("one thread");
-                    assert_eq!(heard.last().copied(), outcome.cost, "the best one is returned");
+                    let reported = reported.into_inner().expect("one thread");
+                    assert_eq!(reported.last().copied(), outcome.cost, "the best one is returned");
                     assert!(first || outcome.status != Status::Solved || outcome.work > 4000);
-                    heard
+                    reported
                 };
                 let (one, many) = (costs(true), costs(false));
                 assert!(one.len() <= 1 && one.first() == many.first(), "case {case}");
@@ -330,11 +330,11 @@ fn auto_finds_the_same_on_any_number_of_threads_where_it_asks_others() {
 #[test]
 fn auto_stops_at_the_first_plan_if_asked_to() {
     for problem in &random_problems(27, 4) {
-        let heard = Mutex::new(0);
-        let on_plan = |_: &[Action], _: f64| *heard.lock().expect("one thread") += 1;
+        let reported = Mutex::new(0);
+        let on_plan = |_: &[Action], _: f64| *reported.lock().expect("one thread") += 1;
         let control = Control { on_plan: &on_plan, first: true, ..Control::until(&|| false) };
         let outcome = solve(problem, SolverKind::Auto, Objective::Pp, &control, 1).expect("built");
         assert!(outcome.cost.is_some());
-        assert_eq!(heard.into_inner().expect("one thread"), 1);
+        assert_eq!(reported.into_inner().expect("one thread"), 1);
     }
 }

@@ -186,19 +186,19 @@ fn same_seed_and_work_limit_same_plan() {
 }
 
 #[test]
-fn the_callback_hears_of_the_plan_and_a_stop_is_heeded() {
+fn the_callback_receives_the_plan_and_a_stop_is_obeyed() {
     let problem = Problem::new(&ring()).unwrap();
-    let heard = Mutex::new(Vec::new());
-    let on_plan = |actions: &[Action], cost: f64| heard.lock().unwrap().push((actions.len(), cost));
+    let reported = Mutex::new(Vec::new());
+    let on_plan = |actions: &[Action], cost: f64| reported.lock().unwrap().push((actions.len(), cost));
     let control = Control { on_plan: &on_plan, work_limit: Some(300_000), ..Control::until(&|| false) };
     let outcome = solve(&problem, SolverKind::Erbm, Objective::Pp, &control, 0).unwrap();
-    assert_eq!(*heard.lock().unwrap(), [(outcome.plan.unwrap().actions().len(), outcome.cost.unwrap())]);
+    assert_eq!(*reported.lock().unwrap(), [(outcome.plan.unwrap().actions().len(), outcome.cost.unwrap())]);
     let stopped = solve(&problem, SolverKind::Erbm, Objective::Pp, &Control::until(&|| true), 0).unwrap();
     assert_eq!(stopped.status, Status::Timeout);
 }
 
 #[test]
-fn the_objective_time_needs_somebody_who_knows_times() {
+fn the_objective_time_needs_known_times() {
     let problem = Problem::new(&ring()).unwrap();
     let control = Control::until(&|| false);
     for solver in [SolverKind::Erbm, SolverKind::Auto] {

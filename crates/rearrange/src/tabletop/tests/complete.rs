@@ -4,7 +4,7 @@ use super::{read, reported};
 use crate::document::edit::{replace_first, replace_once};
 use crate::tabletop::parse::parse_pair;
 
-fn pair_told(start: &str, goal: &str) -> Vec<String> {
+fn pair_complaints(start: &str, goal: &str) -> Vec<String> {
     let faults = parse_pair((start, "s"), (goal, "g"), &|_| None).expect_err("refused");
     faults.0.iter().map(ToString::to_string).collect()
 }
@@ -25,7 +25,7 @@ objects:
 ";
 
 #[test]
-fn overlaps_are_told_beside_wrong_keys() {
+fn overlaps_are_reported_beside_wrong_keys() {
     let text = replace_once(TASK, "[0.7, 0.2, 0]", "[0.3, 0.2, 0]");
     let text = format!(
         "{text}  - {{id: c, footprint: {{disc: {{radius: 0.1 m}}}}, start: [0.2, 0.2, 0]}}\ncolour: red\n"
@@ -77,14 +77,14 @@ fn both_files_of_a_pair_are_judged_and_strangers_named_where_they_stand() {
     let goal = replace_once(TASK, "id: b", "id: z");
     let goal = replace_first(&goal, "radius: 0.1", "radius: wide");
     check(
-        &pair_told(&start, &goal),
+        &pair_complaints(&start, &goal),
         &[
             "s:4:54: objects[1].start: 2 values, 3 are wanted",
             "g:3:40: objects[0].footprint.disc.radius: \"wide\" is not a number",
             "g:4:10: objects[1]: object \"z\" is not in s; remove it or correct its name",
         ],
     );
-    let torn = pair_told("objects: [", &goal);
+    let torn = pair_complaints("objects: [", &goal);
     assert!(torn.len() == 2 && torn[1].starts_with("g:3:40:"), "{torn:#?}");
 }
 
@@ -101,10 +101,10 @@ fn starts_of_public_arrangements_are_checked() {
     let task = parse_pair((&goal, "s"), (&goal, "g"), &|_| None).expect("valid");
     assert_eq!(task.objects.len(), 2);
     check(
-        &pair_told(&discs("[100, 500], [140, 500]", "2"), &goal),
+        &pair_complaints(&discs("[100, 500], [140, 500]", "2"), &goal),
         &["s:3:28: point_list[1]: \"disc-1\" overlaps \"disc-0\" by 60.000 mm"],
     );
-    let over = pair_told(&discs("[100, 500], [990, 500]", "2"), &goal);
+    let over = pair_complaints(&discs("[100, 500], [990, 500]", "2"), &goal);
     check(&over, &["s:3:28: point_list[1]: \"disc-1\" reaches over the table's edge by 40.000 mm"]);
     // Goals that overlap make a task without a solution, not a bad file.
     assert!(parse_pair((&goal, "s"), (&discs("[100, 500], [140, 500]", "2"), "g"), &|_| None).is_ok());
@@ -113,11 +113,13 @@ fn starts_of_public_arrangements_are_checked() {
 #[test]
 fn what_public_files_say_of_themselves_is_read() {
     let good = discs("[100, 500], [300, 500]", "2");
-    let wrong = |count: &str| pair_told(&discs("[100, 500], [300, 500]", count), &good);
+    let wrong = |count: &str| pair_complaints(&discs("[100, 500], [300, 500]", count), &good);
     check(&wrong("\"abc\""), &["s:2:47: number_of_objects: text in quotes where a whole number"]);
     check(&wrong("3"), &["s:2:47: number_of_objects: 3 objects are stated, 2 are listed"]);
-    let dense =
-        pair_told(&replace_once(&good, "\"Workspace_Density\": 0.1", "\"Workspace_Density\": 30"), &good);
+    let dense = pair_complaints(
+        &replace_once(&good, "\"Workspace_Density\": 0.1", "\"Workspace_Density\": 30"),
+        &good,
+    );
     check(&dense, &["s:1:68: Workspace_Density: 30 of the table is out of range"]);
     // The published desk states 0.
     assert!(parse_pair((&discs("[100, 500], [300, 500]", "0"), "s"), (&good, "g"), &|_| None).is_ok());

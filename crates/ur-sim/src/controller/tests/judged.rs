@@ -157,12 +157,12 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("movec", "a_circle_is_driven_at_its_speed_and_ends_at_its_target"),
     ("speedj", "a_timed_speed_leads_as_far_at_half_the_slider_and_takes_twice_as_long"),
     ("speedl", "contact_is_felt_and_the_way_back_is_remembered"),
-    ("get_actual_joint_speeds", "speeds_are_told_while_the_arm_speeds_up"),
-    ("get_target_joint_speeds", "speeds_are_told_while_the_arm_speeds_up"),
-    ("get_target_joint_accelerations", "speeds_are_told_while_the_arm_speeds_up"),
-    ("get_actual_tcp_speed", "speeds_are_told_while_the_arm_speeds_up"),
-    ("get_target_tcp_speed", "speeds_are_told_while_the_arm_speeds_up"),
-    ("get_target_tcp_speed_along_path", "speeds_are_told_while_the_arm_speeds_up"),
+    ("get_actual_joint_speeds", "speeds_are_reported_while_the_arm_speeds_up"),
+    ("get_target_joint_speeds", "speeds_are_reported_while_the_arm_speeds_up"),
+    ("get_target_joint_accelerations", "speeds_are_reported_while_the_arm_speeds_up"),
+    ("get_actual_tcp_speed", "speeds_are_reported_while_the_arm_speeds_up"),
+    ("get_target_tcp_speed", "speeds_are_reported_while_the_arm_speeds_up"),
+    ("get_target_tcp_speed_along_path", "speeds_are_reported_while_the_arm_speeds_up"),
     ("stopj", "a_killed_motion_brakes_by_itself_and_stopj_takes_it_over"),
     ("stopl", "contact_is_felt_and_the_way_back_is_remembered"),
     ("textmsg", "programs_report_their_start_and_end"),
@@ -204,7 +204,8 @@ fn prepared() -> Controller {
 #[test]
 fn real_built_ins_do_what_the_manual_says() {
     let lines = LINES.iter().map(|(expression, expected)| (String::new(), *expression, *expected));
-    let changes = CHANGES.iter().map(|(change, shown, expected)| (format!(" {change}\n"), *shown, *expected));
+    let changes =
+        CHANGES.iter().map(|(change, expression, expected)| (format!(" {change}\n"), *expression, *expected));
     let mut wrong = Vec::new();
     for (change, expression, expected) in lines.chain(changes) {
         let mut controller = prepared();
@@ -221,7 +222,7 @@ fn real_built_ins_do_what_the_manual_says() {
 }
 
 #[test]
-fn speeds_are_told_while_the_arm_speeds_up() {
+fn speeds_are_reported_while_the_arm_speeds_up() {
     // Half a second at 0.1 rad/s2 about the base: along the circle the tool is on.
     let script = "def s():\n speedj([1,0,0,0,0,0], 0.1, 0.5)\n qd = get_actual_joint_speeds()\n \
                   v = get_actual_tcp_speed()\n textmsg(abs(qd[0] - 0.05) < 0.001)\n \
@@ -315,7 +316,7 @@ fn every_real_built_in_has_a_judge() {
     for entry in builtins::all().iter().filter(|entry| entry.grade == builtins::Grade::Real) {
         let name = entry.builtin.name;
         let here = LINES.iter().any(|(line, _)| calls(line, name))
-            || CHANGES.iter().any(|(change, shown, _)| calls(change, name) || calls(shown, name));
+            || CHANGES.iter().any(|(change, expression, _)| calls(change, name) || calls(expression, name));
         let elsewhere = ELSEWHERE.iter().any(|(known, _)| *known == name);
         assert!(here || elsewhere, "{name} is called real and nothing judges it");
     }

@@ -71,18 +71,18 @@ async fn programs_are_paused_killed_replaced_and_kept_from_starting() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_script_error_is_told_on_the_primary_interface() {
+async fn a_script_error_is_reported_on_the_primary_interface() {
     let bench = bench("").await;
     let mut ours = bench.upload(LOOP).await;
     bench.until("the start", |sim| sim.robot().controller().programs.playing()).await;
     bench.fault("{do: ur.script_error}");
     assert!(!bench.sim.robot().controller().programs.playing());
-    let (mut heard, text) = (Vec::new(), b"runtime exception by the fault desk");
-    while !heard.windows(text.len()).any(|window| window == text) {
+    let (mut received, text) = (Vec::new(), b"runtime exception by the fault desk");
+    while !received.windows(text.len()).any(|window| window == text) {
         let mut buffer = [0; 4096];
         let count = tokio::time::timeout(PATIENCE, ours.read(&mut buffer)).await.unwrap().unwrap();
         assert!(count > 0, "closed");
-        heard.extend_from_slice(&buffer[..count]);
+        received.extend_from_slice(&buffer[..count]);
     }
     bench.sim.shutdown().await;
 }

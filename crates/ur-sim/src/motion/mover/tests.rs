@@ -1,6 +1,8 @@
 //! Limits, straightness and blends of the simulated arm's motion, frame by frame.
 
 use super::*;
+use crate::motion::MotionFault;
+use crate::motion::segment::MoveLimits;
 use nalgebra::Translation3;
 use proptest::prelude::*;
 use ur_arm::kinematics::DhParameters;
@@ -194,7 +196,7 @@ fn half_the_slider_takes_twice_the_time() {
 }
 
 #[test]
-fn stopping_brakes_as_told() {
+fn stopping_brakes_as_commanded() {
     let mut mover = mover();
     mover.move_joints(&Joints([2.0, -1.57, 1.57, -1.57, -1.57, 0.0]), &limits(4.0, 1.0, 0.0)).unwrap();
     for _ in 0..300 {

@@ -6,7 +6,7 @@ use crate::cell::device::robot_types::{Link, Refused, RobotCommand, RobotEvent};
 use ur_wire::enumerations::{RobotMode, SafetyMode};
 
 #[test]
-fn all_links_come_up_and_tell_who_the_robot_is() {
+fn all_links_come_up_and_identify_the_robot() {
     let mut rig = Rig::ready();
     let identity = RobotEvent::Identity {
         serial: "20235500001".into(),
@@ -237,7 +237,7 @@ fn power_and_brakes_are_done_when_the_modes_say_so() {
 }
 
 #[test]
-fn what_the_dashboard_refuses_or_leaves_undone_is_told() {
+fn what_the_dashboard_refuses_or_leaves_undone_is_reported() {
     let mut rig = Rig::ready();
     rig.fake.safety_mode = 3;
     rig.run_ms(4);

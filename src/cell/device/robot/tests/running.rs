@@ -113,7 +113,7 @@ fn nothing_is_streamed_unless_everything_holds() {
 }
 
 #[test]
-fn a_path_waits_for_the_payload_to_be_shown_and_not_for_ever() {
+fn a_path_waits_for_the_payload_to_be_reported_and_not_for_ever() {
     let mut rig = Rig::running();
     rig.fake.wrong_payload = true;
     rig.command(RobotCommand::SetPayload { mass_kg: 2.0, centre_of_gravity_m: [0.0; 3] });
@@ -165,7 +165,7 @@ fn a_program_that_does_not_show_its_nonce_does_not_run() {
 }
 
 #[test]
-fn a_program_that_fails_is_told_with_its_line() {
+fn a_program_that_fails_is_reported_with_its_line() {
     let mut rig = Rig::ready();
     rig.fake.fail_uploads = true;
     rig.command(RobotCommand::StartProgram { nonce: Nonce::new(3) });
@@ -211,7 +211,7 @@ fn stop_stops_and_nothing_more_is_taken() {
 }
 
 #[test]
-fn a_stop_that_the_program_does_not_hear_goes_to_the_dashboard_and_to_silence() {
+fn a_stop_that_the_program_does_not_receive_goes_to_the_dashboard_and_to_silence() {
     let mut rig = Rig::running();
     rig.command(RobotCommand::Stream(path(HOME, 20)));
     rig.run_ms(50);
@@ -399,7 +399,7 @@ fn commands_held_back_for_long_end_the_program() {
 }
 
 #[test]
-fn a_pc_that_was_held_up_reads_first_and_accuses_nobody() {
+fn a_pc_that_was_held_up_reads_first_and_reports_no_fault() {
     let mut rig = Rig::running();
     rig.command(RobotCommand::Stream(path(HOME, 6)));
     rig.run_ms(50);

@@ -418,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_there_or_not_the_sdk_is_told_with_the_remedy() {
+    fn what_is_not_there_or_not_the_sdk_is_reported_with_the_remedy() {
         let missing = Sdk::load(Some(Path::new("no/such/librealsense2.so"))).unwrap_err().to_string();
         assert!(
             missing.contains("no/such/librealsense2.so") && missing.contains("install librealsense2"),

@@ -10,18 +10,18 @@ use cell_vision::observe::{Observation, View};
 use tokio::net::TcpStream;
 
 /// Something for the loop.
-pub enum Heard {
+pub enum Message {
     /// For the machine.
     Event(Event),
     /// A connection was made, or could not be.
     Made(Made),
     /// To be shown or recorded.
-    Shown(Shown),
+    Displayed(Displayed),
 }
 
 /// What a worker has to show.
 #[derive(Debug)]
-pub enum Shown {
+pub enum Displayed {
     /// The last frame of a look pose.
     Picture {
         /// What it shows.

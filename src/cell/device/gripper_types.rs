@@ -1,0 +1,213 @@
+//! What goes in and out of the gripper session: channels, parameters, commands, events, Modbus requests.
+//!
+//! Plain data, so that the supervisor, the sockets and tests can write them down. Vacuum is relative, as a
+//! fraction (0 ambient, 0.6 = 60 %). Registers (hardware/gripper/README.md): 0, 1 control of channel A, B;
+//! 258, 259 their vacuum in per mille.
+
+use cell_values::time::Duration;
+use std::fmt;
+
+/// First control register, channel A; B follows.
+pub const CONTROL: u16 = 0;
+/// First vacuum register, channel A; B follows. Per mille.
+pub const VACUUM: u16 = 258;
+/// Modbus unit of a single or primary tool.
+pub const UNIT: u8 = 65;
+/// Highest vacuum that may be requested.
+pub const MAX_TARGET: f64 = 0.8;
+
+/// Which channels; at least one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channels {
+    /// A.
+    A,
+    /// B.
+    B,
+    /// Both, acting at once.
+    Both,
+}
+
+impl Channels {
+    /// For sentences.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Channels::A => "channel A",
+            Channels::B => "channel B",
+            Channels::Both => "both channels",
+        }
+    }
+
+    /// These and the others.
+    pub(super) fn and(self, other: Channels) -> Channels {
+        if self == other { self } else { Channels::Both }
+    }
+
+    /// What is left of these without the others.
+    pub(super) fn without(self, other: Channels) -> Option<Channels> {
+        match (self, other) {
+            (Channels::Both, Channels::A) => Some(Channels::B),
+            (Channels::Both, Channels::B) => Some(Channels::A),
+            (Channels::A, Channels::B) | (Channels::B, Channels::A) => Some(self),
+            (_, Channels::Both) | (Channels::A, Channels::A) | (Channels::B, Channels::B) => None,
+        }
+    }
+
+    pub(super) fn first_register(self) -> u16 {
+        match self {
+            Channels::A | Channels::Both => CONTROL,
+            Channels::B => CONTROL + 1,
+        }
+    }
+
+    pub(super) fn count(self) -> usize {
+        if self == Channels::Both { 2 } else { 1 }
+    }
+
+    /// The lowest vacuum of these channels: a grip is as good as its worst cup.
+    pub(super) fn lowest(self, vacuum: [f64; 2]) -> f64 {
+        match self {
+            Channels::A => vacuum[0],
+            Channels::B => vacuum[1],
+            Channels::Both => vacuum[0].min(vacuum[1]),
+        }
+    }
+
+    pub(super) fn highest(self, vacuum: [f64; 2]) -> f64 {
+        match self {
+            Channels::A => vacuum[0],
+            Channels::B => vacuum[1],
+            Channels::Both => vacuum[0].max(vacuum[1]),
+        }
+    }
+}
+
+impl fmt::Display for Channels {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+/// What the session needs to know; measured or decided for the cell, so nothing has a default.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GripperParameters {
+    /// Vacuum from which on an object counts as gripped, fraction.
+    pub vacuum_min: f64,
+    /// Vacuum below which a held object counts as lost, fraction; a little below `vacuum_min`.
+    pub vacuum_hold: f64,
+    /// Time for reaching `vacuum_min`.
+    pub grip_within: Duration,
+    /// Time for letting the air in.
+    pub release_within: Duration,
+}
+
+/// What may be requested.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum GripperCommand {
+    /// Pump on, up to `target` (fraction, at most 0.8).
+    Grip {
+        /// Which channels.
+        channels: Channels,
+        /// Vacuum to keep.
+        target: f64,
+    },
+    /// Vents open. The requester makes sure that the object is placed, or that a person wants it.
+    Release {
+        /// Which channels.
+        channels: Channels,
+    },
+    /// Pump off, vents shut, both channels; refused while something is or may be held.
+    Idle,
+}
+
+/// Why a command was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum GripperRefused {
+    /// Vacuum outside what the device can do.
+    #[error("vacuum target {0} is outside 0.05 to 0.8")]
+    Target(f64),
+    /// Something is or may be held.
+    #[error("the gripper holds, or is about to")]
+    Holding,
+    /// Commands wait for a gripper that does not answer.
+    #[error("{0} commands are waiting already")]
+    QueueFull(usize),
+}
+
+/// A request to be sent; exactly one answer is expected, an error if none comes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ModbusRequest {
+    /// Read holding registers (function 3).
+    Read {
+        /// First register.
+        address: u16,
+        /// How many.
+        count: u16,
+    },
+    /// Write registers (function 16).
+    Write {
+        /// First register.
+        address: u16,
+        /// Their values.
+        values: Vec<u16>,
+    },
+}
+
+/// Why a request got no answer.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ModbusFailure {
+    /// Nothing came.
+    #[error("no answer in time")]
+    Timeout,
+    /// The device said no.
+    #[error("Modbus exception {0}")]
+    Exception(u8),
+    /// The connection is gone or was never there.
+    #[error("connection: {0}")]
+    Connection(String),
+    /// An answer that is none.
+    #[error("malformed answer: {0}")]
+    Malformed(String),
+}
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum GripperEvent {
+    /// The object is held.
+    Gripped {
+        /// Lowest vacuum of the channels used.
+        vacuum: f64,
+    },
+    /// The vacuum did not come, or the command did not get through; the pump may still be on.
+    GripFailed {
+        /// Lowest vacuum of the channels used; NaN never, 0 if there was no reading.
+        vacuum: f64,
+    },
+    /// The air is in.
+    Released,
+    /// The air did not get in, or the command did not get through; the object may still hang there.
+    ReleaseFailed {
+        /// Highest vacuum of the channels released.
+        vacuum: f64,
+    },
+    /// What was held is held no more. Reported once.
+    VacuumLost {
+        /// Lowest vacuum of the channels used.
+        vacuum: f64,
+    },
+    /// No answer three times in a row. Reported once until it answers again.
+    Unreachable {
+        /// Failures in a row.
+        failures: u32,
+        /// The last one.
+        cause: ModbusFailure,
+    },
+    /// It answers: the first time, or again.
+    Answering,
+    /// A command was not taken; nothing of it reaches the device.
+    Refused,
+    /// A reading of both channels, A and B, as fractions.
+    Reading {
+        /// Vacuum of A and B.
+        vacuum: [f64; 2],
+    },
+}
