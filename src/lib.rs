@@ -22,6 +22,8 @@ pub mod config;
 
 pub mod daemon;
 
+pub mod demo;
+
 pub mod pair;
 
 pub mod bench;

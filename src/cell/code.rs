@@ -156,18 +156,7 @@ impl Code {
 
     /// Where it appears.
     pub fn place(self) -> Place {
-        match self {
-            Code::Syntax
-            | Code::Invalid
-            | Code::Incomplete
-            | Code::Duplicate
-            | Code::IdConflict
-            | Code::BadName
-            | Code::NotAPlainFile
-            | Code::TooLarge
-            | Code::NotText => Place::Rejection,
-            _ => Place::Result,
-        }
+        TABLE[self as usize].1
     }
 
     /// Exit code of `celld submit --wait`.
@@ -190,81 +179,138 @@ impl Code {
     }
 
     fn row(self) -> (&'static str, &'static str) {
-        let (_, word, meaning) = TABLE[self as usize];
+        let (_, _, word, meaning) = TABLE[self as usize];
         (word, meaning)
     }
 }
 
-/// Words and meanings, in the order of the enum.
-const TABLE: [(Code, &str, &str); 60] = [
-    (Code::Done, "done", "every object is at its goal, and the camera shows it"),
-    (Code::Cancelled, "cancelled", "a person cancelled the job"),
-    (Code::PlanRejected, "plan_rejected", "a person rejected the plan"),
-    (Code::Aborted, "aborted", "a person stopped the cell"),
-    (Code::Released, "released", "a person had the vacuum switched off"),
-    (Code::Shutdown, "shutdown", "celld was told to end"),
-    (Code::NotReady, "not_ready", "robot or gripper was not ready for 60 s"),
-    (Code::RobotStopped, "robot_stopped", "a safety stop, a lost link or the pendant stopped the robot"),
+/// Places, words and meanings, in the order of the enum.
+const TABLE: [(Code, Place, &str, &str); 60] = [
+    (Code::Done, Place::Result, "done", "every object is at its goal, and the camera shows it"),
+    (Code::Cancelled, Place::Result, "cancelled", "a person cancelled the job"),
+    (Code::PlanRejected, Place::Result, "plan_rejected", "a person rejected the plan"),
+    (Code::Aborted, Place::Result, "aborted", "a person stopped the cell"),
+    (Code::Released, Place::Result, "released", "a person had the vacuum switched off"),
+    (Code::Shutdown, Place::Result, "shutdown", "celld was told to end"),
+    (Code::NotReady, Place::Result, "not_ready", "robot or gripper was not ready for 60 s"),
+    (
+        Code::RobotStopped,
+        Place::Result,
+        "robot_stopped",
+        "a safety stop, a lost link or the pendant stopped the robot",
+    ),
     (
         Code::RobotNotStarted,
+        Place::Result,
         "robot_not_started",
         "power, brakes or the on-robot program did not come up in time",
     ),
-    (Code::OtherRobot, "other_robot", "another robot, or the same with another calibration, answers"),
-    (Code::PausedTooLong, "paused_too_long", "the program was held in the middle of a motion for over 30 s"),
-    (Code::Unreachable, "unreachable", "a look pose, a pick or a place cannot be reached"),
-    (Code::LookTimeout, "look_timeout", "a look was not finished in time"),
-    (Code::WorkTimeout, "work_timeout", "a phase of a pick-n-place was not finished in time"),
-    (Code::ParkTimeout, "park_timeout", "the park pose was not reached in time"),
-    (Code::Unpickable, "unpickable", "an object could not be gripped"),
-    (Code::VacuumLost, "vacuum_lost", "an object was lost on the way"),
-    (Code::GripperUnreachable, "gripper_unreachable", "the gripper stopped answering"),
-    (Code::Infeasible, "infeasible", "there is no plan, proved"),
-    (Code::BadStart, "bad_start", "the measured table is no valid start"),
-    (Code::NoPlan, "no_plan", "no plan was found in time"),
-    (Code::SolverUnfit, "solver_unfit", "the solver does not do such problems"),
-    (Code::PlannerStuck, "planner_stuck", "the planner did not answer within its budget"),
-    (Code::TableDisturbed, "table_disturbed", "the table disagreed with the plan too often"),
-    (Code::ObjectMissing, "object_missing", "an object that is needed is not seen"),
-    (Code::ObjectTilted, "object_tilted", "an object does not lie flat"),
-    (Code::ObjectUncertain, "object_uncertain", "an object was not measured well enough"),
-    (Code::MarkerTwice, "marker_twice", "one marker was seen in two places"),
-    (Code::UnknownMarker, "unknown_marker", "a marker belongs to nothing that the cell knows"),
-    (Code::ForeignObject, "foreign_object", "something without a marker is on the table"),
-    (Code::ReferenceHidden, "reference_hidden", "too few reference markers were seen"),
+    (
+        Code::OtherRobot,
+        Place::Result,
+        "other_robot",
+        "another robot, or the same with another calibration, answers",
+    ),
+    (
+        Code::PausedTooLong,
+        Place::Result,
+        "paused_too_long",
+        "the program was held in the middle of a motion for over 30 s",
+    ),
+    (Code::Unreachable, Place::Result, "unreachable", "a look pose, a pick or a place cannot be reached"),
+    (Code::LookTimeout, Place::Result, "look_timeout", "a look was not finished in time"),
+    (Code::WorkTimeout, Place::Result, "work_timeout", "a phase of a pick-n-place was not finished in time"),
+    (Code::ParkTimeout, Place::Result, "park_timeout", "the park pose was not reached in time"),
+    (Code::Unpickable, Place::Result, "unpickable", "an object could not be gripped"),
+    (Code::VacuumLost, Place::Result, "vacuum_lost", "an object was lost on the way"),
+    (Code::GripperUnreachable, Place::Result, "gripper_unreachable", "the gripper stopped answering"),
+    (Code::Infeasible, Place::Result, "infeasible", "there is no plan, proved"),
+    (Code::BadStart, Place::Result, "bad_start", "the measured table is no valid start"),
+    (Code::NoPlan, Place::Result, "no_plan", "no plan was found in time"),
+    (Code::SolverUnfit, Place::Result, "solver_unfit", "the solver does not do such problems"),
+    (Code::PlannerStuck, Place::Result, "planner_stuck", "the planner did not answer within its budget"),
+    (Code::TableDisturbed, Place::Result, "table_disturbed", "the table disagreed with the plan too often"),
+    (Code::ObjectMissing, Place::Result, "object_missing", "an object that is needed is not seen"),
+    (Code::ObjectTilted, Place::Result, "object_tilted", "an object does not lie flat"),
+    (Code::ObjectUncertain, Place::Result, "object_uncertain", "an object was not measured well enough"),
+    (Code::MarkerTwice, Place::Result, "marker_twice", "one marker was seen in two places"),
+    (Code::UnknownMarker, Place::Result, "unknown_marker", "a marker belongs to nothing that the cell knows"),
+    (Code::ForeignObject, Place::Result, "foreign_object", "something without a marker is on the table"),
+    (Code::ReferenceHidden, Place::Result, "reference_hidden", "too few reference markers were seen"),
     (
         Code::CalibrationInvalid,
+        Place::Result,
         "calibration_invalid",
         "the reference markers are not where they were surveyed",
     ),
-    (Code::DepthMissing, "depth_missing", "the look came without depth"),
-    (Code::DepthPoor, "depth_poor", "depth shows too little of the table"),
-    (Code::TableNotCompared, "table_not_compared", "the look could not be compared with the empty table"),
-    (Code::Observation, "observation", "the views of a look could not be put together"),
-    (Code::CameraUnplugged, "camera_unplugged", "the camera does not answer"),
-    (Code::CameraFrozen, "camera_frozen", "the camera repeats its last frame"),
-    (Code::CameraRepeats, "camera_repeats", "the camera sends the same picture as new frames"),
-    (Code::CameraBrokenPicture, "camera_broken_picture", "what the camera sends is no picture"),
-    (Code::CameraDark, "camera_dark", "the picture is too dark"),
-    (Code::CameraOverexposed, "camera_overexposed", "the picture is overexposed"),
-    (Code::CameraSeesNothing, "camera_sees_nothing", "the picture shows nothing: a lid, fog"),
-    (Code::CameraBlurred, "camera_blurred", "the picture is blurred"),
-    (Code::CameraMisfit, "camera_misfit", "camera, picture size or settings are not the configured ones"),
-    (Code::CameraBusy, "camera_busy", "perception still works on an earlier request"),
-    (Code::RecordingEnded, "recording_ended", "the recording that stands in for a camera is over"),
-    (Code::DetectionFailed, "detection_failed", "the marker detector failed"),
-    (Code::JournalFailed, "journal_failed", "the journal cannot be written"),
-    (Code::Interrupted, "interrupted", "celld ended during a step; how far the motion got is not known"),
-    (Code::InterruptedCarrying, "interrupted_carrying", "celld ended while an object was on the gripper"),
-    (Code::Syntax, "syntax", "the file is no YAML"),
-    (Code::Invalid, "invalid", "the file's content is wrong"),
-    (Code::Incomplete, "incomplete", "the file ends in the middle"),
-    (Code::Duplicate, "duplicate", "the same job is known already"),
-    (Code::IdConflict, "id_conflict", "another job has this id"),
-    (Code::BadName, "bad_name", "the file's name has characters that job files may not have"),
-    (Code::NotAPlainFile, "not_a_plain_file", "a link, folder, pipe or a file with a second name"),
-    (Code::TooLarge, "too_large", "the file is too large"),
-    (Code::NotText, "not_text", "the file is not UTF-8 text"),
+    (Code::DepthMissing, Place::Result, "depth_missing", "the look came without depth"),
+    (Code::DepthPoor, Place::Result, "depth_poor", "depth shows too little of the table"),
+    (
+        Code::TableNotCompared,
+        Place::Result,
+        "table_not_compared",
+        "the look could not be compared with the empty table",
+    ),
+    (Code::Observation, Place::Result, "observation", "the views of a look could not be put together"),
+    (Code::CameraUnplugged, Place::Result, "camera_unplugged", "the camera does not answer"),
+    (Code::CameraFrozen, Place::Result, "camera_frozen", "the camera repeats its last frame"),
+    (Code::CameraRepeats, Place::Result, "camera_repeats", "the camera sends the same picture as new frames"),
+    (
+        Code::CameraBrokenPicture,
+        Place::Result,
+        "camera_broken_picture",
+        "what the camera sends is no picture",
+    ),
+    (Code::CameraDark, Place::Result, "camera_dark", "the picture is too dark"),
+    (Code::CameraOverexposed, Place::Result, "camera_overexposed", "the picture is overexposed"),
+    (Code::CameraSeesNothing, Place::Result, "camera_sees_nothing", "the picture shows nothing: a lid, fog"),
+    (Code::CameraBlurred, Place::Result, "camera_blurred", "the picture is blurred"),
+    (
+        Code::CameraMisfit,
+        Place::Result,
+        "camera_misfit",
+        "camera, picture size or settings are not the configured ones",
+    ),
+    (Code::CameraBusy, Place::Result, "camera_busy", "perception still works on an earlier request"),
+    (
+        Code::RecordingEnded,
+        Place::Result,
+        "recording_ended",
+        "the recording that stands in for a camera is over",
+    ),
+    (Code::DetectionFailed, Place::Result, "detection_failed", "the marker detector failed"),
+    (Code::JournalFailed, Place::Result, "journal_failed", "the journal cannot be written"),
+    (
+        Code::Interrupted,
+        Place::Result,
+        "interrupted",
+        "celld ended during a step; how far the motion got is not known",
+    ),
+    (
+        Code::InterruptedCarrying,
+        Place::Result,
+        "interrupted_carrying",
+        "celld ended while an object was on the gripper",
+    ),
+    (Code::Syntax, Place::Rejection, "syntax", "the file is no YAML"),
+    (Code::Invalid, Place::Rejection, "invalid", "the file's content is wrong"),
+    (Code::Incomplete, Place::Rejection, "incomplete", "the file ends in the middle"),
+    (Code::Duplicate, Place::Rejection, "duplicate", "the same job is known already"),
+    (Code::IdConflict, Place::Rejection, "id_conflict", "another job has this id"),
+    (
+        Code::BadName,
+        Place::Rejection,
+        "bad_name",
+        "the file's name has characters that job files may not have",
+    ),
+    (
+        Code::NotAPlainFile,
+        Place::Rejection,
+        "not_a_plain_file",
+        "a link, folder, pipe or a file with a second name",
+    ),
+    (Code::TooLarge, Place::Rejection, "too_large", "the file is too large"),
+    (Code::NotText, Place::Rejection, "not_text", "the file is not UTF-8 text"),
 ];
 
 impl fmt::Display for Code {

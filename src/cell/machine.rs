@@ -227,7 +227,13 @@ impl Machine {
             match event {
                 GripperEvent::Answering => self.gripper_answers = true,
                 GripperEvent::Unreachable { .. } => self.gripper_answers = false,
-                _ => {}
+                GripperEvent::Gripped { .. }
+                | GripperEvent::GripFailed { .. }
+                | GripperEvent::Released
+                | GripperEvent::ReleaseFailed { .. }
+                | GripperEvent::VacuumLost { .. }
+                | GripperEvent::Refused
+                | GripperEvent::Reading { .. } => {}
             }
             self.inputs.push_back(Input::Gripper(event));
         }
@@ -240,7 +246,27 @@ impl Machine {
                 identity.kinematics = Some((*dh, checksum.map(|word| format!("{word:08x}")).concat()));
             }
             RobotEvent::Identity { serial, .. } => identity.serial = Some(serial.clone()),
-            _ => {}
+            RobotEvent::RtdeReady
+            | RobotEvent::RtdeLost
+            | RobotEvent::RemoteControl { .. }
+            | RobotEvent::ProgramRunning { .. }
+            | RobotEvent::ProgramEnded { .. }
+            | RobotEvent::SegmentFinished { .. }
+            | RobotEvent::PathFinished { .. }
+            | RobotEvent::PayloadSet
+            | RobotEvent::TcpSet
+            | RobotEvent::Stopped
+            | RobotEvent::Paused
+            | RobotEvent::Resumed
+            | RobotEvent::Safety { .. }
+            | RobotEvent::Mode { .. }
+            | RobotEvent::Completed { .. }
+            | RobotEvent::Refused { .. }
+            | RobotEvent::InputInUse { .. }
+            | RobotEvent::RuntimeException { .. }
+            | RobotEvent::ErrorCode { .. }
+            | RobotEvent::Message { .. }
+            | RobotEvent::ProtocolFault { .. } => {}
         }
     }
 
@@ -286,7 +312,16 @@ impl Machine {
             }
             Input::Shutdown => self.end(Ok(())),
             Input::StoreLost(fault) => self.end(Err(fault)),
-            _ => {}
+            Input::Tick
+            | Input::Robot(_)
+            | Input::Gripper(_)
+            | Input::Captured(_)
+            | Input::Observed(_)
+            | Input::Planned(_)
+            | Input::Pictured(_)
+            | Input::Committed { .. }
+            | Input::Job(_)
+            | Input::Round(_) => {}
         }
     }
 

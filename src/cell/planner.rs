@@ -40,6 +40,6 @@ pub fn answer(
         (Status::Infeasible, ..) => {
             PlanAnswer::Infeasible(outcome.witness.map(|w| w.to_string()).unwrap_or_default())
         }
-        _ => PlanAnswer::Timeout,
+        (Status::Optimal | Status::Solved | Status::Timeout, ..) => PlanAnswer::Timeout,
     }
 }

@@ -16,38 +16,34 @@ pub mod touch;
 
 use crate::calibration::files::camera::CameraCalibration;
 use crate::calibration::files::hand_eye::Provenance;
-use crate::calibration::files::round::{RecordedSample, Round};
-use crate::calibration::fit::Sample;
 use crate::calibration::propose;
+use crate::calibration::taken::{Taken, Wanted};
 use crate::calibration::visit::{Samples, Stop};
 use crate::cell::event::Arm;
 use crate::cell::supervisor::round::RoundOrder;
 use crate::cli::daemon::{open_camera, open_shell, with_runtime};
-use crate::cli::pictures::{read_camera, read_picture};
+use crate::config::calibrated::{known_mount, lens_for, read_lens};
 use crate::config::cell::CellConfig;
+use crate::config::empty::keep_if_empty;
 use crate::config::load::load_cell;
+use crate::config::round::{RecordedRound, Recording};
 use crate::config::setup::{arm_model, drawn, nominal_model};
 use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::io::camera::CameraSource;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::utc;
 use cell_edge::clock::unix_now_s;
-use cell_edge::files;
 use cell_edge::terminal::{complain, print};
-use cell_values::image::Image;
 use cell_vision::camera::CameraModel;
 use cell_vision::detect::{DetectSettings, Detector};
 use clap::{Args, Subcommand};
 use fault::{Fault, bad_input};
-use finish::{finish, known_mount};
+use finish::finish;
 use rearrange::document::chain::chain;
-use round::{RoundArgs, SAMPLES, Taken, Wanted};
-use std::cell::RefCell;
-use std::path::{Path, PathBuf};
+use round::RoundArgs;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Sender, channel};
-use std::thread::JoinHandle;
 use ur_arm::kinematics::DhParameters;
 
 /// `celld calibrate`
@@ -171,7 +167,7 @@ fn known_lens(config: &CellConfig) -> Result<CameraModel, String> {
     if !path.exists() {
         return camera_and_lens(config).map(|(_, lens)| lens.model);
     }
-    lens_file(path).map(|known| known.model)
+    read_lens(path).map(|known| known.model)
 }
 
 fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<AtomicBool>) -> u8 {
@@ -210,7 +206,7 @@ fn empty_table(args: &empty::EmptyArgs, stop: Arc<AtomicBool>) -> u8 {
     let Some((config, folder)) = empty::prepare(args) else { return 2 };
     with_runtime(stop, move |stop| async move {
         let taken = live(&config, Some(&folder), None, &|_| Ok(()), stop).await?;
-        empty::judge(&config, &folder, &taken.samples)
+        keep_if_empty(&config, &folder, &taken.samples)
     })
 }
 
@@ -219,7 +215,10 @@ fn fits_arm(config: &CellConfig, args: &RoundArgs, wanted: Wanted, arm: &Provena
     if wanted == Wanted::Table {
         known_mount(config, arm).map_err(bad_input)?;
     }
-    args.tie.fitted(config)?.map_or(Ok(()), |touched| touched.check_robot(arm))
+    match args.tie.fitted(config)? {
+        Some(touched) => Ok(touched.check_robot(arm)?),
+        None => Ok(()),
+    }
 }
 
 /// Moves the arm round: to the taught poses, or to so many proposed ones. Pictures and poses are kept in the
@@ -250,11 +249,11 @@ async fn live(
         }
     };
     let count = poses.len();
-    let record = record.map(Recording::new).transpose()?;
+    let recording = record.map(Recording::new).transpose()?;
     let progress = |stop: &Stop| {
         complain(&format!("pose {}/{count}: {} markers", stop.pose, stop.sample.detections.len()));
-        if let Some(record) = &record {
-            record.keep(stop);
+        if let Some(recording) = &recording {
+            recording.keep(stop);
         }
     };
     shell.see_with(PerceptionSetup {
@@ -267,8 +266,9 @@ async fn live(
     let order = RoundOrder { poses, room: config.calibration_box };
     shell.round(order, &mut samples, &stopped).await.map_err(|error| chain(&error))?;
     let samples = samples.into_vec();
-    if let Some(record) = record {
-        record.close(&lens, &provenance)?;
+    if let Some((recording, folder)) = recording.zip(record) {
+        let kept = recording.close(&lens, &provenance)?;
+        complain(&format!("recorded {kept} samples in {}", folder.display()));
     }
     Ok(Taken { lens, provenance, samples })
 }
@@ -287,127 +287,28 @@ fn camera_and_lens(config: &CellConfig) -> Result<(MonitoredCamera, CameraCalibr
     if config.devices.camera.knows_its_lens() {
         let mut camera = open_camera(config, None)?;
         match camera.intrinsics() {
-            Ok(own) => return lens(config, own).map(|lens| (camera, lens)),
+            Ok(own) => return lens_for(config, own).map(|lens| (camera, lens)),
             // What its factory says may be of no use; then the measured lens is all that is needed.
             Err(_) if config.calibration.camera.exists() => drop(camera),
             Err(error) => return Err(chain(&error)),
         }
     }
-    let lens = lens_file(&config.calibration.camera).map_err(|error| {
+    let lens = read_lens(&config.calibration.camera).map_err(|error| {
         format!("{error}; this camera does not tell its lens: measure it with `celld calibrate camera`")
     })?;
     Ok((open_camera(config, Some(lens.model.clone()))?, lens))
 }
 
-fn lens_file(path: &Path) -> Result<CameraCalibration, String> {
-    let text = files::read_named(path, 1 << 20).map_err(|error| chain(&error))?;
-    let lens = CameraCalibration::parse(&text, &path.display().to_string());
-    lens.map_err(|complaints| complaints.to_string())
-}
-
-/// The lens to work with: the one `celld calibrate camera` measured for this camera at this size, or the
-/// camera's own.
-fn lens(config: &CellConfig, own: CameraModel) -> Result<CameraCalibration, String> {
-    let path = &config.calibration.camera;
-    if path.exists() {
-        // A broken file is for its owner to mend: it would be written over in the end.
-        let known = lens_file(path)?;
-        if known.measured.is_some() {
-            known.check_camera(&path.display().to_string(), &own)?;
-            return Ok(known);
-        }
-    }
-    let (source, date) = ("factory intrinsics".to_string(), utc::text(unix_now_s()));
-    Ok(CameraCalibration { model: own, source, date, reprojection_px: None, measured: None })
-}
-
 /// Reads a recorded round and finds its markers.
 fn recorded(config: &CellConfig, args: &RoundArgs) -> Result<Taken, Fault> {
     let folder = args.from.as_deref().unwrap_or(Path::new("."));
-    let path = folder.join(SAMPLES);
-    let name = path.display().to_string();
-    let text = files::read_named(&path, 16 << 20).map_err(|error| {
-        bad_input(format!(
-            "{}; a round is recorded with `celld calibrate hand-eye --record DIR`",
-            chain(&error)
-        ))
-    })?;
-    let round = Round::parse(&text, &name).map_err(|complaints| bad_input(complaints.to_string()))?;
-    let own = read_camera(&folder.join("camera.yaml")).map_err(bad_input)?;
-    if own.serial != round.provenance.camera_serial {
-        let wanted = &round.provenance.camera_serial;
-        return Err(bad_input(format!(
-            "{name}: recorded with camera {wanted}, but camera.yaml beside it is of {}",
-            own.serial
-        )));
-    }
-    let lens = lens(config, own).map_err(bad_input)?;
-    let settings = DetectSettings::default();
-    let mut detector = Detector::new(settings).map_err(|error| bad_input(error.to_string()))?;
-    let mut samples = Vec::with_capacity(round.samples.len());
-    for (index, recorded) in round.samples.iter().enumerate() {
-        let file = folder.join(&recorded.image);
-        let image = read_picture(&file).map_err(bad_input)?;
-        let fits = lens.model.check_picture(image.width, image.height);
-        fits.map_err(|error| bad_input(format!("{}: {error}", file.display())))?;
-        let detections = detector.detect(&image.gray()).map_err(|error| bad_input(error.to_string()))?;
-        complain(&format!("sample {:2}, {}: {} markers", index + 1, recorded.image, detections.len()));
-        samples.push(Sample { base_from_flange: recorded.base_from_flange, detections });
-    }
-    Ok(Taken { lens, provenance: round.provenance, samples })
-}
-
-/// A round being kept in a folder. Pictures are written by a thread of their own: the robot must not be left
-/// unheard for as long as a picture takes to pack.
-struct Recording {
-    folder: PathBuf,
-    kept: RefCell<Vec<RecordedSample>>,
-    pictures: Sender<(PathBuf, Image)>,
-    writer: JoinHandle<Result<(), String>>,
-}
-
-impl Recording {
-    fn new(folder: &Path) -> Result<Recording, String> {
-        files::create_folder(folder).map_err(|error| chain(&error))?;
-        // The poses of an earlier round there must not be taken for those of the new pictures, should this
-        // one break off.
-        files::remove(&folder.join(SAMPLES)).map_err(|error| chain(&error))?;
-        let (pictures, taken) = channel::<(PathBuf, Image)>();
-        let write = move || {
-            let mut outcome = Ok(());
-            for (path, image) in taken {
-                let bytes = image.encode_png().map_err(|error| format!("{}: {error}", path.display()));
-                let written =
-                    bytes.and_then(|bytes| files::write_atomic(&path, &bytes).map_err(|error| chain(&error)));
-                // The first fault is the one to report.
-                outcome = outcome.and(written);
-            }
-            outcome
-        };
-        let writer = std::thread::spawn(write);
-        Ok(Recording { folder: folder.to_path_buf(), kept: RefCell::default(), pictures, writer })
-    }
-
-    fn keep(&self, look: &Stop) {
-        let image = format!("{:02}.png", look.pose);
-        // It only hangs up when it has panicked, and then `close` says so.
-        let _ = self.pictures.send((self.folder.join(&image), look.image.clone()));
-        self.kept.borrow_mut().push(RecordedSample { image, base_from_flange: look.sample.base_from_flange });
-    }
-
-    /// Waits for the pictures and writes the poses and the lens beside them.
-    fn close(self, lens: &CameraCalibration, provenance: &Provenance) -> Result<(), String> {
-        drop(self.pictures);
-        self.writer.join().map_err(|_| "a picture of the round could not be written".to_string())??;
-        let round = Round { provenance: provenance.clone(), samples: self.kept.take() };
-        let put = |name: &str, text: String| {
-            files::write_atomic(&self.folder.join(name), text.as_bytes()).map_err(|error| chain(&error))
-        };
-        put("camera.yaml", lens.to_yaml())?;
-        put(SAMPLES, round.to_yaml())?;
-        complain(&format!("recorded {} samples in {}", round.samples.len(), self.folder.display()));
-        Ok(())
-    }
+    let recorded = RecordedRound::read(folder).map_err(bad_input)?;
+    let lens = lens_for(config, recorded.own.clone()).map_err(bad_input)?;
+    let progress = |number: usize, image: &str, markers: usize| {
+        complain(&format!("sample {number:2}, {image}: {markers} markers"));
+    };
+    let samples = recorded.samples(&lens.model, &progress).map_err(bad_input)?;
+    Ok(Taken { lens, provenance: recorded.round.provenance, samples })
 }
 
 #[cfg(test)]

@@ -6,22 +6,21 @@
 //! (with `--partial` the others are written), 2 bad input.
 
 use crate::cli::daemon::open_camera;
-use crate::cli::pictures::{read_camera, read_picture};
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::config::setup::{drift_limits, reference_markers};
+use crate::config::pictures::{read_camera, read_picture};
+use crate::config::setup::movable_scene;
 use crate::io::camera::CameraSource;
 use crate::jobs::job_file::goal_yaml;
-use crate::perception::place::where_taken;
-use crate::perception::{Perception, Scene};
+use crate::perception::Perception;
+use crate::perception::place::placed_view;
 use cell_edge::files;
 use cell_edge::terminal::{complain, print};
 use cell_values::image::Image;
 use cell_values::time::Timestamp;
 use cell_vision::camera::CameraModel;
 use cell_vision::detect::DetectSettings;
-use cell_vision::foreign::search::ForeignSearch;
-use cell_vision::observe::{MarkedObject, Observation, ObserveLimits, View};
+use cell_vision::observe::Observation;
 use rearrange::document::chain::chain;
 use std::path::PathBuf;
 
@@ -63,18 +62,12 @@ fn capture(args: &CaptureArgs) -> Result<(String, u8), String> {
         format!("{error}; `celld calibrate camera` or `celld calibrate hand-eye` makes it")
     })?;
     let pictures = pictures(args, &config, &lens)?;
-    let mut perception = perception(&config, lens, None)?;
+    let scene = movable_scene(&config, lens, None);
+    let mut perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
     let mut views = Vec::with_capacity(pictures.len());
     for (index, (name, image)) in pictures.iter().enumerate() {
-        let Scene { camera, reference, .. } = perception.scene();
-        let fits = camera.check_picture(image.width, image.height);
-        fits.map_err(|error| format!("{name}: {error}"))?;
-        let (camera, reference) = (camera.clone(), reference.clone());
-        let detections = perception.detect(image).map_err(|error| format!("{name}: {}", chain(&error)))?;
-        let table_from_camera =
-            where_taken(&camera, &reference, &detections).map_err(|fault| format!("{name}: {fault}"))?;
-        let time = Timestamp::from_nanos(index as u64);
-        views.push(View { table_from_camera, detections, time, heights: None });
+        let view = placed_view(&mut perception, image, Timestamp::from_nanos(index as u64));
+        views.push(view.map_err(|fault| format!("{name}: {fault}"))?);
     }
     let seen = perception.observe(&views).map_err(|error| chain(&error))?;
     let mut text = reported(&seen);
@@ -102,39 +95,6 @@ fn pictures(
         return Ok(vec![(frame.source, frame.image)]);
     }
     args.images.iter().map(|path| Ok((path.display().to_string(), read_picture(path)?))).collect()
-}
-
-/// Perception of the cell's movable objects; with a search where there is depth.
-pub(super) fn perception(
-    config: &CellConfig,
-    lens: CameraModel,
-    foreign: Option<ForeignSearch>,
-) -> Result<Perception, String> {
-    let scene = Scene {
-        camera: lens,
-        objects: objects(config),
-        reference: reference_markers(config),
-        limits: ObserveLimits::default(),
-        foreign,
-        drift: drift_limits(config),
-    };
-    Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))
-}
-
-/// The objects that can move, by their markers.
-fn objects(config: &CellConfig) -> Vec<MarkedObject> {
-    let movable = config.objects.iter().filter(|object| !object.fixed);
-    let marked = movable.filter_map(|object| {
-        let (marker, height) = (object.marker.as_ref()?, object.height?);
-        Some(MarkedObject {
-            id: object.id.clone(),
-            marker_id: marker.id,
-            marker_size: marker.size,
-            height,
-            offset: marker.offset,
-        })
-    });
-    marked.collect()
 }
 
 /// One line for each object that was expected.
@@ -168,6 +128,7 @@ mod tests {
     use super::*;
     use crate::bench::vision::render::{Ground, Lens, Print, render};
     use crate::bench::vision::scene::{DEGRADE, looking_down};
+    use crate::config::setup::{movable_objects, reference_markers};
     use crate::jobs::goal::parse_goal_file;
     use cell_vision::detect::Family;
     use rand::SeedableRng;
@@ -195,7 +156,7 @@ mod tests {
         let mut prints: Vec<Print> =
             surveyed.iter().take(references).map(|m| print(m.id, m.size, m.pose, 0.0)).collect();
         let mut truth = Vec::new();
-        for (i, object) in objects(config).iter().take(object_count).enumerate() {
+        for (i, object) in movable_objects(config).iter().take(object_count).enumerate() {
             let pose = Pose2::new(0.13 + 0.24 * (i % 2) as f64, 0.13 + 0.24 * (i / 2) as f64, 0.4 * i as f64);
             let marker = pose.compose(&object.offset);
             prints.push(print(object.marker_id, object.marker_size, marker, object.height));
@@ -219,7 +180,7 @@ mod tests {
         let (image, out) = (folder.path().join("t.png"), folder.path().join("goal.yaml"));
         let args = args(&image, &out);
         let config = load_cell(&args.config).unwrap();
-        let all = objects(&config).len();
+        let all = movable_objects(&config).len();
         let truth = picture(&config, all, 12, &image);
         let (text, code) = capture(&args).unwrap();
         assert_eq!(code, 0, "{text}");
@@ -240,7 +201,7 @@ mod tests {
         let (image, out) = (folder.path().join("t.png"), folder.path().join("goal.yaml"));
         let args = args(&image, &out);
         let config = load_cell(&args.config).unwrap();
-        let missing = objects(&config)[2].id.clone();
+        let missing = movable_objects(&config)[2].id.clone();
         picture(&config, 2, 12, &image);
         let (text, code) = capture(&args).unwrap();
         assert!(code == 1 && text.contains(&format!("{missing}: not seen")) && !out.exists(), "{text}");

@@ -5,22 +5,19 @@
 //! folder is 1.
 
 use crate::calibration::files::set::CalibrationSet;
-use crate::cell::device::robot_types::RobotParameters;
-use crate::cell::machine::MachineParameters;
-use crate::cli::recorder::Recorder;
 use crate::config::calibrated::{measured, read_calibration};
-use crate::config::cell::{CellConfig, RecordingConfig};
+use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
 use crate::config::load::load_cell;
-use crate::config::setup::{cell_model, cell_objects, gripper_parameters, scene};
+use crate::config::setup::{cell_model, cell_objects, machine_parameters, scene};
 use crate::daemon::cameras;
 use crate::daemon::keeper::{StateKeeper, StateOrders};
+use crate::daemon::recorder::{self, Recorder};
 use crate::daemon::shell::{Observer, Scene, Shell};
 use crate::daemon::sockets::Addresses;
 use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
-use crate::jobs::utc;
 use crate::perception::Perception;
 use cell_edge::clock::{Clock, unix_now_s};
 use cell_edge::priority;
@@ -30,7 +27,6 @@ use cell_vision::camera::CameraModel;
 use cell_vision::detect::DetectSettings;
 use clap::Args;
 use rearrange::document::chain::chain;
-use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -46,9 +42,6 @@ pub struct RunArgs {
     #[arg(long, default_value = "state", value_name = "DIR")]
     state: PathBuf,
 }
-
-/// States a second requested of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
-const RTDE_HZ: f64 = 125.0;
 
 /// Runs the daemon until Ctrl-C or SIGTERM; returns the exit code.
 pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
@@ -129,30 +122,11 @@ async fn end_requested() {
     }
 }
 
-fn resolve(host: &str, port: u16) -> Result<SocketAddr, String> {
-    let fault = |cause: String| format!("{host}:{port}: {cause}; check `devices` in the configuration");
-    let mut found = (host, port).to_socket_addrs().map_err(|error| fault(error.to_string()))?;
-    found.next().ok_or_else(|| fault("no address".to_string()))
-}
-
 /// The machine and its sockets, for the devices that the configuration names. `seed` differs from run to run.
 pub(super) fn open_shell(config: &CellConfig, seed: u64) -> Result<Shell, String> {
-    let devices = &config.devices;
-    let robot = |port| resolve(&devices.robot_host, port);
-    let addresses = Addresses {
-        rtde: robot(30004)?,
-        dashboard: robot(29999)?,
-        primary: robot(30001)?,
-        gripper: resolve(&devices.gripper_host, devices.gripper_port)?,
-    };
+    let addresses = Addresses::of(&config.devices)?;
     let clock = Clock::new(config.simulation.map_or(1.0, |simulation| simulation.clock_factor));
     Shell::open(&addresses, clock, machine_parameters(config, seed)).map_err(|error| chain(&error))
-}
-
-/// What the machine is made with.
-pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {
-    let robot = RobotParameters { frequency_hz: RTDE_HZ, ..RobotParameters::full_rate() };
-    MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }
 }
 
 pub(super) fn open_camera(config: &CellConfig, lens: Option<CameraModel>) -> Result<MonitoredCamera, String> {
@@ -194,28 +168,12 @@ async fn daemon(
     shell.commission(model, config.arm_at_start);
     shell.keep_in(Box::new(keeper), Box::new(orders));
     complain("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
-    let mut lines = Lines { recorder: config.recording.as_ref().map(start_recording).transpose()? };
+    let mut lines = Lines { recorder: config.recording.as_ref().map(recorder::start).transpose()? };
     let ended = shell.run(&mut lines, &stop).await.map_err(|error| error.to_string());
     if let Some(fault) = lines.recorder.as_mut().and_then(Recorder::close) {
         complain(&format!("recording: {fault}"));
     }
     ended
-}
-
-/// A new file in the recording folder, named by the time.
-///
-/// # Errors
-/// A folder or file that cannot be made: the operator who requests a recording wants to know before, not
-/// after.
-fn start_recording(config: &RecordingConfig) -> Result<Recorder, String> {
-    std::fs::create_dir_all(&config.folder)
-        .map_err(|error| format!("{}: {error}", config.folder.display()))?;
-    let name = format!("run-{}.mcap", utc::text(unix_now_s()).replace(':', ""));
-    let recorder = Recorder::create(&config.folder.join(name), config.pictures);
-    match recorder.fault() {
-        Some(fault) => Err(format!("recording: {fault}")),
-        None => Ok(recorder),
-    }
 }
 
 /// Sentences on stderr, and the recording.

@@ -7,7 +7,7 @@
 
 mod table;
 
-use crate::cli::pictures::{read_camera, read_picture};
+use crate::config::pictures::{read_camera, read_picture};
 use cell_edge::files;
 use cell_values::image::Image;
 use cell_values::units::{deg_from_rad, mm_from_m};

@@ -6,7 +6,6 @@
 
 mod args;
 mod storms;
-pub mod table;
 
 use crate::pair::eyes::Eye;
 use crate::pair::outcome::Phase;
@@ -14,6 +13,7 @@ use crate::pair::page::{self, CaseOutcome, PAGE, PAGE_SEED, expected, title};
 use crate::pair::reactions::Row;
 use crate::pair::run::{Summary, run_jobs};
 use crate::pair::sweep::{case, cases, judge};
+use crate::pair::table::stage;
 use crate::pair::{Choice, Pair};
 pub use args::SimulateArgs;
 use args::{EyeArg, keep_trace};
@@ -22,7 +22,6 @@ use indicatif::{ProgressBar, ProgressStyle};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::path::Path;
 use std::time::Instant;
-use table::stage;
 use ur_sim::command::faults_of;
 
 /// Runs the subcommand; returns the exit code.

@@ -6,12 +6,10 @@
 
 use crate::cli::task::TaskArgs;
 use cell_edge::terminal::{complain, print, read_text};
-use rearrange::planning::check::{self, CheckedPlan, GivenIn};
-use rearrange::planning::object_set::ObjectSet;
-use rearrange::planning::plan::{Action, Objective, PlanFile, Status};
+use rearrange::planning::check::{self, GivenIn};
+use rearrange::planning::claims::examine;
+use rearrange::planning::plan::{Action, PlanFile};
 use rearrange::planning::problem::Problem;
-use rearrange::planning::scene::Scene;
-use rearrange::planning::solver;
 use std::path::PathBuf;
 
 /// Arguments of `celld verify`.
@@ -61,57 +59,11 @@ pub fn run(args: &VerifyArgs) -> u8 {
             return 2;
         }
     };
-    let (fault, exempt) = examine(&problem, &file, &actions);
-    let report = Report { valid: fault.is_none(), fault, moves: actions.len(), exempt };
+    let found = examine(&problem, &file, &actions);
+    let exempt = found.exempt.iter().map(Exempt::new).collect();
+    let report = Report { valid: found.fault.is_none(), fault: found.fault, moves: actions.len(), exempt };
     print(&if args.format == "json" { json(&report) } else { text(&report) });
     if report.valid { 0 } else { 1 }
-}
-
-/// The first thing that is wrong with the plan or with what the file claims, and the given overlaps.
-fn examine(problem: &Problem, file: &PlanFile, actions: &[Action]) -> (Option<String>, Vec<Exempt>) {
-    if matches!(file.status, Status::Infeasible | Status::Timeout) {
-        return (Some("the file holds no plan: its status says that none was found".to_string()), Vec::new());
-    }
-    match CheckedPlan::new(problem, actions) {
-        Err(fault) => (Some(fault.to_string()), Vec::new()),
-        Ok(plan) => (false_claim(problem, file, actions), plan.exempt().iter().map(Exempt::new).collect()),
-    }
-}
-
-fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option<String> {
-    if file.moves != Some(actions.len()) {
-        return Some(format!("`moves` says {:?}, the plan has {}", file.moves, actions.len()));
-    }
-    let cost = match file.objective {
-        Objective::Pp => actions.len() as f64,
-        Objective::Ti => actions.iter().map(|action| problem.objects[action.object].impedance).sum(),
-        // Seconds depend on a robot that the instance does not describe.
-        Objective::Time => return None,
-    };
-    if !file.cost.is_some_and(|claimed| same(claimed, cost)) {
-        return Some(format!("`cost` says {:?}, the plan costs {cost}", file.cost));
-    }
-    if file.status == Status::Optimal && !same(cost, file.lower_bound) {
-        return Some(format!(
-            "`status` says optimal, but the plan costs {cost}, the bound {}",
-            file.lower_bound
-        ));
-    }
-    let bound = provable_bound(problem, file)?;
-    if file.lower_bound > bound && !same(file.lower_bound, bound) {
-        return Some(format!("`lower_bound` says {}; what can be proved is {bound}", file.lower_bound));
-    }
-    None
-}
-
-/// The bound computed afresh; None for more objects than that is made for.
-fn provable_bound(problem: &Problem, file: &PlanFile) -> Option<f64> {
-    let few = problem.objects.len() <= ObjectSet::CAPACITY;
-    few.then(|| solver::provable_bound(&Scene::new(problem), file.objective, file.lower_bound))
-}
-
-fn same(a: f64, b: f64) -> bool {
-    (a - b).abs() <= 1e-6 * a.abs().max(b.abs()).max(1.0)
 }
 
 impl Exempt {

@@ -1,15 +1,21 @@
 //! The calibration files on disk: where the configuration says they are.
 //!
 //! In: a checked [`CellConfig`]. Out: [`CalibrationSet`], or every complaint about all three files at once;
-//! the numbers that the daemon works with; files written. What is in them, and what fits together, is
-//! `calibration::files`.
+//! one of them, where a calibration starts from it; the numbers that the daemon works with; files written.
+//! What is in them, and what fits together, is `calibration::files`.
 
+use crate::calibration::files::camera::CameraCalibration;
+use crate::calibration::files::hand_eye::{HandEyeCalibration, Provenance};
 use crate::calibration::files::set::{CalibrationSet, FileText};
 use crate::cell::event::Arm;
 use crate::config::cell::{CalibrationFiles, CellConfig};
 use crate::config::setup::{Measured, reference_markers};
-use cell_edge::files::{FileError, create_folder, write_atomic};
+use crate::jobs::utc;
+use cell_edge::clock::unix_now_s;
+use cell_edge::files::{self, FileError, create_folder, write_atomic};
 use cell_parts::file::read_text;
+use cell_vision::camera::CameraModel;
+use rearrange::document::chain::chain;
 use std::path::Path;
 
 /// Reads all three files.
@@ -43,6 +49,49 @@ pub fn write_calibration<'a>(
         write_atomic(path, text.as_bytes())?;
     }
     Ok(written.map(|(path, _)| path))
+}
+
+/// The lens that a file says was measured.
+///
+/// # Errors
+/// Everything that is wrong with the file.
+pub fn read_lens(path: &Path) -> Result<CameraCalibration, String> {
+    let text = files::read_named(path, 1 << 20).map_err(|error| chain(&error))?;
+    let lens = CameraCalibration::parse(&text, &path.display().to_string());
+    lens.map_err(|complaints| complaints.to_string())
+}
+
+/// The lens to work with: the one `celld calibrate camera` measured for this camera at this size, or the
+/// camera's own.
+///
+/// # Errors
+/// A file that is broken, or of another camera.
+pub fn lens_for(config: &CellConfig, own: CameraModel) -> Result<CameraCalibration, String> {
+    let path = &config.calibration.camera;
+    if path.exists() {
+        // A broken file is for its owner to mend: it would be written over in the end.
+        let known = read_lens(path)?;
+        if known.measured.is_some() {
+            known.check_camera(&path.display().to_string(), &own)?;
+            return Ok(known);
+        }
+    }
+    let (source, date) = ("factory intrinsics".to_string(), utc::text(unix_now_s()));
+    Ok(CameraCalibration { model: own, source, date, reprojection_px: None, measured: None })
+}
+
+/// The mount measured before, if it is this camera's on this robot.
+///
+/// # Errors
+/// A file that is missing, broken, or of other devices.
+pub fn known_mount(config: &CellConfig, now: &Provenance) -> Result<HandEyeCalibration, String> {
+    let path = &config.calibration.hand_eye;
+    let text = files::read_named(path, 1 << 20)
+        .map_err(|error| format!("{}; run `celld calibrate hand-eye` first", chain(&error)))?;
+    let known = HandEyeCalibration::parse(&text, &path.display().to_string());
+    let known = known.map_err(|complaints| complaints.to_string())?;
+    known.check_devices(&path.display().to_string(), &config.camera, now)?;
+    Ok(known)
 }
 
 /// The numbers that the daemon works with; the kinematics are the controller's.

@@ -1,17 +1,21 @@
 //! The pictures of the empty table that `celld calibrate empty` took, for looks without depth.
 //!
 //! In: the configuration, the calibration. Out: the search for foreign objects knows how the empty
-//! table looks from the look poses; or a sentence that names the file.
+//! table looks from the look poses; or a sentence that names the file. Pictures that were just taken are kept
+//! only if they show none of the cell's objects.
 
 use crate::calibration::files::round::Round;
+use crate::calibration::fit::Sample;
 use crate::cell::event::Arm;
 use crate::config::cell::CellConfig;
+use crate::config::round::SAMPLES;
 use crate::config::setup::Measured;
 use cell_edge::files;
 use cell_values::image::Image;
 use cell_vision::foreign::search::ForeignSearch;
 use nalgebra::Isometry3;
 use rearrange::document::chain::chain;
+use rearrange::tabletop::instance::ObjectSpec;
 use std::path::Path;
 
 /// Largest picture that is read, bytes.
@@ -36,8 +40,30 @@ pub fn compare_with_empty(
     Ok(())
 }
 
+/// Leaves the pictures in the folder if the table was empty.
+///
+/// # Errors
+/// What was seen on it.
+pub fn keep_if_empty(config: &CellConfig, folder: &Path, samples: &[Sample]) -> Result<(), String> {
+    let Some(seen) = not_empty(config, samples) else { return Ok(()) };
+    // The daemon must not take it for what belongs there.
+    files::remove(&folder.join(SAMPLES)).map_err(|error| chain(&error))?;
+    Err(seen)
+}
+
+/// The sentence about an object whose marker is seen, if there is one.
+fn not_empty(config: &CellConfig, samples: &[Sample]) -> Option<String> {
+    let seen = |id: u32| samples.iter().flat_map(|sample| &sample.detections).any(|found| found.id == id);
+    let there = |object: &&ObjectSpec| object.marker.as_ref().is_some_and(|marker| seen(marker.id));
+    let mut names =
+        config.objects.iter().filter(|object| !object.fixed).filter(there).map(|object| &*object.id);
+    let first = names.next()?;
+    let all = names.fold(format!("{first:?}"), |all, name| format!("{all}, {name:?}"));
+    Some(format!("the table is not empty, {all} can be seen: clear it and take the pictures again"))
+}
+
 fn read(folder: &Path, measured: &Measured, arm: &Arm) -> Result<Vec<(Image, Isometry3<f64>)>, String> {
-    let path = folder.join("samples.yaml");
+    let path = folder.join(SAMPLES);
     let name = path.display().to_string();
     let again = "clear the table and run `celld calibrate empty`";
     let text = files::read_named(&path, 1 << 20).map_err(|error| format!("{}; {again}", chain(&error)))?;

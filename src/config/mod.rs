@@ -8,7 +8,9 @@ pub mod check;
 pub mod empty;
 pub mod load;
 mod parts;
+pub mod pictures;
 pub mod read_cell;
+pub mod round;
 pub mod setup;
 #[cfg(test)]
 mod tests;

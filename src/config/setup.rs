@@ -6,7 +6,9 @@
 use crate::calibration::drawn::{CameraMount, Drawn};
 use crate::calibration::files::hand_eye::Mount;
 use crate::cell::device::gripper_types::{Channels, GripperParameters};
+use crate::cell::device::robot_types::RobotParameters;
 use crate::cell::event::Arm;
+use crate::cell::machine::MachineParameters;
 use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
@@ -89,6 +91,9 @@ const SEARCH_MARGIN_M: f64 = 0.02;
 /// Room round the gripper in which points are taken for its own, m.
 const OWN_MARGIN_M: f64 = 0.02;
 
+/// States a second requested of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
+const RTDE_HZ: f64 = 125.0;
+
 /// The supervisor's model of the cell.
 ///
 /// # Errors
@@ -166,14 +171,25 @@ fn cycle_parameters(config: &CellConfig) -> CycleParameters {
     }
 }
 
+/// An object to be carried.
+#[derive(Clone, Debug)]
+pub struct Transport {
+    /// Name of the object.
+    pub object: String,
+    /// Its start, table frame.
+    pub from: Pose2,
+    /// Its goal, table frame.
+    pub to: Pose2,
+}
+
 /// Whether the arm, as drawn, can carry each object from its start to its goal.
 ///
 /// # Errors
 /// The first object that it cannot, and why.
-pub fn check_reach(config: &CellConfig, task: &[(String, Pose2, Pose2)]) -> Result<(), String> {
+pub fn check_reach(config: &CellConfig, task: &[Transport]) -> Result<(), String> {
     let objects = cell_objects(config).map_err(|error| error.to_string())?;
     let arm = arm_model(config, DhParameters::UR5E, config.base_from_table);
-    for (id, from, to) in task {
+    for Transport { object: id, from, to } in task {
         let Some(object) = objects.iter().find(|object| object.id == *id) else { continue };
         let task = PickNPlace {
             from: *from,
@@ -262,6 +278,12 @@ fn grip_settings(config: &CellConfig) -> GripSettings {
     }
 }
 
+/// What the machine is made with; `nonce_seed` differs from run to run.
+pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {
+    let robot = RobotParameters { frequency_hz: RTDE_HZ, ..RobotParameters::full_rate() };
+    MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }
+}
+
 /// The gripper session's thresholds.
 pub fn gripper_parameters(config: &CellConfig) -> GripperParameters {
     GripperParameters {
@@ -330,6 +352,48 @@ pub fn scene(config: &CellConfig, measured: &Measured) -> Result<Scene, HeightMa
     let (reference, limits) = (reference_markers(config), ObserveLimits::default());
     let drift = drift_limits(config);
     Ok(Scene { camera, objects, reference, limits, foreign, drift })
+}
+
+/// What perception looks for in a picture of the table alone: what can move; `foreign` where there is depth.
+pub fn movable_scene(config: &CellConfig, camera: CameraModel, foreign: Option<ForeignSearch>) -> Scene {
+    Scene {
+        camera,
+        objects: movable_objects(config),
+        reference: reference_markers(config),
+        limits: ObserveLimits::default(),
+        foreign,
+        drift: drift_limits(config),
+    }
+}
+
+/// The objects that can move, by their markers.
+pub fn movable_objects(config: &CellConfig) -> Vec<MarkedObject> {
+    let movable = config.objects.iter().filter(|object| !object.fixed);
+    let marked = movable.filter_map(|object| {
+        let (marker, height) = (object.marker.as_ref()?, object.height?);
+        Some(MarkedObject {
+            id: object.id.clone(),
+            marker_id: marker.id,
+            marker_size: marker.size,
+            height,
+            offset: marker.offset,
+        })
+    });
+    marked.collect()
+}
+
+/// The search with the mount as drawn: the gripper's own room is wide enough for that.
+///
+/// # Errors
+/// What OpenCV says about the lens.
+pub fn drawn_search(config: &CellConfig, lens: &CameraModel) -> Result<ForeignSearch, HeightMapError> {
+    let own = match &config.camera {
+        CameraMount::Flange { flange_from_camera } => {
+            Some(flange_from_camera.inverse() * config.flange_from_tool)
+        }
+        CameraMount::Fixed { .. } => None,
+    };
+    ForeignSearch::new(lens, inventory(config, own), ForeignLimits::default())
 }
 
 /// From where on the camera counts as moved.

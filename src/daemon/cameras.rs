@@ -99,12 +99,18 @@ fn code_of(kind: FaultKind) -> Code {
 /// What is reported to the supervisor of a camera that gives no picture.
 pub fn fault_of(error: &CameraError) -> CameraFault {
     let kind = error.kind();
-    CameraFault {
-        code: code_of(kind),
-        message: chain(error),
-        hint: kind.hint(),
-        lasting: matches!(kind, FaultKind::Misfit | FaultKind::Ended),
-    }
+    let lasting = match kind {
+        FaultKind::Misfit | FaultKind::Ended => true,
+        FaultKind::Unplugged
+        | FaultKind::Frozen
+        | FaultKind::Repeated
+        | FaultKind::Broken
+        | FaultKind::Dark
+        | FaultKind::Overexposed
+        | FaultKind::Flat
+        | FaultKind::Blurred => false,
+    };
+    CameraFault { code: code_of(kind), message: chain(error), hint: kind.hint(), lasting }
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use crate::cell::machine::{Machine, MachineParameters};
 use crate::cell::supervisor::input::Notice;
 use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::JobReport;
+use crate::cell::supervisor::order::{JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::Status;
 use crate::daemon::messages::{Displayed, Message};
@@ -23,7 +23,6 @@ use crate::daemon::store::{Keeper, Orders, Store};
 use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_eyes, spawn_plan};
 use cell_edge::clock::Clock;
 use cell_values::time::Timestamp;
-use rearrange::geometry::pose::Pose2;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -38,8 +37,8 @@ pub enum Scene<'a> {
     Notice(&'a Notice),
     /// From a worker.
     Displayed(&'a Displayed),
-    /// A new route: object, from, to, whether that is its goal.
-    Route(&'a [(String, Pose2, Pose2, bool)]),
+    /// A new route.
+    Route(&'a [RouteAction]),
     /// The robot's state, as often as it comes.
     Robot(&'a RobotState),
     /// A job ended.
@@ -384,11 +383,7 @@ impl Shell {
                     store.status(status);
                 }
             }
-            News::Route(route) => {
-                let steps: Vec<_> =
-                    route.into_iter().map(|step| (step.object, step.from, step.to, step.to_goal)).collect();
-                observer.on(now, Scene::Route(&steps));
-            }
+            News::Route(route) => observer.on(now, Scene::Route(&route)),
             News::Ended(report) => observer.on(now, Scene::Ended(&report)),
         }
     }

@@ -7,9 +7,10 @@
 use crate::cell::device::gripper_types::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::Event;
+use crate::config::cell::Devices;
 use crate::daemon::messages::{Made, Message};
 use cell_edge::clock::Clock;
-use std::net::SocketAddr;
+use std::net::{SocketAddr, ToSocketAddrs};
 use std::time::{Duration, Instant};
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
@@ -27,6 +28,28 @@ pub struct Addresses {
     pub primary: SocketAddr,
     /// Compute Box of the gripper.
     pub gripper: SocketAddr,
+}
+
+impl Addresses {
+    /// Where the devices of the configuration listen.
+    ///
+    /// # Errors
+    /// The first name that cannot be resolved.
+    pub fn of(devices: &Devices) -> Result<Addresses, String> {
+        let robot = |port| resolve(&devices.robot_host, port);
+        Ok(Addresses {
+            rtde: robot(30004)?,
+            dashboard: robot(29999)?,
+            primary: robot(30001)?,
+            gripper: resolve(&devices.gripper_host, devices.gripper_port)?,
+        })
+    }
+}
+
+fn resolve(host: &str, port: u16) -> Result<SocketAddr, String> {
+    let fault = |cause: String| format!("{host}:{port}: {cause}; check `devices` in the configuration");
+    let mut found = (host, port).to_socket_addrs().map_err(|error| fault(error.to_string()))?;
+    found.next().ok_or_else(|| fault("no address".to_string()))
 }
 
 /// How long what is to be sent may wait for the peer, in the cell's time.

@@ -11,4 +11,5 @@ pub mod record;
 pub mod spool;
 pub mod state;
 pub mod status;
+pub mod submit;
 pub mod utc;

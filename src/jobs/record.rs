@@ -179,7 +179,10 @@ impl StepPhase {
 
     /// True while motion may be under way or unfinished.
     pub fn is_open(self) -> bool {
-        matches!(self, StepPhase::Intent | StepPhase::Gripped | StepPhase::Released)
+        match self {
+            StepPhase::Intent | StepPhase::Gripped | StepPhase::Released => true,
+            StepPhase::Done | StepPhase::Abandoned => false,
+        }
     }
 }
 

@@ -19,6 +19,7 @@ pub mod stage;
 pub mod store;
 pub mod storm;
 pub mod sweep;
+pub mod table;
 pub mod trace;
 pub mod work;
 

@@ -61,7 +61,19 @@ impl Phase {
 
     /// True where an object is on the cups.
     pub fn holds(self) -> bool {
-        matches!(self, Phase::Lift | Phase::Carry | Phase::Place)
+        match self {
+            Phase::Lift | Phase::Carry | Phase::Place => true,
+            Phase::BringUp
+            | Phase::Look
+            | Phase::Plan
+            | Phase::Approve
+            | Phase::Approach
+            | Phase::Descend
+            | Phase::Grip
+            | Phase::Release
+            | Phase::Retreat
+            | Phase::Park => false,
+        }
     }
 }
 

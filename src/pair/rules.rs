@@ -207,7 +207,21 @@ impl Rules {
                 self.rtde_gone |= *link == Link::Rtde;
             }
             Event::Observed(_, Ok(_)) => self.sight = self.frame,
-            _ => {}
+            Event::Time
+            | Event::Connected(_)
+            | Event::Received(..)
+            | Event::Registers(_)
+            | Event::Looked(..)
+            | Event::Observed(..)
+            | Event::Pictured(..)
+            | Event::Planned(..)
+            | Event::Committed(..)
+            | Event::StoreLost(_)
+            | Event::Commission { .. }
+            | Event::Job(_)
+            | Event::Round(_)
+            | Event::Order(..)
+            | Event::Shutdown => {}
         }
     }
 
@@ -245,18 +259,15 @@ impl Rules {
             Effect::Commit { number, record } => {
                 self.open.insert(*number, !matches!(record, Record::Ended(_)));
                 match record {
-                    Record::Intent { .. } => self.picking = true,
-                    Record::Done { .. } => self.picking = false,
-                    Record::Gripped { .. } | Record::Released { .. } | Record::Ended(_) => {}
-                }
-                match record {
-                    Record::Intent { object, .. } if self.sight <= self.disturbed => {
-                        self.breach(Rule::PickOnOldSight, object.clone());
+                    Record::Intent { object, .. } => {
+                        self.picking = true;
+                        if self.sight <= self.disturbed {
+                            self.breach(Rule::PickOnOldSight, object.clone());
+                        }
                     }
-                    Record::Gripped { .. } | Record::Released { .. } | Record::Done { .. } => {
-                        self.disturbed = frame;
-                    }
-                    Record::Intent { .. } | Record::Ended(_) => {}
+                    Record::Gripped { .. } | Record::Released { .. } => self.disturbed = frame,
+                    Record::Done { .. } => (self.picking, self.disturbed) = (false, frame),
+                    Record::Ended(_) => {}
                 }
             }
             Effect::Send(Link::Dashboard, bytes) => self.check_line(bytes, machine),
@@ -268,7 +279,18 @@ impl Rules {
                 (self.stopped_at, self.picking) = (Some(frame), false);
                 self.disturbed = frame;
             }
-            _ => {}
+            Effect::Connect(_)
+            | Effect::Close(_)
+            | Effect::Send(..)
+            | Effect::Registers(_)
+            | Effect::Look { .. }
+            | Effect::Observe { .. }
+            | Effect::Picture { .. }
+            | Effect::Plan { .. }
+            | Effect::CancelPlan
+            | Effect::WantJob
+            | Effect::Notify(_)
+            | Effect::RoundOver(_) => {}
         }
     }
 

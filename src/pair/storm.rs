@@ -58,8 +58,15 @@ pub fn strikes(seed: u64) -> Vec<Strike> {
     while strikes.len() < count {
         let row = ROWS[rng.random_range(0..ROWS.len())];
         // These are of the job or of the whole run, not of a moment.
-        if matches!(row.cause, Cause::OverlappingGoals | Cause::BadPlan | Cause::PlanWork(_)) {
-            continue;
+        match row.cause {
+            Cause::OverlappingGoals | Cause::BadPlan | Cause::PlanWork(_) => continue,
+            Cause::Faults(_)
+            | Cause::Disk(_)
+            | Cause::Lost(_)
+            | Cause::AllPower
+            | Cause::Garbage(_)
+            | Cause::Flipped
+            | Cause::Ordered(_) => {}
         }
         let at_s = rng.random_range(0.0..STRIKES_WITHIN_S);
         strikes.push(Strike { at_s, row: Row { seconds: row.seconds.min(LASTS_AT_MOST_S), ..row } });

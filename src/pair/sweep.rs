@@ -60,11 +60,18 @@ fn phase_of(pair: &Pair) -> Option<Phase> {
         Doing::Working("carrying", _) => match core.desk.phase().1 {
             WorldPhase::Lift | WorldPhase::Grip => Phase::Lift,
             WorldPhase::Place => Phase::Place,
-            _ => Phase::Carry,
+            WorldPhase::Approach | WorldPhase::Carry | WorldPhase::Retreat => Phase::Carry,
         },
         Doing::Working("releasing", _) => Phase::Release,
         Doing::Working("retreating from", _) => Phase::Retreat,
-        _ => return None,
+        Doing::Idle
+        | Doing::Waiting(_)
+        | Doing::Paused
+        | Doing::Writing
+        | Doing::Ready
+        | Doing::Working(..)
+        | Doing::Visiting(..)
+        | Doing::Ending => return None,
     })
 }
 
@@ -109,11 +116,7 @@ pub fn case(
     seed: u64,
     keep: bool,
 ) -> Result<(Outcome, Pair), String> {
-    let choice = Choice { keep_trace: keep, ..Choice::of(seed) };
-    let choice = match row.cause {
-        Cause::PlanWork(steps) => Choice { plan_work: steps, ..choice },
-        _ => choice,
-    };
+    let choice = Choice { keep_trace: keep, ..choice_for(row, seed) };
     let mut pair = Pair::new(stage.clone(), choice).map_err(|error| error.to_string())?;
     if matches!(row.cause, Cause::BadPlan) {
         pair.adapt(Box::new(BadPlans));
@@ -157,6 +160,22 @@ pub fn case(
     breaches.dedup();
     outcome.breaches = breaches;
     Ok((outcome, pair))
+}
+
+/// The loop's choices for a cause that is one of them.
+fn choice_for(row: &Row, seed: u64) -> Choice {
+    match row.cause {
+        Cause::PlanWork(steps) => Choice { plan_work: steps, ..Choice::of(seed) },
+        Cause::Faults(_)
+        | Cause::Disk(_)
+        | Cause::Lost(_)
+        | Cause::AllPower
+        | Cause::Garbage(_)
+        | Cause::OverlappingGoals
+        | Cause::BadPlan
+        | Cause::Flipped
+        | Cause::Ordered(_) => Choice::of(seed),
+    }
 }
 
 /// A person arms while the fault lasts: refused where a gate is closed that no person can see past, as the
@@ -213,8 +232,19 @@ fn reach(pair: &mut Pair, stage: &Stage, row: &Row, phase: Phase, seed: u64) -> 
     }
     // Into the phase, not onto its border.
     let middle = 0.04 + 0.06 * (seed % 5) as f64;
-    if !matches!(phase, Phase::Plan | Phase::Grip | Phase::Release | Phase::Retreat) {
-        pair.run_until(middle, |pair| phase_of(pair) != Some(phase));
+    match phase {
+        Phase::Plan | Phase::Grip | Phase::Release | Phase::Retreat => {}
+        Phase::BringUp
+        | Phase::Look
+        | Phase::Approve
+        | Phase::Approach
+        | Phase::Descend
+        | Phase::Lift
+        | Phase::Carry
+        | Phase::Place
+        | Phase::Park => {
+            pair.run_until(middle, |pair| phase_of(pair) != Some(phase));
+        }
     }
     None
 }

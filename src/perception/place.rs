@@ -4,9 +4,12 @@
 //! keeps it from being known. For pictures without an arm: in the running cell the joints say where the
 //! camera was.
 
+use crate::perception::{Perception, Scene};
+use cell_values::image::Image;
+use cell_values::time::Timestamp;
 use cell_vision::camera::CameraModel;
 use cell_vision::detect::Detection;
-use cell_vision::observe::ReferenceMarker;
+use cell_vision::observe::{ReferenceMarker, View};
 use cell_vision::{cv, marker};
 use nalgebra::Isometry3;
 use rearrange::document::chain::chain;
@@ -15,6 +18,19 @@ use rearrange::document::chain::chain;
 pub const REFERENCES_MIN: usize = 3;
 /// Reference markers that fit worse than this are not where they were surveyed, pixels.
 const MISFIT_PX: f64 = 1.0;
+
+/// What a picture shows that says by itself where it was taken.
+///
+/// # Errors
+/// A picture of another size than the lens's, or one in which it cannot be seen.
+pub fn placed_view(perception: &mut Perception, image: &Image, time: Timestamp) -> Result<View, String> {
+    let Scene { camera, reference, .. } = perception.scene();
+    camera.check_picture(image.width, image.height).map_err(|error| error.to_string())?;
+    let (camera, reference) = (camera.clone(), reference.clone());
+    let detections = perception.detect(image).map_err(|error| chain(&error))?;
+    let table_from_camera = where_taken(&camera, &reference, &detections)?;
+    Ok(View { table_from_camera, detections, time, heights: None })
+}
 
 /// Where a picture was taken, by the reference markers in it.
 ///

@@ -3,13 +3,13 @@
 use celld::cell::orders::Order;
 use celld::cell::supervisor::round::RoundOrder;
 use celld::cell::supervisor::status::Doing;
-use celld::cli::simulate::table::stage;
 use celld::motion::slow::CalibrationBox;
 use celld::pair::eyes::Eye;
 use celld::pair::page::{PAGE, PAGE_SEED, expected, title};
 use celld::pair::run::{bring_up, run_jobs, true_poses};
 use celld::pair::storm::{storm, strikes};
 use celld::pair::sweep::{case, cases, judge};
+use celld::pair::table::stage;
 use celld::pair::work::job;
 use celld::pair::{Choice, Pair};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};

@@ -85,7 +85,10 @@ impl DashboardSession {
 
     /// True between greeting and loss.
     pub fn ready(&self) -> bool {
-        matches!(self.step, Step::Idle | Step::Asked { .. })
+        match self.step {
+            Step::Idle | Step::Asked { .. } => true,
+            Step::Down | Step::Greeting { .. } => false,
+        }
     }
 
     /// Sends a command as soon as those before it are answered; false if too many wait or the link is down.

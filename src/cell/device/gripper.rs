@@ -121,9 +121,11 @@ impl Gripper {
                 if !(0.05..=MAX_TARGET).contains(&target) {
                     return Err(GripperRefused::Target(target));
                 }
-                if matches!(self.hold, Hold::Gripping { .. } | Hold::Holding { .. } | Hold::Releasing { .. })
-                {
-                    return Err(GripperRefused::Holding);
+                match self.hold {
+                    Hold::Empty | Hold::Failed => {}
+                    Hold::Gripping { .. } | Hold::Holding { .. } | Hold::Releasing { .. } => {
+                        return Err(GripperRefused::Holding);
+                    }
                 }
                 let deadline = now + self.parameters.grip_within;
                 self.hold = Hold::Gripping { channels, deadline, good: 0 };

@@ -225,7 +225,14 @@ impl Robot {
 
     /// True unless a program is being started, stopped or ended: a new one would be refused meanwhile.
     pub fn program_settled(&self) -> bool {
-        matches!(self.program, Program::Absent | Program::Running { .. } | Program::Stopped)
+        match self.program {
+            Program::Absent | Program::Running { .. } | Program::Stopped => true,
+            Program::Clearing { .. }
+            | Program::Starting { .. }
+            | Program::Stopping { .. }
+            | Program::Ending { .. }
+            | Program::Halting { .. } => false,
+        }
     }
 
     /// True unless power or brakes that a stop took back may still come on.

@@ -266,7 +266,7 @@ pub enum ProgramEnd {
     },
     /// From the pendant, a safety event, or another client.
     #[error("stopped from outside (pendant, safety system or another client)")]
-    DeviceSnapshot,
+    FromOutside,
     /// Another program wrote its nonce.
     #[error("another program took over")]
     Replaced,

@@ -31,7 +31,7 @@ impl Supervisor {
         let can_start = self.mode.armed()
             && outside.robot_fresh
             && outside.robot.is_some_and(|robot| robot.remote_control == Some(true));
-        if can_start && matches!(closed, GateClosed::Mode(_) | GateClosed::Program) {
+        if can_start && opens_by_bring_up(&closed) {
             self.enter(Phase::BringUp(BringUp::default()), BRING_UP_LIMIT);
             self.bring_up(outside, out);
             return;
@@ -44,7 +44,16 @@ impl Supervisor {
         match closed {
             GateClosed::Stale => format!("{closed} ({})", self.model.addresses.robot),
             GateClosed::Gripper => format!("{closed} ({})", self.model.addresses.gripper),
-            _ => closed.to_string(),
+            GateClosed::Safety(_)
+            | GateClosed::Mode(_)
+            | GateClosed::Local
+            | GateClosed::Program
+            | GateClosed::Paused
+            | GateClosed::NotPlaying(_)
+            | GateClosed::Disarmed
+            | GateClosed::Holding(_)
+            | GateClosed::NotObserved
+            | GateClosed::NotApproved => closed.to_string(),
         }
     }
 
@@ -104,7 +113,17 @@ impl Supervisor {
                 self.nonce = Some(nonce);
                 out.push(Action::Robot(RobotCommand::StartProgram { nonce }));
             }
-            _ => {}
+            RobotMode::PowerOff
+            | RobotMode::Idle
+            | RobotMode::Running
+            | RobotMode::NoController
+            | RobotMode::Disconnected
+            | RobotMode::ConfirmSafety
+            | RobotMode::Booting
+            | RobotMode::PowerOn
+            | RobotMode::Backdrive
+            | RobotMode::UpdatingFirmware
+            | RobotMode::Unknown(_) => {}
         }
     }
 
@@ -116,5 +135,22 @@ impl Supervisor {
         let centre = (grip.tool_centre * grip.tool_mass + tool * mass) / total;
         let centre_of_gravity_m = [centre.x, centre.y, centre.z];
         out.push(Action::Robot(RobotCommand::SetPayload { mass_kg: total, centre_of_gravity_m }));
+    }
+}
+
+/// True where power, brakes or the program are all that is missing.
+fn opens_by_bring_up(closed: &GateClosed) -> bool {
+    match closed {
+        GateClosed::Mode(_) | GateClosed::Program => true,
+        GateClosed::Stale
+        | GateClosed::Safety(_)
+        | GateClosed::Local
+        | GateClosed::Paused
+        | GateClosed::NotPlaying(_)
+        | GateClosed::Disarmed
+        | GateClosed::Gripper
+        | GateClosed::Holding(_)
+        | GateClosed::NotObserved
+        | GateClosed::NotApproved => false,
     }
 }

@@ -150,7 +150,18 @@ impl Supervisor {
     pub fn step(&mut self, now: Timestamp, outside: &DeviceSnapshot, input: Input) -> Vec<Action> {
         let order = match &input {
             Input::Order { number, .. } => Some(*number),
-            _ => None,
+            Input::Tick
+            | Input::Robot(_)
+            | Input::Gripper(_)
+            | Input::Captured(_)
+            | Input::Observed(_)
+            | Input::Planned(_)
+            | Input::Pictured(_)
+            | Input::Committed { .. }
+            | Input::StoreLost(_)
+            | Input::Job(_)
+            | Input::Round(_)
+            | Input::Shutdown => None,
         };
         let mut actions = self.decide(now, outside, input);
         self.watch_standing(now, outside, order, &mut actions);
@@ -220,7 +231,27 @@ impl Supervisor {
                     self.held_back.clear();
                     out.retain(|kept| !matches!(kept, Action::Robot(_)));
                 }
-                _ => {}
+                Action::Robot(
+                    RobotCommand::Stream(_)
+                    | RobotCommand::SetPayload { .. }
+                    | RobotCommand::PowerOn
+                    | RobotCommand::ReleaseBrakes
+                    | RobotCommand::StartProgram { .. }
+                    | RobotCommand::SetTcp(_)
+                    | RobotCommand::EndProgram
+                    | RobotCommand::UnlockProtectiveStop
+                    | RobotCommand::CloseSafetyPopup,
+                )
+                | Action::Gripper(_)
+                | Action::Capture { .. }
+                | Action::Observe(_)
+                | Action::Picture { .. }
+                | Action::Plan(_)
+                | Action::Commit { .. }
+                | Action::Reply { .. }
+                | Action::RoundOver(_)
+                | Action::Say(_)
+                | Action::End(_) => {}
             }
             out.push(action);
         }
@@ -352,9 +383,16 @@ impl Supervisor {
         out: &mut Vec<Action>,
     ) {
         self.answer_release(&event, out);
-        let silent = matches!(event, GripperEvent::Unreachable { .. })
-            || (matches!(event, GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. })
-                && !outside.gripper_answers);
+        let silent = match event {
+            GripperEvent::Unreachable { .. } => true,
+            GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. } => !outside.gripper_answers,
+            GripperEvent::Gripped { .. }
+            | GripperEvent::Released
+            | GripperEvent::VacuumLost { .. }
+            | GripperEvent::Answering
+            | GripperEvent::Refused
+            | GripperEvent::Reading { .. } => false,
+        };
         if silent && self.gripper_needed() {
             return self.on_gripper_silent(now, out);
         }

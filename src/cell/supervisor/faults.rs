@@ -14,7 +14,7 @@ use crate::cell::supervisor::mode::{EndFault, Mode};
 use crate::cell::supervisor::phase::{Look, LookStage, Phase};
 use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
-use ur_wire::enumerations::{RobotMode, SafetyMode};
+use ur_wire::enumerations::RobotMode;
 
 /// After this long a held motion is given up: what happened on the table meanwhile is unknown.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
@@ -90,7 +90,10 @@ impl Supervisor {
 
     /// True while the arm may be in motion or an object may hang on it.
     pub(crate) fn moving(&self) -> bool {
-        matches!(self.phase, Phase::Look(_) | Phase::Work(_) | Phase::Park | Phase::Visit(_))
+        match self.phase {
+            Phase::Look(_) | Phase::Work(_) | Phase::Park | Phase::Visit(_) => true,
+            Phase::Ready | Phase::BringUp(_) | Phase::Plan | Phase::Approve => false,
+        }
     }
 
     fn on_deadline(&mut self, now: Timestamp, out: &mut Vec<Action>) {
@@ -143,7 +146,28 @@ impl Supervisor {
                     ),
                 );
             }
-            _ => {}
+            RobotEvent::Paused
+            | RobotEvent::RtdeReady
+            | RobotEvent::RtdeLost
+            | RobotEvent::Identity { .. }
+            | RobotEvent::Kinematics { .. }
+            | RobotEvent::RemoteControl { .. }
+            | RobotEvent::ProgramEnded { .. }
+            | RobotEvent::SegmentFinished { .. }
+            | RobotEvent::PathFinished { .. }
+            | RobotEvent::PayloadSet
+            | RobotEvent::TcpSet
+            | RobotEvent::Stopped
+            | RobotEvent::Resumed
+            | RobotEvent::Safety { .. }
+            | RobotEvent::Mode { .. }
+            | RobotEvent::Completed { .. }
+            | RobotEvent::Refused { .. }
+            | RobotEvent::InputInUse { .. }
+            | RobotEvent::RuntimeException { .. }
+            | RobotEvent::ErrorCode { .. }
+            | RobotEvent::Message { .. }
+            | RobotEvent::ProtocolFault { .. } => {}
         }
         let Some(reason) = self.fault_of(event) else { return };
         if self.moving() || matches!(self.phase, Phase::BringUp(_)) {
@@ -174,9 +198,7 @@ impl Supervisor {
             RobotEvent::ProtocolFault { link, detail, .. } => format!("{link}: {detail}"),
             RobotEvent::RtdeLost => "the RTDE link was lost".to_string(),
             RobotEvent::Refused { what, reply } => format!("the controller refused {what}: {reply}"),
-            RobotEvent::Safety { mode } if !matches!(mode, SafetyMode::Normal | SafetyMode::Reduced) => {
-                format!("safety mode {mode:?}")
-            }
+            RobotEvent::Safety { mode } if !mode.allows_motion() => format!("safety mode {mode:?}"),
             RobotEvent::RemoteControl { on: false } => {
                 "the pendant was switched to local control".to_string()
             }
@@ -188,7 +210,24 @@ impl Supervisor {
                     Code::OtherRobot.because(message, "end celld, `celld calibrate`, start it again"),
                 );
             }
-            _ => return None,
+            RobotEvent::Safety { .. }
+            | RobotEvent::RemoteControl { on: true }
+            | RobotEvent::Kinematics { .. }
+            | RobotEvent::RtdeReady
+            | RobotEvent::Identity { .. }
+            | RobotEvent::ProgramRunning { .. }
+            | RobotEvent::SegmentFinished { .. }
+            | RobotEvent::PathFinished { .. }
+            | RobotEvent::PayloadSet
+            | RobotEvent::TcpSet
+            | RobotEvent::Stopped
+            | RobotEvent::Paused
+            | RobotEvent::Resumed
+            | RobotEvent::Mode { .. }
+            | RobotEvent::Completed { .. }
+            | RobotEvent::InputInUse { .. }
+            | RobotEvent::ErrorCode { .. }
+            | RobotEvent::Message { .. } => return None,
         };
         Some(Code::RobotStopped.because(message, ""))
     }
@@ -277,7 +316,7 @@ fn motion_trouble(now: Timestamp, outside: &DeviceSnapshot) -> Option<String> {
     let Some(robot) = outside.robot else { return Some("the robot has never sent a state".to_string()) };
     if !outside.robot_fresh {
         Some(format!("the robot's state stopped coming {:.2} s ago", now.since(robot.received).as_secs_f64()))
-    } else if !matches!(robot.safety_mode, SafetyMode::Normal | SafetyMode::Reduced) {
+    } else if !robot.safety_mode.allows_motion() {
         Some(format!("safety mode {:?}", robot.safety_mode))
     } else if robot.robot_mode != RobotMode::Running {
         Some(format!("robot mode {:?}", robot.robot_mode))

@@ -5,7 +5,7 @@
 
 use crate::cell::device::program::Nonce;
 use crate::cell::supervisor::input::DeviceSnapshot;
-use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+use ur_wire::enumerations::{RobotMode, RuntimeState};
 
 /// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
 const EMPTY_BELOW: f64 = 0.05;
@@ -89,7 +89,7 @@ pub fn any_motion(armed: bool, outside: &DeviceSnapshot, nonce: Option<Nonce>) -
         Some(robot) if outside.robot_fresh => robot,
         _ => return Err(GateClosed::Stale),
     };
-    if !matches!(robot.safety_mode, SafetyMode::Normal | SafetyMode::Reduced) {
+    if !robot.safety_mode.allows_motion() {
         return Err(GateClosed::Safety(format!("{:?}", robot.safety_mode)));
     }
     if robot.robot_mode != RobotMode::Running {

@@ -158,8 +158,9 @@ impl Supervisor {
             let hint = "light the table, clean the lens, see that the look poses show all of it from within the camera's range";
             return Some(Code::DepthPoor.because(message, hint));
         }
-        if !matches!(self.model.foreign, ForeignRule::Refuse { .. }) {
-            return None;
+        match self.model.foreign {
+            ForeignRule::Refuse { .. } => {}
+            ForeignRule::Off | ForeignRule::Obstacle { .. } => return None,
         }
         let largest = report.objects.first()?;
         let more = match report.objects.len() {
@@ -262,7 +263,7 @@ fn perhaps(missing: &[String]) -> String {
 fn foreign_obstacles<'a>(model: &CellModel, seen: &'a Observation) -> &'a [ForeignObject] {
     match (model.foreign, &seen.foreign) {
         (ForeignRule::Obstacle { .. }, Some(report)) => &report.objects,
-        _ => &[],
+        (ForeignRule::Obstacle { .. }, None) | (ForeignRule::Off | ForeignRule::Refuse { .. }, _) => &[],
     }
 }
 

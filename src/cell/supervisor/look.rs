@@ -52,7 +52,13 @@ impl Supervisor {
         let Some(target) = self.model.look_poses.get(view).copied() else { return };
         let views = match &mut self.phase {
             Phase::Look(look) => std::mem::take(&mut look.views),
-            _ => Vec::new(),
+            Phase::Ready
+            | Phase::BringUp(_)
+            | Phase::Plan
+            | Phase::Approve
+            | Phase::Work(_)
+            | Phase::Park
+            | Phase::Visit(_) => Vec::new(),
         };
         match self.transfer_to(&robot.q, target) {
             Ok(path) => {

@@ -94,9 +94,12 @@ impl Mode {
 
     /// Motion is not allowed any more; a wish to park is forgotten, a pause is kept.
     pub fn disarm(&mut self) {
-        if self.armed() {
+        if let Mode::Armed { pace, .. } = *self {
             // A single step that never came to its end leaves the pause that was promised after it.
-            let paused = !matches!(self, Mode::Armed { pace: Pace::Running, .. });
+            let paused = match pace {
+                Pace::Running => false,
+                Pace::OneMove | Pace::Paused => true,
+            };
             *self = Mode::Disarmed { paused };
         }
     }

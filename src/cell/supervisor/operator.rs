@@ -133,12 +133,20 @@ impl Supervisor {
         let begun = match &self.phase {
             Phase::BringUp(_) => false,
             Phase::Work(work) => !matches!(work.stage, WorkStage::NotingIntent(_)),
-            _ => self.follows_a_path(),
+            Phase::Ready | Phase::Look(_) | Phase::Plan | Phase::Approve | Phase::Park | Phase::Visit(_) => {
+                self.follows_a_path()
+            }
         };
         match &mut self.phase {
             Phase::BringUp(_) | Phase::Work(_) | Phase::Look(_) if !begun => self.phase = Phase::Ready,
             Phase::Look(look) => look.void = true,
-            _ => {}
+            Phase::Ready
+            | Phase::BringUp(_)
+            | Phase::Plan
+            | Phase::Approve
+            | Phase::Work(_)
+            | Phase::Park
+            | Phase::Visit(_) => {}
         }
         say(out, if begun { "disarmed once the present motion is over" } else { "disarmed" });
     }
@@ -192,10 +200,18 @@ impl Supervisor {
                 Phase::Work(_) => {
                     "disarmed; the pick-n-place under way is finished first, `celld abort` stops it now"
                 }
-                _ if self.follows_a_path() => {
-                    "disarmed; the motion under way goes on to its next stop, `celld abort` stops it now"
-                }
-                _ => "disarmed",
+                Phase::Ready
+                | Phase::BringUp(_)
+                | Phase::Look(_)
+                | Phase::Plan
+                | Phase::Approve
+                | Phase::Park
+                | Phase::Visit(_) => match self.follows_a_path() {
+                    true => {
+                        "disarmed; the motion under way goes on to its next stop, `celld abort` stops it now"
+                    }
+                    false => "disarmed",
+                },
             }),
             Order::Approve(_) => Reply::accept("approved"),
             Order::Reject(_) => Reply::accept("rejected; the job has ended"),
@@ -206,8 +222,15 @@ impl Supervisor {
             Order::Pause => Reply::accept(match &self.phase {
                 Phase::Work(_) => "pauses after the present pick-n-place",
                 Phase::Park => "the arm goes on to its park pose, then nothing moves",
-                _ if self.job.is_some() => "pauses before the next pick-n-place",
-                _ => "paused; no job is under way",
+                Phase::Ready
+                | Phase::BringUp(_)
+                | Phase::Look(_)
+                | Phase::Plan
+                | Phase::Approve
+                | Phase::Visit(_) => match &self.job {
+                    Some(_) => "pauses before the next pick-n-place",
+                    None => "paused; no job is under way",
+                },
             }),
             Order::Resume => Reply::accept(match self.mode.armed() {
                 true => "goes on",
@@ -231,7 +254,10 @@ impl Supervisor {
             (Phase::Ready, None) if !self.mode.parks() => {
                 Reply::refuse("not parked: the park pose cannot be reached from here")
             }
-            _ => Reply::accept("parks as soon as the present motion is over"),
+            (Phase::Ready, None)
+            | (Phase::BringUp(_) | Phase::Look(_) | Phase::Work(_) | Phase::Visit(_), _) => {
+                Reply::accept("parks as soon as the present motion is over")
+            }
         }
     }
 
@@ -263,26 +289,30 @@ impl Supervisor {
         out.push(Action::Gripper(GripperCommand::Release { channels }));
     }
 
-    /// The gripper's word on the releases that a person ordered.
+    /// The gripper's word on the releases that a person ordered; an event that is none leaves them waiting.
     pub(crate) fn answer_release(&mut self, event: &GripperEvent, out: &mut Vec<Action>) {
         let reply = |channels: Channels| match event {
-            GripperEvent::Released => Reply::accept(match channels {
+            GripperEvent::Released => Some(Reply::accept(match channels {
                 Channels::Both => "vacuum off; the cell is disarmed".to_string(),
                 one => format!("vacuum off, {one} only; the cell is disarmed"),
-            }),
-            GripperEvent::ReleaseFailed { vacuum } => Reply::refuse(format!(
+            })),
+            GripperEvent::ReleaseFailed { vacuum } => Some(Reply::refuse(format!(
                 "the vacuum does not go: {:.0} %; see the gripper, what it holds may still hang there",
                 vacuum * 100.0
-            )),
-            _ => Reply::refuse("the gripper takes no order: it does not answer"),
+            ))),
+            GripperEvent::Refused => Some(Reply::refuse("the gripper takes no order: it does not answer")),
+            GripperEvent::Gripped { .. }
+            | GripperEvent::GripFailed { .. }
+            | GripperEvent::VacuumLost { .. }
+            | GripperEvent::Unreachable { .. }
+            | GripperEvent::Answering
+            | GripperEvent::Reading { .. } => None,
         };
-        let ends = matches!(
-            event,
-            GripperEvent::Released | GripperEvent::ReleaseFailed { .. } | GripperEvent::Refused
-        );
-        let answered = if ends { std::mem::take(&mut self.release_orders) } else { Vec::new() };
-        for (number, channels) in answered {
-            out.push(Action::Reply { number, reply: reply(channels) });
+        for (number, channels) in std::mem::take(&mut self.release_orders) {
+            match reply(channels) {
+                Some(reply) => out.push(Action::Reply { number, reply }),
+                None => self.release_orders.push((number, channels)),
+            }
         }
     }
 }

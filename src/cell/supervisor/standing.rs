@@ -101,7 +101,8 @@ fn stopped(stands: bool, robot: Option<&RobotState>, settled: bool) -> Reply {
     let but = match robot {
         _ if stands => return Reply::accept("stopped and disarmed"),
         Some(_) if !settled => {
-            "disarmed, but power and brakes were ordered before and may still come on: keep away from the arm until              the pendant shows that it is off"
+            "disarmed, but power and brakes were ordered before and may still come on: keep away from the arm until \
+             the pendant shows that it is off"
         }
         Some(robot) if robot.stands_still() => {
             "disarmed, and the arm stands, but its program could not be ended: nobody may press play at the pendant \

@@ -92,7 +92,17 @@ impl Supervisor {
                 self.mode.step_over();
                 return;
             }
-            _ => return,
+            WorkStage::NotingIntent(_)
+            | WorkStage::Approaching
+            | WorkStage::Gripping
+            | WorkStage::NotingGrip(_)
+            | WorkStage::Carrying
+            | WorkStage::Releasing
+            | WorkStage::NotingRelease(_)
+            | WorkStage::Retreating
+            | WorkStage::NotingDone(_)
+            | WorkStage::GivingUp
+            | WorkStage::Withdrawing => return,
         }
         self.remaining = self.model.tolerances.phase_deadline;
     }
@@ -246,7 +256,14 @@ impl Supervisor {
         let during = match work.stage {
             WorkStage::Gripping => "while gripping",
             WorkStage::Releasing | WorkStage::GivingUp => "while letting go of",
-            _ => "while holding",
+            WorkStage::NotingIntent(_)
+            | WorkStage::Approaching
+            | WorkStage::NotingGrip(_)
+            | WorkStage::Carrying
+            | WorkStage::NotingRelease(_)
+            | WorkStage::Retreating
+            | WorkStage::NotingDone(_)
+            | WorkStage::Withdrawing => "while holding",
         };
         let message = format!("the gripper stopped answering {during} {}", work.object);
         let reason = Code::GripperUnreachable.because(message, "").of(&work.object);

@@ -4,15 +4,10 @@
 //! folder that the configuration names under `calibration: {empty: ...}`. Nothing is solved: the daemon
 //! compares its looks with these pictures.
 
-use crate::calibration::fit::Sample;
-use crate::cli::calibrate::round::SAMPLES;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use cell_edge::files;
 use cell_edge::terminal::complain;
-use rearrange::document::chain::chain;
-use rearrange::tabletop::instance::ObjectSpec;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Shown under `celld calibrate empty --help`.
 pub(super) const HELP: &str = "\
@@ -40,26 +35,4 @@ pub(super) fn prepare(args: &EmptyArgs) -> Option<(CellConfig, PathBuf)> {
     config.calibration_poses.clone_from(&config.look_poses);
     complain("the arm goes round its look poses; the table is to be clear but for the reference markers");
     Some((config, folder))
-}
-
-/// Leaves the pictures in the folder if the table was empty.
-///
-/// # Errors
-/// What was seen on it.
-pub(super) fn judge(config: &CellConfig, folder: &Path, samples: &[Sample]) -> Result<(), String> {
-    let Some(seen) = not_empty(config, samples) else { return Ok(()) };
-    // The daemon must not take it for what belongs there.
-    files::remove(&folder.join(SAMPLES)).map_err(|error| chain(&error))?;
-    Err(seen)
-}
-
-/// The sentence about an object whose marker is seen, if there is one.
-fn not_empty(config: &CellConfig, samples: &[Sample]) -> Option<String> {
-    let seen = |id: u32| samples.iter().flat_map(|sample| &sample.detections).any(|found| found.id == id);
-    let there = |object: &&ObjectSpec| object.marker.as_ref().is_some_and(|marker| seen(marker.id));
-    let mut names =
-        config.objects.iter().filter(|object| !object.fixed).filter(there).map(|object| &*object.id);
-    let first = names.next()?;
-    let all = names.fold(format!("{first:?}"), |all, name| format!("{all}, {name:?}"));
-    Some(format!("the table is not empty, {all} can be seen: clear it and take the pictures again"))
 }

@@ -2,21 +2,17 @@
 //! to touches, write.
 //!
 //! In: the cell's configuration and a [`Taken`] round. Out: the three files, or why not; nothing is written
-//! unless all of it can be trusted. Whether the camera sits on the flange or is fixed decides the solver,
-//! never the report.
+//! unless all of it can be trusted. What is computed is `calibration::taken`.
 
-use crate::calibration::files::hand_eye::{HandEyeCalibration, Provenance};
-use crate::calibration::files::set::CalibrationSet;
-use crate::calibration::files::table::TableCalibration;
 use crate::calibration::fit::HandEye;
-use crate::calibration::fit::solve::{Solved, solve};
+use crate::calibration::fit::solve::Solved;
+use crate::calibration::taken::{Taken, Wanted};
 use crate::cli::calibrate::fault::{Fault, bad_input};
-use crate::cli::calibrate::round::{RoundArgs, Taken, Wanted};
+use crate::cli::calibrate::round::RoundArgs;
 use crate::cli::calibrate::touch;
-use crate::config::calibrated::write_calibration;
+use crate::config::calibrated::{known_mount, write_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::setup::drawn;
-use cell_edge::files;
 use cell_edge::terminal::complain;
 use cell_values::units::mm_from_m;
 use rearrange::document::chain::chain;
@@ -24,30 +20,22 @@ use rearrange::document::chain::chain;
 /// Solves, reports, writes.
 pub(super) fn finish(
     config: &CellConfig,
-    taken: Taken,
+    mut taken: Taken,
     args: &RoundArgs,
     wanted: Wanted,
 ) -> Result<(), Fault> {
-    let (mut samples, provenance) = (taken.samples, taken.provenance);
-    for number in &args.drop {
-        let Some(sample) = number.checked_sub(1).and_then(|index| samples.get_mut(index)) else {
-            return Err(bad_input(format!("--drop {number}: there are samples 1 to {}", samples.len())));
-        };
-        sample.detections.clear();
-    }
+    taken.leave_out(&args.drop).map_err(bad_input)?;
     let known = match wanted {
         Wanted::MountAndTable => None,
-        Wanted::Table => Some(known_mount(config, &provenance).map_err(bad_input)?),
+        Wanted::Table => Some(known_mount(config, &taken.provenance).map_err(bad_input)?),
     };
     let drawn = drawn(config);
-    let solved = solve(&drawn, &taken.lens.model, &samples, known, &provenance);
+    let solved = taken.solve(&drawn, known);
     let solved = solved.map_err(|error| Fault { message: chain(&error), code: 1 })?;
     report_solution(&solved);
-    let mut table = TableCalibration::from_solution(&solved.table, &drawn.reference, provenance.clone());
-    if let Some((touched, tied)) = touch::tied(config, &args.tie, &provenance, &solved.table)? {
-        table = table.tied(&touched, &tied);
-    }
-    let set = CalibrationSet { camera: taken.lens, hand_eye: solved.hand_eye, table };
+    let tied = touch::tied(config, &args.tie, &taken.provenance, &solved.table)?;
+    let tied = tied.as_ref().map(|(touched, tie)| (touched.fit(), tie));
+    let set = taken.calibrated(solved, &drawn, tied);
     let paths = write_calibration(&set, &config.calibration)
         .map_err(|error| Fault { message: chain(&error), code: 1 })?;
     for path in paths {
@@ -72,17 +60,6 @@ fn report_solution(solved: &Solved) {
         reported(camera.translation_m, camera.rotation_rad),
         reported(table.translation_m, table.rotation_rad)
     ));
-}
-
-/// The mount measured before, if it is this camera's on this robot.
-pub(super) fn known_mount(config: &CellConfig, now: &Provenance) -> Result<HandEyeCalibration, String> {
-    let path = &config.calibration.hand_eye;
-    let text = files::read_named(path, 1 << 20)
-        .map_err(|error| format!("{}; run `celld calibrate hand-eye` first", chain(&error)))?;
-    let known = HandEyeCalibration::parse(&text, &path.display().to_string());
-    let known = known.map_err(|complaints| complaints.to_string())?;
-    known.check_devices(&path.display().to_string(), &config.camera, now)?;
-    Ok(known)
 }
 
 fn report(what: &str, solved: &HandEye) {

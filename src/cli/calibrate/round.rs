@@ -1,10 +1,7 @@
-//! A round: what is requested of it, and what it was.
+//! A round as the command line requests it.
 //!
-//! In: the command line; lens, arm and samples. Out: what taking a round and solving it have in common.
+//! In: the command line. Out: what taking a round and solving it have in common.
 
-use crate::calibration::files::camera::CameraCalibration;
-use crate::calibration::files::hand_eye::Provenance;
-use crate::calibration::fit::Sample;
 use crate::cli::calibrate::touch::TieArgs;
 use clap::Args;
 use std::path::PathBuf;
@@ -26,24 +23,4 @@ pub struct RoundArgs {
     pub(super) drop: Vec<usize>,
     #[command(flatten)]
     pub(super) tie: TieArgs,
-}
-
-/// Poses and names of a recorded round's pictures, in its folder.
-pub(super) const SAMPLES: &str = "samples.yaml";
-
-/// What is requested of a round.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Wanted {
-    /// Where the camera sits, and the table.
-    MountAndTable,
-    /// The table alone.
-    Table,
-}
-
-/// A round as it was taken.
-#[derive(Debug)]
-pub(super) struct Taken {
-    pub(super) lens: CameraCalibration,
-    pub(super) provenance: Provenance,
-    pub(super) samples: Vec<Sample>,
 }

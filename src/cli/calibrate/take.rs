@@ -4,13 +4,12 @@
 //! In: a camera, the board, a person who moves it. Out: numbered pictures in a folder. A picture in which
 //! nothing can be measured is reported and not kept, so that this is not found out after the last one.
 
-use crate::calibration::fit::lens::{BoardView, LensSettings, uncovered};
+use crate::calibration::board_pictures::{BoardPictures, BoardSight};
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::io::camera::{CameraSource, FaultKind};
 use cell_edge::files;
 use cell_edge::terminal::complain;
 use cell_vision::board::Board;
-use cell_vision::detect::{DetectSettings, Detector};
 use rearrange::document::chain::chain;
 use std::path::Path;
 
@@ -28,13 +27,11 @@ pub(super) fn take(
     count: usize,
     ready: &mut dyn FnMut() -> bool,
 ) -> Result<(), Fault> {
-    let mut detector = Detector::of(&[board.family], DetectSettings::default())
-        .map_err(|error| bad_input(error.to_string()))?;
-    let mut views: Vec<BoardView> = Vec::with_capacity(count);
+    let mut pictures = BoardPictures::new(board).map_err(|error| bad_input(error.to_string()))?;
     let mut attempts = 0;
-    while views.len() < count && attempts < ATTEMPTS * count {
+    while pictures.count() < count && attempts < ATTEMPTS * count {
         attempts += 1;
-        complain(&format!("picture {}/{count}", views.len() + 1));
+        complain(&format!("picture {}/{count}", pictures.count() + 1));
         if !ready() {
             break;
         }
@@ -49,27 +46,23 @@ pub(super) fn take(
                 }
             },
         };
-        let detections =
-            detector.detect(&frame.image.gray()).map_err(|error| bad_input(error.to_string()))?;
-        let name = format!("{:02}.png", views.len() + 1);
-        let view = BoardView { name, corners: board.seen(&detections) };
-        let (seen, all) = (view.corners.0.len() / 4, board.count());
-        if view.corners.0.len() < LensSettings::default().corners_min {
-            complain(&format!(
-                "  {seen} of the board's {all} markers: not kept; nearer, sharper, and is it the board that was named?"
-            ));
-            continue;
+        let all = board.count();
+        match pictures.look(&frame.image).map_err(|error| bad_input(error.to_string()))? {
+            BoardSight::TooLittle { markers } => complain(&format!(
+                "  {markers} of the board's {all} markers: not kept; nearer, sharper, and is it the board that was named?"
+            )),
+            BoardSight::Board { name, markers, uncovered } => {
+                let bytes = frame.image.encode_png().map_err(|error| bad_input(error.to_string()))?;
+                files::write_atomic(&save.join(&name), &bytes)
+                    .map_err(|error| bad_input(error.to_string()))?;
+                let empty = if uncovered.is_empty() {
+                    "the whole picture is covered".to_string()
+                } else {
+                    format!("no marker yet: {}", uncovered.join(", "))
+                };
+                complain(&format!("  {markers} of {all} markers; {empty}"));
+            }
         }
-        let bytes = frame.image.encode_png().map_err(|error| bad_input(error.to_string()))?;
-        files::write_atomic(&save.join(&view.name), &bytes).map_err(|error| bad_input(error.to_string()))?;
-        views.push(view);
-        let empty = uncovered(views.iter(), frame.image.width, frame.image.height);
-        let empty = if empty.is_empty() {
-            "the whole picture is covered".to_string()
-        } else {
-            format!("no marker yet: {}", empty.join(", "))
-        };
-        complain(&format!("  {seen} of {all} markers; {empty}"));
     }
     Ok(())
 }

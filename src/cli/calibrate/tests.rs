@@ -6,13 +6,16 @@ use crate::bench::vision::calibrated::{bench_board, board_picture};
 use crate::bench::vision::render::Lens;
 use crate::bench::vision::scene::bench_camera;
 use crate::calibration::files::set::CalibrationSet;
+use crate::calibration::fit::Sample;
 use crate::config::calibrated::read_calibration;
+use crate::config::pictures::read_camera;
 use crate::config::setup::reference_markers;
 use crate::jobs::edit::{replace_once, replace_times};
 use camera::{CameraArgs, calibrate};
 use nalgebra::Isometry3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::path::PathBuf;
 
 fn camera_args(images: &Path, out: &Path) -> CameraArgs {
     CameraArgs {
@@ -399,7 +402,7 @@ fn touches_and_mount_of_another_robot_are_reported_before_anything_moves() {
     let fitted = tie.fitted(&config).unwrap().unwrap();
     fitted.check_robot(&provenance).unwrap();
     let other = Provenance { robot_serial: "other".into(), ..provenance.clone() };
-    assert!(fitted.check_robot(&other).unwrap_err().message.contains("touched with robot"));
+    assert!(fitted.check_robot(&other).unwrap_err().to_string().contains("touched with robot"));
     // The arm and the camera answer: then what was made with others is reported, and the mount too.
     let args = RoundArgs { tie, ..args_of(Path::new("."), vec![]) };
     fits_arm(&config, &args, Wanted::Table, &provenance).unwrap();
@@ -422,8 +425,8 @@ fn a_broken_lens_file_is_refused_and_not_written_over() {
     let folder = tempfile::tempdir().unwrap();
     let config = cell(folder.path());
     let own = read_camera(&config.calibration.camera).unwrap();
-    assert!(lens(&config, own.clone()).is_ok());
+    assert!(lens_for(&config, own.clone()).is_ok());
     std::fs::write(&config.calibration.camera, "serial: [").unwrap();
-    let reported = lens(&config, own).unwrap_err();
+    let reported = lens_for(&config, own).unwrap_err();
     assert!(reported.contains("camera.yaml:"), "{reported}");
 }

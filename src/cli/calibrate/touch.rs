@@ -2,15 +2,16 @@
 //!
 //! In: the cell's configuration, which points are touched, a robot that a person moves (celld reads where it
 //! is and moves nothing). Out: `touches.yaml` with the arm's pose at each press of Enter, and each touch's
-//! error by touch alone. `tied` later holds the file against the table that the camera sees; a disagreement
-//! above the limits is an error, and nothing is written.
+//! error by touch alone. `tied` later reports how the file and the table that the camera sees agree; a
+//! disagreement above the limits is an error, and nothing is written. What is computed is
+//! `calibration::touching` and `calibration::tied`.
 
 use crate::calibration::files::hand_eye::Provenance;
-use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
+use crate::calibration::files::touches::{Spot, Target, Touches};
 use crate::calibration::fit::HandEye;
-use crate::calibration::fit::touch::{
-    Registration, RegistrationLimits, TouchFit, TouchSettings, fit_touches, tie,
-};
+use crate::calibration::fit::touch::{Registration, RegistrationLimits, TouchFit};
+use crate::calibration::tied::FittedTouches;
+use crate::calibration::touching::TouchSession;
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::daemon::{open_shell, with_runtime};
 use crate::config::cell::CellConfig;
@@ -23,13 +24,12 @@ use cell_edge::files;
 use cell_edge::terminal::complain;
 use cell_values::units::{deg_from_rad, mm_from_m, rad_from_deg};
 use clap::Args;
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Point3;
 use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::sync::oneshot::error::TryRecvError;
-use ur_arm::kinematics::{DhParameters, forward};
 
 /// Shown under `celld calibrate touches --help`.
 pub(super) const HELP: &str = "\
@@ -140,44 +140,37 @@ async fn record(config: &CellConfig, args: &TouchArgs, stop: Arc<AtomicBool>) ->
     let stopped = || stop.load(Ordering::Relaxed);
     let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;
     let tip = args.tip_mm.map_or_else(|| config.flange_from_tool.translation.vector.into(), |tip| tip.0);
-    let mut touches = Touches {
+    let begun = Touches {
         robot_serial: arm.serial.clone(),
         kinematics_checksum: arm.checksum.clone(),
         date: utc::text(unix_now_s()),
         flange_from_tip_m: Some(tip),
         touches: Vec::with_capacity(args.points.len()),
     };
-    for (index, target) in args.points.iter().enumerate() {
-        let reported = format!(
-            "touch {}/{}: bring the tip onto {target}, let go, press Enter",
-            index + 1,
-            args.points.len()
-        );
-        let base_from_flange = read_pose(&mut shell, &arm.dh, &reported, &stopped).await?;
-        let at = base_from_flange * Point3::from(tip);
+    let mut session = TouchSession::new(args.points.clone(), arm.dh, begun);
+    while let Some((number, target)) = session.wanted() {
+        let all = args.points.len();
+        let reported = format!("touch {number}/{all}: bring the tip onto {target}, let go, press Enter");
+        let at = touch(&mut shell, &mut session, &reported, &stopped).await?;
         complain(&format!("  tip at {:.4}, {:.4}, {:.4} m (base)", at.x, at.y, at.z));
-        touches.touches.push(RecordedTouch { target: *target, place: Place::Flange(base_from_flange) });
     }
+    let touches = session.touches();
     files::write_atomic(&args.save, touches.to_yaml().as_bytes()).map_err(|error| chain(&error))?;
     complain(&format!("wrote {}", args.save.display()));
-    let resolved = touches.resolve(&reference_markers(config))?;
-    let fit = fit_touches(&resolved, &TouchSettings::default()).map_err(|error| chain(&error))?;
-    report(&touches, &(0..touches.touches.len()).collect::<Vec<_>>(), &fit);
+    let fit = session.fit(&reference_markers(config))?;
+    report(touches, &(0..touches.touches.len()).collect::<Vec<_>>(), &fit);
     complain("now run `celld calibrate table --touches` with this file");
     Ok(())
 }
 
-/// Joint speed below which a hand-held arm counts as still, rad/s.
-const STILL_RAD_S: f64 = 0.01;
-
-/// Where the flange is when the person presses Enter and the arm is still; the robot's messages are taken in
-/// meanwhile.
-async fn read_pose(
+/// Where the tip is when the person presses Enter and the arm is still, base frame, m; the robot's messages
+/// are taken in meanwhile.
+async fn touch(
     shell: &mut Shell,
-    dh: &DhParameters,
+    session: &mut TouchSession,
     prompt: &str,
     stopped: &dyn Fn() -> bool,
-) -> Result<Isometry3<f64>, String> {
+) -> Result<Point3<f64>, String> {
     loop {
         complain(prompt);
         // A thread of its own and not the runtime's, which would wait for the line at Ctrl-C.
@@ -201,16 +194,14 @@ async fn read_pose(
         // What was sent before the press is old.
         shell.listen().await;
         let now = shell.now();
-        if !shell.robot_state().is_some_and(|state| state.fresh(now)) {
+        let Some(state) = shell.robot_state().filter(|state| state.fresh(now)) else {
             let links = shell.why_down().join("; ");
             complain(&format!("  the robot does not say where it is ({links}); again"));
             continue;
-        }
-        match shell.robot_state() {
-            Some(state) if state.qd.iter().all(|speed| speed.abs() <= STILL_RAD_S) => {
-                return Ok(forward(dh, &state.q));
-            }
-            _ => complain("  the arm was moving; let go of it, then press Enter again"),
+        };
+        match session.touch(&state.q, &state.qd) {
+            Some(at) => return Ok(at),
+            None => complain("  the arm was moving; let go of it, then press Enter again"),
         }
     }
 }
@@ -221,16 +212,6 @@ fn enter() -> bool {
     std::io::stdin().read_line(&mut line).is_ok_and(|count| count > 0)
 }
 
-/// Touches that by themselves place the table of this survey.
-#[derive(Debug)]
-pub(super) struct Fitted {
-    name: String,
-    touches: Touches,
-    /// Which of them count, from 0.
-    used: Vec<usize>,
-    fit: TouchFit,
-}
-
 impl TieArgs {
     /// The touches, if any were given, and the table by them alone. What is wrong with them is to be reported
     /// before the arm moves for them.
@@ -238,32 +219,11 @@ impl TieArgs {
     /// # Errors
     /// A file that is missing, broken or of another survey, a number that is not in it, touches that fix no
     /// table.
-    pub(super) fn fitted(&self, config: &CellConfig) -> Result<Option<Fitted>, Fault> {
+    pub(super) fn fitted(&self, config: &CellConfig) -> Result<Option<FittedTouches>, Fault> {
         let Some(path) = &self.touches else { return Ok(None) };
-        let name = path.display().to_string();
         let touches = read(path).map_err(bad_input)?;
-        let all = touches
-            .resolve(&reference_markers(config))
-            .map_err(|error| bad_input(format!("{name}: {error}")))?;
-        if let Some(number) = self.drop_touch.iter().find(|number| !(1..=all.len()).contains(*number)) {
-            return Err(bad_input(format!("--drop-touch {number}: there are touches 1 to {}", all.len())));
-        }
-        let used: Vec<usize> =
-            (0..all.len()).filter(|index| !self.drop_touch.contains(&(index + 1))).collect();
-        let chosen: Vec<_> = used.iter().map(|&index| all[index]).collect();
-        let fit = fit_touches(&chosen, &TouchSettings::default())
-            .map_err(|error| Fault { message: format!("{name}: {}", chain(&error)), code: 1 })?;
-        Ok(Some(Fitted { name, touches, used, fit }))
-    }
-}
-
-impl Fitted {
-    /// Compares the robot that touched with the one of the pictures.
-    ///
-    /// # Errors
-    /// It is another one, or its kinematics were measured anew.
-    pub(super) fn check_robot(&self, taken: &Provenance) -> Result<(), Fault> {
-        self.touches.check_robot(&self.name, taken).map_err(bad_input)
+        let survey = reference_markers(config);
+        Ok(Some(FittedTouches::new(path.display().to_string(), touches, &self.drop_touch, &survey)?))
     }
 }
 
@@ -274,25 +234,21 @@ fn read(path: &Path) -> Result<Touches, String> {
     Touches::parse(&text, &path.display().to_string()).map_err(|complaints| complaints.to_string())
 }
 
-/// The table by touch and the table by both, if touches were given.
+/// The touches and the table by both, if touches were given.
 ///
 /// # Errors
-/// As [`TieArgs::fitted`] and [`Fitted::check_robot`], or a disagreement.
+/// As [`TieArgs::fitted`] and [`FittedTouches::check_robot`], or a disagreement.
 pub(super) fn tied(
     config: &CellConfig,
     args: &TieArgs,
     taken: &Provenance,
     camera: &HandEye,
-) -> Result<Option<(TouchFit, Registration)>, Fault> {
-    let Some(fitted) = args.fitted(config)? else { return Ok(None) };
-    fitted.check_robot(taken)?;
-    let Fitted { name, touches, used, fit } = fitted;
-    report(&touches, &used, &fit);
+) -> Result<Option<(FittedTouches, Registration)>, Fault> {
+    let Some(touched) = args.fitted(config)? else { return Ok(None) };
+    touched.check_robot(taken)?;
+    report(touched.touches(), touched.used(), touched.fit());
     let limits = RegistrationLimits { shift_m: args.tie_mm / 1e3, turn_rad: rad_from_deg(args.tie_deg) };
-    let middle = Point3::new(config.workspace.width_m / 2.0, config.workspace.height_m / 2.0, 0.0);
-    let by_camera = (&camera.base_from_table, &camera.base_from_table_covariance);
-    let tie = tie(by_camera, &fit, &middle, &limits)
-        .map_err(|error| Fault { message: format!("{name}: {}", chain(&error)), code: 1 })?;
+    let tie = touched.tie(camera, [config.workspace.width_m, config.workspace.height_m], &limits)?;
     let [x, y, z] = [tie.shift_m.x, tie.shift_m.y, tie.shift_m.z].map(mm_from_m);
     complain(&format!(
         "touch less camera: {x:+.2}, {y:+.2}, {z:+.2} mm at the table's middle, {:.3} degrees; {:.1} standard deviations",
@@ -304,7 +260,7 @@ pub(super) fn tied(
         mm_from_m(tie.std.translation_m),
         deg_from_rad(tie.std.rotation_rad)
     ));
-    Ok(Some((fit, tie)))
+    Ok(Some((touched, tie)))
 }
 
 /// Every touch with its error.

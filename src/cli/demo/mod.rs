@@ -4,34 +4,30 @@
 //! folder `report.html`, `plan.svg`, `start.png`, `end.png`, `run.mcap`, `result.json`. Exit 0 when every
 //! object ended at its goal, 1 when not, 2 for bad input, 130 after Ctrl-C.
 
-pub mod cell;
 mod output;
 pub mod run;
-pub mod teach;
 pub mod watch;
 
-use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config};
 use crate::cli::task::TaskArgs;
 use crate::cli::task::outln;
 use crate::cli::values;
-use crate::config::cell::CellConfig;
-use crate::config::setup::{CUP_MARGIN_M, check_reach};
+use crate::demo::cell::DemoChoice;
+use crate::demo::task::{fitted, possible_cell, smallest_table_m};
 use cell_edge::priority;
 use clap::Args;
 use rearrange::planning::plan::Objective;
 use rearrange::planning::solver::SolverKind;
-use rearrange::tabletop::fit::{self, Requirements, fit, scaled_to_table, smallest_table_size};
-use rearrange::tabletop::instance::{Instance, ObjectSpec, Workspace};
-use rearrange::tabletop::room::Cup;
+use rearrange::tabletop::fit;
+use rearrange::tabletop::instance::Instance;
 use rearrange::tabletop::scenes::{SCENES, scene};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use ur_sim::command::{FOCAL_PX, faults_of};
+use ur_sim::command::faults_of;
 
-/// Tables up to this size are proposed, m.
-const LARGEST_TABLE_M: f64 = 0.8;
+/// Longer side of the table that instance files are scaled to, m.
+const FILE_TABLE_M: f64 = 0.5;
 
 /// `celld demo`
 #[derive(Args, Clone, Debug)]
@@ -94,48 +90,12 @@ fn prepare(args: &DemoArgs) -> Result<Option<Instance>, String> {
             scene(name).map_err(|error| error.to_string())?
         }
     };
-    let needs = Requirements {
-        pixels_per_metre: FOCAL_PX / LOOK_DISTANCE_M,
-        least_module_px: 3.0,
-        cups: vec![Cup { x: 0.0, y: 0.0, radius: CUP_DIAMETER_M / 2.0 }],
-        cup_margin: CUP_MARGIN_M,
-    };
     if args.fit_only {
-        let size = smallest_table_size(&given, &needs, LARGEST_TABLE_M).map_err(|error| error.to_string())?;
-        outln!("{size:.2}");
+        outln!("{:.2}", smallest_table_m(&given)?);
         return Ok(None);
     }
-    let scaled = match (args.table_size, &args.instance) {
-        (Some(size), _) => scaled_to_table(&given, size),
-        (None, Some(_)) => scaled_to_table(&given, 0.5),
-        (None, None) => Ok(given),
-    };
-    let scaled = scaled.map_err(|error| error.to_string())?;
-    let fitted = fit(&scaled, &needs).map_err(|error| error.to_string())?.instance;
-    refuse_table_markers(&fitted)?;
-    Ok(Some(fitted))
-}
-
-/// The demo glues reference markers round the table; an object with one of those numbers would be taken for
-/// the table.
-fn refuse_table_markers(instance: &Instance) -> Result<(), String> {
-    let Workspace { width, height } = instance.workspace;
-    let table: Vec<u32> = teach::reference_markers(width, height).into_iter().map(|(id, _)| id).collect();
-    let clash = |object: &ObjectSpec| {
-        let id = object.marker.as_ref().map(|marker| marker.id).filter(|id| table.contains(id))?;
-        Some(format!("object `{}` carries marker {id}", object.id))
-    };
-    let clashes: Vec<String> = instance.objects.iter().filter_map(clash).collect();
-    if clashes.is_empty() {
-        return Ok(());
-    }
-    let (first, last) = (table.iter().min().unwrap_or(&0), table.iter().max().unwrap_or(&0));
-    Err(format!(
-        "{}: markers {first} to {last} are the demo table's own; give other numbers, {} to {} are for objects",
-        clashes.join(", "),
-        fit::OBJECT_IDS.start,
-        fit::OBJECT_IDS.end - 1
-    ))
+    let of_a_file = args.instance.as_ref().map(|_| FILE_TABLE_M);
+    fitted(&given, args.table_size.or(of_a_file)).map(Some)
 }
 
 fn read_instance(path: &Path) -> Result<Instance, String> {
@@ -200,23 +160,6 @@ fn perform(args: &DemoArgs, instance: &Instance, stop: Arc<AtomicBool>) -> u8 {
         }
     };
     if interrupted.load(Ordering::Relaxed) { 130 } else { code }
-}
-
-/// The cell for the instance, if its arm can do the work: what is too heavy or too far is refused by name,
-/// now.
-fn possible_cell(instance: &Instance, choice: &DemoChoice, out: &Path) -> Result<CellConfig, String> {
-    let config = cell_config(instance, choice, out)?;
-    let task: Vec<_> = instance
-        .objects
-        .iter()
-        .filter(|object| !object.fixed)
-        .filter_map(|object| Some((object.id.clone(), object.start?, object.goal?)))
-        .collect();
-    let table = fit::table_size(instance);
-    check_reach(&config, &task).map_err(|message| {
-        format!("{message}; on a smaller table than {table:.2} m it may do (--table-size)")
-    })?;
-    Ok(config)
 }
 
 /// Ctrl-C raises `stop`: the daemon stops the arm and ends.

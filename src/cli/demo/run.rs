@@ -12,17 +12,17 @@ use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::order::JobOrder;
 use crate::cell::supervisor::round::RoundOrder;
 use crate::cell::supervisor::status::Status;
-use crate::cli::daemon::machine_parameters;
-use crate::cli::demo::cell::{DemoChoice, sim_file};
 use crate::cli::demo::watch::Watch;
-use crate::cli::recorder::Recorder;
 use crate::config::cell::{CameraDevice, CellConfig, Devices};
-use crate::config::setup::{Measured, cell_model, drawn, nominal_model, scene};
+use crate::config::setup::{Measured, cell_model, drawn, machine_parameters, nominal_model, scene};
 use crate::daemon::cameras::open_camera;
+use crate::daemon::recorder::Recorder;
 use crate::daemon::shell::Shell;
 use crate::daemon::sockets::Addresses;
 use crate::daemon::store::{Keeper, NoOrders};
 use crate::daemon::workers::{PerceptionSetup, Sight};
+use crate::demo::cell::{DemoChoice, sim_file};
+use crate::demo::outcome::DemoOutcome;
 use crate::io::camera::CameraSource;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::perception::Perception;
@@ -31,7 +31,6 @@ use cell_values::time::{Duration, Timestamp};
 use cell_vision::camera::CameraModel;
 use cell_vision::detect::{DetectSettings, Detector};
 use rearrange::document::chain::chain;
-use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::Instance;
 use std::path::Path;
 use std::sync::Arc;
@@ -41,22 +40,6 @@ use ur_sim::command::sim_config;
 use ur_sim::faults::{FaultError, Planned};
 use ur_sim::robot_server::RobotPorts;
 use ur_sim::world::lock;
-
-/// What became of a demo.
-pub struct DemoOutcome {
-    /// The daemon's configuration.
-    pub config: CellConfig,
-    /// What calibration found.
-    pub calibration: HandEye,
-    /// Everything that was seen and said.
-    pub watch: Watch,
-    /// True poses at the end, from the simulated world.
-    pub truth: Vec<(String, Pose2)>,
-    /// Simulated seconds per second that were reached.
-    pub factor: f64,
-    /// Why the recording is incomplete, if it is.
-    pub recording_fault: Option<String>,
-}
 
 /// Why a demo did not come to its end.
 #[derive(Debug, thiserror::Error)]
@@ -106,7 +89,7 @@ pub async fn demo(
     sim.shutdown().await;
     let (calibration, mut watch) = outcome?;
     let recording_fault = watch.close();
-    Ok(DemoOutcome { config, calibration, watch, truth, factor, recording_fault })
+    Ok(DemoOutcome { config, calibration, kept: watch.kept, truth, factor, recording_fault })
 }
 
 async fn with_sim(

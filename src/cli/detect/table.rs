@@ -5,12 +5,12 @@
 //! Out: sentences, JSON and outlines to draw. Where the picture was taken is determined by the reference
 //! markers in it.
 
-use crate::calibration::drawn::CameraMount;
-use crate::cli::capture::{perception, reported};
-use crate::cli::pictures::{read_bytes, read_camera};
+use crate::cli::capture::reported;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::config::setup::{inventory, reference_markers};
+use crate::config::pictures::{read_bytes, read_camera};
+use crate::config::setup::{drawn_search, movable_scene, reference_markers};
+use crate::perception::Perception;
 use crate::perception::place::where_taken;
 use cell_values::image::Image;
 use cell_values::image::depth::DepthImage;
@@ -18,10 +18,8 @@ use cell_values::image::depth::UNIT_M;
 use cell_values::time::Timestamp;
 use cell_vision::annotate::{self, BAD, GOOD, Overlay};
 use cell_vision::camera::CameraModel;
-use cell_vision::detect::Detection;
 use cell_vision::detect::family::Family;
-use cell_vision::foreign::ForeignLimits;
-use cell_vision::foreign::search::ForeignSearch;
+use cell_vision::detect::{DetectSettings, Detection};
 use cell_vision::observe::{Observation, View};
 use nalgebra::Isometry3;
 use rearrange::document::chain::chain;
@@ -69,25 +67,16 @@ impl Cell {
         let detections: Vec<Detection> = own.cloned().collect();
         let table_from_camera = where_taken(&lens, &reference_markers(&config), &detections)?;
         let depth = depth.map(read_depth).transpose()?;
-        let search = depth.as_ref().map(|_| search(&config, &lens)).transpose()?;
-        let perception = perception(&config, lens.clone(), search)?;
+        let search = depth.as_ref().map(|_| drawn_search(&config, &lens)).transpose();
+        let search = search.map_err(|error| chain(&error))?;
+        let scene = movable_scene(&config, lens.clone(), search);
+        let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
         let heights = perception.scene().heights(depth.as_ref(), None, &table_from_camera);
         let heights = heights.map_err(|error| chain(&error))?;
         let view = View { table_from_camera, detections, time: Timestamp::ZERO, heights };
         let seen = perception.observe(&[view]).map_err(|error| chain(&error))?;
         Ok(Table { seen, config, lens, table_from_camera })
     }
-}
-
-/// The search with the mount as drawn: the gripper's own room is wide enough for that.
-fn search(config: &CellConfig, lens: &CameraModel) -> Result<ForeignSearch, String> {
-    let own = match &config.camera {
-        CameraMount::Flange { flange_from_camera } => {
-            Some(flange_from_camera.inverse() * config.flange_from_tool)
-        }
-        CameraMount::Fixed { .. } => None,
-    };
-    ForeignSearch::new(lens, inventory(config, own), ForeignLimits::default()).map_err(|error| chain(&error))
 }
 
 fn read_depth(path: &Path) -> Result<DepthImage, String> {

@@ -4,9 +4,9 @@
 //! after them ended, and for each failure the fewest faults it needs, with the command that repeats it.
 
 use super::args::{SimulateArgs, keep_trace};
-use super::table::stage;
 use crate::pair::eyes::Eye;
 use crate::pair::storm::{Aftermath, Strike, fewest, storm, strikes};
+use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
 use indicatif::ProgressBar;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};

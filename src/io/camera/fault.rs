@@ -1,7 +1,7 @@
 //! What goes wrong with cameras: every error with place and cause, and the kind of fault that it is.
 //!
-//! In: nothing. Out: [`CameraError`], and [`FaultKind`], by which the recovery policy chooses its steps and by
-//! which the cell names the fault in a job's result.
+//! In: nothing. Out: [`CameraError`], and [`FaultKind`], by which the recovery policy chooses its steps and
+//! by which the cell names the fault in a job's result.
 
 use crate::io::camera::realsense::sdk::SdkError;
 use cell_values::image::ImageError;

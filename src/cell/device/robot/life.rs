@@ -274,8 +274,14 @@ impl Robot {
     /// The program that was stopped is still the one that is there, and it is still stopped.
     fn keeps_still(&self) -> bool {
         self.state.as_ref().is_some_and(|state| {
-            self.is_uploaded(state)
-                && matches!(state.program_status, ProgramStatus::Stopped | ProgramStatus::HeartbeatLost)
+            let stopped = match state.program_status {
+                ProgramStatus::Stopped | ProgramStatus::HeartbeatLost => true,
+                ProgramStatus::Idle
+                | ProgramStatus::Moving
+                | ProgramStatus::Rejected
+                | ProgramStatus::Unknown(_) => false,
+            };
+            self.is_uploaded(state) && stopped
         })
     }
 
@@ -330,7 +336,7 @@ impl Robot {
             return;
         }
         if state.runtime_state == RuntimeState::Stopped {
-            let reason = self.exception.take().unwrap_or(ProgramEnd::DeviceSnapshot);
+            let reason = self.exception.take().unwrap_or(ProgramEnd::FromOutside);
             return self.program_ended(reason);
         }
         if !state.safety_mode.allows_motion() {
@@ -351,7 +357,7 @@ impl Robot {
             }
             ProgramStatus::Stopped => {
                 // Not by us, or this would be another state.
-                return self.begin_end(now, ProgramEnd::DeviceSnapshot);
+                return self.begin_end(now, ProgramEnd::FromOutside);
             }
             ProgramStatus::Idle | ProgramStatus::Moving | ProgramStatus::HeartbeatLost => {}
         }

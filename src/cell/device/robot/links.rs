@@ -267,7 +267,14 @@ impl Robot {
         let state = RobotState { remote_control: self.remote_control, ..latest.clone() };
         self.mode_is(now, state.robot_mode);
         self.safety_is(now, state.safety_mode);
-        let paused = matches!(state.runtime_state, RuntimeState::Pausing | RuntimeState::Paused);
+        let paused = match state.runtime_state {
+            RuntimeState::Pausing | RuntimeState::Paused => true,
+            RuntimeState::Stopping
+            | RuntimeState::Stopped
+            | RuntimeState::Playing
+            | RuntimeState::Resuming
+            | RuntimeState::Unknown(_) => false,
+        };
         let playing = state.runtime_state == RuntimeState::Playing;
         self.state = Some(state);
         if paused && !self.reported.paused {

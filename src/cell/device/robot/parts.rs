@@ -164,7 +164,18 @@ impl ArmGoal {
     /// True if the robot is there.
     pub fn reached(self, state: &RobotState) -> bool {
         match self {
-            ArmGoal::PoweredOn => matches!(state.robot_mode, RobotMode::Idle | RobotMode::Running),
+            ArmGoal::PoweredOn => match state.robot_mode {
+                RobotMode::Idle | RobotMode::Running => true,
+                RobotMode::NoController
+                | RobotMode::Disconnected
+                | RobotMode::ConfirmSafety
+                | RobotMode::Booting
+                | RobotMode::PowerOff
+                | RobotMode::PowerOn
+                | RobotMode::Backdrive
+                | RobotMode::UpdatingFirmware
+                | RobotMode::Unknown(_) => false,
+            },
             ArmGoal::Running => state.robot_mode == RobotMode::Running,
             ArmGoal::Unlocked => state.safety_mode.allows_motion(),
         }

@@ -45,7 +45,7 @@ fn after_a_stop_and_arming_a_new_program_is_started_and_the_next_job_runs() {
 fn a_stop_while_nothing_moves_disarms_and_nothing_starts_by_itself() {
     let events = [
         RobotEvent::Safety { mode: SafetyMode::RobotEmergencyStop },
-        RobotEvent::ProgramEnded { reason: ProgramEnd::DeviceSnapshot },
+        RobotEvent::ProgramEnded { reason: ProgramEnd::FromOutside },
         RobotEvent::RtdeLost,
         RobotEvent::RemoteControl { on: false },
     ];

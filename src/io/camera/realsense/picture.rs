@@ -56,7 +56,8 @@ pub(super) fn frame_of(
                 let rows = picture.rows(2).map_err(refused)?;
                 let units: Vec<u16> =
                     rows.data.chunks_exact(2).map(|pair| u16::from_ne_bytes([pair[0], pair[1]])).collect();
-                depth = Some(DepthImage::from_units(rows.width, rows.height, &units, unit_m).map_err(broken)?);
+                depth =
+                    Some(DepthImage::from_units(rows.width, rows.height, &units, unit_m).map_err(broken)?);
             }
             _ => {}
         }

@@ -5,9 +5,11 @@
 //! into PNG on a thread of their own, for it takes tens of milliseconds in which the robot would get no
 //! message from us.
 
+use crate::config::cell::RecordingConfig;
 use crate::daemon::messages::Displayed;
 use crate::daemon::shell::Scene;
 use crate::io::recording::{PictureFormat, RecordedObject, Recording, RecordingError, Severity};
+use crate::jobs::utc;
 use cell_edge::clock::unix_now_s;
 use cell_edge::priority;
 use cell_values::image::Image;
@@ -33,6 +35,22 @@ struct Encoder {
     pictures: SyncSender<Picture>,
     encoded: Receiver<EncodedPicture>,
     thread: JoinHandle<()>,
+}
+
+/// A new file in the recording folder, named by the time.
+///
+/// # Errors
+/// A folder or file that cannot be made: the operator who requests a recording wants to know before, not
+/// after.
+pub fn start(config: &RecordingConfig) -> Result<Recorder, String> {
+    std::fs::create_dir_all(&config.folder)
+        .map_err(|error| format!("{}: {error}", config.folder.display()))?;
+    let name = format!("run-{}.mcap", utc::text(unix_now_s()).replace(':', ""));
+    let recorder = Recorder::create(&config.folder.join(name), config.pictures);
+    match recorder.fault() {
+        Some(fault) => Err(format!("recording: {fault}")),
+        None => Ok(recorder),
+    }
 }
 
 /// Writes a run down.
@@ -84,7 +102,7 @@ impl Recorder {
             Scene::Route(route) => {
                 let steps: Vec<_> = route
                     .iter()
-                    .map(|s| json!({"object": s.0, "from": s.1, "to": s.2, "goal": s.3}))
+                    .map(|s| json!({"object": s.object, "from": s.from, "to": s.to, "goal": s.to_goal}))
                     .collect();
                 self.write(|recording| recording.plan(now, &json!({ "actions": steps })));
             }

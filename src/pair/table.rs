@@ -1,19 +1,21 @@
 //! The cells that the closed loop runs: a small table with six objects, or what two configurations describe.
+//!
+//! In: a seed and how the cell sees, or the daemon's configuration and the simulator's. Out: a [`Stage`].
 
-use crate::cli::daemon::machine_parameters;
-use crate::cli::demo::cell::{CUP_DIAMETER_M, DemoChoice, LOOK_DISTANCE_M, cell_config, sim_file};
+use crate::cell::supervisor::model::ForeignRule;
 use crate::config::cell::CellConfig;
-use crate::config::setup::CUP_MARGIN_M;
+use crate::config::setup::machine_parameters;
+use crate::demo::cell::{DemoChoice, cell_config, sim_file};
+use crate::demo::task::requirements;
 use crate::pair::eyes::Eye;
 use crate::pair::stage::Stage;
 use rearrange::planning::plan::Objective;
 use rearrange::planning::solver::SolverKind;
-use rearrange::tabletop::fit::{Requirements, fit};
+use rearrange::tabletop::fit::fit;
 use rearrange::tabletop::parse::parse_instance;
-use rearrange::tabletop::room::Cup;
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
-use ur_sim::command::{FOCAL_PX, sim_config};
+use ur_sim::command::sim_config;
 use ur_sim::config::SimFile;
 use ur_sim::robot_server::RobotPorts;
 
@@ -36,13 +38,7 @@ objects:
 /// What does not fit together.
 pub fn stage(seed: u64, eye: Eye) -> Result<Stage, String> {
     let given = parse_instance(TABLE, "table", &|_| None).map_err(|complaints| complaints.to_string())?;
-    let needs = Requirements {
-        pixels_per_metre: FOCAL_PX / LOOK_DISTANCE_M,
-        least_module_px: 3.0,
-        cups: vec![Cup { x: 0.0, y: 0.0, radius: CUP_DIAMETER_M / 2.0 }],
-        cup_margin: CUP_MARGIN_M,
-    };
-    let instance = fit(&given, &needs).map_err(|error| error.to_string())?.instance;
+    let instance = fit(&given, &requirements()).map_err(|error| error.to_string())?.instance;
     let choice = DemoChoice {
         bind: IpAddr::V4(Ipv4Addr::LOCALHOST),
         time_factor: 1.0,
@@ -54,7 +50,7 @@ pub fn stage(seed: u64, eye: Eye) -> Result<Stage, String> {
     let mut config = cell_config(&instance, &choice, Path::new("."))?;
     if eye == Eye::Corners {
         // Corners have no depth.
-        config.foreign = crate::cell::supervisor::model::ForeignRule::Off;
+        config.foreign = ForeignRule::Off;
     }
     let file = sim_file(&instance, &config, &choice)?;
     stage_of(&config, &file, seed)

@@ -7,15 +7,15 @@
 use crate::calibration::drawn::CameraMount;
 use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
-use crate::cli::demo::teach::{
-    BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
-};
 use crate::config::cell::{
     CalibrationFiles, CameraDevice, CellConfig, Devices, MotionLimits, PlannerConfig, SimulationConfig,
     Tolerances, WorkspaceConfig,
 };
 use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::config::setup::arm_model;
+use crate::demo::teach::{
+    BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
+};
 use cell_parts::gripper::{CupChannel, CupConfig, GripperConfig};
 use cell_parts::reference::ReferenceMarkerConfig;
 use cell_values::image::quality::PictureLimits;
@@ -185,6 +185,9 @@ fn planner(choice: &DemoChoice) -> PlannerConfig {
 }
 
 /// The simulator's side; its truth comes from the seed.
+///
+/// # Errors
+/// The cell's camera is not on the flange.
 pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -> Result<SimFile, String> {
     let CameraMount::Flange { flange_from_camera } = config.camera else {
         return Err("the demo's camera sits on the flange".to_string());
