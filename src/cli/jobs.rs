@@ -7,14 +7,14 @@ use crate::cell::orders::Reply;
 use crate::cli::client::{ClientError, StateArg, complain};
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
-use crate::jobs::command::{Command, RecoverHow, ReleaseChannel, Sent};
+use crate::jobs::command::{Command, Given, RecoverHow, ReleaseChannel, Sent};
 use crate::jobs::journal::Journal;
 use crate::jobs::record::{JobRecord, quoted};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
 use crate::jobs::utc;
 use crate::report::text::{columns, or_dash};
-use cell_edge::clock::unix_now_s;
+use cell_edge::clock::{boot_now_s, unix_now_s};
 use clap::{Args, Subcommand, ValueEnum};
 use std::time::{Duration, Instant};
 
@@ -49,7 +49,8 @@ pub enum ClientCommand {
         #[arg(long, value_enum, default_value_t = Format::Text)]
         format: Format,
     },
-    /// Allow motion.
+    /// Allow motion. Refused, with what is missing, unless every link is up, the safety mode normal or
+    /// reduced, remote control on and the gripper empty; an arm that is off is powered at once.
     Arm(StateArg),
     /// Forbid motion after the present step; a robot that is held or being started is stopped at once.
     Disarm(StateArg),
@@ -187,7 +188,8 @@ fn to_send(command: ClientCommand) -> (StateFolder, Command) {
 
 fn send(state: &StateFolder, command: &Command) -> Result<u8, ClientError> {
     let daemon = running_daemon(state)?;
-    let sent = Sent::send(&state.commands(), &daemon, command, unix_now_s())?;
+    let given = Given { unix_s: unix_now_s(), boot_s: boot_now_s() };
+    let sent = Sent::send(&state.commands(), &daemon, command, given)?;
     let begun = Instant::now();
     while begun.elapsed() < ANSWER_WITHIN {
         if let Some(Reply { accepted, message }) = sent.poll()? {
@@ -327,7 +329,7 @@ mod tests {
             let answer = std::thread::scope(|scope| {
                 let client = scope.spawn(|| send(&state, &Command::Arm));
                 let taken = loop {
-                    if let Some(taken) = inbox.take().unwrap().pop() {
+                    if let Some(taken) = inbox.take(boot_now_s()).unwrap().pop() {
                         break taken;
                     }
                     std::thread::yield_now();

@@ -20,7 +20,7 @@ use crate::jobs::record::{JobRecord, JobResult, JobState, ObjectResult, StepInte
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status;
-use cell_edge::clock::unix_now_s;
+use cell_edge::clock::{boot_now_s, unix_now_s};
 use cell_values::time::{Duration, Timestamp};
 use rearrange::planning::plan::ActionKind;
 use rearrange::planning::solver::SolverKind;
@@ -340,7 +340,7 @@ impl StateOrders {
 
 impl Orders for StateOrders {
     fn take(&mut self) -> Vec<(u64, Order)> {
-        let taken = self.inbox.take().unwrap_or_else(|error| {
+        let taken = self.inbox.take(boot_now_s()).unwrap_or_else(|error| {
             tracing::error!(%error, "command folder");
             Vec::new()
         });

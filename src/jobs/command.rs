@@ -2,8 +2,10 @@
 //!
 //! In: a [`Command`] from `celld arm` and its like. Out: the same in the daemon, once, and its answer back.
 //! A command is a file, renamed into place whole, that carries the name of the daemon it was meant for: one
-//! that was not taken (the daemon had just ended) is never obeyed by the next daemon, so an old `arm` cannot
-//! move an arm. The daemon removes the file before it obeys: a command is carried out at most once.
+//! that was not taken (the daemon had just ended) is never obeyed by the next daemon, and one that is read
+//! more than [`COUNTS_FOR_S`] after it was given is refused, so an old `arm` cannot move an arm. What only
+//! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at most
+//! once.
 
 use crate::cell::orders::Reply;
 use cell_edge::files::{FileError, create_folder, read_regular, remove, rename_new, write_atomic};
@@ -15,6 +17,22 @@ const MAX_BYTES: u64 = 64 * 1024;
 
 /// Most commands taken in one turn; the rest waits for the next.
 const MAX_AT_ONCE: usize = 4;
+
+/// For so long an order counts, s: a daemon that was held up (a slow disk, a stopped process) must not move
+/// the arm for a person who has gone on to something else.
+pub const COUNTS_FOR_S: f64 = 10.0;
+
+/// Clocks of one machine agree; an order from further ahead was not stamped on this one.
+const AHEAD_S: f64 = 1.0;
+
+/// When an order was given.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Given {
+    /// Calendar time, s since 1970: orders the commands of several senders.
+    pub unix_s: f64,
+    /// Time since the machine started, s: how old the order is.
+    pub boot_s: f64,
+}
 
 /// What an operator may request of the daemon.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -88,7 +106,42 @@ pub enum RecoverHow {
 #[serde(deny_unknown_fields)]
 struct Envelope {
     daemon: String,
+    /// When it was given, s since the machine started.
+    boot_s: f64,
     command: Command,
+}
+
+impl Envelope {
+    /// Why it does not count any more at `boot_s`, if so.
+    fn outdated(&self, boot_s: f64) -> Option<String> {
+        let age_s = boot_s - self.boot_s;
+        // Written so that an age that is no number is outdated.
+        let counts = self.command.counts_always() || (-AHEAD_S..=COUNTS_FOR_S).contains(&age_s);
+        (!counts).then(|| {
+            format!(
+                "nothing was done: this order was given {age_s:.0} s ago and counts for {COUNTS_FOR_S:.0} s; \
+                     look at the cell, then give it again"
+            )
+        })
+    }
+}
+
+impl Command {
+    /// It only stops: obeyed however old it is.
+    pub fn counts_always(&self) -> bool {
+        match self {
+            Command::Disarm | Command::Pause | Command::Abort => true,
+            Command::Arm
+            | Command::Approve { .. }
+            | Command::Reject { .. }
+            | Command::Cancel { .. }
+            | Command::Resume
+            | Command::Step
+            | Command::Park
+            | Command::Release { .. }
+            | Command::Recover { .. } => false,
+        }
+    }
 }
 
 /// A command that the daemon took, to be answered.
@@ -119,13 +172,13 @@ impl Inbox {
         Ok(Inbox { folder: folder.to_owned(), daemon: daemon.into() })
     }
 
-    /// Takes what is there, in the order of sending. Files that are no command for this daemon are removed.
-    /// Whatever happens to one file, the commands taken before it are returned: an abort must not be lost to
-    /// a full disk.
+    /// Takes what is there at `boot_s`, s since the machine started, in the order of sending. Files that are
+    /// no command for this daemon are removed, and so are orders that do not count any more. Whatever happens
+    /// to one file, the commands taken before it are returned: an abort must not be lost to a full disk.
     ///
     /// # Errors
     /// The folder cannot be listed. A single file that makes trouble is logged and is no error.
-    pub fn take(&mut self) -> Result<Vec<Taken>, FileError> {
+    pub fn take(&mut self, boot_s: f64) -> Result<Vec<Taken>, FileError> {
         let mut taken = Vec::new();
         for path in list(&self.folder)?.into_iter().filter(|path| is_command(path)).take(MAX_AT_ONCE) {
             let envelope = read_regular(&path, MAX_BYTES)
@@ -137,14 +190,20 @@ impl Inbox {
             }
             let reply = path.with_extension("reply");
             let refused = match envelope {
-                Some(envelope) if envelope.daemon == self.daemon => {
-                    taken.push(Taken { command: envelope.command, reply });
-                    continue;
-                }
-                Some(_) => "this command was meant for a daemon that has ended",
-                None => "this file is not a command of this version of celld",
+                Some(envelope) if envelope.daemon == self.daemon => match envelope.outdated(boot_s) {
+                    Some(why) => {
+                        tracing::warn!(command = ?envelope.command, "refused: {why}");
+                        why
+                    }
+                    None => {
+                        taken.push(Taken { command: envelope.command, reply });
+                        continue;
+                    }
+                },
+                Some(_) => "this command was meant for a daemon that has ended".to_string(),
+                None => "this file is not a command of this version of celld".to_string(),
             };
-            if let Err(error) = answer(&reply, false, refused) {
+            if let Err(error) = answer(&reply, false, &refused) {
                 tracing::warn!(%error, "a command could not be answered");
             }
         }
@@ -168,20 +227,20 @@ pub struct Sent {
 }
 
 impl Sent {
-    /// Leaves `command` for the daemon called `daemon`. `unix_s` orders the commands of several senders.
+    /// Leaves `command` for the daemon called `daemon`.
     ///
     /// # Errors
-    /// The command cannot be written, or 1000 commands of this process with the same `unix_s` are still
+    /// The command cannot be written, or 1000 commands of this process with the same time are still
     /// there.
-    pub fn send(folder: &Path, daemon: &str, command: &Command, unix_s: f64) -> Result<Sent, FileError> {
-        let envelope = Envelope { daemon: daemon.to_owned(), command: command.clone() };
+    pub fn send(folder: &Path, daemon: &str, command: &Command, given: Given) -> Result<Sent, FileError> {
+        let envelope = Envelope { daemon: daemon.to_owned(), boot_s: given.boot_s, command: command.clone() };
         let text = serde_json::to_string(&envelope).expect("commands have string keys only");
         let pid = std::process::id();
         let hidden = folder.join(format!(".{pid}.tmp"));
         write_atomic(&hidden, text.as_bytes())?;
         let mut number = 0_u32;
         loop {
-            let path = folder.join(format!("{:020}-{pid}-{number:03}.command", (unix_s * 1e6) as u64));
+            let path = folder.join(format!("{:020}-{pid}-{number:03}.command", (given.unix_s * 1e6) as u64));
             match rename_new(&hidden, &path) {
                 Err(error) if error.is_present() && number < 999 => number += 1,
                 Err(error) => return Err(error),
@@ -245,6 +304,10 @@ fn list(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
 mod tests {
     use super::*;
 
+    fn given(unix_s: f64) -> Given {
+        Given { unix_s, boot_s: 100.0 }
+    }
+
     fn folder() -> tempfile::TempDir {
         tempfile::tempdir().unwrap()
     }
@@ -254,12 +317,12 @@ mod tests {
         let folder = folder();
         let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
         let approve = Command::Approve { id: "tidy".into() };
-        let first = Sent::send(folder.path(), "d1", &Command::Arm, 10.0).unwrap();
-        Sent::send(folder.path(), "d1", &approve, 10.0).unwrap();
+        let first = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
+        Sent::send(folder.path(), "d1", &approve, given(10.0)).unwrap();
         assert_eq!(first.poll().unwrap(), None);
-        let taken = inbox.take().unwrap();
+        let taken = inbox.take(100.0).unwrap();
         assert_eq!(taken.iter().map(|taken| &taken.command).collect::<Vec<_>>(), [&Command::Arm, &approve]);
-        assert!(inbox.take().unwrap().is_empty());
+        assert!(inbox.take(100.0).unwrap().is_empty());
         let reply = Reply { accepted: false, message: "the robot is in local mode".into() };
         inbox.reply(&taken[0], &reply).unwrap();
         assert_eq!(first.poll().unwrap(), Some(reply));
@@ -269,13 +332,45 @@ mod tests {
     #[test]
     fn an_old_command_never_reaches_the_next_daemon() {
         let folder = folder();
-        let late = Sent::send(folder.path(), "d1", &Command::Arm, 10.0).unwrap();
+        let late = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
         let mut inbox = Inbox::open(folder.path(), "d2").unwrap();
-        assert!(inbox.take().unwrap().is_empty(), "cleared at start");
-        let later = Sent::send(folder.path(), "d1", &Command::Arm, 11.0).unwrap();
-        assert!(inbox.take().unwrap().is_empty(), "meant for the daemon before");
+        assert!(inbox.take(100.0).unwrap().is_empty(), "cleared at start");
+        let later = Sent::send(folder.path(), "d1", &Command::Arm, given(11.0)).unwrap();
+        assert!(inbox.take(100.0).unwrap().is_empty(), "meant for the daemon before");
         assert!(!later.poll().unwrap().unwrap().accepted);
         assert!(!late.withdraw().unwrap());
+    }
+
+    #[test]
+    fn an_order_counts_for_ten_seconds_unless_it_only_stops() {
+        let id = || "tidy".to_string();
+        let commands = [
+            (Command::Arm, false),
+            (Command::Disarm, true),
+            (Command::Approve { id: id() }, false),
+            (Command::Reject { id: id() }, false),
+            (Command::Cancel { id: id() }, false),
+            (Command::Pause, true),
+            (Command::Resume, false),
+            (Command::Step, false),
+            (Command::Abort, true),
+            (Command::Park, false),
+            (Command::Release { channel: None }, false),
+            (Command::Recover { how: RecoverHow::Plain }, false),
+        ];
+        for (command, always) in commands {
+            // Read in time, late, stamped on another clock, and stamped with no number at all.
+            for (boot_s, counts) in [(109.9, true), (110.1, always), (98.0, always), (f64::NAN, always)] {
+                let folder = folder();
+                let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+                let sent = Sent::send(folder.path(), "d1", &command, given(10.0)).unwrap();
+                let taken = inbox.take(boot_s).unwrap();
+                assert_eq!(taken.len(), usize::from(counts), "{command:?} at {boot_s}");
+                let refused = sent.poll().unwrap();
+                assert_eq!(refused.is_some(), !counts, "{command:?} at {boot_s}");
+                assert!(refused.is_none_or(|reply| !reply.accepted && reply.message.contains("again")));
+            }
+        }
     }
 
     #[test]
@@ -284,13 +379,14 @@ mod tests {
         let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
         for (name, text) in [
             ("1.command", "arm"),
-            ("2.command", r#"{"daemon": "d1", "command": {"do": "fly"}}"#),
-            ("3.command", r#"{"daemon": "d1", "command": {"do": "arm"}, "extra": 1}"#),
+            ("2.command", r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "fly"}}"#),
+            ("3.command", r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "arm"}, "extra": 1}"#),
+            ("5.command", r#"{"daemon": "d1", "command": {"do": "arm"}}"#),
         ] {
             std::fs::write(folder.path().join(name), text).unwrap();
         }
         std::os::unix::fs::symlink("/dev/zero", folder.path().join("4.command")).unwrap();
-        assert!(inbox.take().unwrap().is_empty());
+        (0..2).for_each(|_| assert!(inbox.take(100.0).unwrap().is_empty()));
         assert!(!list(folder.path()).unwrap().iter().any(|path| is_command(path)));
     }
 
@@ -298,8 +394,8 @@ mod tests {
     fn a_command_can_be_taken_back() {
         let folder = folder();
         let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        let sent = Sent::send(folder.path(), "d1", &Command::Park, 10.0).unwrap();
+        let sent = Sent::send(folder.path(), "d1", &Command::Park, given(10.0)).unwrap();
         assert!(sent.withdraw().unwrap());
-        assert!(inbox.take().unwrap().is_empty());
+        assert!(inbox.take(100.0).unwrap().is_empty());
     }
 }
