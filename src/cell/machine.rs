@@ -284,6 +284,7 @@ impl Machine {
     fn step(&mut self, now: Timestamp, input: Input) {
         let Some(supervisor) = &mut self.supervisor else { return self.step_without_cell(input) };
         let outside = DeviceSnapshot {
+            link_down: Link::ALL.into_iter().find(|link| !self.connections.is_up(*link)),
             robot: self.robot.state(),
             robot_fresh: self.robot.fresh(now),
             program_settled: self.robot.program_settled(),

@@ -32,17 +32,20 @@ impl Supervisor {
             && outside.robot_fresh
             && outside.robot.is_some_and(|robot| robot.remote_control == Some(true));
         if can_start && opens_by_bring_up(&closed) {
-            self.enter(Phase::BringUp(BringUp::default()), BRING_UP_LIMIT);
-            self.bring_up(outside, out);
-            return;
+            return self.begin_bring_up(outside, out);
         }
         self.wait(now, closed, out);
     }
 
+    pub(crate) fn begin_bring_up(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        self.enter(Phase::BringUp(BringUp::default()), BRING_UP_LIMIT);
+        self.bring_up(outside, out);
+    }
+
     /// What keeps a gate closed, with the address of the device that is to blame.
-    fn place(&self, closed: &GateClosed) -> String {
+    pub(crate) fn place(&self, closed: &GateClosed) -> String {
         match closed {
-            GateClosed::Stale => format!("{closed} ({})", self.model.addresses.robot),
+            GateClosed::Link(_) | GateClosed::Stale => format!("{closed} ({})", self.model.addresses.robot),
             GateClosed::Gripper => format!("{closed} ({})", self.model.addresses.gripper),
             GateClosed::Safety(_)
             | GateClosed::Mode(_)
@@ -142,7 +145,8 @@ impl Supervisor {
 fn opens_by_bring_up(closed: &GateClosed) -> bool {
     match closed {
         GateClosed::Mode(_) | GateClosed::Program => true,
-        GateClosed::Stale
+        GateClosed::Link(_)
+        | GateClosed::Stale
         | GateClosed::Safety(_)
         | GateClosed::Local
         | GateClosed::Paused

@@ -60,6 +60,8 @@ pub struct Supervisor {
     pub(crate) until_it_stands: Vec<UntilItStands>,
     /// The robot has reported standstill since it was last ordered to stop.
     pub(crate) stands: bool,
+    /// A simulated cell that is to be armed without a person, once, when the gates first open.
+    pub(crate) arms_when_open: bool,
     /// [`Action::End`] was given.
     pub(crate) ended: bool,
     /// Commands to the arm that wait for a paused program.
@@ -90,14 +92,16 @@ impl Supervisor {
             release_orders: Vec::new(),
             until_it_stands: Vec::new(),
             stands: true,
+            arms_when_open: false,
             ended: false,
             held_back: Vec::new(),
         }
     }
 
-    /// Arms the cell without a person: for simulated cells only, as the configuration checks.
+    /// Arms the cell without a person, once, when everything that arming needs is there: for simulated cells
+    /// only, as the configuration checks. A stop or an order to disarm before that takes it back.
     pub fn arm_at_start(&mut self) {
-        self.mode.arm();
+        self.arms_when_open = true;
     }
 
     /// True when a job may be handed over.

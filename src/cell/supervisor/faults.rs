@@ -7,7 +7,7 @@
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
 use crate::cell::supervisor::cell::{Reason, Supervisor, alarm, say};
-use crate::cell::supervisor::gates::motion_speed;
+use crate::cell::supervisor::gates::{self, motion_speed};
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::cell::supervisor::mode::{EndFault, Mode};
@@ -36,6 +36,7 @@ impl Supervisor {
         self.watch_end(now, outside, out);
         self.watch_settling(now, outside, out);
         self.watch_visit(now, outside, out);
+        self.arm_when_open(outside, out);
         self.bring_up(outside, out);
         if let Some(message) = motion_trouble(now, outside).filter(|_| self.moving()) {
             return self.stop_all(now, JobStatus::Interrupted, Code::RobotStopped.because(message, ""), out);
@@ -52,6 +53,15 @@ impl Supervisor {
         }
         if self.remaining.is_zero() {
             self.on_deadline(now, out);
+        }
+    }
+
+    fn arm_when_open(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let open = self.arms_when_open && self.under_way(outside).is_none() && gates::arming(outside).is_ok();
+        if open && matches!(self.mode, Mode::Disarmed { .. }) {
+            self.arms_when_open = false;
+            self.mode.arm();
+            say(out, "armed at start, as configured for the simulation");
         }
     }
 
@@ -304,6 +314,7 @@ impl Supervisor {
         self.phase = Phase::Ready;
         self.seen = None;
         self.mode.disarm();
+        self.arms_when_open = false;
         alarm(out, format!("stopped and disarmed: {}", reason.message));
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
         let hint = if reason.hint.is_empty() { AFTER_A_STOP.to_string() } else { reason.hint.clone() };

@@ -4,6 +4,7 @@
 //! condition that is missing, in words. One function for each class of motion; every motion goes through one.
 
 use crate::cell::device::program::Nonce;
+use crate::cell::device::robot_types::Link;
 use crate::cell::supervisor::input::DeviceSnapshot;
 use ur_wire::enumerations::{RobotMode, RuntimeState};
 
@@ -14,7 +15,7 @@ impl GateClosed {
     /// What a person can do about it.
     pub fn hint(&self) -> &'static str {
         match self {
-            GateClosed::Stale => {
+            GateClosed::Link(_) | GateClosed::Stale => {
                 "see that the controller is on and in the network: `devices.robot` in the configuration, `ping` it"
             }
             GateClosed::Safety(_) => "clear the stop at the pendant once the cell is safe, then `celld arm`",
@@ -38,6 +39,9 @@ impl GateClosed {
 /// Why a motion may not start.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GateClosed {
+    /// A connection to the controller is down.
+    #[error("the {0} link to the controller is down")]
+    Link(Link),
     /// No state of the robot within the staleness limit.
     #[error("the robot's state is not fresh")]
     Stale,
@@ -74,6 +78,38 @@ pub enum GateClosed {
     /// The plan waits for a person.
     #[error("the plan is not approved")]
     NotApproved,
+}
+
+/// What arming needs: everything that a person at the table cannot see past. An arm that is off may be armed,
+/// for celld powers it on the order; an arm that comes to life later must not move for an order from before.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn arming(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
+    if let Some(link) = outside.link_down {
+        return Err(GateClosed::Link(link));
+    }
+    let robot = match outside.robot {
+        Some(robot) if outside.robot_fresh => robot,
+        _ => return Err(GateClosed::Stale),
+    };
+    if !robot.safety_mode.allows_motion() {
+        return Err(GateClosed::Safety(format!("{:?}", robot.safety_mode)));
+    }
+    if robot.remote_control != Some(true) {
+        return Err(GateClosed::Local);
+    }
+    match robot.robot_mode {
+        RobotMode::PowerOff | RobotMode::Idle | RobotMode::Running => empty_handed(outside),
+        RobotMode::NoController
+        | RobotMode::Disconnected
+        | RobotMode::ConfirmSafety
+        | RobotMode::Booting
+        | RobotMode::PowerOn
+        | RobotMode::Backdrive
+        | RobotMode::UpdatingFirmware
+        | RobotMode::Unknown(_) => Err(GateClosed::Mode(format!("{:?}", robot.robot_mode))),
+    }
 }
 
 /// What every motion needs.
@@ -121,9 +157,11 @@ pub fn empty_handed(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
     let Some(vacuum) = outside.vacuum.filter(|_| outside.gripper_answers) else {
         return Err(GateClosed::Gripper);
     };
-    let most = vacuum[0].max(vacuum[1]);
-    // A reading that is no number is no proof either.
-    if most < EMPTY_BELOW { Ok(()) } else { Err(GateClosed::Holding((most * 100.0).round() as u32)) }
+    // A reading that is no number is no proof either; the larger of it and another would be the other.
+    if vacuum.iter().all(|share| *share < EMPTY_BELOW) {
+        return Ok(());
+    }
+    Err(GateClosed::Holding((vacuum[0].max(vacuum[1]) * 100.0).round() as u32))
 }
 
 /// What moving an object needs besides.

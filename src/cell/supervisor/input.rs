@@ -2,7 +2,7 @@
 
 use crate::cell::code::Code;
 use crate::cell::device::gripper_types::{GripperCommand, GripperEvent};
-use crate::cell::device::robot_types::{RobotCommand, RobotEvent, RobotState};
+use crate::cell::device::robot_types::{Link, RobotCommand, RobotEvent, RobotState};
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
@@ -19,6 +19,8 @@ use rearrange::tabletop::instance::Instance;
 /// What the devices last said, handed over with every call.
 #[derive(Clone, Copy, Debug)]
 pub struct DeviceSnapshot<'a> {
+    /// The first connection to the controller that is down.
+    pub link_down: Option<Link>,
     /// Last state of the robot, if it ever spoke.
     pub robot: Option<&'a RobotState>,
     /// The robot's last state is younger than the staleness limit.

@@ -7,11 +7,12 @@ use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
 use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::cell::{Supervisor, say};
-use crate::cell::supervisor::gates::motion_speed;
+use crate::cell::supervisor::gates::{self, GateClosed, motion_speed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::mode::{Mode, Pace};
-use crate::cell::supervisor::phase::{Phase, Then, WorkStage};
+use crate::cell::supervisor::phase::{BringUp, Phase, Then, WorkStage};
 use cell_values::time::Timestamp;
+use ur_wire::enumerations::RobotMode;
 
 impl Supervisor {
     /// Carries an order out; the refusal, if it is refused.
@@ -93,6 +94,10 @@ impl Supervisor {
         if let Some(why) = self.under_way(outside) {
             return Some(Reply::refuse(format!("not armed: {why}; try again")));
         }
+        let open = gates::arming(outside);
+        if let (Mode::Disarmed { .. }, Err(closed)) = (&self.mode, &open) {
+            return Some(Reply::refuse(self.not_armed_for(closed)));
+        }
         if !self.mode.arm() {
             return Some(match &self.mode {
                 Mode::Locked(reason) => Reply::refuse(format!(
@@ -103,12 +108,26 @@ impl Supervisor {
                 }
             });
         }
+        self.arms_when_open = false;
         // The person who arms has been at the table: what was on it may be gone, and only a look can show it.
         self.seen = None;
         self.foreign_height = 0.0;
         self.drift_reported = false;
         say(out, "armed");
+        // At once: a person has to see what comes of the order, not minutes later.
+        let off =
+            outside.robot.is_some_and(|r| matches!(r.robot_mode, RobotMode::PowerOff | RobotMode::Idle));
+        if off && matches!(self.phase, Phase::Ready) {
+            self.begin_bring_up(outside, out);
+        }
         None
+    }
+
+    /// What is missing, and what to do before the next try.
+    fn not_armed_for(&self, closed: &GateClosed) -> String {
+        let hint = closed.hint();
+        let again = if hint.contains("celld arm") { "" } else { "; then `celld arm`" };
+        format!("not armed: {}; {hint}{again}", self.place(closed))
     }
 
     /// A pick-n-place under way is finished, then nothing moves; the person who disarms may put hands on the
@@ -129,6 +148,7 @@ impl Supervisor {
             self.answer_when_it_stands(now, number, Then::Say);
         }
         self.mode.disarm();
+        self.arms_when_open = false;
         self.seen = None;
         let begun = match &self.phase {
             Phase::BringUp(_) => false,
@@ -192,10 +212,7 @@ impl Supervisor {
     /// What has become of an order that was taken; `None` where the answer comes later.
     pub(crate) fn answer(&self, order: &Order) -> Option<Reply> {
         Some(match order {
-            Order::Arm => Reply::accept(match self.mode.paused() {
-                true => "armed; a pause is in force, `celld resume` ends it",
-                false => "armed",
-            }),
+            Order::Arm => Reply::accept(self.armed_and_now()),
             Order::Disarm => Reply::accept(match &self.phase {
                 Phase::Work(_) => {
                     "disarmed; the pick-n-place under way is finished first, `celld abort` stops it now"
@@ -243,6 +260,20 @@ impl Supervisor {
             Order::Park => self.answer_park(),
             Order::Abort | Order::Release(_) | Order::Recover => return None,
         })
+    }
+
+    /// That the cell is armed, and what the arm does next.
+    fn armed_and_now(&self) -> &'static str {
+        match &self.phase {
+            Phase::BringUp(BringUp { asked: Some(_), .. }) => {
+                "armed: celld switches the arm's power on and releases its brakes now"
+            }
+            Phase::BringUp(_) => "armed: celld starts its program on the robot now, then the arm moves",
+            _ if self.mode.paused() => "armed; a pause is in force, `celld resume` ends it",
+            Phase::Look(_) => "armed: the arm moves to look at the table now",
+            _ if self.round.is_some() || self.job.is_some() => "armed: the job goes on now",
+            _ => "armed; nothing moves until there is a job",
+        }
     }
 
     fn answer_park(&self) -> Reply {

@@ -4,7 +4,7 @@ use crate::calibration::files::hand_eye::Mount;
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand};
 use crate::cell::device::registers::ProgramStatus;
-use crate::cell::device::robot_types::{RobotCommand, RobotEvent, RobotState};
+use crate::cell::device::robot_types::{Link, RobotCommand, RobotEvent, RobotState};
 use crate::cell::orders::{Approval, Order, Reply};
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, PlanAnswer, Record};
@@ -132,6 +132,7 @@ struct Bench {
     slow_disk: bool,
     /// Power and brakes are as they stay.
     arm_settled: bool,
+    link_down: Option<Link>,
 }
 
 /// `count` reference markers, all `shift_m` off along x.
@@ -193,6 +194,7 @@ impl Bench {
             now: Timestamp::from_secs_f64(1.0),
             slow_disk: false,
             arm_settled: true,
+            link_down: None,
         }
     }
 
@@ -214,6 +216,7 @@ impl Bench {
     fn feed_once(&mut self, input: Input) -> Vec<Action> {
         self.now += Duration::from_millis(20);
         let outside = DeviceSnapshot {
+            link_down: self.link_down,
             robot: Some(&self.robot),
             robot_fresh: !self.silent,
             program_settled: true,
@@ -561,6 +564,7 @@ fn a_plan_approved_late_waits_for_a_new_look() {
     assert!(journalled(&actions), "the approved plan goes on: {actions:?}");
 }
 
+mod arming;
 mod faults;
 mod foreign;
 mod standing;

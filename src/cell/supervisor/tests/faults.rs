@@ -127,9 +127,9 @@ fn from_between_the_objects_the_arm_goes_straight_up_first() {
 #[test]
 fn nothing_moves_while_something_may_hang_on_the_gripper() {
     let mut bench = Bench::new();
+    bench.feed(order(Order::Arm));
     bench.vacuum = [0.0, 0.4];
     bench.job(false);
-    bench.feed(order(Order::Arm));
     let mut all = bench.ticks(3);
     all.extend(bench.feed(order(Order::Park)));
     all.extend(bench.ticks(200));
@@ -142,14 +142,15 @@ fn nothing_moves_while_something_may_hang_on_the_gripper() {
 #[test]
 fn a_gripper_that_does_not_answer_is_reported_and_the_job_ends_in_time() {
     let mut bench = Bench::new();
-    bench.gripper_answers = false;
-    bench.job(false);
     bench.feed(order(Order::Arm));
-    let soon = bench.ticks(50);
+    bench.gripper_answers = false;
+    let mut soon = bench.job(false);
+    soon.extend(bench.ticks(50));
     for part in ["the gripper does not answer", "10.0.0.3:502", "devices.gripper", "ping"] {
         assert!(said(&soon, part), "{part}: {soon:?}");
     }
-    assert_eq!(soon.iter().filter(|action| matches!(action, Action::Say(_))).count(), 1, "once: {soon:?}");
+    let waits = |action: &&Action| matches!(action, Action::Say(notice) if notice.text.contains("waiting"));
+    assert_eq!(soon.iter().filter(waits).count(), 1, "once: {soon:?}");
     let later = bench.ticks(3100);
     assert_eq!(ended(&later), Some((JobStatus::Failed, "not_ready".into())));
     assert_eq!(streams(&later), 0);

@@ -1,0 +1,101 @@
+//! What arming needs, what its answer says, and that it is never made up for later.
+
+use super::*;
+
+/// What is missing, and a word of the answer that names it.
+type Missing = (&'static str, fn(&mut Bench));
+
+const MISSING: &[Missing] = &[
+    ("RTDE", |bench| bench.link_down = Some(Link::Rtde)),
+    ("dashboard", |bench| bench.link_down = Some(Link::Dashboard)),
+    ("primary", |bench| bench.link_down = Some(Link::Primary)),
+    ("not fresh", |bench| bench.silent = true),
+    ("safety mode", |bench| bench.robot.safety_mode = SafetyMode::RobotEmergencyStop),
+    ("safety mode", |bench| bench.robot.safety_mode = SafetyMode::ProtectiveStop),
+    ("safety mode", |bench| bench.robot.safety_mode = SafetyMode::SafeguardStop),
+    ("safety mode", |bench| bench.robot.safety_mode = SafetyMode::Unknown(99)),
+    ("remote control", |bench| bench.robot.remote_control = Some(false)),
+    ("remote control", |bench| bench.robot.remote_control = None),
+    ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Booting),
+    ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Disconnected),
+    ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Backdrive),
+    ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Unknown(42)),
+    ("gripper", |bench| bench.gripper_answers = false),
+    ("hang on the gripper", |bench| bench.vacuum = [0.0, 0.4]),
+    ("hang on the gripper", |bench| bench.vacuum = [f64::NAN, 0.0]),
+];
+
+#[test]
+fn arming_names_what_is_missing_and_is_not_made_up_for_later() {
+    for (word, remove) in MISSING {
+        let mut bench = Bench::new();
+        let there = (bench.robot.clone(), bench.vacuum);
+        remove(&mut bench);
+        bench.job(false);
+        let mut all = bench.feed(order(Order::Arm));
+        let reply = answer(&all).expect("an answer");
+        assert!(!reply.accepted && reply.message.contains(word), "{word}: {}", reply.message);
+        assert!(reply.message.contains("celld arm"), "what to do: {}", reply.message);
+        // What was missing comes, as after a boot or when an emergency stop is let go.
+        (bench.robot, bench.vacuum) = there;
+        (bench.link_down, bench.silent, bench.gripper_answers) = (None, false, true);
+        all.extend(bench.ticks(500));
+        assert_eq!(streams(&all), 0, "{word}: nothing moves");
+        assert!(!all.iter().any(|action| matches!(action, Action::Robot(_))), "{word}: {all:?}");
+        assert!(!bench.cell.status().armed, "{word}");
+        assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted, "{word}: now");
+    }
+}
+
+#[test]
+fn an_arm_that_is_off_is_powered_at_the_order_and_the_answer_says_so() {
+    for mode in [RobotMode::PowerOff, RobotMode::Idle] {
+        let mut bench = Bench::new();
+        bench.robot.robot_mode = mode;
+        let all = bench.feed(order(Order::Arm));
+        let reply = answer(&all).expect("an answer");
+        assert!(reply.accepted && reply.message.contains("brakes"), "{}", reply.message);
+        let ordered = |wanted: RobotCommand| {
+            all.iter().any(|action| matches!(action, Action::Robot(command) if *command == wanted))
+        };
+        let command =
+            if mode == RobotMode::Idle { RobotCommand::ReleaseBrakes } else { RobotCommand::PowerOn };
+        assert!(ordered(command), "at once, without a job: {all:?}");
+    }
+}
+
+#[test]
+fn the_answer_says_what_the_arm_does_next() {
+    let mut bench = Bench::new();
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert_eq!(reply, Reply::accept("armed; nothing moves until there is a job"));
+    let mut bench = Bench::new();
+    bench.job(false);
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert_eq!(reply.message, "armed: celld starts its program on the robot now, then the arm moves");
+}
+
+#[test]
+fn a_simulated_cell_is_armed_once_when_everything_is_there() {
+    let mut bench = Bench::new();
+    bench.cell.arm_at_start();
+    bench.link_down = Some(Link::Primary);
+    bench.ticks(10);
+    assert!(!bench.cell.status().armed);
+    bench.link_down = None;
+    bench.ticks(1);
+    assert!(bench.cell.status().armed);
+    bench.feed(order(Order::Disarm));
+    bench.ticks(10);
+    assert!(!bench.cell.status().armed, "once");
+    for ordered in [Order::Disarm, Order::Abort] {
+        let mut bench = Bench::new();
+        bench.cell.arm_at_start();
+        bench.link_down = Some(Link::Primary);
+        bench.feed(order(ordered.clone()));
+        bench.link_down = None;
+        bench.feed(Input::Robot(RobotEvent::Stopped));
+        bench.ticks(10);
+        assert!(!bench.cell.status().armed, "{ordered:?} takes it back");
+    }
+}
