@@ -263,8 +263,13 @@ impl Supervisor {
     }
 
     /// That the cell is armed, and what the arm does next.
-    fn armed_and_now(&self) -> &'static str {
-        match &self.phase {
+    fn armed_and_now(&self) -> String {
+        if let (Phase::Ready, Some(closed)) = (&self.phase, &self.waiting_for) {
+            return format!("armed; nothing moves yet: {}", self.place(closed));
+        }
+        let now = match &self.phase {
+            Phase::Approve => "armed; the plan waits for `celld approve`",
+            Phase::Plan => "armed: the arm moves once the planning is over and the plan may be carried out",
             Phase::BringUp(BringUp { asked: Some(_), .. }) => {
                 "armed: celld switches the arm's power on and releases its brakes now"
             }
@@ -273,7 +278,8 @@ impl Supervisor {
             Phase::Look(_) => "armed: the arm moves to look at the table now",
             _ if self.round.is_some() || self.job.is_some() => "armed: the job goes on now",
             _ => "armed; nothing moves until there is a job",
-        }
+        };
+        now.to_string()
     }
 
     fn answer_park(&self) -> Reply {

@@ -76,6 +76,31 @@ fn the_answer_says_what_the_arm_does_next() {
 }
 
 #[test]
+fn a_plan_that_waits_for_approval_still_waits_when_the_cell_is_armed() {
+    let mut bench = Bench::new();
+    bench.job(true);
+    bench.until_planning();
+    bench.plan();
+    bench.feed(order(Order::Disarm));
+    let all = bench.feed(order(Order::Arm));
+    let reply = answer(&all).expect("an answer");
+    assert_eq!(reply, Reply::accept("armed; the plan waits for `celld approve`"));
+    assert_eq!(streams(&all) + streams(&bench.ticks(50)), 0, "and nothing moves");
+}
+
+#[test]
+fn a_gate_that_keeps_an_armed_cell_still_is_named_in_the_answer() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.until_planning();
+    bench.feed(order(Order::Disarm));
+    bench.plan();
+    bench.robot.runtime_state = RuntimeState::Paused;
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert_eq!(reply, Reply::accept("armed; nothing moves yet: the program is paused"));
+}
+
+#[test]
 fn a_simulated_cell_is_armed_once_when_everything_is_there() {
     let mut bench = Bench::new();
     bench.cell.arm_at_start();
