@@ -202,12 +202,15 @@ impl Core {
         self.sensing.measured(&self.raw_wrench())
     }
 
-    /// Force mode and freedrive: how fast the tool gives way in this frame.
-    pub(crate) fn yield_to_forces(&mut self) {
-        let wanted = self.compliance.as_ref().map_or(Vector6::zeros(), |compliance| {
-            let (tcp, speed) = (self.mover.arm.tcp(&self.mover.q()), self.mover.tcp_speed());
-            compliance.giving(&self.force_settings, &Vector6::from(self.tcp_force()), &tcp, &speed)
-        });
+    /// Force mode and freedrive: how fast the tool gives way in this frame; `drawn`: how fast a person draws
+    /// it who holds the freedrive button, m/s and rad/s in the base frame.
+    pub(crate) fn yield_to_forces(&mut self, drawn: [f64; 6]) {
+        let wanted = Vector6::from(drawn);
+        let wanted = wanted
+            + self.compliance.as_ref().map_or(Vector6::zeros(), |compliance| {
+                let (tcp, speed) = (self.mover.arm.tcp(&self.mover.q()), self.mover.tcp_speed());
+                compliance.giving(&self.force_settings, &Vector6::from(self.tcp_force()), &tcp, &speed)
+            });
         let now = self.mover.drift();
         let part = (FRAME_SECONDS / RISE_SECONDS).min(1.0);
         let next = now + (wanted - now) * part;

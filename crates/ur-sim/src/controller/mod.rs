@@ -58,6 +58,9 @@ use crate::controller::sockets::NoNetwork;
 use crate::motion::MotionFault;
 use crate::motion::mover::{HARD_RAMP_SECONDS, SOFT_RAMP_SECONDS};
 
+/// How fast a person who holds the freedrive button draws the tool up: m/s and rad/s in the base frame.
+const DRAWN_UP: [f64; 6] = [0.0, 0.0, 0.03, 0.0, 0.0, 0.0];
+
 /// The controller.
 #[derive(Debug)]
 pub struct Controller {
@@ -98,7 +101,8 @@ impl Controller {
         self.core.mover.set_ramp(if safe { SOFT_RAMP_SECONDS } else { HARD_RAMP_SECONDS });
         let held = self.programs.paused() || !safe;
         let scaling = if held { 0.0 } else { self.core.registers.speed_fraction() };
-        self.core.yield_to_forces();
+        let guided = self.core.pendant.freedrive && safe && self.programs.name().is_none();
+        self.core.yield_to_forces(if guided { DRAWN_UP } else { [0.0; 6] });
         self.core.mover.step(scaling)
     }
 

@@ -200,7 +200,9 @@ pub fn speed_scaling(controller: &Controller) -> f64 {
 }
 
 fn robot_status_bits(controller: &Controller) -> u32 {
-    u32::from(controller.core.modes.powered()) | u32::from(controller.programs.playing()) << 1
+    let bits =
+        [controller.core.modes.powered(), controller.programs.playing(), controller.core.pendant.freedrive];
+    bits.into_iter().enumerate().map(|(number, set)| u32::from(set) << number).sum()
 }
 
 /// 0 to 10 V or 4 to 20 mA.

@@ -14,6 +14,9 @@ pub const INSTALLATION: &str = "default.installation";
 /// Roles of the old user management, which newer controllers still answer to.
 const ROLES: [&str; 5] = ["PROGRAMMER", "OPERATOR", "NONE", "LOCKED", "RESTRICTED"];
 
+/// Checksum of the safety configuration as delivered.
+pub const SAFETY_CHECKSUM: u32 = 0x5afe_c0de;
+
 /// Who may do what at the pendant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum OperationalMode {
@@ -67,6 +70,10 @@ pub struct Pendant {
     pub operational_mode: OperationalMode,
     /// A popup of the safety system is open.
     pub safety_popup: bool,
+    /// Checksum of the safety configuration.
+    pub safety_checksum: u32,
+    /// The freedrive button is held.
+    pub freedrive: bool,
     role: &'static str,
     version: Option<[u32; 4]>,
     model: Option<String>,
@@ -78,6 +85,8 @@ impl Default for Pendant {
             program: None,
             operational_mode: OperationalMode::None,
             safety_popup: false,
+            safety_checksum: SAFETY_CHECKSUM,
+            freedrive: false,
             role: ROLES[0],
             version: None,
             model: None,

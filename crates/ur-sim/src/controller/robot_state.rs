@@ -22,6 +22,10 @@ const ROBOT_TYPES: [(&str, i32); 7] =
 /// Calibration status of a calibrated arm.
 const CALIBRATED: u32 = 0;
 
+/// Sub-package of the safety configuration, and its size here: what follows the checksum is not published.
+const SAFETY_DATA: u8 = 10;
+const SAFETY_DATA_BYTES: usize = 38;
+
 /// The tool's serial line as it is by default; nothing is connected to it.
 const TOOL_LINE: ToolCommunicationData = ToolCommunicationData {
     enabled: false,
@@ -44,10 +48,22 @@ pub fn periodic(controller: &Controller) -> Vec<SubPackage> {
             tcp_offset: controller.core.tcp_offset,
         }),
         SubPackage::ForceMode(ForceModeData { wrench: controller.core.tcp_force(), dexterity: 0.0 }),
-        SubPackage::Additional(AdditionalData { freedrive_enabled: true, ..AdditionalData::default() }),
+        SubPackage::Additional(AdditionalData {
+            teach_button: u8::from(controller.core.pendant.freedrive),
+            freedrive_enabled: true,
+            ..AdditionalData::default()
+        }),
+        SubPackage::Other { kind: SAFETY_DATA, payload: safety_data(controller) },
         SubPackage::ToolCommunication(TOOL_LINE),
         SubPackage::ToolMode(ToolModeData::default()),
     ]
+}
+
+/// Sub-package 10: the checksum of the safety configuration, then bytes that the guide does not name.
+fn safety_data(controller: &Controller) -> Vec<u8> {
+    let mut payload = controller.core.pendant.safety_checksum.to_be_bytes().to_vec();
+    payload.resize(SAFETY_DATA_BYTES, 0);
+    payload
 }
 
 /// What a connection gets once: kinematics and configuration.
@@ -186,7 +202,7 @@ mod tests {
         let parts: Vec<SubPackage> = periodic(&controller).into_iter().chain(once(&controller)).collect();
         let mut kinds: Vec<u8> = parts.iter().map(|part| part.encode()[4]).collect();
         kinds.sort_unstable();
-        assert_eq!(kinds, [0, 1, 2, 3, 4, 5, 6, 7, 8, 11, 12]);
+        assert_eq!(kinds, [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 12]);
         let bytes: Vec<u8> = parts.iter().flat_map(SubPackage::encode).collect();
         assert_eq!(SubPackage::decode_all(&bytes), Ok(parts));
     }

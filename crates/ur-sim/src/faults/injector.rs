@@ -8,6 +8,7 @@
 
 use crate::controller::Controller;
 use crate::controller::builtins::compile_program;
+use crate::controller::pendant::SAFETY_CHECKSUM;
 use crate::controller::registers::ClientId;
 use crate::faults::camera::CameraFaults;
 use crate::faults::link::{LinkName, LinkState};
@@ -360,6 +361,8 @@ fn begin(controller: &mut Controller, fault: &RobotFault) -> Result<(), FaultErr
         RobotFault::SafetyMode(number) => controller.show_safety(Some(*number)),
         RobotFault::SafetyFault => controller.safety_fault(),
         RobotFault::Local => controller.core.modes.set_remote(false),
+        RobotFault::PowerOff => controller.power_off(),
+        RobotFault::Freedrive => controller.core.pendant.freedrive = true,
         RobotFault::KillProgram => {
             return possible(controller.programs.stop(&mut controller.core), FaultError::NoProgram);
         }
@@ -376,6 +379,7 @@ fn begin(controller: &mut Controller, fault: &RobotFault) -> Result<(), FaultErr
         RobotFault::Stall => controller.core.mover.set_stalled(true),
         RobotFault::Claim(input) => controller.core.registers.seize(STRANGER, input),
         RobotFault::Payload(mass_kg) => controller.core.payload.mass = *mass_kg,
+        RobotFault::SafetyChecksum(checksum) => controller.core.pendant.safety_checksum = *checksum,
         RobotFault::Reboot { .. } => controller.power_off(),
         // These follow from the list of faults in force.
         RobotFault::Rate(_) | RobotFault::Version(_) | RobotFault::Model(_) => {}
@@ -389,6 +393,7 @@ fn undo(controller: &mut Controller, fault: &RobotFault, slider: f64) {
         RobotFault::Safeguard => controller.safeguard_stop(false),
         RobotFault::SafetyMode(_) => controller.show_safety(None),
         RobotFault::Local => controller.core.modes.set_remote(true),
+        RobotFault::Freedrive => controller.core.pendant.freedrive = false,
         RobotFault::NeverStart => controller.programs.set_deaf(false),
         RobotFault::Pause => {
             if controller.programs.paused() {
@@ -398,12 +403,14 @@ fn undo(controller: &mut Controller, fault: &RobotFault, slider: f64) {
         RobotFault::Slider(_) => controller.core.registers.set_speed_fraction(slider),
         RobotFault::Stall => controller.core.mover.set_stalled(false),
         RobotFault::Claim(input) => controller.core.registers.give_back(STRANGER, input),
+        RobotFault::SafetyChecksum(_) => controller.core.pendant.safety_checksum = SAFETY_CHECKSUM,
         RobotFault::Reboot { serial, kinematics } => controller.reboot(serial.clone(), *kinematics),
         RobotFault::Rate(_)
         | RobotFault::Version(_)
         | RobotFault::Model(_)
         | RobotFault::ProtectiveStop
         | RobotFault::SafetyFault
+        | RobotFault::PowerOff
         | RobotFault::KillProgram
         | RobotFault::ForeignScript(_)
         | RobotFault::ScriptError

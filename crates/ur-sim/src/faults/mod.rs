@@ -169,6 +169,10 @@ pub enum RobotFault {
     SafetyFault,
     /// The pendant is in local mode.
     Local,
+    /// The arm's power is switched off at the pendant.
+    PowerOff,
+    /// A person holds the freedrive button and draws the tool up.
+    Freedrive,
     /// The program is stopped from the pendant.
     KillProgram,
     /// A foreign program replaces ours, for so many seconds.
@@ -193,6 +197,8 @@ pub enum RobotFault {
     Version([u32; 4]),
     /// The controller says that it is this robot.
     Model(String),
+    /// Another safety configuration is applied, with this checksum.
+    SafetyChecksum(u32),
     /// The controller boots anew.
     Reboot {
         /// It comes back with this serial number.

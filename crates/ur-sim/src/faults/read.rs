@@ -41,6 +41,8 @@ pub const CATALOGUE: &[(&str, &[&str])] = &[
     ("ur.safety", &["mode", "seconds"]),
     ("ur.fault", &[]),
     ("ur.local", &["seconds"]),
+    ("ur.power_off", &[]),
+    ("ur.freedrive", &["seconds"]),
     ("ur.kill_program", &[]),
     ("ur.foreign_script", &["runs_s"]),
     ("ur.script_error", &[]),
@@ -53,6 +55,7 @@ pub const CATALOGUE: &[(&str, &[&str])] = &[
     ("ur.rate", &["hz", "seconds"]),
     ("ur.version", &["version", "seconds"]),
     ("ur.model", &["model", "seconds"]),
+    ("ur.safety_checksum", &["checksum", "seconds"]),
     ("ur.reboot", &["serial", "kinematics", "seconds"]),
     ("vacuum.drop", &["channel", "seconds"]),
     ("vacuum.leak", &["channel", "vacuum", "falls_s", "seconds"]),
@@ -226,6 +229,8 @@ fn robot(decoder: &mut Decoder, name: &str, args: &Args) -> Option<RobotFault> {
         "safety" => RobotFault::SafetyMode(i32::try_from(args.whole(decoder, "mode", 0..=255)?).ok()?),
         "fault" => RobotFault::SafetyFault,
         "local" => RobotFault::Local,
+        "power_off" => RobotFault::PowerOff,
+        "freedrive" => RobotFault::Freedrive,
         "kill_program" => RobotFault::KillProgram,
         "foreign_script" => {
             RobotFault::ForeignScript(args.number_or(decoder, "runs_s", FOREIGN_SECONDS, 0.002..=1e4, "s")?)
@@ -241,6 +246,10 @@ fn robot(decoder: &mut Decoder, name: &str, args: &Args) -> Option<RobotFault> {
         "model" => {
             let at = args.fields.required("model", decoder)?;
             RobotFault::Model(decoder.text(&at)?)
+        }
+        "safety_checksum" => {
+            let checksum = args.whole(decoder, "checksum", 0..=i64::from(u32::MAX))?;
+            RobotFault::SafetyChecksum(u32::try_from(checksum).ok()?)
         }
         "payload" => RobotFault::Payload(args.number(decoder, "mass_kg", 0.0..=50.0, "kg")?),
         _ => {
