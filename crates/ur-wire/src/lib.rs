@@ -9,6 +9,7 @@
 pub mod bytes;
 
 pub mod enumerations;
+pub mod error_codes;
 
 pub mod rtde;
 
