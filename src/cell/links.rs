@@ -38,6 +38,8 @@ struct Connection {
     pause: Duration,
     /// Why it is down.
     reason: Option<String>,
+    /// It is down because celld has dropped it, to make it anew.
+    dropped: bool,
 }
 
 /// The three connections to the controller.
@@ -51,6 +53,7 @@ impl Default for Connections {
             state: State::Down { retry_at: Timestamp::ZERO },
             pause: BACKOFF.0,
             reason: None,
+            dropped: false,
         }))
     }
 }
@@ -71,6 +74,7 @@ impl Connections {
         connection.state = State::Up;
         connection.pause = BACKOFF.0;
         connection.reason = None;
+        connection.dropped = false;
     }
 
     /// It is gone, or could not be made.
@@ -79,6 +83,17 @@ impl Connections {
         connection.state = State::Down { retry_at: now + connection.pause };
         connection.pause = (connection.pause * 2).min(BACKOFF.1);
         connection.reason = Some(reason);
+    }
+
+    /// celld drops it, to make it anew.
+    pub fn dropped(&mut self, now: Timestamp, link: Link) {
+        self.lost(now, link, "dropped by celld".to_string());
+        self.of(link).dropped = true;
+    }
+
+    /// True while it is down and celld has not dropped it by itself.
+    pub fn is_lost(&self, link: Link) -> bool {
+        !self.is_up(link) && !self.0.iter().any(|connection| connection.link == link && connection.dropped)
     }
 
     /// True while bytes can be sent.

@@ -11,7 +11,9 @@ use crate::cell::device::gripper::Gripper;
 use crate::cell::device::gripper_types::{GripperEvent, GripperParameters};
 use crate::cell::device::program::TemplateError;
 use crate::cell::device::robot::Robot;
-use crate::cell::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters, RobotState};
+use crate::cell::device::robot_types::{
+    KnownRobot, Link, RobotCommand, RobotEvent, RobotIdentity, RobotParameters, RobotState,
+};
 use crate::cell::event::{Arm, Effect, Event, News};
 use crate::cell::links::{Connections, Wish};
 use crate::cell::orders::Reply;
@@ -65,7 +67,7 @@ pub struct Machine {
 #[derive(Default)]
 struct Identity {
     kinematics: Option<(DhParameters, String)>,
-    serial: Option<String>,
+    robot: KnownRobot,
     reported: bool,
 }
 
@@ -183,6 +185,7 @@ impl Machine {
         // A number that a calibration round has used proves nothing any more.
         let seed = self.supervisor.as_ref().map_or(self.nonce_seed, Supervisor::next_nonce);
         let mut supervisor = Supervisor::new(model, seed);
+        supervisor.commissioned_for(self.identity.robot.clone());
         if arm {
             supervisor.arm_at_start();
         }
@@ -245,7 +248,11 @@ impl Machine {
             RobotEvent::Kinematics { dh, checksum } => {
                 identity.kinematics = Some((*dh, checksum.map(|word| format!("{word:08x}")).concat()));
             }
-            RobotEvent::Identity { serial, .. } => identity.serial = Some(serial.clone()),
+            RobotEvent::Identity { serial, model, version } => {
+                let (model, serial, version) = (model.clone(), serial.clone(), version.clone());
+                identity.robot.identity = Some(RobotIdentity { model, serial, version });
+            }
+            RobotEvent::SafetyChecksum { checksum } => identity.robot.safety_checksum = Some(*checksum),
             RobotEvent::RtdeReady
             | RobotEvent::RtdeLost
             | RobotEvent::RemoteControl { .. }
@@ -285,6 +292,7 @@ impl Machine {
         let Some(supervisor) = &mut self.supervisor else { return self.step_without_cell(input) };
         let outside = DeviceSnapshot {
             link_down: Link::ALL.into_iter().find(|link| !self.connections.is_up(*link)),
+            link_lost: Link::ALL.into_iter().find(|link| self.connections.is_lost(*link)),
             robot: self.robot.state(),
             robot_fresh: self.robot.fresh(now),
             program_settled: self.robot.program_settled(),
@@ -409,7 +417,7 @@ impl Machine {
     }
 
     fn close(&mut self, now: Timestamp, link: Link) {
-        self.connections.lost(now, link, "dropped by celld".to_string());
+        self.connections.dropped(now, link);
         self.robot.disconnected(now, link, "dropped by celld");
     }
 
@@ -433,14 +441,17 @@ impl Machine {
         }
     }
 
-    /// Once: the arm is known when its kinematics, its serial number and its state are.
+    /// Once: the arm is known when its kinematics, its serial number, its state and who controls it are.
     fn report_identity(&mut self) {
         let identity = &self.identity;
-        let (Some((dh, checksum)), Some(serial)) = (&identity.kinematics, &identity.serial) else { return };
-        if identity.reported || self.robot.state().is_none() {
+        let (Some((dh, checksum)), Some(robot)) = (&identity.kinematics, &identity.robot.identity) else {
+            return;
+        };
+        let known = self.robot.state().is_some_and(|state| state.remote_control.is_some());
+        if identity.reported || !known {
             return;
         }
-        let arm = Arm { dh: *dh, checksum: checksum.clone(), serial: serial.clone() };
+        let arm = Arm { dh: *dh, checksum: checksum.clone(), serial: robot.serial.clone() };
         self.identity.reported = true;
         self.effects.push_back(Effect::Notify(News::Identified(arm)));
     }

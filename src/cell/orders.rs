@@ -34,8 +34,24 @@ pub enum Order {
     Park,
     /// Stop, disarm, and switch the vacuum off, whatever is held.
     Release(Channels),
-    /// Leave a fault.
-    Recover,
+    /// Leave a stop.
+    Recover(WayBack),
+}
+
+/// How a stop is left; each but the first is a person's word that the cell is safe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WayBack {
+    /// Nothing is done: what happened, what is held, and which ways there are.
+    Show,
+    /// Straight up, a look, and what is held is put down at its goal or the nearest free place.
+    Place,
+    /// What is held stays held and watched, and the arm where it is.
+    Hold,
+    /// Vacuum off where it is; a person holds the object.
+    Release,
+    /// Straight up, with whatever is held.
+    Retreat,
 }
 
 /// Who has to agree before the arm moves. Ordered by strictness: a job may only be stricter than the cell.

@@ -3,11 +3,11 @@
 //! In: arguments. Out: what came of it on stdout, exit code 0, 1 or 2. `submit`, `jobs` and `status` work
 //! with the daemon off; every other command is refused then, and never stored for a later daemon.
 
-use crate::cell::orders::Reply;
+use crate::cell::orders::{Reply, WayBack};
 use crate::cli::client::{ClientError, StateArg, complain};
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
-use crate::jobs::command::{Command, Given, RecoverHow, ReleaseChannel, Sent};
+use crate::jobs::command::{Command, Given, ReleaseChannel, Sent};
 use crate::jobs::journal::Journal;
 use crate::jobs::record::{JobRecord, quoted};
 use crate::jobs::state::StateFolder;
@@ -102,19 +102,34 @@ pub struct JobArg {
     state: StateArg,
 }
 
-/// What to do with an object on the cups.
+/// How a stop is left.
 #[derive(Args, Debug)]
 #[group(multiple = false)]
 struct RecoverChoice {
-    /// Put it down at a free spot that the camera has verified.
+    /// Straight up, a look, and what is held is put down at its goal or the nearest free place.
     #[arg(long)]
     place: bool,
-    /// Keep it and retreat straight up.
+    /// Keep what is held, and the arm where it is; only unlocks a protective stop.
     #[arg(long)]
     hold: bool,
-    /// Vacuum off where it is.
+    /// Vacuum off where it is: hold the object by hand.
     #[arg(long)]
     release: bool,
+    /// Straight up, with whatever is held.
+    #[arg(long)]
+    retreat: bool,
+}
+
+impl RecoverChoice {
+    fn way_back(&self) -> WayBack {
+        let ways = [
+            (self.place, WayBack::Place),
+            (self.hold, WayBack::Hold),
+            (self.release, WayBack::Release),
+            (self.retreat, WayBack::Retreat),
+        ];
+        ways.into_iter().find(|(chosen, _)| *chosen).map_or(WayBack::Show, |(_, way)| way)
+    }
 }
 
 /// Arguments of `celld recover`.
@@ -171,15 +186,7 @@ fn to_send(command: ClientCommand) -> (StateFolder, Command) {
             });
             (state.folder(), Command::Release { channel })
         }
-        ClientCommand::Recover(args) => {
-            let how = match (args.how.place, args.how.hold, args.how.release) {
-                (true, ..) => RecoverHow::Place,
-                (_, true, _) => RecoverHow::Hold,
-                (.., true) => RecoverHow::Release,
-                (false, false, false) => RecoverHow::Plain,
-            };
-            (args.state.folder(), Command::Recover { how })
-        }
+        ClientCommand::Recover(args) => (args.state.folder(), Command::Recover { how: args.how.way_back() }),
         ClientCommand::Submit(_) | ClientCommand::Jobs { .. } | ClientCommand::Status { .. } => {
             unreachable!("these are not sent")
         }
@@ -298,8 +305,15 @@ mod tests {
             command("release --yes --channel b"),
             Command::Release { channel: Some(ReleaseChannel::B) }
         );
-        assert_eq!(command("recover"), Command::Recover { how: RecoverHow::Plain });
-        assert_eq!(command("recover --hold"), Command::Recover { how: RecoverHow::Hold });
+        assert_eq!(command("recover"), Command::Recover { how: WayBack::Show });
+        for (option, how) in [
+            ("--place", WayBack::Place),
+            ("--hold", WayBack::Hold),
+            ("--release", WayBack::Release),
+            ("--retreat", WayBack::Retreat),
+        ] {
+            assert_eq!(command(&format!("recover {option}")), Command::Recover { how });
+        }
         for wrong in ["release", "approve", "recover --hold --place", "release --channel C --yes"] {
             let words = std::iter::once("celld").chain(wrong.split_whitespace());
             assert!(Line::try_parse_from(words).is_err(), "{wrong}");

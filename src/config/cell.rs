@@ -64,6 +64,8 @@ pub struct CellConfig {
     pub approval: Approval,
     /// Armed from the start; only accepted together with `simulation`.
     pub arm_at_start: bool,
+    /// Arming lapses after this long without motion, s.
+    pub arm_lapse_s: f64,
     /// Present only when every device is simulated.
     pub simulation: Option<SimulationConfig>,
     /// Present when runs are recorded.

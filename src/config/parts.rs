@@ -45,6 +45,7 @@ pub(super) struct CellParts {
     pub planner: Option<PlannerConfig>,
     pub approval: Option<Approval>,
     pub arm_at_start: Option<bool>,
+    pub arm_lapse_s: Option<f64>,
     /// `Some(None)` when the key is absent.
     pub simulation: Option<Option<SimulationConfig>>,
     pub recording: Option<Option<RecordingConfig>>,
@@ -89,6 +90,7 @@ impl CellParts {
             planner: self.planner?,
             approval: self.approval?,
             arm_at_start: self.arm_at_start?,
+            arm_lapse_s: self.arm_lapse_s?,
             simulation: self.simulation?,
             recording: self.recording?,
             goal_folder: self.goal_folder?,

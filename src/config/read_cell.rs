@@ -52,6 +52,7 @@ pub const CELL_KEYS: &[&str] = &[
     "planner",
     "approval",
     "arm_at_start",
+    "arm_lapse_s",
     "simulation",
     "recording",
     "goal_folder",
@@ -64,6 +65,9 @@ pub const CELL_KEYS: &[&str] = &[
 pub const REFERENCE_SHIFT_M: f64 = 1e-3;
 /// See [`REFERENCE_SHIFT_M`].
 pub const REFERENCE_TURN_DEG: f64 = 0.15;
+
+/// Seconds without motion after which arming lapses, unless the file says otherwise.
+pub const ARM_LAPSE_S: f64 = 600.0;
 
 /// Text of a file that the configuration names; `Err` says why it cannot be had.
 pub type ReadFile<'a> = dyn Fn(&Path) -> Result<String, String> + 'a;
@@ -146,6 +150,9 @@ fn parts(
         planner: fields.required("planner", d).and_then(|at| planner(d, &at)),
         approval: optional(d, fields, "approval", Approval::Always, |d, at| d.word(at)),
         arm_at_start: optional(d, fields, "arm_at_start", false, |d, at| d.boolean(at)),
+        arm_lapse_s: optional(d, fields, "arm_lapse_s", ARM_LAPSE_S, |d, at| {
+            d.number_in(at, 10.0..=86_400.0, "s")
+        }),
         simulation: optional(d, fields, "simulation", None, |d, at| simulation(d, at).map(Some)),
         recording: optional(d, fields, "recording", None, |d, at| recording(d, at, folder).map(Some)),
         ignore_markers: optional(d, fields, "ignore_markers", Vec::new(), |d, at| list(d, at, marker_number)),

@@ -135,6 +135,7 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
             settle: Duration::from_millis(150),
             look_deadline: Duration::from_secs(60),
             phase_deadline: Duration::from_secs(60),
+            arm_lapse: Duration::from_secs_f64(config.arm_lapse_s),
             plan_grace: Duration::from_secs(600),
         },
         grip: grip_settings(config),

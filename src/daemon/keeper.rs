@@ -383,6 +383,6 @@ fn order_of(command: &Command) -> Order {
             Some(ReleaseChannel::B) => Channels::B,
             None => Channels::Both,
         }),
-        Command::Recover { .. } => Order::Recover,
+        Command::Recover { how } => Order::Recover(*how),
     }
 }

@@ -11,7 +11,7 @@ use crate::config::cell::{
     CalibrationFiles, CameraDevice, CellConfig, Devices, MotionLimits, PlannerConfig, SimulationConfig,
     Tolerances, WorkspaceConfig,
 };
-use crate::config::read_cell::{REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
+use crate::config::read_cell::{ARM_LAPSE_S, REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
 use crate::config::setup::arm_model;
 use crate::demo::teach::{
     BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
@@ -114,6 +114,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         planner: planner(choice),
         approval: Approval::Never,
         arm_at_start: true,
+        arm_lapse_s: ARM_LAPSE_S,
         simulation: Some(SimulationConfig { clock_factor: choice.time_factor }),
         recording: None,
         goal_folder: out.to_path_buf(),

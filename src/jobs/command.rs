@@ -7,7 +7,7 @@
 //! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at most
 //! once.
 
-use crate::cell::orders::Reply;
+use crate::cell::orders::{Reply, WayBack};
 use cell_edge::files::{FileError, create_folder, read_regular, remove, rename_new, write_atomic};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -72,10 +72,10 @@ pub enum Command {
         /// Absent: both.
         channel: Option<ReleaseChannel>,
     },
-    /// Leave a fault.
+    /// Leave a stop.
     Recover {
-        /// What to do with an object on the cups.
-        how: RecoverHow,
+        /// How.
+        how: WayBack,
     },
 }
 
@@ -86,20 +86,6 @@ pub enum ReleaseChannel {
     A,
     /// Channel B.
     B,
-}
-
-/// What to do with an object on the cups after a fault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum RecoverHow {
-    /// Nothing was said: only right when nothing is held.
-    Plain,
-    /// Put it down at a free spot that the camera has verified.
-    Place,
-    /// Keep it, retreat straight up.
-    Hold,
-    /// Vacuum off where it is.
-    Release,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -356,7 +342,7 @@ mod tests {
             (Command::Abort, true),
             (Command::Park, false),
             (Command::Release { channel: None }, false),
-            (Command::Recover { how: RecoverHow::Plain }, false),
+            (Command::Recover { how: WayBack::Show }, false),
         ];
         for (command, always) in commands {
             // Read in time, late, stamped on another clock, and stamped with no number at all.

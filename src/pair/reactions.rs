@@ -56,7 +56,7 @@ pub struct Row {
 /// Rules that the cell is known to break: what arming, stops and bodies become will cure them, and this list
 /// has to be empty then. A breach of any other rule fails the sweep; where these are broken is listed on the
 /// page.
-pub const KNOWN: &[Rule] = &[Rule::ArmedWithGateClosed, Rule::ArmedThroughLinkLoss];
+pub const KNOWN: &[Rule] = &[Rule::ArmedWithGateClosed];
 
 use Phase::{Approach, Approve, BringUp, Carry, Descend, Grip, Lift, Look, Place, Plan, Release, Retreat};
 
@@ -144,6 +144,8 @@ pub static ROWS: &[Row] = &[
     ),
     row(8, "fault of the safety system", Cause::Faults(&[r#"{"do": "ur.fault"}"#]), 0.0, ALL),
     row(9, "pendant in local control", Cause::Faults(&[r#"{"do": "ur.local"}"#]), 3.0, ALL),
+    row(9, "power switched off at the pendant", Cause::Faults(&[r#"{"do": "ur.power_off"}"#]), 0.0, ALL),
+    row(9, "arm guided by hand", Cause::Faults(&[r#"{"do": "ur.freedrive"}"#]), 3.0, ALL),
     row(10, "program stopped from the pendant", Cause::Faults(&[r#"{"do": "ur.kill_program"}"#]), 0.0, ALL),
     row(
         10,
@@ -351,6 +353,29 @@ pub static ROWS: &[Row] = &[
                 r#"{"do": "ur.model", "args": {"model": "UR10"}}"#,
                 r#"{"do": "ur.reboot", "args": {"serial": "20195599999", "kinematics": 9}}"#,
             ]),
+            5.0,
+            ALL,
+        )
+    },
+    Row {
+        ends_work: true,
+        ..row(
+            47,
+            "another model and software after a reconnection",
+            Cause::Faults(&[
+                r#"{"do": "ur.model", "args": {"model": "UR10"}}"#,
+                r#"{"do": "net.reset_peer", "args": {"link": "dashboard"}}"#,
+            ]),
+            5.0,
+            ALL,
+        )
+    },
+    Row {
+        ends_work: true,
+        ..row(
+            47,
+            "another safety configuration",
+            Cause::Faults(&[r#"{"do": "ur.safety_checksum", "args": {"checksum": 77}}"#]),
             5.0,
             ALL,
         )

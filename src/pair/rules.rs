@@ -349,7 +349,7 @@ impl Rules {
                 self.releases = self.releases.saturating_sub(1);
                 !accepted || (!mode.armed() && self.is_off(channels))
             }
-            Order::Approve(_) | Order::Reject(_) | Order::Cancel(_) | Order::Recover => true,
+            Order::Approve(_) | Order::Reject(_) | Order::Cancel(_) | Order::Recover(_) => true,
         };
         if !fine {
             self.breach(Rule::AnswerNotTrue, format!("{order:?}: {reply:?}, {mode:?}"));

@@ -11,6 +11,7 @@ use crate::cell::code::Code;
 use crate::cell::event::{Effect, Event};
 use crate::cell::machine::Machine;
 use crate::cell::orders::{Approval, Order};
+use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::input::PlanAnswer;
 use crate::cell::supervisor::order::JobOrder;
 use crate::cell::supervisor::status::Doing;
@@ -65,6 +66,8 @@ fn phase_of(pair: &Pair) -> Option<Phase> {
         Doing::Working("releasing", _) => Phase::Release,
         Doing::Working("retreating from", _) => Phase::Retreat,
         Doing::Idle
+        | Doing::Stopping
+        | Doing::Recovering(_)
         | Doing::Waiting(_)
         | Doing::Paused
         | Doing::Writing
@@ -202,10 +205,12 @@ fn approve(pair: &mut Pair) -> bool {
     true
 }
 
-/// The case is over when its job is, or when the daemon is, or when a person is waited for.
+/// The case is over when its job is, or when the daemon is, or when a person has to arm the cell.
 pub(super) fn settled(pair: &Pair, ended: usize) -> bool {
-    let idle = pair.status().is_some_and(|status| status.doing == Doing::Idle);
-    pair.reports().len() > ended || pair.ended().is_some() || (idle && pair.store().active().is_none())
+    let doing = |wanted: Doing| pair.status().is_some_and(|status| status.doing == wanted);
+    let idle = doing(Doing::Idle) && pair.store().active().is_none();
+    let waits = doing(Doing::Waiting(GateClosed::Disarmed));
+    pair.reports().len() > ended || pair.ended().is_some() || idle || waits
 }
 
 /// Until the phase is there; why it does not come.

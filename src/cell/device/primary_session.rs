@@ -14,6 +14,10 @@ use ur_wire::primary_state::SubPackage;
 const SILENT_AFTER: Duration = Duration::from_millis(2500);
 /// The first package (the version message) may take longer.
 const FIRST_WITHIN: Duration = Duration::from_secs(10);
+/// Sub-package of the robot state that begins with the checksum of the safety configuration. The client
+/// interface guide reserves it; its first word is known from the maker's forum (thread 988). It is sent only
+/// where safety settings are applied, so its absence means nothing.
+const SAFETY_DATA: u8 = 10;
 /// Error codes below are for developers.
 const WARNING: i32 = 2;
 /// Error codes from here on are developer variants of lower ones.
@@ -24,6 +28,8 @@ const DEVELOPER: i32 = 128;
 pub enum PrimaryEvent {
     /// The calibrated arm, once per connection.
     Kinematics(Box<KinematicsData>),
+    /// The checksum of the safety configuration, once per connection and whenever it changes.
+    SafetyChecksum(u32),
     /// A program of this name started.
     ProgramStarted(String),
     /// A program of this name ended.
@@ -67,6 +73,7 @@ pub struct PrimarySession {
     step: Step,
     splitter: Splitter,
     kinematics_seen: bool,
+    safety_checksum: Option<u32>,
     outbox: Outbox<PrimaryEvent>,
 }
 
@@ -76,6 +83,7 @@ impl Default for PrimarySession {
             step: Step::Down,
             splitter: Splitter::default(),
             kinematics_seen: false,
+            safety_checksum: None,
             outbox: Outbox::default(),
         }
     }
@@ -87,6 +95,7 @@ impl PrimarySession {
         self.outbox.reset_link();
         self.splitter = Splitter::default();
         self.kinematics_seen = false;
+        self.safety_checksum = None;
         self.step = Step::First { deadline: now + FIRST_WITHIN };
     }
 
@@ -172,8 +181,10 @@ impl PrimarySession {
         match package {
             Package::RobotState(parts) => {
                 for part in parts {
-                    if let SubPackage::Kinematics(data) = part {
-                        self.kinematics(data);
+                    match part {
+                        SubPackage::Kinematics(data) => self.kinematics(data),
+                        SubPackage::Other { kind: SAFETY_DATA, payload } => self.safety_data(&payload),
+                        _ => {}
                     }
                 }
             }
@@ -192,6 +203,14 @@ impl PrimarySession {
         }
         self.kinematics_seen = true;
         self.outbox.report(PrimaryEvent::Kinematics(Box::new(data)));
+    }
+
+    fn safety_data(&mut self, payload: &[u8]) {
+        let Some(&word) = payload.first_chunk() else { return };
+        let checksum = u32::from_be_bytes(word);
+        if self.safety_checksum.replace(checksum) != Some(checksum) {
+            self.outbox.report(PrimaryEvent::SafetyChecksum(checksum));
+        }
     }
 
     fn message(&mut self, body: MessageBody) {

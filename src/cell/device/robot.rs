@@ -26,7 +26,7 @@ mod tests;
 use crate::cell::device::dashboard_session::DashboardSession;
 use crate::cell::device::outbox::earlier;
 use crate::cell::device::primary_session::PrimarySession;
-use crate::cell::device::program::{Nonce, ProgramTemplate, TemplateError};
+use crate::cell::device::program::{ProgramTemplate, TemplateError};
 use crate::cell::device::robot_types::{
     Link, ProgramEnd, Refused, RobotCommand, RobotEvent, RobotParameters, RobotState,
 };
@@ -70,10 +70,8 @@ pub struct Robot {
     powers: bool,
     /// A stop has taken power and brakes back, and the arm is not known to be off yet.
     powering_off: Option<PoweringOff>,
-    /// Nonce of the program that was uploaded last.
-    uploaded: Option<Nonce>,
-    /// That of a program that was given up and has not been seen to end, and whether its stop is written.
-    left_behind: Option<(Nonce, bool)>,
+    /// The nonce that was in the registers when a stop was written for a program that is not followed here.
+    stop_written_for: Option<i32>,
     exception: Option<ProgramEnd>,
     faults: VecDeque<Timestamp>,
     /// Time of the last advance.
@@ -111,8 +109,7 @@ impl Robot {
             dropped: Vec::new(),
             powers: false,
             powering_off: None,
-            uploaded: None,
-            left_behind: None,
+            stop_written_for: None,
             exception: None,
             faults: VecDeque::new(),
             last_advance: Timestamp::ZERO,
@@ -226,7 +223,7 @@ impl Robot {
     /// True unless a program is being started, stopped or ended: a new one would be refused meanwhile.
     pub fn program_settled(&self) -> bool {
         match self.program {
-            Program::Absent | Program::Running { .. } | Program::Stopped => true,
+            Program::Absent | Program::Running { .. } => true,
             Program::Clearing { .. }
             | Program::Starting { .. }
             | Program::Stopping { .. }

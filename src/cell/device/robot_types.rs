@@ -46,6 +46,32 @@ impl std::fmt::Display for Link {
     }
 }
 
+/// What a controller says of itself over the dashboard.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RobotIdentity {
+    /// Model, without the "e".
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// Software version.
+    pub version: String,
+}
+
+impl std::fmt::Display for RobotIdentity {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} {} with {}", self.model, self.serial, self.version)
+    }
+}
+
+/// What was known when the cell was commissioned.
+#[derive(Clone, Debug, Default)]
+pub struct KnownRobot {
+    /// Who it is.
+    pub identity: Option<RobotIdentity>,
+    /// Checksum of its safety configuration; a controller that does not send one is not compared.
+    pub safety_checksum: Option<u32>,
+}
+
 /// What the session needs to know beforehand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotParameters {
@@ -87,6 +113,8 @@ pub struct RobotState {
     pub safety_mode: SafetyMode,
     /// What the controller does with its program.
     pub runtime_state: RuntimeState,
+    /// The freedrive button is pressed: a person guides the arm by hand.
+    pub guided: bool,
     /// Momentary scaling by the trajectory limiter, 0 to 1.
     pub speed_scaling: f64,
     /// Speed slider, 0 to 1.
@@ -300,6 +328,11 @@ pub enum RobotEvent {
         dh: DhParameters,
         /// Six checksums that name the calibration.
         checksum: [u32; 6],
+    },
+    /// The checksum of the safety configuration; once per primary connection, where the controller sends it.
+    SafetyChecksum {
+        /// It.
+        checksum: u32,
     },
     /// Remote control on or off; also the first answer.
     RemoteControl {

@@ -17,6 +17,9 @@ pub(super) const HEARTBEAT: usize = 0;
 /// Input recipe of the command with its arguments.
 pub(super) const COMMAND: usize = 1;
 
+/// Bit of `robot_status_bits`: the freedrive button is pressed (reference: ur-interfaces, 1.8).
+const TEACH_BUTTON: u32 = 1 << 2;
+
 /// Why a recipe was not agreed.
 pub(super) enum Refusal {
     InUse(Vec<String>),
@@ -94,6 +97,7 @@ pub fn output_names() -> Vec<String> {
         "robot_mode",
         "safety_mode",
         "runtime_state",
+        "robot_status_bits",
         "speed_scaling",
         "target_speed_fraction",
         "payload",
@@ -122,6 +126,7 @@ pub(super) fn state_of(now: Timestamp, values: &[Value]) -> Option<RobotState> {
         Int32(robot_mode),
         Int32(safety_mode),
         Uint32(runtime_state),
+        Uint32(robot_status_bits),
         Double(speed_scaling),
         Double(target_speed_fraction),
         Double(payload),
@@ -144,6 +149,7 @@ pub(super) fn state_of(now: Timestamp, values: &[Value]) -> Option<RobotState> {
         robot_mode: RobotMode::from_code(robot_mode),
         safety_mode: SafetyMode::from_code(safety_mode),
         runtime_state: RuntimeState::from_code(i32::try_from(runtime_state).unwrap_or(i32::MAX)),
+        guided: robot_status_bits & TEACH_BUTTON != 0,
         speed_scaling,
         target_speed_fraction,
         payload,

@@ -4,10 +4,11 @@
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::RobotCommand;
-use crate::cell::supervisor::cell::{Supervisor, alarm, say};
+use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
-use crate::cell::supervisor::phase::{BringUp, Phase};
+use crate::cell::supervisor::phase::{BringUp, JobRun, Phase};
+use crate::cell::supervisor::reason::{alarm, say};
 use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
 use ur_arm::pose::ur_pose_from_isometry;
@@ -42,6 +43,17 @@ impl Supervisor {
         self.bring_up(outside, out);
     }
 
+    /// Where the cell is once the robot is up, or is not wanted any more: a plan that waited for a person
+    /// waits on.
+    pub(crate) fn after_bring_up(&self) -> Phase {
+        let waits = |job: &JobRun| job.route.is_some() && !job.approved && !job.cancel;
+        if self.back.recovery.is_none() && self.job.as_ref().is_some_and(waits) {
+            Phase::Approve
+        } else {
+            Phase::Ready
+        }
+    }
+
     /// What keeps a gate closed, with the address of the device that is to blame.
     pub(crate) fn place(&self, closed: &GateClosed) -> String {
         match closed {
@@ -49,6 +61,7 @@ impl Supervisor {
             GateClosed::Gripper => format!("{closed} ({})", self.model.addresses.gripper),
             GateClosed::Safety(_)
             | GateClosed::Mode(_)
+            | GateClosed::Guided
             | GateClosed::Local
             | GateClosed::Program
             | GateClosed::Paused
@@ -76,6 +89,9 @@ impl Supervisor {
             alarm(out, format!("disarmed: {message} for {} s", NOT_READY_LIMIT.as_secs()));
             let seconds = NOT_READY_LIMIT.as_secs();
             self.end_round(Err(RoundFault::NotReady { what: message.clone(), seconds }), out);
+            if self.back.recovery.is_some() {
+                return self.end_recovery(Err(format!("{message} for {seconds} s")), out);
+            }
             let hint = match hint.contains("celld arm") {
                 true => format!("{hint} and submit again"),
                 false => format!("{hint}; then `celld arm` and submit again"),
@@ -88,7 +104,7 @@ impl Supervisor {
     pub(crate) fn bring_up(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let (Phase::BringUp(bring_up), Some(robot)) = (&mut self.phase, outside.robot) else { return };
         if !self.mode.armed() {
-            self.phase = Phase::Ready;
+            self.phase = self.after_bring_up();
             return;
         }
         match robot.robot_mode {
@@ -104,10 +120,10 @@ impl Supervisor {
                 if bring_up.program_asked
                     && self.nonce.is_some_and(|nonce| robot.nonce == nonce.number()) =>
             {
-                self.phase = Phase::Ready;
+                self.phase = self.after_bring_up();
                 let tcp = ur_pose_from_isometry(&self.model.arm.flange_from_tool);
                 out.push(Action::Robot(RobotCommand::SetTcp(tcp)));
-                self.set_payload(0.0, out);
+                self.set_payload(self.held_mass(), out);
             }
             RobotMode::Running if !bring_up.program_asked && outside.program_settled => {
                 bring_up.program_asked = true;
@@ -148,6 +164,7 @@ fn opens_by_bring_up(closed: &GateClosed) -> bool {
         GateClosed::Link(_)
         | GateClosed::Stale
         | GateClosed::Safety(_)
+        | GateClosed::Guided
         | GateClosed::Local
         | GateClosed::Paused
         | GateClosed::NotPlaying(_)

@@ -9,15 +9,17 @@
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperEvent};
 use crate::cell::device::program::Nonce;
-use crate::cell::device::robot_types::{RobotCommand, RobotEvent};
+use crate::cell::device::robot_types::{KnownRobot, RobotCommand, RobotEvent};
 use crate::cell::orders::Order;
+use crate::cell::supervisor::back::Back;
 use crate::cell::supervisor::gates::{self, GateClosed, motion_speed};
-use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Notice, Record};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Record};
 use crate::cell::supervisor::ledger::Ledger;
 use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobOrder, JobReport, ObjectReport, RouteAction};
-use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, UntilItStands, Visit};
+use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, Quiet, UntilItStands, Visit};
+use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::cell::supervisor::round::Round;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::observe::Observation;
@@ -30,6 +32,8 @@ pub(crate) type Seen = Observation;
 #[derive(Debug)]
 pub struct Supervisor {
     pub(crate) model: CellModel,
+    /// Which robot it is for.
+    pub(crate) robot: KnownRobot,
     pub(crate) phase: Phase,
     pub(crate) mode: Mode,
     pub(crate) ledger: Ledger,
@@ -60,6 +64,12 @@ pub struct Supervisor {
     pub(crate) until_it_stands: Vec<UntilItStands>,
     /// The robot has reported standstill since it was last ordered to stop.
     pub(crate) stands: bool,
+    /// Ways back after a stop, and what they need to know.
+    pub(crate) back: Back,
+    /// Neither power nor brakes that a stop took back may still come on.
+    pub(crate) arm_settled: bool,
+    /// Since when an armed cell has not moved, and where the arm rests.
+    pub(crate) quiet: Option<Quiet>,
     /// A simulated cell that is to be armed without a person, once, when the gates first open.
     pub(crate) arms_when_open: bool,
     /// [`Action::End`] was given.
@@ -73,6 +83,7 @@ impl Supervisor {
     pub fn new(model: CellModel, nonce_seed: u64) -> Supervisor {
         Supervisor {
             model,
+            robot: KnownRobot::default(),
             phase: Phase::Ready,
             mode: Mode::Disarmed { paused: false },
             ledger: Ledger::default(),
@@ -92,6 +103,9 @@ impl Supervisor {
             release_orders: Vec::new(),
             until_it_stands: Vec::new(),
             stands: true,
+            back: Back::default(),
+            arm_settled: true,
+            quiet: None,
             arms_when_open: false,
             ended: false,
             held_back: Vec::new(),
@@ -207,7 +221,7 @@ impl Supervisor {
         let refusal = self.take_order(now, outside, number, &order, &mut out);
         self.pursue(now, outside, &mut out);
         let later = self.until_it_stands.iter().any(|waits| waits.number == number);
-        let reply = refusal.or_else(|| self.answer(&order).filter(|_| !later));
+        let reply = refusal.or_else(|| self.answer(outside, &order).filter(|_| !later));
         out.extend(reply.map(|reply| Action::Reply { number, reply }));
         out
     }
@@ -272,6 +286,7 @@ impl Supervisor {
             | Phase::Look(Look { stage: LookStage::Moving, .. })
             | Phase::Visit(Visit::Moving) => true,
             Phase::Work(work) => work.stage.follows_a_path(),
+            Phase::Recover(stage) => stage.follows_a_path(),
             Phase::Ready
             | Phase::BringUp(_)
             | Phase::Look(_)
@@ -323,6 +338,9 @@ impl Supervisor {
                 out,
             );
         }
+        if self.back.recovery.is_some() {
+            return self.pursue_recovery(now, outside, out);
+        }
         if self.job.is_none() && self.round.is_none() && !self.mode.parks() {
             self.waiting_for = None;
             return;
@@ -369,6 +387,10 @@ impl Supervisor {
                 Phase::Look(_) => self.look_pose_reached(),
                 Phase::Visit(visit) => *visit = Visit::Settling { still_since: None },
                 Phase::Work(_) => self.work_path_finished(now, out),
+                Phase::Recover(stage) => {
+                    let stage = *stage;
+                    self.recovery_path_finished(stage, out);
+                }
                 Phase::Park => {
                     self.phase = Phase::Ready;
                     self.mode.set_park(false);
@@ -387,6 +409,12 @@ impl Supervisor {
         out: &mut Vec<Action>,
     ) {
         self.answer_release(&event, out);
+        if let Phase::Recover(stage) = self.phase {
+            self.recovery_gripper(now, stage, &event, out);
+        }
+        if matches!(event, GripperEvent::Released | GripperEvent::VacuumLost { .. }) {
+            self.back.held = None;
+        }
         let silent = match event {
             GripperEvent::Unreachable { .. } => true,
             GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. } => !outside.gripper_answers,
@@ -445,40 +473,4 @@ impl Supervisor {
         };
         self.commit(now, Record::Ended(Box::new(report)), out);
     }
-}
-
-/// Why a job ends.
-#[derive(Clone, Debug)]
-pub(crate) struct Reason {
-    pub code: Code,
-    /// The object that the code is about.
-    pub object: Option<String>,
-    /// One sentence.
-    pub message: String,
-    /// What the operator can do; empty when nothing is needed.
-    pub hint: String,
-}
-
-impl Reason {
-    /// The same about an object.
-    pub fn of(self, object: impl Into<String>) -> Reason {
-        Reason { object: Some(object.into()), ..self }
-    }
-}
-
-impl Code {
-    /// With a sentence and what to do about it.
-    pub(crate) fn because(self, message: impl Into<String>, hint: impl Into<String>) -> Reason {
-        Reason { code: self, object: None, message: message.into(), hint: hint.into() }
-    }
-}
-
-/// An ordinary sentence for the operator.
-pub(crate) fn say(out: &mut Vec<Action>, text: impl Into<String>) {
-    out.push(Action::Say(Notice { alarm: false, text: text.into() }));
-}
-
-/// A sentence that requires a person to act.
-pub(crate) fn alarm(out: &mut Vec<Action>, text: impl Into<String>) {
-    out.push(Action::Say(Notice { alarm: true, text: text.into() }));
 }

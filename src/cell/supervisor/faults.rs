@@ -6,12 +6,14 @@
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
-use crate::cell::supervisor::cell::{Reason, Supervisor, alarm, say};
+use crate::cell::supervisor::back::{BackStage, LastStop};
+use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::{self, motion_speed};
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::cell::supervisor::mode::{EndFault, Mode};
 use crate::cell::supervisor::phase::{Look, LookStage, Phase};
+use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
 use ur_wire::enumerations::RobotMode;
@@ -36,6 +38,7 @@ impl Supervisor {
         self.watch_end(now, outside, out);
         self.watch_settling(now, outside, out);
         self.watch_visit(now, outside, out);
+        self.watch_unlocking(now, outside, out);
         self.arm_when_open(outside, out);
         self.bring_up(outside, out);
         if let Some(message) = motion_trouble(now, outside).filter(|_| self.moving()) {
@@ -51,6 +54,7 @@ impl Supervisor {
             let reason = Code::PausedTooLong.because(message, "");
             return self.stop_all(now, JobStatus::Interrupted, reason, out);
         }
+        self.watch_arming(now, outside, out);
         if self.remaining.is_zero() {
             self.on_deadline(now, out);
         }
@@ -59,9 +63,9 @@ impl Supervisor {
     fn arm_when_open(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let open = self.arms_when_open && self.under_way(outside).is_none() && gates::arming(outside).is_ok();
         if open && matches!(self.mode, Mode::Disarmed { .. }) {
-            self.arms_when_open = false;
-            self.mode.arm();
             say(out, "armed at start, as configured for the simulation");
+            self.mode.arm();
+            self.armed_now(outside, out);
         }
     }
 
@@ -102,6 +106,7 @@ impl Supervisor {
     pub(crate) fn moving(&self) -> bool {
         match self.phase {
             Phase::Look(_) | Phase::Work(_) | Phase::Park | Phase::Visit(_) => true,
+            Phase::Recover(stage) => !matches!(stage, BackStage::Unlocking { .. }),
             Phase::Ready | Phase::BringUp(_) | Phase::Plan | Phase::Approve => false,
         }
     }
@@ -129,6 +134,9 @@ impl Supervisor {
                 (Code::WorkTimeout, format!("{:?} {} took too long", work.stage, work.object))
             }
             Phase::Park => (Code::ParkTimeout, "the park pose was not reached in time".to_string()),
+            Phase::Recover(stage) => {
+                (Code::WorkTimeout, format!("the way back took too long: {}", stage.words()))
+            }
             Phase::Visit(_) => {
                 (Code::WorkTimeout, "the calibration pose was not reached in time".to_string())
             }
@@ -161,6 +169,7 @@ impl Supervisor {
             | RobotEvent::RtdeLost
             | RobotEvent::Identity { .. }
             | RobotEvent::Kinematics { .. }
+            | RobotEvent::SafetyChecksum { .. }
             | RobotEvent::RemoteControl { .. }
             | RobotEvent::ProgramEnded { .. }
             | RobotEvent::SegmentFinished { .. }
@@ -179,6 +188,7 @@ impl Supervisor {
             | RobotEvent::Message { .. }
             | RobotEvent::ProtocolFault { .. } => {}
         }
+        self.note_for_the_way_back(now, &event);
         let Some(reason) = self.fault_of(event) else { return };
         if self.moving() || matches!(self.phase, Phase::BringUp(_)) {
             self.stop_all(now, JobStatus::Interrupted, reason, out);
@@ -189,6 +199,9 @@ impl Supervisor {
 
     /// Why an event of the robot stops the cell; `None` for those that do not.
     fn fault_of(&mut self, event: RobotEvent) -> Option<Reason> {
+        if let Some(reason) = self.other_robot(&event) {
+            return Some(reason);
+        }
         let message = match event {
             RobotEvent::ProgramEnded { reason } => {
                 // Whatever ran before ours is stopped on the way to starting ours.
@@ -196,11 +209,18 @@ impl Supervisor {
                     return None;
                 }
                 self.nonce = None;
-                // A round, or the daemon, has ended it.
-                if reason == ProgramEnd::AsAsked {
-                    return None;
+                match reason {
+                    // A round, the daemon or a stop has ended it; why is said already.
+                    ProgramEnd::AsAsked | ProgramEnd::StoppedByUs => return None,
+                    ProgramEnd::NotStarted(_)
+                    | ProgramEnd::HeartbeatLost
+                    | ProgramEnd::Rejected { .. }
+                    | ProgramEnd::Exception { .. }
+                    | ProgramEnd::FromOutside
+                    | ProgramEnd::Replaced
+                    | ProgramEnd::LinkLost
+                    | ProgramEnd::Overdue(_) => format!("the on-robot program ended: {reason}"),
                 }
-                format!("the on-robot program ended: {reason}")
             }
             RobotEvent::RuntimeException { line, column, text } => {
                 format!("the on-robot program failed at line {line}, column {column}: {text}")
@@ -212,17 +232,10 @@ impl Supervisor {
             RobotEvent::RemoteControl { on: false } => {
                 "the pendant was switched to local control".to_string()
             }
-            RobotEvent::Kinematics { dh, .. } if dh != self.model.arm.dh => {
-                let message = "another arm answers, or it was calibrated anew: its kinematics differ from those \
-                               celld started with";
-                self.mode.lock(message.to_string());
-                return Some(
-                    Code::OtherRobot.because(message, "end celld, `celld calibrate`, start it again"),
-                );
-            }
             RobotEvent::Safety { .. }
             | RobotEvent::RemoteControl { on: true }
             | RobotEvent::Kinematics { .. }
+            | RobotEvent::SafetyChecksum { .. }
             | RobotEvent::RtdeReady
             | RobotEvent::Identity { .. }
             | RobotEvent::ProgramRunning { .. }
@@ -249,11 +262,15 @@ impl Supervisor {
         self.mode.set_park(false);
         let locked = matches!(self.mode, Mode::Locked(_));
         if !self.mode.armed() && !locked {
+            self.end_recovery(Err(reason.message.clone()), out);
+            self.back.last_stop.get_or_insert(LastStop { at: now, reason: reason.clone() });
             return say(out, reason.message);
         }
         self.mode.disarm();
         self.phase = Phase::Ready;
         alarm(out, format!("disarmed: {}", reason.message));
+        self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
+        self.end_recovery(Err(reason.message.clone()), out);
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
         let hint = "see that the cell is safe, then `celld arm` and submit again".to_string();
         let hint = if reason.hint.is_empty() { hint } else { reason.hint };
@@ -317,6 +334,8 @@ impl Supervisor {
         self.arms_when_open = false;
         alarm(out, format!("stopped and disarmed: {}", reason.message));
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
+        self.end_recovery(Err(reason.message.clone()), out);
+        self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
         let hint = if reason.hint.is_empty() { AFTER_A_STOP.to_string() } else { reason.hint.clone() };
         self.finish(now, end, Reason { hint, ..reason }, out);
     }
@@ -331,6 +350,8 @@ fn motion_trouble(now: Timestamp, outside: &DeviceSnapshot) -> Option<String> {
         Some(format!("safety mode {:?}", robot.safety_mode))
     } else if robot.robot_mode != RobotMode::Running {
         Some(format!("robot mode {:?}", robot.robot_mode))
+    } else if robot.guided {
+        Some("a person holds the freedrive button".to_string())
     } else if robot.remote_control == Some(false) {
         Some("the pendant was switched to local control".to_string())
     } else {

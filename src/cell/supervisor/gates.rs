@@ -6,7 +6,7 @@
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::Link;
 use crate::cell::supervisor::input::DeviceSnapshot;
-use ur_wire::enumerations::{RobotMode, RuntimeState};
+use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
 const EMPTY_BELOW: f64 = 0.05;
@@ -22,6 +22,9 @@ impl GateClosed {
             GateClosed::Mode(_) => {
                 "power the arm at the pendant, or switch it to Remote Control so that celld may"
             }
+            GateClosed::Guided => {
+                "let go of the freedrive button and stand clear of the arm, then `celld arm`"
+            }
             GateClosed::Local => "switch the pendant to Remote Control, then `celld arm`",
             GateClosed::Program => "look at the pendant for the program's error, then `celld arm`",
             GateClosed::Paused => "press play at the pendant, or `celld abort`",
@@ -30,7 +33,7 @@ impl GateClosed {
             GateClosed::Gripper => {
                 "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, `ping` it"
             }
-            GateClosed::Holding(_) => "hold the object by hand, `celld release --yes`, then `celld arm`",
+            GateClosed::Holding(_) => "`celld recover` says what hangs there and what can be done with it",
             GateClosed::NotObserved | GateClosed::NotApproved => "nothing: the cell goes on by itself",
         }
     }
@@ -51,6 +54,9 @@ pub enum GateClosed {
     /// The arm is not powered with its brakes released.
     #[error("the robot mode is {0}")]
     Mode(String),
+    /// A person guides the arm by hand.
+    #[error("the arm is guided by hand (freedrive)")]
+    Guided,
     /// The pendant is in local control, or has not said otherwise.
     #[error("remote control is off: switch the pendant to Remote Control")]
     Local,
@@ -86,6 +92,15 @@ pub enum GateClosed {
 /// # Errors
 /// The first condition that does not hold.
 pub fn arming(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
+    arming_for_round(outside)?;
+    empty_handed(outside)
+}
+
+/// What arming for a calibration round needs: it picks nothing, and the gripper need not be there.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn arming_for_round(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
     if let Some(link) = outside.link_down {
         return Err(GateClosed::Link(link));
     }
@@ -99,8 +114,11 @@ pub fn arming(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
     if robot.remote_control != Some(true) {
         return Err(GateClosed::Local);
     }
+    if robot.guided {
+        return Err(GateClosed::Guided);
+    }
     match robot.robot_mode {
-        RobotMode::PowerOff | RobotMode::Idle | RobotMode::Running => empty_handed(outside),
+        RobotMode::PowerOff | RobotMode::Idle | RobotMode::Running => Ok(()),
         RobotMode::NoController
         | RobotMode::Disconnected
         | RobotMode::ConfirmSafety
@@ -109,6 +127,19 @@ pub fn arming(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
         | RobotMode::Backdrive
         | RobotMode::UpdatingFirmware
         | RobotMode::Unknown(_) => Err(GateClosed::Mode(format!("{:?}", robot.robot_mode))),
+    }
+}
+
+/// What a way back after a stop needs: as for arming, but a protective stop is what it leaves, and something
+/// may be held.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn recovering(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
+    let stopped = outside.robot.is_some_and(|robot| robot.safety_mode == SafetyMode::ProtectiveStop);
+    match arming_for_round(outside) {
+        Err(GateClosed::Safety(_)) if stopped => Ok(()),
+        judged => judged,
     }
 }
 
@@ -130,6 +161,9 @@ pub fn any_motion(armed: bool, outside: &DeviceSnapshot, nonce: Option<Nonce>) -
     }
     if robot.robot_mode != RobotMode::Running {
         return Err(GateClosed::Mode(format!("{:?}", robot.robot_mode)));
+    }
+    if robot.guided {
+        return Err(GateClosed::Guided);
     }
     if robot.remote_control != Some(true) {
         return Err(GateClosed::Local);

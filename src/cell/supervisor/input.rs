@@ -21,6 +21,9 @@ use rearrange::tabletop::instance::Instance;
 pub struct DeviceSnapshot<'a> {
     /// The first connection to the controller that is down.
     pub link_down: Option<Link>,
+    /// The first connection to the controller that is down and that celld has not dropped by itself to make
+    /// it anew.
+    pub link_lost: Option<Link>,
     /// Last state of the robot, if it ever spoke.
     pub robot: Option<&'a RobotState>,
     /// The robot's last state is younger than the staleness limit.

@@ -4,9 +4,10 @@
 //! do about it; and, where the configuration says so, foreign objects as obstacles for planning and motion.
 
 use crate::cell::code::Code;
-use crate::cell::supervisor::cell::{Reason, Supervisor, say};
+use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::Action;
 use crate::cell::supervisor::model::{CellModel, ForeignRule};
+use crate::cell::supervisor::reason::{Reason, say};
 use crate::motion::pick_n_place::CycleParameters;
 use cell_vision::foreign::{ForeignObject, ForeignReport};
 use cell_vision::observe::Observation;
@@ -46,6 +47,32 @@ impl Supervisor {
         } else {
             calibration.or_else(foreign).or_else(objects)
         }
+    }
+
+    /// What makes a look useless for putting down what is held, whatever job waits. Of the held object itself
+    /// it says nothing: its marker is wherever the arm is.
+    pub(crate) fn doubt_on_the_way(&self, seen: &Observation) -> Option<Reason> {
+        let held = self.back.held.as_ref().map(|held| held.object.as_str());
+        let tilted = || {
+            let mut others = seen.suspicious.iter().filter(|suspicious| Some(suspicious.id.as_str()) != held);
+            let suspicious = others.next()?;
+            let message = format!("{} does not lie flat on the table: {}", suspicious.id, suspicious.reason);
+            Some(Code::ObjectTilted.because(message, "put it right by hand").of(&suspicious.id))
+        };
+        self.doubt_calibration(seen)
+            .or_else(|| self.doubt_marker(seen))
+            .or_else(|| self.doubt_foreign(seen))
+            .or_else(tilted)
+    }
+
+    /// A marker that belongs to nothing the cell knows.
+    fn doubt_marker(&self, observation: &Observation) -> Option<Reason> {
+        let known = |id: &&u32| self.model.ignore_markers.contains(id);
+        let id = observation.unknown.iter().find(|id| !known(id))?;
+        let message = format!(
+            "marker {id} is on the table and belongs to nothing the cell knows; take it away, or name it in `ignore_markers`"
+        );
+        Some(Code::UnknownMarker.because(message, ""))
     }
 
     /// The reference markers are not where they were surveyed, or too few of them are seen to decide.
@@ -98,12 +125,8 @@ impl Supervisor {
 
     fn doubt_objects(&self, observation: &Observation) -> Option<Reason> {
         let job = self.job.as_ref()?;
-        let known = |id: &&u32| self.model.ignore_markers.contains(id);
-        if let Some(id) = observation.unknown.iter().find(|id| !known(id)) {
-            let message = format!(
-                "marker {id} is on the table and belongs to nothing the cell knows; take it away, or name it in `ignore_markers`"
-            );
-            return Some(Code::UnknownMarker.because(message, ""));
+        if let Some(doubt) = self.doubt_marker(observation) {
+            return Some(doubt);
         }
         if let Some(duplicate) = observation.duplicates.first() {
             let message =

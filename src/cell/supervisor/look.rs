@@ -6,17 +6,16 @@
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::orders::Approval;
-use crate::cell::supervisor::cell::{Supervisor, alarm, say};
+use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot, PlanAnswer, PlanRequest};
 use crate::cell::supervisor::judge::foreign_height;
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase};
+use crate::cell::supervisor::reason::{alarm, say};
 use crate::motion::cycle_time::CycleTimes;
-use crate::motion::path::{CheckedPath, Leg, Segment};
 use cell_values::time::Timestamp;
-use cell_values::units::Joints;
 use cell_vision::observe::{Observation, View};
 use rearrange::geometry::collision::penetration;
 use rearrange::geometry::pose::Pose2;
@@ -58,7 +57,8 @@ impl Supervisor {
             | Phase::Approve
             | Phase::Work(_)
             | Phase::Park
-            | Phase::Visit(_) => Vec::new(),
+            | Phase::Visit(_)
+            | Phase::Recover(_) => Vec::new(),
         };
         match self.transfer_to(&robot.q, target) {
             Ok(path) => {
@@ -73,8 +73,11 @@ impl Supervisor {
     /// The look pose cannot be reached from here: a person has to see why.
     fn no_way_to_look(&mut self, now: Timestamp, view: usize, fault: &str, out: &mut Vec<Action>) {
         self.phase = Phase::Ready;
-        self.mode.disarm();
         let message = format!("look pose {} cannot be reached: {fault}", view + 1);
+        if self.back.recovery.is_some() {
+            return self.end_recovery(Err(message), out);
+        }
+        self.mode.disarm();
         let in_the_way = self.foreign_height > self.model.cycle.tallest;
         let reason = if in_the_way && self.foreign_height.is_finite() {
             let height_mm = self.foreign_height * 1e3;
@@ -90,60 +93,6 @@ impl Supervisor {
         };
         alarm(out, format!("{}; disarmed", reason.message));
         self.finish(now, JobStatus::Failed, reason, out);
-    }
-
-    /// A checked joint move, gripper empty, over everything that is on the table.
-    pub(crate) fn transfer_to(
-        &self,
-        from: &Joints,
-        target: Joints,
-    ) -> Result<CheckedPath, crate::motion::path::PathFault> {
-        let cycle = self.cycle();
-        let segment = Segment::Joint {
-            target,
-            speed: cycle.joint_speed,
-            acceleration: cycle.joint_acceleration,
-            blend: 0.0,
-        };
-        let floor = cycle.tallest + 0.5 * cycle.air;
-        let mut legs = Vec::new();
-        // After a stop the arm may be between the objects: straight up first, for there is no room aside.
-        if self.model.arm.tool_at(from).translation.vector.z < floor {
-            legs.push(self.straight_up(from)?);
-        }
-        legs.push(Leg { segment, floor });
-        CheckedPath::new(&self.model.arm, from, &legs)
-    }
-
-    /// Vertically to where there is nothing any more.
-    fn straight_up(&self, from: &Joints) -> Result<Leg, crate::motion::path::PathFault> {
-        let cycle = self.cycle();
-        let here = self.model.arm.tool_at(from);
-        let mut above = here;
-        above.translation.vector.z = cycle.tallest + cycle.air;
-        let target = self.model.arm.joints_at(&above, from);
-        let target = target.ok_or_else(|| crate::motion::path::out_of_reach("straight up", &above))?;
-        let segment = Segment::Linear {
-            target,
-            speed: cycle.tool_speed,
-            acceleration: cycle.tool_acceleration,
-            blend: 0.0,
-        };
-        Ok(Leg { segment, floor: here.translation.vector.z - 1e-3 })
-    }
-
-    pub(crate) fn begin_park(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let Some(robot) = outside.robot else { return };
-        match self.transfer_to(&robot.q, self.model.park) {
-            Ok(path) => {
-                out.push(Action::Robot(RobotCommand::Stream(path)));
-                self.enter(Phase::Park, self.model.tolerances.look_deadline);
-            }
-            Err(fault) => {
-                self.mode.set_park(false);
-                alarm(out, format!("cannot park: {fault}"));
-            }
-        }
     }
 
     pub(crate) fn look_pose_reached(&mut self) {
@@ -234,6 +183,9 @@ impl Supervisor {
     pub(crate) fn give_up_looking(&mut self, now: Timestamp, fault: &CameraFault, out: &mut Vec<Action>) {
         self.phase = Phase::Ready;
         self.seen = None;
+        if self.back.recovery.is_some() {
+            return self.end_recovery(Err(format!("{}; {}", fault.message, fault.hint)), out);
+        }
         let reason = fault.code.because(fault.message.clone(), fault.hint);
         self.finish(now, JobStatus::Failed, reason, out);
     }
@@ -252,10 +204,17 @@ impl Supervisor {
             Ok(observation) => *observation,
             Err(reason) => {
                 let hint = "check the camera's calibration and the markers in the configuration";
+                if self.back.recovery.is_some() {
+                    return self.end_recovery(Err(format!("{reason}; {hint}")), out);
+                }
                 self.finish(now, JobStatus::Failed, Code::Observation.because(reason, hint), out);
                 return;
             }
         };
+        if self.back.recovery.is_some() {
+            return self.on_recovery_look(now, observation, out);
+        }
+        self.back.table = observation.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();
         let fault = self.judge(&observation);
         if let Some(height) = foreign_height(&self.model, &observation) {
             self.foreign_height = height;

@@ -3,16 +3,21 @@
 //! `model`: what it knows of the cell. `order`: a job as it sees it, and its result. `input`: what comes in
 //! and what it requests. `mode`: whether and how the cell may move. `ledger`: records on their way to the
 //! disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve, pick,
-//! verify, place, look again; `bring_up`, `look`, `judge`, `work`, `visits`, `operator`, `standing` and
-//! `faults` hold its parts. No clock, no socket: time and the devices' last word come in with every call, so
-//! that every stop, fault and late answer can be played through in a test.
+//! verify, place, look again; `bring_up`, `look`, `travel`, `judge`, `work`, `visits`, `operator`,
+//! `standing`, `lapse`, `identity`, `faults`, `recovery`, `free_place` and `situation` hold its parts. No
+//! clock, no socket: time and the devices' last word come in with every call, so that every stop, fault and
+//! late answer can be played through in a test.
 
+mod back;
 mod bring_up;
 pub mod cell;
 mod faults;
+mod free_place;
 pub mod gates;
+pub mod identity;
 pub mod input;
 mod judge;
+mod lapse;
 pub(crate) mod ledger;
 mod look;
 pub mod mode;
@@ -20,9 +25,13 @@ pub mod model;
 mod operator;
 pub mod order;
 pub(crate) mod phase;
+mod reason;
+mod recovery;
 pub mod round;
+mod situation;
 mod standing;
 pub mod status;
+mod travel;
 mod visits;
 mod work;
 

@@ -63,6 +63,8 @@ pub struct Tolerances {
     pub look_deadline: Duration,
     /// Deadline of one motion or gripper phase at full speed.
     pub phase_deadline: Duration,
+    /// Arming lapses after this long without motion.
+    pub arm_lapse: Duration,
     /// Added to a plan's own time limit before the planner counts as stuck.
     pub plan_grace: Duration,
 }

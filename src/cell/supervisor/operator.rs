@@ -5,12 +5,13 @@
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
-use crate::cell::orders::{Order, Reply};
-use crate::cell::supervisor::cell::{Supervisor, say};
+use crate::cell::orders::{Order, Reply, WayBack};
+use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::{self, GateClosed, motion_speed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::mode::{Mode, Pace};
 use crate::cell::supervisor::phase::{BringUp, Phase, Then, WorkStage};
+use crate::cell::supervisor::reason::say;
 use cell_values::time::Timestamp;
 use ur_wire::enumerations::RobotMode;
 
@@ -30,6 +31,10 @@ impl Supervisor {
             Order::Approve(id) => return self.on_verdict(now, id, true, out),
             Order::Reject(id) => return self.on_verdict(now, id, false, out),
             Order::Cancel(id) => return self.on_cancel(id),
+            Order::Pause | Order::Step | Order::Park if self.back.recovery.is_some() => {
+                let why = "no: a way back is under way; `celld abort` ends it";
+                return Some(Reply::refuse(why));
+            }
             Order::Pause | Order::Step | Order::Park if self.round.is_some() => {
                 let why = "no: a calibration round is under way; `celld abort` ends it";
                 return Some(Reply::refuse(why));
@@ -58,10 +63,7 @@ impl Supervisor {
                 self.answer_when_it_stands(now, number, Then::Say);
             }
             Order::Release(channels) => self.on_release_order(now, outside, number, *channels, out),
-            Order::Recover => {
-                let help = "clear the stop at the pendant, look at the arm, then `celld arm`";
-                return Some(Reply::refuse(format!("recover is not built yet: {help}")));
-            }
+            Order::Recover(way) => return self.on_recover(now, outside, number, *way, out),
         }
         None
     }
@@ -100,27 +102,33 @@ impl Supervisor {
         }
         if !self.mode.arm() {
             return Some(match &self.mode {
-                Mode::Locked(reason) => Reply::refuse(format!(
-                    "not armed: {reason}; end celld, `celld calibrate`, start it again"
-                )),
+                Mode::Locked(reason) => Reply::refuse(format!("not armed: {reason}")),
                 Mode::Ending { .. } | Mode::Disarmed { .. } | Mode::Armed { .. } => {
                     Reply::refuse("not armed: celld is ending")
                 }
             });
         }
+        say(out, "armed");
+        self.armed_now(outside, out);
+        None
+    }
+
+    /// The cell has just been armed. The person who arms has been at the table: what was on it may be gone,
+    /// and only a look can show it; a plan that is being made rests on what was there.
+    pub(crate) fn armed_now(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.arms_when_open = false;
-        // The person who arms has been at the table: what was on it may be gone, and only a look can show it.
         self.seen = None;
         self.foreign_height = 0.0;
         self.drift_reported = false;
-        say(out, "armed");
+        if matches!(self.phase, Phase::Plan) {
+            self.phase = Phase::Ready;
+        }
         // At once: a person has to see what comes of the order, not minutes later.
         let off =
             outside.robot.is_some_and(|r| matches!(r.robot_mode, RobotMode::PowerOff | RobotMode::Idle));
-        if off && matches!(self.phase, Phase::Ready) {
+        if off && matches!(self.phase, Phase::Ready | Phase::Approve) {
             self.begin_bring_up(outside, out);
         }
-        None
     }
 
     /// What is missing, and what to do before the next try.
@@ -135,17 +143,27 @@ impl Supervisor {
     /// robot that is being started: power, brakes and program would come after the answer.
     fn on_disarm(&mut self, now: Timestamp, outside: &DeviceSnapshot, number: u64, out: &mut Vec<Action>) {
         let held = self.moving() && motion_speed(outside) == 0.0;
-        if held || self.round.is_some() {
-            let what = if held { "while the arm was held" } else { "in a calibration round" };
+        if held || self.round.is_some() || self.back.recovery.is_some() {
+            let what = match (held, self.round.is_some()) {
+                (true, _) => "while the arm was held",
+                (false, true) => "in a calibration round",
+                (false, false) => "on a way back",
+            };
             let reason = Code::Aborted.because(format!("the operator disarmed the cell {what}"), "");
             self.stop_all(now, JobStatus::Interrupted, reason, out);
             return self.answer_when_it_stands(now, number, Then::Say);
         }
-        if matches!(self.phase, Phase::BringUp(_)) {
-            self.stop_robot(out);
-        }
+        let goes_on = self.disarm_after_this_motion(out);
         if self.stopping(outside) {
             self.answer_when_it_stands(now, number, Then::Say);
+        }
+        say(out, if goes_on { "disarmed once the present motion is over" } else { "disarmed" });
+    }
+
+    /// Disarms; a robot that is being started is stopped. True while a motion under way is finished first.
+    pub(crate) fn disarm_after_this_motion(&mut self, out: &mut Vec<Action>) -> bool {
+        if matches!(self.phase, Phase::BringUp(_)) {
+            self.stop_robot(out);
         }
         self.mode.disarm();
         self.arms_when_open = false;
@@ -153,22 +171,27 @@ impl Supervisor {
         let begun = match &self.phase {
             Phase::BringUp(_) => false,
             Phase::Work(work) => !matches!(work.stage, WorkStage::NotingIntent(_)),
-            Phase::Ready | Phase::Look(_) | Phase::Plan | Phase::Approve | Phase::Park | Phase::Visit(_) => {
-                self.follows_a_path()
-            }
+            Phase::Ready
+            | Phase::Look(_)
+            | Phase::Plan
+            | Phase::Approve
+            | Phase::Park
+            | Phase::Visit(_)
+            | Phase::Recover(_) => self.follows_a_path(),
         };
         match &mut self.phase {
-            Phase::BringUp(_) | Phase::Work(_) | Phase::Look(_) if !begun => self.phase = Phase::Ready,
+            Phase::BringUp(_) => self.phase = self.after_bring_up(),
+            Phase::Work(_) | Phase::Look(_) if !begun => self.phase = Phase::Ready,
             Phase::Look(look) => look.void = true,
             Phase::Ready
-            | Phase::BringUp(_)
             | Phase::Plan
             | Phase::Approve
             | Phase::Work(_)
             | Phase::Park
-            | Phase::Visit(_) => {}
+            | Phase::Visit(_)
+            | Phase::Recover(_) => {}
         }
-        say(out, if begun { "disarmed once the present motion is over" } else { "disarmed" });
+        begun
     }
 
     /// A person has seen the plan.
@@ -210,7 +233,7 @@ impl Supervisor {
     }
 
     /// What has become of an order that was taken; `None` where the answer comes later.
-    pub(crate) fn answer(&self, order: &Order) -> Option<Reply> {
+    pub(crate) fn answer(&self, outside: &DeviceSnapshot, order: &Order) -> Option<Reply> {
         Some(match order {
             Order::Arm => Reply::accept(self.armed_and_now()),
             Order::Disarm => Reply::accept(match &self.phase {
@@ -223,6 +246,7 @@ impl Supervisor {
                 | Phase::Plan
                 | Phase::Approve
                 | Phase::Park
+                | Phase::Recover(_)
                 | Phase::Visit(_) => match self.follows_a_path() {
                     true => {
                         "disarmed; the motion under way goes on to its next stop, `celld abort` stops it now"
@@ -244,6 +268,7 @@ impl Supervisor {
                 | Phase::Look(_)
                 | Phase::Plan
                 | Phase::Approve
+                | Phase::Recover(_)
                 | Phase::Visit(_) => match &self.job {
                     Some(_) => "pauses before the next pick-n-place",
                     None => "paused; no job is under way",
@@ -258,7 +283,10 @@ impl Supervisor {
                 None => "no job is under way; the next one pauses after one pick-n-place",
             }),
             Order::Park => self.answer_park(),
-            Order::Abort | Order::Release(_) | Order::Recover => return None,
+            Order::Recover(WayBack::Show | WayBack::Release) | Order::Abort | Order::Release(_) => {
+                return None;
+            }
+            Order::Recover(way) => return Some(self.recovering(outside, *way)),
         })
     }
 
@@ -269,7 +297,6 @@ impl Supervisor {
         }
         let now = match &self.phase {
             Phase::Approve => "armed; the plan waits for `celld approve`",
-            Phase::Plan => "armed: the arm moves once the planning is over and the plan may be carried out",
             Phase::BringUp(BringUp { asked: Some(_), .. }) => {
                 "armed: celld switches the arm's power on and releases its brakes now"
             }
@@ -292,16 +319,17 @@ impl Supervisor {
                 Reply::refuse("not parked: the park pose cannot be reached from here")
             }
             (Phase::Ready, None)
-            | (Phase::BringUp(_) | Phase::Look(_) | Phase::Work(_) | Phase::Visit(_), _) => {
-                Reply::accept("parks as soon as the present motion is over")
-            }
+            | (
+                Phase::BringUp(_) | Phase::Look(_) | Phase::Work(_) | Phase::Visit(_) | Phase::Recover(_),
+                _,
+            ) => Reply::accept("parks as soon as the present motion is over"),
         }
     }
 
     /// What is let go in motion flies, and a carry must not go on without its object: the arm is stopped
     /// first. The person who orders it has hands at the gripper: an armed cell, which could begin a motion at
     /// any time, is stopped and disarmed.
-    fn on_release_order(
+    pub(crate) fn on_release_order(
         &mut self,
         now: Timestamp,
         outside: &DeviceSnapshot,

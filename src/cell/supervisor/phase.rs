@@ -3,6 +3,7 @@
 //! Plain data; the transitions are in the modules named after the phases.
 
 use crate::cell::device::gripper_types::Channels;
+use crate::cell::supervisor::back::{BackStage, Held};
 use crate::cell::supervisor::input::CameraFault;
 use crate::cell::supervisor::order::{JobOrder, RouteAction};
 use crate::motion::pick_n_place::PickNPlacePaths;
@@ -31,6 +32,8 @@ pub(crate) enum Phase {
     Park,
     /// At a pose of a calibration round, or on the way.
     Visit(Visit),
+    /// On a way back after a stop.
+    Recover(BackStage),
 }
 
 /// Bring-up of the robot: which request is out, if any.
@@ -80,6 +83,8 @@ pub(crate) enum Visit {
 #[derive(Debug)]
 pub(crate) struct Work {
     pub object: String,
+    /// What hangs on the gripper once it has gripped.
+    pub held: Held,
     pub paths: PickNPlacePaths,
     pub stage: WorkStage,
 }
@@ -101,6 +106,14 @@ pub(crate) enum WorkStage {
     GivingUp,
     /// The grip failed: going up empty.
     Withdrawing,
+}
+
+/// An armed cell in which nothing moves.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Quiet {
+    pub since: Timestamp,
+    /// Where the arm has come to rest.
+    pub at: Option<Joints>,
 }
 
 /// What comes once the arm is at rest.

@@ -34,6 +34,7 @@ impl Supervisor {
         let fresh = outside.robot.filter(|_| outside.robot_fresh);
         let stands = self.arm_stands(outside);
         self.stands |= stands && order.is_none();
+        self.arm_settled = outside.arm_settled;
         for waits in std::mem::take(&mut self.until_it_stands) {
             let late = now.since(waits.since) >= STANDS_WITHIN;
             if (!stands && !late) || order == Some(waits.number) {

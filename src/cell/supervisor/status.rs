@@ -11,6 +11,8 @@ use crate::cell::supervisor::round::Round;
 /// What is going on, for programs; [`Status::text`] says it in words.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Doing {
+    /// The arm was ordered to stop, and is not known to be at rest with its program ended.
+    Stopping,
     /// No job.
     Idle,
     /// A gate is closed.
@@ -33,6 +35,8 @@ pub enum Doing {
     Working(&'static str, String),
     /// On the way to the park pose.
     Parking,
+    /// A way back after a stop.
+    Recovering(&'static str),
     /// Calibration pose, from 1, and how many.
     Visiting(usize, usize),
     /// The daemon ends.
@@ -60,6 +64,7 @@ impl Status {
     /// What is going on, in a few words.
     pub fn text(&self) -> String {
         match &self.doing {
+            Doing::Stopping => "stopping".to_string(),
             Doing::Idle => "idle".to_string(),
             Doing::Waiting(reason) => format!("waiting: {reason}"),
             Doing::Paused => "paused".to_string(),
@@ -72,6 +77,7 @@ impl Status {
             Doing::AwaitingApproval => "waiting for approval".to_string(),
             Doing::Working(verb, object) => format!("{verb} {object}"),
             Doing::Parking => "parking".to_string(),
+            Doing::Recovering(what) => format!("on a way back: {what}"),
             Doing::Visiting(pose, of) => format!("calibration pose {pose}/{of}"),
             Doing::Ending => "ending".to_string(),
         }
@@ -95,6 +101,8 @@ impl Supervisor {
     fn doing(&self) -> Doing {
         match &self.phase {
             Phase::Ready if self.mode.ending() => Doing::Ending,
+            Phase::Ready if !self.stands || !self.arm_settled => Doing::Stopping,
+            Phase::Ready if self.back.recovery.is_some() => Doing::Recovering("about to go on"),
             Phase::Ready => match (&self.job, &self.waiting_for) {
                 (None, _) if !self.ledger.is_clear() => Doing::Writing,
                 (None, _) => Doing::Idle,
@@ -111,6 +119,7 @@ impl Supervisor {
             Phase::Approve => Doing::AwaitingApproval,
             Phase::Work(work) => Doing::Working(work.stage.verb(), work.object.clone()),
             Phase::Park => Doing::Parking,
+            Phase::Recover(stage) => Doing::Recovering(stage.words()),
             Phase::Visit(_) => {
                 let (pose, of) = self.round.as_ref().map_or((0, 0), Round::progress);
                 Doing::Visiting(pose, of)

@@ -59,6 +59,7 @@ fn tolerances() -> Tolerances {
         settle: Duration::from_millis(100),
         look_deadline: Duration::from_secs(20),
         phase_deadline: Duration::from_secs(20),
+        arm_lapse: Duration::from_secs(600),
         plan_grace: Duration::from_secs(5),
     }
 }
@@ -167,6 +168,7 @@ impl Bench {
             robot_mode: RobotMode::Running,
             safety_mode: SafetyMode::Normal,
             runtime_state: RuntimeState::Playing,
+            guided: false,
             speed_scaling: 1.0,
             target_speed_fraction: 1.0,
             payload: 0.9,
@@ -217,6 +219,7 @@ impl Bench {
         self.now += Duration::from_millis(20);
         let outside = DeviceSnapshot {
             link_down: self.link_down,
+            link_lost: self.link_down,
             robot: Some(&self.robot),
             robot_fresh: !self.silent,
             program_settled: true,

@@ -7,6 +7,7 @@
 
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::Supervisor;
+use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::phase::{Phase, Visit};
 use crate::cell::supervisor::round::{Round, RoundFault, RoundOrder};
@@ -35,11 +36,18 @@ impl Supervisor {
     ) {
         self.waiting_since = now;
         self.round = Some(Round { order, at: 0 });
-        let why =
-            self.under_way(outside).or_else(|| (!self.mode.arm()).then_some("the cell cannot be armed"));
+        let why = self.under_way(outside).map(str::to_string).or_else(|| self.round_gate(outside));
         if let Some(why) = why {
-            self.end_round(Err(RoundFault::Robot(why.to_string())), out);
+            self.end_round(Err(RoundFault::Robot(why)), out);
+        } else if !self.mode.arm() {
+            self.end_round(Err(RoundFault::Robot("the cell cannot be armed".to_string())), out);
         }
+    }
+
+    /// What keeps the cell from being armed for a round, and what to do about it.
+    fn round_gate(&self, outside: &DeviceSnapshot) -> Option<String> {
+        let closed = gates::arming_for_round(outside).err()?;
+        Some(format!("{}; {}", self.place(&closed), closed.hint()))
     }
 
     /// Sends the arm to the next pose; after the last one the round is over.

@@ -3,13 +3,16 @@
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{GripperCommand, GripperEvent};
 use crate::cell::device::robot_types::RobotCommand;
-use crate::cell::supervisor::cell::{Supervisor, alarm, say};
+use crate::cell::supervisor::back::Held;
+use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, Record};
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::phase::{Phase, Work, WorkStage};
+use crate::cell::supervisor::reason::{alarm, say};
 use crate::motion::pick_n_place::{PickNPlace, plan};
+use crate::motion::put_down::Grasp;
 use cell_values::time::Timestamp;
 use rearrange::geometry::collision::penetration;
 use rearrange::geometry::footprint::Footprint;
@@ -61,8 +64,16 @@ impl Supervisor {
             to: next.to,
             kind: if next.to_goal { ActionKind::Goal } else { ActionKind::Buffer },
         };
+        let held = Held {
+            object: next.object.clone(),
+            grasp: Grasp::new(&self.model.arm, &paths.carry.start(), &next.from, object.height),
+            height: object.height,
+            mass: object.mass,
+            to: next.to,
+            to_goal: next.to_goal,
+        };
         let number = self.commit(now, record, out);
-        let work = Work { object: next.object, paths, stage: WorkStage::NotingIntent(number) };
+        let work = Work { object: next.object, held, paths, stage: WorkStage::NotingIntent(number) };
         self.enter(Phase::Work(Box::new(work)), self.model.tolerances.phase_deadline);
     }
 
@@ -152,6 +163,7 @@ impl Supervisor {
                 work.stage = WorkStage::Gripping;
                 // From here on the table is no longer what was seen.
                 self.seen = None;
+                self.back.held = Some(work.held.clone());
                 let target = self.model.grip.vacuum_target;
                 out.push(Action::Gripper(GripperCommand::Grip { channels, target }));
             }

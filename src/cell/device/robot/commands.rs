@@ -112,7 +112,7 @@ impl Robot {
         match &self.program {
             Program::Running { .. } if state.runtime_state == RuntimeState::Playing => Ok(state),
             Program::Running { .. } => Err(Refused::Busy("the program is paused")),
-            Program::Absent | Program::Stopped => Err(Refused::NoProgram),
+            Program::Absent => Err(Refused::NoProgram),
             Program::Clearing { .. } | Program::Starting { .. } => Err(Refused::Busy("it is being started")),
             Program::Stopping { .. } | Program::Halting { .. } => Err(Refused::Busy("it is being stopped")),
             Program::Ending { .. } => Err(Refused::Busy("it is being ended")),
@@ -130,10 +130,9 @@ impl Robot {
     }
 
     /// Writes a command that is taken with any new number.
-    pub(super) fn write_at_once(&mut self, opcode: Opcode) -> i32 {
+    pub(super) fn write_at_once(&mut self, opcode: Opcode) {
         let sequence = self.stream.skip_sequence();
         self.rtde.write_command(&CommandRegisters::bare(sequence, opcode));
-        sequence
     }
 }
 

@@ -29,7 +29,7 @@ impl Robot {
     /// Uploads the program, after stopping what runs.
     pub(super) fn start_program(&mut self, now: Timestamp, nonce: Nonce) -> Result<(), Refused> {
         match &self.program {
-            Program::Absent | Program::Running { .. } | Program::Stopped => {}
+            Program::Absent | Program::Running { .. } => {}
             Program::Clearing { .. }
             | Program::Starting { .. }
             | Program::Stopping { .. }
@@ -58,7 +58,7 @@ impl Robot {
         self.exception = None;
         self.stream.clear();
         self.setup = Setup::default();
-        (self.uploaded, self.left_behind) = (Some(nonce), None);
+        self.stop_written_for = None;
         let sent = self.primary.upload(&self.template.render(nonce));
         self.program = Program::Starting { nonce, deadline, upload_again: !sent, retried };
         self.heartbeat.next = Some(now);
@@ -68,17 +68,14 @@ impl Robot {
     pub(super) fn stop(&mut self, now: Timestamp) {
         self.drop_arm_waits(now);
         let runtime = self.state.as_ref().map(|state| state.runtime_state);
-        let keeps_still = self.keeps_still();
         match &mut self.program {
             Program::Running { .. } if runtime == Some(RuntimeState::Playing) => {
                 self.stream.clear();
                 self.setup.deadline = None;
-                let sequence = self.write_at_once(Opcode::Stop);
-                self.program = Program::Stopping { sequence, deadline: now + STOP_WITHIN };
+                self.write_at_once(Opcode::Stop);
+                self.program = Program::Stopping { deadline: now + STOP_WITHIN };
             }
             Program::Stopping { .. } => {}
-            Program::Stopped if keeps_still => self.report(RobotEvent::Stopped),
-            Program::Stopped => self.halt(now, Some(ProgramEnd::Replaced), true),
             Program::Halting { asked, .. } => *asked = true,
             Program::Absent if runtime == Some(RuntimeState::Stopped) => self.report(RobotEvent::Stopped),
             Program::Absent => self.halt(now, None, true),
@@ -106,7 +103,7 @@ impl Robot {
     /// Ends the program in good order.
     pub(super) fn end_program(&mut self, now: Timestamp) -> Result<(), Refused> {
         match &self.program {
-            Program::Running { .. } | Program::Stopped => {}
+            Program::Running { .. } => {}
             Program::Absent => return Err(Refused::NoProgram),
             Program::Clearing { .. } | Program::Starting { .. } => {
                 return Err(Refused::Busy("it is being started"));
@@ -129,8 +126,7 @@ impl Robot {
 
     /// Our program is over, whatever the reason: nothing streamed to it counts any more.
     fn program_ended(&mut self, reason: ProgramEnd) {
-        let over = self.state.as_ref().is_some_and(|state| state.runtime_state == RuntimeState::Stopped);
-        self.left_behind = self.uploaded.filter(|_| !over).map(|nonce| (nonce, false));
+        self.stop_written_for = None;
         self.program = Program::Absent;
         self.stream.clear();
         self.setup = Setup::default();
@@ -140,16 +136,13 @@ impl Robot {
 
     /// RTDE is gone: nothing can be known or said any more, except `stop` on the dashboard.
     pub(super) fn program_lost_rtde(&mut self, now: Timestamp) {
-        if let Some((_, reported)) = &mut self.left_behind {
-            *reported = false;
-        }
+        self.stop_written_for = None;
         match &self.program {
             Program::Absent | Program::Halting { .. } => {}
             Program::Clearing { .. }
             | Program::Starting { .. }
             | Program::Running { .. }
             | Program::Stopping { .. }
-            | Program::Stopped
             | Program::Ending { .. } => {
                 let _ = self.dashboard.ask_first(now, Command::Stop);
                 self.program_ended(ProgramEnd::LinkLost);
@@ -157,9 +150,13 @@ impl Robot {
         }
     }
 
-    /// The dashboard accepted `stop`. While RTDE streams, its runtime state counts instead.
+    /// The dashboard accepted `stop`. While RTDE streams, its runtime state counts instead; without, that has
+    /// to do for what is known of the program, and nothing is known of the arm.
     pub(super) fn dashboard_stopped(&mut self) {
-        if !self.rtde.ready() && matches!(self.program, Program::Halting { .. }) {
+        if !self.rtde.ready()
+            && let Program::Halting { asked, .. } = &mut self.program
+        {
+            *asked = false;
             self.halted();
         }
     }
@@ -233,24 +230,11 @@ impl Robot {
                 self.follow_start(now, &state, nonce, deadline, again, retried);
             }
             Program::Running { nonce } => self.follow_running(now, &state, *nonce),
-            Program::Stopping { sequence, .. } => {
-                if state.accepted == *sequence && state.program_status == ProgramStatus::Stopped {
-                    self.program = Program::Stopped;
-                    self.report(RobotEvent::Stopped);
-                } else if over {
-                    self.report(RobotEvent::Stopped);
-                    self.program_ended(ProgramEnd::StoppedByUs);
-                }
-            }
-            Program::Stopped => {
+            // The arm at rest is not enough: the program must be gone.
+            Program::Stopping { .. } => {
                 if over {
+                    self.report(RobotEvent::Stopped);
                     self.program_ended(ProgramEnd::StoppedByUs);
-                } else if !self.is_uploaded(&state) {
-                    self.program_ended(ProgramEnd::Replaced);
-                } else if !self.keeps_still() {
-                    let status = state.program_status;
-                    let reason = ProgramEnd::Overdue(format!("its status is {status:?} after its stop"));
-                    self.halt(now, Some(reason), false);
                 }
             }
             Program::Ending { reason, .. } => {
@@ -267,34 +251,13 @@ impl Robot {
         }
     }
 
-    fn is_uploaded(&self, state: &RobotState) -> bool {
-        self.uploaded.is_some_and(|nonce| nonce.number() == state.nonce)
-    }
-
-    /// The program that was stopped is still the one that is there, and it is still stopped.
-    fn keeps_still(&self) -> bool {
-        self.state.as_ref().is_some_and(|state| {
-            let stopped = match state.program_status {
-                ProgramStatus::Stopped | ProgramStatus::HeartbeatLost => true,
-                ProgramStatus::Idle
-                | ProgramStatus::Moving
-                | ProgramStatus::Rejected
-                | ProgramStatus::Unknown(_) => false,
-            };
-            self.is_uploaded(state) && stopped
-        })
-    }
-
-    /// A program that was given up may still be on the controller, paused: it finds a stop in its registers
-    /// if a person presses play. One that plays without heartbeats ends by its own watchdog.
+    /// A program that is none of those given up here may be on the controller: one that was paused when its
+    /// link was lost, or that an earlier daemon has left. It finds a stop in its registers in its first frame
+    /// after a person presses play; programs of others do not read these registers.
     fn follow_left_behind(&mut self, state: &RobotState) {
         if state.runtime_state == RuntimeState::Stopped {
-            self.left_behind = None;
-        }
-        if let Some((nonce, reported @ false)) = &mut self.left_behind
-            && nonce.number() == state.nonce
-        {
-            *reported = true;
+            self.stop_written_for = None;
+        } else if self.stop_written_for.replace(state.nonce) != Some(state.nonce) {
             self.stream.start(state.accepted);
             // The number after the accepted one may be in the registers already, for a move.
             self.stream.skip_sequence();
@@ -326,9 +289,6 @@ impl Robot {
 
     fn follow_running(&mut self, now: Timestamp, state: &RobotState, nonce: Nonce) {
         let status = state.program_status;
-        if state.nonce != nonce.number() {
-            return self.program_ended(ProgramEnd::Replaced);
-        }
         if status == ProgramStatus::HeartbeatLost {
             self.stream.clear();
             let reason = ProgramEnd::HeartbeatLost;
@@ -338,6 +298,9 @@ impl Robot {
         if state.runtime_state == RuntimeState::Stopped {
             let reason = self.exception.take().unwrap_or(ProgramEnd::FromOutside);
             return self.program_ended(reason);
+        }
+        if state.nonce != nonce.number() {
+            return self.program_ended(ProgramEnd::Replaced);
         }
         if !state.safety_mode.allows_motion() {
             return self.halt(now, Some(ProgramEnd::StoppedByUs), true);
@@ -381,7 +344,7 @@ impl Robot {
 
     fn program_is_late(&mut self, now: Timestamp) {
         match &self.program {
-            Program::Absent | Program::Running { .. } | Program::Stopped => {}
+            Program::Absent | Program::Running { .. } => {}
             Program::Clearing { .. } => {
                 let detail = "the program that runs did not stop within 3 s".to_string();
                 self.program_ended(ProgramEnd::NotStarted(detail));

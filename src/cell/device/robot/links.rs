@@ -240,6 +240,7 @@ impl Robot {
                 self.dh = DhParameters { a: data.a, d: data.d, alpha: data.alpha, theta: data.theta };
                 self.report(RobotEvent::Kinematics { dh: self.dh, checksum: data.checksum });
             }
+            PrimaryEvent::SafetyChecksum(checksum) => self.report(RobotEvent::SafetyChecksum { checksum }),
             // The nonce over RTDE says more than the name does.
             PrimaryEvent::ProgramStarted(_) => {}
             PrimaryEvent::ProgramStopped(name) => self.program_stopped_message(&name),

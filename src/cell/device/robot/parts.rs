@@ -43,15 +43,11 @@ pub enum Program {
         /// Its nonce.
         nonce: Nonce,
     },
-    /// The stop opcode is out.
+    /// The stop opcode is out: the arm comes to rest, then the program ends.
     Stopping {
-        /// Its number.
-        sequence: i32,
-        /// For standstill.
+        /// For its end.
         deadline: Timestamp,
     },
-    /// Runs, is at rest, takes nothing but its end.
-    Stopped,
     /// Will end by itself.
     Ending {
         /// Why.
@@ -74,10 +70,10 @@ impl Program {
     /// When its patience ends.
     pub fn deadline(&self) -> Option<Timestamp> {
         match self {
-            Program::Absent | Program::Running { .. } | Program::Stopped => None,
+            Program::Absent | Program::Running { .. } => None,
             Program::Clearing { deadline, .. }
             | Program::Starting { deadline, .. }
-            | Program::Stopping { deadline, .. }
+            | Program::Stopping { deadline }
             | Program::Ending { deadline, .. }
             | Program::Halting { deadline, .. } => Some(*deadline),
         }
@@ -89,7 +85,6 @@ impl Program {
             Program::Starting { .. }
             | Program::Running { .. }
             | Program::Stopping { .. }
-            | Program::Stopped
             | Program::Ending { .. } => true,
             Program::Absent | Program::Clearing { .. } | Program::Halting { .. } => false,
         }

@@ -134,27 +134,31 @@ fn nothing_moves_while_something_may_hang_on_the_gripper() {
     all.extend(bench.feed(order(Order::Park)));
     all.extend(bench.ticks(200));
     assert_eq!(streams(&all), 0, "{all:?}");
-    assert!(said(&all, "vacuum 40 %") && said(&all, "celld release"), "{all:?}");
+    assert!(said(&all, "vacuum 40 %") && said(&all, "celld recover"), "{all:?}");
     bench.vacuum = [0.0, 0.0];
     assert_eq!(streams(&bench.ticks(20)), 1, "empty again, it goes on");
 }
 
 #[test]
-fn a_gripper_that_does_not_answer_is_reported_and_the_job_ends_in_time() {
+fn a_gripper_that_stops_answering_disarms_the_cell_and_the_job_waits() {
     let mut bench = Bench::new();
     bench.feed(order(Order::Arm));
     bench.gripper_answers = false;
-    let mut soon = bench.job(false);
-    soon.extend(bench.ticks(50));
-    for part in ["the gripper does not answer", "10.0.0.3:502", "devices.gripper", "ping"] {
-        assert!(said(&soon, part), "{part}: {soon:?}");
+    let mut all = bench.ticks(1);
+    all.extend(bench.job(false));
+    all.extend(bench.ticks(50));
+    for part in ["disarmed: the gripper stopped answering", "10.0.0.3:502", "celld arm"] {
+        assert!(said(&all, part), "{part}: {all:?}");
     }
-    let waits = |action: &&Action| matches!(action, Action::Say(notice) if notice.text.contains("waiting"));
-    assert_eq!(soon.iter().filter(waits).count(), 1, "once: {soon:?}");
-    let later = bench.ticks(3100);
-    assert_eq!(ended(&later), Some((JobStatus::Failed, "not_ready".into())));
-    assert_eq!(streams(&later), 0);
-    assert!(!bench.cell.status().armed, "nobody shall be surprised when it answers again");
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    for part in ["the gripper does not answer", "10.0.0.3:502", "devices.gripper", "ping"] {
+        assert!(!reply.accepted && reply.message.contains(part), "{part}: {}", reply.message);
+    }
+    bench.gripper_answers = true;
+    all.extend(bench.ticks(500));
+    assert_eq!((streams(&all), ended(&all)), (0, None), "the job waits for a person");
+    bench.feed(order(Order::Arm));
+    assert_eq!(streams(&bench.ticks(20)), 1);
 }
 
 #[test]

@@ -55,6 +55,8 @@ pub struct Fake {
     pub ignore_uploads: bool,
     pub read_only_uploads: u32,
     pub fail_uploads: bool,
+    /// The program stops the arm and does not end.
+    pub stays_after_its_stop: bool,
     pub deaf_program: bool,
     pub segment_frames: u32,
     pub wrong_payload: bool,
@@ -100,6 +102,7 @@ impl Fake {
             ignore_uploads: false,
             read_only_uploads: 0,
             fail_uploads: false,
+            stays_after_its_stop: false,
             deaf_program: false,
             segment_frames: 50,
             wrong_payload: false,
@@ -307,7 +310,9 @@ impl Fake {
     }
 
     pub fn end_program(&mut self) {
-        self.program = None;
+        if self.program.take().is_some() {
+            self.set_out(24, 0);
+        }
         self.runtime_state = 1;
         self.queue.clear();
     }
@@ -374,6 +379,9 @@ impl Fake {
             self.queue.clear();
             self.take(sequence, opcode);
             self.set_out(27, 4);
+            if !self.stays_after_its_stop {
+                return self.end_program();
+            }
         } else if sequence != accepted && opcode == 6 {
             self.take(sequence, opcode);
             return self.end_program();

@@ -3,7 +3,7 @@
 use super::{Rig, path};
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot::tests::HOME;
-use crate::cell::device::robot_types::{Link, Refused, RobotCommand, RobotEvent};
+use crate::cell::device::robot_types::{Link, ProgramEnd, Refused, RobotCommand, RobotEvent};
 use cell_values::time::Duration;
 use cell_values::units::Joints;
 
@@ -191,23 +191,47 @@ fn a_read_only_link_is_made_anew_once() {
 }
 
 #[test]
-fn stop_stops_and_nothing_more_is_taken() {
+fn stop_stops_and_ends_the_program() {
     let mut rig = Rig::running();
     rig.command(RobotCommand::Stream(path(HOME, 20)));
     rig.run_ms(130);
     rig.events.clear();
     rig.command(RobotCommand::Stop);
     rig.run_ms(10);
-    assert_eq!(rig.events, [RobotEvent::Stopped]);
+    let ended = RobotEvent::ProgramEnded { reason: ProgramEnd::StoppedByUs };
+    assert_eq!(rig.events, [RobotEvent::Stopped, ended]);
     assert_eq!(rig.fake.taken.last().unwrap().1, 5);
     let count = rig.fake.taken.len();
     rig.run_ms(1000);
     assert_eq!(rig.fake.taken.len(), count);
     let refused = rig.robot.command(rig.now, RobotCommand::Stream(path(HOME, 1))).unwrap_err();
     assert_eq!(refused, Refused::NoProgram);
-    rig.command(RobotCommand::EndProgram);
-    rig.run_ms(10);
-    assert_eq!(rig.ended().unwrap(), "ended as asked");
+}
+
+#[test]
+fn a_stop_is_over_when_the_program_is_gone_and_not_when_the_arm_is_at_rest() {
+    let mut rig = Rig::running();
+    rig.fake.stays_after_its_stop = true;
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(1900);
+    assert!(!rig.saw(&RobotEvent::Stopped), "the program could go on: {:?}", rig.events);
+    rig.run_ms(300);
+    assert!(rig.fake.dashboard_lines.contains(&"stop".to_string()));
+    assert!(rig.saw(&RobotEvent::Stopped), "{:?}", rig.events);
+}
+
+#[test]
+fn a_paused_program_of_an_earlier_daemon_finds_a_stop_in_its_registers() {
+    let mut rig = Rig::ready();
+    rig.drop_link(Link::Rtde);
+    for (number, value) in [(24, 4711), (25, 7), (26, 6), (27, 1)] {
+        rig.fake.set_out(number, value);
+    }
+    rig.fake.runtime_state = 4;
+    rig.connect(Link::Rtde);
+    rig.run_ms(200);
+    assert_eq!(rig.fake.opcode(), 5, "in its first frame after play");
+    assert!(!rig.fake.dashboard_lines.contains(&"stop".to_string()), "it may be a program of others");
 }
 
 #[test]
@@ -248,7 +272,7 @@ fn stop_is_taken_in_every_state() {
     rig.drop_link(Link::Rtde);
     rig.command(RobotCommand::Stop);
     rig.run_ms(10);
-    assert!(rig.saw(&RobotEvent::Stopped), "the dashboard's word without RTDE");
+    assert!(!rig.saw(&RobotEvent::Stopped), "the dashboard's word says nothing of the arm");
     let mut rig = Rig::ready();
     rig.fake.ignore_uploads = true;
     rig.command(RobotCommand::StartProgram { nonce: Nonce::new(3) });
@@ -462,33 +486,6 @@ fn a_paused_program_that_was_left_behind_is_stopped_when_the_link_is_back() {
         rig.drop_link(Link::Rtde);
         rig.fake.clear_inputs();
     }
-}
-
-#[test]
-fn a_stopped_program_is_stopped_again_where_another_runs_in_its_place() {
-    let mut rig = Rig::running();
-    rig.command(RobotCommand::Stop);
-    rig.run_ms(20);
-    rig.events.clear();
-    rig.fake.set_out(24, 4711);
-    rig.run_ms(10);
-    assert_eq!(rig.ended().unwrap(), "another program took over");
-    assert!(!rig.fake.dashboard_lines.contains(&"stop".to_string()), "nobody has ordered that");
-    rig.command(RobotCommand::Stop);
-    rig.run_ms(20);
-    assert!(rig.fake.dashboard_lines.contains(&"stop".to_string()));
-    assert!(rig.saw(&RobotEvent::Stopped), "{:?}", rig.events);
-}
-
-#[test]
-fn a_program_that_moves_after_its_stop_is_ended() {
-    let mut rig = Rig::running();
-    rig.command(RobotCommand::Stop);
-    rig.run_ms(20);
-    rig.fake.set_out(27, 1);
-    rig.run_ms(20);
-    assert!(rig.fake.dashboard_lines.contains(&"stop".to_string()));
-    assert!(rig.ended().unwrap().contains("after its stop"), "{:?}", rig.events);
 }
 
 #[test]

@@ -1,0 +1,99 @@
+//! What the ways back after a stop need to know, and how far one is.
+//!
+//! Plain data; the transitions are in `recovery`, the sentences in `situation`.
+
+use crate::cell::orders::WayBack;
+use crate::cell::supervisor::reason::Reason;
+use crate::motion::path::CheckedPath;
+use crate::motion::put_down::Grasp;
+use cell_values::time::Timestamp;
+use rearrange::geometry::pose::Pose2;
+
+/// What may hang on the gripper.
+#[derive(Clone, Debug)]
+pub(crate) struct Held {
+    pub object: String,
+    /// How it hangs; unknown where the tool did not point straight down.
+    pub grasp: Option<Grasp>,
+    pub height: f64,
+    pub mass: f64,
+    /// Where it was to go.
+    pub to: Pose2,
+    /// That is its goal, and no buffer.
+    pub to_goal: bool,
+}
+
+/// A stop that was not left yet.
+#[derive(Clone, Debug)]
+pub(crate) struct LastStop {
+    pub at: Timestamp,
+    pub reason: Reason,
+}
+
+/// What the ways back need to know.
+#[derive(Debug, Default)]
+pub(crate) struct Back {
+    /// The way that is under way.
+    pub recovery: Option<Recovery>,
+    pub held: Option<Held>,
+    /// Since when the arm is in a protective stop.
+    pub protective_since: Option<Timestamp>,
+    pub last_stop: Option<LastStop>,
+    /// The controller's last error: code and argument.
+    pub error: Option<(i32, i32)>,
+    /// Inputs that another client of the controller holds.
+    pub registers_taken: Vec<String>,
+    /// Where objects were seen last.
+    pub table: Vec<(String, Pose2)>,
+}
+
+/// A way back under way.
+#[derive(Debug)]
+pub(crate) struct Recovery {
+    pub way: WayBack,
+    /// The arm is over everything on the table.
+    pub raised: bool,
+    pub place: Option<Placing>,
+}
+
+/// Where what is held is put down.
+#[derive(Debug)]
+pub(crate) struct Placing {
+    pub to: Pose2,
+    pub at_goal: bool,
+    pub up: CheckedPath,
+}
+
+/// What the arm, or the controller, does on the way back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum BackStage {
+    /// Nothing moves: the controller's 5 s, then its answer.
+    Unlocking { ordered: bool },
+    /// Straight up.
+    Raising,
+    /// Down onto the place.
+    Placing,
+    /// The vacuum goes off.
+    Releasing,
+    /// Straight up from the place.
+    Leaving,
+}
+
+impl BackStage {
+    pub fn follows_a_path(self) -> bool {
+        match self {
+            BackStage::Raising | BackStage::Placing | BackStage::Leaving => true,
+            BackStage::Unlocking { .. } | BackStage::Releasing => false,
+        }
+    }
+
+    pub fn words(self) -> &'static str {
+        match self {
+            BackStage::Unlocking { .. } => "unlocking the protective stop",
+            BackStage::Raising => "going straight up",
+            BackStage::Placing => "putting down what is held",
+            BackStage::Releasing => "letting go",
+            BackStage::Leaving => "leaving the place",
+        }
+    }
+}

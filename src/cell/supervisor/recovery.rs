@@ -1,0 +1,366 @@
+//! Ways back after a stop: `celld recover`.
+//!
+//! In: the operator's choice, what hangs on the gripper, a look. Out: a protective stop unlocked after the
+//! choice and the controller's 5 s; the arm straight up; the object put down at its goal or the nearest free
+//! place that the look shows; and the cell disarmed again, whatever came of it. These are the only motions
+//! with an object held after a stop (design, section 7, rule 1), and every one of them is a person's order. A
+//! way back that meets a fault is stopped like any motion, and the object stays held.
+
+use crate::cell::code::{Code, JobStatus};
+use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
+use crate::cell::device::robot_types::RobotCommand;
+use crate::cell::orders::{Reply, WayBack};
+use crate::cell::supervisor::back::{BackStage, Placing, Recovery};
+use crate::cell::supervisor::cell::Supervisor;
+use crate::cell::supervisor::gates;
+use crate::cell::supervisor::input::{Action, DeviceSnapshot};
+use crate::cell::supervisor::phase::Phase;
+use crate::cell::supervisor::reason::{Reason, alarm, say};
+use cell_values::time::{Duration, Timestamp};
+use cell_vision::observe::Observation;
+use rearrange::geometry::pose::Pose2;
+use ur_wire::enumerations::SafetyMode;
+
+/// The controller refuses to unlock within 5 s of a protective stop, counted by its own clock.
+const UNLOCK_AFTER: Duration = Duration::from_millis(5500);
+
+/// From the choice to the unlocked arm.
+const UNLOCK_WITHIN: Duration = Duration::from_secs(20);
+
+impl Supervisor {
+    /// Begins a way back; the refusal, if it is refused.
+    pub(crate) fn on_recover(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        number: u64,
+        way: WayBack,
+        out: &mut Vec<Action>,
+    ) -> Option<Reply> {
+        if way == WayBack::Show {
+            return Some(Reply::accept(self.situation(now, outside)));
+        }
+        if let Err(why) = self.may_recover(outside, way) {
+            return Some(Reply::refuse(format!("nothing was done: {why}")));
+        }
+        if way == WayBack::Release {
+            self.on_release_order(now, outside, number, Channels::Both, out);
+        }
+        let stopped = protective(outside);
+        if way == WayBack::Release && !stopped {
+            return None;
+        }
+        say(out, format!("way back by the operator's order: {}", self.announce(outside, way)));
+        self.back.recovery = Some(Recovery { way, raised: false, place: None });
+        if stopped {
+            self.enter(Phase::Recover(BackStage::Unlocking { ordered: false }), UNLOCK_WITHIN);
+        } else {
+            self.unlocked(now, out);
+        }
+        None
+    }
+
+    /// Why a way back cannot be taken now, and what to do first.
+    pub(crate) fn may_recover(&self, outside: &DeviceSnapshot, way: WayBack) -> Result<(), String> {
+        use crate::cell::supervisor::mode::Mode;
+        match &self.mode {
+            Mode::Ending { .. } => return Err("celld is ending".to_string()),
+            Mode::Locked(reason) => return Err(reason.clone()),
+            Mode::Armed { .. } if self.back.recovery.is_none() => {
+                return Err("the cell is armed: `celld disarm` or `celld abort` first".to_string());
+            }
+            Mode::Armed { .. } | Mode::Disarmed { .. } => {}
+        }
+        if self.back.recovery.is_some() {
+            return Err("a way back is under way; `celld abort` stops it".to_string());
+        }
+        if let Some(why) = self.under_way(outside) {
+            return Err(format!("{why}; try again"));
+        }
+        if !matches!(self.phase, Phase::Ready) {
+            return Err("a motion or a plan is under way: wait for its end, or `celld abort`".to_string());
+        }
+        gates::recovering(outside).map_err(|closed| format!("{}; {}", self.place(&closed), closed.hint()))?;
+        self.suits(outside, way)
+    }
+
+    /// Whether a way fits what is held.
+    fn suits(&self, outside: &DeviceSnapshot, way: WayBack) -> Result<(), String> {
+        let holds = match gates::empty_handed(outside) {
+            Ok(()) => false,
+            Err(gates::GateClosed::Holding(_)) => true,
+            Err(closed) => return Err(format!("{}; {}", self.place(&closed), closed.hint())),
+        };
+        match way {
+            WayBack::Show => Ok(()),
+            WayBack::Hold if !protective(outside) => {
+                Err("there is no protective stop to unlock, and what is held stays held".to_string())
+            }
+            WayBack::Hold | WayBack::Retreat => Ok(()),
+            WayBack::Place | WayBack::Release if !holds => {
+                Err("nothing hangs on the gripper: `celld recover --retreat`, or `celld arm`".to_string())
+            }
+            WayBack::Release => Ok(()),
+            WayBack::Place => {
+                let known = self.back.held.as_ref().is_some_and(|held| held.grasp.is_some());
+                known.then_some(()).ok_or_else(|| {
+                    "what hangs on the gripper, or how, is not known: `celld recover --retreat`, then hold it and \
+                     `celld recover --release`"
+                        .to_string()
+                })
+            }
+        }
+    }
+
+    /// What a way back will do, in the order in which it does it.
+    pub(crate) fn announce(&self, outside: &DeviceSnapshot, way: WayBack) -> String {
+        let object = self.back.held.as_ref().map_or("what is held", |held| held.object.as_str());
+        let first = if protective(outside) { "the protective stop is unlocked, then " } else { "" };
+        match way {
+            WayBack::Show => "nothing".to_string(),
+            WayBack::Hold => {
+                format!("{first}nothing moves: {object} stays held and watched, and the cell disarmed")
+            }
+            WayBack::Release => format!("the vacuum goes off where the arm is: hold {object} by hand"),
+            WayBack::Retreat => format!("{first}the arm goes straight up, with whatever is held"),
+            WayBack::Place => format!(
+                "{first}the arm goes straight up, looks at the table and puts {object} down at its place or the \
+                 nearest free one"
+            ),
+        }
+    }
+
+    /// The answer to a choice that was taken.
+    pub(crate) fn recovering(&self, outside: &DeviceSnapshot, way: WayBack) -> Reply {
+        Reply::accept(format!(
+            "{}; `celld abort` stops it, `celld status` shows it",
+            self.announce(outside, way)
+        ))
+    }
+
+    /// On every tick: unlocks as soon as the controller allows it.
+    pub(crate) fn watch_unlocking(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        out: &mut Vec<Action>,
+    ) {
+        let Phase::Recover(BackStage::Unlocking { ordered }) = self.phase else { return };
+        let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
+        if robot.safety_mode.allows_motion() {
+            return self.unlocked(now, out);
+        }
+        let since = *self.back.protective_since.get_or_insert(now);
+        if !ordered && now.since(since) >= UNLOCK_AFTER {
+            self.phase = Phase::Recover(BackStage::Unlocking { ordered: true });
+            out.push(Action::Robot(RobotCommand::CloseSafetyPopup));
+            out.push(Action::Robot(RobotCommand::UnlockProtectiveStop));
+        }
+    }
+
+    /// No protective stop is in the way any more.
+    fn unlocked(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        self.phase = Phase::Ready;
+        let Some(recovery) = &self.back.recovery else { return };
+        match recovery.way {
+            WayBack::Place | WayBack::Retreat => {
+                self.seen = None;
+                self.waiting_since = now;
+                // For this way alone: it ends with the cell disarmed.
+                self.mode.arm();
+            }
+            WayBack::Show | WayBack::Hold | WayBack::Release => {
+                self.end_recovery(Ok("the protective stop is unlocked".to_string()), out);
+            }
+        }
+    }
+
+    /// Decides what comes next on a way back.
+    pub(crate) fn pursue_recovery(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        out: &mut Vec<Action>,
+    ) {
+        if let Err(closed) = gates::any_motion(self.mode.armed(), outside, self.nonce) {
+            return self.wait_or_bring_up(now, outside, closed, out);
+        }
+        let Some(recovery) = &self.back.recovery else { return };
+        if !recovery.raised {
+            return self.raise(outside, out);
+        }
+        if recovery.way == WayBack::Retreat {
+            return self.end_recovery(Ok("the arm went straight up".to_string()), out);
+        }
+        match self.seen.take() {
+            None => self.begin_look(now, outside, 0, out),
+            Some(seen) => self.put_down(outside, &seen, out),
+        }
+    }
+
+    fn raise(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let Some(robot) = outside.robot else { return };
+        match self.straight_up_path(&robot.q) {
+            Ok(Some(path)) => {
+                out.push(Action::Robot(RobotCommand::Stream(path)));
+                self.enter(Phase::Recover(BackStage::Raising), self.model.tolerances.look_deadline);
+            }
+            Ok(None) => {
+                if let Some(recovery) = &mut self.back.recovery {
+                    recovery.raised = true;
+                }
+                self.pursue_recovery(self.clock(), outside, out);
+            }
+            Err(fault) => {
+                let why =
+                    format!("the arm cannot go straight up from here: {fault}; jog it free at the pendant");
+                self.end_recovery(Err(why), out);
+            }
+        }
+    }
+
+    fn put_down(&mut self, outside: &DeviceSnapshot, seen: &Observation, out: &mut Vec<Action>) {
+        let Some(robot) = outside.robot else { return };
+        match self.place_for_held(&robot.q, seen) {
+            Ok((to, at_goal, paths)) => {
+                if let Some(recovery) = &mut self.back.recovery {
+                    recovery.place = Some(Placing { to, at_goal, up: paths.up });
+                }
+                out.push(Action::Robot(RobotCommand::Stream(paths.down)));
+                self.enter(Phase::Recover(BackStage::Placing), self.model.tolerances.phase_deadline);
+            }
+            Err(why) => self.end_recovery(Err(why), out),
+        }
+    }
+
+    /// The table was looked at on a way back.
+    pub(crate) fn on_recovery_look(
+        &mut self,
+        now: Timestamp,
+        observation: Observation,
+        out: &mut Vec<Action>,
+    ) {
+        match self.doubt_on_the_way(&observation) {
+            Some(doubt) => {
+                let Reason { message, hint, .. } = doubt;
+                self.end_recovery(Err(format!("no free place can be seen: {message}; {hint}")), out);
+            }
+            None => {
+                self.seen = Some(observation);
+                self.seen_at = now;
+            }
+        }
+    }
+
+    /// The arm has followed its path on a way back.
+    pub(crate) fn recovery_path_finished(&mut self, stage: BackStage, out: &mut Vec<Action>) {
+        match stage {
+            BackStage::Raising => {
+                self.phase = Phase::Ready;
+                if let Some(recovery) = &mut self.back.recovery {
+                    recovery.raised = true;
+                }
+            }
+            BackStage::Placing => {
+                let channels = Channels::Both;
+                out.push(Action::Gripper(GripperCommand::Release { channels }));
+                self.enter(Phase::Recover(BackStage::Releasing), self.model.tolerances.phase_deadline);
+            }
+            BackStage::Leaving => {
+                let place = self.back.recovery.as_ref().and_then(|recovery| recovery.place.as_ref());
+                let said = place.map_or_else(String::new, |place| {
+                    let Pose2 { x, y, theta } = place.to;
+                    let which = if place.at_goal { "its place" } else { "the nearest free place" };
+                    let degrees = theta.to_degrees();
+                    format!(
+                        "the object was put down at {which}, x {x:.3} m, y {y:.3} m, {degrees:.0} degrees"
+                    )
+                });
+                self.end_recovery(Ok(said), out);
+            }
+            BackStage::Unlocking { .. } | BackStage::Releasing => {}
+        }
+    }
+
+    /// The gripper reports on a way back.
+    pub(crate) fn recovery_gripper(
+        &mut self,
+        now: Timestamp,
+        stage: BackStage,
+        event: &GripperEvent,
+        out: &mut Vec<Action>,
+    ) {
+        let lost = |this: &mut Supervisor, code: Code, message: String, out: &mut Vec<Action>| {
+            this.stop_all(now, JobStatus::Interrupted, code.because(message, ""), out);
+        };
+        match event {
+            GripperEvent::Released if stage == BackStage::Releasing => {
+                self.set_payload(0.0, out);
+                let place = self.back.recovery.as_ref().and_then(|recovery| recovery.place.as_ref());
+                if let Some(place) = place {
+                    out.push(Action::Robot(RobotCommand::Stream(place.up.clone())));
+                }
+                self.enter(Phase::Recover(BackStage::Leaving), self.model.tolerances.phase_deadline);
+            }
+            GripperEvent::ReleaseFailed { vacuum } if stage == BackStage::Releasing => {
+                let message = format!("the vacuum does not go: {:.0} %", vacuum * 100.0);
+                lost(self, Code::GripperUnreachable, message, out);
+            }
+            GripperEvent::VacuumLost { vacuum } if stage != BackStage::Leaving => {
+                let message =
+                    format!("what was held was lost on the way back: vacuum {:.0} %", vacuum * 100.0);
+                lost(self, Code::VacuumLost, message, out);
+            }
+            GripperEvent::Refused => {
+                lost(self, Code::GripperUnreachable, "the gripper takes no order".to_string(), out);
+            }
+            GripperEvent::Unreachable { .. } => {
+                lost(self, Code::GripperUnreachable, "the gripper stopped answering".to_string(), out);
+            }
+            GripperEvent::Gripped { .. }
+            | GripperEvent::GripFailed { .. }
+            | GripperEvent::Released
+            | GripperEvent::ReleaseFailed { .. }
+            | GripperEvent::VacuumLost { .. }
+            | GripperEvent::Answering
+            | GripperEvent::Reading { .. } => {}
+        }
+    }
+
+    /// Ends a way back: the program ends, the cell is disarmed, and a person reads how it went.
+    pub(crate) fn end_recovery(&mut self, result: Result<String, String>, out: &mut Vec<Action>) {
+        if self.back.recovery.take().is_none() {
+            return;
+        }
+        self.phase = Phase::Ready;
+        self.waiting_for = None;
+        if self.mode.armed() {
+            self.mode.disarm();
+            out.push(Action::Robot(RobotCommand::EndProgram));
+        }
+        match result {
+            Ok(said) => alarm(out, format!("{said}; the cell is disarmed")),
+            Err(why) => alarm(
+                out,
+                format!(
+                    "the way back ended: {why}; the cell is disarmed, `celld recover` shows what is left"
+                ),
+            ),
+        }
+    }
+
+    /// What hangs below the cups, m; 0 where nothing does.
+    pub(crate) fn held_height(&self) -> f64 {
+        self.back.held.as_ref().map_or(0.0, |held| held.height)
+    }
+
+    /// And its mass, kg.
+    pub(crate) fn held_mass(&self) -> f64 {
+        self.back.held.as_ref().map_or(0.0, |held| held.mass)
+    }
+}
+
+/// The arm is in a protective stop.
+pub(crate) fn protective(outside: &DeviceSnapshot) -> bool {
+    outside.robot.is_some_and(|robot| robot.safety_mode == SafetyMode::ProtectiveStop)
+}
