@@ -10,8 +10,10 @@ use crate::cell::device::gripper_types::{Channels, ModbusRequest};
 use crate::cell::device::robot_types::Link;
 use crate::cell::event::{Effect, Event, News};
 use crate::cell::machine::Machine;
-use crate::cell::orders::{Order, Reply};
+use crate::cell::orders::{Order, Reply, WayBack};
 use crate::cell::supervisor::input::Record;
+use crate::cell::supervisor::mode::Mode;
+use crate::cell::supervisor::status::Doing;
 use std::collections::{BTreeMap, BTreeSet};
 use ur_sim::faults::{Fault, Order as FaultOrder, RobotFault};
 use ur_sim::world::vacuum::VacuumMode;
@@ -138,6 +140,8 @@ pub struct Rules {
     /// forgotten with its daemon.
     releases: u32,
     released_at: Option<u64>,
+    /// A person has chosen a way back from the safety stop in force.
+    way_chosen: bool,
     vacuum: [Option<VacuumMode>; 2],
     held_since: Option<u64>,
     sight: u64,
@@ -175,7 +179,8 @@ impl Rules {
     /// An order was given.
     pub fn ordered(&mut self, number: u64, order: &Order) {
         self.orders.insert(number, (self.frame, order.clone()));
-        self.releases += u32::from(matches!(order, Order::Release(_)));
+        self.releases += u32::from(matches!(order, Order::Release(_) | Order::Recover(WayBack::Release)));
+        self.way_chosen |= matches!(order, Order::Recover(way) if *way != WayBack::Show);
     }
 
     /// The daemon is gone and comes back: nothing that it knew counts.
@@ -297,7 +302,8 @@ impl Rules {
     /// Safety stops are acknowledged by a person.
     fn check_line(&mut self, bytes: &[u8], machine: &Machine) {
         let line = String::from_utf8_lossy(bytes).to_lowercase();
-        if ["unlock protective stop", "restart safety"].iter().any(|word| line.contains(word)) {
+        let unlocks = line.contains("unlock protective stop") && !self.way_chosen;
+        if unlocks || line.contains("restart safety") {
             self.breach(Rule::SafetyAcknowledged, line.trim().to_string());
         }
         if ["power on", "brake release"].iter().any(|word| line.contains(word)) {
@@ -344,16 +350,26 @@ impl Rules {
             Order::Pause => !accepted || mode.paused(),
             Order::Resume => !accepted || !mode.paused(),
             Order::Park | Order::Step => !accepted || mode.armed(),
-            Order::Release(channels) => {
+            Order::Release(_) | Order::Recover(WayBack::Release) => {
+                let channels = if let Order::Release(channels) = order { channels } else { Channels::Both };
                 self.disturbed = self.frame;
                 self.releases = self.releases.saturating_sub(1);
                 !accepted || (!mode.armed() && self.is_off(channels))
             }
-            Order::Approve(_) | Order::Reject(_) | Order::Cancel(_) | Order::Recover(_) => true,
+            // Only a way that moves the arm may arm the cell for it.
+            Order::Recover(way) => !accepted || matches!(way, WayBack::Show) || self.recovers(mode, machine),
+            Order::Approve(_) | Order::Reject(_) | Order::Cancel(_) => true,
         };
         if !fine {
             self.breach(Rule::AnswerNotTrue, format!("{order:?}: {reply:?}, {mode:?}"));
         }
+    }
+
+    /// The machine is on a way back, or has come to its end.
+    fn recovers(&self, mode: &Mode, machine: &Machine) -> bool {
+        let doing = machine.supervisor().map(|supervisor| supervisor.status().doing);
+        !mode.armed()
+            || matches!(doing, Some(Doing::Recovering(_) | Doing::StartingRobot | Doing::Looking(..)))
     }
 
     /// These channels do not grip, in truth.

@@ -20,3 +20,4 @@ mod sights;
 mod sim_config;
 mod slow_disk;
 mod third_party;
+mod ways_back;

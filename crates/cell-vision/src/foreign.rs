@@ -64,10 +64,18 @@ pub struct ForeignReport {
     pub objects: Vec<ForeignObject>,
     /// Share of the area in which depth was measured, 0 to 1.
     pub measured_share: f64,
-    /// The largest piece of the table in which it was not, outside known objects and their shadows.
-    pub largest_hole: Option<Hole>,
+    /// The pieces of the table in which it was not, outside known objects and their shadows, the largest
+    /// first.
+    pub holes: Vec<Hole>,
     /// Found by comparing colours with those of the empty table; "measured" then means compared.
     pub by_colour: bool,
+}
+
+impl ForeignReport {
+    /// The largest piece of the table in which nothing was measured.
+    pub fn largest_hole(&self) -> Option<Hole> {
+        self.holes.first().copied()
+    }
 }
 
 impl std::fmt::Display for ForeignObject {
@@ -160,8 +168,8 @@ pub fn find(
         bare.iter().zip(&measured).filter(|(bare, measured)| **bare && **measured).count() as f64;
     let asked = bare_measured + count(&unmeasured);
     let measured_share = if asked > 0.0 { bare_measured / asked } else { 1.0 };
-    let largest_hole = holes::largest(first, &unmeasured);
-    ForeignReport { objects, measured_share, largest_hole, by_colour: first.by_colour }
+    let holes = holes::pieces(first, &unmeasured);
+    ForeignReport { objects, measured_share, holes, by_colour: first.by_colour }
 }
 
 /// What is expected of each cell.

@@ -260,7 +260,7 @@ impl Bench {
             (off, object.height_m - truth.height_m)
         });
         let others = seen.objects.iter().filter(|object| !is_it(object)).count();
-        let hole_m2 = seen.largest_hole.map_or(0.0, |hole| hole.area_m2);
+        let hole_m2 = seen.largest_hole().map_or(0.0, |hole| hole.area_m2);
         Ok(Outcome { kind, found, others, measured_share: seen.measured_share, hole_m2, ms })
     }
 

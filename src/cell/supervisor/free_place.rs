@@ -80,7 +80,13 @@ impl Supervisor {
             pose: region.pose,
             height: tallest,
         });
-        objects.chain(fixed).collect()
+        let report = seen.foreign.iter();
+        let unseen = report.flat_map(|report| &report.holes).map(|hole| Taken {
+            footprint: Footprint::Disc { radius: hole.reach_m },
+            pose: Pose2::new(hole.centre[0], hole.centre[1], 0.0),
+            height: 0.0,
+        });
+        objects.chain(fixed).chain(unseen).collect()
     }
 
     fn is_free(

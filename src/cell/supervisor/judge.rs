@@ -24,6 +24,9 @@ const MEASURED_SHARE: f64 = 0.9;
 /// do not count.
 const HOLE_M2: f64 = 20e-4;
 
+/// Share of the table that has to be measured for a place to be chosen in the rest.
+const HALF_SEEN: f64 = 0.5;
+
 /// Share of the limits of drift from which on a look that is still within them is reported.
 const DRIFT_REPORTED: f64 = 0.5;
 
@@ -59,10 +62,20 @@ impl Supervisor {
             let message = format!("{} does not lie flat on the table: {}", suspicious.id, suspicious.reason);
             Some(Code::ObjectTilted.because(message, "put it right by hand").of(&suspicious.id))
         };
-        self.doubt_calibration(seen)
-            .or_else(|| self.doubt_marker(seen))
-            .or_else(|| self.doubt_foreign(seen))
-            .or_else(tilted)
+        let foreign = || {
+            let holes_are_taken =
+                seen.foreign.as_ref().is_some_and(|report| report.measured_share >= HALF_SEEN);
+            let whole = Observation {
+                foreign: seen.foreign.clone().map(|report| ForeignReport {
+                    measured_share: 1.0,
+                    holes: Vec::new(),
+                    ..report
+                }),
+                ..Observation::default()
+            };
+            self.doubt_foreign(if holes_are_taken { &whole } else { seen })
+        };
+        self.doubt_calibration(seen).or_else(|| self.doubt_marker(seen)).or_else(foreign).or_else(tilted)
     }
 
     /// A marker that belongs to nothing the cell knows.
@@ -270,7 +283,7 @@ fn unmeasured(report: &ForeignReport) -> Option<String> {
         let share = report.measured_share * 100.0;
         return Some(format!("{what} on {share:.0} % only, too little to see what lies there"));
     }
-    let hole = report.largest_hole.filter(|hole| hole.area_m2.is_nan() || hole.area_m2 > HOLE_M2)?;
+    let hole = report.largest_hole().filter(|hole| hole.area_m2.is_nan() || hole.area_m2 > HOLE_M2)?;
     Some(format!("{what} nowhere on {hole}, where something may lie unseen"))
 }
 

@@ -16,7 +16,7 @@ use cell_values::time::{Duration, Timestamp};
 use ur_wire::enumerations::RobotMode;
 
 /// An arm at rest whose joint turns by more was moved by others, rad: brakes that open let it sink by less.
-const MOVED_RAD: f64 = 0.02;
+pub(crate) const MOVED_RAD: f64 = 0.02;
 
 impl Supervisor {
     /// Disarms the cell when arming does not hold any more.

@@ -254,7 +254,10 @@ impl Supervisor {
                     false => "disarmed",
                 },
             }),
-            Order::Approve(_) => Reply::accept("approved"),
+            Order::Approve(_) if !self.mode.armed() => {
+                Reply::accept("approved; nothing moves before `celld arm`")
+            }
+            Order::Approve(_) => Reply::accept(self.approved_and_now()),
             Order::Reject(_) => Reply::accept("rejected; the job has ended"),
             Order::Cancel(_) => Reply::accept(match &self.job {
                 Some(_) => "cancelled after the present pick-n-place or look",
@@ -307,6 +310,18 @@ impl Supervisor {
             _ => "armed; nothing moves until there is a job",
         };
         now.to_string()
+    }
+
+    /// That a plan is approved, and what the arm does next.
+    fn approved_and_now(&self) -> String {
+        match (&self.phase, &self.waiting_for) {
+            (Phase::Ready, Some(closed)) => format!("approved; nothing moves yet: {}", self.place(closed)),
+            _ if self.mode.paused() => "approved; a pause is in force, `celld resume` ends it".to_string(),
+            (Phase::Look(_), _) => {
+                "approved: the arm looks at the table now, then carries the plan out".to_string()
+            }
+            _ => "approved: the arm carries the plan out now".to_string(),
+        }
     }
 
     fn answer_park(&self) -> Reply {

@@ -570,4 +570,5 @@ fn a_plan_approved_late_waits_for_a_new_look() {
 mod arming;
 mod faults;
 mod foreign;
+mod lapse;
 mod standing;

@@ -73,6 +73,7 @@ impl Rules {
         let works = status.is_some_and(|status| matches!(status.doing, Doing::Working(..)));
         self.picking &= moves || works;
         self.local_since = if local { self.local_since.or(Some(frame)) } else { None };
+        self.way_chosen &= !safe;
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
         self.check_answers(machine);

@@ -1,4 +1,4 @@
-//! The largest piece of the table in which depth measured nothing.
+//! The pieces of the table in which depth measured nothing.
 //!
 //! In: the height maps of a look, the cells in which none of them measured anything, the known objects. Out:
 //! [`Hole`]. Black, mirrors and clear glass leave such holes, and so do look poses that do not show all of
@@ -21,6 +21,8 @@ pub struct Hole {
     pub area_m2: f64,
     /// The mean of its cells, m, table frame.
     pub centre: [f64; 2],
+    /// It lies within this distance of that, m.
+    pub reach_m: f64,
 }
 
 impl std::fmt::Display for Hole {
@@ -47,9 +49,9 @@ pub(crate) fn unmeasured(
     (0..bare.len()).map(open).collect()
 }
 
-/// The largest group of `open` cells into which a square of three cells fits, and what of it lies round such
-/// squares.
-pub(crate) fn largest(map: &HeightMap, open: &[bool]) -> Option<Hole> {
+/// The groups of `open` cells into which a square of three cells fits, and what of them lies round such
+/// squares, the largest first.
+pub(crate) fn pieces(map: &HeightMap, open: &[bool]) -> Vec<Hole> {
     let wide: Vec<bool> =
         (0..open.len()).map(|cell| open[cell] && map.neighbours(cell).all(|near| open[near])).collect();
     let mut piece = vec![false; open.len()];
@@ -57,10 +59,21 @@ pub(crate) fn largest(map: &HeightMap, open: &[bool]) -> Option<Hole> {
         piece[cell] = true;
         map.neighbours(cell).for_each(|near| piece[near] = true);
     }
-    let cells = map.groups(&piece).into_iter().max_by_key(Vec::len)?;
+    let mut holes: Vec<Hole> = map.groups(&piece).into_iter().map(|cells| hole(map, &cells)).collect();
+    holes.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
+    holes
+}
+
+fn hole(map: &HeightMap, cells: &[usize]) -> Hole {
     let mean =
         |axis: usize| cells.iter().map(|cell| map.centre(*cell)[axis]).sum::<f64>() / cells.len() as f64;
-    Some(Hole { area_m2: cells.len() as f64 * CELL_M * CELL_M, centre: [mean(0), mean(1)] })
+    let centre = [mean(0), mean(1)];
+    let away = |cell: &usize| {
+        let [x, y] = map.centre(*cell);
+        (x - centre[0]).hypot(y - centre[1])
+    };
+    let reach_m = cells.iter().map(away).fold(0.0, f64::max) + CELL_M;
+    Hole { area_m2: cells.len() as f64 * CELL_M * CELL_M, centre, reach_m }
 }
 
 /// True when a body is between a place on the table and the camera.

@@ -17,7 +17,7 @@ pub(super) fn working() -> Bench {
     bench
 }
 
-fn said(actions: &[Action], what: &str) -> bool {
+pub(super) fn said(actions: &[Action], what: &str) -> bool {
     actions.iter().any(|action| matches!(action, Action::Say(notice) if notice.text.contains(what)))
 }
 

@@ -55,7 +55,7 @@ fn a_foreign_object_is_refused_with_where_it_is_and_how_high() {
 fn what_only_its_colour_reveals_may_be_of_any_height_so_nothing_moves_over_it() {
     let thing = thing(0.212, 0.105, f64::INFINITY);
     let seen =
-        ForeignReport { objects: vec![thing], measured_share: 0.99, largest_hole: None, by_colour: true };
+        ForeignReport { objects: vec![thing], measured_share: 0.99, holes: Vec::new(), by_colour: true };
     let mut bench = with(REFUSE, Some(seen));
     bench.job(false);
     let mut all = bench.until_planning();
@@ -106,9 +106,9 @@ fn depth_that_is_asked_for_has_to_come_and_to_cover_the_table() {
     );
     // Much of the table was measured, but not where something large may be.
     for (area_m2, refused) in [(12e-4, false), (30e-4, true), (f64::NAN, true)] {
-        let hole = Some(Hole { area_m2, centre: [0.31, 0.12] });
+        let hole = Hole { area_m2, centre: [0.31, 0.12], reach_m: 0.1 };
         let seen =
-            ForeignReport { objects: Vec::new(), measured_share: 0.97, largest_hole: hole, by_colour: false };
+            ForeignReport { objects: Vec::new(), measured_share: 0.97, holes: vec![hole], by_colour: false };
         let reported = goes(&mut with(REFUSE, Some(seen)));
         let Err((code, message, _)) = reported else {
             assert!(!refused, "{area_m2}");

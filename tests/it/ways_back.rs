@@ -1,0 +1,240 @@
+//! Ways back after a stop, in virtual time: what `celld recover` says, and what the arm and the vacuum truly
+//! do.
+
+use celld::cell::device::gripper_types::Channels;
+use celld::cell::orders::{Order, Reply, WayBack};
+use celld::pair::eyes::Eye;
+use celld::pair::run::{bring_up, true_poses};
+use celld::pair::stage::Stage;
+use celld::pair::table::stage;
+use celld::pair::work::job;
+use celld::pair::{Choice, Pair};
+use rearrange::geometry::collision::penetration;
+use ur_sim::faults::read::read_posted;
+use ur_sim::world::lock;
+
+const PROTECTIVE_STOP: &str = r#"{"do": "ur.pstop"}"#;
+
+fn fault(pair: &mut Pair, text: &str) {
+    for planned in read_posted(text).expect("a fault of the catalogue") {
+        pair.fault(planned).expect("a fault of the catalogue");
+    }
+}
+
+/// The answer to an order.
+fn answer(pair: &mut Pair, order: Order) -> Reply {
+    pair.take_replies();
+    let number = pair.order(order);
+    let mut reply = None;
+    let come = pair.run_until(10.0, |_| false);
+    assert!(!come);
+    reply = reply.or_else(|| pair.take_replies().into_iter().find(|(of, _)| *of == number));
+    reply.expect("an answer within 10 s").1
+}
+
+/// A cell in which an object is carried.
+fn carrying(seed: u64, eye: Eye) -> (Pair, Stage) {
+    let stage = stage(seed, eye).expect("a cell");
+    let mut pair = Pair::new(stage.clone(), Choice { eye, ..Choice::of(seed) }).expect("a cell");
+    assert!(bring_up(&mut pair));
+    pair.order(Order::Arm);
+    pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
+    let carries = |pair: &Pair| pair.status().is_some_and(|now| now.text().starts_with("carrying"));
+    assert!(pair.run_until(90.0, carries), "seed {seed}");
+    pair.run_until(0.2 + 0.1 * (seed % 6) as f64, |_| false);
+    (pair, stage)
+}
+
+fn holds(pair: &Pair) -> bool {
+    lock(&pair.simulator().core().world).glance().holds
+}
+
+fn cups_m(pair: &Pair) -> f64 {
+    lock(&pair.simulator().core().world).glance().tool[2]
+}
+
+fn safe(pair: &Pair) -> bool {
+    pair.simulator().core().robot.controller().core.modes.motion_allowed()
+}
+
+fn at_rest_and_disarmed(pair: &Pair) -> bool {
+    let idle = pair.status().is_some_and(|status| !status.armed && status.text() == "idle");
+    idle && pair.simulator().core().robot.controller().core.mover.stands()
+}
+
+/// No two objects on the table overlap by more than what measuring and placing leave, in truth.
+fn check_table(pair: &Pair, stage: &Stage, seed: u64) {
+    let poses = true_poses(pair, &stage.model);
+    assert_eq!(poses.len(), stage.model.objects.len(), "seed {seed}: everything is on the table");
+    for (number, (a, at)) in poses.iter().enumerate() {
+        for (b, there) in &poses[number + 1..] {
+            let (one, other) = (
+                stage.model.object(a).expect("in the catalogue"),
+                stage.model.object(b).expect("in the catalogue"),
+            );
+            let overlap = penetration(&one.footprint, at, &other.footprint, there);
+            assert!(overlap < 1e-3, "seed {seed}: {a} and {b} overlap by {overlap}");
+        }
+    }
+}
+
+fn placed_after_a_protective_stop(seed: u64, eye: Eye) {
+    let (mut pair, stage) = carrying(seed, eye);
+    fault(&mut pair, PROTECTIVE_STOP);
+    pair.run_until(1.0, |_| false);
+    assert!(holds(&pair) && !safe(&pair), "seed {seed}");
+    let reply = answer(&mut pair, Order::Recover(WayBack::Place));
+    assert!(reply.accepted, "seed {seed}: {reply:?}");
+    let over = pair.run_until(90.0, |pair| at_rest_and_disarmed(pair) && safe(pair));
+    let said: Vec<_> = pair.notices().iter().rev().take(4).map(|notice| &notice.text).collect();
+    assert!(over && !holds(&pair), "seed {seed}: {said:?}");
+    assert!(said.iter().any(|text| text.contains("was put down at")), "seed {seed}: {said:?}");
+    check_table(&pair, &stage, seed);
+    assert_eq!(pair.breaches(), [], "seed {seed}");
+    // Work goes on.
+    assert!(answer(&mut pair, Order::Arm).accepted, "seed {seed}");
+    let ended = pair.reports().len();
+    pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 1));
+    assert!(pair.run_until(300.0, |pair| pair.reports().len() > ended), "seed {seed}");
+    assert_eq!(pair.reports().last().expect("a report").code.as_str(), "done", "seed {seed}");
+    assert_eq!(pair.breaches(), [], "seed {seed}");
+}
+
+#[test]
+fn what_is_held_in_a_protective_stop_is_put_down_and_work_goes_on() {
+    for seed in 0..12 {
+        placed_after_a_protective_stop(seed, Eye::Corners);
+    }
+}
+
+#[test]
+fn what_is_held_is_put_down_by_pictures_too() {
+    placed_after_a_protective_stop(3, Eye::Pictures);
+}
+
+#[test]
+fn a_choice_unlocks_after_the_controllers_five_seconds_and_not_without_it() {
+    let (mut pair, _) = carrying(1, Eye::Corners);
+    fault(&mut pair, PROTECTIVE_STOP);
+    pair.run_until(20.0, |_| false);
+    assert!(!safe(&pair), "never by itself");
+    let shown = answer(&mut pair, Order::Recover(WayBack::Show));
+    for part in ["ProtectiveStop", "C204A0", "held: ", "--place", "--retreat"] {
+        assert!(shown.accepted && shown.message.contains(part), "{part}: {}", shown.message);
+    }
+    assert!(!safe(&pair), "showing chooses nothing");
+    let stood = cups_m(&pair);
+    let kept = answer(&mut pair, Order::Recover(WayBack::Hold));
+    assert!(kept.accepted && kept.message.contains("stays held"), "{kept:?}");
+    assert!(safe(&pair) && holds(&pair) && (cups_m(&pair) - stood).abs() < 1e-4);
+    let raised = answer(&mut pair, Order::Recover(WayBack::Retreat));
+    assert!(raised.accepted && raised.message.contains("straight up"), "{raised:?}");
+    assert!(pair.run_until(30.0, at_rest_and_disarmed));
+    assert!(holds(&pair) && cups_m(&pair) >= stood - 1e-4);
+    let released = answer(&mut pair, Order::Recover(WayBack::Release));
+    assert!(released.accepted && !holds(&pair), "{released:?}");
+    let nothing = answer(&mut pair, Order::Recover(WayBack::Release));
+    assert!(!nothing.accepted && nothing.message.contains("nothing hangs"), "{nothing:?}");
+    assert_eq!(pair.breaches(), []);
+}
+
+#[test]
+fn an_abort_and_a_stop_end_a_way_back_and_the_object_stays_held() {
+    const CABLE: &str = r#"{"do": "net.reset_peer", "args": {"link": "rtde"}}"#;
+    for seed in 0..6 {
+        let (mut pair, _) = carrying(seed, Eye::Corners);
+        fault(&mut pair, PROTECTIVE_STOP);
+        pair.run_until(1.0, |_| false);
+        pair.order(Order::Recover(WayBack::Place));
+        // As its program starts, round the look poses, and coming down.
+        let words = ["starting the robot", "looking", "putting down"][seed as usize / 2];
+        let there = |pair: &Pair| pair.status().is_some_and(|status| status.text().contains(words));
+        assert!(pair.run_until(60.0, there), "seed {seed}: {words}");
+        pair.run_until(0.1, |_| false);
+        match seed % 4 {
+            0 => drop(pair.order(Order::Abort)),
+            1 => fault(&mut pair, PROTECTIVE_STOP),
+            2 => fault(&mut pair, CABLE),
+            _ => drop(pair.order(Order::Disarm)),
+        }
+        pair.run_until(20.0, |_| false);
+        assert!(!pair.status().unwrap().armed, "seed {seed}");
+        assert_eq!(pair.breaches(), [], "seed {seed}");
+        // And a way back is still there.
+        let again = answer(&mut pair, Order::Recover(WayBack::Place));
+        assert!(again.accepted, "seed {seed}: {again:?}");
+        assert!(pair.run_until(90.0, |pair| at_rest_and_disarmed(pair) && !holds(pair)), "seed {seed}");
+        assert_eq!(pair.breaches(), [], "seed {seed}");
+    }
+}
+
+#[test]
+fn a_way_back_is_refused_where_it_is_none() {
+    let (mut pair, _) = carrying(2, Eye::Corners);
+    let armed = answer(&mut pair, Order::Recover(WayBack::Retreat));
+    assert!(!armed.accepted && armed.message.contains("armed"), "{armed:?}");
+    let (mut pair, _) = carrying(2, Eye::Corners);
+    fault(&mut pair, r#"{"do": "ur.estop"}"#);
+    pair.run_until(2.0, |_| false);
+    for way in [WayBack::Place, WayBack::Hold, WayBack::Retreat, WayBack::Release] {
+        let refused = answer(&mut pair, Order::Recover(way));
+        assert!(!refused.accepted && refused.message.contains("safety mode"), "{way:?}: {refused:?}");
+    }
+    assert!(
+        answer(&mut pair, Order::Release(Channels::Both)).accepted,
+        "a person can always take the object"
+    );
+    assert_eq!(pair.breaches(), []);
+}
+
+/// How far the tool (m) and any joint (rad) get from where the arm stood, within so many seconds.
+fn travel(pair: &mut Pair, seconds: f64) -> (f64, f64) {
+    let place = |pair: &Pair| {
+        let q = pair.simulator().core().robot.controller().core.mover.q();
+        (lock(&pair.simulator().core().world).glance().tool, q)
+    };
+    let (tool, q) = place(pair);
+    let (mut way, mut turn) = (0.0_f64, 0.0_f64);
+    pair.run_until(seconds, |pair| {
+        let (now, joints) = place(pair);
+        let moved = now.iter().zip(tool).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        (way, turn) = (way.max(moved), turn.max(joints.max_difference(&q)));
+        false
+    });
+    (way, turn)
+}
+
+/// A program that is paused cannot be stopped by its registers until it plays again: then it has to see the
+/// stop in its first frame, whatever else does not answer.
+#[test]
+fn a_program_that_is_resumed_on_the_pendant_does_not_go_on() {
+    const HUNG: &str = r#"{"do": "net.timeout", "args": {"link": "dashboard", "seconds": 30}}"#;
+    let cases: [(&str, &[&str], f64); 3] = [
+        ("paused, then in local control", &[r#"{"do": "ur.local", "args": {"seconds": 30}}"#], 8.0),
+        ("paused with the dashboard hung", &[HUNG, r#"{"do": "ur.local", "args": {"seconds": 30}}"#], 8.0),
+        ("daemon killed in the pause", &[], 8.0),
+    ];
+    for (name, faults, seconds) in cases {
+        for seed in 0..6 {
+            let (mut pair, _) = carrying(seed, Eye::Corners);
+            fault(&mut pair, &format!(r#"{{"do": "ur.pause", "args": {{"seconds": {seconds}}}}}"#));
+            pair.run_until(1.0, |_| false);
+            faults.iter().for_each(|text| fault(&mut pair, text));
+            if faults.is_empty() {
+                pair.restart(celld::pair::Loss::Killed).unwrap();
+            }
+            let (way, turn) = travel(&mut pair, 20.0);
+            assert!(way < 5e-4 && turn < 1e-3, "{name}, seed {seed}: {:.1} mm", way * 1e3);
+            assert_eq!(pair.breaches(), [], "{name}, seed {seed}");
+        }
+    }
+    for seed in 0..6 {
+        let (mut pair, _) = carrying(seed, Eye::Corners);
+        fault(&mut pair, HUNG);
+        fault(&mut pair, r#"{"do": "ur.safeguard", "args": {"seconds": 6}}"#);
+        pair.run_until(2.0, |_| false);
+        let (_, turn) = travel(&mut pair, 20.0);
+        assert!(turn.to_degrees() < 0.1, "safeguard, seed {seed}: {:.2} degrees", turn.to_degrees());
+        assert_eq!(pair.breaches(), [], "safeguard, seed {seed}");
+    }
+}
