@@ -273,6 +273,8 @@ impl Machine {
             | RobotEvent::RuntimeException { .. }
             | RobotEvent::ErrorCode { .. }
             | RobotEvent::Message { .. }
+            | RobotEvent::LinkSilent { .. }
+            | RobotEvent::ArmStalled { .. }
             | RobotEvent::ProtocolFault { .. } => {}
         }
     }
@@ -293,6 +295,7 @@ impl Machine {
         let outside = DeviceSnapshot {
             link_down: Link::ALL.into_iter().find(|link| !self.connections.is_up(*link)),
             link_lost: Link::ALL.into_iter().find(|link| self.connections.is_lost(*link)),
+            all_links_lost: Link::ALL.into_iter().all(|link| self.connections.is_lost(link)),
             robot: self.robot.state(),
             robot_fresh: self.robot.fresh(now),
             program_settled: self.robot.program_settled(),

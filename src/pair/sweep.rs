@@ -364,6 +364,9 @@ pub fn judge(
     if outcome.code.is_some_and(|code| code != Code::Done) && outcome.hint.is_empty() {
         faults.push("the report has no hint".to_string());
     }
+    if outcome.kept == Some(true) && outcome.hint.contains("`celld arm`") {
+        faults.push("the hint names `celld arm`, which is refused while something is held".to_string());
+    }
     if outcome.next.is_none() && !row.ends_work {
         faults.push("the job after it never ended".to_string());
     }

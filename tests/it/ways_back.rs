@@ -119,7 +119,7 @@ fn a_choice_unlocks_after_the_controllers_five_seconds_and_not_without_it() {
     pair.run_until(20.0, |_| false);
     assert!(!safe(&pair), "never by itself");
     let shown = answer(&mut pair, Order::Recover(WayBack::Show));
-    for part in ["ProtectiveStop", "C204A0", "held: ", "--place", "--retreat"] {
+    for part in ["protective stop", "C204A0", "held: ", "--place", "--retreat"] {
         assert!(shown.accepted && shown.message.contains(part), "{part}: {}", shown.message);
     }
     assert!(!safe(&pair), "showing chooses nothing");
@@ -178,7 +178,7 @@ fn a_way_back_is_refused_where_it_is_none() {
     pair.run_until(2.0, |_| false);
     for way in [WayBack::Place, WayBack::Hold, WayBack::Retreat, WayBack::Release] {
         let refused = answer(&mut pair, Order::Recover(way));
-        assert!(!refused.accepted && refused.message.contains("safety mode"), "{way:?}: {refused:?}");
+        assert!(!refused.accepted && refused.message.contains("emergency stop"), "{way:?}: {refused:?}");
     }
     assert!(
         answer(&mut pair, Order::Release(Channels::Both)).accepted,

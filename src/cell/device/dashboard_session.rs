@@ -36,6 +36,8 @@ pub enum DashboardEvent {
     },
     /// The link is dropped because of this.
     Fault(String),
+    /// The link is dropped because nothing came for this long.
+    Silent(String),
 }
 
 enum Step {
@@ -137,11 +139,11 @@ impl DashboardSession {
         match &self.step {
             Step::Down => return,
             Step::Greeting { deadline } if now >= *deadline => {
-                self.fault("no greeting within 10 s".into());
+                self.silent("no greeting within 10 s".into());
             }
             Step::Asked { command, deadline } if now >= *deadline => {
                 let detail = format!("no answer to {:?} within 2 s", command.line().trim_end());
-                self.fault(detail);
+                self.silent(detail);
             }
             Step::Greeting { .. } | Step::Asked { .. } | Step::Idle => {}
         }
@@ -194,9 +196,17 @@ impl DashboardSession {
     }
 
     fn fault(&mut self, detail: String) {
+        self.drop_link(DashboardEvent::Fault(detail));
+    }
+
+    fn silent(&mut self, detail: String) {
+        self.drop_link(DashboardEvent::Silent(detail));
+    }
+
+    fn drop_link(&mut self, event: DashboardEvent) {
         self.step = Step::Down;
         self.waiting.clear();
-        self.outbox.report(DashboardEvent::Fault(detail));
+        self.outbox.report(event);
         self.outbox.close();
     }
 

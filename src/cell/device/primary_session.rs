@@ -60,6 +60,8 @@ pub enum PrimaryEvent {
     Message(String),
     /// The link is dropped because of this.
     Fault(String),
+    /// The link is dropped because nothing came for this long.
+    Silent(String),
 }
 
 enum Step {
@@ -137,9 +139,9 @@ impl PrimarySession {
     /// Time went by.
     pub fn tick(&mut self, now: Timestamp) {
         match self.step {
-            Step::First { deadline } if now >= deadline => self.fault("no package within 10 s".into()),
+            Step::First { deadline } if now >= deadline => self.silent("no package within 10 s".into()),
             Step::Streaming { last_package } if now.since(last_package) >= SILENT_AFTER => {
-                self.fault("no package for 2.5 s".into());
+                self.silent("no package for 2.5 s".into());
             }
             Step::Down | Step::First { .. } | Step::Streaming { .. } => {}
         }
@@ -172,8 +174,16 @@ impl PrimarySession {
     }
 
     fn fault(&mut self, detail: String) {
+        self.drop_link(PrimaryEvent::Fault(detail));
+    }
+
+    fn silent(&mut self, detail: String) {
+        self.drop_link(PrimaryEvent::Silent(detail));
+    }
+
+    fn drop_link(&mut self, event: PrimaryEvent) {
         self.step = Step::Down;
-        self.outbox.report(PrimaryEvent::Fault(detail));
+        self.outbox.report(event);
         self.outbox.close();
     }
 

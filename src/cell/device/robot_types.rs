@@ -425,7 +425,19 @@ pub enum RobotEvent {
         /// The text.
         text: String,
     },
-    /// The peer broke the protocol or fell silent. The link is dropped unless only a value is unknown.
+    /// The peer fell silent; the link is dropped.
+    LinkSilent {
+        /// Which link.
+        link: Link,
+        /// What did not come.
+        detail: String,
+    },
+    /// A segment is overdue although the program plays.
+    ArmStalled {
+        /// Which.
+        detail: String,
+    },
+    /// The peer broke the protocol. The link is dropped unless only a value is unknown.
     ProtocolFault {
         /// Which link.
         link: Link,

@@ -46,6 +46,8 @@ pub enum RtdeEvent {
     Message(String),
     /// The link is dropped because of this.
     Fault(String),
+    /// The link is dropped because nothing came for this long.
+    Silent(String),
 }
 
 enum Step {
@@ -140,7 +142,7 @@ impl RtdeSession {
             | Step::AskedInputs { deadline, .. }
             | Step::AskedStart { deadline } => {
                 if now >= deadline {
-                    self.fault(format!("no answer to {} within 2 s", self.waiting_for()));
+                    self.silent(format!("no answer to {} within 2 s", self.waiting_for()));
                 }
             }
             Step::WaitingForInputs { index, retry_at, attempt } => {
@@ -150,7 +152,7 @@ impl RtdeSession {
             }
             Step::Streaming { last_package, .. } => {
                 if now.since(last_package) >= SILENT_AFTER {
-                    self.fault("no package for 2.5 s".into());
+                    self.silent("no package for 2.5 s".into());
                 }
             }
         }
@@ -214,9 +216,17 @@ impl RtdeSession {
     }
 
     fn fault(&mut self, detail: String) {
+        self.drop_link(RtdeEvent::Fault(detail));
+    }
+
+    fn silent(&mut self, detail: String) {
+        self.drop_link(RtdeEvent::Silent(detail));
+    }
+
+    fn drop_link(&mut self, event: RtdeEvent) {
         self.step = Step::Down;
         self.latest = None;
-        self.outbox.report(RtdeEvent::Fault(detail));
+        self.outbox.report(event);
         self.outbox.close();
     }
 

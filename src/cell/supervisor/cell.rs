@@ -412,7 +412,8 @@ impl Supervisor {
         if let Phase::Recover(stage) = self.phase {
             self.recovery_gripper(now, stage, &event, out);
         }
-        if matches!(event, GripperEvent::Released | GripperEvent::VacuumLost { .. }) {
+        // Without vacuum it may hang on all the same; who arms the cell has seen that it does not.
+        if matches!(event, GripperEvent::Released) {
             self.back.held = None;
         }
         let silent = match event {

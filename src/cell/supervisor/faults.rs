@@ -5,7 +5,7 @@
 //! disarmed, and nothing continues until a person has armed it and the table has been seen again.
 
 use crate::cell::code::{Code, JobStatus};
-use crate::cell::device::robot_types::{ProgramEnd, RobotCommand, RobotEvent};
+use crate::cell::device::robot_types::{RobotCommand, RobotEvent};
 use crate::cell::supervisor::back::{BackStage, LastStop};
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::{self, motion_speed};
@@ -16,7 +16,6 @@ use crate::cell::supervisor::phase::{Look, LookStage, Phase};
 use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
-use ur_wire::enumerations::RobotMode;
 
 /// After this long a held motion is given up: what happened on the table meanwhile is unknown.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
@@ -26,9 +25,6 @@ const STOP_WITHIN: Duration = Duration::from_secs(3);
 
 /// How long the end waits for the gripper's word on a release that a person ordered.
 const RELEASE_WITHIN: Duration = Duration::from_secs(6);
-
-/// What a person does after a stop.
-const AFTER_A_STOP: &str = "see that the cell is safe and nothing hangs on the gripper, then `celld arm`";
 
 impl Supervisor {
     /// Runs on every tick: settling, bring-up, deadlines, the disk, and the robot's state while something
@@ -41,8 +37,8 @@ impl Supervisor {
         self.watch_unlocking(now, outside, out);
         self.arm_when_open(outside, out);
         self.bring_up(outside, out);
-        if let Some(message) = motion_trouble(now, outside).filter(|_| self.moving()) {
-            return self.stop_all(now, JobStatus::Interrupted, Code::RobotStopped.because(message, ""), out);
+        if let Some(reason) = self.motion_trouble(now, outside).filter(|_| self.moving()) {
+            return self.stop_all(now, JobStatus::Interrupted, reason, out);
         }
         let held = self.held_for(now, outside);
         if held > Duration::ZERO && !self.mode.armed() {
@@ -50,8 +46,7 @@ impl Supervisor {
             return self.stop_all(now, JobStatus::Interrupted, Code::Aborted.because(message, ""), out);
         }
         if held > LONGEST_PAUSE {
-            let message = "the program was paused for too long: the table may have changed";
-            let reason = Code::PausedTooLong.because(message, "");
+            let reason = self.held_too_long(outside);
             return self.stop_all(now, JobStatus::Interrupted, reason, out);
         }
         self.watch_arming(now, outside, out);
@@ -186,73 +181,17 @@ impl Supervisor {
             | RobotEvent::RuntimeException { .. }
             | RobotEvent::ErrorCode { .. }
             | RobotEvent::Message { .. }
+            | RobotEvent::LinkSilent { .. }
+            | RobotEvent::ArmStalled { .. }
             | RobotEvent::ProtocolFault { .. } => {}
         }
         self.note_for_the_way_back(now, &event);
-        let Some(reason) = self.fault_of(event) else { return };
+        let Some(reason) = self.fault_of(outside, event) else { return };
         if self.moving() || matches!(self.phase, Phase::BringUp(_)) {
             self.stop_all(now, JobStatus::Interrupted, reason, out);
         } else {
             self.stand_down(now, reason, out);
         }
-    }
-
-    /// Why an event of the robot stops the cell; `None` for those that do not.
-    fn fault_of(&mut self, event: RobotEvent) -> Option<Reason> {
-        if let Some(reason) = self.other_robot(&event) {
-            return Some(reason);
-        }
-        let message = match event {
-            RobotEvent::ProgramEnded { reason } => {
-                // Whatever ran before ours is stopped on the way to starting ours.
-                if matches!((&self.phase, &reason), (Phase::BringUp(_), ProgramEnd::AsAsked)) {
-                    return None;
-                }
-                self.nonce = None;
-                match reason {
-                    // A round, the daemon or a stop has ended it; why is said already.
-                    ProgramEnd::AsAsked | ProgramEnd::StoppedByUs => return None,
-                    ProgramEnd::NotStarted(_)
-                    | ProgramEnd::HeartbeatLost
-                    | ProgramEnd::Rejected { .. }
-                    | ProgramEnd::Exception { .. }
-                    | ProgramEnd::FromOutside
-                    | ProgramEnd::Replaced
-                    | ProgramEnd::LinkLost
-                    | ProgramEnd::Overdue(_) => format!("the on-robot program ended: {reason}"),
-                }
-            }
-            RobotEvent::RuntimeException { line, column, text } => {
-                format!("the on-robot program failed at line {line}, column {column}: {text}")
-            }
-            RobotEvent::ProtocolFault { link, detail, .. } => format!("{link}: {detail}"),
-            RobotEvent::RtdeLost => "the RTDE link was lost".to_string(),
-            RobotEvent::Refused { what, reply } => format!("the controller refused {what}: {reply}"),
-            RobotEvent::Safety { mode } if !mode.allows_motion() => format!("safety mode {mode:?}"),
-            RobotEvent::RemoteControl { on: false } => {
-                "the pendant was switched to local control".to_string()
-            }
-            RobotEvent::Safety { .. }
-            | RobotEvent::RemoteControl { on: true }
-            | RobotEvent::Kinematics { .. }
-            | RobotEvent::SafetyChecksum { .. }
-            | RobotEvent::RtdeReady
-            | RobotEvent::Identity { .. }
-            | RobotEvent::ProgramRunning { .. }
-            | RobotEvent::SegmentFinished { .. }
-            | RobotEvent::PathFinished { .. }
-            | RobotEvent::PayloadSet
-            | RobotEvent::TcpSet
-            | RobotEvent::Stopped
-            | RobotEvent::Paused
-            | RobotEvent::Resumed
-            | RobotEvent::Mode { .. }
-            | RobotEvent::Completed { .. }
-            | RobotEvent::InputInUse { .. }
-            | RobotEvent::ErrorCode { .. }
-            | RobotEvent::Message { .. } => return None,
-        };
-        Some(Code::RobotStopped.because(message, ""))
     }
 
     /// Something happened to the robot while nothing moved: people who were in the cell since then have to
@@ -272,8 +211,7 @@ impl Supervisor {
         self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
         self.end_recovery(Err(reason.message.clone()), out);
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
-        let hint = "see that the cell is safe, then `celld arm` and submit again".to_string();
-        let hint = if reason.hint.is_empty() { hint } else { reason.hint };
+        let hint = if reason.hint.is_empty() { self.after_a_stop() } else { reason.hint.clone() };
         self.finish(now, JobStatus::Interrupted, Reason { hint, ..reason }, out);
     }
 
@@ -325,6 +263,10 @@ impl Supervisor {
         self.nonce = None;
     }
 
+    fn after_a_stop(&self) -> String {
+        format!("see that the cell is safe; {}", self.then())
+    }
+
     /// Stops the arm, keeps the vacuum, ends the job, disarms.
     pub(crate) fn stop_all(&mut self, now: Timestamp, end: JobStatus, reason: Reason, out: &mut Vec<Action>) {
         self.stop_robot(out);
@@ -336,25 +278,7 @@ impl Supervisor {
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
         self.end_recovery(Err(reason.message.clone()), out);
         self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
-        let hint = if reason.hint.is_empty() { AFTER_A_STOP.to_string() } else { reason.hint.clone() };
+        let hint = if reason.hint.is_empty() { self.after_a_stop() } else { reason.hint.clone() };
         self.finish(now, end, Reason { hint, ..reason }, out);
-    }
-}
-
-/// What in the robot's state forbids going on with a motion.
-fn motion_trouble(now: Timestamp, outside: &DeviceSnapshot) -> Option<String> {
-    let Some(robot) = outside.robot else { return Some("the robot has never sent a state".to_string()) };
-    if !outside.robot_fresh {
-        Some(format!("the robot's state stopped coming {:.2} s ago", now.since(robot.received).as_secs_f64()))
-    } else if !robot.safety_mode.allows_motion() {
-        Some(format!("safety mode {:?}", robot.safety_mode))
-    } else if robot.robot_mode != RobotMode::Running {
-        Some(format!("robot mode {:?}", robot.robot_mode))
-    } else if robot.guided {
-        Some("a person holds the freedrive button".to_string())
-    } else if robot.remote_control == Some(false) {
-        Some("the pendant was switched to local control".to_string())
-    } else {
-        None
     }
 }

@@ -6,6 +6,7 @@
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::Link;
 use crate::cell::supervisor::input::DeviceSnapshot;
+use crate::cell::supervisor::safety_words::{safety_remedy, safety_words};
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
@@ -18,7 +19,7 @@ impl GateClosed {
             GateClosed::Link(_) | GateClosed::Stale => {
                 "see that the controller is on and in the network: `devices.robot` in the configuration, `ping` it"
             }
-            GateClosed::Safety(_) => "clear the stop at the pendant once the cell is safe, then `celld arm`",
+            GateClosed::Safety(mode) => safety_remedy(*mode),
             GateClosed::Mode(_) => {
                 "power the arm at the pendant, or switch it to Remote Control so that celld may"
             }
@@ -49,8 +50,8 @@ pub enum GateClosed {
     #[error("the robot's state is not fresh")]
     Stale,
     /// The safety system does not allow motion.
-    #[error("the safety mode is {0}")]
-    Safety(String),
+    #[error("{}", safety_words(*.0))]
+    Safety(SafetyMode),
     /// The arm is not powered with its brakes released.
     #[error("the robot mode is {0}")]
     Mode(String),
@@ -109,7 +110,7 @@ pub fn arming_for_round(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
         _ => return Err(GateClosed::Stale),
     };
     if !robot.safety_mode.allows_motion() {
-        return Err(GateClosed::Safety(format!("{:?}", robot.safety_mode)));
+        return Err(GateClosed::Safety(robot.safety_mode));
     }
     if robot.remote_control != Some(true) {
         return Err(GateClosed::Local);
@@ -157,7 +158,7 @@ pub fn any_motion(armed: bool, outside: &DeviceSnapshot, nonce: Option<Nonce>) -
         _ => return Err(GateClosed::Stale),
     };
     if !robot.safety_mode.allows_motion() {
-        return Err(GateClosed::Safety(format!("{:?}", robot.safety_mode)));
+        return Err(GateClosed::Safety(robot.safety_mode));
     }
     if robot.robot_mode != RobotMode::Running {
         return Err(GateClosed::Mode(format!("{:?}", robot.robot_mode)));

@@ -24,6 +24,8 @@ pub struct DeviceSnapshot<'a> {
     /// The first connection to the controller that is down and that celld has not dropped by itself to make
     /// it anew.
     pub link_lost: Option<Link>,
+    /// All of them are.
+    pub all_links_lost: bool,
     /// Last state of the robot, if it ever spoke.
     pub robot: Option<&'a RobotState>,
     /// The robot's last state is younger than the staleness limit.

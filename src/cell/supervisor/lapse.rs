@@ -85,7 +85,7 @@ impl Supervisor {
     fn lapse(&mut self, now: Timestamp, outside: &DeviceSnapshot, why: &str, out: &mut Vec<Action>) {
         let held = self.moving() && motion_speed(outside) == 0.0;
         if held || self.round.is_some() || self.back.recovery.is_some() {
-            return self.stop_all(now, JobStatus::Interrupted, Code::RobotStopped.because(why, ""), out);
+            return self.stop_all(now, JobStatus::Interrupted, Code::ArmingLapsed.because(why, ""), out);
         }
         let goes_on = self.disarm_after_this_motion(out);
         let first = if goes_on { "; the motion under way is finished first" } else { "" };

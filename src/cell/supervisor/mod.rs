@@ -4,9 +4,9 @@
 //! and what it requests. `mode`: whether and how the cell may move. `ledger`: records on their way to the
 //! disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve, pick,
 //! verify, place, look again; `bring_up`, `look`, `travel`, `judge`, `work`, `visits`, `operator`,
-//! `standing`, `lapse`, `identity`, `faults`, `recovery`, `free_place` and `situation` hold its parts. No
-//! clock, no socket: time and the devices' last word come in with every call, so that every stop, fault and
-//! late answer can be played through in a test.
+//! `standing`, `lapse`, `identity`, `faults`, `trouble`, `recovery`, `free_place` and `situation` hold its
+//! parts. No clock, no socket: time and the devices' last word come in with every call, so that every stop,
+//! fault and late answer can be played through in a test.
 
 mod back;
 mod bring_up;
@@ -28,10 +28,12 @@ pub(crate) mod phase;
 mod reason;
 mod recovery;
 pub mod round;
+mod safety_words;
 mod situation;
 mod standing;
 pub mod status;
 mod travel;
+mod trouble;
 mod visits;
 mod work;
 

@@ -117,6 +117,7 @@ impl Supervisor {
     /// and only a look can show it; a plan that is being made rests on what was there.
     pub(crate) fn armed_now(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.arms_when_open = false;
+        self.back.held = None;
         self.seen = None;
         self.foreign_height = 0.0;
         self.drift_reported = false;
@@ -133,6 +134,9 @@ impl Supervisor {
 
     /// What is missing, and what to do before the next try.
     fn not_armed_for(&self, closed: &GateClosed) -> String {
+        if let Some(taken) = self.registers_taken().filter(|_| *closed == GateClosed::Stale) {
+            return format!("not armed: {taken}; end it or take the registers from it, then `celld arm`");
+        }
         let hint = closed.hint();
         let again = if hint.contains("celld arm") { "" } else { "; then `celld arm`" };
         format!("not armed: {}; {hint}{again}", self.place(closed))
@@ -354,7 +358,10 @@ impl Supervisor {
     ) {
         self.seen = None;
         if self.moving() || self.mode.armed() {
-            let reason = Code::Released.because("the operator releases the vacuum", "");
+            let reason = Code::Released.because(
+                "the operator releases the vacuum",
+                "see where it lies; then `celld arm` and submit again",
+            );
             self.stop_all(now, JobStatus::Interrupted, reason, out);
         } else if self.arm_stands(outside) || (self.stands && !outside.robot_fresh) {
             return self.release(number, channels, out);

@@ -21,6 +21,10 @@ const WAYS: [(WayBack, &str); 4] = [
     (WayBack::Retreat, "--retreat"),
 ];
 
+/// Who holds RTDE inputs that celld needs.
+pub const LIKELY_OWNERS: &str =
+    "probably EtherNet/IP or PROFINET, the OnRobot URCap, or a second celld or RTDE client";
+
 impl Supervisor {
     /// Keeps what `celld recover` shows later.
     pub(crate) fn note_for_the_way_back(&mut self, now: Timestamp, event: &RobotEvent) {
@@ -51,6 +55,8 @@ impl Supervisor {
             | RobotEvent::Refused { .. }
             | RobotEvent::RuntimeException { .. }
             | RobotEvent::Message { .. }
+            | RobotEvent::LinkSilent { .. }
+            | RobotEvent::ArmStalled { .. }
             | RobotEvent::ProtocolFault { .. } => {}
         }
     }
@@ -64,13 +70,7 @@ impl Supervisor {
             format!("controller: C{code}A{argument}, {words}")
         }));
         lines.push(self.how_the_robot_is(outside));
-        if !self.back.registers_taken.is_empty() {
-            let names = self.back.registers_taken.join(", ");
-            lines.push(format!(
-                "taken by another client: {names}; EtherNet/IP, PROFINET, the OnRobot URCap or a second celld \
-                 probably holds them"
-            ));
-        }
+        lines.extend(self.registers_taken());
         lines.push(self.what_is_held(outside));
         lines.extend(self.where_the_arm_is(outside));
         lines.push("ways back:".to_string());
@@ -86,6 +86,13 @@ impl Supervisor {
             },
         });
         lines.join("\n")
+    }
+
+    /// Inputs that celld needs and another client of the controller holds, and who that may be.
+    pub(crate) fn registers_taken(&self) -> Option<String> {
+        let names = &self.back.registers_taken;
+        (!names.is_empty())
+            .then(|| format!("another client of the controller holds {}: {LIKELY_OWNERS}", names.join(", ")))
     }
 
     fn what_happened(&self, now: Timestamp) -> String {
@@ -110,7 +117,7 @@ impl Supervisor {
             None => "control not known",
         };
         format!(
-            "robot: safety mode {:?}, robot mode {:?}, program {}, {control}{}",
+            "robot: safety mode {}, robot mode {}, program {}, {control}{}",
             robot.safety_mode,
             robot.robot_mode,
             robot.runtime_state.to_string().to_lowercase(),

@@ -220,6 +220,7 @@ impl Bench {
         let outside = DeviceSnapshot {
             link_down: self.link_down,
             link_lost: self.link_down,
+            all_links_lost: false,
             robot: Some(&self.robot),
             robot_fresh: !self.silent,
             program_settled: true,
@@ -428,7 +429,7 @@ fn silence_while_moving_stops_first_then_ends_the_job_and_disarms() {
     bench.silent = true;
     let actions = bench.feed(Input::Tick);
     assert!(matches!(actions.first(), Some(Action::Robot(RobotCommand::Stop))), "{actions:?}");
-    assert_eq!(ended(&actions), Some((JobStatus::Interrupted, "robot_stopped".into())));
+    assert_eq!(ended(&actions), Some((JobStatus::Interrupted, "link_silent".into())));
     assert!(!bench.cell.status().armed);
     bench.silent = false;
     bench.job(false);

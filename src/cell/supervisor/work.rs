@@ -234,7 +234,8 @@ impl Supervisor {
             }
             (WorkStage::NotingGrip(_) | WorkStage::Carrying, GripperEvent::VacuumLost { vacuum }) => {
                 let message = format!("{} was lost: vacuum {:.0} %", work.object, vacuum * 100.0);
-                let reason = Code::VacuumLost.because(message, "").of(&work.object);
+                let hint = "see where it lies, or whether it still hangs: `celld recover` says what the gripper reads";
+                let reason = Code::VacuumLost.because(message, hint).of(&work.object);
                 return self.stop_all(now, JobStatus::Failed, reason, out);
             }
             // Readings and repeated answers change nothing; a phase that waits in vain runs into its

@@ -24,15 +24,16 @@ impl Robot {
         let Some(state) = &self.state else { return };
         let playing = if state.runtime_state == RuntimeState::Playing { passed.as_secs_f64() } else { 0.0 };
         let scaled = playing * state.speed_share().max(LEAST_SPEED_SHARE);
-        let progress = self
-            .stream
-            .progress(state.accepted, state.finished)
-            .and_then(|()| self.stream.elapse(playing, scaled));
+        let progress = self.stream.progress(state.accepted, state.finished);
+        let in_time = progress.is_ok().then(|| self.stream.elapse(playing, scaled));
         while let Some(done) = self.stream.poll_done() {
             self.stream_done(done);
         }
         if let Err(detail) = progress {
             self.report_fault(now, Link::Rtde, detail.clone());
+            self.halt(now, Some(ProgramEnd::Overdue(detail)), false);
+        } else if let Some(Err(detail)) = in_time {
+            self.report(RobotEvent::ArmStalled { detail: detail.clone() });
             self.halt(now, Some(ProgramEnd::Overdue(detail)), false);
         }
     }

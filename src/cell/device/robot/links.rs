@@ -46,6 +46,10 @@ impl Robot {
             RtdeEvent::Ready => self.report(RobotEvent::RtdeReady),
             RtdeEvent::InUse { names, attempt } => self.report(RobotEvent::InputInUse { names, attempt }),
             RtdeEvent::Message(text) => self.report(RobotEvent::Message { text }),
+            RtdeEvent::Silent(detail) => {
+                self.report(RobotEvent::LinkSilent { link: Link::Rtde, detail });
+                self.rtde_gone(now);
+            }
             RtdeEvent::Fault(detail) => {
                 self.report_fault(now, Link::Rtde, detail);
                 self.rtde_gone(now);
@@ -85,6 +89,11 @@ impl Robot {
 
     fn dashboard_event(&mut self, now: Timestamp, event: DashboardEvent) {
         match event {
+            DashboardEvent::Silent(detail) => {
+                self.lose_dashboard(&detail);
+                self.report(RobotEvent::LinkSilent { link: Link::Dashboard, detail });
+                self.closes.push_back(Link::Dashboard);
+            }
             DashboardEvent::Fault(detail) => {
                 self.lose_dashboard(&detail);
                 self.report_fault(now, Link::Dashboard, detail);
@@ -254,6 +263,11 @@ impl Robot {
                 self.report(RobotEvent::ErrorCode { code, argument, level, text });
             }
             PrimaryEvent::Message(text) => self.report(RobotEvent::Message { text }),
+            PrimaryEvent::Silent(detail) => {
+                self.report(RobotEvent::LinkSilent { link: Link::Primary, detail });
+                self.closes.push_back(Link::Primary);
+                self.primary.disconnected();
+            }
             PrimaryEvent::Fault(detail) => {
                 self.report_fault(now, Link::Primary, detail);
                 self.closes.push_back(Link::Primary);

@@ -68,7 +68,7 @@ fn an_emergency_stop_while_a_plan_is_made_ends_the_job() {
     bench.job(false);
     bench.until_planning();
     let stopped = bench.feed(Input::Robot(RobotEvent::Safety { mode: SafetyMode::RobotEmergencyStop }));
-    assert_eq!(ended(&stopped), Some((JobStatus::Interrupted, "robot_stopped".into())));
+    assert_eq!(ended(&stopped), Some((JobStatus::Interrupted, "emergency_stop".into())));
     assert_eq!(streams(&bench.plan()), 0, "the plan comes too late");
 }
 

@@ -170,7 +170,10 @@ impl Rig {
 
     fn faults(&self) -> Vec<String> {
         let text = |event: &RobotEvent| match event {
-            RobotEvent::ProtocolFault { link, detail, .. } => Some(format!("{link}: {detail}")),
+            RobotEvent::ProtocolFault { link, detail, .. } | RobotEvent::LinkSilent { link, detail } => {
+                Some(format!("{link}: {detail}"))
+            }
+            RobotEvent::ArmStalled { detail } => Some(detail.clone()),
             _ => None,
         };
         self.events.iter().filter_map(text).collect()

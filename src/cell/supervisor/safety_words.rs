@@ -1,0 +1,80 @@
+//! Modes of the robot's safety system in words, and what a person does about each.
+//!
+//! In: a mode. Out: its kind, as a result code; a sentence; what to do first. Below gates and troubles, which
+//! both say it. Pure.
+
+use crate::cell::code::Code;
+use ur_wire::enumerations::SafetyMode;
+
+/// A safety mode as a person would say it.
+pub(crate) fn safety_words(mode: SafetyMode) -> String {
+    match safety_code(mode) {
+        Code::EmergencyStop => "an emergency stop is pressed".to_string(),
+        Code::ProtectiveStop => "the arm is in a protective stop".to_string(),
+        Code::SafeguardStop => "a safeguard is open (door, light curtain, scanner)".to_string(),
+        Code::SafetyFault => format!("the safety system has failed ({mode})"),
+        _ => format!("the safety system is in a mode without motion ({mode})"),
+    }
+}
+
+/// What to do before anything else.
+pub(crate) fn safety_remedy(mode: SafetyMode) -> &'static str {
+    match safety_code(mode) {
+        Code::EmergencyStop => "release the button once the cell is safe",
+        Code::ProtectiveStop => "see what the arm has met; `celld recover` unlocks it",
+        Code::SafeguardStop => "close the safeguard once nobody is in the cell",
+        Code::SafetyFault => "read the pendant, restart the safety system there",
+        _ => "read the pendant for what it waits for",
+    }
+}
+
+/// The kind of a mode without motion, as the code of a job that it ends.
+pub(crate) fn safety_code(mode: SafetyMode) -> Code {
+    match mode {
+        SafetyMode::SystemEmergencyStop
+        | SafetyMode::RobotEmergencyStop
+        | SafetyMode::ImmiEmergencyStop
+        | SafetyMode::ProfisafeEmergencyStop => Code::EmergencyStop,
+        SafetyMode::ProtectiveStop => Code::ProtectiveStop,
+        SafetyMode::SafeguardStop
+        | SafetyMode::AutomaticModeSafeguardStop
+        | SafetyMode::ImmiSafeguardStop
+        | SafetyMode::ProfisafeAutomaticModeSafeguardStop
+        | SafetyMode::ProfisafeSafeguardStop
+        | SafetyMode::SafetyApiSafeguardStop => Code::SafeguardStop,
+        SafetyMode::Violation | SafetyMode::Fault => Code::SafetyFault,
+        SafetyMode::Normal
+        | SafetyMode::Reduced
+        | SafetyMode::Recovery
+        | SafetyMode::ValidateJointId
+        | SafetyMode::Undefined
+        | SafetyMode::SystemThreePositionEnablingStop
+        | SafetyMode::TpThreePositionEnablingStop
+        | SafetyMode::ProfisafeWaitingForParameters
+        | SafetyMode::Unknown(_) => Code::SafetyMode,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_safety_mode_without_motion_has_its_words_and_what_to_do() {
+        let stopped = || SafetyMode::KNOWN.iter().filter(|mode| !mode.allows_motion());
+        for mode in stopped().chain([&SafetyMode::Unknown(99)]) {
+            assert!(!safety_words(*mode).is_empty() && !safety_remedy(*mode).is_empty(), "{mode}");
+        }
+        for (mode, code) in [
+            (SafetyMode::RobotEmergencyStop, Code::EmergencyStop),
+            (SafetyMode::ProtectiveStop, Code::ProtectiveStop),
+            (SafetyMode::SafetyApiSafeguardStop, Code::SafeguardStop),
+            (SafetyMode::Violation, Code::SafetyFault),
+            (SafetyMode::TpThreePositionEnablingStop, Code::SafetyMode),
+            (SafetyMode::Unknown(99), Code::SafetyMode),
+        ] {
+            assert_eq!(safety_code(mode), code, "{mode}");
+        }
+        assert!(safety_words(SafetyMode::Unknown(99)).contains("99"), "the number is shown");
+    }
+}
