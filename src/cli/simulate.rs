@@ -5,6 +5,7 @@
 //! one was, or one did not; 2 bad input.
 
 mod args;
+mod orders;
 mod storms;
 
 use crate::pair::eyes::Eye;
@@ -30,6 +31,9 @@ pub fn run(args: &SimulateArgs) -> u8 {
         EyeArg::Pictures => Eye::Pictures,
         EyeArg::Corners => Eye::Corners,
     };
+    if args.orders {
+        return orders::run(args);
+    }
     match args.faults.as_deref().and_then(Path::to_str) {
         Some("sweep") => return sweep(args),
         Some("random") => return storms::run(args),

@@ -10,6 +10,8 @@ pub mod disk;
 pub mod eyes;
 pub mod modbus;
 pub mod network;
+pub mod orders;
+pub mod orders_page;
 pub mod outcome;
 pub mod page;
 pub mod reactions;

@@ -60,7 +60,7 @@ pub fn reaction(outcome: &Outcome) -> String {
 }
 
 /// A sentence without numbers, names of objects and what a table cannot have.
-fn plain(sentence: &str) -> String {
+pub(super) fn plain(sentence: &str) -> String {
     // Foreign bytes in quotes.
     let sentence = match sentence.split_once('"') {
         Some((before, quoted)) if quoted.contains('\u{fffd}') => format!("{before}..."),

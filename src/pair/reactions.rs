@@ -165,6 +165,13 @@ pub static ROWS: &[Row] = &[
     ),
     row(
         12,
+        "speed slider at zero for 40 s",
+        Cause::Faults(&[r#"{"do": "ur.slider", "args": {"fraction": 0}}"#]),
+        40.0,
+        WORK,
+    ),
+    row(
+        12,
         "speed slider at 20 %",
         Cause::Faults(&[r#"{"do": "ur.slider", "args": {"fraction": 0.2}}"#]),
         20.0,

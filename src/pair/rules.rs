@@ -332,7 +332,8 @@ impl Rules {
             return self.breach(Rule::AnswerWithoutOrder, format!("order {number}"));
         };
         let Some(mode) = machine.supervisor().map(|supervisor| supervisor.mode()) else { return };
-        if order == Order::Arm && accepted {
+        let armed_before = self.armed_at.is_some_and(|at| self.frame <= at + 1);
+        if order == Order::Arm && accepted && !armed_before {
             self.lost = None;
             if let Some((_, gate)) = self.closed.filter(|(since, _)| self.frame > since + KNOWN_FRAMES) {
                 self.breach(Rule::ArmedWithGateClosed, gate.to_string());
@@ -352,7 +353,9 @@ impl Rules {
             Order::Park | Order::Step => !accepted || mode.armed(),
             Order::Release(_) | Order::Recover(WayBack::Release) => {
                 let channels = if let Order::Release(channels) = order { channels } else { Channels::Both };
-                self.disturbed = self.frame;
+                if accepted || matches!(order, Order::Release(_)) {
+                    self.disturbed = self.frame;
+                }
                 self.releases = self.releases.saturating_sub(1);
                 !accepted || (!mode.armed() && self.is_off(channels))
             }

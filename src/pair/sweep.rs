@@ -220,6 +220,13 @@ fn reach(pair: &mut Pair, stage: &Stage, row: &Row, phase: Phase, seed: u64) -> 
     }
     pair.order(Order::Arm);
     if phase == Phase::Park {
+        // A cell just switched on is parked: the arm has to be away first.
+        let mut order = job(&stage.model, &true_poses(pair, &stage.model), seed, 0);
+        order.approval = Approval::Always;
+        pair.submit(order);
+        pair.run_until(PHASE_WITHIN_S, |pair| phase_of(pair) == Some(Phase::Approve));
+        pair.order(Order::Cancel(pair.store().active().unwrap_or_default().to_string()));
+        pair.run_until(2.0, |pair| pair.store().active().is_none());
         pair.order(Order::Park);
     } else {
         let mut order = job(&stage.model, &true_poses(pair, &stage.model), seed, 0);

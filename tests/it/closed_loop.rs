@@ -5,6 +5,8 @@ use celld::cell::supervisor::round::RoundOrder;
 use celld::cell::supervisor::status::Doing;
 use celld::motion::slow::CalibrationBox;
 use celld::pair::eyes::Eye;
+use celld::pair::orders::{self, ORDERS_SEED};
+use celld::pair::orders_page;
 use celld::pair::page::{PAGE, PAGE_SEED, expected, title};
 use celld::pair::run::{bring_up, run_jobs, true_poses};
 use celld::pair::storm::{storm, strikes};
@@ -55,6 +57,29 @@ fn every_fault_in_every_phase_has_the_reaction_that_the_page_gives() {
             let (outcome, _) = case(&stage, row, *phase, PAGE_SEED, false).unwrap();
             let faults = judge(row, *phase, &outcome, Some(&page));
             faults.into_iter().map(|fault| format!("{}: {fault}", title(row, *phase)))
+        })
+        .collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// What `celld simulate --orders` does.
+#[test]
+fn every_order_in_every_state_does_what_it_answers() {
+    let stage = stage(ORDERS_SEED, Eye::Corners).unwrap();
+    let page = orders_page::expected(orders_page::PAGE);
+    let cases: Vec<_> = orders::cases().collect();
+    assert_eq!(page.len(), cases.len(), "docs/orders.md: see its second paragraph");
+    let wrong: Vec<String> = cases
+        .par_iter()
+        .flat_map_iter(|(state, given)| {
+            let found = orders::case(&stage, state, given).unwrap();
+            let mut faults = orders::judge(given, &found);
+            let title = orders_page::title(state, given);
+            let line = orders_page::line(given, &found);
+            if page.get(&title) != Some(&line) {
+                faults.push(format!("found {line}, the page has {:?}", page.get(&title)));
+            }
+            faults.into_iter().map(move |fault| format!("{title}: {fault}"))
         })
         .collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));

@@ -207,12 +207,10 @@ impl Supervisor {
         }
         self.mode.disarm();
         self.phase = Phase::Ready;
-        alarm(out, format!("disarmed: {}", reason.message));
-        self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
-        self.end_recovery(Err(reason.message.clone()), out);
-        self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
-        let hint = if reason.hint.is_empty() { self.after_a_stop() } else { reason.hint.clone() };
-        self.finish(now, JobStatus::Interrupted, Reason { hint, ..reason }, out);
+        let reason = self.with_a_hint(reason);
+        alarm(out, format!("disarmed: {}; {}", reason.message, reason.hint));
+        self.end_what_moves(now, &reason, out);
+        self.finish(now, JobStatus::Interrupted, reason, out);
     }
 
     pub(crate) fn on_abort(&mut self, now: Timestamp, out: &mut Vec<Action>) {
@@ -263,8 +261,11 @@ impl Supervisor {
         self.nonce = None;
     }
 
-    fn after_a_stop(&self) -> String {
-        format!("see that the cell is safe; {}", self.then())
+    /// A reason without a hint gets what always holds after a stop.
+    fn with_a_hint(&self, reason: Reason) -> Reason {
+        let general = || format!("see that the cell is safe; {}", self.then());
+        let hint = if reason.hint.is_empty() { general() } else { reason.hint.clone() };
+        Reason { hint, ..reason }
     }
 
     /// Stops the arm, keeps the vacuum, ends the job, disarms.
@@ -274,11 +275,16 @@ impl Supervisor {
         self.seen = None;
         self.mode.disarm();
         self.arms_when_open = false;
-        alarm(out, format!("stopped and disarmed: {}", reason.message));
+        let reason = self.with_a_hint(reason);
+        alarm(out, format!("stopped and disarmed: {}; {}", reason.message, reason.hint));
+        self.end_what_moves(now, &reason, out);
+        self.finish(now, end, reason, out);
+    }
+
+    /// A round or a way back ends with a stop, which is remembered for `celld recover`.
+    fn end_what_moves(&mut self, now: Timestamp, reason: &Reason, out: &mut Vec<Action>) {
+        self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
         self.end_recovery(Err(reason.message.clone()), out);
-        self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
-        let hint = if reason.hint.is_empty() { self.after_a_stop() } else { reason.hint.clone() };
-        self.finish(now, end, Reason { hint, ..reason }, out);
     }
 }

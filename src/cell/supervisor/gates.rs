@@ -59,7 +59,7 @@ pub enum GateClosed {
     #[error("the arm is guided by hand (freedrive)")]
     Guided,
     /// The pendant is in local control, or has not said otherwise.
-    #[error("remote control is off: switch the pendant to Remote Control")]
+    #[error("remote control is off")]
     Local,
     /// The program running on the controller is not the one uploaded.
     #[error("the on-robot program is not acknowledged")]

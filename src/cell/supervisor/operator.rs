@@ -15,6 +15,9 @@ use crate::cell::supervisor::reason::say;
 use cell_values::time::Timestamp;
 use ur_wire::enumerations::RobotMode;
 
+/// The arm is at its park pose within this joint angle, rad.
+const PARKED_RAD: f64 = 0.002;
+
 impl Supervisor {
     /// Carries an order out; the refusal, if it is refused.
     pub(crate) fn take_order(
@@ -46,14 +49,22 @@ impl Supervisor {
                     self.mode.set_park(false);
                 }
                 if !self.mode.paused() {
-                    return Some(self.not_armed("not paused, and nothing moves"));
+                    return Some(self.not_armed(outside, "not paused, and nothing moves"));
                 }
+            }
+            Order::Resume if !self.mode.paused() && self.moving() && motion_speed(outside) == 0.0 => {
+                let why =
+                    "celld was not paused: the arm is held at the pendant, by pause or by the speed slider";
+                return Some(Reply::refuse(why));
             }
             Order::Resume if !self.mode.paused() => return Some(Reply::accept("nothing was paused")),
             Order::Resume => self.mode.set_pace(Pace::Running),
-            Order::Step if !self.mode.armed() => return Some(self.not_armed("no step")),
+            Order::Step if !self.mode.armed() => return Some(self.not_armed(outside, "no step")),
             Order::Step => self.mode.set_pace(Pace::OneMove),
-            Order::Park if !self.mode.armed() => return Some(self.not_armed("not parked")),
+            Order::Park if !self.mode.armed() => return Some(self.not_armed(outside, "not parked")),
+            Order::Park if self.is_parked(outside) && !self.moving() => {
+                return Some(Reply::accept("the arm is at its park pose already"));
+            }
             Order::Park => {
                 self.mode.set_park(true);
                 self.waiting_since = now;
@@ -68,13 +79,17 @@ impl Supervisor {
         None
     }
 
-    fn not_armed(&self, what: &str) -> Reply {
+    fn not_armed(&self, outside: &DeviceSnapshot, what: &str) -> Reply {
         Reply::refuse(match &self.mode {
             Mode::Ending { .. } => format!("{what}: celld is ending"),
             Mode::Locked(reason) => format!("{what}: {reason}"),
-            Mode::Disarmed { .. } | Mode::Armed { .. } => {
-                format!("{what}: the cell is disarmed; `celld arm` first")
-            }
+            Mode::Disarmed { .. } | Mode::Armed { .. } => match gates::arming(outside) {
+                Ok(()) => format!("{what}: the cell is disarmed; `celld arm` first"),
+                Err(closed) => {
+                    let why = self.place(&closed);
+                    format!("{what}: the cell is disarmed, and cannot be armed now: {why}; {}", closed.hint())
+                }
+            },
         })
     }
 
@@ -206,13 +221,15 @@ impl Supervisor {
         approved: bool,
         out: &mut Vec<Action>,
     ) -> Option<Reply> {
-        let Some(job) = self.job.as_mut().filter(|job| job.order.id == id) else {
-            return Some(not_active(id));
-        };
+        if self.job.as_ref().is_none_or(|job| job.order.id != id) {
+            return Some(self.not_active(id));
+        }
         if !matches!(self.phase, Phase::Approve) {
             return Some(Reply::refuse(format!("job {id} does not wait for approval")));
         }
-        job.approved = approved;
+        if let Some(job) = &mut self.job {
+            job.approved = approved;
+        }
         self.phase = Phase::Ready;
         if !approved {
             self.finish(
@@ -225,11 +242,18 @@ impl Supervisor {
         None
     }
 
+    fn not_active(&self, id: &str) -> Reply {
+        Reply::refuse(match &self.job {
+            Some(job) => format!("job {id} is not the active one, that is {}", job.order.id),
+            None => format!("job {id} is not the active one: there is none"),
+        })
+    }
+
     fn on_cancel(&mut self, id: &str) -> Option<Reply> {
-        let Some(job) = self.job.as_mut().filter(|job| job.order.id == id) else {
-            return Some(not_active(id));
-        };
-        job.cancel = true;
+        match &mut self.job {
+            Some(job) if job.order.id == id => job.cancel = true,
+            Some(_) | None => return Some(self.not_active(id)),
+        }
         if matches!(self.phase, Phase::Plan | Phase::Approve) {
             self.phase = Phase::Ready;
         }
@@ -240,24 +264,7 @@ impl Supervisor {
     pub(crate) fn answer(&self, outside: &DeviceSnapshot, order: &Order) -> Option<Reply> {
         Some(match order {
             Order::Arm => Reply::accept(self.armed_and_now()),
-            Order::Disarm => Reply::accept(match &self.phase {
-                Phase::Work(_) => {
-                    "disarmed; the pick-n-place under way is finished first, `celld abort` stops it now"
-                }
-                Phase::Ready
-                | Phase::BringUp(_)
-                | Phase::Look(_)
-                | Phase::Plan
-                | Phase::Approve
-                | Phase::Park
-                | Phase::Recover(_)
-                | Phase::Visit(_) => match self.follows_a_path() {
-                    true => {
-                        "disarmed; the motion under way goes on to its next stop, `celld abort` stops it now"
-                    }
-                    false => "disarmed",
-                },
-            }),
+            Order::Disarm => Reply::accept(self.disarmed_and_now(outside)),
             Order::Approve(_) if !self.mode.armed() => {
                 Reply::accept("approved; nothing moves before `celld arm`")
             }
@@ -285,11 +292,14 @@ impl Supervisor {
                 true => "goes on",
                 false => "the pause is over; the cell is disarmed, `celld arm` lets it move",
             }),
+            Order::Step if matches!(self.phase, Phase::Approve) => {
+                Reply::accept("one pick-n-place once the plan is approved, then a pause")
+            }
             Order::Step => Reply::accept(match &self.job {
                 Some(_) => "one pick-n-place, then a pause",
                 None => "no job is under way; the next one pauses after one pick-n-place",
             }),
-            Order::Park => self.answer_park(),
+            Order::Park => self.then_the_job(self.answer_park(outside)),
             Order::Recover(WayBack::Show | WayBack::Release) | Order::Abort | Order::Release(_) => {
                 return None;
             }
@@ -316,6 +326,29 @@ impl Supervisor {
         now.to_string()
     }
 
+    /// That the cell is disarmed, and what the arm still does.
+    fn disarmed_and_now(&self, outside: &DeviceSnapshot) -> &'static str {
+        if !outside.robot_fresh {
+            return "disarmed; the robot does not answer, so nothing is known of the arm: keep away from it";
+        }
+        match &self.phase {
+            Phase::Work(_) => {
+                "disarmed; the pick-n-place under way is finished first, `celld abort` stops it now"
+            }
+            Phase::Ready
+            | Phase::BringUp(_)
+            | Phase::Look(_)
+            | Phase::Plan
+            | Phase::Approve
+            | Phase::Park
+            | Phase::Recover(_)
+            | Phase::Visit(_) => match self.follows_a_path() {
+                true => "disarmed; the motion under way goes on to its next stop, `celld abort` stops it now",
+                false => "disarmed",
+            },
+        }
+    }
+
     /// That a plan is approved, and what the arm does next.
     fn approved_and_now(&self) -> String {
         match (&self.phase, &self.waiting_for) {
@@ -328,8 +361,27 @@ impl Supervisor {
         }
     }
 
-    fn answer_park(&self) -> Reply {
+    /// The arm is at rest at its park pose.
+    fn is_parked(&self, outside: &DeviceSnapshot) -> bool {
+        let fresh = outside.robot.filter(|_| outside.robot_fresh);
+        fresh.is_some_and(|robot| {
+            robot.q.max_difference(&self.model.park) < PARKED_RAD && robot.stands_still()
+        })
+    }
+
+    /// Parking keeps no job back: who wants the arm to stay there needs to know.
+    fn then_the_job(&self, reply: Reply) -> Reply {
+        let goes_on = reply.accepted && self.job.is_some() && !self.mode.paused();
+        let after = if goes_on { "; then the job goes on, `celld pause` keeps it there" } else { "" };
+        Reply { message: format!("{}{after}", reply.message), ..reply }
+    }
+
+    fn answer_park(&self, outside: &DeviceSnapshot) -> Reply {
+        if self.moving() && motion_speed(outside) == 0.0 {
+            return Reply::accept("parks as soon as the present motion is over, which is held now");
+        }
         match (&self.phase, &self.waiting_for) {
+            (Phase::BringUp(_), _) => Reply::accept("parks as soon as the robot is started"),
             (Phase::Park, _) => Reply::accept("parks now"),
             (Phase::Plan, _) => Reply::accept("parks as soon as the planning is over"),
             (Phase::Approve, _) => Reply::accept("parks as soon as the plan is approved or rejected"),
@@ -338,10 +390,9 @@ impl Supervisor {
                 Reply::refuse("not parked: the park pose cannot be reached from here")
             }
             (Phase::Ready, None)
-            | (
-                Phase::BringUp(_) | Phase::Look(_) | Phase::Work(_) | Phase::Visit(_) | Phase::Recover(_),
-                _,
-            ) => Reply::accept("parks as soon as the present motion is over"),
+            | (Phase::Look(_) | Phase::Work(_) | Phase::Visit(_) | Phase::Recover(_), _) => {
+                Reply::accept("parks as soon as the present motion is over")
+            }
         }
     }
 
@@ -402,8 +453,4 @@ impl Supervisor {
             }
         }
     }
-}
-
-fn not_active(id: &str) -> Reply {
-    Reply::refuse(format!("job {id} is not the active one; `celld status` names it"))
 }

@@ -19,7 +19,7 @@ use crate::cell::supervisor::reason::{Reason, alarm, say};
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::observe::Observation;
 use rearrange::geometry::pose::Pose2;
-use ur_wire::enumerations::SafetyMode;
+use ur_wire::enumerations::{RobotMode, SafetyMode};
 
 /// The controller refuses to unlock within 5 s of a protective stop, counted by its own clock.
 const UNLOCK_AFTER: Duration = Duration::from_millis(5500);
@@ -80,7 +80,10 @@ impl Supervisor {
         if !matches!(self.phase, Phase::Ready) {
             return Err("a motion or a plan is under way: wait for its end, or `celld abort`".to_string());
         }
-        gates::recovering(outside).map_err(|closed| format!("{}; {}", self.place(&closed), closed.hint()))?;
+        gates::recovering(outside).map_err(|closed| {
+            let hint = closed.hint().replace(", then `celld arm`", ", then try again");
+            format!("{}; {hint}", self.place(&closed))
+        })?;
         self.suits(outside, way)
     }
 
@@ -115,14 +118,20 @@ impl Supervisor {
     /// What a way back will do, in the order in which it does it.
     pub(crate) fn announce(&self, outside: &DeviceSnapshot, way: WayBack) -> String {
         let object = self.back.held.as_ref().map_or("what is held", |held| held.object.as_str());
-        let first = if protective(outside) { "the protective stop is unlocked, then " } else { "" };
+        let off =
+            outside.robot.is_some_and(|r| matches!(r.robot_mode, RobotMode::PowerOff | RobotMode::Idle));
+        let first = match (protective(outside), off) {
+            (true, _) => "the protective stop is unlocked, then ",
+            (false, true) if way != WayBack::Hold => "the arm is powered and its brakes released, then ",
+            (false, _) => "",
+        };
         match way {
             WayBack::Show => "nothing".to_string(),
             WayBack::Hold => {
                 format!("{first}nothing moves: {object} stays held and watched, and the cell disarmed")
             }
             WayBack::Release => format!("the vacuum goes off where the arm is: hold {object} by hand"),
-            WayBack::Retreat => format!("{first}the arm goes straight up, with whatever is held"),
+            WayBack::Retreat => format!("{first}the arm goes straight up, unless it is over everything"),
             WayBack::Place => format!(
                 "{first}the arm goes straight up, looks at the table and puts {object} down at its place or the \
                  nearest free one"
@@ -190,7 +199,7 @@ impl Supervisor {
             return self.raise(outside, out);
         }
         if recovery.way == WayBack::Retreat {
-            return self.end_recovery(Ok("the arm went straight up".to_string()), out);
+            return self.end_recovery(Ok("the arm is over everything on the table".to_string()), out);
         }
         match self.seen.take() {
             None => self.begin_look(now, outside, 0, out),

@@ -24,9 +24,10 @@ impl Supervisor {
 
     /// What leads on after a stop.
     pub(crate) fn then(&self) -> &'static str {
-        match self.back.held.is_some() {
-            true => "something may be held: `celld recover` shows the ways back",
-            false => "then `celld arm` and submit again",
+        match (self.back.held.is_some(), self.job.is_some()) {
+            (true, _) => "something may be held: `celld recover` shows the ways back",
+            (false, true) => "then `celld arm` and submit again",
+            (false, false) => "then `celld arm`",
         }
     }
 

@@ -18,11 +18,14 @@ pub struct SimulateArgs {
     /// `random`: one to three faults in every job, each job of the next seed
     #[arg(long, value_name = "FILE|sweep|random")]
     pub(super) faults: Option<PathBuf>,
-    /// Of the sweep: only cases whose number, name or phase contains this; of random faults: only these, by
-    /// number
+    /// Every order of the operator in every state of the cell: the answer is held against what happens
+    #[arg(long, conflicts_with_all = ["faults", "trace"])]
+    pub(super) orders: bool,
+    /// Of the sweep or the orders: only cases whose number, name or phase contains this; of random faults:
+    /// only these, by number
     #[arg(long, value_name = "TEXT")]
     pub(super) only: Option<String>,
-    /// Of the sweep: write the page of reactions to this file
+    /// Of the sweep or the orders: write their page to this file
     #[arg(long, value_name = "FILE")]
     pub(super) write: Option<PathBuf>,
     /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise

@@ -132,7 +132,12 @@ impl Registers {
         self.speed_fraction
     }
 
-    /// Moves the speed slider. It cannot be moved to 0: that is what pausing is for.
+    /// Moves the speed slider at the pendant, down to 0.
+    pub fn slide_to(&mut self, fraction: f64) {
+        self.speed_fraction = fraction.clamp(0.0, 1.0);
+    }
+
+    /// Moves the speed slider for a client. It cannot be moved to 0: that is what pausing is for.
     pub fn set_speed_fraction(&mut self, fraction: f64) {
         if fraction.is_finite() && fraction > 0.0 {
             self.speed_fraction = fraction.clamp(0.0, 1.0);

@@ -375,7 +375,7 @@ fn begin(controller: &mut Controller, fault: &RobotFault) -> Result<(), FaultErr
         }
         RobotFault::NeverStart => controller.programs.set_deaf(true),
         RobotFault::Pause => return possible(controller.programs.pause(), FaultError::NoProgram),
-        RobotFault::Slider(fraction) => controller.core.registers.set_speed_fraction(*fraction),
+        RobotFault::Slider(fraction) => controller.core.registers.slide_to(*fraction),
         RobotFault::Stall => controller.core.mover.set_stalled(true),
         RobotFault::Claim(input) => controller.core.registers.seize(STRANGER, input),
         RobotFault::Payload(mass_kg) => controller.core.payload.mass = *mass_kg,
@@ -400,7 +400,7 @@ fn undo(controller: &mut Controller, fault: &RobotFault, slider: f64) {
                 controller.programs.play(&mut controller.core);
             }
         }
-        RobotFault::Slider(_) => controller.core.registers.set_speed_fraction(slider),
+        RobotFault::Slider(_) => controller.core.registers.slide_to(slider),
         RobotFault::Stall => controller.core.mover.set_stalled(false),
         RobotFault::Claim(input) => controller.core.registers.give_back(STRANGER, input),
         RobotFault::SafetyChecksum(_) => controller.core.pendant.safety_checksum = SAFETY_CHECKSUM,
