@@ -21,6 +21,7 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Record};
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::RouteAction;
+use crate::cell::supervisor::situation::LIKELY_OWNERS;
 use crate::cell::supervisor::status::Status;
 use cell_values::time::{Duration, Timestamp};
 use std::collections::VecDeque;
@@ -68,6 +69,8 @@ pub struct Machine {
 struct Identity {
     kinematics: Option<(DhParameters, String)>,
     robot: KnownRobot,
+    /// Inputs that another client holds, since RTDE was asked for last.
+    taken: Vec<String>,
     reported: bool,
 }
 
@@ -161,9 +164,21 @@ impl Machine {
         self.robot.state()
     }
 
-    /// Why links to the controller are down, one line each; empty when all are up.
-    pub fn why_down(&self) -> Vec<String> {
-        self.connections.why_down()
+    /// What of the robot is missing, one line each; empty when it is known and all links are up.
+    pub fn missing(&self) -> Vec<String> {
+        let identity = &self.identity;
+        let mut lines = self.connections.why_down();
+        if !identity.taken.is_empty() {
+            lines.retain(|line| !line.starts_with(&Link::Rtde.to_string()));
+            lines.push(format!(
+                "another client of the controller holds {}: {LIKELY_OWNERS}",
+                identity.taken.join(", ")
+            ));
+        }
+        if lines.is_empty() && !identity.reported {
+            lines.push("the controller answers, and has not yet said which arm it moves".to_string());
+        }
+        lines
     }
 
     /// The supervisor, once the cell is commissioned.
@@ -253,8 +268,9 @@ impl Machine {
                 identity.robot.identity = Some(RobotIdentity { model, serial, version });
             }
             RobotEvent::SafetyChecksum { checksum } => identity.robot.safety_checksum = Some(*checksum),
-            RobotEvent::RtdeReady
-            | RobotEvent::RtdeLost
+            RobotEvent::InputInUse { names, .. } => identity.taken.clone_from(names),
+            RobotEvent::RtdeReady => identity.taken.clear(),
+            RobotEvent::RtdeLost
             | RobotEvent::RemoteControl { .. }
             | RobotEvent::ProgramRunning { .. }
             | RobotEvent::ProgramEnded { .. }
@@ -269,7 +285,6 @@ impl Machine {
             | RobotEvent::Mode { .. }
             | RobotEvent::Completed { .. }
             | RobotEvent::Refused { .. }
-            | RobotEvent::InputInUse { .. }
             | RobotEvent::RuntimeException { .. }
             | RobotEvent::ErrorCode { .. }
             | RobotEvent::Message { .. }
@@ -317,8 +332,7 @@ impl Machine {
     fn step_without_cell(&mut self, input: Input) {
         match input {
             Input::Order { number, .. } => {
-                let why = self.connections.why_down().join("; ");
-                let why = if why.is_empty() { "the robot has not said which arm it is".into() } else { why };
+                let why = self.missing().join("; ");
                 let reply = Reply::refuse(format!("celld is starting: {why}"));
                 self.effects.push_back(Effect::Reply { number, reply });
             }

@@ -148,7 +148,9 @@ async fn daemon(
         complain(&notice);
     }
     let stopped = || stop.load(Ordering::Relaxed);
-    let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;
+    let host = config.devices.robot_host.clone();
+    let mut say = |missing: &str| complain(&format!("waiting for the robot at {host}: {missing}"));
+    let arm = shell.wait_for_robot(&stopped, &mut say).await.map_err(|error| chain(&error))?;
     let measured = measured(&config, &calibration, &arm)?;
     let model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     let camera = cameras::open_when_there(&config.devices, &measured.camera);

@@ -89,12 +89,32 @@ const QUEUE: usize = 256;
 /// For the controller to say which arm it moves.
 const IDENTIFY_WITHIN: Duration = Duration::from_secs(30);
 
+/// For the first word about a robot that is awaited, and for the same word again.
+const SPEAK_AFTER: Duration = Duration::from_secs(3);
+const SPEAK_AGAIN: Duration = Duration::from_secs(60);
+
 /// For the program to end after a round.
 const END_WITHIN: Duration = Duration::from_secs(10);
 
 /// How long the state folder may take to write what is left at the end.
 const CLOSE_WITHIN: Duration = Duration::from_secs(15);
 const CLOSE_SILENT_WITHIN: Duration = Duration::from_secs(1);
+
+/// What was said last of a robot that is awaited.
+#[derive(Default)]
+struct Said {
+    last: Option<(Timestamp, String)>,
+}
+
+impl Said {
+    fn line(&mut self, now: Timestamp, missing: &str, say: &mut dyn FnMut(&str)) {
+        let same = |(at, text): &(Timestamp, String)| text == missing && now.since(*at) < SPEAK_AGAIN;
+        if !self.last.as_ref().is_some_and(same) {
+            say(missing);
+            self.last = Some((now, missing.to_string()));
+        }
+    }
+}
 
 /// An observer that shows nothing.
 struct NoObserver;
@@ -159,9 +179,9 @@ impl Shell {
         self.machine.robot_state()
     }
 
-    /// Why links to the controller are down, one line each; empty when all are up.
-    pub fn why_down(&self) -> Vec<String> {
-        self.machine.why_down()
+    /// What of the robot is missing, one line each; empty when it is known and all links are up.
+    pub fn missing(&self) -> Vec<String> {
+        self.machine.missing()
     }
 
     /// Waits until the controller has said which arm it moves.
@@ -176,6 +196,32 @@ impl Shell {
                 return Ok(arm);
             }
             self.guard(began, IDENTIFY_WITHIN, "the robot did not answer on all its ports", stop)?;
+        }
+    }
+
+    /// Waits as long as it takes until the controller has said which arm it moves, and says what is missing when
+    /// that changes, and again every minute.
+    ///
+    /// # Errors
+    /// `stop` was raised.
+    pub async fn wait_for_robot(
+        &mut self,
+        stop: &dyn Fn() -> bool,
+        say: &mut dyn FnMut(&str),
+    ) -> Result<Arm, StartError> {
+        let (began, mut said) = (self.now(), Said::default());
+        loop {
+            self.turn(&mut NoObserver).await;
+            if let Some(arm) = self.outcome.arm.take() {
+                return Ok(arm);
+            }
+            if stop() {
+                return Err(StartError::Stopped);
+            }
+            // A robot that is there answers within this time.
+            if self.now().since(began) >= SPEAK_AFTER {
+                said.line(self.now(), &self.machine.missing().join("; "), say);
+            }
         }
     }
 
@@ -280,7 +326,7 @@ impl Shell {
         if self.now().since(since) <= within {
             return Ok(());
         }
-        let links = self.machine.why_down();
+        let links = self.machine.missing();
         let links = if links.is_empty() { "all links are up".to_string() } else { links.join("; ") };
         Err(StartError::Deadline { what: what.to_string(), seconds: within.as_secs(), links })
     }

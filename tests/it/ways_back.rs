@@ -238,3 +238,25 @@ fn a_program_that_is_resumed_on_the_pendant_does_not_go_on() {
         assert_eq!(pair.breaches(), [], "safeguard, seed {seed}");
     }
 }
+
+/// The fault that a second master of the registers makes at the very start: named with its likely owners, and waited
+/// for, however long it takes.
+#[test]
+fn a_claimed_register_at_the_start_is_named_and_waited_for() {
+    let stage = stage(1, Eye::Corners).unwrap();
+    let mut pair = Pair::new(stage, Choice::of(1)).unwrap();
+    fault(&mut pair, r#"{"do": "ur.claim", "args": {"input": "input_int_register_24"}}"#);
+    for _ in 0..4 {
+        pair.run_until(20.0, |_| false);
+        let missing = pair.machine().missing().join("; ");
+        for part in ["input_int_register_24", "PROFINET", "URCap"] {
+            assert!(missing.contains(part), "{part}: {missing}");
+        }
+        let refused = answer(&mut pair, Order::Arm);
+        assert!(!refused.accepted && refused.message.contains("input_int_register_24"), "{refused:?}");
+    }
+    fault(&mut pair, r#"{"do": "clear"}"#);
+    assert!(bring_up(&mut pair), "{:?}", pair.machine().missing());
+    assert_eq!(pair.machine().missing(), [""; 0]);
+    assert!(answer(&mut pair, Order::Arm).accepted);
+}

@@ -29,7 +29,7 @@ mod reason;
 mod recovery;
 pub mod round;
 mod safety_words;
-mod situation;
+pub mod situation;
 mod standing;
 pub mod status;
 mod travel;

@@ -195,7 +195,7 @@ async fn touch(
         shell.listen().await;
         let now = shell.now();
         let Some(state) = shell.robot_state().filter(|state| state.fresh(now)) else {
-            let links = shell.why_down().join("; ");
+            let links = shell.missing().join("; ");
             complain(&format!("  the robot does not say where it is ({links}); again"));
             continue;
         };
