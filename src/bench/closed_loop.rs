@@ -7,7 +7,6 @@
 use crate::pair::Choice;
 use crate::pair::eyes::Eye;
 use crate::pair::page::{PAGE, PAGE_SEED, expected};
-use crate::pair::reactions::KNOWN;
 use crate::pair::run::run_jobs;
 use crate::pair::storm::{storm, strikes};
 use crate::pair::sweep::{case, cases, judge};
@@ -28,21 +27,17 @@ pub struct Figure {
     pub times_real_time: Option<f64>,
     /// Runs that broke a rule or did not end.
     pub failures: usize,
-    /// Runs in which only rules were broken that are known to be.
-    pub known: usize,
 }
 
 /// The figures for people.
 pub fn table(figures: &[Figure]) -> String {
-    let mut text = format!(
-        "{:<22} {:>7} {:>9} {:>11} {:>9} {:>6}\n",
-        "", "runs", "wall s", "x real time", "failures", "known"
-    );
+    let mut text =
+        format!("{:<22} {:>7} {:>9} {:>11} {:>9}\n", "", "runs", "wall s", "x real time", "failures");
     for figure in figures {
         let speed = figure.times_real_time.map_or(String::new(), |times| format!("{times:.0}"));
         text.push_str(&format!(
-            "{:<22} {:>7} {:>9.1} {speed:>11} {:>9} {:>6}\n",
-            figure.what, figure.runs, figure.wall_s, figure.failures, figure.known
+            "{:<22} {:>7} {:>9.1} {speed:>11} {:>9}\n",
+            figure.what, figure.runs, figure.wall_s, figure.failures
         ));
     }
     text
@@ -60,7 +55,7 @@ pub fn speed(what: &'static str, eye: Eye, jobs: usize, seed: u64) -> Result<Fig
     let wall_s = began.elapsed().as_secs_f64();
     let failures = summary.breaches.len() + summary.stuck.len();
     let times_real_time = Some(summary.busy_s / wall_s.max(1e-9));
-    Ok(Figure { what, runs: summary.jobs, wall_s, times_real_time, failures, known: 0 })
+    Ok(Figure { what, runs: summary.jobs, wall_s, times_real_time, failures })
 }
 
 /// Every seed twice.
@@ -81,14 +76,7 @@ pub fn twice(first: u64, seeds: u64) -> Result<Figure, String> {
     let same = same?;
     let failures = same.iter().filter(|same| !**same).count();
     let wall_s = began.elapsed().as_secs_f64();
-    Ok(Figure {
-        what: "seeds, each twice",
-        runs: same.len(),
-        wall_s,
-        times_real_time: None,
-        failures,
-        known: 0,
-    })
+    Ok(Figure { what: "seeds, each twice", runs: same.len(), wall_s, times_real_time: None, failures })
 }
 
 /// Jobs with random faults; `failed` is called with the seed of each that failed.
@@ -97,14 +85,14 @@ pub fn twice(first: u64, seeds: u64) -> Result<Figure, String> {
 /// The loop cannot be set up.
 pub fn faults(first: u64, jobs: u64, failed: &(dyn Fn(u64) + Sync)) -> Result<Figure, String> {
     let began = Instant::now();
-    let ran: Result<Vec<(usize, usize)>, String> = (first..first.saturating_add(jobs))
+    let ran: Result<Vec<usize>, String> = (first..first.saturating_add(jobs))
         .into_par_iter()
         .map(|seed| {
             let (aftermath, _) = storm(&stage(seed, Eye::Corners)?, seed, &strikes(seed), false)?;
             if !aftermath.faults.is_empty() {
                 failed(seed);
             }
-            Ok((aftermath.faults.len().min(1), aftermath.known.min(1)))
+            Ok(aftermath.faults.len().min(1))
         })
         .collect();
     let ran = ran?;
@@ -113,8 +101,7 @@ pub fn faults(first: u64, jobs: u64, failed: &(dyn Fn(u64) + Sync)) -> Result<Fi
         runs: ran.len(),
         wall_s: began.elapsed().as_secs_f64(),
         times_real_time: None,
-        failures: ran.iter().map(|(failed, _)| failed).sum(),
-        known: ran.iter().map(|(_, known)| known).sum(),
+        failures: ran.iter().sum(),
     })
 }
 
@@ -127,13 +114,12 @@ pub fn sweep() -> Result<Figure, String> {
     let page = expected(PAGE);
     let cases: Vec<_> = cases().collect();
     let began = Instant::now();
-    let ran: Result<Vec<(usize, usize)>, String> = cases
+    let ran: Result<Vec<usize>, String> = cases
         .par_iter()
         .map(|(row, phase)| {
             let (outcome, _) = case(&stage, row, *phase, PAGE_SEED, false)?;
-            let known = outcome.breaches.iter().any(|breach| KNOWN.contains(breach));
             let failed = !judge(row, *phase, &outcome, Some(&page)).is_empty();
-            Ok((usize::from(failed), usize::from(known)))
+            Ok(usize::from(failed))
         })
         .collect();
     let ran = ran?;
@@ -142,7 +128,6 @@ pub fn sweep() -> Result<Figure, String> {
         runs: ran.len(),
         wall_s: began.elapsed().as_secs_f64(),
         times_real_time: None,
-        failures: ran.iter().map(|(failed, _)| failed).sum(),
-        known: ran.iter().map(|(_, known)| known).sum(),
+        failures: ran.iter().sum(),
     })
 }

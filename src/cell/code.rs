@@ -96,6 +96,7 @@ pub enum Code {
     ParkTimeout,
     Unpickable,
     VacuumLost,
+    ObjectStuck,
     GripperUnreachable,
     Infeasible,
     BadStart,
@@ -191,7 +192,14 @@ impl Code {
 
     /// True where the word is followed by a colon and the object's name.
     pub fn names_an_object(self) -> bool {
-        matches!(self, Code::Unpickable | Code::ObjectMissing | Code::ObjectTilted | Code::ObjectUncertain)
+        matches!(
+            self,
+            Code::Unpickable
+                | Code::ObjectStuck
+                | Code::ObjectMissing
+                | Code::ObjectTilted
+                | Code::ObjectUncertain
+        )
     }
 
     /// The word with the object that it is about, as in `object_missing:lid`.
@@ -206,7 +214,7 @@ impl Code {
 }
 
 /// Places, words and meanings, in the order of the enum.
-const TABLE: [(Code, Place, &str, &str); 81] = [
+const TABLE: [(Code, Place, &str, &str); 82] = [
     (Code::Done, Place::Result, "done", "every object is at its goal, and the camera shows it"),
     (Code::Cancelled, Place::Result, "cancelled", "a person cancelled the job"),
     (Code::PlanRejected, Place::Result, "plan_rejected", "a person rejected the plan"),
@@ -300,6 +308,12 @@ const TABLE: [(Code, Place, &str, &str); 81] = [
     (Code::ParkTimeout, Place::Result, "park_timeout", "the park pose was not reached in time"),
     (Code::Unpickable, Place::Result, "unpickable", "an object could not be gripped"),
     (Code::VacuumLost, Place::Result, "vacuum_lost", "an object was lost on the way"),
+    (
+        Code::ObjectStuck,
+        Place::Result,
+        "object_stuck",
+        "an object was let go and hangs on the cups, as far as can be seen",
+    ),
     (Code::GripperUnreachable, Place::Result, "gripper_unreachable", "the gripper stopped answering"),
     (Code::Infeasible, Place::Result, "infeasible", "there is no plan, proved"),
     (Code::BadStart, Place::Result, "bad_start", "the measured table is no valid start"),

@@ -1,8 +1,8 @@
 //! `celld bench loop`: how fast the closed loop runs, and whether it holds what it promises on many seeds.
 //!
 //! In: how many jobs, pictures, seeds, and jobs with random faults. Out: a table, or one JSON object. The
-//! first two figures are of one thread; the others use all cores. Exit code 0; 1 when a rule was broken that
-//! is not known to be, a job did not end, or a seed gave two different runs.
+//! first two figures are of one thread; the others use all cores. Exit code 0; 1 when a rule was broken, a
+//! job did not end, or a seed gave two different runs.
 
 use crate::bench::closed_loop::{Figure, faults, speed, sweep, table, twice};
 use crate::pair::eyes::Eye;

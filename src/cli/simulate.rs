@@ -153,7 +153,7 @@ fn sweep(args: &SimulateArgs) -> u8 {
     print(&format!("{} cases, {bad} not as expected, {seconds:.0} s\n", outcomes.len()));
     if args.seed == PAGE_SEED && args.only.is_none() && bad == 0 && page::write(&outcomes) != PAGE {
         bad += 1;
-        print("docs/reactions.md is not what the sweep writes: see the known violations\n");
+        print("docs/reactions.md is not what the sweep writes: its head or order has changed\n");
     }
     if args.seed != PAGE_SEED {
         print("with this seed only the rules were checked: docs/reactions.md is written with seed 0\n");

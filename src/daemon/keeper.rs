@@ -306,6 +306,7 @@ impl Keeper for StateKeeper {
             armed: status.armed,
             paused: status.paused,
             job: status.job.clone(),
+            holding: status.held.clone(),
             step: status.job.as_ref().map(|_| (number(status.moves), number(total))),
             awaiting_approval: status.job.iter().filter(|_| awaiting).cloned().collect(),
             waiting: self.journal.waiting().map_or(0, |count| number(count as usize)),

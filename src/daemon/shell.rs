@@ -199,8 +199,8 @@ impl Shell {
         }
     }
 
-    /// Waits as long as it takes until the controller has said which arm it moves, and says what is missing when
-    /// that changes, and again every minute.
+    /// Waits as long as it takes until the controller has said which arm it moves, and says what is missing
+    /// when that changes, and again every minute.
     ///
     /// # Errors
     /// `stop` was raised.

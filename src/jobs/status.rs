@@ -32,7 +32,7 @@ pub struct Status {
     pub job: Option<String>,
     /// The step under way, from 1, and how many the plan has.
     pub step: Option<(u32, u32)>,
-    /// The object on the cups.
+    /// What hangs on the gripper, may hang or fell.
     pub holding: Option<String>,
     /// Jobs whose plan waits for approval.
     pub awaiting_approval: Vec<String>,
@@ -94,7 +94,7 @@ impl Status {
             lines.push(format!("  job {job}{step}"));
         }
         if let Some(holding) = &self.holding {
-            lines.push(format!("  holding {holding}"));
+            lines.push(format!("  gripper: {holding}"));
         }
         for id in &self.awaiting_approval {
             lines.push(format!("  waits for `celld approve {id}`"));

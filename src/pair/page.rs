@@ -6,7 +6,7 @@
 //! seed's.
 
 use crate::pair::outcome::{Outcome, Phase};
-use crate::pair::reactions::{KNOWN, ROWS, Row};
+use crate::pair::reactions::{ROWS, Row};
 use std::collections::BTreeMap;
 
 /// The page, as it is in the repository.
@@ -102,29 +102,7 @@ pub fn write(outcomes: &[CaseOutcome]) -> String {
             page.push_str(&format!("| {} | {} | {} | {reaction}\n", row.number, row.name, phases.join(", ")));
         }
     }
-    page.push_str(&known(outcomes));
     page
-}
-
-/// Where rules of [`KNOWN`] are broken.
-fn known(outcomes: &[CaseOutcome]) -> String {
-    let mut text =
-        "\n## Known violations\n\nTo be cured by what arming, stops and bodies become; this list is to be \
-                    empty then. A breach of any other rule fails the sweep.\n"
-            .to_string();
-    for rule in KNOWN {
-        for row in ROWS {
-            let here = outcomes
-                .iter()
-                .filter(|case| std::ptr::eq(case.row, row) && case.outcome.breaches.contains(rule));
-            let phases: Vec<&str> = here.map(|case| case.phase.name()).collect();
-            if !phases.is_empty() {
-                text.push_str(&format!("\n- {rule:?}: {} {} ({})", row.number, row.name, phases.join(", ")));
-            }
-        }
-    }
-    text.push('\n');
-    text
 }
 
 /// What the page expects of each case, by its title.

@@ -9,7 +9,6 @@ use crate::cell::orders::Order;
 use crate::pair::Loss;
 use crate::pair::disk::Mood;
 use crate::pair::outcome::Phase;
-use crate::pair::rules::Rule;
 
 /// How a fault is brought about.
 #[derive(Clone, Copy, Debug)]
@@ -52,11 +51,6 @@ pub struct Row {
     /// No work is possible until the cell is configured anew.
     pub ends_work: bool,
 }
-
-/// Rules that the cell is known to break: what arming, stops and bodies become will cure them, and this list
-/// has to be empty then. A breach of any other rule fails the sweep; where these are broken is listed on the
-/// page.
-pub const KNOWN: &[Rule] = &[Rule::ArmedWithGateClosed];
 
 use Phase::{Approach, Approve, BringUp, Carry, Descend, Grip, Lift, Look, Place, Plan, Release, Retreat};
 
@@ -341,16 +335,20 @@ pub static ROWS: &[Row] = &[
     row(40, "garbage from the dashboard", Cause::Garbage(Link::Dashboard), 0.0, ALL),
     row(40, "garbage from the primary interface", Cause::Garbage(Link::Primary), 0.0, ALL),
     row(41, "RTDE at 4 Hz", Cause::Faults(&[r#"{"do": "ur.rate", "args": {"hz": 4}}"#]), 5.0, ALL),
-    row(
-        41,
-        "software 3.15 after a reconnection",
-        Cause::Faults(&[
-            r#"{"do": "ur.version", "args": {"version": "3.15.0.1"}}"#,
-            r#"{"do": "net.reset_peer", "args": {"link": "rtde"}}"#,
-        ]),
-        12.0,
-        ALL,
-    ),
+    Row {
+        // A dashboard that is made anew meanwhile shows it too, and locks the cell.
+        ends_work: true,
+        ..row(
+            41,
+            "software 3.15 after a reconnection",
+            Cause::Faults(&[
+                r#"{"do": "ur.version", "args": {"version": "3.15.0.1"}}"#,
+                r#"{"do": "net.reset_peer", "args": {"link": "rtde"}}"#,
+            ]),
+            12.0,
+            ALL,
+        )
+    },
     Row {
         ends_work: true,
         ..row(

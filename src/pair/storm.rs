@@ -7,7 +7,7 @@
 
 use crate::cell::code::Code;
 use crate::cell::orders::Order;
-use crate::pair::reactions::{Cause, KNOWN, ROWS, Row};
+use crate::pair::reactions::{Cause, ROWS, Row};
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::sweep::{after, bring_about, settled};
@@ -46,8 +46,6 @@ pub struct Aftermath {
     pub next: Option<Code>,
     /// What must not be, in words.
     pub faults: Vec<String>,
-    /// Breaches of rules that are known to be broken.
-    pub known: usize,
 }
 
 /// The faults of a seed, in the order in which they come.
@@ -112,11 +110,7 @@ pub fn storm(stage: &Stage, seed: u64, strikes: &[Strike], keep: bool) -> Result
         aftermath.faults.push(format!("the job after it has not ended: {doing}"));
     }
     for breach in pair.breaches() {
-        if KNOWN.contains(&breach.rule) {
-            aftermath.known += 1;
-        } else {
-            aftermath.faults.push(format!("{:?} was broken: {}", breach.rule, breach.detail));
-        }
+        aftermath.faults.push(format!("{:?} was broken: {}", breach.rule, breach.detail));
     }
     Ok((aftermath, pair))
 }

@@ -10,7 +10,7 @@
 use crate::cell::code::Code;
 use crate::cell::event::{Effect, Event};
 use crate::cell::machine::Machine;
-use crate::cell::orders::{Approval, Order};
+use crate::cell::orders::{Approval, Order, Reply};
 use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::input::PlanAnswer;
 use crate::cell::supervisor::order::JobOrder;
@@ -18,7 +18,7 @@ use crate::cell::supervisor::status::Doing;
 use crate::pair::disk::Mood;
 use crate::pair::outcome::{Outcome, Phase};
 use crate::pair::page::{reaction, title};
-use crate::pair::reactions::{Cause, KNOWN, ROWS, Row};
+use crate::pair::reactions::{Cause, ROWS, Row};
 use crate::pair::rules::Rule;
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
@@ -336,12 +336,26 @@ pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
         pair.order(Order::Release(crate::cell::device::gripper_types::Channels::Both));
         pair.run_until(4.0, |_| false);
     }
-    pair.order(Order::Arm);
+    arm_as_the_answer_says(pair);
     pair.order(Order::Resume);
     let ended = pair.reports().len();
     pair.submit(job(&stage.model, &true_poses(pair, &stage.model), seed, 1));
     pair.run_until(END_WITHIN_S, |pair| pair.reports().len() > ended);
     pair.reports().get(ended).map(|report| report.code)
+}
+
+/// A person arms; where the answer says that something may hang on the cups, the person looks, says that it
+/// does not, and arms again.
+fn arm_as_the_answer_says(pair: &mut Pair) {
+    pair.take_replies();
+    let number = pair.order(Order::Arm);
+    pair.run_until(0.5, |_| false);
+    let refused = |(of, reply): &(u64, Reply)| *of == number && reply.message.contains("celld release --yes");
+    if pair.take_replies().iter().any(refused) {
+        pair.order(Order::Release(crate::cell::device::gripper_types::Channels::Both));
+        pair.run_until(4.0, |_| false);
+        pair.order(Order::Arm);
+    }
 }
 
 /// What a person does at the pendant after a stop.
@@ -366,12 +380,12 @@ pub fn judge(
         return vec![why.clone()];
     }
     let mut faults = Vec::new();
-    let unknown = outcome.breaches.iter().filter(|breach| !KNOWN.contains(breach));
-    faults.extend(unknown.map(|breach| format!("{breach:?} was broken")));
+    faults.extend(outcome.breaches.iter().map(|breach| format!("{breach:?} was broken")));
     if outcome.code.is_some_and(|code| code != Code::Done) && outcome.hint.is_empty() {
         faults.push("the report has no hint".to_string());
     }
-    if outcome.kept == Some(true) && outcome.hint.contains("`celld arm`") {
+    let refused = outcome.hint.contains("`celld arm`") && !outcome.hint.contains("celld release");
+    if outcome.kept == Some(true) && refused {
         faults.push("the hint names `celld arm`, which is refused while something is held".to_string());
     }
     if outcome.next.is_none() && !row.ends_work {

@@ -134,7 +134,7 @@ fn a_choice_unlocks_after_the_controllers_five_seconds_and_not_without_it() {
     let released = answer(&mut pair, Order::Recover(WayBack::Release));
     assert!(released.accepted && !holds(&pair), "{released:?}");
     let nothing = answer(&mut pair, Order::Recover(WayBack::Release));
-    assert!(!nothing.accepted && nothing.message.contains("nothing hangs"), "{nothing:?}");
+    assert!(!nothing.accepted && nothing.message.contains("no vacuum"), "{nothing:?}");
     assert_eq!(pair.breaches(), []);
 }
 
@@ -239,8 +239,8 @@ fn a_program_that_is_resumed_on_the_pendant_does_not_go_on() {
     }
 }
 
-/// The fault that a second master of the registers makes at the very start: named with its likely owners, and waited
-/// for, however long it takes.
+/// The fault that a second master of the registers makes at the very start: named with its likely owners, and
+/// waited for, however long it takes.
 #[test]
 fn a_claimed_register_at_the_start_is_named_and_waited_for() {
     let stage = stage(1, Eye::Corners).unwrap();
@@ -259,4 +259,61 @@ fn a_claimed_register_at_the_start_is_named_and_waited_for() {
     assert!(bring_up(&mut pair), "{:?}", pair.machine().missing());
     assert_eq!(pair.machine().missing(), [""; 0]);
     assert!(answer(&mut pair, Order::Arm).accepted);
+}
+
+/// What hangs on the gripper is watched whatever the cell does: also after a stop, and after a restart.
+#[test]
+fn what_falls_after_a_stop_is_in_the_status_within_half_a_second_with_where() {
+    for restarted in [false, true] {
+        let (mut pair, _) = carrying(4, Eye::Corners);
+        pair.order(Order::Abort);
+        pair.run_until(4.0, |_| false);
+        if restarted {
+            pair.restart(celld::pair::Loss::Killed).unwrap();
+            assert!(bring_up(&mut pair));
+            pair.run_until(2.0, |_| false);
+        }
+        assert!(holds(&pair), "restarted: {restarted}");
+        let tool = lock(&pair.simulator().core().world).glance().tool;
+        fault(&mut pair, r#"{"do": "vacuum.drop"}"#);
+        let seen = |pair: &Pair| pair.status().and_then(|status| status.held.clone());
+        let shown = pair.run_until(0.5, |pair| seen(pair).is_some_and(|held| held.contains("fell near")));
+        assert!(shown, "restarted: {restarted}: {:?}", seen(&pair));
+        let place = format!("x {:.2}", tool[0]);
+        let held = seen(&pair).unwrap();
+        assert!(held.contains(&place), "{held}, the tool is at {place}");
+        assert!(pair.notices().last().unwrap().alarm, "a person has to look");
+        assert_eq!(pair.breaches(), [], "restarted: {restarted}");
+    }
+}
+
+#[test]
+fn what_sticks_to_the_cups_is_named_before_the_next_pick_and_moves_on_no_more() {
+    let (mut pair, _) = carrying(0, Eye::Corners);
+    fault(&mut pair, r#"{"do": "vacuum.stick", "args": {"seconds": 300}}"#);
+    let ended = pair.reports().len();
+    assert!(pair.run_until(60.0, |pair| pair.reports().len() > ended));
+    let report = pair.reports().last().unwrap().clone();
+    let object = report.object.clone().unwrap();
+    assert_eq!((report.code.as_str(), report.moves), ("object_stuck", 1), "{report:?}");
+    assert!(report.hint.contains("celld release --yes"), "{report:?}");
+    let refused = answer(&mut pair, Order::Arm);
+    assert!(!refused.accepted && refused.message.contains(&object), "{refused:?}");
+    fault(&mut pair, r#"{"do": "clear"}"#);
+    assert!(answer(&mut pair, Order::Release(Channels::Both)).accepted);
+    assert!(answer(&mut pair, Order::Arm).accepted, "a person has said that it is gone");
+    assert_eq!(pair.breaches(), []);
+}
+
+/// The stop leaves within 300 ms of the last answer: after that nothing proves that the object is still
+/// there.
+#[test]
+fn a_gripper_that_falls_silent_while_carrying_stops_the_arm_within_300_ms() {
+    for seed in 0..6 {
+        let (mut pair, _) = carrying(seed, Eye::Corners);
+        let stopped = |pair: &Pair| pair.notices().iter().any(|notice| notice.text.starts_with("stopped"));
+        fault(&mut pair, r#"{"do": "net.timeout", "args": {"link": "gripper", "seconds": 30}}"#);
+        assert!(pair.run_until(0.3, stopped), "seed {seed}");
+        assert!(pair.run_until(2.0, |pair| pair.simulator().core().robot.controller().core.mover.stands()));
+    }
 }

@@ -20,6 +20,8 @@ const READ_BUSY: Duration = Duration::from_millis(20);
 const READ_IDLE: Duration = Duration::from_millis(100);
 /// An answer may take this long; each such span without one counts as a failure.
 const ANSWER_WITHIN: Duration = Duration::from_millis(200);
+/// And while an object is held: three of them, and the arm is ordered to stop within 300 ms.
+const ANSWER_WITHIN_HELD: Duration = Duration::from_millis(80);
 /// Failures in a row before the gripper counts as unreachable, and tries of a command.
 const MAX_FAILURES: u32 = 3;
 /// Below the threshold for longer than this and the object counts as lost: readings are noisy.
@@ -166,7 +168,7 @@ impl Gripper {
             return None;
         }
         let (request, tries) = self.next_request(now)?;
-        let deadline = now + ANSWER_WITHIN;
+        let deadline = now + self.answer_within();
         self.outstanding = Some(Outstanding { request: request.clone(), deadline, tries });
         Some(request)
     }
@@ -217,11 +219,12 @@ impl Gripper {
     }
 
     fn check_deadlines(&mut self, now: Timestamp) {
+        let within = self.answer_within();
         if let Some(outstanding) = &mut self.outstanding
             && now >= outstanding.deadline
         {
             // It stays under way: an answer that comes late must not be taken for that of another request.
-            outstanding.deadline = now + ANSWER_WITHIN;
+            outstanding.deadline = now + within;
             self.failed(ModbusFailure::Timeout);
         }
         let vacuum = self.reading.map_or([0.0; 2], |(_, vacuum)| vacuum);
@@ -283,6 +286,10 @@ impl Gripper {
         matches!(self.hold, Hold::Holding { .. })
     }
 
+    fn answer_within(&self) -> Duration {
+        if self.holding() { ANSWER_WITHIN_HELD } else { ANSWER_WITHIN }
+    }
+
     fn read_interval(&self) -> Duration {
         match self.hold {
             Hold::Empty => READ_IDLE,
@@ -328,10 +335,23 @@ impl Gripper {
         }
     }
 
+    /// What hangs there although nothing was gripped since the start, as after a restart, is watched as well.
+    fn adopt(&mut self, vacuum: [f64; 2]) {
+        let held = vacuum.map(|share| share >= self.parameters.vacuum_hold);
+        let channels = match held {
+            [true, true] => Channels::Both,
+            [true, false] => Channels::A,
+            [false, true] => Channels::B,
+            [false, false] => return,
+        };
+        self.hold = Hold::Holding { channels, low_since: None };
+    }
+
     fn take_reading(&mut self, now: Timestamp, vacuum: [f64; 2]) {
         self.outbox.report(GripperEvent::Reading { vacuum });
         match &mut self.hold {
-            Hold::Empty | Hold::Failed => {}
+            Hold::Empty => self.adopt(vacuum),
+            Hold::Failed => {}
             Hold::Gripping { channels, good, .. } => {
                 let (channels, lowest) = (*channels, channels.lowest(vacuum));
                 *good = if lowest >= self.parameters.vacuum_min { *good + 1 } else { 0 };

@@ -21,6 +21,8 @@ pub(crate) struct Held {
     pub to: Pose2,
     /// That is its goal, and no buffer.
     pub to_goal: bool,
+    /// The vacuum has gone at its place; it may hang on the cups all the same until a picture shows it.
+    pub let_go: bool,
 }
 
 /// A stop that was not left yet.
@@ -36,6 +38,8 @@ pub(crate) struct Back {
     /// The way that is under way.
     pub recovery: Option<Recovery>,
     pub held: Option<Held>,
+    /// What fell, and where the tool was.
+    pub fell: Option<String>,
     /// Since when the arm is in a protective stop.
     pub protective_since: Option<Timestamp>,
     pub last_stop: Option<LastStop>,

@@ -68,6 +68,7 @@ impl Supervisor {
             | GateClosed::NotPlaying(_)
             | GateClosed::Disarmed
             | GateClosed::Holding(_)
+            | GateClosed::MayHang(_)
             | GateClosed::NotObserved
             | GateClosed::NotApproved => closed.to_string(),
         }
@@ -171,6 +172,7 @@ fn opens_by_bring_up(closed: &GateClosed) -> bool {
         | GateClosed::Disarmed
         | GateClosed::Gripper
         | GateClosed::Holding(_)
+        | GateClosed::MayHang(_)
         | GateClosed::NotObserved
         | GateClosed::NotApproved => false,
     }

@@ -19,7 +19,7 @@ use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobOrder, JobReport, ObjectReport, RouteAction};
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, Quiet, UntilItStands, Visit};
-use crate::cell::supervisor::reason::{Reason, alarm, say};
+use crate::cell::supervisor::reason::{Reason, say};
 use crate::cell::supervisor::round::Round;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::observe::Observation;
@@ -412,10 +412,7 @@ impl Supervisor {
         if let Phase::Recover(stage) = self.phase {
             self.recovery_gripper(now, stage, &event, out);
         }
-        // Without vacuum it may hang on all the same; who arms the cell has seen that it does not.
-        if matches!(event, GripperEvent::Released) {
-            self.back.held = None;
-        }
+        self.note_vacuum(outside, &event, out);
         let silent = match event {
             GripperEvent::Unreachable { .. } => true,
             GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. } => !outside.gripper_answers,
@@ -431,8 +428,6 @@ impl Supervisor {
         }
         if matches!(self.phase, Phase::Work(_)) {
             self.work_gripper(now, event, out);
-        } else if matches!(event, GripperEvent::VacuumLost { .. }) {
-            alarm(out, "what the gripper held has fallen: see where it lies");
         }
     }
 

@@ -8,7 +8,7 @@ use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::robot_types::{RobotCommand, RobotEvent};
 use crate::cell::supervisor::back::{BackStage, LastStop};
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::gates::{self, motion_speed};
+use crate::cell::supervisor::gates::motion_speed;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::cell::supervisor::mode::{EndFault, Mode};
@@ -56,7 +56,7 @@ impl Supervisor {
     }
 
     fn arm_when_open(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let open = self.arms_when_open && self.under_way(outside).is_none() && gates::arming(outside).is_ok();
+        let open = self.arms_when_open && self.under_way(outside).is_none() && self.may_arm(outside).is_ok();
         if open && matches!(self.mode, Mode::Disarmed { .. }) {
             say(out, "armed at start, as configured for the simulation");
             self.mode.arm();

@@ -35,6 +35,7 @@ impl GateClosed {
                 "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, `ping` it"
             }
             GateClosed::Holding(_) => "`celld recover` says what hangs there and what can be done with it",
+            GateClosed::MayHang(_) => "see that nothing hangs on the cups, then `celld release --yes`",
             GateClosed::NotObserved | GateClosed::NotApproved => "nothing: the cell goes on by itself",
         }
     }
@@ -79,6 +80,9 @@ pub enum GateClosed {
     /// There is vacuum although nothing was picked.
     #[error("something may hang on the gripper: vacuum {0} %")]
     Holding(u32),
+    /// An object was held, and no person or picture has said that it is gone.
+    #[error("{0} may hang on the cups")]
+    MayHang(String),
     /// The table changed since it was last seen.
     #[error("the table was not observed since the last motion of an object")]
     NotObserved,

@@ -215,6 +215,9 @@ impl Supervisor {
             return self.on_recovery_look(now, observation, out);
         }
         self.back.table = observation.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();
+        if self.sticks(now, &observation, out) {
+            return;
+        }
         let fault = self.judge(&observation);
         if let Some(height) = foreign_height(&self.model, &observation) {
             self.foreign_height = height;

@@ -4,9 +4,9 @@
 //! and what it requests. `mode`: whether and how the cell may move. `ledger`: records on their way to the
 //! disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve, pick,
 //! verify, place, look again; `bring_up`, `look`, `travel`, `judge`, `work`, `visits`, `operator`,
-//! `standing`, `lapse`, `identity`, `faults`, `trouble`, `recovery`, `free_place` and `situation` hold its
-//! parts. No clock, no socket: time and the devices' last word come in with every call, so that every stop,
-//! fault and late answer can be played through in a test.
+//! `standing`, `lapse`, `identity`, `holding`, `faults`, `trouble`, `recovery`, `free_place` and `situation`
+//! hold its parts. No clock, no socket: time and the devices' last word come in with every call, so that
+//! every stop, fault and late answer can be played through in a test.
 
 mod back;
 mod bring_up;
@@ -14,6 +14,7 @@ pub mod cell;
 mod faults;
 mod free_place;
 pub mod gates;
+mod holding;
 pub mod identity;
 pub mod input;
 mod judge;

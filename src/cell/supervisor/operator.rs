@@ -7,7 +7,7 @@ use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
 use crate::cell::orders::{Order, Reply, WayBack};
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::gates::{self, GateClosed, motion_speed};
+use crate::cell::supervisor::gates::{GateClosed, motion_speed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::mode::{Mode, Pace};
 use crate::cell::supervisor::phase::{BringUp, Phase, Then, WorkStage};
@@ -83,7 +83,7 @@ impl Supervisor {
         Reply::refuse(match &self.mode {
             Mode::Ending { .. } => format!("{what}: celld is ending"),
             Mode::Locked(reason) => format!("{what}: {reason}"),
-            Mode::Disarmed { .. } | Mode::Armed { .. } => match gates::arming(outside) {
+            Mode::Disarmed { .. } | Mode::Armed { .. } => match self.may_arm(outside) {
                 Ok(()) => format!("{what}: the cell is disarmed; `celld arm` first"),
                 Err(closed) => {
                     let why = self.place(&closed);
@@ -111,7 +111,7 @@ impl Supervisor {
         if let Some(why) = self.under_way(outside) {
             return Some(Reply::refuse(format!("not armed: {why}; try again")));
         }
-        let open = gates::arming(outside);
+        let open = self.may_arm(outside);
         if let (Mode::Disarmed { .. }, Err(closed)) = (&self.mode, &open) {
             return Some(Reply::refuse(self.not_armed_for(closed)));
         }
@@ -132,7 +132,7 @@ impl Supervisor {
     /// and only a look can show it; a plan that is being made rests on what was there.
     pub(crate) fn armed_now(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.arms_when_open = false;
-        self.back.held = None;
+        self.back.fell = None;
         self.seen = None;
         self.foreign_height = 0.0;
         self.drift_reported = false;

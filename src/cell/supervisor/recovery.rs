@@ -100,8 +100,10 @@ impl Supervisor {
                 Err("there is no protective stop to unlock, and what is held stays held".to_string())
             }
             WayBack::Hold | WayBack::Retreat => Ok(()),
+            // Without vacuum something may hang all the same, and a person takes it off.
+            WayBack::Release if holds || self.back.held.is_some() => Ok(()),
             WayBack::Place | WayBack::Release if !holds => {
-                Err("nothing hangs on the gripper: `celld recover --retreat`, or `celld arm`".to_string())
+                Err("no vacuum holds anything: `celld recover --retreat`, or `celld arm`".to_string())
             }
             WayBack::Release => Ok(()),
             WayBack::Place => {

@@ -80,7 +80,7 @@ impl Supervisor {
         }));
         lines.push(match self.mode.armed() {
             true => "the cell is armed".to_string(),
-            false => match gates::arming(outside) {
+            false => match self.may_arm(outside) {
                 Ok(()) => "`celld arm` goes on with jobs".to_string(),
                 Err(closed) => format!("`celld arm` is refused: {}", self.place(&closed)),
             },
@@ -135,7 +135,10 @@ impl Supervisor {
         let object = self.back.held.as_ref().map(|held| held.object.as_str());
         match (gates::empty_handed(outside).is_ok(), object) {
             (true, None) => format!("held: nothing ({vacuum})"),
-            (true, Some(object)) => format!("held: no vacuum, but {object} may hang on the cups ({vacuum})"),
+            (true, Some(object)) => {
+                let fell = self.back.fell.as_ref().map_or_else(String::new, |fell| format!("{fell}; "));
+                format!("held: {fell}without vacuum {object} may hang on the cups ({vacuum})")
+            }
             (false, Some(object)) => format!("held: {object} ({vacuum})"),
             (false, None) => format!("held: something that celld did not pick ({vacuum})"),
         }

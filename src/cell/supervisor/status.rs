@@ -54,6 +54,8 @@ pub struct Status {
     pub doing: Doing,
     /// The active job.
     pub job: Option<String>,
+    /// What hangs on the gripper, may hang or fell, in a few words.
+    pub held: Option<String>,
     /// Pick-n-places carried out in it.
     pub moves: usize,
     /// Pick-n-places its present plan still has.
@@ -93,6 +95,7 @@ impl Supervisor {
             paused: self.mode.paused(),
             doing: self.doing(),
             job: job.map(|job| job.order.id.clone()),
+            held: self.holding_words(),
             moves: job.map_or(0, |job| job.moves),
             remaining_moves: job.and_then(|job| job.route.as_ref()).map_or(0, Vec::len),
         }

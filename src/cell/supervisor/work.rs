@@ -71,6 +71,7 @@ impl Supervisor {
             mass: object.mass,
             to: next.to,
             to_goal: next.to_goal,
+            let_go: false,
         };
         let number = self.commit(now, record, out);
         let work = Work { object: next.object, held, paths, stage: WorkStage::NotingIntent(number) };

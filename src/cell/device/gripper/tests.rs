@@ -349,3 +349,30 @@ fn a_low_vacuum_before_the_release_got_through_proves_nothing() {
     assert!(!rig.events.contains(&GripperEvent::Released), "{:?}", rig.events);
     assert!(rig.events.contains(&GripperEvent::ReleaseFailed { vacuum: 0.0 }), "{:?}", rig.events);
 }
+
+#[test]
+fn what_hangs_there_at_the_start_is_watched() {
+    let mut rig = Rig::new();
+    rig.vacuum = [0, 620];
+    rig.run_ms(300);
+    assert!(rig.gripper.holding());
+    let reads = rig.reads;
+    rig.run_ms(1000);
+    assert!((45..=51).contains(&(rig.reads - reads)), "{}", rig.reads - reads);
+    rig.vacuum = [0, 100];
+    rig.run_ms(120);
+    let lost = |event: &GripperEvent| matches!(event, GripperEvent::VacuumLost { .. });
+    assert!(rig.events.iter().any(lost), "{:?}", rig.events);
+    assert!(rig.writes.is_empty(), "watching writes nothing");
+}
+
+#[test]
+fn silence_is_noticed_sooner_while_an_object_is_held() {
+    let unreachable = |event: &GripperEvent| matches!(event, GripperEvent::Unreachable { .. });
+    for (mut rig, within_ms) in [(Rig::holding(), 270), (Rig::new(), 710)] {
+        rig.run_ms(10);
+        rig.mute = true;
+        rig.run_ms(within_ms);
+        assert!(rig.events.iter().any(unreachable), "{within_ms}: {:?}", rig.events);
+    }
+}

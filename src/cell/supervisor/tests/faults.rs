@@ -442,5 +442,7 @@ fn parking_is_not_held_back_by_a_pause_and_a_pause_takes_it_back() {
 fn what_falls_while_no_job_is_under_way_is_an_alarm() {
     let mut bench = Bench::new();
     let lost = crate::cell::device::gripper_types::GripperEvent::VacuumLost { vacuum: 0.1 };
-    assert!(said(&bench.feed(Input::Gripper(lost)), "has fallen"));
+    let fallen = bench.feed(Input::Gripper(lost));
+    assert!(said(&fallen, "fell near x ") && said(&fallen, "see where it lies"), "{fallen:?}");
+    assert!(bench.cell.status().held.expect("in the status").contains("fell near x "));
 }

@@ -1,0 +1,97 @@
+//! What hangs on the gripper, or may: followed from the grip until a picture shows the object on the table.
+//!
+//! In: the gripper's reports, looks, orders. Out: what is held, for gates, paths and people. A vacuum that
+//! has gone proves nothing: an object may stick to the cups, and one that was lost may hang by an edge. So
+//! what was let go counts as possibly hanging until it is seen, and what was lost until a person says that it
+//! is gone.
+
+use crate::cell::code::{Code, JobStatus};
+use crate::cell::device::gripper_types::GripperEvent;
+use crate::cell::supervisor::cell::Supervisor;
+use crate::cell::supervisor::gates::{self, GateClosed};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot};
+use crate::cell::supervisor::phase::{Phase, WorkStage};
+use crate::cell::supervisor::reason::alarm;
+use cell_values::time::Timestamp;
+use cell_vision::observe::Observation;
+
+impl Supervisor {
+    /// Follows what is held by what the gripper reports.
+    pub(crate) fn note_vacuum(
+        &mut self,
+        outside: &DeviceSnapshot,
+        event: &GripperEvent,
+        out: &mut Vec<Action>,
+    ) {
+        let works = matches!(self.phase, Phase::Work(_));
+        match event {
+            GripperEvent::Gripped { .. } => self.back.fell = None,
+            // At its place it may stick to the cups; where a person has it, or where nothing was gripped,
+            // not.
+            GripperEvent::Released => match (&self.phase, &mut self.back.held) {
+                (Phase::Work(work), Some(held)) if work.stage == WorkStage::Releasing => held.let_go = true,
+                _ => self.back.held = None,
+            },
+            GripperEvent::VacuumLost { .. } => {
+                let what =
+                    self.back.held.as_ref().map_or("what the gripper held", |held| held.object.as_str());
+                let place = outside.robot.map_or_else(String::new, |robot| {
+                    let at = self.model.arm.tool_at(&robot.q).translation.vector;
+                    let height = (at.z - self.held_height()) * 1e3;
+                    format!(" near x {:.3} m, y {:.3} m, from {height:.0} mm over the table", at.x, at.y)
+                });
+                let fell = format!("{what} fell{place}");
+                if !works {
+                    alarm(out, format!("{fell}: see where it lies"));
+                }
+                self.back.fell = Some(fell);
+            }
+            GripperEvent::GripFailed { .. }
+            | GripperEvent::ReleaseFailed { .. }
+            | GripperEvent::Unreachable { .. }
+            | GripperEvent::Answering
+            | GripperEvent::Refused
+            | GripperEvent::Reading { .. } => {}
+        }
+    }
+
+    /// What was let go and is not on the table hangs on the cups: the job ends by its name. True if it does.
+    pub(crate) fn sticks(&mut self, now: Timestamp, seen: &Observation, out: &mut Vec<Action>) -> bool {
+        let Some(held) = self.back.held.as_mut().filter(|held| held.let_go) else { return false };
+        if seen.objects.iter().any(|object| object.id == held.object) {
+            self.back.held = None;
+            return false;
+        }
+        held.let_go = false;
+        let object = held.object.clone();
+        let message = format!("{object} was let go and is not seen on the table: it may hang on the cups");
+        let hint = "take it off the cups by hand, `celld release --yes`, then `celld arm` and submit again";
+        self.mode.disarm();
+        alarm(out, format!("disarmed: {message}; {hint}"));
+        self.finish(now, JobStatus::Failed, Code::ObjectStuck.because(message, hint).of(object), out);
+        true
+    }
+
+    /// Arming needs that nothing may hang on the gripper, besides what was just put down and is looked at
+    /// first.
+    pub(crate) fn may_arm(&self, outside: &DeviceSnapshot) -> Result<(), GateClosed> {
+        gates::arming(outside)?;
+        match &self.back.held {
+            Some(held) if !held.let_go => Err(GateClosed::MayHang(held.object.clone())),
+            Some(_) | None => Ok(()),
+        }
+    }
+
+    /// What hangs on the gripper, may hang or fell, in a few words; `None` where it is empty.
+    pub(crate) fn holding_words(&self) -> Option<String> {
+        match &self.back.held {
+            Some(held) if held.let_go => None,
+            Some(held) if self.back.fell.is_some() => Some(format!(
+                "{}, or hangs on the cups",
+                self.back.fell.clone().unwrap_or(held.object.clone())
+            )),
+            Some(held) => Some(format!("holds {}", held.object)),
+            None => self.back.fell.clone(),
+        }
+    }
+}
