@@ -83,6 +83,7 @@ impl Connections {
         connection.state = State::Down { retry_at: now + connection.pause };
         connection.pause = (connection.pause * 2).min(BACKOFF.1);
         connection.reason = Some(reason);
+        connection.dropped = false;
     }
 
     /// celld drops it, to make it anew.

@@ -10,7 +10,7 @@
 use crate::cell::device::gripper::Gripper;
 use crate::cell::device::gripper_types::{GripperEvent, GripperParameters};
 use crate::cell::device::program::TemplateError;
-use crate::cell::device::robot::Robot;
+use crate::cell::device::robot::{DROPPED, Robot};
 use crate::cell::device::robot_types::{
     KnownRobot, Link, RobotCommand, RobotEvent, RobotIdentity, RobotParameters, RobotState,
 };
@@ -315,6 +315,7 @@ impl Machine {
             robot_fresh: self.robot.fresh(now),
             program_settled: self.robot.program_settled(),
             arm_settled: self.robot.arm_settled(),
+            gripper_holds: self.gripper.holding(),
             gripper_answers: self.gripper_answers,
             vacuum: self.gripper.reading().filter(|(at, _)| now.since(*at) <= VACUUM_AGE).map(|(_, v)| v),
         };
@@ -435,7 +436,7 @@ impl Machine {
 
     fn close(&mut self, now: Timestamp, link: Link) {
         self.connections.dropped(now, link);
-        self.robot.disconnected(now, link, "dropped by celld");
+        self.robot.disconnected(now, link, DROPPED);
     }
 
     /// What has changed for people, and whether a job is wanted.

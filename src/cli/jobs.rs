@@ -81,7 +81,7 @@ pub enum ClientCommand {
         #[arg(long, required = true)]
         yes: bool,
     },
-    /// Leave a fault.
+    /// After a stop: what happened, what is held, and the ways back; with a choice, one of them.
     Recover(RecoverArgs),
     /// What the cell is doing.
     Status {
@@ -132,8 +132,15 @@ impl RecoverChoice {
     }
 }
 
+const RECOVER_HELP: &str = "\
+Without a choice nothing is done: the answer says what happened, what is held and where the arm is, and for each way back
+what it would do, or why it cannot be taken now. Each choice is your word that the cell is safe: a protective stop is
+unlocked by it, once the 5 s have passed that the controller demands. Whatever comes of it, the cell is disarmed afterwards;
+`celld abort` stops a way back, and what is held stays held.";
+
 /// Arguments of `celld recover`.
 #[derive(Args, Debug)]
+#[command(after_help = RECOVER_HELP)]
 pub struct RecoverArgs {
     #[command(flatten)]
     how: RecoverChoice,

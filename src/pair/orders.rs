@@ -93,7 +93,8 @@ pub static STATES: &[State] = &[
     State { name: "controller silent", reach: |pair, _| silent(pair, "rtde") },
     State { name: "gripper silent", reach: |pair, _| silent(pair, "gripper") },
     State { name: "another robot answers", reach: |pair, _| other_robot(pair) },
-    State { name: "on a way back", reach: way_back },
+    State { name: "on a way back, unlocking", reach: unlocking },
+    State { name: "on a way back, looking", reach: way_back },
 ];
 
 /// What came of an order.
@@ -107,7 +108,7 @@ pub struct Found {
     pub armed: (bool, bool),
     /// A pause was in force after the answer.
     pub paused: bool,
-    /// The arm was at rest when the order was given.
+    /// The arm was at rest when the order was given, and nothing ordered before was about to move it.
     pub rested: bool,
     /// The arm moved after the answer.
     pub moves: bool,
@@ -143,7 +144,7 @@ pub fn case(stage: &Stage, state: &State, given: &Given) -> Result<Found, String
     }
     let mut found = Found {
         armed: (is_armed(&pair), false),
-        rested: stands(&pair),
+        rested: stands(&pair) && !recovers(&pair),
         held: (holds(&pair), false),
         ..Found::default()
     };
@@ -250,6 +251,11 @@ fn robot_mode(pair: &Pair) -> ur_wire::enumerations::RobotMode {
 
 fn stands(pair: &Pair) -> bool {
     pair.simulator().core().robot.controller().core.mover.stands()
+}
+
+/// A way back is under way.
+fn recovers(pair: &Pair) -> bool {
+    pair.status().is_some_and(|status| matches!(status.doing, Doing::Recovering(_)))
 }
 
 fn holds(pair: &Pair) -> bool {
@@ -386,6 +392,12 @@ fn other_robot(pair: &mut Pair) -> bool {
     let done = bring_about(pair, r#"{"do": "ur.safety_checksum", "args": {"checksum": 7, "seconds": 120}}"#);
     pair.run_until(1.0, |_| false);
     ready && done
+}
+
+fn unlocking(pair: &mut Pair, stage: &Stage) -> bool {
+    let stopped = with(pair, stage, "ur.pstop", 0);
+    pair.order(Order::Recover(WayBack::Place));
+    stopped && shows(pair, "on a way back: unlocking") && rests(pair)
 }
 
 fn way_back(pair: &mut Pair, stage: &Stage) -> bool {

@@ -341,7 +341,8 @@ impl Rules {
         }
         let stands = !reply.message.starts_with("stopped") || !self.moved;
         let fine = match order {
-            Order::Arm => accepted == mode.armed(),
+            // A way back arms the cell for itself alone.
+            Order::Arm => accepted == mode.armed() || (!accepted && self.recovers(mode, machine)),
             Order::Disarm => {
                 // Plainly disarmed: no pick-n-place is finished first.
                 self.picking &= reply.message != "disarmed";

@@ -246,7 +246,6 @@ async fn stop_in_motion_then_a_new_program_goes_on() {
     cell.wait("stop", |cell| cell.saw(|e| *e == RobotEvent::Stopped)).await;
     assert!(cell.robot.state().unwrap().stands_still(), "{:?}", cell.robot.state());
     assert!(!cell.saw(|e| matches!(e, RobotEvent::PathFinished { .. })));
-    cell.command(RobotCommand::EndProgram);
     cell.wait("end", |cell| cell.saw(|e| matches!(e, RobotEvent::ProgramEnded { .. }))).await;
     cell.start_program(22).await;
     assert!(

@@ -317,3 +317,27 @@ fn a_gripper_that_falls_silent_while_carrying_stops_the_arm_within_300_ms() {
         assert!(pair.run_until(2.0, |pair| pair.simulator().core().robot.controller().core.mover.stands()));
     }
 }
+
+/// The tool does not come down onto a place without the object, wherever on the way it was lost.
+#[test]
+fn what_is_lost_on_a_way_back_ends_it() {
+    for words in ["on a way back: unlocking", "starting the robot", "looking", "on a way back: putting down"]
+    {
+        let (mut pair, _) = carrying(5, Eye::Corners);
+        fault(&mut pair, PROTECTIVE_STOP);
+        pair.run_until(1.0, |_| false);
+        pair.order(Order::Recover(WayBack::Place));
+        let there = |pair: &Pair| pair.status().is_some_and(|status| status.text().starts_with(words));
+        assert!(pair.run_until(60.0, there), "{words}");
+        pair.run_until(0.1, |_| false);
+        fault(&mut pair, r#"{"do": "vacuum.drop"}"#);
+        assert!(pair.run_until(10.0, at_rest_and_disarmed), "{words}");
+        pair.run_until(20.0, |_| false);
+        let said: Vec<&str> = pair.notices().iter().map(|notice| notice.text.as_str()).collect();
+        assert!(said.iter().any(|text| text.contains("was lost on the way back")), "{words}: {said:?}");
+        assert!(!said.iter().any(|text| text.contains("was put down")), "{words}: {said:?}");
+        let refused = answer(&mut pair, Order::Arm);
+        assert!(!refused.accepted, "{words}: nobody has said where it is: {refused:?}");
+        assert_eq!(pair.breaches(), [], "{words}");
+    }
+}

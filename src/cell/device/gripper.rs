@@ -335,7 +335,8 @@ impl Gripper {
         }
     }
 
-    /// What hangs there although nothing was gripped since the start, as after a restart, is watched as well.
+    /// What hangs there although nothing was gripped since the start, as after a restart, or after a grip or
+    /// a release that failed, is watched as well.
     fn adopt(&mut self, vacuum: [f64; 2]) {
         let held = vacuum.map(|share| share >= self.parameters.vacuum_hold);
         let channels = match held {
@@ -350,8 +351,7 @@ impl Gripper {
     fn take_reading(&mut self, now: Timestamp, vacuum: [f64; 2]) {
         self.outbox.report(GripperEvent::Reading { vacuum });
         match &mut self.hold {
-            Hold::Empty => self.adopt(vacuum),
-            Hold::Failed => {}
+            Hold::Empty | Hold::Failed => self.adopt(vacuum),
             Hold::Gripping { channels, good, .. } => {
                 let (channels, lowest) = (*channels, channels.lowest(vacuum));
                 *good = if lowest >= self.parameters.vacuum_min { *good + 1 } else { 0 };

@@ -38,6 +38,9 @@ use std::collections::VecDeque;
 use ur_arm::kinematics::DhParameters;
 use ur_wire::dashboard::Command;
 
+/// Reason of a connection that celld itself has dropped.
+pub const DROPPED: &str = "dropped by celld";
+
 /// Faults older than this are forgotten when they are counted.
 const FAULT_WINDOW: Duration = Duration::from_secs(60);
 
@@ -142,7 +145,20 @@ impl Robot {
         match link {
             Link::Rtde => self.lose_rtde(now),
             Link::Dashboard => self.lose_dashboard(reason),
-            Link::Primary => self.primary.disconnected(),
+            Link::Primary => {
+                self.primary.disconnected();
+                self.renew_dashboard(reason);
+            }
+        }
+    }
+
+    /// The controller closes its script connections when the pendant is switched between local and remote,
+    /// and from then on refuses commands on dashboard connections made before: a switch there and back,
+    /// between two questions, shows in nothing else.
+    fn renew_dashboard(&mut self, reason: &str) {
+        if reason != DROPPED && self.dashboard.ready() {
+            self.lose_dashboard("made anew with the primary interface");
+            self.closes.push_back(Link::Dashboard);
         }
     }
 

@@ -37,6 +37,10 @@ pub(crate) struct LastStop {
 pub(crate) struct Back {
     /// The way that is under way.
     pub recovery: Option<Recovery>,
+    /// How the last one ended, unless one is under way.
+    pub ended: Option<Result<String, String>>,
+    /// The vacuum holds something.
+    pub grips: bool,
     pub held: Option<Held>,
     /// What fell, and where the tool was.
     pub fell: Option<String>,
@@ -57,6 +61,8 @@ pub(crate) struct Recovery {
     pub way: WayBack,
     /// The arm is over everything on the table.
     pub raised: bool,
+    /// Where what is held hangs over then.
+    pub below: Option<Pose2>,
     pub place: Option<Placing>,
 }
 

@@ -389,7 +389,7 @@ impl Supervisor {
                 Phase::Work(_) => self.work_path_finished(now, out),
                 Phase::Recover(stage) => {
                     let stage = *stage;
-                    self.recovery_path_finished(stage, out);
+                    self.recovery_path_finished(outside, stage, out);
                 }
                 Phase::Park => {
                     self.phase = Phase::Ready;
@@ -413,6 +413,7 @@ impl Supervisor {
             self.recovery_gripper(now, stage, &event, out);
         }
         self.note_vacuum(outside, &event, out);
+        self.lost_on_the_way(now, &event, out);
         let silent = match event {
             GripperEvent::Unreachable { .. } => true,
             GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. } => !outside.gripper_answers,

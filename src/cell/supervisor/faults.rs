@@ -20,6 +20,9 @@ use cell_values::time::{Duration, Timestamp};
 /// After this long a held motion is given up: what happened on the table meanwhile is unknown.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 
+/// Reports that come within this time after a stop are about the same.
+const SAME_STOP: Duration = Duration::from_secs(5);
+
 /// How long the arm may take to stop after the order to end.
 const STOP_WITHIN: Duration = Duration::from_secs(3);
 
@@ -202,7 +205,11 @@ impl Supervisor {
         let locked = matches!(self.mode, Mode::Locked(_));
         if !self.mode.armed() && !locked {
             self.end_recovery(Err(reason.message.clone()), out);
-            self.back.last_stop.get_or_insert(LastStop { at: now, reason: reason.clone() });
+            // What follows a stop at once is its consequence; what comes later is another.
+            let follows = |stop: &LastStop| now.since(stop.at) < SAME_STOP;
+            if !self.back.last_stop.as_ref().is_some_and(follows) {
+                self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
+            }
             return say(out, reason.message);
         }
         self.mode.disarm();

@@ -37,14 +37,12 @@ impl Supervisor {
     pub(crate) fn place_for_held(
         &self,
         q: &Joints,
+        below: Pose2,
         seen: &Observation,
     ) -> Result<(Pose2, bool, PutDown), String> {
         let held = self.back.held.as_ref().ok_or("nothing is known to be held")?;
         let object = self.model.object(&held.object).ok_or("the catalogue does not have what is held")?;
         let grasp = held.grasp.as_ref().ok_or("how the object hangs is not known")?;
-        let below = grasp
-            .object_at(&self.model.arm, q)
-            .ok_or("the tool does not point straight down: jog it upright at the pendant")?;
         let taken = self.taken(held, seen);
         let free =
             |pose: &Pose2| self.is_free(&object.footprint, object.grip_point, held.height, pose, &taken);

@@ -7,6 +7,7 @@
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::GripperEvent;
+use crate::cell::supervisor::back::BackStage;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::{self, GateClosed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
@@ -30,7 +31,10 @@ impl Supervisor {
             // not.
             GripperEvent::Released => match (&self.phase, &mut self.back.held) {
                 (Phase::Work(work), Some(held)) if work.stage == WorkStage::Releasing => held.let_go = true,
-                _ => self.back.held = None,
+                (Phase::Recover(BackStage::Leaving), Some(held)) => held.let_go = true,
+                // One channel may have been let go, and the other hold on.
+                _ if gates::empty_handed(outside).is_ok() => (self.back.held, self.back.fell) = (None, None),
+                _ => {}
             },
             GripperEvent::VacuumLost { .. } => {
                 let what =
@@ -78,6 +82,7 @@ impl Supervisor {
         gates::arming(outside)?;
         match &self.back.held {
             Some(held) if !held.let_go => Err(GateClosed::MayHang(held.object.clone())),
+            None if self.back.fell.is_some() => Err(GateClosed::MayHang("what the gripper held".to_string())),
             Some(_) | None => Ok(()),
         }
     }

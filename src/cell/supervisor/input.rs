@@ -34,6 +34,8 @@ pub struct DeviceSnapshot<'a> {
     pub program_settled: bool,
     /// Neither power nor brakes that a stop took back may still come on.
     pub arm_settled: bool,
+    /// The vacuum holds an object, and the gripper's session watches it.
+    pub gripper_holds: bool,
     /// The gripper answered within its deadline.
     pub gripper_answers: bool,
     /// Vacuum of the channels (fraction), if it was read lately.

@@ -33,8 +33,10 @@ impl Supervisor {
     /// How long an armed cell has not moved the arm; notes where it rests.
     fn follow_quiet(&mut self, now: Timestamp, outside: &DeviceSnapshot) -> Duration {
         let rests = match self.phase {
-            Phase::Ready | Phase::Plan | Phase::Approve => true,
-            Phase::BringUp(_)
+            Phase::Ready | Phase::Approve => true,
+            // A long plan is no idleness.
+            Phase::Plan
+            | Phase::BringUp(_)
             | Phase::Look(_)
             | Phase::Work(_)
             | Phase::Park

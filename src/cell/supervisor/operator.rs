@@ -105,6 +105,9 @@ impl Supervisor {
     }
 
     fn on_arm(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) -> Option<Reply> {
+        if self.back.recovery.is_some() {
+            return Some(Reply::refuse("not armed: a way back is under way; `celld abort` ends it"));
+        }
         if self.mode.armed() {
             return Some(Reply::accept("armed already"));
         }
@@ -132,7 +135,7 @@ impl Supervisor {
     /// and only a look can show it; a plan that is being made rests on what was there.
     pub(crate) fn armed_now(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.arms_when_open = false;
-        self.back.fell = None;
+        (self.back.fell, self.back.last_stop, self.back.error) = (None, None, None);
         self.seen = None;
         self.foreign_height = 0.0;
         self.drift_reported = false;
@@ -408,7 +411,8 @@ impl Supervisor {
         out: &mut Vec<Action>,
     ) {
         self.seen = None;
-        if self.moving() || self.mode.armed() {
+        self.arms_when_open = false;
+        if self.moving() || self.mode.armed() || self.back.recovery.is_some() {
             let reason = Code::Released.because(
                 "the operator releases the vacuum",
                 "see where it lies; then `celld arm` and submit again",

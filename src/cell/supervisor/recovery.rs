@@ -8,12 +8,13 @@
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
-use crate::cell::device::robot_types::RobotCommand;
+use crate::cell::device::robot_types::{RobotCommand, RobotState};
 use crate::cell::orders::{Reply, WayBack};
 use crate::cell::supervisor::back::{BackStage, Placing, Recovery};
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
+use crate::cell::supervisor::judge::foreign_height;
 use crate::cell::supervisor::phase::Phase;
 use crate::cell::supervisor::reason::{Reason, alarm, say};
 use cell_values::time::{Duration, Timestamp};
@@ -43,15 +44,16 @@ impl Supervisor {
         if let Err(why) = self.may_recover(outside, way) {
             return Some(Reply::refuse(format!("nothing was done: {why}")));
         }
+        self.arms_when_open = false;
         if way == WayBack::Release {
+            // Hands are at the gripper: a protective stop stays, `--hold` unlocks it afterwards.
             self.on_release_order(now, outside, number, Channels::Both, out);
-        }
-        let stopped = protective(outside);
-        if way == WayBack::Release && !stopped {
             return None;
         }
+        let stopped = protective(outside);
         say(out, format!("way back by the operator's order: {}", self.announce(outside, way)));
-        self.back.recovery = Some(Recovery { way, raised: false, place: None });
+        self.back.ended = None;
+        self.back.recovery = Some(Recovery { way, raised: false, below: None, place: None });
         if stopped {
             self.enter(Phase::Recover(BackStage::Unlocking { ordered: false }), UNLOCK_WITHIN);
         } else {
@@ -77,13 +79,16 @@ impl Supervisor {
         if let Some(why) = self.under_way(outside) {
             return Err(format!("{why}; try again"));
         }
-        if !matches!(self.phase, Phase::Ready) {
+        if !matches!(self.phase, Phase::Ready | Phase::Approve) {
             return Err("a motion or a plan is under way: wait for its end, or `celld abort`".to_string());
         }
         gates::recovering(outside).map_err(|closed| {
             let hint = closed.hint().replace(", then `celld arm`", ", then try again");
             format!("{}; {hint}", self.place(&closed))
         })?;
+        if !outside.robot.is_some_and(RobotState::stands_still) {
+            return Err("the arm moves, and not by celld: see what moves it".to_string());
+        }
         self.suits(outside, way)
     }
 
@@ -102,19 +107,26 @@ impl Supervisor {
             WayBack::Hold | WayBack::Retreat => Ok(()),
             // Without vacuum something may hang all the same, and a person takes it off.
             WayBack::Release if holds || self.back.held.is_some() => Ok(()),
-            WayBack::Place | WayBack::Release if !holds => {
-                Err("no vacuum holds anything: `celld recover --retreat`, or `celld arm`".to_string())
-            }
+            WayBack::Place | WayBack::Release if !holds => Err("no vacuum holds anything".to_string()),
             WayBack::Release => Ok(()),
-            WayBack::Place => {
-                let known = self.back.held.as_ref().is_some_and(|held| held.grasp.is_some());
-                known.then_some(()).ok_or_else(|| {
-                    "what hangs on the gripper, or how, is not known: `celld recover --retreat`, then hold it and \
-                     `celld recover --release`"
-                        .to_string()
-                })
-            }
+            WayBack::Place => self.can_be_placed(outside),
         }
+    }
+
+    /// Whether what is held can be put down at all: known, watched, and hanging straight down.
+    fn can_be_placed(&self, outside: &DeviceSnapshot) -> Result<(), String> {
+        let by_hand = "`celld recover --retreat`, then hold it and `celld recover --release`";
+        let grasp = self.back.held.as_ref().and_then(|held| held.grasp.as_ref());
+        let Some((grasp, robot)) = grasp.zip(outside.robot) else {
+            return Err(format!("what hangs on the gripper, or how, is not known: {by_hand}"));
+        };
+        if self.back.fell.is_some() || !outside.gripper_holds {
+            return Err(format!("the vacuum does not hold it as it should: {by_hand}"));
+        }
+        if grasp.object_at(&self.model.arm, &robot.q).is_none() {
+            return Err(format!("the tool does not point straight down: {by_hand}"));
+        }
+        Ok(())
     }
 
     /// What a way back will do, in the order in which it does it.
@@ -132,6 +144,11 @@ impl Supervisor {
             WayBack::Hold => {
                 format!("{first}nothing moves: {object} stays held and watched, and the cell disarmed")
             }
+            WayBack::Release if protective(outside) => {
+                format!(
+                    "the vacuum goes off where the arm is: hold {object} by hand; then `--hold` unlocks the stop"
+                )
+            }
             WayBack::Release => format!("the vacuum goes off where the arm is: hold {object} by hand"),
             WayBack::Retreat => format!("{first}the arm goes straight up, unless it is over everything"),
             WayBack::Place => format!(
@@ -143,6 +160,11 @@ impl Supervisor {
 
     /// The answer to a choice that was taken.
     pub(crate) fn recovering(&self, outside: &DeviceSnapshot, way: WayBack) -> Reply {
+        match &self.back.ended {
+            Some(Ok(said)) => return Reply::accept(format!("{said}; the cell is disarmed")),
+            Some(Err(why)) => return Reply::refuse(format!("the way back ended: {why}")),
+            None => {}
+        }
         Reply::accept(format!(
             "{}; `celld abort` stops it, `celld status` shows it",
             self.announce(outside, way)
@@ -173,6 +195,10 @@ impl Supervisor {
     fn unlocked(&mut self, now: Timestamp, out: &mut Vec<Action>) {
         self.phase = Phase::Ready;
         let Some(recovery) = &self.back.recovery else { return };
+        // Whoever has ordered a release meanwhile has hands at the gripper.
+        if !self.release_orders.is_empty() || !self.until_it_stands.is_empty() {
+            return self.end_recovery(Err("a release was ordered meanwhile".to_string()), out);
+        }
         match recovery.way {
             WayBack::Place | WayBack::Retreat => {
                 self.seen = None;
@@ -193,7 +219,10 @@ impl Supervisor {
         outside: &DeviceSnapshot,
         out: &mut Vec<Action>,
     ) {
-        if let Err(closed) = gates::any_motion(self.mode.armed(), outside, self.nonce) {
+        if !self.mode.armed() {
+            return self.end_recovery(Err("the cell was disarmed".to_string()), out);
+        }
+        if let Err(closed) = gates::any_motion(true, outside, self.nonce) {
             return self.wait_or_bring_up(now, outside, closed, out);
         }
         let Some(recovery) = &self.back.recovery else { return };
@@ -217,8 +246,9 @@ impl Supervisor {
                 self.enter(Phase::Recover(BackStage::Raising), self.model.tolerances.look_deadline);
             }
             Ok(None) => {
+                let below = self.below(robot);
                 if let Some(recovery) = &mut self.back.recovery {
-                    recovery.raised = true;
+                    (recovery.raised, recovery.below) = (true, below);
                 }
                 self.pursue_recovery(self.clock(), outside, out);
             }
@@ -230,9 +260,20 @@ impl Supervisor {
         }
     }
 
+    /// Where what is held hangs over, before the arm goes round to look.
+    fn below(&self, robot: &RobotState) -> Option<Pose2> {
+        self.back.held.as_ref()?.grasp.as_ref()?.object_at(&self.model.arm, &robot.q)
+    }
+
     fn put_down(&mut self, outside: &DeviceSnapshot, seen: &Observation, out: &mut Vec<Action>) {
         let Some(robot) = outside.robot else { return };
-        match self.place_for_held(&robot.q, seen) {
+        let below = self.back.recovery.as_ref().and_then(|recovery| recovery.below);
+        let held = self.back.fell.is_none() && outside.gripper_holds;
+        let place = match below.filter(|_| held) {
+            Some(below) => self.place_for_held(&robot.q, below, seen),
+            None => Err("what is held is not held as it should".to_string()),
+        };
+        match place {
             Ok((to, at_goal, paths)) => {
                 if let Some(recovery) = &mut self.back.recovery {
                     recovery.place = Some(Placing { to, at_goal, up: paths.up });
@@ -240,7 +281,12 @@ impl Supervisor {
                 out.push(Action::Robot(RobotCommand::Stream(paths.down)));
                 self.enter(Phase::Recover(BackStage::Placing), self.model.tolerances.phase_deadline);
             }
-            Err(why) => self.end_recovery(Err(why), out),
+            Err(why) => {
+                // Whoever tries again has made room: what is not seen now is not there then.
+                self.back.table =
+                    seen.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();
+                self.end_recovery(Err(why), out);
+            }
         }
     }
 
@@ -251,6 +297,9 @@ impl Supervisor {
         observation: Observation,
         out: &mut Vec<Action>,
     ) {
+        if let Some(height) = foreign_height(&self.model, &observation) {
+            self.foreign_height = height;
+        }
         match self.doubt_on_the_way(&observation) {
             Some(doubt) => {
                 let Reason { message, hint, .. } = doubt;
@@ -264,12 +313,18 @@ impl Supervisor {
     }
 
     /// The arm has followed its path on a way back.
-    pub(crate) fn recovery_path_finished(&mut self, stage: BackStage, out: &mut Vec<Action>) {
+    pub(crate) fn recovery_path_finished(
+        &mut self,
+        outside: &DeviceSnapshot,
+        stage: BackStage,
+        out: &mut Vec<Action>,
+    ) {
         match stage {
             BackStage::Raising => {
                 self.phase = Phase::Ready;
+                let below = outside.robot.and_then(|robot| self.below(robot));
                 if let Some(recovery) = &mut self.back.recovery {
-                    recovery.raised = true;
+                    (recovery.raised, recovery.below) = (true, below);
                 }
             }
             BackStage::Placing => {
@@ -317,11 +372,6 @@ impl Supervisor {
                 let message = format!("the vacuum does not go: {:.0} %", vacuum * 100.0);
                 lost(self, Code::GripperUnreachable, message, out);
             }
-            GripperEvent::VacuumLost { vacuum } if stage != BackStage::Leaving => {
-                let message =
-                    format!("what was held was lost on the way back: vacuum {:.0} %", vacuum * 100.0);
-                lost(self, Code::VacuumLost, message, out);
-            }
             GripperEvent::Refused => {
                 lost(self, Code::GripperUnreachable, "the gripper takes no order".to_string(), out);
             }
@@ -338,17 +388,36 @@ impl Supervisor {
         }
     }
 
+    /// What is carried on a way back was lost, whatever the arm does at the moment: nothing is put down any
+    /// more.
+    pub(crate) fn lost_on_the_way(&mut self, now: Timestamp, event: &GripperEvent, out: &mut Vec<Action>) {
+        let leaves = matches!(self.phase, Phase::Recover(BackStage::Leaving));
+        if let GripperEvent::VacuumLost { vacuum } = event
+            && self.back.recovery.is_some()
+            && !leaves
+        {
+            let message = format!("what was held was lost on the way back: vacuum {:.0} %", vacuum * 100.0);
+            let hint =
+                "see where it lies, or whether it still hangs: `celld recover` says what the gripper reads";
+            self.stop_all(now, JobStatus::Interrupted, Code::VacuumLost.because(message, hint), out);
+        }
+    }
+
     /// Ends a way back: the program ends, the cell is disarmed, and a person reads how it went.
     pub(crate) fn end_recovery(&mut self, result: Result<String, String>, out: &mut Vec<Action>) {
         if self.back.recovery.take().is_none() {
             return;
         }
-        self.phase = Phase::Ready;
+        self.phase = self.after_bring_up();
         self.waiting_for = None;
         if self.mode.armed() {
             self.mode.disarm();
             out.push(Action::Robot(RobotCommand::EndProgram));
         }
+        if result.is_ok() {
+            (self.back.last_stop, self.back.error) = (None, None);
+        }
+        self.back.ended = Some(result.clone());
         match result {
             Ok(said) => alarm(out, format!("{said}; the cell is disarmed")),
             Err(why) => alarm(
@@ -365,9 +434,9 @@ impl Supervisor {
         self.back.held.as_ref().map_or(0.0, |held| held.height)
     }
 
-    /// And its mass, kg.
+    /// Mass of what the vacuum holds, kg; what was let go counts no more.
     pub(crate) fn held_mass(&self) -> f64 {
-        self.back.held.as_ref().map_or(0.0, |held| held.mass)
+        self.back.held.as_ref().filter(|held| !held.let_go).map_or(0.0, |held| held.mass)
     }
 }
 

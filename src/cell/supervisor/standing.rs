@@ -8,6 +8,7 @@
 use crate::cell::device::robot_types::RobotState;
 use crate::cell::orders::Reply;
 use crate::cell::supervisor::cell::Supervisor;
+use crate::cell::supervisor::gates::{self, GateClosed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::phase::{Then, UntilItStands};
 use cell_values::time::{Duration, Timestamp};
@@ -35,6 +36,7 @@ impl Supervisor {
         let stands = self.arm_stands(outside);
         self.stands |= stands && order.is_none();
         self.arm_settled = outside.arm_settled;
+        self.back.grips = matches!(gates::empty_handed(outside), Err(GateClosed::Holding(_)));
         for waits in std::mem::take(&mut self.until_it_stands) {
             let late = now.since(waits.since) >= STANDS_WITHIN;
             if (!stands && !late) || order == Some(waits.number) {

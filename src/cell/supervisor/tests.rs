@@ -225,6 +225,7 @@ impl Bench {
             robot_fresh: !self.silent,
             program_settled: true,
             arm_settled: self.arm_settled,
+            gripper_holds: self.vacuum.iter().any(|share| *share > 0.4),
             gripper_answers: self.gripper_answers,
             vacuum: Some(self.vacuum),
         };

@@ -24,7 +24,8 @@ impl Supervisor {
 
     /// What leads on after a stop.
     pub(crate) fn then(&self) -> &'static str {
-        match (self.back.held.as_ref().is_some_and(|held| !held.let_go), self.job.is_some()) {
+        let held = self.back.held.as_ref().is_some_and(|held| !held.let_go);
+        match (held || self.back.grips || self.back.fell.is_some(), self.job.is_some()) {
             (true, _) => "something may be held: `celld recover` shows the ways back",
             (false, true) => "then `celld arm` and submit again",
             (false, false) => "then `celld arm`",

@@ -35,12 +35,13 @@ impl Supervisor {
         out: &mut Vec<Action>,
     ) {
         self.waiting_since = now;
-        self.round = Some(Round { order, at: 0 });
-        let why = self.under_way(outside).map(str::to_string).or_else(|| self.round_gate(outside));
-        if let Some(why) = why {
-            self.end_round(Err(RoundFault::Robot(why)), out);
-        } else if !self.mode.arm() {
-            self.end_round(Err(RoundFault::Robot("the cell cannot be armed".to_string())), out);
+        let way_back = self.back.recovery.is_some().then_some("a way back is under way");
+        let why = self.under_way(outside).or(way_back).map(str::to_string);
+        let why = why.or_else(|| self.round_gate(outside));
+        let why = why.or_else(|| (!self.mode.arm()).then(|| "the cell cannot be armed".to_string()));
+        match why {
+            Some(why) => out.push(Action::RoundOver(Err(RoundFault::Robot(why)))),
+            None => self.round = Some(Round { order, at: 0 }),
         }
     }
 

@@ -319,3 +319,36 @@ fn celld_ends_after_the_gripper_has_confirmed_a_release_and_not_never() {
         assert_eq!(answer(&end).map(|reply| reply.accepted), (!confirmed).then_some(false), "{end:?}");
     }
 }
+
+#[test]
+fn what_the_other_channel_still_holds_is_not_forgotten_with_a_release_of_one() {
+    let mut bench = working();
+    bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+    bench.vacuum = [0.6, 0.6];
+    bench.feed(Input::Gripper(GripperEvent::Gripped { vacuum: 0.6 }));
+    bench.feed(order(Order::Release(Channels::A)));
+    bench.feed(Input::Robot(RobotEvent::Stopped));
+    bench.vacuum = [0.0, 0.6];
+    let released = bench.feed(Input::Gripper(GripperEvent::Released));
+    assert!(answer(&released).expect("an answer").accepted);
+    assert_eq!(bench.cell.status().held.as_deref(), Some("holds a"));
+    bench.vacuum = [0.0, 0.0];
+    bench.feed(Input::Gripper(GripperEvent::VacuumLost { vacuum: 0.0 }));
+    let refused = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert!(!refused.accepted && refused.message.contains("celld release --yes"), "{refused:?}");
+    bench.feed(order(Order::Release(Channels::Both)));
+    bench.feed(Input::Gripper(GripperEvent::Released));
+    assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
+}
+
+#[test]
+fn a_release_takes_back_arming_at_the_start() {
+    let mut bench = Bench::new();
+    bench.cell.arm_at_start();
+    bench.gripper_answers = false;
+    bench.feed(order(Order::Release(Channels::Both)));
+    bench.feed(Input::Gripper(GripperEvent::Released));
+    bench.gripper_answers = true;
+    bench.ticks(10);
+    assert!(!bench.cell.status().armed);
+}
