@@ -8,7 +8,7 @@ import sys
 
 import pyrealsense2 as rs
 
-WIDTH, HEIGHT, FRAMES, UNIT_M = 64, 48, 4, 0.0001
+WIDTH, HEIGHT, FRAMES, UNIT_M = 64, 48, 12, 0.0001
 
 
 def stream(kind, fmt, uid, bpp):
