@@ -102,18 +102,14 @@ pub const ARM_MODELS: &[ArmModel] = &[
     },
 ];
 
-/// The nominal arm that calibrated parameters belong to. The offsets d2 and d3 along the parallel axes say
-/// nothing: a calibration trades them against each other.
-fn nominal_of(dh: &DhParameters) -> &'static DhParameters {
+/// The arm that calibrated parameters belong to. The offsets d2 and d3 along the parallel axes say nothing: a
+/// calibration trades them against each other.
+pub fn model_of(dh: &DhParameters) -> &'static ArmModel {
     let distance = |other: &DhParameters| {
         let a = (0..6).map(|i| (dh.a[i] - other.a[i]).abs()).sum::<f64>();
         a + [0, 4, 5].map(|i: usize| (dh.d[i] - other.d[i]).abs()).iter().sum::<f64>()
     };
-    ARM_MODELS
-        .iter()
-        .map(|model| &model.dh)
-        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-        .unwrap_or(&DhParameters::UR5E)
+    ARM_MODELS.iter().min_by(|a, b| distance(&a.dh).total_cmp(&distance(&b.dh))).unwrap_or(&ARM_MODELS[0])
 }
 
 /// Newton stops when the pose error (m and rad together) is below this; the controller's own
@@ -121,7 +117,10 @@ fn nominal_of(dh: &DhParameters) -> &'static DhParameters {
 const POSE_TOLERANCE: f64 = 1e-11;
 
 /// Newton steps before a start is given up; a nominal start needs three or four.
-const MAX_NEWTON_STEPS: usize = 20;
+const MAX_NEWTON_STEPS: usize = 30;
+
+/// Longest Newton step of a joint, rad.
+const MAX_STEP: f64 = 0.2;
 
 /// `base_from_flange` for joint positions `q`.
 pub fn forward(dh: &DhParameters, q: &Joints) -> Isometry3<f64> {
@@ -147,7 +146,10 @@ fn link(dh: &DhParameters, i: usize, q: f64) -> Isometry3<f64> {
 
 /// Geometric Jacobian in the base frame: rows 0-2 linear velocity of the flange origin, rows 3-5 angular.
 pub fn jacobian(dh: &DhParameters, q: &Joints) -> Matrix6<f64> {
-    let frames = link_frames(dh, q);
+    jacobian_of(&link_frames(dh, q))
+}
+
+fn jacobian_of(frames: &[Isometry3<f64>; 6]) -> Matrix6<f64> {
     let tip = frames[5].translation.vector;
     let mut jacobian = Matrix6::zeros();
     let mut axis_frame = Isometry3::identity();
@@ -165,9 +167,12 @@ pub fn jacobian(dh: &DhParameters, q: &Joints) -> Matrix6<f64> {
 ///
 /// At a wrist singularity (joint 5 at 0 or pi) joint 6 is free and taken as 0.
 pub fn inverse(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<Joints> {
+    let nominal = &model_of(dh).dh;
     let mut solutions: Vec<Joints> = Vec::with_capacity(8);
-    for start in inverse_nominal(nominal_of(dh), base_from_flange) {
-        if let Some(joints) = refine(dh, base_from_flange, start) {
+    for (start, sure) in inverse_nominal(nominal, base_from_flange) {
+        // The closed form is exact for the nominal arm, but near its singularities and at the edge of reach.
+        let found = if sure && dh == nominal { Some(start) } else { refine(dh, base_from_flange, start) };
+        if let Some(joints) = found {
             let wrapped = Joints(joints.0.map(wrap));
             if solutions.iter().all(|known| known.max_difference(&wrapped) > 1e-6) {
                 solutions.push(wrapped);
@@ -189,6 +194,12 @@ pub fn inverse_near(
         .into_iter()
         .filter_map(|solution| unwind(&solution, near, range))
         .min_by(|a, b| a.max_difference(near).total_cmp(&b.max_difference(near)))
+}
+
+/// The solution of a pose that a continuous motion from `start` leads to; `None` where there is none, or
+/// where a singularity lies between.
+pub fn inverse_from(dh: &DhParameters, base_from_flange: &Isometry3<f64>, start: &Joints) -> Option<Joints> {
+    refine(dh, base_from_flange, *start)
 }
 
 /// Which of the 2 x 2 x 2 solution families `q` belongs to: wrist in front of the shoulder axis or behind,
@@ -216,19 +227,21 @@ fn wrap(angle: f64) -> f64 {
     if turned > PI { turned - TAU } else { turned }
 }
 
-/// The closed form for the nominal arm; solutions slightly out of reach are clamped onto the boundary so
-/// that the refinement may still find them on the calibrated arm.
-fn inverse_nominal(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<Joints> {
+/// The closed form for the nominal arm, and whether each solution is exact as it is; solutions slightly out
+/// of reach are clamped onto the boundary so that the refinement may still find them on the calibrated arm.
+fn inverse_nominal(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<(Joints, bool)> {
     let mut out = Vec::with_capacity(8);
     let p = base_from_flange.translation.vector;
     let rotation = base_from_flange.rotation.to_rotation_matrix();
     let wrist = p - rotation * Vector3::new(0.0, 0.0, dh.d[5]);
     let radius = wrist.x.hypot(wrist.y);
-    let Some(shoulder) = clamped_acos(dh.d[3] / radius) else { return out };
+    let Some((shoulder, sure)) = clamped_acos(dh.d[3] / radius) else { return out };
     for q1 in [1.0, -1.0].map(|side| wrist.y.atan2(wrist.x) + side * shoulder + FRAC_PI_2) {
         // The axis shared by shoulder, elbow and wrist 1.
         let axis = Vector3::new(q1.sin(), -q1.cos(), 0.0);
-        let Some(bend) = clamped_acos((p.dot(&axis) - dh.d[3]) / dh.d[5]) else { continue };
+        let Some((bend, exact)) = clamped_acos((p.dot(&axis) - dh.d[3]) / dh.d[5]) else { continue };
+        let sure = sure && exact;
+        let link_1_from_flange = link(dh, 0, q1).inverse() * base_from_flange;
         for q5 in [bend, -bend] {
             let q6 = if q5.sin().abs() < 1e-9 {
                 0.0
@@ -236,54 +249,62 @@ fn inverse_nominal(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<
                 let in_flange = rotation.inverse() * axis;
                 (-in_flange.y / q5.sin()).atan2(in_flange.x / q5.sin())
             };
-            let link_1_from_flange = link(dh, 0, q1).inverse() * base_from_flange;
             let link_1_from_4 = link_1_from_flange * (link(dh, 4, q5) * link(dh, 5, q6)).inverse();
-            planar_pair(dh, &link_1_from_4, [q1, q5, q6], &mut out);
+            planar_pair(dh, &link_1_from_4, ([q1, q5, q6], sure), &mut out);
         }
     }
     out
 }
 
 /// Shoulder, elbow and wrist 1 as a planar two-link arm: both elbow solutions.
-fn planar_pair(dh: &DhParameters, link_1_from_4: &Isometry3<f64>, known: [f64; 3], out: &mut Vec<Joints>) {
+fn planar_pair(
+    dh: &DhParameters,
+    link_1_from_4: &Isometry3<f64>,
+    (known, sure): ([f64; 3], bool),
+    out: &mut Vec<(Joints, bool)>,
+) {
     let [q1, q5, q6] = known;
     let reach = link_1_from_4.translation.vector;
     let (upper, fore) = (dh.a[1], dh.a[2]);
     let cosine = (reach.x.powi(2) + reach.y.powi(2) - upper * upper - fore * fore) / (2.0 * upper * fore);
-    let Some(elbow) = clamped_acos(cosine) else { return };
+    let Some((elbow, exact)) = clamped_acos(cosine) else { return };
     for q3 in [elbow, -elbow] {
         let q2 = reach.y.atan2(reach.x) - (fore * q3.sin()).atan2(upper + fore * q3.cos());
         let x_axis = link_1_from_4.rotation * Vector3::x();
         let q4 = x_axis.y.atan2(x_axis.x) - q2 - q3;
-        out.push(Joints([q1, q2, q3, q4, q5, q6].map(wrap)));
+        out.push((Joints([q1, q2, q3, q4, q5, q6].map(wrap)), sure && exact));
     }
 }
 
-/// acos that forgives 2 % beyond [-1, 1] (the calibrated arm may just reach) and refuses more, and NaN.
-fn clamped_acos(cosine: f64) -> Option<f64> {
-    (cosine.abs() <= 1.02).then(|| cosine.clamp(-1.0, 1.0).acos())
+/// acos that forgives 2 % beyond [-1, 1] (the calibrated arm may just reach) and refuses more, and NaN; and
+/// whether the cosine is far enough from 1 for the angle to be exact.
+fn clamped_acos(cosine: f64) -> Option<(f64, bool)> {
+    (cosine.abs() <= 1.02).then(|| (cosine.clamp(-1.0, 1.0).acos(), cosine.abs() < 1.0 - 1e-6))
 }
 
 /// Newton on the pose error; `None` when it does not converge (out of reach, or in a singularity).
 fn refine(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> Option<Joints> {
     let mut q = start;
     for _ in 0..MAX_NEWTON_STEPS {
-        let error = pose_error(&forward(dh, &q), target);
+        let frames = link_frames(dh, &q);
+        let error = pose_error(&frames[5], target);
         if error.norm() < POSE_TOLERANCE {
             return Some(q);
         }
         // Damping far below the arm's own scale only keeps an exactly singular start solvable.
-        let j = jacobian(dh, &q);
+        let j = jacobian_of(&frames);
         let damped = j.transpose() * j + Matrix6::identity() * 1e-12;
         let step = damped.cholesky()?.solve(&(j.transpose() * error));
-        if !step.iter().all(|value| value.is_finite()) || step.amax() > 1.0 {
+        if !step.iter().all(|value| value.is_finite()) {
             return None;
         }
+        // Near a singularity a whole step would lead far away.
+        let share = (MAX_STEP / step.amax()).min(1.0);
         for (value, delta) in q.0.iter_mut().zip(step.iter()) {
-            *value += delta;
+            *value += share * delta;
         }
     }
-    (pose_error(&forward(dh, &q), target).norm() < 1e-8).then_some(q)
+    (pose_error(&forward(dh, &q), target).norm() < 1e-9).then_some(q)
 }
 
 /// Translation (m) and rotation vector (rad), both in the base frame, that carry `from` to `to`.

@@ -1,8 +1,9 @@
-//! The arms of Universal Robots: their models, forward and inverse kinematics (`kinematics`), and poses as
-//! the controller writes them (`pose`).
+//! The arms of Universal Robots: their models, forward and inverse kinematics (`kinematics`), capsules that
+//! contain their links (`bodies`), and poses as the controller writes them (`pose`).
 //!
 //! In and out: metres, radians, standard Denavit-Hartenberg parameters, nominal or calibrated. Pure.
 
+pub mod bodies;
 pub mod kinematics;
 pub mod pose;
 
