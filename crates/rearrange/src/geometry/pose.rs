@@ -37,6 +37,12 @@ impl Pose2 {
         [cos * dx + sin * dy, -sin * dx + cos * dy]
     }
 
+    /// The pose that undoes this one: `pose.inverse().compose(&pose)` is the identity.
+    pub fn inverse(&self) -> Pose2 {
+        let [x, y] = self.inverse_transform([0.0, 0.0]);
+        Pose2::new(x, y, -self.theta)
+    }
+
     /// `self * other`: `other`, given in this pose's frame, seen from the outer frame. Angles add.
     pub fn compose(&self, other: &Pose2) -> Pose2 {
         let [x, y] = self.transform([other.x, other.y]);

@@ -10,6 +10,7 @@ use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::tabletop::instance::{Instance, Workspace};
 use std::fmt;
+use std::sync::Arc;
 
 /// One object of a problem.
 #[derive(Clone, Debug)]
@@ -53,6 +54,33 @@ pub struct Problem {
     pub keep_out: Vec<Region>,
     /// The objects.
     pub objects: Vec<ProblemObject>,
+    /// Where objects can be put down at all; everywhere if absent.
+    pub reach: Option<Reach>,
+}
+
+/// Which new places whoever moves the objects can serve. Starts and goals are taken as they are given.
+#[derive(Clone)]
+pub struct Reach(Arc<Serves>);
+
+/// Whether the object with this index can be put down and picked up at a pose.
+type Serves = dyn Fn(usize, &Pose2) -> bool + Send + Sync;
+
+impl Reach {
+    /// By a function of object index and pose, which has to give the same answer each time.
+    pub fn new(serves: impl Fn(usize, &Pose2) -> bool + Send + Sync + 'static) -> Reach {
+        Reach(Arc::new(serves))
+    }
+
+    /// Whether the object can be put down and picked up at this pose.
+    pub fn serves(&self, object: usize, pose: &Pose2) -> bool {
+        (self.0)(object, pose)
+    }
+}
+
+impl fmt::Debug for Reach {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Reach")
+    }
 }
 
 /// Two things in contact, or one over the edge, by name.
@@ -169,12 +197,19 @@ impl Problem {
             overlap_tolerance: instance.overlap_tolerance,
             keep_out,
             objects,
+            reach: None,
         };
         let tolerance_mm = problem.overlap_tolerance * 1e3;
         let starts = problem.contacts(Given::Start);
         let beyond = starts.into_iter().filter(|w| w.depth_m > problem.overlap_tolerance + TOUCH_M);
         faults.extend(beyond.map(|witness| ProblemFault::Start { witness, tolerance_mm }));
         if faults.is_empty() { Ok(problem) } else { Err(ProblemFaults(faults)) }
+    }
+
+    /// The same problem where new places have to be within reach.
+    pub fn within(mut self, reach: Reach) -> Problem {
+        self.reach = Some(reach);
+        self
     }
 
     /// The worst overlap of the goal arrangement beyond the tolerance, which proves that there is no plan.

@@ -22,6 +22,7 @@ const CORE_MARGIN_M: f64 = 1e-6;
 pub struct Spot {
     /// Where, in the table frame.
     pub pose: Pose2,
+    object: usize,
     placed: Placed,
     /// Radius of a disc about the pose that the footprint covers, m; 0 where there is none.
     core: f64,
@@ -110,10 +111,15 @@ impl<'a> Scene<'a> {
             || self.fixed.iter().any(|fixed| self.near(shape, &fixed.placed))
     }
 
-    /// Clear of the keep-out areas and of everything that never moves. Given poses are so by definition.
+    /// Clear of the keep-out areas and of everything that never moves, and within reach. Given poses are so
+    /// by definition.
     pub fn admissible(&self, spot: &Spot) -> bool {
+        let given = spot.at_start || spot.goal_of.is_some();
+        let reached =
+            || self.problem.reach.as_ref().is_none_or(|reach| reach.serves(spot.object, &spot.pose));
         !self.keep_out.iter().any(|area| self.near(&spot.placed, area))
             && self.fixed.iter().all(|fixed| self.clear(spot, fixed))
+            && (given || reached())
     }
 
     /// Does the object lie within the table's edge at this pose?
@@ -174,6 +180,7 @@ fn new_spot(problem: &Problem, object: usize, pose: Pose2, core: f64) -> Spot {
     let given = &problem.objects[object];
     Spot {
         pose,
+        object,
         core,
         placed: Placed::new(&given.footprint, pose),
         at_start: pose == given.start,

@@ -5,6 +5,7 @@ use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::planning::generate::{RatioLaw, Recipe, Scenario, generate};
 use crate::planning::plan::{Action, ActionKind};
+use crate::planning::problem::Reach;
 use crate::planning::random_tables::{random_instance, table};
 use crate::tabletop::instance::{Instance, KeepOut, ObjectSpec};
 use rand::SeedableRng;
@@ -269,6 +270,27 @@ pub(super) fn mixed(rng: &mut ChaCha8Rng) -> Instance {
         pose: Pose2::new(0.05, 0.05, 0.0),
     });
     instance
+}
+
+#[test]
+fn no_buffer_is_out_of_reach() {
+    let mut buffers = 0;
+    for (case, problem) in random_problems(27, 12).into_iter().enumerate() {
+        let serves = |_: usize, pose: &Pose2| pose.x + 0.5 * pose.y > 0.7;
+        let problem = problem.within(Reach::new(serves));
+        for solver in all() {
+            let outcome = run(&problem, solver, Objective::Pp, case as u64);
+            for action in actions(&outcome).iter().filter(|action| action.kind == ActionKind::Buffer) {
+                buffers += 1;
+                let start = problem.objects[action.object].start;
+                assert!(
+                    action.to == start || serves(action.object, &action.to),
+                    "{solver} case {case}: {action:?}"
+                );
+            }
+        }
+    }
+    assert!(buffers > 10, "only {buffers} buffers were needed");
 }
 
 #[test]
