@@ -11,6 +11,8 @@ pub mod baseline;
 pub mod cells;
 pub mod closed_loop;
 pub mod figures;
+pub mod motion;
+pub mod motion_model;
 pub mod planning;
 pub mod results;
 pub mod rtde;

@@ -7,7 +7,7 @@
 //! so that the rotations are about many axes. Before they are given out, the round is played through on
 //! paper: what the gate of the real calibration would refuse is refused here, with the same sentence.
 
-mod body;
+pub(crate) mod body;
 mod scene;
 
 use crate::calibration::drawn::{CameraMount, Drawn};

@@ -1,10 +1,11 @@
 //! The whole cell as one pure machine: bytes, answers, orders and time in, effects out.
 //!
-//! `machine`: [`machine::Machine`], the one thing that a shell drives. `event`: what goes in, what comes out.
-//! `device`: the sessions with robot and gripper. `links`: when a connection is made anew. `supervisor`: what
-//! the cell does next. `orders`: what a person may order, and the answer. `planner`: a plan request answered.
-//! `code`: the words for how a job ends. No clock, no socket, no file: the daemon turns effects into tokio
-//! calls, and a test plays the other side in its own time.
+//! `machine`: [`machine::Machine`], the one thing that a shell drives. `event`: what goes in, what comes
+//! out. `device`: the sessions with robot and gripper. `links`: when a connection is made anew.
+//! `supervisor`: what the cell does next. `orders`: what a person may order, and the answer. `planner`: a
+//! plan request answered, with `plan_check` for what the arm can do of a plan. `code`: the words for how a
+//! job ends. No clock, no socket, no file: the daemon turns effects into tokio calls, and a test plays the
+//! other side in its own time.
 
 pub mod code;
 pub mod device;
@@ -12,5 +13,6 @@ pub mod event;
 pub mod links;
 pub mod machine;
 pub mod orders;
+pub mod plan_check;
 pub mod planner;
 pub mod supervisor;

@@ -6,6 +6,7 @@
 pub mod bench_cases;
 pub mod bench_figures;
 pub mod bench_loop;
+pub mod bench_motion;
 pub mod bench_planning;
 pub mod bench_rtde;
 pub mod bench_vision;
@@ -83,6 +84,8 @@ enum Bench {
     Figures(bench_figures::BenchFiguresArgs),
     /// What the RTDE codec costs, and how the simulator keeps its 500 Hz
     Rtde(bench_rtde::BenchRtdeArgs),
+    /// Kinematics, the check of paths, reach and ways: what they cost, and how right they are
+    Motion(bench_motion::BenchMotionArgs),
     /// The closed loop: its speed, repeated seeds, random faults, the sweep
     Loop(bench_loop::BenchLoopArgs),
 }
@@ -115,6 +118,7 @@ pub fn main() -> ExitCode {
         }
         Command::Bench(Bench::Figures(args)) => bench_figures::run(&args),
         Command::Bench(Bench::Rtde(args)) => bench_rtde::run(&args),
+        Command::Bench(Bench::Motion(args)) => bench_motion::run(&args),
         Command::Bench(Bench::Loop(args)) => bench_loop::run(&args),
         Command::Client(command) => jobs::run(command),
     })

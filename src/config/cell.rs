@@ -8,6 +8,7 @@
 use crate::calibration::drawn::CameraMount;
 use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
+use crate::config::bodies::Equipment;
 pub use crate::config::camera::CameraDevice;
 use crate::jobs::goal::GoalContext;
 use crate::motion::slow::CalibrationBox;
@@ -76,6 +77,8 @@ pub struct CellConfig {
     pub ignore_markers: Vec<u32>,
     /// What is done about things on the table that carry no marker.
     pub foreign: ForeignRule,
+    /// What stands round the arm and hangs on it.
+    pub equipment: Equipment,
 }
 
 impl CellConfig {

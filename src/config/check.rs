@@ -9,10 +9,11 @@ use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration::check_board;
 use crate::config::cell::{Devices, MotionLimits};
 use crate::config::parts::CellParts;
+use crate::motion::holding::Suction;
 use cell_parts::gripper::{CupConfig, GripperConfig};
 use cell_parts::places::Places;
 use cell_parts::reference::check_reference_markers;
-use cell_values::units::{GRAVITY, Joints, deg_from_rad, mm_from_m};
+use cell_values::units::{Joints, deg_from_rad, mm_from_m};
 use rearrange::document::Location;
 use rearrange::document::decode::Decoder;
 use rearrange::geometry::footprint::Footprint;
@@ -23,10 +24,6 @@ use std::net::IpAddr;
 
 /// Space that every cup keeps to the rim of the face it sits on, m.
 pub const CUP_MARGIN_M: f64 = 0.001;
-
-/// Holding force over load at rest, and while the arm accelerates (design, section 4.4).
-const FACTOR_AT_REST: f64 = 2.0;
-const FACTOR_ACCELERATING: f64 = 4.0;
 
 /// Angles tried between 0 and a half turn.
 const ANGLES: usize = 36;
@@ -180,7 +177,7 @@ fn check_object(decoder: &mut Decoder, parts: &CellParts, object: &ObjectSpec, a
     let Some(gripper) = &parts.gripper else { return };
     // All cups, as `daemon::setup` places them: the gripper has no way to leave one out.
     let grip = place_for_cups(&object.footprint, object.grippable.as_ref(), &cups(gripper), CUP_MARGIN_M);
-    if grip.is_none() {
+    let Some(grip) = grip else {
         let message = format!(
             "no place on {:?} takes all {} cups with {:.0} mm to spare",
             object.id,
@@ -189,9 +186,11 @@ fn check_object(decoder: &mut Decoder, parts: &CellParts, object: &ObjectSpec, a
         );
         decoder.complain(at, path, message, "use smaller cups or fewer of them, or give another `grippable`");
         return;
-    }
-    if let Some(limits) = &parts.limits {
-        check_weight(decoder, gripper, limits, object, at, path);
+    };
+    if let (Some(limits), Some(mass_kg)) = (&parts.limits, object.mass) {
+        let (suction, off_m) = (suction(gripper), off_centre_m(&object.footprint, grip.point));
+        let needed_n = suction.needed_n(mass_kg, off_m, limits.tool_acceleration);
+        check_weight(decoder, object, mass_kg, [suction.force_n, needed_n], (at, path));
     }
 }
 
@@ -202,14 +201,11 @@ fn cups(gripper: &GripperConfig) -> Vec<Cup> {
 
 fn check_weight(
     decoder: &mut Decoder,
-    gripper: &GripperConfig,
-    limits: &MotionLimits,
     object: &ObjectSpec,
-    at: Location,
-    path: &str,
+    mass_kg: f64,
+    [held, needed]: [f64; 2],
+    (at, path): (Location, &str),
 ) {
-    let Some(mass_kg) = object.mass else { return };
-    let (held, needed) = (gripper.holding_force_n(&gripper.cups), needed_force_n(mass_kg, limits));
     if held < needed {
         let message = format!(
             "{:?} weighs {mass_kg} kg: carrying it safely takes {needed:.1} N, its cups hold {held:.1} N at vacuum_min",
@@ -219,11 +215,19 @@ fn check_weight(
     }
 }
 
-/// Force of the cups (N) that carrying `mass_kg` safely takes: the larger of what rest and acceleration
-/// require.
-pub fn needed_force_n(mass_kg: f64, limits: &MotionLimits) -> f64 {
-    let at_rest = FACTOR_AT_REST * mass_kg * GRAVITY;
-    at_rest.max(FACTOR_ACCELERATING * mass_kg * (GRAVITY + limits.tool_acceleration))
+/// The gripper's cups together.
+pub fn suction(gripper: &GripperConfig) -> Suction {
+    let lip = |cup: &CupConfig| cup.x_m.hypot(cup.y_m) + cup.diameter_m / 2.0;
+    Suction {
+        force_n: gripper.holding_force_n(&gripper.cups),
+        reach_m: gripper.cups.iter().map(lip).fold(0.0, f64::max),
+    }
+}
+
+/// How far an object's centre is from where the tool's axis meets it, m.
+pub fn off_centre_m(footprint: &Footprint, grip_point: [f64; 2]) -> f64 {
+    let [x, y] = footprint.centroid();
+    (x - grip_point[0]).hypot(y - grip_point[1])
 }
 
 /// The marker's print (black square and white ring, 10/8 of the edge) has to lie on the object.

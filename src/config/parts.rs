@@ -6,6 +6,7 @@
 use crate::calibration::drawn::CameraMount;
 use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
+use crate::config::bodies::Equipment;
 use crate::config::cell::{
     CalibrationFiles, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig,
     Tolerances, WorkspaceConfig,
@@ -52,6 +53,7 @@ pub(super) struct CellParts {
     pub goal_folder: Option<PathBuf>,
     pub ignore_markers: Option<Vec<u32>>,
     pub foreign: Option<ForeignRule>,
+    pub equipment: Option<Equipment>,
 }
 
 /// The table's keys.
@@ -96,6 +98,7 @@ impl CellParts {
             goal_folder: self.goal_folder?,
             ignore_markers: self.ignore_markers?,
             foreign: self.foreign?,
+            equipment: self.equipment?,
         })
     }
 }

@@ -6,6 +6,7 @@
 
 use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
+use crate::config::bodies::{Equipment, equipment};
 use crate::config::calibration;
 use crate::config::camera::camera_device;
 use crate::config::cell::{
@@ -58,6 +59,7 @@ pub const CELL_KEYS: &[&str] = &[
     "goal_folder",
     "ignore_markers",
     "foreign",
+    "cell",
 ];
 
 /// How far the camera may seem shifted or lifted, and turned, unless the file says otherwise: half of what
@@ -150,15 +152,18 @@ fn parts(
         planner: fields.required("planner", d).and_then(|at| planner(d, &at)),
         approval: optional(d, fields, "approval", Approval::Always, |d, at| d.word(at)),
         arm_at_start: optional(d, fields, "arm_at_start", false, |d, at| d.boolean(at)),
-        arm_lapse_s: optional(d, fields, "arm_lapse_s", ARM_LAPSE_S, |d, at| {
-            d.number_in(at, 10.0..=86_400.0, "s")
-        }),
+        arm_lapse_s: optional(d, fields, "arm_lapse_s", ARM_LAPSE_S, arm_lapse),
         simulation: optional(d, fields, "simulation", None, |d, at| simulation(d, at).map(Some)),
         recording: optional(d, fields, "recording", None, |d, at| recording(d, at, folder).map(Some)),
         ignore_markers: optional(d, fields, "ignore_markers", Vec::new(), |d, at| list(d, at, marker_number)),
         foreign: optional(d, fields, "foreign", refuse, foreign),
+        equipment: optional(d, fields, "cell", Equipment::default(), equipment),
         goal_folder: optional(d, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder)),
     }
+}
+
+fn arm_lapse(decoder: &mut Decoder, at: &At) -> Option<f64> {
+    decoder.number_in(at, 10.0..=86_400.0, "s")
 }
 
 fn required_joints(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<Joints> {

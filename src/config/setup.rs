@@ -12,10 +12,13 @@ use crate::cell::machine::MachineParameters;
 use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
+use crate::config::bodies::Equipment;
 use crate::config::cell::CellConfig;
-use crate::config::check::needed_force_n;
+use crate::config::check::{off_centre_m, suction};
+use crate::motion::bodies::cell::{CellBodies, GripperBody};
+use crate::motion::bodies::{Bodies, Surroundings, Tabletop};
 use crate::motion::path::{ArmLimits, ArmModel};
-use crate::motion::pick_n_place::{CycleParameters, PickNPlace, plan};
+use crate::motion::pick_n_place::{CycleParameters, plan};
 use crate::perception::Scene;
 use cell_parts::gripper::CupChannel;
 use cell_values::time::Duration;
@@ -28,6 +31,7 @@ use nalgebra::{Isometry3, Vector3};
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::{ObjectSpec, Workspace};
 use rearrange::tabletop::room::{Cup, Grip, place_for_cups};
+use std::sync::Arc;
 use ur_arm::kinematics::DhParameters;
 
 /// What calibration found and the controller reported.
@@ -121,6 +125,7 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
         keep_out: config.obstacles(),
         ignore_markers: config.ignore_markers.clone(),
         objects,
+        reach: Arc::default(),
         foreign: config.foreign,
         tolerances: Tolerances {
             goal_position: tolerances.goal_position_m,
@@ -157,7 +162,7 @@ pub fn nominal_model(config: &CellConfig, arm: &Arm, lens: &CameraModel) -> Cell
 }
 
 /// Heights and speeds of a pick-n-place.
-fn cycle_parameters(config: &CellConfig) -> CycleParameters {
+pub fn cycle_parameters(config: &CellConfig) -> CycleParameters {
     let limits = &config.limits;
     CycleParameters {
         tallest: config.objects.iter().filter_map(|object| object.height).fold(0.0, f64::max),
@@ -192,14 +197,10 @@ pub fn check_reach(config: &CellConfig, task: &[Transport]) -> Result<(), String
     let arm = arm_model(config, DhParameters::UR5E, config.base_from_table);
     for Transport { object: id, from, to } in task {
         let Some(object) = objects.iter().find(|object| object.id == *id) else { continue };
-        let task = PickNPlace {
-            from: *from,
-            to: *to,
-            grip_point: object.grip_point,
-            grip_yaw: object.grip_yaw,
-            height: object.height,
-        };
-        plan(&arm, &config.park_pose, &task, &cycle_parameters(config))
+        let task = object.pick_n_place(*from, *to);
+        let cycle = cycle_parameters(config);
+        let table = Tabletop { layer: cycle.tallest + 0.5 * cycle.air, standing: Vec::new() };
+        plan(&arm, &config.park_pose, &task, &cycle, &table)
             .map_err(|fault| format!("object {id} cannot be carried to its goal: {fault}"))?;
     }
     Ok(())
@@ -219,9 +220,34 @@ pub fn arm_model(config: &CellConfig, dh: DhParameters, base_from_table: Isometr
             joint_acceleration: limits.joint_acceleration,
             tool_speed: limits.tool_speed,
             tool_acceleration: limits.tool_acceleration,
-            link_floor: limits.link_floor_m,
         },
+        bodies: bodies(config, &dh, base_from_table),
     }
+}
+
+/// Arm, gripper, camera, table and equipment as bodies.
+fn bodies(config: &CellConfig, dh: &DhParameters, base_from_table: Isometry3<f64>) -> Bodies {
+    let gripper = GripperBody {
+        outline: config.gripper.body_polygon.clone(),
+        above_lips: config.gripper.body_height_m,
+        cups: config.gripper.cups.iter().map(|cup| ([cup.x_m, cup.y_m], cup.diameter_m / 2.0)).collect(),
+    };
+    let camera = match &config.camera {
+        CameraMount::Flange { flange_from_camera } => Some(flange_from_camera),
+        CameraMount::Fixed { .. } => None,
+    };
+    let Equipment { margin_m, cable_m, stand, fixed, tool } = config.equipment.clone();
+    let mut cell = CellBodies::new(&gripper, &config.flange_from_tool, camera);
+    (cell.margin_m, cell.cable_m, cell.stand, cell.equipment) = (margin_m, cable_m, stand, fixed);
+    cell.tool.extend(tool);
+    let surroundings = Surroundings {
+        base_from_table,
+        flange_from_tool: config.flange_from_tool,
+        table: [config.workspace.width_m, config.workspace.height_m],
+        link_floor: config.limits.link_floor_m,
+        cell,
+    };
+    Bodies::new(dh, &surroundings)
 }
 
 /// The cups as the fit needs them.
@@ -246,8 +272,9 @@ fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, S
         place_for_cups(&object.footprint, object.grippable.as_ref(), &cups(config), CUP_MARGIN_M)
             .ok_or_else(|| SetupError::NoGrip { id: object.id.clone() })?;
     let mass_kg = object.mass.ok_or_else(|| lacks("mass"))?;
+    let (suction, off_m) = (suction(&config.gripper), off_centre_m(&object.footprint, grip.point));
     let (needed_n, held_n) =
-        (needed_force_n(mass_kg, &config.limits), config.gripper.holding_force_n(&config.gripper.cups));
+        (suction.needed_n(mass_kg, off_m, config.limits.tool_acceleration), suction.force_n);
     if held_n < needed_n {
         return Err(SetupError::TooHeavy { id: object.id.clone(), mass_kg, needed_n, held_n });
     }
@@ -260,6 +287,7 @@ fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, S
         marker: object.marker.clone().ok_or_else(|| lacks("marker"))?,
         grip_point: grip.point,
         grip_yaw: grip.yaw,
+        hold: suction.acceleration(mass_kg, off_m),
     })
 }
 

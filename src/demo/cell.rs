@@ -7,6 +7,7 @@
 use crate::calibration::drawn::CameraMount;
 use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
+use crate::config::bodies::Equipment;
 use crate::config::cell::{
     CalibrationFiles, CameraDevice, CellConfig, Devices, MotionLimits, PlannerConfig, SimulationConfig,
     Tolerances, WorkspaceConfig,
@@ -120,6 +121,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         goal_folder: out.to_path_buf(),
         ignore_markers: Vec::new(),
         foreign: ForeignRule::Refuse { depth_needed: true },
+        equipment: Equipment::default(),
     };
     let model = arm_model(&config, DhParameters::UR5E, base_from_table);
     let angle = ViewAngle {

@@ -3,6 +3,7 @@
 //!
 //! In: table size, the nominal arm and camera. Out: joint poses that the path check accepts. Pure.
 
+use crate::motion::bodies::Room;
 use crate::motion::path::{ArmModel, CheckedPath, Leg, Segment};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -145,7 +146,7 @@ pub fn calibration_poses(
             acceleration: model.limits.joint_acceleration,
             blend: 0.0,
         };
-        if CheckedPath::new(model, &at, &[Leg { segment, floor: 0.06 }]).is_ok() {
+        if CheckedPath::new(model, &at, &[Leg::over(segment, 0.06)], &Room::empty()).is_ok() {
             poses.push(joints);
             at = joints;
         }
@@ -182,6 +183,7 @@ fn looking(eye: [f64; 3], target: [f64; 3], roll: f64) -> Isometry3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::bodies::Bodies;
     use crate::motion::path::ArmLimits;
     use std::f64::consts::TAU;
     use ur_arm::kinematics::{DhParameters, forward};
@@ -198,8 +200,8 @@ mod tests {
                 joint_acceleration: 4.0,
                 tool_speed: 0.5,
                 tool_acceleration: 2.0,
-                link_floor: 0.03,
             },
+            bodies: Bodies::bare(&DhParameters::UR5E),
         }
     }
 

@@ -1,11 +1,19 @@
 //! How the arm does a pick-n-place: kinematics, limits, paths. Pure.
 //!
 //! `kinematics`: joints to poses and back. `path`: segments and the check that lets them reach the robot.
-//! `pick_n_place`: one action of a checked plan as three checked paths. `cycle_time`: what a sequence of them
-//! will take. `put_down`: the way back with an object in the hand. `slow`: the moves of a calibration.
+//! `pick_n_place`: one action of a checked plan as three checked paths. `cycle_time`: what a sequence of
+//! them will take. `put_down`: the way back with an object in the hand. `slow`: the moves of a calibration.
+//! `reach`: where the arm can pick and place at all. `holding`: what the cups stand. `bodies`: what the
+//! arm, its tool, its load and the cell are made of, and the check that none meets another. `way`: round
+//! them.
 
+pub mod arm;
+pub mod bodies;
 pub mod cycle_time;
+pub mod holding;
 pub mod path;
 pub mod pick_n_place;
 pub mod put_down;
+pub mod reach;
 pub mod slow;
+pub mod way;

@@ -5,15 +5,21 @@
 //! The tool stays vertical and the arm in the posture of its home pose. The tool's yaw is free, so a ring of
 //! yaws is tried, cheapest joint travel first, and the first that passes the path check is taken.
 
+use crate::motion::bodies::{Load, Room, Standing, Tabletop};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment, out_of_reach};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::{Pose2, wrap_angle};
 use std::f64::consts::{PI, TAU};
 
 /// What has to be carried where; poses of the object's footprint origin in the table frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PickNPlace {
+    /// Name of the object.
+    pub object: String,
+    /// Its outline.
+    pub footprint: Footprint,
     /// Where the object is.
     pub from: Pose2,
     /// Where it shall be.
@@ -24,6 +30,33 @@ pub struct PickNPlace {
     pub grip_yaw: Option<f64>,
     /// Height of the object, m: the cups touch it there.
     pub height: f64,
+    /// Largest acceleration of the tool that the vacuum holds the object at, m/s2.
+    pub hold: f64,
+}
+
+impl PickNPlace {
+    /// The object on the table.
+    pub fn lying_at(&self, pose: Pose2) -> Standing {
+        let (name, footprint) = (self.object.clone(), self.footprint.clone());
+        Standing { name, footprint, pose, height: self.height }
+    }
+
+    /// How far it may reach below the cups while it is carried, m.
+    pub fn depth(&self) -> f64 {
+        self.hanging(0.0).depth()
+    }
+
+    /// The object hanging on a tool that came down on it with this yaw.
+    pub(crate) fn hanging(&self, yaw: f64) -> Load {
+        let [x, y] = self.from.transform(self.grip_point);
+        let tool = Pose2::new(x, y, yaw);
+        Load {
+            name: self.object.clone(),
+            footprint: self.footprint.clone(),
+            tool_from_object: tool.inverse().compose(&self.from),
+            height: self.height,
+        }
+    }
 }
 
 /// Heights and speeds of a cycle, from the configuration.
@@ -63,12 +96,13 @@ pub struct PickNPlacePaths {
 }
 
 /// How many yaws a single cup may try.
-const YAWS: usize = 16;
+pub(crate) const YAWS: usize = 16;
 
 /// How many of the cheapest candidates go through the full check before the move is given up.
 const CANDIDATES: usize = 48;
 
-/// Plans the three paths from the joints `start` (the arm at rest, gripper empty).
+/// Plans the three paths from the joints `start` (the arm at rest, gripper empty). `table` is what lies on it
+/// besides the object.
 ///
 /// # Errors
 /// The fault of the cheapest candidate, or that a pose has no joint solution at all.
@@ -77,12 +111,18 @@ pub fn plan(
     start: &Joints,
     task: &PickNPlace,
     cycle: &CycleParameters,
+    table: &Tabletop,
 ) -> Result<PickNPlacePaths, PathFault> {
+    let rooms = Rooms {
+        before: Room::new(&model.bodies, table, Some(&task.lying_at(task.from))),
+        meanwhile: Room::new(&model.bodies, table, None),
+        after: Room::new(&model.bodies, table, Some(&task.lying_at(task.to))),
+    };
     let mut candidates = candidates(model, start, task, cycle);
     candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut first_fault = None;
     for candidate in candidates.iter().take(CANDIDATES) {
-        match assemble(model, start, candidate, task, cycle) {
+        match assemble(model, start, candidate, task, cycle, &rooms) {
             Ok(paths) => return Ok(paths),
             Err(fault) => {
                 first_fault.get_or_insert(fault);
@@ -101,6 +141,7 @@ pub fn tool_down(x: f64, y: f64, z: f64, yaw: f64) -> Isometry3<f64> {
 
 /// Joints at the corners of the move for one yaw and one branch.
 struct Candidate {
+    yaw: f64,
     over_pick: Joints,
     pick: Joints,
     over_place: Joints,
@@ -108,9 +149,16 @@ struct Candidate {
     cost: f64,
 }
 
+/// The table before the pick, while the object is carried, and after it was placed.
+struct Rooms {
+    before: Room,
+    meanwhile: Room,
+    after: Room,
+}
+
 /// Height of the tool while it travels: over everything that is on the table, with the object hanging below.
 fn travel_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
-    cycle.tallest + cycle.air + task.height.max(cycle.approach)
+    cycle.tallest + cycle.air + task.depth().max(cycle.approach)
 }
 
 fn yaws(task: &PickNPlace) -> Vec<f64> {
@@ -145,7 +193,7 @@ fn candidates(
             let Some(over_place) = at(place, high, yaw + turn, &over_pick) else { continue };
             let Some(at_place) = at(place, low, yaw + turn, &over_place) else { continue };
             let cost = start.max_difference(&over_pick) + over_pick.max_difference(&over_place);
-            out.push(Candidate { over_pick, pick: at_pick, over_place, place: at_place, cost });
+            out.push(Candidate { yaw, over_pick, pick: at_pick, over_place, place: at_place, cost });
         }
     }
     out
@@ -178,24 +226,25 @@ fn assemble(
     candidate: &Candidate,
     task: &PickNPlace,
     cycle: &CycleParameters,
+    rooms: &Rooms,
 ) -> Result<PickNPlacePaths, PathFault> {
     let low = task.height - cycle.press;
     let empty_floor = cycle.tallest + 0.5 * cycle.air;
-    let carry_floor = empty_floor + task.height;
     let approach = CheckedPath::new(
         model,
         start,
         &[
-            Leg { segment: joint(candidate.over_pick, cycle, cycle.blend), floor: empty_floor },
-            Leg { segment: linear(candidate.pick, cycle, 0.0), floor: low - 1e-3 },
+            Leg::over(joint(candidate.over_pick, cycle, cycle.blend), empty_floor),
+            Leg::between(linear(candidate.pick, cycle, 0.0), low - 1e-3),
         ],
+        &rooms.before,
     )?;
-    let carry = carry_path(model, candidate, cycle, low, carry_floor)?;
-    let up = |from: &Joints, to: Joints| {
-        CheckedPath::new(model, from, &[Leg { segment: linear(to, cycle, 0.0), floor: low - 1e-3 }])
+    let carry = carry_path(model, candidate, task, cycle, rooms)?;
+    let up = |from: &Joints, to: Joints, room: &Room| {
+        CheckedPath::new(model, from, &[Leg::between(linear(to, cycle, 0.0), low - 1e-3)], room)
     };
-    let give_up = up(&candidate.pick, candidate.over_pick)?;
-    let retreat = up(&candidate.place, candidate.over_place)?;
+    let give_up = up(&candidate.pick, candidate.over_pick, &rooms.before)?;
+    let retreat = up(&candidate.place, candidate.over_place, &rooms.after)?;
     Ok(PickNPlacePaths { approach, carry, give_up, retreat })
 }
 
@@ -203,19 +252,23 @@ fn assemble(
 fn carry_path(
     model: &ArmModel,
     candidate: &Candidate,
+    task: &PickNPlace,
     cycle: &CycleParameters,
-    low: f64,
-    floor: f64,
+    rooms: &Rooms,
 ) -> Result<CheckedPath, PathFault> {
+    let low = task.height - cycle.press;
+    let floor = cycle.tallest + 0.5 * cycle.air + task.height;
+    let room = rooms.meanwhile.holding(&model.bodies, Some(&task.hanging(candidate.yaw)));
     let with_transfer = |transfer: Segment| {
         CheckedPath::new(
             model,
             &candidate.pick,
             &[
-                Leg { segment: linear(candidate.over_pick, cycle, cycle.blend), floor: low - 1e-3 },
-                Leg { segment: transfer, floor },
-                Leg { segment: linear(candidate.place, cycle, 0.0), floor: low - 1e-3 },
+                Leg::between(linear(candidate.over_pick, cycle, cycle.blend), low - 1e-3).holding(task.hold),
+                Leg::over(transfer, floor).holding(task.hold),
+                Leg::between(linear(candidate.place, cycle, 0.0), low - 1e-3).holding(task.hold),
             ],
+            &room,
         )
     };
     with_transfer(joint(candidate.over_place, cycle, cycle.blend))
@@ -233,9 +286,50 @@ fn linear(target: Joints, cycle: &CycleParameters, blend: f64) -> Segment {
 #[cfg(test)]
 pub mod tests {
     use super::*;
+    use crate::motion::bodies::cell::{CellBodies, GripperBody};
+    use crate::motion::bodies::{Bodies, Surroundings};
     use crate::motion::path::ArmLimits;
     use rand::{RngExt, SeedableRng};
     use ur_arm::kinematics::DhParameters;
+
+    /// Arm, gripper with one cup, camera and table of the demo.
+    pub fn bodies(base_from_table: Isometry3<f64>, table: [f64; 2]) -> Bodies {
+        let flange_from_tool = Isometry3::translation(0.0, 0.0, 0.2);
+        let cell = cell();
+        let surroundings = Surroundings { base_from_table, flange_from_tool, table, link_floor: 0.03, cell };
+        Bodies::new(&DhParameters::UR5E, &surroundings)
+    }
+
+    /// Gripper and camera of the demo.
+    pub fn cell() -> CellBodies {
+        let gripper = GripperBody {
+            outline: vec![[-0.035, -0.035], [0.035, -0.035], [0.035, 0.035], [-0.035, 0.035]],
+            above_lips: 0.08,
+            cups: vec![([0.0, 0.0], 0.01)],
+        };
+        let flange_from_tool = Isometry3::translation(0.0, 0.0, 0.2);
+        let camera = Isometry3::translation(0.0, -0.07, 0.03);
+        CellBodies::new(&gripper, &flange_from_tool, Some(&camera))
+    }
+
+    /// A table on which nothing else lies, and anything up to the tallest object may.
+    pub fn table() -> Tabletop {
+        Tabletop { layer: 0.035, standing: Vec::new() }
+    }
+
+    /// A thin disc of 2 cm that is carried from one place to another.
+    pub fn task(from: Pose2, to: Pose2, grip_point: [f64; 2]) -> PickNPlace {
+        PickNPlace {
+            object: "disc".to_string(),
+            footprint: Footprint::Disc { radius: 0.02 },
+            from,
+            to,
+            grip_point,
+            grip_yaw: None,
+            height: 0.02,
+            hold: 20.0,
+        }
+    }
 
     /// The demo's arm at a table of this width.
     pub fn model(width: f64) -> ArmModel {
@@ -251,8 +345,8 @@ pub mod tests {
                 joint_acceleration: 4.0,
                 tool_speed: 0.5,
                 tool_acceleration: 2.0,
-                link_floor: 0.03,
             },
+            bodies: bodies(Isometry3::translation(-width / 2.0, 0.18, 0.0), [width, width]),
         }
     }
 
@@ -290,10 +384,9 @@ pub mod tests {
                     rng.random_range(-3.1..3.1),
                 )
             };
-            let task =
-                PickNPlace { from: pose(), to: pose(), grip_point: [0.0, 0.0], grip_yaw: None, height: 0.02 };
-            let paths =
-                plan(&model, &at, &task, &cycle()).unwrap_or_else(|fault| panic!("{task:?}: {fault}"));
+            let task = task(pose(), pose(), [0.0, 0.0]);
+            let paths = plan(&model, &at, &task, &cycle(), &table())
+                .unwrap_or_else(|fault| panic!("{task:?}: {fault}"));
             let tip = model.tool_at(&paths.carry.end());
             assert!((tip.translation.vector - Vector3::new(task.to.x, task.to.y, 0.019)).norm() < 1e-6);
             let carried = paths.carry.start();
@@ -306,14 +399,8 @@ pub mod tests {
     #[test]
     fn a_place_beyond_the_reach_is_refused_by_name() {
         let model = model(0.5);
-        let task = PickNPlace {
-            from: Pose2::new(0.25, 0.25, 0.0),
-            to: Pose2::new(0.25, 1.2, 0.0),
-            grip_point: [0.0, 0.0],
-            grip_yaw: None,
-            height: 0.02,
-        };
-        let fault = plan(&model, &home(&model, 0.5), &task, &cycle()).expect_err("too far");
+        let task = task(Pose2::new(0.25, 0.25, 0.0), Pose2::new(0.25, 1.2, 0.0), [0.0, 0.0]);
+        let fault = plan(&model, &home(&model, 0.5), &task, &cycle(), &table()).expect_err("too far");
         assert!(fault.to_string().contains("place"), "{fault}");
     }
 
@@ -322,7 +409,14 @@ pub mod tests {
         let model = model(0.5);
         let start = home(&model, 0.5);
         let down = model.joints_at(&tool_down(0.25, 0.25, 0.01, 0.0), &start).expect("reachable");
-        let leg = |segment, floor| CheckedPath::new(&model, &start, &[Leg { segment, floor }]);
+        let empty = Room::empty();
+        let leg = |segment, floor| {
+            let leg = match segment {
+                Segment::Joint { .. } => Leg::over(segment, floor),
+                Segment::Linear { .. } => Leg::between(segment, floor),
+            };
+            CheckedPath::new(&model, &start, &[leg], &empty)
+        };
         assert!(matches!(leg(linear(down, &cycle(), 0.0), 0.02), Err(PathFault::TooLow { .. })));
         assert!(leg(linear(down, &cycle(), 0.0), 0.0099).is_ok());
         let fast = Segment::Joint { target: down, speed: 9.0, acceleration: 1.0, blend: 0.0 };
@@ -335,6 +429,6 @@ pub mod tests {
         ));
         let nan = Segment::Joint { target: down, speed: f64::NAN, acceleration: 1.0, blend: 0.0 };
         assert!(leg(nan, 0.0).is_err());
-        assert_eq!(CheckedPath::new(&model, &start, &[]), Err(PathFault::Empty));
+        assert_eq!(CheckedPath::new(&model, &start, &[], &empty), Err(PathFault::Empty));
     }
 }

@@ -5,6 +5,7 @@
 //! tool points straight down, as it does in every pick-n-place; an arm that was moved by hand may have tilted
 //! it, and then nothing is put down.
 
+use crate::motion::bodies::{Load, Room, Standing, Tabletop};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment, out_of_reach};
 use crate::motion::pick_n_place::{CycleParameters, tool_down};
 use cell_values::units::Joints;
@@ -15,12 +16,12 @@ use std::f64::consts::TAU;
 const UPRIGHT_RAD: f64 = 0.02;
 
 /// How an object hangs on the tool.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Grasp {
-    /// Its pose in the tool's frame, seen from above.
-    tool_from_object: Pose2,
-    /// Its height, m.
-    height: f64,
+    /// The object, below the cups.
+    load: Load,
+    /// Largest acceleration of the tool that the vacuum holds it at, m/s2.
+    hold: f64,
 }
 
 /// Down onto a place, and straight up from it.
@@ -33,20 +34,32 @@ pub struct PutDown {
 }
 
 impl Grasp {
-    /// An object of this height (m) that lay at `object` (table frame) when it was picked with the arm at
-    /// `pick`; `None` when the tool did not point straight down.
-    pub fn new(model: &ArmModel, pick: &Joints, object: &Pose2, height: f64) -> Option<Grasp> {
-        let tool = seen_from_above(model, pick)?;
-        Some(Grasp { tool_from_object: inverse(&tool).compose(object), height })
+    /// An object that lay like this when it was picked with the arm at `pick`, and that the vacuum holds at
+    /// accelerations up to `hold` (m/s2); `None` when the tool did not point straight down.
+    pub fn new(model: &ArmModel, pick: &Joints, object: &Standing, hold: f64) -> Option<Grasp> {
+        let tool_from_object = seen_from_above(model, pick)?.inverse().compose(&object.pose);
+        let Standing { name, footprint, height, .. } = object.clone();
+        Some(Grasp { load: Load { name, footprint, tool_from_object, height }, hold })
+    }
+
+    /// The object as a body below the cups.
+    pub fn load(&self) -> &Load {
+        &self.load
+    }
+
+    /// Largest acceleration of the tool that the vacuum holds it at, m/s2.
+    pub fn hold(&self) -> f64 {
+        self.hold
     }
 
     /// Where the object hangs with the arm at `q`, table frame, seen from above; `None` when the tool does
     /// not point straight down.
     pub fn object_at(&self, model: &ArmModel, q: &Joints) -> Option<Pose2> {
-        seen_from_above(model, q).map(|tool| tool.compose(&self.tool_from_object))
+        seen_from_above(model, q).map(|tool| tool.compose(&self.load.tool_from_object))
     }
 
-    /// Paths from `start`, which is over everything on the table, that put the object down at `to`.
+    /// Paths from `start`, which is over everything on the table, that put the object down at `to`; `table`
+    /// is what lies on it.
     ///
     /// # Errors
     /// The place is out of reach, or the way there is not free of limits and floors.
@@ -56,10 +69,15 @@ impl Grasp {
         start: &Joints,
         to: &Pose2,
         cycle: &CycleParameters,
+        table: &Tabletop,
     ) -> Result<PutDown, PathFault> {
-        let tool = to.compose(&inverse(&self.tool_from_object));
-        let low = self.height - cycle.press;
-        let high = cycle.tallest + cycle.air + self.height.max(cycle.approach);
+        let tool = to.compose(&self.load.tool_from_object.inverse());
+        let height = self.load.height;
+        let low = height - cycle.press;
+        let high = cycle.tallest + cycle.air + self.load.depth().max(cycle.approach);
+        let empty = Room::new(&model.bodies, table, None);
+        let placed = Room::new(&model.bodies, table, Some(&self.placed_at(*to)));
+        let rooms = [empty.holding(&model.bodies, Some(&self.load)), placed];
         let mut fault = None;
         for turn in [0.0, -TAU, TAU] {
             let mut near = *start;
@@ -70,7 +88,7 @@ impl Grasp {
             };
             let Some(over) = at(high, &near) else { continue };
             let Some(place) = at(low, &over) else { continue };
-            match self.paths(model, start, over, place, cycle) {
+            match self.paths(model, start, [over, place], cycle, &rooms) {
                 Ok(paths) => return Ok(paths),
                 Err(found) => fault = fault.or(Some(found)),
             }
@@ -83,12 +101,12 @@ impl Grasp {
         &self,
         model: &ArmModel,
         start: &Joints,
-        over: Joints,
-        place: Joints,
+        [over, place]: [Joints; 2],
         cycle: &CycleParameters,
+        [loaded, placed]: &[Room; 2],
     ) -> Result<PutDown, PathFault> {
-        let near_table = self.height - cycle.press - 1e-3;
-        let floor = cycle.tallest + 0.5 * cycle.air + self.height;
+        let near_table = self.load.height - cycle.press - 1e-3;
+        let floor = cycle.tallest + 0.5 * cycle.air + self.load.height;
         let straight = |target| Segment::Linear {
             target,
             speed: cycle.tool_speed,
@@ -102,13 +120,17 @@ impl Grasp {
             blend: 0.0,
         };
         let with = |transfer| {
-            let legs =
-                [Leg { segment: transfer, floor }, Leg { segment: straight(place), floor: near_table }];
-            CheckedPath::new(model, start, &legs)
+            let legs = [Leg::over(transfer, floor), Leg::between(straight(place), near_table)];
+            CheckedPath::new(model, start, &legs.map(|leg| leg.holding(self.hold)), loaded)
         };
         let down = with(transfer).or_else(|_| with(straight(over)))?;
-        let up = CheckedPath::new(model, &place, &[Leg { segment: straight(over), floor: near_table }])?;
+        let up = CheckedPath::new(model, &place, &[Leg::between(straight(over), near_table)], placed)?;
         Ok(PutDown { down, up })
+    }
+
+    fn placed_at(&self, pose: Pose2) -> Standing {
+        let Load { name, footprint, height, .. } = self.load.clone();
+        Standing { name, footprint, pose, height }
     }
 }
 
@@ -121,16 +143,11 @@ fn seen_from_above(model: &ArmModel, q: &Joints) -> Option<Pose2> {
     upright.then(|| Pose2::new(place.x, place.y, axes[(1, 0)].atan2(axes[(0, 0)])))
 }
 
-fn inverse(pose: &Pose2) -> Pose2 {
-    let [x, y] = pose.inverse_transform([0.0, 0.0]);
-    Pose2::new(x, y, -pose.theta)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::pick_n_place::tests::{cycle, home, model};
-    use crate::motion::pick_n_place::{PickNPlace, plan};
+    use crate::motion::pick_n_place::plan;
+    use crate::motion::pick_n_place::tests::{cycle, home, model, table, task};
     use rand::{RngExt, SeedableRng};
 
     #[test]
@@ -143,9 +160,10 @@ mod tests {
                 Pose2::new(x, y, rng.random_range(-3.1..3.1))
             };
             let (from, goal, elsewhere) = (pose(), pose(), pose());
-            let task = PickNPlace { from, to: goal, grip_point: [0.01, 0.0], grip_yaw: None, height: 0.02 };
-            let paths = plan(&model, &home(&model, 0.5), &task, &cycle()).expect("reachable");
-            let grasp = Grasp::new(&model, &paths.carry.start(), &from, 0.02).expect("upright");
+            let task = task(from, goal, [0.01, 0.0]);
+            let paths = plan(&model, &home(&model, 0.5), &task, &cycle(), &table()).expect("reachable");
+            let grasp =
+                Grasp::new(&model, &paths.carry.start(), &task.lying_at(from), 20.0).expect("upright");
             let hangs = grasp.object_at(&model, &paths.carry.end()).expect("upright");
             assert!(
                 hangs.distance(&goal) < 1e-6 && hangs.angle_difference(&goal) < 1e-6,
@@ -153,7 +171,7 @@ mod tests {
             );
             // Stopped over the place; it is to go somewhere else.
             let over = paths.retreat.end();
-            let put = grasp.put_down(&model, &over, &elsewhere, &cycle()).expect("reachable");
+            let put = grasp.put_down(&model, &over, &elsewhere, &cycle(), &table()).expect("reachable");
             let lies = grasp.object_at(&model, &put.down.end()).expect("upright");
             assert!(lies.distance(&elsewhere) < 1e-6 && lies.angle_difference(&elsewhere) < 1e-6, "{case}");
             let cups = model.tool_at(&put.down.end()).translation.z;
@@ -165,17 +183,19 @@ mod tests {
     fn a_tilted_tool_puts_nothing_down() {
         let model = model(0.5);
         let mut tilted = home(&model, 0.5);
-        assert!(Grasp::new(&model, &tilted, &Pose2::default(), 0.02).is_some());
+        let lies = task(Pose2::default(), Pose2::default(), [0.0; 2]).lying_at(Pose2::default());
+        assert!(Grasp::new(&model, &tilted, &lies, 20.0).is_some());
         tilted.0[3] += 0.05;
-        assert!(Grasp::new(&model, &tilted, &Pose2::default(), 0.02).is_none());
+        assert!(Grasp::new(&model, &tilted, &lies, 20.0).is_none());
     }
 
     #[test]
     fn a_place_out_of_reach_is_refused() {
         let model = model(0.5);
         let start = home(&model, 0.5);
-        let grasp = Grasp::new(&model, &start, &Pose2::new(0.25, 0.25, 0.0), 0.02).expect("upright");
-        let fault = grasp.put_down(&model, &start, &Pose2::new(0.25, 1.3, 0.0), &cycle());
+        let at = Pose2::new(0.25, 0.25, 0.0);
+        let grasp = Grasp::new(&model, &start, &task(at, at, [0.0; 2]).lying_at(at), 20.0).expect("upright");
+        let fault = grasp.put_down(&model, &start, &Pose2::new(0.25, 1.3, 0.0), &cycle(), &table());
         assert!(fault.expect_err("too far").to_string().contains("place"));
     }
 }

@@ -3,6 +3,7 @@
 //! In: the arm with its nominal table, the box, where the arm is and where it is to go. Out: a checked path,
 //! or who would be outside of what (design, section 7, rule 1, class *calibrate*). Pure.
 
+use crate::motion::bodies::Room;
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
 use cell_values::units::{Joints, mm_from_m};
 use nalgebra::Vector3;
@@ -84,7 +85,7 @@ pub fn slow_move(
 ) -> Result<CheckedPath, SlowFault> {
     let speed = slow_enough(model, from, &target);
     let segment = Segment::Joint { target, speed, acceleration: model.limits.joint_acceleration, blend: 0.0 };
-    let path = CheckedPath::new(model, from, &[Leg { segment, floor: FLOOR }])
+    let path = CheckedPath::new(model, from, &[Leg::over(segment, FLOOR)], &Room::empty())
         .map_err(|fault| SlowFault::Path { pose, fault })?;
     let Some(room) = room else { return Ok(path) };
     for k in 0..=TRAVEL_SAMPLES {
@@ -121,6 +122,7 @@ fn slow_enough(model: &ArmModel, from: &Joints, to: &Joints) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::bodies::Bodies;
     use crate::motion::path::ArmLimits;
     use nalgebra::Isometry3;
     use std::f64::consts::TAU;
@@ -133,7 +135,6 @@ mod tests {
             joint_acceleration: 4.0,
             tool_speed: 0.5,
             tool_acceleration: 2.0,
-            link_floor: 0.03,
         };
         ArmModel {
             dh: DhParameters::UR5E,
@@ -141,6 +142,7 @@ mod tests {
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
             home: Joints([0.0, -1.5, 1.5, -1.5, -1.5, 0.0]),
             limits,
+            bodies: Bodies::bare(&DhParameters::UR5E),
         }
     }
 

@@ -22,6 +22,7 @@ pub mod store;
 pub mod storm;
 pub mod sweep;
 pub mod table;
+pub mod thin_arm;
 pub mod trace;
 pub mod work;
 

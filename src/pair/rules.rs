@@ -14,6 +14,7 @@ use crate::cell::orders::{Order, Reply, WayBack};
 use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::status::Doing;
+use crate::pair::thin_arm::ThinModel;
 use std::collections::{BTreeMap, BTreeSet};
 use ur_sim::faults::{Fault, Order as FaultOrder, RobotFault};
 use ur_sim::world::vacuum::VacuumMode;
@@ -60,11 +61,13 @@ pub enum Rule {
     MotionInLocalControl,
     /// Power, brakes or a program are ordered of the robot although the cell is disarmed.
     StartedWhileDisarmed,
+    /// The arm moves where it lies in itself or in the table, by a model of this loop's own.
+    ArmMeets,
 }
 
 impl Rule {
     /// All of them.
-    pub const ALL: [Rule; 19] = [
+    pub const ALL: [Rule; 20] = [
         Rule::MotionWhileDisarmed,
         Rule::MotionBeforeCommit,
         Rule::MotionOnStaleState,
@@ -84,6 +87,7 @@ impl Rule {
         Rule::SafetyAcknowledged,
         Rule::MotionInLocalControl,
         Rule::StartedWhileDisarmed,
+        Rule::ArmMeets,
     ];
 }
 
@@ -111,6 +115,8 @@ const MOST_BREACHES: usize = 64;
 #[derive(Debug, Default)]
 pub struct Rules {
     breaches: Vec<Breach>,
+    /// The arm as it is, once the machine knows it.
+    thin: Option<ThinModel>,
     moved: bool,
     stopped_at: Option<u64>,
     /// Frames for which the arm has not moved, and when it last began to, from standstill.

@@ -9,6 +9,7 @@ mod cell;
 mod closed_loop;
 mod edit;
 mod faults;
+mod first_moves;
 mod mutants;
 mod on_robot_program;
 mod plan_command;

@@ -9,6 +9,7 @@ use cell_values::units::Joints;
 use celld::cell::device::program::Nonce;
 use celld::cell::device::robot::Robot;
 use celld::cell::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
+use celld::motion::bodies::{Bodies, Room};
 use celld::motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
@@ -177,7 +178,6 @@ impl Cell {
             joint_acceleration: 10.0,
             tool_speed: 1.0,
             tool_acceleration: 5.0,
-            link_floor: -1.0,
         };
         let model = ArmModel {
             dh: self.dh,
@@ -185,6 +185,7 @@ impl Cell {
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.1),
             home: from,
             limits,
+            bodies: Bodies::bare(&self.dh),
         };
         let at = |turn: f64, tilt: f64| {
             let mut q = from;
@@ -199,7 +200,8 @@ impl Cell {
             joint(at(0.6, 0.0), 0.0),
             Segment::Linear { target: at(0.7, 0.0), speed: 0.25, acceleration: 1.2, blend: 0.0 },
         ];
-        CheckedPath::new(&model, &from, &legs.map(|segment| Leg { segment, floor: -1.0 })).unwrap()
+        CheckedPath::new(&model, &from, &legs.map(|segment| Leg::over(segment, -1.0)), &Room::empty())
+            .unwrap()
     }
 
     async fn follow(&mut self, path: CheckedPath) {

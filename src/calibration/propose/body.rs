@@ -51,7 +51,7 @@ impl Body {
 
 /// Least distance of two straight pieces, m: of their lines, held within both pieces (Ericson, Real-Time
 /// Collision Detection, section 5.1.9).
-fn apart_m([a, b]: &Line, [c, d]: &Line) -> f64 {
+pub(crate) fn apart_m([a, b]: &Line, [c, d]: &Line) -> f64 {
     let (u, v, w) = (b - a, d - c, a - c);
     let (uu, vv, uv) = (u.norm_squared(), v.norm_squared(), u.dot(&v));
     let (uw, vw) = (u.dot(&w), v.dot(&w));

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::calibration::files::camera::CameraCalibration;
+use crate::motion::bodies::Bodies;
 use crate::motion::path::ArmLimits;
 use cell_values::units::rad_from_deg;
 use cell_vision::board::Board;
@@ -48,8 +49,8 @@ fn arm(drawn: &Drawn) -> ArmModel {
             joint_acceleration: rad_from_deg(120.0),
             tool_speed: 0.25,
             tool_acceleration: 1.0,
-            link_floor: 0.05,
         },
+        bodies: Bodies::bare(&DhParameters::UR5E),
     }
 }
 

@@ -19,8 +19,6 @@ pub(crate) struct Held {
     pub mass: f64,
     /// Where it was to go.
     pub to: Pose2,
-    /// That is its goal, and no buffer.
-    pub to_goal: bool,
     /// The vacuum has gone at its place; it may hang on the cups all the same until a picture shows it.
     pub let_go: bool,
 }
@@ -70,7 +68,8 @@ pub(crate) struct Recovery {
 #[derive(Debug)]
 pub(crate) struct Placing {
     pub to: Pose2,
-    pub at_goal: bool,
+    /// It is the place it was carried to.
+    pub meant: bool,
     pub up: CheckedPath,
 }
 

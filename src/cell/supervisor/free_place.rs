@@ -46,12 +46,13 @@ impl Supervisor {
         let taken = self.taken(held, seen);
         let free =
             |pose: &Pose2| self.is_free(&object.footprint, object.grip_point, held.height, pose, &taken);
+        let table = self.tabletop(Some(seen), &held.object);
         let mut fault = None;
         let ring = around(below).map(|pose| (pose, false));
         let candidates = std::iter::once((held.to, true)).chain(ring).filter(|(pose, _)| free(pose));
         for (pose, meant) in candidates.take(TRIES) {
-            match grasp.put_down(&self.model.arm, q, &pose, &self.cycle()) {
-                Ok(paths) => return Ok((pose, meant && held.to_goal, paths)),
+            match grasp.put_down(&self.model.arm, q, &pose, &self.cycle(), &table) {
+                Ok(paths) => return Ok((pose, meant, paths)),
                 Err(found) => fault = fault.or(Some(found)),
             }
         }

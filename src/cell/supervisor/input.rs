@@ -4,6 +4,7 @@ use crate::cell::code::Code;
 use crate::cell::device::gripper_types::{GripperCommand, GripperEvent};
 use crate::cell::device::robot_types::{Link, RobotCommand, RobotEvent, RobotState};
 use crate::cell::orders::{Order, Reply};
+use crate::cell::plan_check::{OutOfReach, PlanLimits};
 use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
@@ -77,6 +78,8 @@ pub enum PlanAnswer {
     Refused(String),
     /// The solver does not do such problems.
     Unsolvable(String),
+    /// The arm cannot move an object from or to where it has to.
+    OutOfReach(Box<OutOfReach>),
 }
 
 /// What happened.
@@ -135,6 +138,8 @@ pub struct PlanRequest {
     pub time_limit: Duration,
     /// What the arm takes, for plans that are judged by time.
     pub times: CycleTimes,
+    /// What the arm can do of a plan; its objects are those of the instance, in the same order.
+    pub limits: PlanLimits,
 }
 
 /// What is written into the journal of the active job before the cell goes on.

@@ -365,6 +365,7 @@ impl Supervisor {
             seed: job.order.seed.wrapping_add(u64::from(job.replans)),
             time_limit: job.order.time_limit,
             times: CycleTimes::new(&self.model.arm, &self.cycle(), self.model.arm.home),
+            limits: self.plan_limits(seen),
         };
         let limit = request.time_limit + self.model.tolerances.plan_grace;
         if job.route.is_some() {
@@ -382,23 +383,12 @@ impl Supervisor {
         let PlanAnswer::Found { actions, lower_bound, seconds, .. } = answer else {
             return self.on_no_plan(now, &answer, out);
         };
-        let (Some(job), Some(seen)) = (&mut self.job, &self.seen) else { return };
-        // The request listed the objects in the order they were seen.
-        let listed: Vec<&str> = seen
-            .objects
-            .iter()
-            .filter(|object| self.model.objects.iter().any(|known| known.id == object.id))
-            .map(|object| object.id.as_str())
-            .collect();
-        let route: Option<Vec<RouteAction>> = actions
-            .iter()
-            .map(|action| {
-                let object = listed.get(action.object)?.to_string();
-                let to_goal = action.kind == ActionKind::Goal;
-                Some(RouteAction { object, from: action.from, to: action.to, to_goal })
-            })
-            .collect();
-        let Some(route) = route else { return };
+        let route = actions.iter().map(|action| {
+            let to_goal = action.kind == ActionKind::Goal;
+            RouteAction { object: self.listed(action.object), from: action.from, to: action.to, to_goal }
+        });
+        let route: Vec<RouteAction> = route.collect();
+        let Some(job) = &mut self.job else { return };
         let buffers = route.iter().filter(|action| !action.to_goal).count();
         say(out, format!("plan: {} pick-n-places, {buffers} to a buffer, bound {lower_bound}", route.len()));
         if job.planned.is_none() {
@@ -430,6 +420,11 @@ impl Supervisor {
             }
             PlanAnswer::Unsolvable(cause) => {
                 Code::SolverUnfit.because(cause.clone(), "choose another solver or objective in the job")
+            }
+            PlanAnswer::OutOfReach(fault) => {
+                let hint = "put the object or its goal nearer to the robot, or take what is in the way aside";
+                let object = self.listed(fault.object);
+                Code::Unreachable.because(fault.message.clone(), hint).of(object)
             }
             PlanAnswer::Timeout | PlanAnswer::Found { .. } => {
                 let hint = "give the job a longer time_limit_s, or clear the table a little";

@@ -33,6 +33,7 @@ mod safety_words;
 pub mod situation;
 mod standing;
 pub mod status;
+mod tabletop;
 mod travel;
 mod trouble;
 mod visits;

@@ -6,7 +6,8 @@
 use crate::calibration::files::hand_eye::Mount;
 use crate::cell::device::gripper_types::Channels;
 use crate::motion::path::ArmModel;
-use crate::motion::pick_n_place::CycleParameters;
+use crate::motion::pick_n_place::{CycleParameters, PickNPlace};
+use crate::motion::reach::ReachMask;
 use cell_values::time::Duration;
 use cell_values::units::Joints;
 use cell_vision::observe::reference::DriftLimits;
@@ -14,6 +15,7 @@ use nalgebra::{Isometry3, Vector3};
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
+use std::sync::{Arc, OnceLock};
 
 /// One kind of thing the cell may move.
 #[derive(Clone, Debug)]
@@ -34,6 +36,24 @@ pub struct CellObject {
     pub grip_point: [f64; 2],
     /// Tool yaw in the object frame the cups need; `None` when any will do.
     pub grip_yaw: Option<f64>,
+    /// Largest acceleration of the tool at which the cups hold it, m/s2.
+    pub hold: f64,
+}
+
+impl CellObject {
+    /// This object's pick-n-place from one pose to another.
+    pub fn pick_n_place(&self, from: Pose2, to: Pose2) -> PickNPlace {
+        PickNPlace {
+            object: self.id.clone(),
+            footprint: self.footprint.clone(),
+            from,
+            to,
+            grip_point: self.grip_point,
+            grip_yaw: self.grip_yaw,
+            height: self.height,
+            hold: self.hold,
+        }
+    }
 }
 
 /// Numbers the supervisor decides by; from the configuration.
@@ -139,6 +159,8 @@ pub struct CellModel {
     pub ignore_markers: Vec<u32>,
     /// What may be moved.
     pub objects: Vec<CellObject>,
+    /// Where they can be picked and placed; filled by the first plan that needs to know.
+    pub reach: Arc<OnceLock<ReachMask>>,
     /// What is done about things without a marker.
     pub foreign: ForeignRule,
     /// Limits of decisions.

@@ -10,7 +10,7 @@ use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
 use crate::cell::device::robot_types::{RobotCommand, RobotState};
 use crate::cell::orders::{Reply, WayBack};
-use crate::cell::supervisor::back::{BackStage, Placing, Recovery};
+use crate::cell::supervisor::back::{BackStage, Held, Placing, Recovery};
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
@@ -274,9 +274,9 @@ impl Supervisor {
             None => Err("what is held is not held as it should".to_string()),
         };
         match place {
-            Ok((to, at_goal, paths)) => {
+            Ok((to, meant, paths)) => {
                 if let Some(recovery) = &mut self.back.recovery {
-                    recovery.place = Some(Placing { to, at_goal, up: paths.up });
+                    recovery.place = Some(Placing { to, meant, up: paths.up });
                 }
                 out.push(Action::Robot(RobotCommand::Stream(paths.down)));
                 self.enter(Phase::Recover(BackStage::Placing), self.model.tolerances.phase_deadline);
@@ -336,7 +336,7 @@ impl Supervisor {
                 let place = self.back.recovery.as_ref().and_then(|recovery| recovery.place.as_ref());
                 let said = place.map_or_else(String::new, |place| {
                     let Pose2 { x, y, theta } = place.to;
-                    let which = if place.at_goal { "its place" } else { "the nearest free place" };
+                    let which = if place.meant { "its place" } else { "the nearest free place" };
                     let degrees = theta.to_degrees();
                     format!(
                         "the object was put down at {which}, x {x:.3} m, y {y:.3} m, {degrees:.0} degrees"
@@ -431,7 +431,8 @@ impl Supervisor {
 
     /// What hangs below the cups, m; 0 where nothing does.
     pub(crate) fn held_height(&self) -> f64 {
-        self.back.held.as_ref().map_or(0.0, |held| held.height)
+        let depth = |held: &Held| held.grasp.as_ref().map_or(held.height, |grasp| grasp.load().depth());
+        self.back.held.as_ref().map_or(0.0, depth)
     }
 
     /// Mass of what the vacuum holds, kg; what was let go counts no more.

@@ -14,6 +14,7 @@ use crate::cell::supervisor::model::{
 use crate::cell::supervisor::order::JobOrder;
 use crate::motion::path::{ArmLimits, ArmModel};
 use crate::motion::pick_n_place::CycleParameters;
+use crate::motion::pick_n_place::tests::bodies;
 use cell_values::time::{Duration, Timestamp};
 use cell_values::units::Joints;
 use cell_vision::foreign::{ForeignObject, ForeignReport, Hole};
@@ -42,6 +43,7 @@ fn object() -> CellObject {
         marker,
         grip_point: [0.0, 0.0],
         grip_yaw: None,
+        hold: 20.0,
     }
 }
 
@@ -78,8 +80,8 @@ fn model() -> CellModel {
                 joint_acceleration: 4.0,
                 tool_speed: 0.5,
                 tool_acceleration: 2.0,
-                link_floor: 0.03,
             },
+            bodies: bodies(Isometry3::translation(-0.25, 0.18, 0.0), [0.5, 0.5]),
         },
         cycle: CycleParameters {
             tallest: 0.02,
@@ -102,6 +104,7 @@ fn model() -> CellModel {
         ignore_markers: vec![78],
         foreign: ForeignRule::Refuse { depth_needed: false },
         objects: vec![object()],
+        reach: Default::default(),
         tolerances: tolerances(),
         grip: GripSettings {
             channels: Channels::A,

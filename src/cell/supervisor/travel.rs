@@ -1,33 +1,66 @@
 //! Moves over the table that carry nothing to a place: to a look pose, to the park pose, straight up.
 //!
-//! In: where the arm is, what hangs on it, how tall things on the table are. Out: checked paths.
+//! In: where the arm is, what hangs on it, how tall things on the table are. Out: checked paths. From
+//! wherever the arm was left: where the straight joint move is not free, a way round is searched for, and
+//! where there is none, the arm does not move and the sentence says what it is too near to.
 
 use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::phase::Phase;
 use crate::cell::supervisor::reason::alarm;
+use crate::motion::bodies::Room;
+use crate::motion::bodies::sweep::Sweep;
 use crate::motion::path::{CheckedPath, Leg, PathFault, Segment, out_of_reach};
+use crate::motion::way::{NoWay, Search, find};
 use cell_values::units::Joints;
 
+/// The search for a way: the same every time, and short enough that the robot's watchdog does not run out
+/// meanwhile.
+const SEARCH: Search = Search { seed: 1, steps: 1500 };
+
+/// Why the arm cannot go somewhere.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(crate) enum NoTravel {
+    #[error(transparent)]
+    Path(#[from] PathFault),
+    #[error(transparent)]
+    Way(#[from] NoWay),
+}
+
 impl Supervisor {
-    /// A checked joint move, over everything that is on the table.
-    pub(crate) fn transfer_to(&self, from: &Joints, target: Joints) -> Result<CheckedPath, PathFault> {
-        let cycle = self.cycle();
-        let segment = Segment::Joint {
-            target,
-            speed: cycle.joint_speed,
-            acceleration: cycle.joint_acceleration,
-            blend: 0.0,
-        };
-        let floor = self.travel_floor();
+    /// A checked way over everything that may be on the table. Full turns of the joints are left as they are,
+    /// where the joints' ranges allow it.
+    pub(crate) fn transfer_to(&self, from: &Joints, target: Joints) -> Result<CheckedPath, NoTravel> {
+        let arm = &self.model.arm;
+        let target = arm.unwound(&target, from).unwrap_or(target);
+        let room = self.unseen_room();
         let mut legs = Vec::new();
+        let mut at = *from;
         // After a stop the arm may be between the objects: straight up first, for there is no room aside.
-        if self.model.arm.tool_at(from).translation.vector.z < floor {
-            legs.push(self.straight_up(from)?);
+        if self.is_low(from, &room) {
+            let up = self.straight_up(from)?;
+            at = up.segment.target();
+            legs.push(up);
         }
-        legs.push(Leg { segment, floor });
-        CheckedPath::new(&self.model.arm, from, &legs)
+        let floor = self.tip_floor();
+        let points = find(arm, &room, &at, &target, SEARCH)?;
+        let cycle = self.cycle();
+        legs.extend(points.into_iter().map(|target| {
+            let (speed, acceleration) = (cycle.joint_speed, cycle.joint_acceleration);
+            Leg::over(Segment::Joint { target, speed, acceleration, blend: 0.0 }, floor).holding(self.hold())
+        }));
+        Ok(CheckedPath::new(arm, from, &legs, &room)?)
+    }
+
+    /// The tool, or what is round it, is lower than things on the table may reach.
+    fn is_low(&self, from: &Joints, room: &Room) -> bool {
+        let tip = self.model.arm.tool_at(from).translation.vector.z;
+        // What is low although the tool is high does not get out of there by going up.
+        if tip >= self.height_over_all() {
+            return false;
+        }
+        tip < self.tip_floor() || Sweep::new(&self.model.arm.bodies, room).is_low(from)
     }
 
     /// Lowest height of the tool on a joint move: over everything on the table, with what is held below it.
@@ -36,12 +69,25 @@ impl Supervisor {
         cycle.tallest + 0.5 * cycle.air + self.held_height()
     }
 
+    /// The same where how it hangs is not known; else the bodies say it better.
+    fn tip_floor(&self) -> f64 {
+        let unknown = self.back.held.as_ref().is_some_and(|held| held.grasp.is_none());
+        if unknown { self.travel_floor() } else { f64::NEG_INFINITY }
+    }
+
+    /// Height at which the tool, with what is held, is over everything that may be on the table.
+    fn height_over_all(&self) -> f64 {
+        let cycle = self.cycle();
+        cycle.tallest + cycle.air + self.held_height()
+    }
+
     /// A path straight up to where there is nothing any more; `None` where the tool is that high already.
     pub(crate) fn straight_up_path(&self, from: &Joints) -> Result<Option<CheckedPath>, PathFault> {
-        if self.model.arm.tool_at(from).translation.vector.z >= self.travel_floor() {
+        let room = self.unseen_room();
+        if !self.is_low(from, &room) {
             return Ok(None);
         }
-        CheckedPath::new(&self.model.arm, from, &[self.straight_up(from)?]).map(Some)
+        CheckedPath::new(&self.model.arm, from, &[self.straight_up(from)?], &room).map(Some)
     }
 
     /// Vertically to where there is nothing any more.
@@ -49,7 +95,7 @@ impl Supervisor {
         let cycle = self.cycle();
         let here = self.model.arm.tool_at(from);
         let mut above = here;
-        above.translation.vector.z = cycle.tallest + cycle.air + self.held_height();
+        above.translation.vector.z = self.height_over_all();
         let target = self.model.arm.joints_at(&above, from);
         let target = target.ok_or_else(|| out_of_reach("straight up", &above))?;
         let segment = Segment::Linear {
@@ -58,7 +104,7 @@ impl Supervisor {
             acceleration: cycle.tool_acceleration,
             blend: 0.0,
         };
-        Ok(Leg { segment, floor: here.translation.vector.z - 1e-3 })
+        Ok(Leg::between(segment, here.translation.vector.z - 1e-3).holding(self.hold()))
     }
 
     pub(crate) fn begin_park(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {

@@ -11,7 +11,7 @@ use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::phase::{Phase, Work, WorkStage};
 use crate::cell::supervisor::reason::{alarm, say};
-use crate::motion::pick_n_place::{PickNPlace, plan};
+use crate::motion::pick_n_place::plan;
 use crate::motion::put_down::Grasp;
 use cell_values::time::Timestamp;
 use rearrange::geometry::collision::penetration;
@@ -35,20 +35,15 @@ impl Supervisor {
         }
         let Some(next) = job.route.as_ref().and_then(|route| route.first()).cloned() else { return };
         let Some(object) = self.model.object(&next.object) else { return };
-        let task = PickNPlace {
-            from: next.from,
-            to: next.to,
-            grip_point: object.grip_point,
-            grip_yaw: object.grip_yaw,
-            height: object.height,
-        };
+        let task = object.pick_n_place(next.from, next.to);
         if let Some(neighbour) = self.body_meets(&next, object) {
             let message = format!("the gripper's body would meet {neighbour} beside {}", next.object);
             let hint = "move the two apart by hand, or give the job a goal with more room";
             let reason = Code::Unpickable.because(message, hint).of(&next.object);
             return self.finish(now, JobStatus::Failed, reason, out);
         }
-        let paths = match plan(&self.model.arm, &robot.q, &task, &self.cycle()) {
+        let table = self.tabletop(self.seen.as_ref(), &next.object);
+        let paths = match plan(&self.model.arm, &robot.q, &task, &self.cycle(), &table) {
             Ok(paths) => paths,
             Err(fault) => {
                 let message = format!("{} cannot be moved: {fault}", next.object);
@@ -66,11 +61,10 @@ impl Supervisor {
         };
         let held = Held {
             object: next.object.clone(),
-            grasp: Grasp::new(&self.model.arm, &paths.carry.start(), &next.from, object.height),
+            grasp: Grasp::new(&self.model.arm, &paths.carry.start(), &task.lying_at(next.from), object.hold),
             height: object.height,
             mass: object.mass,
             to: next.to,
-            to_goal: next.to_goal,
             let_go: false,
         };
         let number = self.commit(now, record, out);

@@ -7,7 +7,10 @@
 use crate::cell::machine::Machine;
 use crate::cell::supervisor::status::{Doing, Status};
 use crate::pair::rules::{KNOWN_FRAMES, Rule, Rules};
+use crate::pair::thin_arm::ThinModel;
+use cell_values::units::Joints;
 use std::time::Duration;
+use ur_arm::bodies::Capsule;
 use ur_sim::faults::link::LinkName;
 use ur_sim::simulator::Simulator;
 use ur_sim::world::lock;
@@ -15,6 +18,9 @@ use ur_sim::world::vacuum::{Channel, VacuumMode};
 
 /// The arm counts as moving above this joint speed, rad/s.
 const MOVES_RAD_S: f64 = 0.005;
+
+/// Frames from one look at the arm's bodies to the next, 20 ms.
+const BODIES_EVERY: u64 = 10;
 
 /// A state may be this old when a motion begins: 100 ms at the order, then network and program.
 const STATE_AGE_FRAMES: u64 = 75;
@@ -86,9 +92,29 @@ impl Rules {
             self.stopped_at = None;
             self.armed_at = Some(frame);
         }
+        if moves && !stranger && !self.stranger && frame.is_multiple_of(BODIES_EVERY) {
+            self.check_bodies(machine, &core.robot.controller().core.mover.q());
+        }
         self.check_stopped(moves);
         self.check_vacuum(frame, simulator, machine.supervisor().is_none_or(|cell| !cell.mode().ending()));
         self.check_status(machine, status);
+    }
+
+    /// Where it moves, the arm lies neither in itself nor in the table.
+    fn check_bodies(&mut self, machine: &Machine, q: &Joints) {
+        if self.thin.is_none() {
+            let Some(supervisor) = machine.supervisor() else { return };
+            let arm = &supervisor.model().arm;
+            let z = arm.flange_from_tool.translation.z;
+            // The gripper's body; its cups go down to the table.
+            let tool = Capsule { a: [0.0, 0.0, 0.4 * z], b: [0.0, 0.0, 0.6 * z], radius: 0.03 };
+            self.thin = Some(ThinModel::of(arm, tool));
+        }
+        let Some(thin) = &self.thin else { return };
+        let distance = thin.least_at(q);
+        if distance < 0.0 {
+            self.breach(Rule::ArmMeets, format!("{:.1} mm deep at {q:?}", -1e3 * distance));
+        }
     }
 
     /// After a stop nothing moves before the cell is armed.

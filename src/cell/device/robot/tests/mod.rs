@@ -7,6 +7,7 @@ mod running;
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot::Robot;
 use crate::cell::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters};
+use crate::motion::bodies::{Bodies, Room};
 use crate::motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
 use cell_values::time::{Duration, Timestamp};
 use cell_values::units::Joints;
@@ -202,8 +203,8 @@ fn model() -> ArmModel {
             joint_acceleration: 2.0,
             tool_speed: 0.5,
             tool_acceleration: 1.0,
-            link_floor: -1.0,
         },
+        bodies: Bodies::bare(&DhParameters::UR5E),
     }
 }
 
@@ -214,8 +215,8 @@ fn path(from: Joints, segments: usize) -> CheckedPath {
             let mut target = from;
             target.0[0] += 0.1 * k as f64;
             let segment = Segment::Joint { target, speed: 1.0, acceleration: 2.0, blend: 0.02 };
-            Leg { segment, floor: -1.0 }
+            Leg::over(segment, -1.0)
         })
         .collect();
-    CheckedPath::new(&model(), &from, &legs).unwrap()
+    CheckedPath::new(&model(), &from, &legs, &Room::empty()).unwrap()
 }

@@ -1,0 +1,279 @@
+//! The swept check: no two bodies of the cell come nearer than they may, anywhere on a path.
+//!
+//! In: the bodies, the room, pieces of a path that are straight in joint space. Out: nothing, or the first
+//! pair that comes too near, and where. Pure.
+//!
+//! It is conservative by bounds on motion, not by dense sampling: after a pair was measured, neither of its
+//! bodies can meet the other before their joints have turned so far that, at the longest lever each joint
+//! has on them, the distance is used up. Each pair is measured again only then (conservative advancement;
+//! Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, section 2.3). What is left of
+//! its distance is carried over to the next piece.
+
+use crate::motion::bodies::shape::{apart, surely_apart};
+use crate::motion::bodies::{Bodies, Body, Other, Pair, Part, Room};
+use cell_values::units::Joints;
+use parry3d_f64::math::Pose;
+use std::cmp::{Ordering, Reverse};
+use std::collections::BinaryHeap;
+
+/// The least motion that a measured pair is given before it is measured again, m. Between two measurements it
+/// may be nearer than its margin by as much.
+const GRAIN_M: f64 = 5e-4;
+
+/// Distances beyond this are taken from the spheres round the bodies, m.
+const FAR_M: f64 = 0.05;
+
+/// Pairs that are due within this share of a piece are measured together: the arm's frames cost as much as
+/// a few distances.
+const TOGETHER: f64 = 0.02;
+
+/// A pair that has to be measured, from this share of a piece on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Due {
+    share: f64,
+    index: usize,
+}
+
+impl Eq for Due {}
+
+impl PartialOrd for Due {
+    fn partial_cmp(&self, other: &Due) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Due {
+    fn cmp(&self, other: &Due) -> Ordering {
+        self.share.total_cmp(&other.share).then(self.index.cmp(&other.index))
+    }
+}
+
+impl Pair {
+    /// Metres that the two move against each other at most while the joints turn so far, rad.
+    fn travel(&self, turn: &[f64; 6]) -> f64 {
+        turn.iter().zip(self.levers).map(|(turn, lever)| turn * lever).sum()
+    }
+}
+
+/// Where the tool moves, which decides what is taken to be on the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Zone {
+    /// Over everything that may lie there.
+    Over,
+    /// Straight down or up between the objects: each is kept clear of, but by cups and load, whose outlines
+    /// the plan keeps apart from every other, and who touch what is picked.
+    Between,
+}
+
+/// Two bodies too near to each other.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Meeting {
+    /// One of them.
+    pub one: String,
+    /// The other.
+    pub other: String,
+    /// Their distance, m; not positive where they overlap.
+    pub distance: f64,
+    /// Joints there.
+    pub at: Joints,
+}
+
+/// A check under way along a path.
+pub struct Sweep<'a> {
+    bodies: &'a Bodies,
+    room: &'a Room,
+    /// The pairs of this room, after those of `bodies`.
+    pairs: Vec<Pair>,
+    /// Metres that each pair may still move against each other before it is measured again.
+    left: Vec<f64>,
+}
+
+impl<'a> Sweep<'a> {
+    /// A check with this on the table and in the gripper.
+    pub fn new(bodies: &'a Bodies, room: &'a Room) -> Sweep<'a> {
+        let mut pairs = bodies.pairs.clone();
+        pairs.extend(room_pairs(bodies, room));
+        let left = vec![0.0; pairs.len()];
+        Sweep { bodies, room, pairs, left }
+    }
+
+    /// Checks one place.
+    ///
+    /// # Errors
+    /// The first pair that is too near.
+    pub fn place(&mut self, q: &Joints, zone: Zone) -> Result<(), Meeting> {
+        self.left.fill(0.0);
+        self.piece(q, q, zone, 0.0)
+    }
+
+    /// Checks a straight way in joint space, over everything on the table, that has nothing to do with the
+    /// one before.
+    ///
+    /// # Errors
+    /// The first pair that comes too near.
+    pub fn way(&mut self, from: &Joints, to: &Joints) -> Result<(), Meeting> {
+        self.left.fill(0.0);
+        self.piece(from, to, Zone::Over, 0.0)
+    }
+
+    /// True where something of the arm is in the air over the table in which things may lie.
+    pub fn is_low(&self, q: &Joints) -> bool {
+        let frames = self.bodies.frames(q);
+        let layer = |pair: &Pair| self.other(pair.b).part == Part::Layer;
+        (0..self.pairs.len()).any(|index| {
+            layer(&self.pairs[index]) && self.distance(&frames, index, false) < self.pairs[index].margin
+        })
+    }
+
+    /// Distances at the start are accepted as they are where the arm rests nearer to something than it may,
+    /// without touching it: such a pair has to keep what it has.
+    pub fn accept_start(&mut self, q: &Joints) {
+        let frames = self.bodies.frames(q);
+        for index in 0..self.pairs.len() {
+            let distance = self.distance(&frames, index, false);
+            let pair = &mut self.pairs[index];
+            if distance < pair.margin && distance > 0.0 {
+                pair.margin = (distance - 2.0 * GRAIN_M).max(0.0);
+            }
+        }
+    }
+
+    /// Checks all joint positions on the straight way from `from` to `to`; every pair has to have `slack` (m
+    /// for each radian of the piece) more than its margin, for ways that are only nearly straight.
+    ///
+    /// # Errors
+    /// The first pair that comes too near.
+    pub fn piece(&mut self, from: &Joints, to: &Joints, zone: Zone, slack: f64) -> Result<(), Meeting> {
+        let turn: [f64; 6] = std::array::from_fn(|j| (1.0 + slack) * (to.0[j] - from.0[j]).abs());
+        let mut due = self.due(&turn, zone);
+        while let Some(Reverse(first)) = due.peek() {
+            let share = first.share;
+            let q = Joints(std::array::from_fn(|j| from.0[j] + share * (to.0[j] - from.0[j])));
+            let frames = self.bodies.frames(&q);
+            // Those that are due soon are measured at the same place, once.
+            let mut now = Vec::new();
+            while let Some(Reverse(pair)) = due.peek()
+                && pair.share <= share + TOGETHER
+            {
+                now.push(pair.index);
+                due.pop();
+            }
+            for index in now {
+                let pair = &self.pairs[index];
+                let travel = pair.travel(&turn);
+                let over = self.distance(&frames, index, false) - pair.margin;
+                if over < 0.0 {
+                    return Err(self.meeting(index, &frames, q));
+                }
+                self.left[index] = share * travel + over.max(GRAIN_M);
+                if self.left[index] < travel {
+                    due.push(Reverse(Due { share: self.left[index] / travel, index }));
+                }
+            }
+        }
+        for (left, pair) in self.left.iter_mut().zip(&self.pairs) {
+            // `left` counts from the start of the piece; what is used up is measured at the next one's.
+            *left = (*left - pair.travel(&turn)).max(0.0);
+        }
+        Ok(())
+    }
+
+    /// The pairs that have to be measured on a piece, and where first.
+    fn due(&mut self, turn: &[f64; 6], zone: Zone) -> BinaryHeap<Reverse<Due>> {
+        let mut due = Vec::new();
+        for index in 0..self.pairs.len() {
+            if !self.counts(index, zone) {
+                // What is not watched has no distance left to rely on.
+                self.left[index] = 0.0;
+                continue;
+            }
+            let (left, travel) = (self.left[index], self.pairs[index].travel(turn));
+            if left <= 0.0 || left < travel {
+                let share = if left <= 0.0 { 0.0 } else { left / travel };
+                due.push(Reverse(Due { share, index }));
+            }
+        }
+        due.into()
+    }
+
+    fn counts(&self, index: usize, zone: Zone) -> bool {
+        let pair = &self.pairs[index];
+        let (a, b) = (self.moving(pair.a).part, self.other(pair.b).part);
+        match (zone, b) {
+            (Zone::Over, Part::Standing) | (Zone::Between, Part::Layer) => false,
+            (Zone::Between, Part::Standing | Part::Table) => !matches!(a, Part::Cups | Part::Load),
+            _ => true,
+        }
+    }
+
+    fn moving(&self, index: usize) -> &Body {
+        let own = &self.bodies.moving;
+        own.get(index).or(self.room.load.as_ref()).unwrap_or(&own[0])
+    }
+
+    fn other(&self, other: Other) -> &Body {
+        match other {
+            Other::Moving(index) => self.moving(index),
+            Other::Fixed(index) => &self.bodies.fixed[index],
+            Other::Room(index) => &self.room.bodies[index],
+        }
+    }
+
+    /// Distance of a pair: exact where it is near or `exact` is set, else one that it surely has.
+    fn distance(&self, frames: &[Pose; 8], index: usize, exact: bool) -> f64 {
+        let pair = &self.pairs[index];
+        let (a, b) = (self.moving(pair.a), self.other(pair.b));
+        let (at_a, at_b) = (&frames[a.frame], &frames[b.frame]);
+        let sure = surely_apart(&a.shape, at_a, &b.shape, at_b);
+        if sure - pair.margin > FAR_M && !exact { sure } else { apart(&a.shape, at_a, &b.shape, at_b) }
+    }
+
+    fn meeting(&self, index: usize, frames: &[Pose; 8], at: Joints) -> Meeting {
+        let pair = &self.pairs[index];
+        let names = [self.moving(pair.a), self.other(pair.b)].map(|body| body.name.clone());
+        let [one, other] = names;
+        Meeting { one, other, distance: self.distance(frames, index, true), at }
+    }
+}
+
+/// What is in the room against what moves, and what is held against everything.
+fn room_pairs(bodies: &Bodies, room: &Room) -> Vec<Pair> {
+    let load = room.load.as_ref().map(|load| (bodies.moving.len(), load));
+    let mut pairs = Vec::new();
+    for (a, body) in bodies.moving.iter().enumerate().chain(load) {
+        for (b, other) in room.bodies.iter().enumerate() {
+            if let Some(margin) = room_margin(body.part, other.part, bodies.margin) {
+                pairs.push(Pair {
+                    a,
+                    b: Other::Room(b),
+                    margin,
+                    levers: bodies.levers(body, 0, &other.shape),
+                });
+            }
+        }
+    }
+    let Some((index, load)) = load else { return pairs };
+    for (a, body) in bodies.moving.iter().enumerate() {
+        if let Some(margin) = super::own_margin(body, load) {
+            let levers = bodies.levers(load, body.frame, &body.shape);
+            pairs.push(Pair { a, b: Other::Moving(index), margin, levers });
+        }
+    }
+    for (b, other) in bodies.fixed.iter().enumerate() {
+        if let Some(margin) = bodies.margin_to(load, other) {
+            let levers = bodies.levers(load, 0, &other.shape);
+            pairs.push(Pair { a: index, b: Other::Fixed(b), margin, levers });
+        }
+    }
+    pairs
+}
+
+/// Distance that a body keeps to something on the table. Over the table the heights leave air already.
+fn room_margin(part: Part, other: Part, margin: f64) -> Option<f64> {
+    match (part, other) {
+        (Part::Link(0 | 1), Part::Layer | Part::Standing) => None,
+        (Part::Joint, _) => None,
+        (_, Part::Layer) => Some(0.0),
+        _ => Some(margin),
+    }
+}

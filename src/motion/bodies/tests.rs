@@ -1,0 +1,200 @@
+//! What the swept check sees, and what it lets pass.
+
+use crate::motion::bodies::cell::NamedShape;
+use crate::motion::bodies::shape::Shape;
+use crate::motion::bodies::sweep::{Sweep, Zone};
+use crate::motion::bodies::{Bodies, Room, Standing, Surroundings, Tabletop};
+use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
+use crate::motion::pick_n_place::tests::{cell, cycle, home, model, task};
+use crate::motion::pick_n_place::{plan, tool_down};
+use crate::motion::way::{NoWay, Search, find};
+use cell_values::units::Joints;
+use nalgebra::Isometry3;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+
+/// The demo's arm with this beside it.
+fn beside(name: &str, shape: Shape) -> ArmModel {
+    let mut model = model(0.5);
+    let mut cell = cell();
+    cell.equipment.push(NamedShape { name: name.to_string(), shape });
+    let surroundings = Surroundings {
+        base_from_table: model.base_from_table,
+        flange_from_tool: model.flange_from_tool,
+        table: [0.5, 0.5],
+        link_floor: 0.03,
+        cell,
+    };
+    model.bodies = Bodies::new(&model.dh, &surroundings);
+    model
+}
+
+/// A joint move of the base from one side of the table to the other.
+fn across(model: &ArmModel) -> (Joints, Joints) {
+    let at =
+        |x: f64| model.joints_in_work_posture(&tool_down(x, 0.35, 0.2, 0.0), &model.home).expect("in reach");
+    (at(0.05), at(0.45))
+}
+
+fn meeting(model: &ArmModel, room: &Room) -> Option<[String; 2]> {
+    let (from, to) = across(model);
+    let segment = Segment::Joint { target: to, speed: 1.0, acceleration: 2.0, blend: 0.0 };
+    match CheckedPath::new(model, &from, &[Leg::over(segment, f64::NEG_INFINITY)], room) {
+        Ok(_) => None,
+        Err(PathFault::Meets { one, other, .. }) => Some([one, other]),
+        Err(fault) => panic!("{fault}"),
+    }
+}
+
+#[test]
+fn a_thin_post_in_the_middle_of_the_way_is_not_stepped_over() {
+    assert_eq!(meeting(&model(0.5), &Room::empty()), None);
+    // 2 mm thick, between the ends of a move of 0.4 m.
+    let post = Shape::cylinder(0.001, 0.3, &Isometry3::translation(0.0, 0.53, 0.0));
+    let met = meeting(&beside("the post", post), &Room::empty()).expect("in the way");
+    assert_eq!(met[1], "the post", "{met:?}");
+    // The same post beyond the reach of gripper and camera.
+    let post = Shape::cylinder(0.001, 0.3, &Isometry3::translation(0.0, 0.9, 0.0));
+    assert_eq!(meeting(&beside("the post", post), &Room::empty()), None);
+}
+
+#[test]
+fn a_wall_and_what_is_carried_count() {
+    let wall = |y: f64| Shape::half_space([0.0, y, 0.0], [0.0, -1.0, 0.0]);
+    assert_eq!(meeting(&beside("the wall", wall(0.75)), &Room::empty()), None);
+    assert!(meeting(&beside("the wall", wall(0.55)), &Room::empty()).is_some());
+    // A plank of 0.4 m below the cups reaches as far as the wall that the empty gripper passes.
+    let model = beside("the wall", wall(0.70));
+    assert_eq!(meeting(&model, &Room::empty()), None);
+    let mut plank = task(Pose2::default(), Pose2::default(), [0.0, 0.0]);
+    plank.footprint = Footprint::Rectangle { length: 0.02, width: 0.4 };
+    let carried = Room::empty().holding(&model.bodies, Some(&plank.hanging(0.0)));
+    let met = meeting(&model, &carried).expect("reaches the wall");
+    assert_eq!(met, ["disc".to_string(), "the wall".to_string()]);
+}
+
+#[test]
+fn what_may_lie_on_the_table_is_passed_over_and_between_the_objects_each_counts() {
+    let model = model(0.5);
+    let low = Room::new(&model.bodies, &Tabletop { layer: 0.1, standing: Vec::new() }, None);
+    assert_eq!(meeting(&model, &low), None);
+    let high = Room::new(&model.bodies, &Tabletop { layer: 0.21, standing: Vec::new() }, None);
+    assert!(meeting(&model, &high).is_some(), "the cups are 0.2 m over the table");
+    // A tower of 0.15 m beside the object: the gripper's body, 0.08 m over the cups, would touch it.
+    let tower = |x: f64| Tabletop {
+        layer: 0.17,
+        standing: vec![Standing {
+            name: "tower".to_string(),
+            footprint: Footprint::Disc { radius: 0.02 },
+            pose: Pose2::new(x, 0.25, 0.0),
+            height: 0.15,
+        }],
+    };
+    let picked = task(Pose2::new(0.2, 0.25, 0.0), Pose2::new(0.2, 0.4, 0.0), [0.0, 0.0]);
+    let tall = crate::motion::pick_n_place::CycleParameters { tallest: 0.15, ..cycle() };
+    let try_beside = |x: f64| plan(&model, &home(&model, 0.5), &picked, &tall, &tower(x));
+    let fault = try_beside(0.25).expect_err("too near").to_string();
+    assert!(fault.contains("tower") && fault.contains("gripper"), "{fault}");
+    assert!(try_beside(0.35).is_ok(), "{:?}", try_beside(0.35).err());
+}
+
+#[test]
+fn from_a_folded_wrist_there_is_a_way_and_from_inside_of_itself_none() {
+    let model = model(0.5);
+    let empty = Room::empty();
+    let folded = Joints([-30.2, -136.8, 129.9, 36.4, -92.1, -70.0].map(f64::to_radians));
+    let target = home(&model, 0.5);
+    let search = Search { seed: 1, steps: 1500 };
+    let mut sweep = Sweep::new(&model.bodies, &empty);
+    let on = |share: f64| Joints(std::array::from_fn(|j| folded.0[j] + share * (target.0[j] - folded.0[j])));
+    let met = sweep.way(&folded, &target).expect_err("the gripper would pass through the upper arm");
+    assert!([met.one, met.other].iter().any(|name| name.contains("upper arm")));
+    let way = find(&model, &empty, &folded, &target, search).expect("round it");
+    assert!(way.len() > 1 && way.last() == Some(&target), "{way:?}");
+    // On the straight way: where the two are too near, and where they are in each other.
+    let mut distances = (0..2000).filter_map(|k| {
+        let q = on(f64::from(k) / 2000.0);
+        sweep.place(&q, Zone::Over).err().map(|meeting| (q, meeting.distance))
+    });
+    let (near, distance) = distances.next().expect("too near somewhere");
+    assert!(distance > 0.0, "{distance}");
+    find(&model, &empty, &near, &target, search).expect("from a place that is only too near");
+    let (inside, _) = distances.find(|(_, distance)| *distance <= 0.0).expect("inside somewhere");
+    let found = find(&model, &empty, &inside, &target, search);
+    assert!(matches!(found, Err(NoWay::Start(_))), "{found:?}");
+}
+
+#[test]
+fn a_way_leads_round_what_is_between_and_never_beyond_a_joints_range() {
+    let slab = Shape::cuboid([0.01, 0.3, 0.5], &Isometry3::translation(0.0, 0.55, 0.1));
+    let model = beside("the slab", slab);
+    let (from, to) = across(&model);
+    assert!(meeting(&model, &Room::empty()).is_some());
+    let search = Search { seed: 1, steps: 1500 };
+    let way = find(&model, &Room::empty(), &from, &to, search).expect("over the slab");
+    assert!(way.len() > 1 && way.last() == Some(&to), "{way:?}");
+    let empty = Room::empty();
+    let mut sweep = Sweep::new(&model.bodies, &empty);
+    let mut at = from;
+    for next in &way {
+        sweep.way(&at, next).expect("free");
+        assert_eq!(model.outside_range(next), None);
+        at = *next;
+    }
+    let again = find(&model, &Room::empty(), &from, &to, search).expect("the same");
+    assert_eq!(way, again);
+    let mut beyond = to;
+    beyond.0[0] += 10.0;
+    assert_eq!(find(&model, &Room::empty(), &from, &beyond, search), Err(NoWay::Range { joint: 1 }));
+}
+
+#[test]
+fn lines_are_slowed_to_what_joints_and_vacuum_stand() {
+    let model = model(0.5);
+    let near = |x: f64, y: f64, z: f64| {
+        model.joints_in_work_posture(&tool_down(x, y, z, 0.0), &model.home).expect("in reach")
+    };
+    let line = |from: Joints, target: Joints, hold: f64| {
+        let segment = Segment::Linear { target, speed: 0.5, acceleration: 2.0, blend: 0.0 };
+        let leg = Leg::over(segment, f64::NEG_INFINITY).holding(hold);
+        let path = CheckedPath::new(&model, &from, &[leg], &Room::empty()).expect("sound");
+        let Segment::Linear { speed, acceleration, .. } = path.segments()[0] else { panic!("a line") };
+        (speed, acceleration)
+    };
+    // In the middle of the table nothing is slowed; near the base the first joint is too slow for it.
+    let easy = line(near(0.2, 0.35, 0.2), near(0.3, 0.35, 0.2), f64::INFINITY);
+    assert_eq!(easy.0, 0.5);
+    let (speed, _) = line(near(0.15, 0.0, 0.2), near(0.35, 0.0, 0.2), f64::INFINITY);
+    let fastest = joint_speed_on(&model, &near(0.15, 0.0, 0.2), &near(0.35, 0.0, 0.2), speed);
+    assert!(fastest <= model.limits.joint_speed * 1.01, "{fastest} rad/s at {speed} m/s");
+    assert_eq!(line(near(0.2, 0.35, 0.2), near(0.3, 0.35, 0.2), 0.4).1, 0.4);
+    // A joint move with something on the cups.
+    let (from, target) = across(&model);
+    let segment = Segment::Joint { target, speed: 2.0, acceleration: 4.0, blend: 0.0 };
+    let speeds = |hold: f64| {
+        let leg = Leg::over(segment, f64::NEG_INFINITY).holding(hold);
+        let path = CheckedPath::new(&model, &from, &[leg], &Room::empty()).expect("sound");
+        let Segment::Joint { speed, acceleration, .. } = path.segments()[0] else { panic!("a joint move") };
+        (speed, acceleration)
+    };
+    assert_eq!(speeds(100.0), (2.0, 4.0));
+    let (speed, acceleration) = speeds(1.0);
+    assert!(speed < 2.0 && acceleration < 4.0, "{speed} {acceleration}");
+}
+
+/// The fastest joint (rad/s) on a straight line at this speed of the tool.
+fn joint_speed_on(model: &ArmModel, from: &Joints, to: &Joints, speed: f64) -> f64 {
+    let (start, end) = (model.tool_at(from), model.tool_at(to));
+    let length = (end.translation.vector - start.translation.vector).norm();
+    let mut near = *from;
+    let mut fastest: f64 = 0.0;
+    for k in 1..=400 {
+        let share = f64::from(k) / 400.0;
+        let position = start.translation.vector.lerp(&end.translation.vector, share);
+        let tool = Isometry3::from_parts(position.into(), start.rotation);
+        let q = model.joints_at(&tool, &near).expect("in reach");
+        fastest = fastest.max(q.max_difference(&near) / (length / 400.0 / speed));
+        near = q;
+    }
+    fastest
+}

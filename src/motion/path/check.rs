@@ -1,0 +1,319 @@
+//! The check of a path, leg by leg, and what it slows.
+//!
+//! In: the arm's model, the start, the legs, the room. Out: the segments, slowed where a joint or the vacuum
+//! requires it, or the first fault. Pure.
+//!
+//! A leg is followed as a chain of joint positions: the two ends of a `movej`, which is straight in joint
+//! space, or steps of 10 mm along a `movel`. The swept check (`bodies::sweep`) goes along the chains
+//! without a gap; heights, singularities and joint speeds are looked at where the chain, or a fine division
+//! of it, has its points.
+
+use crate::motion::arm::ArmModel;
+use crate::motion::bodies::Room;
+use crate::motion::bodies::sweep::{Meeting, Sweep, Zone};
+use crate::motion::path::fault::{PathFault, out_of_reach};
+use crate::motion::path::leg::{Leg, Segment};
+use cell_values::units::Joints;
+use nalgebra::{Isometry3, Vector3};
+use ur_arm::kinematics::{forward, inverse_from};
+
+/// Distances kept from the arm's singularities on linear segments, where joint speeds would run away
+/// (reference: ur-interfaces 6.3). Joint segments cross them harmlessly.
+const MIN_WRIST_SINE: f64 = 0.08;
+const MIN_ELBOW_SINE: f64 = 0.08;
+const MIN_SHOULDER_RADIUS_M: f64 = 0.15;
+
+/// Joint step between samples for heights, rad: 0.02 rad at 0.9 m reach is 18 mm of travel and, on the arc
+/// between two samples, less than 0.05 mm of sag.
+const SAMPLE_RAD: f64 = 0.02;
+
+/// Tool travel between samples of a linear leg, m.
+const SAMPLE_M: f64 = 0.01;
+
+/// Joint positions of a linear leg between two samples lie on the straight way between them but for this
+/// share of it.
+const BEND: f64 = 0.25;
+
+/// A leg between the objects goes aside by at most this much, m.
+const ASIDE_M: f64 = 1e-3;
+
+/// A line that has to be slower than this for the joints to follow is refused, m/s.
+const LEAST_SPEED: f64 = 0.01;
+
+/// Pieces of a joint leg at which the tool's acceleration is looked at.
+const LOAD_SAMPLES: usize = 16;
+
+/// A leg as the joint positions it passes, and its segment with the speed it may have.
+struct Traced {
+    points: Vec<Joints>,
+    segment: Segment,
+    bend: f64,
+}
+
+/// The segments of a path, if all of it passes.
+pub(super) fn path(
+    model: &ArmModel,
+    start: &Joints,
+    legs: &[Leg],
+    room: &Room,
+) -> Result<Vec<Segment>, PathFault> {
+    if legs.is_empty() {
+        return Err(PathFault::Empty);
+    }
+    let mut from = *start;
+    let mut traced = Vec::with_capacity(legs.len());
+    for (index, leg) in legs.iter().enumerate() {
+        check_numbers(model, index, &leg.segment)?;
+        traced.push(match leg.segment {
+            Segment::Joint { target, .. } => trace_joint(model, index, &from, &target, leg)?,
+            Segment::Linear { target, .. } => trace_linear(model, index, &from, &target, leg)?,
+        });
+        from = leg.segment.target();
+    }
+    sweep(model, start, legs, &traced, room)?;
+    Ok(traced.into_iter().map(|leg| leg.segment).collect())
+}
+
+/// All pairs of bodies along all legs and their corners.
+fn sweep(
+    model: &ArmModel,
+    start: &Joints,
+    legs: &[Leg],
+    traced: &[Traced],
+    room: &Room,
+) -> Result<(), PathFault> {
+    let mut sweep = Sweep::new(&model.bodies, room);
+    sweep.accept_start(start);
+    for (index, (leg, way)) in legs.iter().zip(traced).enumerate() {
+        let found = |meeting| meets(index, start, meeting);
+        for pair in way.points.windows(2) {
+            sweep.piece(&pair[0], &pair[1], leg.zone, way.bend).map_err(found)?;
+        }
+        let Some((after, next)) = traced.get(index + 1).zip(legs.get(index + 1)) else { continue };
+        if leg.segment.blend() > 0.0 {
+            let corner = leg.segment.target();
+            let inner = inside_of_corner(model, way, after, leg.segment.blend());
+            // Both ways are checked beforehand; the corner is cut where the higher of the two goes.
+            let zone = if Zone::Over == leg.zone { leg.zone } else { next.zone };
+            sweep.piece(&corner, &inner, zone, BEND).map_err(found)?;
+            sweep.piece(&inner, &corner, next.zone, BEND).map_err(found)?;
+        }
+    }
+    Ok(())
+}
+
+fn meets(leg: usize, start: &Joints, meeting: Meeting) -> PathFault {
+    let Meeting { one, other, distance, at } = meeting;
+    let at_start = leg == 0 && at.max_difference(start) < 1e-9;
+    PathFault::Meets { leg, one, other, distance_mm: distance * 1e3, at_start }
+}
+
+/// The middle between where a blend leaves the one leg and where it reaches the next: the blended way lies
+/// between there and the corner.
+fn inside_of_corner(model: &ArmModel, before: &Traced, after: &Traced, blend: f64) -> Joints {
+    let leaves = at_distance(model, before.points.iter().rev(), blend);
+    let joins = at_distance(model, after.points.iter(), blend);
+    between(&leaves, &joins, 0.5)
+}
+
+/// The first place along a chain, from its first point on, where the tool is `distance` (m) away from there.
+fn at_distance<'a>(model: &ArmModel, chain: impl Iterator<Item = &'a Joints>, distance: f64) -> Joints {
+    let mut chain = chain.peekable();
+    let Some(first) = chain.peek().copied().copied() else { return model.home };
+    let origin = model.tool_at(&first).translation.vector;
+    let away = |q: &Joints| (model.tool_at(q).translation.vector - origin).norm();
+    let mut near = first;
+    for next in chain {
+        if away(next) >= distance {
+            let (mut low, mut high) = (0.0, 1.0);
+            for _ in 0..12 {
+                let middle = 0.5 * (low + high);
+                if away(&between(&near, next, middle)) >= distance { high = middle } else { low = middle }
+            }
+            return between(&near, next, high);
+        }
+        near = *next;
+    }
+    near
+}
+
+fn between(from: &Joints, to: &Joints, share: f64) -> Joints {
+    Joints(std::array::from_fn(|i| from.0[i] + share * (to.0[i] - from.0[i])))
+}
+
+fn check_numbers(model: &ArmModel, leg: usize, segment: &Segment) -> Result<(), PathFault> {
+    let limits = &model.limits;
+    let (speed, acceleration, blend, speed_limit, acceleration_limit) = match *segment {
+        Segment::Joint { speed, acceleration, blend, .. } => {
+            (speed, acceleration, blend, limits.joint_speed, limits.joint_acceleration)
+        }
+        Segment::Linear { speed, acceleration, blend, .. } => {
+            (speed, acceleration, blend, limits.tool_speed, limits.tool_acceleration)
+        }
+    };
+    let within = |what, value: f64, limit: f64| {
+        let inside = value > 0.0 && value <= limit;
+        if inside { Ok(()) } else { Err(PathFault::Limit { leg, what, value, limit }) }
+    };
+    within("speed", speed, speed_limit)?;
+    within("acceleration", acceleration, acceleration_limit)?;
+    if (0.0..=0.5).contains(&blend) {
+        Ok(())
+    } else {
+        Err(PathFault::Limit { leg, what: "blend radius", value: blend, limit: 0.5 })
+    }
+}
+
+fn trace_joint(
+    model: &ArmModel,
+    index: usize,
+    from: &Joints,
+    to: &Joints,
+    leg: &Leg,
+) -> Result<Traced, PathFault> {
+    if leg.zone == Zone::Between {
+        return Err(PathFault::Aside { leg: index, aside_mm: f64::INFINITY });
+    }
+    let samples = (from.max_difference(to) / SAMPLE_RAD).ceil().clamp(1.0, 2_000.0) as usize;
+    // Without a floor the ends say it all: no joint leaves its range between them.
+    let samples = if leg.floor == f64::NEG_INFINITY { 1 } else { samples };
+    for k in 0..=samples {
+        check_place(model, index, &between(from, to, k as f64 / samples as f64), leg.floor)?;
+    }
+    let segment = if leg.hold.is_finite() { slowed_for_load(model, from, leg) } else { leg.segment };
+    Ok(Traced { points: vec![*from, *to], segment, bend: 0.0 })
+}
+
+/// A joint leg at a speed and an acceleration at which what is held stands the tool's acceleration: along the
+/// way, and across it where the way is bent.
+fn slowed_for_load(model: &ArmModel, from: &Joints, leg: &Leg) -> Segment {
+    let Segment::Joint { target, speed, acceleration, blend } = leg.segment else { return leg.segment };
+    let travel = from.max_difference(&target);
+    let at =
+        |k: usize| model.tool_at(&between(from, &target, k as f64 / LOAD_SAMPLES as f64)).translation.vector;
+    let places: Vec<Vector3<f64>> = (0..=LOAD_SAMPLES).map(at).collect();
+    // For each radian of the leading joint, and for each squared.
+    let step = travel / LOAD_SAMPLES as f64;
+    if step < 1e-6 {
+        return leg.segment;
+    }
+    let along = places.windows(2).map(|p| (p[1] - p[0]).norm() / step).fold(0.0, f64::max);
+    let bent = places.windows(3).map(|p| (p[2] - 2.0 * p[1] + p[0]).norm() / (step * step));
+    let bent = bent.fold(0.0, f64::max);
+    let (speed, acceleration) = within_sum(speed, acceleration, along, bent, leg.hold);
+    Segment::Joint { target, speed, acceleration, blend }
+}
+
+/// The largest speed and acceleration, not above those given, for which `along * acceleration + bent *
+/// speed^2` stays within `limit`: where it does not, each of the two gets half.
+fn within_sum(speed: f64, acceleration: f64, along: f64, bent: f64, limit: f64) -> (f64, f64) {
+    if along * acceleration + bent * speed * speed <= limit {
+        return (speed, acceleration);
+    }
+    let slower = speed.min((0.5 * limit / bent.max(1e-12)).sqrt());
+    let softer = acceleration.min((limit - bent * slower * slower) / along.max(1e-12));
+    (slower, softer)
+}
+
+fn trace_linear(
+    model: &ArmModel,
+    index: usize,
+    from: &Joints,
+    to: &Joints,
+    leg: &Leg,
+) -> Result<Traced, PathFault> {
+    let (start, end) = (model.tool_at(from), model.tool_at(to));
+    let way = end.translation.vector - start.translation.vector;
+    let aside = way.x.hypot(way.y);
+    if leg.zone == Zone::Between && aside > ASIDE_M {
+        return Err(PathFault::Aside { leg: index, aside_mm: aside * 1e3 });
+    }
+    let turn = start.rotation.angle_to(&end.rotation);
+    let samples = (way.norm() / SAMPLE_M + turn / 0.05).ceil().clamp(2.0, 500.0) as usize;
+    let mut points = Vec::with_capacity(samples + 1);
+    let mut near = *from;
+    for k in 0..=samples {
+        let share = k as f64 / samples as f64;
+        let rotation = start.rotation.try_slerp(&end.rotation, share, 1e-9).unwrap_or(end.rotation);
+        let position = start.translation.vector.lerp(&end.translation.vector, share);
+        let tool = Isometry3::from_parts(position.into(), rotation);
+        let q = inverse_from(&model.dh, &model.flange_at(&tool), &near)
+            .ok_or_else(|| out_of_reach("on a straight line", &tool))?;
+        // A continuous solution moves little from sample to sample; a jump means the branches met.
+        if q.max_difference(&near) > 0.35 {
+            return Err(PathFault::Singular { leg: index, which: "shoulder" });
+        }
+        check_singular(model, index, &q)?;
+        check_place(model, index, &q, leg.floor)?;
+        points.push(q);
+        near = q;
+    }
+    // The controller follows the same branch: it has to arrive at the joints that were requested.
+    if near.max_difference(to) > 1e-3 {
+        return Err(PathFault::Singular { leg: index, which: "wrist" });
+    }
+    let segment = slowed_on_line(model, index, &points, way.norm(), leg)?;
+    Ok(Traced { points, segment, bend: BEND })
+}
+
+/// A line at a speed and an acceleration at which every joint keeps its limits, and the vacuum its load.
+fn slowed_on_line(
+    model: &ArmModel,
+    index: usize,
+    points: &[Joints],
+    length: f64,
+    leg: &Leg,
+) -> Result<Segment, PathFault> {
+    let Segment::Linear { target, mut speed, mut acceleration, blend } = leg.segment else {
+        return Ok(leg.segment);
+    };
+    let step = length / (points.len() - 1) as f64;
+    if step < 1e-6 {
+        return Ok(leg.segment);
+    }
+    acceleration = acceleration.min(leg.hold);
+    if blend > 0.0 {
+        speed = speed.min((leg.hold * blend).sqrt());
+    }
+    let limits = &model.limits;
+    for joint in 0..6 {
+        let at = |k: usize| points[k].0[joint];
+        let along = (1..points.len()).map(|k| (at(k) - at(k - 1)).abs() / step).fold(0.0, f64::max);
+        let bent = (2..points.len())
+            .map(|k| (at(k) - 2.0 * at(k - 1) + at(k - 2)).abs() / (step * step))
+            .fold(0.0, f64::max);
+        speed = speed.min(limits.joint_speed / along.max(1e-9));
+        (speed, acceleration) = within_sum(speed, acceleration, along, bent, limits.joint_acceleration);
+        if speed < LEAST_SPEED.min(limits.tool_speed) {
+            return Err(PathFault::TooSlow { leg: index, joint: joint + 1, speed_mm_s: speed * 1e3 });
+        }
+    }
+    Ok(Segment::Linear { target, speed, acceleration, blend })
+}
+
+fn check_singular(model: &ArmModel, leg: usize, q: &Joints) -> Result<(), PathFault> {
+    let wrist = forward(&model.dh, q) * nalgebra::Point3::new(0.0, 0.0, -model.dh.d[5]);
+    if q.0[4].sin().abs() < MIN_WRIST_SINE {
+        Err(PathFault::Singular { leg, which: "wrist" })
+    } else if q.0[2].sin().abs() < MIN_ELBOW_SINE {
+        Err(PathFault::Singular { leg, which: "elbow" })
+    } else if wrist.x.hypot(wrist.y) < MIN_SHOULDER_RADIUS_M {
+        Err(PathFault::Singular { leg, which: "shoulder" })
+    } else {
+        Ok(())
+    }
+}
+
+fn check_place(model: &ArmModel, leg: usize, q: &Joints, floor: f64) -> Result<(), PathFault> {
+    if let Some(joint) = model.outside_range(q) {
+        return Err(PathFault::JointRange { leg, joint: joint + 1, at_deg: q.0[joint].to_degrees() });
+    }
+    if floor == f64::NEG_INFINITY {
+        return Ok(());
+    }
+    let height = model.tool_at(q).translation.vector.z;
+    if height < floor - 1e-6 {
+        return Err(PathFault::TooLow { leg, height_mm: height * 1e3, floor_mm: floor * 1e3 });
+    }
+    Ok(())
+}

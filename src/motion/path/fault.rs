@@ -1,0 +1,124 @@
+//! Why a path was refused, in words that name the place.
+//!
+//! In: what the check found. Out: [`PathFault`], whose text goes into sentences for the operator. Pure.
+
+use nalgebra::Isometry3;
+use ur_arm::pose::ur_pose_from_isometry;
+
+/// Why a path was refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PathFault {
+    /// No joint solution, or none inside the joint range.
+    #[error("{what}: tool pose ({x:.3}, {y:.3}, {z:.3}) m over the table is out of the arm's reach")]
+    OutOfReach {
+        /// Which pose.
+        what: String,
+        /// Position in the table frame, m.
+        x: f64,
+        /// Position in the table frame, m.
+        y: f64,
+        /// Position in the table frame, m.
+        z: f64,
+    },
+    /// A joint leaves its range.
+    #[error("leg {leg}: joint {joint} at {at_deg:.1} degrees is outside its range")]
+    JointRange {
+        /// Index of the leg.
+        leg: usize,
+        /// Joint number, 1 to 6.
+        joint: usize,
+        /// Where it would be, degrees.
+        at_deg: f64,
+    },
+    /// The tool would go too low.
+    #[error(
+        "leg {leg}: the tool would be {height_mm:.1} mm over the table, {floor_mm:.1} mm is the floor there"
+    )]
+    TooLow {
+        /// Index of the leg.
+        leg: usize,
+        /// Height reached, mm.
+        height_mm: f64,
+        /// Height allowed, mm.
+        floor_mm: f64,
+    },
+    /// A linear segment passes too near to a singularity, or jumps between branches.
+    #[error("leg {leg}: a straight line here passes too near to a {which} singularity")]
+    Singular {
+        /// Index of the leg.
+        leg: usize,
+        /// wrist, elbow or shoulder.
+        which: &'static str,
+    },
+    /// Speed, acceleration or blend is not a number in its limits.
+    #[error("leg {leg}: {what} is {value}, outside (0, {limit}]")]
+    Limit {
+        /// Index of the leg.
+        leg: usize,
+        /// Which number.
+        what: &'static str,
+        /// Its value, SI.
+        value: f64,
+        /// Its limit, SI.
+        limit: f64,
+    },
+    /// Two bodies would meet, or come nearer than they may.
+    #[error("leg {leg}: {one} would {how} {other}", how = nearness(*.distance_mm))]
+    Meets {
+        /// Index of the leg.
+        leg: usize,
+        /// One of them.
+        one: String,
+        /// The other.
+        other: String,
+        /// Their distance there, mm.
+        distance_mm: f64,
+        /// Whether the arm is there already, at the start of the path.
+        at_start: bool,
+    },
+    /// What goes down between the objects has to go straight.
+    #[error("leg {leg}: the way between the objects is not vertical: it goes {aside_mm:.1} mm aside")]
+    Aside {
+        /// Index of the leg.
+        leg: usize,
+        /// How far, mm.
+        aside_mm: f64,
+    },
+    /// A straight line that the joints cannot follow at any useful speed.
+    #[error(
+        "leg {leg}: joint {joint} can follow a straight line here at {speed_mm_s:.1} mm/s only, too near to the edge \
+         of reach"
+    )]
+    TooSlow {
+        /// Index of the leg.
+        leg: usize,
+        /// Joint number, 1 to 6.
+        joint: usize,
+        /// Speed of the tool at which it can, mm/s.
+        speed_mm_s: f64,
+    },
+    /// A path has to have at least one leg.
+    #[error("the path is empty")]
+    Empty,
+}
+
+impl PathFault {
+    /// The two bodies that are too near to each other before the arm has moved.
+    pub fn met_at_start(&self) -> Option<(&str, &str)> {
+        match self {
+            PathFault::Meets { one, other, at_start: true, .. } => Some((one, other)),
+            _ => None,
+        }
+    }
+}
+
+/// How near two bodies come.
+fn nearness(distance_mm: f64) -> String {
+    if distance_mm > 0.0 { format!("come within {distance_mm:.0} mm of") } else { "meet".to_string() }
+}
+
+/// Names the position of a pose that no joint solution reaches.
+pub fn out_of_reach(what: &str, table_from_tool: &Isometry3<f64>) -> PathFault {
+    let [x, y, z, ..] = ur_pose_from_isometry(table_from_tool);
+    PathFault::OutOfReach { what: what.to_string(), x, y, z }
+}
