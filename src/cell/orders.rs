@@ -36,6 +36,8 @@ pub enum Order {
     Release(Channels),
     /// Leave a stop.
     Recover(WayBack),
+    /// What answers at the gripper's address is the gripper.
+    ConfirmGripper,
 }
 
 /// How a stop is left; each but the first is a person's word that the cell is safe.

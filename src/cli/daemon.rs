@@ -9,7 +9,7 @@ use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
 use crate::config::load::load_cell;
-use crate::config::setup::{cell_model, cell_objects, machine_parameters, scene};
+use crate::config::setup::{cell_model, cell_objects, gripper_address, machine_parameters, scene};
 use crate::daemon::cameras;
 use crate::daemon::keeper::{StateKeeper, StateOrders};
 use crate::daemon::recorder::{self, Recorder};
@@ -142,7 +142,9 @@ async fn daemon(
     let seed = (unix_now_s() * 1e3) as u64;
     let mut shell = open_shell(&config, seed)?;
     let (diagnostic_images, name) = (state.root().to_path_buf(), format!("celld-{seed}"));
-    let orders = StateOrders::open(&state, name.clone()).map_err(|error| chain(&error))?;
+    let gripper = gripper_address(&config.devices);
+    let confirmed = state.gripper_confirmed(&gripper);
+    let orders = StateOrders::open(&state, name.clone(), gripper).map_err(|error| chain(&error))?;
     let mut keeper = StateKeeper::open(config.clone(), state, name).map_err(|error| chain(&error))?;
     for notice in keeper.notices() {
         complain(&notice);
@@ -152,7 +154,8 @@ async fn daemon(
     let mut say = |missing: &str| complain(&format!("waiting for the robot at {host}: {missing}"));
     let arm = shell.wait_for_robot(&stopped, &mut say).await.map_err(|error| chain(&error))?;
     let measured = measured(&config, &calibration, &arm)?;
-    let model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
+    let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
+    model.gripper_confirmed |= confirmed;
     let camera = cameras::open_when_there(&config.devices, &measured.camera);
     let (camera, away) = camera.map_err(|error| chain(&error))?;
     if let Some(error) = away {

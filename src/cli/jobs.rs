@@ -83,6 +83,9 @@ pub enum ClientCommand {
     },
     /// After a stop: what happened, what is held, and the ways back; with a choice, one of them.
     Recover(RecoverArgs),
+    /// Say that what answers at the gripper's address is the gripper on this arm. Needed once for an address,
+    /// before the first `arm`: no register of the device says what it is. Not needed in simulation.
+    ConfirmGripper(StateArg),
     /// What the cell is doing.
     Status {
         #[command(flatten)]
@@ -183,6 +186,7 @@ fn to_send(command: ClientCommand) -> (StateFolder, Command) {
         ClientCommand::Step(state) => (state.folder(), Command::Step),
         ClientCommand::Abort(state) => (state.folder(), Command::Abort),
         ClientCommand::Park(state) => (state.folder(), Command::Park),
+        ClientCommand::ConfirmGripper(state) => (state.folder(), Command::ConfirmGripper),
         ClientCommand::Approve(job) => (job.state.folder(), Command::Approve { id: job.id }),
         ClientCommand::Reject(job) => (job.state.folder(), Command::Reject { id: job.id }),
         ClientCommand::Cancel(job) => (job.state.folder(), Command::Cancel { id: job.id }),
@@ -307,6 +311,7 @@ mod tests {
     #[test]
     fn words_become_commands() {
         assert_eq!(command("arm"), Command::Arm);
+        assert_eq!(command("confirm-gripper"), Command::ConfirmGripper);
         assert_eq!(command("approve tidy --state /s"), Command::Approve { id: "tidy".into() });
         assert_eq!(
             command("release --yes --channel b"),

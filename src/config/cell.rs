@@ -119,6 +119,8 @@ pub struct Devices {
     pub gripper_host: String,
     /// Modbus TCP port of the compute box (502 on the real one).
     pub gripper_port: u16,
+    /// Modbus unit that the gripper answers to: 65 alone on the wrist, 66 or 67 on a dual quick changer.
+    pub gripper_unit: u8,
     /// The camera.
     pub camera: CameraDevice,
     /// When a picture of it is of no use.

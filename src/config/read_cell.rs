@@ -29,6 +29,9 @@ use rearrange::tabletop::instance::ObjectSpec;
 use rearrange::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
 use std::path::Path;
 
+/// The Modbus unit of a gripper alone on the wrist (reference: ur-interfaces 7.1).
+const GRIPPER_UNIT: u8 = 65;
+
 /// Keys of the file.
 pub const CELL_KEYS: &[&str] = &[
     "version",
@@ -182,13 +185,19 @@ fn devices(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Devices> {
         host(decoder, &fields, "host")
     });
     let gripper = fields.required("gripper", decoder).and_then(|at| {
-        let fields = decoder.map(&at, &["host", "port"])?;
+        let fields = decoder.map(&at, &["host", "port", "unit"])?;
         let (host, port) = (host(decoder, &fields, "host"), port(decoder, &fields, "port"));
-        Some((host?, port?))
+        let unit = optional(decoder, &fields, "unit", GRIPPER_UNIT, gripper_unit);
+        Some((host?, port?, unit?))
     });
     let camera = fields.required("camera", decoder).and_then(|at| camera_device(decoder, &at, folder));
-    let ((gripper_host, gripper_port), (camera, picture_limits)) = (gripper?, camera?);
-    Some(Devices { robot_host: robot?, gripper_host, gripper_port, camera, picture_limits })
+    let ((gripper_host, gripper_port, gripper_unit), (camera, picture_limits)) = (gripper?, camera?);
+    Some(Devices { robot_host: robot?, gripper_host, gripper_port, gripper_unit, camera, picture_limits })
+}
+
+/// Units beyond 247 are reserved, and 0 addresses every device at once.
+fn gripper_unit(decoder: &mut Decoder, at: &At) -> Option<u8> {
+    decoder.integer(at, 1..=247).and_then(|unit| u8::try_from(unit).ok())
 }
 
 fn table(decoder: &mut Decoder, fields: &Fields) -> TableParts {

@@ -13,7 +13,7 @@ use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
 use crate::config::bodies::Equipment;
-use crate::config::cell::CellConfig;
+use crate::config::cell::{CellConfig, Devices};
 use crate::config::check::{off_centre_m, suction};
 use crate::motion::bodies::cell::{CellBodies, GripperBody};
 use crate::motion::bodies::{Bodies, Surroundings, Tabletop};
@@ -96,7 +96,7 @@ const SEARCH_MARGIN_M: f64 = 0.02;
 const OWN_MARGIN_M: f64 = 0.02;
 
 /// States a second requested of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
-const RTDE_HZ: f64 = 125.0;
+pub const RTDE_HZ: f64 = 125.0;
 
 /// The supervisor's model of the cell.
 ///
@@ -110,10 +110,8 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
     let tolerances = &config.tolerances;
     let devices = &config.devices;
     CellModel {
-        addresses: DeviceAddresses {
-            robot: devices.robot_host.clone(),
-            gripper: format!("{}:{}", devices.gripper_host, devices.gripper_port),
-        },
+        addresses: DeviceAddresses { robot: devices.robot_host.clone(), gripper: gripper_address(devices) },
+        gripper_confirmed: config.simulation.is_some(),
         arm: arm_model(config, measured.dh, measured.base_from_table),
         cycle: cycle_parameters(config),
         mount: measured.mount,
@@ -145,6 +143,12 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
         },
         grip: grip_settings(config),
     }
+}
+
+/// Host, port and Modbus unit of the gripper: what a person confirms to be it.
+pub fn gripper_address(devices: &Devices) -> String {
+    let Devices { gripper_host, gripper_port, gripper_unit, .. } = devices;
+    format!("{gripper_host}:{gripper_port}, unit {gripper_unit}")
 }
 
 /// The model of a cell that is not calibrated yet: the arm as the controller reports it, table and camera as

@@ -128,6 +128,7 @@ mod tests {
             robot_host: "127.0.0.1".into(),
             gripper_host: "127.0.0.1".into(),
             gripper_port: 502,
+            gripper_unit: 65,
             camera,
             picture_limits: PictureLimits::STANDARD,
         }

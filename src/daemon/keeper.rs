@@ -22,6 +22,7 @@ use crate::jobs::state::StateFolder;
 use crate::jobs::status;
 use cell_edge::clock::{boot_now_s, unix_now_s};
 use cell_values::time::{Duration, Timestamp};
+use rearrange::document::chain::chain;
 use rearrange::planning::plan::ActionKind;
 use rearrange::planning::solver::SolverKind;
 use std::collections::VecDeque;
@@ -249,7 +250,7 @@ fn result_of(report: &JobReport) -> JobResult {
 
 impl Keeper for StateKeeper {
     fn commit(&mut self, record: &Record) -> Result<(), String> {
-        self.write(record).map_err(|error| rearrange::document::chain::chain(&error))
+        self.write(record).map_err(|error| chain(&error))
     }
 
     fn look_after(&mut self, now: Timestamp) -> Vec<String> {
@@ -324,18 +325,36 @@ const UNANSWERED_MAX: usize = 64;
 /// Operators' commands in the state folder.
 pub struct StateOrders {
     inbox: Inbox,
+    state: StateFolder,
+    /// The gripper's address, as it is remembered.
+    gripper: String,
     last: u64,
     unanswered: VecDeque<(u64, Taken)>,
 }
 
 impl StateOrders {
-    /// Opens the command folder and clears what was left for an earlier daemon.
+    /// Opens the command folder and clears what was left for an earlier daemon; `gripper` is the address at
+    /// which a person may confirm the gripper.
     ///
     /// # Errors
     /// The folder cannot be used.
-    pub fn open(state: &StateFolder, daemon: String) -> Result<StateOrders, KeeperError> {
+    pub fn open(state: &StateFolder, daemon: String, gripper: String) -> Result<StateOrders, KeeperError> {
         let inbox = Inbox::open(&state.commands(), daemon)?;
-        Ok(StateOrders { inbox, last: 0, unanswered: VecDeque::new() })
+        Ok(StateOrders { inbox, state: state.clone(), gripper, last: 0, unanswered: VecDeque::new() })
+    }
+
+    /// What a person has confirmed is remembered before it is answered; the answer says where it cannot be.
+    fn remember(&self, taken: &Taken, reply: &Reply) -> Reply {
+        if !reply.accepted || taken.command != Command::ConfirmGripper {
+            return reply.clone();
+        }
+        match self.state.confirm_gripper(&self.gripper, unix_now_s()) {
+            Ok(()) => reply.clone(),
+            Err(error) => {
+                let fault = chain(&error);
+                Reply::accept(format!("{}; not remembered for the next start: {fault}", reply.message))
+            }
+        }
     }
 }
 
@@ -360,7 +379,7 @@ impl Orders for StateOrders {
     fn reply(&mut self, number: u64, reply: &Reply) {
         let Some(index) = self.unanswered.iter().position(|(open, _)| *open == number) else { return };
         let Some((_, taken)) = self.unanswered.remove(index) else { return };
-        if let Err(error) = self.inbox.reply(&taken, reply) {
+        if let Err(error) = self.inbox.reply(&taken, &self.remember(&taken, reply)) {
             tracing::warn!(%error, "a command could not be answered");
         }
     }
@@ -385,5 +404,6 @@ fn order_of(command: &Command) -> Order {
             None => Channels::Both,
         }),
         Command::Recover { how } => Order::Recover(*how),
+        Command::ConfirmGripper => Order::ConfirmGripper,
     }
 }

@@ -28,6 +28,8 @@ pub struct Addresses {
     pub primary: SocketAddr,
     /// Compute Box of the gripper.
     pub gripper: SocketAddr,
+    /// Its Modbus unit.
+    pub gripper_unit: u8,
 }
 
 impl Addresses {
@@ -42,11 +44,16 @@ impl Addresses {
             dashboard: robot(29999)?,
             primary: robot(30001)?,
             gripper: resolve(&devices.gripper_host, devices.gripper_port)?,
+            gripper_unit: devices.gripper_unit,
         })
     }
 }
 
-fn resolve(host: &str, port: u16) -> Result<SocketAddr, String> {
+/// The first address of a host.
+///
+/// # Errors
+/// The name, and why it has none.
+pub fn resolve(host: &str, port: u16) -> Result<SocketAddr, String> {
     let fault = |cause: String| format!("{host}:{port}: {cause}; check `devices` in the configuration");
     let mut found = (host, port).to_socket_addrs().map_err(|error| fault(error.to_string()))?;
     found.next().ok_or_else(|| fault("no address".to_string()))
@@ -57,9 +64,6 @@ const WRITE_WITHIN: Duration = Duration::from_secs(2);
 
 /// Most reads of one connection in one go: a peer that floods must not keep the others from their turn.
 const READS: usize = 64;
-
-/// The VGC10's Modbus unit (reference: ur-interfaces 7.1).
-const GRIPPER_UNIT: u8 = 65;
 
 /// An answer of the gripper that takes longer is none, in the cell's time.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
@@ -103,7 +107,7 @@ impl Sockets {
         };
         Sockets {
             lines: Link::ALL.map(line),
-            gripper: spawn_modbus(addresses.gripper, clock.clone(), messages.clone()),
+            gripper: spawn_modbus(addresses, clock.clone(), messages.clone()),
             clock,
             messages,
             buffer: vec![0; 64 * 1024],
@@ -249,7 +253,7 @@ impl Line {
 
 /// Starts the task of the gripper: one request at a time, one answer each.
 fn spawn_modbus(
-    address: SocketAddr,
+    &Addresses { gripper, gripper_unit, .. }: &Addresses,
     clock: Clock,
     messages: mpsc::Sender<Message>,
 ) -> mpsc::Sender<ModbusRequest> {
@@ -258,7 +262,7 @@ fn spawn_modbus(
         let mut connection: Option<tokio_modbus::client::Context> = None;
         while let Some(request) = requests.recv().await {
             let deadline = clock.wall(ANSWER_WITHIN);
-            let exchange = exchange(&mut connection, address, request);
+            let exchange = exchange(&mut connection, (gripper, Slave(gripper_unit)), request);
             let answer = tokio::time::timeout(deadline, exchange).await;
             let answer = answer.unwrap_or(Err(ModbusFailure::Timeout));
             // After a failure the answer to an old request could be taken for that to a new one.
@@ -273,16 +277,20 @@ fn spawn_modbus(
     requests_in
 }
 
-async fn exchange(
+/// One request and its answer, over the connection that is there or a new one.
+///
+/// # Errors
+/// The connection broke, or the device answers with an exception.
+pub async fn exchange(
     connection: &mut Option<tokio_modbus::client::Context>,
-    address: SocketAddr,
+    (address, unit): (SocketAddr, Slave),
     request: ModbusRequest,
 ) -> Result<Vec<u16>, ModbusFailure> {
     let link = |error: &dyn std::fmt::Display| ModbusFailure::Connection(error.to_string());
     let context = match connection {
         Some(context) => context,
         None => {
-            let made = tcp::connect_slave(address, Slave(GRIPPER_UNIT)).await.map_err(|e| link(&e))?;
+            let made = tcp::connect_slave(address, unit).await.map_err(|e| link(&e))?;
             connection.insert(made)
         }
     };

@@ -139,6 +139,7 @@ fn devices(choice: &DemoChoice) -> Devices {
         robot_host: host.clone(),
         gripper_host: host.clone(),
         gripper_port: 502,
+        gripper_unit: 65,
         camera: CameraDevice::Simulator { host, port: 8080, depth: true },
         picture_limits: PictureLimits::STANDARD,
     }

@@ -77,6 +77,9 @@ pub enum Command {
         /// How.
         how: WayBack,
     },
+    /// What answers at the gripper's address is the gripper.
+    #[serde(rename = "confirm-gripper")]
+    ConfirmGripper,
 }
 
 /// A suction channel.
@@ -125,7 +128,8 @@ impl Command {
             | Command::Step
             | Command::Park
             | Command::Release { .. }
-            | Command::Recover { .. } => false,
+            | Command::Recover { .. }
+            | Command::ConfirmGripper => false,
         }
     }
 }
@@ -343,6 +347,7 @@ mod tests {
             (Command::Park, false),
             (Command::Release { channel: None }, false),
             (Command::Recover { how: WayBack::Show }, false),
+            (Command::ConfirmGripper, false),
         ];
         for (command, always) in commands {
             // Read in time, late, stamped on another clock, and stamped with no number at all.

@@ -3,13 +3,23 @@
 //! In: the folder given with `--state`. Out: the paths below it, and the lock that makes the daemon the only
 //! one. The lock is the kernel's and ends with the process, however it ends: there is no stale lock.
 
-use cell_edge::files::{FileError, FileLock, create_folder};
+use crate::jobs::utc;
+use cell_edge::files::{FileError, FileLock, create_folder, read_regular, write_atomic};
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Paths below one state folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StateFolder {
     root: PathBuf,
+}
+
+/// What is in the file about the gripper.
+#[derive(Serialize, Deserialize)]
+struct Confirmed {
+    address: String,
+    /// When, UTC.
+    confirmed: String,
 }
 
 /// Why the state folder could not be had.
@@ -59,6 +69,28 @@ impl StateFolder {
         self.root.join("status.json")
     }
 
+    /// Which gripper a person has confirmed.
+    pub fn gripper(&self) -> PathBuf {
+        self.root.join("gripper.json")
+    }
+
+    /// Remembers that a person has confirmed the gripper at `address`.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn confirm_gripper(&self, address: &str, unix_s: f64) -> Result<(), FileError> {
+        let confirmed = Confirmed { address: address.to_string(), confirmed: utc::text(unix_s) };
+        let text = serde_json::to_string(&confirmed).expect("text has string keys only");
+        write_atomic(&self.gripper(), text.as_bytes())
+    }
+
+    /// True where a person has confirmed the gripper at `address`, with which words are compared: another
+    /// address or unit is another device. A file that cannot be read confirms nothing.
+    pub fn gripper_confirmed(&self, address: &str) -> bool {
+        let text = read_regular(&self.gripper(), 4096).map(|(text, _)| text).unwrap_or_default();
+        serde_json::from_str::<Confirmed>(&text).is_ok_and(|confirmed| confirmed.address == address)
+    }
+
     /// Held by the daemon.
     pub fn lock_file(&self) -> PathBuf {
         self.root.join("lock")
@@ -88,6 +120,18 @@ impl StateFolder {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_gripper_is_confirmed_for_its_address_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        let (one, other) = ("10.0.0.3:502, unit 65", "10.0.0.3:502, unit 66");
+        assert!(!state.gripper_confirmed(one));
+        state.confirm_gripper(one, 1.8e9).unwrap();
+        assert!(state.gripper_confirmed(one) && !state.gripper_confirmed(other));
+        std::fs::write(state.gripper(), "{").unwrap();
+        assert!(!state.gripper_confirmed(one));
+    }
 
     #[test]
     fn a_second_daemon_is_turned_away_by_name() {

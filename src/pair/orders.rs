@@ -50,6 +50,7 @@ pub static ORDERS: &[Given] = &[
     Given { command: "park", order: |_| Order::Park },
     Given { command: "abort", order: |_| Order::Abort },
     Given { command: "release --yes", order: |_| Order::Release(Channels::Both) },
+    Given { command: "confirm-gripper", order: |_| Order::ConfirmGripper },
     Given { command: "recover", order: |_| Order::Recover(WayBack::Show) },
     Given { command: "recover --place", order: |_| Order::Recover(WayBack::Place) },
     Given { command: "recover --hold", order: |_| Order::Recover(WayBack::Hold) },

@@ -391,7 +391,11 @@ fn grip_word(target: f64) -> u16 {
     0x0100 | (target * 100.0).round().clamp(0.0, 80.0) as u16
 }
 
-fn vacuum_of(words: &[u16]) -> Result<[f64; 2], ModbusFailure> {
+/// Relative vacuum of both channels from its two registers.
+///
+/// # Errors
+/// They are no two plausible readings.
+pub fn vacuum_of(words: &[u16]) -> Result<[f64; 2], ModbusFailure> {
     match *words {
         [a, b] if a <= MAX_PER_MILLE && b <= MAX_PER_MILLE => Ok([f64::from(a) / 1e3, f64::from(b) / 1e3]),
         [_, _] => Err(ModbusFailure::Malformed(format!("vacuum readings {words:?} per mille"))),

@@ -58,7 +58,9 @@ impl Supervisor {
     pub(crate) fn place(&self, closed: &GateClosed) -> String {
         match closed {
             GateClosed::Link(_) | GateClosed::Stale => format!("{closed} ({})", self.model.addresses.robot),
-            GateClosed::Gripper => format!("{closed} ({})", self.model.addresses.gripper),
+            GateClosed::Gripper | GateClosed::GripperUnconfirmed => {
+                format!("{closed} ({})", self.model.addresses.gripper)
+            }
             GateClosed::Safety(_)
             | GateClosed::Mode(_)
             | GateClosed::Guided
@@ -171,6 +173,7 @@ fn opens_by_bring_up(closed: &GateClosed) -> bool {
         | GateClosed::NotPlaying(_)
         | GateClosed::Disarmed
         | GateClosed::Gripper
+        | GateClosed::GripperUnconfirmed
         | GateClosed::Holding(_)
         | GateClosed::MayHang(_)
         | GateClosed::NotObserved

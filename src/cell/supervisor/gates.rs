@@ -34,6 +34,9 @@ impl GateClosed {
             GateClosed::Gripper => {
                 "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, `ping` it"
             }
+            GateClosed::GripperUnconfirmed => {
+                "see that it is the gripper on this arm, then `celld confirm-gripper`, once for this address"
+            }
             GateClosed::Holding(_) => "`celld recover` says what hangs there and what can be done with it",
             GateClosed::MayHang(_) => "see that nothing hangs on the cups, then `celld release --yes`",
             GateClosed::NotObserved | GateClosed::NotApproved => "nothing: the cell goes on by itself",
@@ -77,6 +80,9 @@ pub enum GateClosed {
     /// The gripper does not answer.
     #[error("the gripper does not answer")]
     Gripper,
+    /// No person has said yet that what answers at the gripper's address is the gripper.
+    #[error("what answers at the gripper's address was never confirmed to be the gripper")]
+    GripperUnconfirmed,
     /// There is vacuum although nothing was picked.
     #[error("something may hang on the gripper: vacuum {0} %")]
     Holding(u32),

@@ -80,6 +80,9 @@ impl Supervisor {
     /// first.
     pub(crate) fn may_arm(&self, outside: &DeviceSnapshot) -> Result<(), GateClosed> {
         gates::arming(outside)?;
+        if !self.model.gripper_confirmed {
+            return Err(GateClosed::GripperUnconfirmed);
+        }
         match &self.back.held {
             Some(held) if !held.let_go => Err(GateClosed::MayHang(held.object.clone())),
             None if self.back.fell.is_some() => Err(GateClosed::MayHang("what the gripper held".to_string())),

@@ -29,7 +29,7 @@ pub(crate) mod phase;
 mod reason;
 mod recovery;
 pub mod round;
-mod safety_words;
+pub(crate) mod safety_words;
 pub mod situation;
 mod standing;
 pub mod status;

@@ -128,7 +128,7 @@ pub struct GripSettings {
 pub struct DeviceAddresses {
     /// Host of the controller.
     pub robot: String,
-    /// Host and port of the gripper's Compute Box.
+    /// Host, port and unit of the gripper's Compute Box.
     pub gripper: String,
 }
 
@@ -137,6 +137,9 @@ pub struct DeviceAddresses {
 pub struct CellModel {
     /// Where the devices are.
     pub addresses: DeviceAddresses,
+    /// A person has confirmed once that what answers at the gripper's address is the gripper, or the cell is
+    /// simulated. The device itself has no register that says what it is.
+    pub gripper_confirmed: bool,
     /// Arm, table pose and limits.
     pub arm: ArmModel,
     /// Heights and speeds of a cycle; `tallest` covers every object of the catalogue.

@@ -75,6 +75,7 @@ impl Supervisor {
             }
             Order::Release(channels) => self.on_release_order(now, outside, number, *channels, out),
             Order::Recover(way) => return self.on_recover(now, outside, number, *way, out),
+            Order::ConfirmGripper => return Some(self.on_confirm_gripper(outside, out)),
         }
         None
     }
@@ -245,6 +246,22 @@ impl Supervisor {
         None
     }
 
+    /// Once for an address: nothing that could be read from the device proves what it is.
+    fn on_confirm_gripper(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) -> Reply {
+        let address = &self.model.addresses.gripper;
+        if self.model.gripper_confirmed {
+            return Reply::accept(format!("confirmed already: the gripper is at {address}"));
+        }
+        if !outside.gripper_answers {
+            let why = self.place(&GateClosed::Gripper);
+            return Reply::refuse(format!("not confirmed: {why}; {}", GateClosed::Gripper.hint()));
+        }
+        let reply = Reply::accept(format!("confirmed: the gripper is at {address}"));
+        say(out, reply.message.clone());
+        self.model.gripper_confirmed = true;
+        reply
+    }
+
     fn not_active(&self, id: &str) -> Reply {
         Reply::refuse(match &self.job {
             Some(job) => format!("job {id} is not the active one, that is {}", job.order.id),
@@ -303,9 +320,10 @@ impl Supervisor {
                 None => "no job is under way; the next one pauses after one pick-n-place",
             }),
             Order::Park => self.then_the_job(self.answer_park(outside)),
-            Order::Recover(WayBack::Show | WayBack::Release) | Order::Abort | Order::Release(_) => {
-                return None;
-            }
+            Order::Recover(WayBack::Show | WayBack::Release)
+            | Order::Abort
+            | Order::Release(_)
+            | Order::ConfirmGripper => return None,
             Order::Recover(way) => return Some(self.recovering(outside, *way)),
         })
     }

@@ -105,6 +105,7 @@ async fn with_sim(
         dashboard: sim.addresses.robot.dashboard,
         primary: sim.addresses.robot.primary,
         gripper: sim.addresses.modbus,
+        gripper_unit: config.devices.gripper_unit,
     };
     let clock = Clock::paced(sim.pace(), choice.time_factor);
     let parameters = machine_parameters(config, choice.seed.wrapping_add(1));

@@ -21,6 +21,7 @@ const MISSING: &[Missing] = &[
     ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Backdrive),
     ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Unknown(42)),
     ("gripper", |bench| bench.gripper_answers = false),
+    ("never confirmed", |bench| bench.cell.model.gripper_confirmed = false),
     ("hang on the gripper", |bench| bench.vacuum = [0.0, 0.4]),
     ("hang on the gripper", |bench| bench.vacuum = [f64::NAN, 0.0]),
 ];
@@ -39,12 +40,28 @@ fn arming_names_what_is_missing_and_is_not_made_up_for_later() {
         // What was missing comes, as after a boot or when an emergency stop is let go.
         (bench.robot, bench.vacuum) = there;
         (bench.link_down, bench.silent, bench.gripper_answers) = (None, false, true);
+        bench.cell.model.gripper_confirmed = true;
         all.extend(bench.ticks(500));
         assert_eq!(streams(&all), 0, "{word}: nothing moves");
         assert!(!all.iter().any(|action| matches!(action, Action::Robot(_))), "{word}: {all:?}");
         assert!(!bench.cell.status().armed, "{word}");
         assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted, "{word}: now");
     }
+}
+
+#[test]
+fn a_gripper_is_confirmed_once_while_it_answers() {
+    let mut bench = Bench::new();
+    bench.cell.model.gripper_confirmed = false;
+    bench.gripper_answers = false;
+    let confirm = |bench: &mut Bench| answer(&bench.feed(order(Order::ConfirmGripper))).expect("an answer");
+    let refused = confirm(&mut bench);
+    assert!(!refused.accepted && refused.message.contains("10.0.0.3:502, unit 65"), "{refused:?}");
+    bench.gripper_answers = true;
+    assert!(!answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
+    assert_eq!(confirm(&mut bench), Reply::accept("confirmed: the gripper is at 10.0.0.3:502, unit 65"));
+    assert!(confirm(&mut bench).message.starts_with("confirmed already"));
+    assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
 }
 
 #[test]
