@@ -22,6 +22,8 @@ pub mod config;
 
 pub mod daemon;
 
+pub mod doctor;
+
 pub mod demo;
 
 pub mod pair;

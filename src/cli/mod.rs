@@ -17,6 +17,7 @@ pub mod client;
 pub mod daemon;
 pub mod demo;
 pub mod detect;
+pub mod doctor;
 pub mod generate;
 pub mod interrupt;
 pub mod jobs;
@@ -47,6 +48,8 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Run the daemon: job files in, a tidy table out
     Run(daemon::RunArgs),
+    /// What is missing between this computer and a moving robot, on one page
+    Doctor(doctor::DoctorArgs),
     /// Simulated UR5e, VGC10 and camera behind the real protocols
     Sim(ur_sim::command::SimArgs),
     /// Whole cells in virtual time, checked against the rules that always hold
@@ -98,6 +101,7 @@ pub fn main() -> ExitCode {
     ExitCode::from(match cli.command {
         Command::Demo(args) => demo::run(&args, stop),
         Command::Run(args) => daemon::run(&args, stop),
+        Command::Doctor(args) => doctor::run(&args),
         Command::Sim(args) => ur_sim::command::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Calibrate(args) => calibrate::run(&args, stop),
@@ -122,4 +126,43 @@ pub fn main() -> ExitCode {
         Command::Bench(Bench::Loop(args)) => bench_loop::run(&args),
         Command::Client(command) => jobs::run(command),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    /// The commands in the indented blocks of a page, without the comments behind them; one that ends in
+    /// `...` is cut there.
+    fn commands(page: &str) -> Vec<String> {
+        let page = page.replace(" \\\n", " ").replace("\"$SLURM_CPUS_PER_TASK\"", "2");
+        let page = page.replace("$SLURM_ARRAY_TASK_ID", "1");
+        let blocks = page.lines().filter_map(|line| line.strip_prefix("    "));
+        let commands = blocks.map(str::trim).filter(|line| line.starts_with("celld "));
+        let bare = commands.map(|line| line.split(" #").next().unwrap_or_default().trim());
+        bare.map(|line| line.trim_end_matches("...").trim().to_string()).collect()
+    }
+
+    #[test]
+    fn the_pages_name_no_command_that_does_not_exist() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let docs = std::fs::read_dir(root.join("docs")).expect("the pages");
+        let mut pages: Vec<_> = docs.flatten().map(|entry| entry.path()).collect();
+        pages.retain(|path| path.extension().is_some_and(|extension| extension == "md"));
+        pages.extend(["README.md", "hardware/README.md"].map(|name| root.join(name)));
+        let (mut tried, mut wrong) = (0, Vec::new());
+        for path in pages {
+            let page = std::fs::read_to_string(&path).expect("a page");
+            for line in commands(&page) {
+                tried += 1;
+                let words = line.split_whitespace().map(|word| word.trim_matches(['\'', '"']));
+                if let Err(error) = Cli::try_parse_from(words) {
+                    wrong.push(format!("{}: {line}\n{error}", path.display()));
+                }
+            }
+        }
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+        assert!(tried > 40, "{tried} commands");
+    }
 }

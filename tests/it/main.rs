@@ -7,6 +7,7 @@ mod calibration;
 mod camera_faults;
 mod cell;
 mod closed_loop;
+mod doctor;
 mod edit;
 mod faults;
 mod first_moves;

@@ -1,0 +1,126 @@
+//! The gripper: whether it answers, what hangs there, whether a person has confirmed it, who else commands
+//! it.
+//!
+//! In: [`GripperFacts`]. Out: lines. Pure. The device has no register that says what it is, so its identity
+//! rests on an answer that a VGC10 would give, on the maker's own service where that runs (reference:
+//! ur-interfaces 7.3), and on a person.
+
+use crate::doctor::{Area, Line};
+
+/// What was found at the gripper's address.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GripperFacts {
+    /// Host, port and unit.
+    pub address: String,
+    /// Relative vacuum of both channels, or why there is none.
+    pub vacuum: Result<[f64; 2], String>,
+    /// The two control registers, where they can be read: mode in the high byte, target in the low one.
+    pub control: Option<[u16; 2]>,
+    /// What the maker's service (XML-RPC, port 41414) says of a VGC10, where it answers, and at which host.
+    pub service: Option<(String, Option<bool>)>,
+    /// Why it is taken for the gripper; `None` where no person has said so.
+    pub confirmed: Option<Confirmed>,
+    /// A celld runs on the state folder, and reads the gripper.
+    pub daemon: bool,
+}
+
+/// Why what answers is taken for the gripper.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Confirmed {
+    /// A person has said so, for this address.
+    ByPerson,
+    /// The cell is simulated, and no person is asked.
+    Simulation,
+}
+
+/// Above this vacuum something hangs on a cup.
+const HANGS: f64 = 0.05;
+
+/// High byte of a control register that grips.
+const GRIP: u16 = 1;
+
+fn problem(item: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Line {
+    Line::problem(Area::Gripper, item, found, hint)
+}
+
+impl GripperFacts {
+    /// The lines.
+    pub fn lines(&self) -> Vec<Line> {
+        let vacuum = match &self.vacuum {
+            Ok(vacuum) => *vacuum,
+            Err(cause) => {
+                let hint = "see that the Compute Box has power and its cable; \
+                            `devices.gripper` in the configuration names its host, port (502) and unit (65 alone on \
+                            the wrist, 66 or 67 on a dual quick changer)";
+                return vec![problem("Modbus", format!("{}: {cause}", self.address), hint)];
+            }
+        };
+        let mut lines = vec![Line::ok(Area::Gripper, "Modbus", format!("{} answers", self.address))];
+        lines.push(vacuum_line(vacuum));
+        lines.push(self.identity());
+        lines.extend(self.other_master());
+        lines
+    }
+
+    fn identity(&self) -> Line {
+        let said = match &self.service {
+            Some((host, Some(true))) => format!("; the maker's service at {host}:41414 finds a VGC10"),
+            Some((host, Some(false))) => {
+                let found = format!("the maker's service at {host}:41414 finds no VGC10 on the first tool");
+                let hint =
+                    "see that the gripper is on its quick changer; another product needs another driver";
+                return problem("identity", found, hint);
+            }
+            Some((_, None)) | None => String::new(),
+        };
+        if let Some(confirmed) = self.confirmed {
+            let by = match confirmed {
+                Confirmed::ByPerson => "confirmed by a person",
+                Confirmed::Simulation => "not asked for in a simulation",
+            };
+            return Line::ok(Area::Gripper, "identity", format!("{by}{said}"));
+        }
+        problem(
+            "identity",
+            format!("no person has confirmed yet that this is the gripper on the arm{said}"),
+            "see on the Compute Box's own web page (its address in a browser) that it is the one on this arm, then \
+             `celld run` and `celld confirm-gripper`; once for an address",
+        )
+    }
+
+    /// One master only: what another one commands, celld cannot know.
+    fn other_master(&self) -> Vec<Line> {
+        let mut lines = Vec::new();
+        if let Some((host, _)) = &self.service {
+            let found = format!("the maker's URCap or Compute Box serves {host}:41414");
+            let hint =
+                "no program that uses its gripper nodes may run beside celld: two masters let go at will";
+            lines.push(Line::note(Area::Gripper, "other master", found, hint));
+        }
+        let grips = |word: u16| word >> 8 == GRIP;
+        if let Some(control) = self.control.filter(|words| !self.daemon && words.iter().any(|w| grips(*w))) {
+            let channels: Vec<&str> = ["A", "B"]
+                .into_iter()
+                .zip(control)
+                .filter(|(_, word)| grips(*word))
+                .map(|(c, _)| c)
+                .collect();
+            let found =
+                format!("channel {} is commanded to grip, and no celld runs here", channels.join(" and "));
+            let hint = "an earlier celld left it so, which keeps what is held; or another master commands it: end \
+                        that one";
+            lines.push(Line::note(Area::Gripper, "other master", found, hint));
+        }
+        lines
+    }
+}
+
+fn vacuum_line(vacuum: [f64; 2]) -> Line {
+    let found = format!("A {:.0} %, B {:.0} %", 100.0 * vacuum[0], 100.0 * vacuum[1]);
+    // A reading that is no number is no proof of an empty cup.
+    if vacuum.iter().all(|share| *share < HANGS) {
+        return Line::ok(Area::Gripper, "vacuum", found);
+    }
+    let hint = "something hangs there: `celld run`, then `celld recover` says what can be done with it";
+    problem("vacuum", found, hint)
+}

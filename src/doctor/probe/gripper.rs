@@ -1,0 +1,102 @@
+//! The gripper's registers over Modbus, and the maker's service where it runs.
+//!
+//! In: the configuration. Out: [`GripperFacts`]. Nothing is written to the device.
+
+use crate::cell::device::gripper::vacuum_of;
+use crate::cell::device::gripper_types::{ModbusRequest, VACUUM};
+use crate::config::cell::{CellConfig, Devices};
+use crate::config::setup::gripper_address;
+use crate::daemon::sockets::{exchange, resolve};
+use crate::doctor::gripper::{Confirmed, GripperFacts};
+use crate::jobs::state::StateFolder;
+use std::time::Duration;
+use tokio_modbus::prelude::Slave;
+
+/// For one answer.
+const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+/// The maker's XML-RPC service (reference: ur-interfaces 7.3).
+const SERVICE_PORT: u16 = 41414;
+/// Its question whether a VGC10 (0x11) is the first tool.
+const QUESTION: &str = "<?xml version=\"1.0\"?><methodCall><methodName>cb_is_device_connected</methodName><params>\
+     <param><value><int>0</int></value></param><param><value><int>17</int></value></param></params></methodCall>";
+/// Longest answer read, bytes.
+const ANSWER_MAX: u64 = 64 * 1024;
+
+/// Looks at the gripper of the configuration.
+pub fn facts(config: &CellConfig, state: &StateFolder) -> GripperFacts {
+    let devices = &config.devices;
+    let address = gripper_address(devices);
+    let (vacuum, control) = registers(devices);
+    let confirmed = match config.simulation {
+        Some(_) => Some(Confirmed::Simulation),
+        None => state.gripper_confirmed(&address).then_some(Confirmed::ByPerson),
+    };
+    let service = service(devices);
+    GripperFacts { address, vacuum, control, service, confirmed, daemon: false }
+}
+
+/// Vacuum of both channels, and the control registers where the device gives them out.
+fn registers(devices: &Devices) -> (Result<[f64; 2], String>, Option<[u16; 2]>) {
+    let address = match resolve(&devices.gripper_host, devices.gripper_port) {
+        Ok(address) => address,
+        Err(cause) => return (Err(cause), None),
+    };
+    let runtime = match tokio::runtime::Builder::new_current_thread().enable_all().build() {
+        Ok(runtime) => runtime,
+        Err(error) => return (Err(error.to_string()), None),
+    };
+    let unit = Slave(devices.gripper_unit);
+    runtime.block_on(async {
+        let mut connection = None;
+        let mut read = async |first| {
+            let request = ModbusRequest::Read { address: first, count: 2 };
+            match tokio::time::timeout(ANSWER_WITHIN, exchange(&mut connection, (address, unit), request))
+                .await
+            {
+                Ok(answer) => answer.map_err(|failure| failure.to_string()),
+                Err(_) => Err(format!("no answer within {} s", ANSWER_WITHIN.as_secs())),
+            }
+        };
+        let vacuum = read(VACUUM).await;
+        let vacuum = vacuum.and_then(|words| vacuum_of(&words).map_err(|failure| failure.to_string()));
+        let control = if vacuum.is_ok() { read(0).await.ok() } else { None };
+        (vacuum, control.and_then(|words| words.try_into().ok()))
+    })
+}
+
+/// What the maker's service says, at the gripper's host or the controller's.
+fn service(devices: &Devices) -> Option<(String, Option<bool>)> {
+    let mut hosts = vec![devices.gripper_host.clone(), devices.robot_host.clone()];
+    hosts.dedup();
+    let config = ureq::Agent::config_builder().timeout_global(Some(ANSWER_WITHIN)).proxy(None).build();
+    let agent = ureq::Agent::new_with_config(config);
+    hosts.into_iter().find_map(|host| {
+        let posted = agent.post(format!("http://{host}:{SERVICE_PORT}/")).content_type("text/xml");
+        let mut answer = posted.send(QUESTION).ok()?;
+        let text = answer.body_mut().with_config().limit(ANSWER_MAX).read_to_string().unwrap_or_default();
+        Some((host, connected(&text)))
+    })
+}
+
+/// The boolean of an XML-RPC answer; `None` where it is something else, a fault for example.
+fn connected(text: &str) -> Option<bool> {
+    match (text.contains("<boolean>1</boolean>"), text.contains("<boolean>0</boolean>")) {
+        (true, false) => Some(true),
+        (false, true) => Some(false),
+        (true, true) | (false, false) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_of_the_service_is_a_boolean_or_nothing() {
+        let answer = |value: &str| format!("<methodResponse><params><param><value>{value}</value>");
+        assert_eq!(connected(&answer("<boolean>1</boolean>")), Some(true));
+        assert_eq!(connected(&answer("<boolean>0</boolean>")), Some(false));
+        assert_eq!(connected(&answer("<int>4</int>")), None);
+        assert_eq!(connected(""), None);
+    }
+}

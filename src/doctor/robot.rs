@@ -1,0 +1,308 @@
+//! The controller: addresses, services, who it is, what its modes are, who holds the registers, how steadily
+//! its states come.
+//!
+//! In: [`RobotFacts`]. Out: lines. Pure.
+
+use crate::cell::device::robot_types::{Link, RobotState};
+use crate::cell::supervisor::safety_words::{safety_remedy, safety_words};
+use crate::doctor::{Area, Line};
+use cell_values::time::Duration;
+use ur_arm::kinematics::{DhParameters, model_of};
+use ur_wire::enumerations::{RobotMode, SafetyMode};
+
+/// Why a service gave no answer.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LinkFault {
+    /// The name has no address.
+    NoAddress(String),
+    /// The host refuses the connection: it is there, the service is not.
+    Refused,
+    /// Nothing came back.
+    Silent(String),
+    /// What came is not what this service says.
+    Broken(String),
+}
+
+impl LinkFault {
+    /// What was found.
+    pub fn text(&self) -> String {
+        match self {
+            LinkFault::NoAddress(cause) => format!("no address: {cause}"),
+            LinkFault::Refused => "the host refuses the connection".to_string(),
+            LinkFault::Silent(cause) | LinkFault::Broken(cause) => cause.clone(),
+        }
+    }
+}
+
+/// What the dashboard server says.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DashboardFacts {
+    /// As the controller writes it.
+    pub version: Option<String>,
+    /// Serial number.
+    pub serial: Option<String>,
+    /// Model.
+    pub model: Option<String>,
+    /// The pendant is in remote control.
+    pub remote_control: Option<bool>,
+    /// Mode of the arm.
+    pub robot_mode: Option<RobotMode>,
+    /// Mode of the safety system.
+    pub safety_mode: Option<SafetyMode>,
+    /// Longest answer.
+    pub slowest: Duration,
+}
+
+/// What RTDE says.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RtdeFacts {
+    /// Input registers that another client holds.
+    pub taken: Vec<String>,
+    /// The last state.
+    pub state: Option<RobotState>,
+    /// Packages that came while watched.
+    pub packages: u32,
+    /// Packages that should have come and did not.
+    pub lost: u32,
+    /// Longest time between two.
+    pub longest_gap: Duration,
+    /// What the controller said in words.
+    pub messages: Vec<String>,
+}
+
+/// What the primary interface says.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PrimaryFacts {
+    /// The calibrated arm.
+    pub dh: Option<DhParameters>,
+    /// Checksum of the kinematics, hex, as in calibration files.
+    pub checksum: String,
+    /// Checksum of the safety configuration, where the controller sends it.
+    pub safety_checksum: Option<u32>,
+}
+
+/// All of it.
+#[derive(Clone, Debug)]
+pub struct RobotFacts {
+    /// Name or address from the configuration.
+    pub host: String,
+    /// Port 29999.
+    pub dashboard: Result<DashboardFacts, LinkFault>,
+    /// Port 30004.
+    pub rtde: Result<RtdeFacts, LinkFault>,
+    /// Port 30001.
+    pub primary: Result<PrimaryFacts, LinkFault>,
+    /// A celld runs on the state folder, and holds the registers.
+    pub daemon: bool,
+    /// The configuration is one of a simulation.
+    pub simulated: bool,
+}
+
+/// States come every 8 ms; from here on the stop for a silent controller is near (100 ms).
+const GAP_NOTED: Duration = Duration::from_millis(40);
+/// From here on a state counts as stale.
+const GAP_STALE: Duration = Duration::from_millis(100);
+/// A dashboard slower than this makes remote control look outdated.
+const SLOW_ANSWER: Duration = Duration::from_millis(500);
+
+fn ok(item: &'static str, found: impl Into<String>) -> Line {
+    Line::ok(Area::Robot, item, found)
+}
+
+fn note(item: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Line {
+    Line::note(Area::Robot, item, found, hint)
+}
+
+fn problem(item: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Line {
+    Line::problem(Area::Robot, item, found, hint)
+}
+
+impl RobotFacts {
+    /// The lines.
+    pub fn lines(&self) -> Vec<Line> {
+        let mut lines = vec![
+            self.service("dashboard", 29999, self.dashboard.as_ref().err(), "Dashboard Server"),
+            self.service("RTDE", 30004, self.rtde.as_ref().err(), "Real-Time Data Exchange (RTDE)"),
+            self.service("primary", 30001, self.primary.as_ref().err(), "Primary Client Interface"),
+        ];
+        if let Ok(dashboard) = &self.dashboard {
+            lines.extend(self.dashboard_lines(dashboard));
+        }
+        if let Ok(rtde) = &self.rtde {
+            lines.extend(self.rtde_lines(rtde));
+        }
+        if let Ok(primary) = &self.primary {
+            lines.push(kinematics_line(primary));
+        }
+        lines
+    }
+
+    /// The first link that is down.
+    pub fn link_down(&self) -> Option<Link> {
+        if self.rtde.is_err() {
+            Some(Link::Rtde)
+        } else if self.dashboard.is_err() {
+            Some(Link::Dashboard)
+        } else {
+            self.primary.is_err().then_some(Link::Primary)
+        }
+    }
+
+    fn service(&self, item: &'static str, port: u16, fault: Option<&LinkFault>, name: &str) -> Line {
+        let Some(fault) = fault else { return ok(item, format!("{}:{port} answers", self.host)) };
+        let found = format!("{}:{port}: {}", self.host, fault.text());
+        let hint = match fault {
+            LinkFault::NoAddress(_) => {
+                "correct `devices.robot.host` in the configuration, or write the address itself".to_string()
+            }
+            LinkFault::Refused if self.simulated => "start `celld sim`".to_string(),
+            LinkFault::Refused => {
+                let x = match port {
+                    29999 => "; PolyScope X has no dashboard server, which celld needs",
+                    _ => "",
+                };
+                format!(
+                    "the controller boots, or the service is off: on the pendant under Settings, Security, Services, \
+                     enable \"{name}\"{x}"
+                )
+            }
+            LinkFault::Silent(_) => format!(
+                "see that the controller is on, its cable plugged in, and this computer in its subnet: \
+                 `ping {}`; a firewall may drop port {port}",
+                self.host
+            ),
+            LinkFault::Broken(_) => {
+                "something else listens there, or the controller's software is too old or too new for celld"
+                    .to_string()
+            }
+        };
+        problem(item, found, hint)
+    }
+
+    fn dashboard_lines(&self, dashboard: &DashboardFacts) -> Vec<Line> {
+        let or_unknown = |text: &Option<String>| text.clone().unwrap_or_else(|| "unknown".to_string());
+        let identity = format!(
+            "{}, serial number {}, {}",
+            or_unknown(&dashboard.model),
+            or_unknown(&dashboard.serial),
+            or_unknown(&dashboard.version)
+        );
+        let mut lines = vec![ok("identity", identity)];
+        lines.push(match dashboard.remote_control {
+            Some(true) => ok("remote control", "on"),
+            Some(false) => problem(
+                "remote control",
+                "off: the pendant is in local control",
+                "enable it under Settings, System, Remote Control; then switch the pendant from Local to Remote",
+            ),
+            None => problem(
+                "remote control",
+                "the controller does not say",
+                "e-Series software 5 or newer is needed: CB-Series controllers have no remote control mode",
+            ),
+        });
+        if dashboard.slowest > SLOW_ANSWER {
+            let found = format!("its slowest answer took {:.0} ms", dashboard.slowest.as_secs_f64() * 1e3);
+            lines.push(note("dashboard", found, "see what else talks to the dashboard or fills the network"));
+        }
+        lines.extend(dashboard.safety_mode.map(safety_line));
+        lines.extend(dashboard.robot_mode.map(arm_line));
+        lines
+    }
+
+    fn rtde_lines(&self, rtde: &RtdeFacts) -> Vec<Line> {
+        let mut lines = vec![self.claim(rtde)];
+        if let Some(state) = &rtde.state {
+            lines.push(stream_line(rtde));
+            lines.extend(state_lines(state));
+        }
+        for message in &rtde.messages {
+            lines.push(note("RTDE", format!("the controller says: {message}"), ""));
+        }
+        lines
+    }
+
+    /// Who holds the input registers.
+    fn claim(&self, rtde: &RtdeFacts) -> Line {
+        match (rtde.taken.as_slice(), self.daemon) {
+            ([], _) => ok("registers", "the input registers that celld writes are free"),
+            (_, true) => note(
+                "registers",
+                "celld itself holds them: it runs on this state folder",
+                "end it to see more; `celld status` says what it does",
+            ),
+            (taken, false) => problem(
+                "registers",
+                format!("held by another RTDE client or a field bus: {}", taken.join(", ")),
+                "end it: another celld or driver on any computer, or EtherNet/IP and PROFINET in the \
+                 installation; a client that has crashed holds them for some seconds more",
+            ),
+        }
+    }
+}
+
+fn stream_line(rtde: &RtdeFacts) -> Line {
+    let gap = rtde.longest_gap;
+    let found = format!(
+        "{} states in a row, {} lost, longest gap {:.1} ms (8 ms is regular)",
+        rtde.packages,
+        rtde.lost,
+        gap.as_secs_f64() * 1e3
+    );
+    let hint = "connect the controller by a cable of its own, not over wireless or a busy switch; see the lines on \
+                this computer";
+    if gap >= GAP_STALE {
+        problem("states", found, hint)
+    } else if gap >= GAP_NOTED || rtde.lost > 0 {
+        note("states", found, hint)
+    } else {
+        ok("states", found)
+    }
+}
+
+fn safety_line(mode: SafetyMode) -> Line {
+    if mode.allows_motion() {
+        return ok("safety", format!("mode {mode}"));
+    }
+    problem("safety", safety_words(mode), safety_remedy(mode))
+}
+
+fn arm_line(mode: RobotMode) -> Line {
+    match mode {
+        RobotMode::Running => ok("arm", "powered, brakes released"),
+        RobotMode::PowerOff | RobotMode::Idle => {
+            ok("arm", "off; `celld arm` powers it and releases the brakes")
+        }
+        _ => problem("arm", format!("the robot mode is {mode}"), "look at the pendant for what it waits for"),
+    }
+}
+
+fn state_lines(state: &RobotState) -> Vec<Line> {
+    let mut lines = Vec::new();
+    if state.guided {
+        lines.push(problem("arm", "guided by hand (freedrive)", "let go of the freedrive button"));
+    }
+    if state.target_speed_fraction < 1.0 {
+        let found = format!("the speed slider is at {:.0} %", 100.0 * state.target_speed_fraction);
+        lines.push(note("speed", found, "the arm moves that much slower; deadlines allow for it"));
+    }
+    lines
+}
+
+fn kinematics_line(primary: &PrimaryFacts) -> Line {
+    let Some(dh) = &primary.dh else {
+        return problem(
+            "kinematics",
+            "the controller has not sent its calibrated kinematics",
+            "restart the controller; they come with each connection to the primary interface",
+        );
+    };
+    let model = model_of(dh);
+    let found = format!("calibrated {} (checksum {})", model.name, primary.checksum);
+    if *dh == model.dh {
+        let hint = "fine for a simulated arm; a real one whose calibration is missing misses by millimetres: \
+                    ask the vendor for its calibration file";
+        return note("kinematics", format!("those of a nominal {}", model.name), hint);
+    }
+    ok("kinematics", found)
+}
