@@ -11,6 +11,7 @@ use crate::motion::bodies::{Standing, Tabletop};
 use crate::motion::path::{ArmModel, PathFault};
 use crate::motion::pick_n_place::{CycleParameters, PickNPlace, plan};
 use crate::motion::reach::{ReachMask, reaches};
+use cell_values::units::Joints;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::{Action, ActionKind};
 use rearrange::planning::problem::Reach;
@@ -28,7 +29,9 @@ pub struct PlanLimits {
     pub objects: Vec<PickNPlace>,
     /// What stands on the table besides.
     pub obstacles: Vec<Standing>,
-    /// Filled when it is first needed: the same for all plans of a cell.
+    /// Where the arm is when a pick-n-place begins.
+    pub start: Joints,
+    /// Filled when it is first needed; it holds for these objects and heights.
     pub mask: Arc<OnceLock<ReachMask>>,
 }
 
@@ -37,20 +40,21 @@ pub struct PlanLimits {
 pub struct OutOfReach {
     /// Index of the object.
     pub object: usize,
-    /// Where, table frame.
-    pub pose: Pose2,
-    /// The place of the plan's own choice that may be to blame.
-    pub buffer: Option<Pose2>,
+    /// Its name.
+    pub name: String,
+    /// The object, by index, and the place of the plan's own choice that may be to blame.
+    pub buffer: Option<(usize, Pose2)>,
     /// In words, with the object's name.
     pub message: String,
 }
 
 impl PlanLimits {
-    /// Checks starts and goals, and fixes what is out of reach and need not move.
+    /// Checks starts and goals, and fixes what is out of reach and need not move: the names of these.
     ///
     /// # Errors
     /// An object that has to move from or to where the arm does not reach.
-    pub fn restrict(&self, instance: &mut Instance) -> Result<(), OutOfReach> {
+    pub fn restrict(&self, instance: &mut Instance) -> Result<Vec<String>, OutOfReach> {
+        let mut stay = Vec::new();
         for (index, object) in instance.objects.iter_mut().enumerate() {
             let (Some(task), Some(start)) = (self.objects.get(index), object.start) else { continue };
             let moves = object.goal.is_some_and(|goal| !goal.same(&start));
@@ -61,12 +65,15 @@ impl PlanLimits {
                     Ok(()) => {}
                     Err(_) if !moves => {
                         (object.fixed, object.goal) = (true, None);
+                        stay.push(object.id.clone());
                     }
-                    Err(fault) => return Err(self.out_of_reach(index, pose, what, &fault)),
+                    Err(fault) => {
+                        return Err(self.out_of_reach(index, &format!("{what}, {}", place(pose)), &fault));
+                    }
                 }
             }
         }
-        Ok(())
+        Ok(stay)
     }
 
     /// Where new places may be; `not` are poses of objects that were tried already.
@@ -86,7 +93,8 @@ impl PlanLimits {
     /// The first pick or place that fails.
     pub fn carry_out(&self, actions: &[Action]) -> Result<(), OutOfReach> {
         let mut poses: Vec<Pose2> = self.objects.iter().map(|object| object.from).collect();
-        let mut at = self.arm.home;
+        // Objects that are where the plan has put them aside.
+        let mut aside: Vec<usize> = Vec::new();
         for (number, action) in actions.iter().enumerate() {
             let Some(object) = self.objects.get(action.object) else { continue };
             let task = PickNPlace { from: action.from, to: action.to, ..object.clone() };
@@ -97,25 +105,37 @@ impl PlanLimits {
                 layer: self.cycle.tallest + 0.5 * self.cycle.air,
                 standing: standing.chain(self.obstacles.iter().cloned()).collect(),
             };
-            let paths = plan(&self.arm, &at, &task, &self.cycle, &table).map_err(|fault| {
-                let what = format!("move {}", number + 1);
-                let picked_from_buffer = (action.from != object.from).then_some(action.from);
-                let buffer = Some(action.to).filter(|_| action.kind == ActionKind::Buffer);
-                let found = self.out_of_reach(action.object, action.to, &what, &fault);
-                OutOfReach { buffer: buffer.or(picked_from_buffer), ..found }
-            })?;
+            let to_buffer = action.kind == ActionKind::Buffer;
+            if let Err(fault) = plan(&self.arm, &self.start, &task, &self.cycle, &table) {
+                let what =
+                    format!("move {}, from {} to {}", number + 1, place(action.from), place(action.to));
+                let found = self.out_of_reach(action.object, &what, &fault);
+                // Its own place aside, else that of what it would meet.
+                let own = match (to_buffer, aside.contains(&action.object)) {
+                    (true, _) => Some((action.object, action.to)),
+                    (false, true) => Some((action.object, action.from)),
+                    (false, false) => None,
+                };
+                let met = aside.iter().find(|index| fault.names(&self.objects[**index].object));
+                let buffer = own.or_else(|| met.map(|index| (*index, poses[*index])));
+                return Err(OutOfReach { buffer, ..found });
+            }
             poses[action.object] = action.to;
-            at = paths.retreat.end();
+            aside.retain(|index| *index != action.object);
+            aside.extend(to_buffer.then_some(action.object));
         }
         Ok(())
     }
 
-    fn out_of_reach(&self, object: usize, pose: Pose2, what: &str, fault: &PathFault) -> OutOfReach {
-        let name = &self.objects[object].object;
-        let Pose2 { x, y, .. } = pose;
-        let message = format!("{name} cannot be moved ({what}, x {x:.3} m, y {y:.3} m): {fault}");
-        OutOfReach { object, pose, buffer: None, message }
+    fn out_of_reach(&self, object: usize, what: &str, fault: &PathFault) -> OutOfReach {
+        let name = self.objects[object].object.clone();
+        let message = format!("{name} cannot be moved ({what}): {fault}");
+        OutOfReach { object, name, buffer: None, message }
     }
+}
+
+fn place(Pose2 { x, y, .. }: Pose2) -> String {
+    format!("x {x:.3} m, y {y:.3} m")
 }
 
 /// Places as near as this to one that did not do are not tried again, m.

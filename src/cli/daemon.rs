@@ -16,6 +16,7 @@ use crate::daemon::recorder::{self, Recorder};
 use crate::daemon::shell::{Observer, Scene, Shell};
 use crate::daemon::sockets::Addresses;
 use crate::daemon::workers::{PerceptionSetup, Sight};
+use crate::doctor::files::blocked_poses;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
 use crate::perception::Perception;
@@ -156,6 +157,9 @@ async fn daemon(
     let measured = measured(&config, &calibration, &arm)?;
     let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     model.gripper_confirmed |= confirmed;
+    for pose in blocked_poses(&config, &model) {
+        complain(&format!("taught pose {pose}; the arm will not go there"));
+    }
     let camera = cameras::open_when_there(&config.devices, &measured.camera);
     let (camera, away) = camera.map_err(|error| chain(&error))?;
     if let Some(error) = away {

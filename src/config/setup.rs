@@ -14,7 +14,7 @@ use crate::cell::supervisor::model::{
 };
 use crate::config::bodies::Equipment;
 use crate::config::cell::{CellConfig, Devices};
-use crate::config::check::{off_centre_m, suction};
+use crate::config::check::{HELD_SHARE, off_centre, suction};
 use crate::motion::bodies::cell::{CellBodies, GripperBody};
 use crate::motion::bodies::{Bodies, Surroundings, Tabletop};
 use crate::motion::path::{ArmLimits, ArmModel};
@@ -31,7 +31,6 @@ use nalgebra::{Isometry3, Vector3};
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::{ObjectSpec, Workspace};
 use rearrange::tabletop::room::{Cup, Grip, place_for_cups};
-use std::sync::Arc;
 use ur_arm::kinematics::DhParameters;
 
 /// What calibration found and the controller reported.
@@ -66,7 +65,7 @@ pub enum SetupError {
     },
     /// The cups could lose it on the way.
     #[error(
-        "object {id} weighs {mass_kg} kg: carrying it safely takes {needed_n:.1} N, the cups hold {held_n:.1} N at vacuum_min"
+        "object {id} weighs {mass_kg} kg: carrying it safely takes {needed_n:.1} N, the cups hold {held_n:.1} N where a loss is reported"
     )]
     TooHeavy {
         /// Object.
@@ -75,7 +74,7 @@ pub enum SetupError {
         mass_kg: f64,
         /// Force that the factors require, N.
         needed_n: f64,
-        /// Force of the cups at `vacuum_min`, N.
+        /// Force of the cups at the least vacuum that counts as held, N.
         held_n: f64,
     },
 }
@@ -123,7 +122,6 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
         keep_out: config.obstacles(),
         ignore_markers: config.ignore_markers.clone(),
         objects,
-        reach: Arc::default(),
         foreign: config.foreign,
         tolerances: Tolerances {
             goal_position: tolerances.goal_position_m,
@@ -276,9 +274,9 @@ fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, S
         place_for_cups(&object.footprint, object.grippable.as_ref(), &cups(config), CUP_MARGIN_M)
             .ok_or_else(|| SetupError::NoGrip { id: object.id.clone() })?;
     let mass_kg = object.mass.ok_or_else(|| lacks("mass"))?;
-    let (suction, off_m) = (suction(&config.gripper), off_centre_m(&object.footprint, grip.point));
+    let (suction, off) = (suction(&config.gripper), off_centre(&object.footprint, &grip));
     let (needed_n, held_n) =
-        (suction.needed_n(mass_kg, off_m, config.limits.tool_acceleration), suction.force_n);
+        (suction.needed_n(mass_kg, off, config.limits.tool_acceleration), suction.force_n);
     if held_n < needed_n {
         return Err(SetupError::TooHeavy { id: object.id.clone(), mass_kg, needed_n, held_n });
     }
@@ -291,7 +289,7 @@ fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, S
         marker: object.marker.clone().ok_or_else(|| lacks("marker"))?,
         grip_point: grip.point,
         grip_yaw: grip.yaw,
-        hold: suction.acceleration(mass_kg, off_m),
+        hold: suction.acceleration(mass_kg, off),
     })
 }
 
@@ -321,7 +319,7 @@ pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParame
 pub fn gripper_parameters(config: &CellConfig) -> GripperParameters {
     GripperParameters {
         vacuum_min: config.gripper.vacuum_min,
-        vacuum_hold: 0.8 * config.gripper.vacuum_min,
+        vacuum_hold: HELD_SHARE * config.gripper.vacuum_min,
         grip_within: Duration::from_secs(2),
         release_within: Duration::from_secs(2),
     }

@@ -249,7 +249,10 @@ pub fn spawn_plan(number: u64, request: PlanRequest, stop: Arc<AtomicBool>, mess
         priority::lower();
         // Planning is work of this computer, so its budget is real time even when the cell's time is scaled.
         let started = Instant::now();
-        let over = || stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit;
+        // A plan that the arm cannot carry out is followed by another one, with a budget of its own.
+        let over = |attempt: u32| {
+            stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit * (attempt + 1)
+        };
         let answer = answer(&request, None, &over, &|| started.elapsed().as_secs_f64());
         let _ = messages.blocking_send(Message::Event(Event::Planned(number, Box::new(answer))));
     });

@@ -6,6 +6,7 @@
 
 use crate::calibration::files::set::CalibrationSet;
 use crate::cell::event::Arm;
+use crate::cell::supervisor::model::CellModel;
 use crate::config::cell::CellConfig;
 use crate::config::setup::{Measured, cell_model};
 use crate::doctor::{Area, Line};
@@ -98,22 +99,23 @@ pub fn taught_poses(config: &CellConfig, measured: &Measured) -> Vec<Line> {
             return vec![problem("objects", error.to_string(), hint)];
         }
     };
+    let blocked = blocked_poses(config, &model);
+    if blocked.is_empty() {
+        return vec![ok("taught poses", "all keep clear of every body of the cell")];
+    }
+    let hint = "teach it anew with more room, or correct what the configuration says of the cell (`cell:`)";
+    blocked.into_iter().map(|found| problem("taught poses", found, hint)).collect()
+}
+
+/// The taught poses in which the arm would be too near to itself or to something of the cell, and to what.
+pub fn blocked_poses(config: &CellConfig, model: &CellModel) -> Vec<String> {
     let room = Room::empty();
     let mut sweep = Sweep::new(&model.arm.bodies, &room);
-    let mut lines = Vec::new();
-    let taught = taught(config);
-    for (key, q) in &taught {
-        if let Err(meeting) = sweep.place(q, Zone::Over) {
-            let hint =
-                "teach it anew with more room, or correct what the configuration says of the cell (`cell:`)";
-            lines.push(problem("taught poses", format!("{key}: {}", meets(&meeting)), hint));
-        }
-    }
-    if lines.is_empty() {
-        let found = format!("all {} keep clear of every body of the cell", taught.len());
-        lines.push(ok("taught poses", found));
-    }
-    lines
+    let blocked = taught(config).into_iter().filter_map(|(key, q)| {
+        let meeting = sweep.place(&q, Zone::Over).err()?;
+        Some(format!("{key}: {}", meets(&meeting)))
+    });
+    blocked.collect()
 }
 
 fn meets(Meeting { one, other, distance, .. }: &Meeting) -> String {

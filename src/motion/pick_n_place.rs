@@ -3,10 +3,12 @@
 //! In: the arm, where it is, the object's pose before and after, where on it the cups sit, and the heights.
 //! Out: [`PickNPlacePaths`]; the gripper acts between them (grip and verify, release). Pure.
 //! The tool stays vertical and the arm in the posture of its home pose. The tool's yaw is free, so a ring of
-//! yaws is tried, cheapest joint travel first, and the first that passes the path check is taken.
+//! yaws is tried, cheapest joint travel first, and the first that passes the path check is taken. Where the
+//! straight joint moves of none are free, a way round is searched for the cheapest of them.
 
 use crate::motion::bodies::{Load, Room, Standing, Tabletop};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment, out_of_reach};
+use crate::motion::way::{Search, find};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rearrange::geometry::footprint::Footprint;
@@ -101,6 +103,12 @@ pub(crate) const YAWS: usize = 16;
 /// How many of the cheapest candidates go through the full check before the move is given up.
 const CANDIDATES: usize = 48;
 
+/// Of these a way round is searched for, where no candidate's straight moves are free.
+const SEARCHED: usize = 2;
+
+/// How far: twice for each of them, to the pick and with the object.
+const SEARCH: Search = Search { seed: 1, steps: 400 };
+
 /// Plans the three paths from the joints `start` (the arm at rest, gripper empty). `table` is what lies on it
 /// besides the object.
 ///
@@ -121,11 +129,18 @@ pub fn plan(
     let mut candidates = candidates(model, start, task, cycle);
     candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut first_fault = None;
-    for candidate in candidates.iter().take(CANDIDATES) {
-        match assemble(model, start, candidate, task, cycle, &rooms) {
-            Ok(paths) => return Ok(paths),
-            Err(fault) => {
-                first_fault.get_or_insert(fault);
+    for (count, search) in [(CANDIDATES, None), (SEARCHED, Some(SEARCH))] {
+        for candidate in candidates.iter().take(count) {
+            match assemble(model, start, candidate, task, cycle, (&rooms, search)) {
+                Ok(paths) => return Ok(paths),
+                // A search mends what is met on the way, and nothing else.
+                Err(fault @ PathFault::Meets { .. }) => {
+                    first_fault.get_or_insert(fault);
+                }
+                Err(fault) if search.is_none() => {
+                    first_fault.get_or_insert(fault);
+                }
+                Err(_) => {}
             }
         }
     }
@@ -226,20 +241,20 @@ fn assemble(
     candidate: &Candidate,
     task: &PickNPlace,
     cycle: &CycleParameters,
-    rooms: &Rooms,
+    (rooms, search): (&Rooms, Option<Search>),
 ) -> Result<PickNPlacePaths, PathFault> {
     let low = task.height - cycle.press;
     let empty_floor = cycle.tallest + 0.5 * cycle.air;
-    let approach = CheckedPath::new(
-        model,
-        start,
-        &[
-            Leg::over(joint(candidate.over_pick, cycle, cycle.blend), empty_floor),
-            Leg::between(linear(candidate.pick, cycle, 0.0), low - 1e-3),
-        ],
-        &rooms.before,
-    )?;
-    let carry = carry_path(model, candidate, task, cycle, rooms)?;
+    let lower = Leg::between(linear(candidate.pick, cycle, 0.0), low - 1e-3);
+    let direct = [Leg::over(joint(candidate.over_pick, cycle, cycle.blend), empty_floor), lower];
+    let approach = CheckedPath::new(model, start, &direct, &rooms.before).or_else(|fault| {
+        let ends = (start, &candidate.over_pick);
+        let mut legs = round(model, ends, cycle, &rooms.before, search).ok_or(fault)?;
+        legs.iter_mut().for_each(|leg| leg.floor = empty_floor);
+        legs.push(lower);
+        CheckedPath::new(model, start, &legs, &rooms.before)
+    })?;
+    let carry = carry_path(model, candidate, task, cycle, (rooms, search))?;
     let up = |from: &Joints, to: Joints, room: &Room| {
         CheckedPath::new(model, from, &[Leg::between(linear(to, cycle, 0.0), low - 1e-3)], room)
     };
@@ -254,25 +269,38 @@ fn carry_path(
     candidate: &Candidate,
     task: &PickNPlace,
     cycle: &CycleParameters,
-    rooms: &Rooms,
+    (rooms, search): (&Rooms, Option<Search>),
 ) -> Result<CheckedPath, PathFault> {
     let low = task.height - cycle.press;
     let floor = cycle.tallest + 0.5 * cycle.air + task.height;
     let room = rooms.meanwhile.holding(&model.bodies, Some(&task.hanging(candidate.yaw)));
-    let with_transfer = |transfer: Segment| {
-        CheckedPath::new(
-            model,
-            &candidate.pick,
-            &[
-                Leg::between(linear(candidate.over_pick, cycle, cycle.blend), low - 1e-3).holding(task.hold),
-                Leg::over(transfer, floor).holding(task.hold),
-                Leg::between(linear(candidate.place, cycle, 0.0), low - 1e-3).holding(task.hold),
-            ],
-            &room,
-        )
+    let with_transfer = |blend: f64, transfer: Vec<Leg>| {
+        let lift = Leg::between(linear(candidate.over_pick, cycle, blend), low - 1e-3);
+        let lower = Leg::between(linear(candidate.place, cycle, 0.0), low - 1e-3);
+        let transfer = transfer.into_iter().map(|leg| Leg { floor, ..leg });
+        let legs = std::iter::once(lift).chain(transfer).chain(std::iter::once(lower));
+        let legs: Vec<Leg> = legs.map(|leg| leg.holding(task.hold)).collect();
+        CheckedPath::new(model, &candidate.pick, &legs, &room)
     };
-    with_transfer(joint(candidate.over_place, cycle, cycle.blend))
-        .or_else(|_| with_transfer(linear(candidate.over_place, cycle, cycle.blend)))
+    let blended = |transfer: Segment| with_transfer(cycle.blend, vec![Leg::over(transfer, floor)]);
+    blended(joint(candidate.over_place, cycle, cycle.blend))
+        .or_else(|_| blended(linear(candidate.over_place, cycle, cycle.blend)))
+        .or_else(|fault| {
+            let ends = (&candidate.over_pick, &candidate.over_place);
+            with_transfer(0.0, round(model, ends, cycle, &room, search).ok_or(fault)?)
+        })
+}
+
+/// A way round what is in the straight way, stop by stop; `None` where none is searched for or found.
+fn round(
+    model: &ArmModel,
+    (from, to): (&Joints, &Joints),
+    cycle: &CycleParameters,
+    room: &Room,
+    search: Option<Search>,
+) -> Option<Vec<Leg>> {
+    let points = find(model, room, from, to, search?).ok()?;
+    Some(points.into_iter().map(|q| Leg::over(joint(q, cycle, 0.0), f64::NEG_INFINITY)).collect())
 }
 
 fn joint(target: Joints, cycle: &CycleParameters, blend: f64) -> Segment {
@@ -286,7 +314,8 @@ fn linear(target: Joints, cycle: &CycleParameters, blend: f64) -> Segment {
 #[cfg(test)]
 pub mod tests {
     use super::*;
-    use crate::motion::bodies::cell::{CellBodies, GripperBody};
+    use crate::motion::bodies::cell::{CellBodies, GripperBody, NamedShape};
+    use crate::motion::bodies::shape::Shape;
     use crate::motion::bodies::{Bodies, Surroundings};
     use crate::motion::path::ArmLimits;
     use rand::{RngExt, SeedableRng};
@@ -430,5 +459,20 @@ pub mod tests {
         let nan = Segment::Joint { target: down, speed: f64::NAN, acceleration: 1.0, blend: 0.0 };
         assert!(leg(nan, 0.0).is_err());
         assert_eq!(CheckedPath::new(&model, &start, &[], &empty), Err(PathFault::Empty));
+    }
+
+    /// A post in the middle of the table, higher than anything is carried.
+    #[test]
+    fn round_a_post_a_way_is_found() {
+        let mut model = model(0.5);
+        let middle = model.base_from_table * Isometry3::translation(0.25, 0.2, 0.0);
+        let post = Shape::cylinder(0.02, 0.35, &middle);
+        model.bodies = model.bodies.with(&NamedShape { name: "the post".into(), shape: post });
+        let start = tool_down(0.06, 0.2, 0.3, 0.0);
+        let start = model.joints_in_work_posture(&start, &model.home).expect("reachable");
+        let ends = [0.06, 0.44].map(|x| Pose2::new(x, 0.2, 0.0));
+        let task = task(ends[0], ends[1], [0.0, 0.0]);
+        let paths = plan(&model, &start, &task, &cycle(), &table()).expect("a way round");
+        assert!(paths.carry.segments().len() > 3, "{:?}", paths.carry.segments());
     }
 }

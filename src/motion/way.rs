@@ -42,8 +42,10 @@ pub enum NoWay {
     #[error("there, {} and {} would be too near to each other", .0.one, .0.other)]
     Target(Meeting),
     /// A joint is outside its range at one of the ends.
-    #[error("joint {joint} is outside its range")]
+    #[error("{place}, joint {joint} is outside its range")]
     Range {
+        /// Which end, in words.
+        place: &'static str,
         /// Joint number, 1 to 6.
         joint: usize,
     },
@@ -68,9 +70,9 @@ pub fn find(
     to: &Joints,
     search: Search,
 ) -> Result<Vec<Joints>, NoWay> {
-    for q in [from, to] {
+    for (q, place) in [(from, "where the arm is"), (to, "there")] {
         if let Some(joint) = model.outside_range(q) {
-            return Err(NoWay::Range { joint: joint + 1 });
+            return Err(NoWay::Range { place, joint: joint + 1 });
         }
     }
     let mut sweep = Sweep::new(&model.bodies, room);

@@ -467,7 +467,7 @@ impl Pair {
     }
 
     fn plan(&self, request: &PlanRequest) -> PlanAnswer {
-        answer(request, Some(self.choice.plan_work), &|| false, &|| 0.0)
+        answer(request, Some(self.choice.plan_work), &|_| false, &|| 0.0)
     }
 
     fn notify(&mut self, news: News) {

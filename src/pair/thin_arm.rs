@@ -49,6 +49,11 @@ impl ThinModel {
         ThinModel { nominal: arm.dh, base_from_table: model.base_from_table, bodies, pairs }
     }
 
+    /// True where it is of this arm and table.
+    pub fn is_of(&self, model: &ArmModel) -> bool {
+        self.nominal == model_of(&model.dh).dh && self.base_from_table == model.base_from_table
+    }
+
     /// Whether all distances on a straight way in joint space are at least `distance` (m), with samples at
     /// most `step` (rad) apart.
     pub fn keeps(&self, distance: f64, from: &Joints, to: &Joints, step: f64) -> bool {

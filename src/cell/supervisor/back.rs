@@ -17,6 +17,8 @@ pub(crate) struct Held {
     pub grasp: Option<Grasp>,
     pub height: f64,
     pub mass: f64,
+    /// Largest acceleration of the tool at which the cups hold it, m/s2.
+    pub hold: f64,
     /// Where it was to go.
     pub to: Pose2,
     /// The vacuum has gone at its place; it may hang on the cups all the same until a picture shows it.

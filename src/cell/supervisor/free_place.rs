@@ -6,6 +6,7 @@
 
 use crate::cell::supervisor::back::Held;
 use crate::cell::supervisor::cell::Supervisor;
+use crate::motion::bodies::Standing;
 use crate::motion::put_down::PutDown;
 use cell_values::units::Joints;
 use cell_vision::observe::Observation;
@@ -46,7 +47,12 @@ impl Supervisor {
         let taken = self.taken(held, seen);
         let free =
             |pose: &Pose2| self.is_free(&object.footprint, object.grip_point, held.height, pose, &taken);
-        let table = self.tabletop(Some(seen), &held.object);
+        let mut table = self.tabletop(Some(seen), &held.object);
+        let hidden = self.hidden(held, seen).filter_map(|(id, pose)| {
+            let object = self.model.object(id)?;
+            Some(object.pick_n_place(pose, pose).lying_at(pose))
+        });
+        table.standing.extend(hidden);
         let mut fault = None;
         let ring = around(below).map(|pose| (pose, false));
         let candidates = std::iter::once((held.to, true)).chain(ring).filter(|(pose, _)| free(pose));
@@ -65,20 +71,14 @@ impl Supervisor {
     /// Everything that is on the table besides what is held, as far as it is known.
     fn taken(&self, held: &Held, seen: &Observation) -> Vec<Taken> {
         let now = seen.objects.iter().map(|object| (object.id.as_str(), object.pose));
-        // What was there before and is not seen now may be hidden by what is held.
-        let unseen = self.back.table.iter().filter(|(id, _)| !seen.objects.iter().any(|o| o.id == *id));
-        let before = unseen.map(|(id, pose)| (id.as_str(), *pose));
-        let known = now.chain(before).filter(|(id, _)| *id != held.object);
+        let now = now.filter(|(id, _)| *id != held.object);
+        let known = now.chain(self.hidden(held, seen));
         let objects = known.filter_map(|(id, pose)| {
             let object = self.model.object(id)?;
             Some(Taken { footprint: object.footprint.clone(), pose, height: object.height })
         });
-        let tallest = self.cycle().tallest;
-        let fixed = self.obstacles(seen).into_iter().map(|region| Taken {
-            footprint: region.footprint,
-            pose: region.pose,
-            height: tallest,
-        });
+        let fixed = self.standing_obstacles(seen).into_iter();
+        let fixed = fixed.map(|Standing { footprint, pose, height, .. }| Taken { footprint, pose, height });
         let report = seen.foreign.iter();
         let unseen = report.flat_map(|report| &report.holes).map(|hole| Taken {
             footprint: Footprint::Disc { radius: hole.reach_m },
@@ -86,6 +86,13 @@ impl Supervisor {
             height: 0.0,
         });
         objects.chain(fixed).chain(unseen).collect()
+    }
+
+    /// What was there before and is not seen now: what is held may hide it.
+    fn hidden<'a>(&'a self, held: &'a Held, seen: &'a Observation) -> impl Iterator<Item = (&'a str, Pose2)> {
+        let unseen = |id: &str| !seen.objects.iter().any(|object| object.id == id);
+        let before = self.back.table.iter().filter(move |(id, _)| unseen(id) && *id != held.object);
+        before.map(|(id, pose)| (id.as_str(), *pose))
     }
 
     fn is_free(

@@ -236,10 +236,16 @@ impl Supervisor {
 
     /// Where nothing may be put: what the configuration says, and what was seen without a marker.
     pub(crate) fn obstacles(&self, seen: &Observation) -> Vec<KeepOut> {
-        let margin_m = margin_m(&self.model);
-        let foreign =
-            foreign_obstacles(&self.model, seen).iter().filter_map(|object| object.keep_out(margin_m));
+        let foreign = self.foreign_regions(seen).map(|(region, _)| region);
         self.model.keep_out.iter().cloned().chain(foreign).collect()
+    }
+
+    /// What was seen without a marker and counts as an obstacle, with its margin, and how high that is, m.
+    pub(crate) fn foreign_regions(&self, seen: &Observation) -> impl Iterator<Item = (KeepOut, f64)> {
+        let margin_m = margin_m(&self.model);
+        let region =
+            move |object: &ForeignObject| Some((object.keep_out(margin_m)?, object.height_m + margin_m));
+        foreign_obstacles(&self.model, seen).iter().filter_map(region)
     }
 
     /// Heights and speeds of a cycle, over what carries no marker too, as the last look that measured it saw

@@ -14,6 +14,7 @@ use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase};
 use crate::cell::supervisor::reason::{alarm, say};
+use crate::cell::supervisor::travel::NoTravel;
 use crate::motion::cycle_time::CycleTimes;
 use cell_values::time::Timestamp;
 use cell_vision::observe::{Observation, View};
@@ -66,19 +67,19 @@ impl Supervisor {
                 let look = Look { view, stage: LookStage::Moving, views, fault: None, void: false };
                 self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
             }
-            Err(fault) => self.no_way_to_look(now, view, &fault.to_string(), out),
+            Err(fault) => self.no_way_to_look(now, view, &fault, out),
         }
     }
 
     /// The look pose cannot be reached from here: a person has to see why.
-    fn no_way_to_look(&mut self, now: Timestamp, view: usize, fault: &str, out: &mut Vec<Action>) {
+    fn no_way_to_look(&mut self, now: Timestamp, view: usize, fault: &NoTravel, out: &mut Vec<Action>) {
         self.phase = Phase::Ready;
         let message = format!("look pose {} cannot be reached: {fault}", view + 1);
         if self.back.recovery.is_some() {
             return self.end_recovery(Err(message), out);
         }
         self.mode.disarm();
-        let in_the_way = self.foreign_height > self.model.cycle.tallest;
+        let in_the_way = fault.meets_layer() && self.foreign_height > self.model.cycle.tallest;
         let reason = if in_the_way && self.foreign_height.is_finite() {
             let height_mm = self.foreign_height * 1e3;
             let what = format!("something without a marker reaches up to {height_mm:.0} mm over the table");
@@ -364,7 +365,7 @@ impl Supervisor {
             solver: job.order.solver,
             seed: job.order.seed.wrapping_add(u64::from(job.replans)),
             time_limit: job.order.time_limit,
-            times: CycleTimes::new(&self.model.arm, &self.cycle(), self.model.arm.home),
+            times: CycleTimes::new(&self.model.arm, &self.cycle(), self.model.after_a_look()),
             limits: self.plan_limits(seen),
         };
         let limit = request.time_limit + self.model.tolerances.plan_grace;
@@ -385,9 +386,12 @@ impl Supervisor {
         };
         let route = actions.iter().map(|action| {
             let to_goal = action.kind == ActionKind::Goal;
-            RouteAction { object: self.listed(action.object), from: action.from, to: action.to, to_goal }
+            let object = self.listed(action.object)?;
+            Some(RouteAction { object, from: action.from, to: action.to, to_goal })
         });
-        let route: Vec<RouteAction> = route.collect();
+        // Who disarmed the cell meanwhile may have changed the table: after arming it is looked at and
+        // planned for anew, and no person is shown this plan.
+        let Some(route) = route.collect::<Option<Vec<RouteAction>>>() else { return };
         let Some(job) = &mut self.job else { return };
         let buffers = route.iter().filter(|action| !action.to_goal).count();
         say(out, format!("plan: {} pick-n-places, {buffers} to a buffer, bound {lower_bound}", route.len()));
@@ -422,9 +426,16 @@ impl Supervisor {
                 Code::SolverUnfit.because(cause.clone(), "choose another solver or objective in the job")
             }
             PlanAnswer::OutOfReach(fault) => {
-                let hint = "put the object or its goal nearer to the robot, or take what is in the way aside";
-                let object = self.listed(fault.object);
-                Code::Unreachable.because(fault.message.clone(), hint).of(object)
+                let hint = match fault.buffer {
+                    None => {
+                        "put the object or its goal nearer to the robot, or take what is in the way aside"
+                    }
+                    Some(_) => {
+                        "there is too little room to put things aside within reach: clear the table a little, \
+                         or give the job a longer time_limit_s"
+                    }
+                };
+                Code::Unreachable.because(fault.message.clone(), hint).of(fault.name.clone())
             }
             PlanAnswer::Timeout | PlanAnswer::Found { .. } => {
                 let hint = "give the job a longer time_limit_s, or clear the table a little";

@@ -7,7 +7,6 @@ use crate::calibration::files::hand_eye::Mount;
 use crate::cell::device::gripper_types::Channels;
 use crate::motion::path::ArmModel;
 use crate::motion::pick_n_place::{CycleParameters, PickNPlace};
-use crate::motion::reach::ReachMask;
 use cell_values::time::Duration;
 use cell_values::units::Joints;
 use cell_vision::observe::reference::DriftLimits;
@@ -15,7 +14,6 @@ use nalgebra::{Isometry3, Vector3};
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
-use std::sync::{Arc, OnceLock};
 
 /// One kind of thing the cell may move.
 #[derive(Clone, Debug)]
@@ -162,8 +160,6 @@ pub struct CellModel {
     pub ignore_markers: Vec<u32>,
     /// What may be moved.
     pub objects: Vec<CellObject>,
-    /// Where they can be picked and placed; filled by the first plan that needs to know.
-    pub reach: Arc<OnceLock<ReachMask>>,
     /// What is done about things without a marker.
     pub foreign: ForeignRule,
     /// Limits of decisions.
@@ -182,6 +178,11 @@ impl CellModel {
     pub fn camera_at(&self, q: &Joints) -> Isometry3<f64> {
         let base_from_flange = ur_arm::kinematics::forward(&self.arm.dh, q);
         self.arm.base_from_table.inverse() * self.mount.base_from_camera(&base_from_flange)
+    }
+
+    /// Where the arm is when a pick-n-place begins: at the last look pose, for each begins with a look.
+    pub fn after_a_look(&self) -> Joints {
+        self.look_poses.last().copied().unwrap_or(self.arm.home)
     }
 
     /// True when `pose` counts as being at `goal`.

@@ -429,10 +429,17 @@ impl Supervisor {
         }
     }
 
-    /// What hangs below the cups, m; 0 where nothing does.
-    pub(crate) fn held_height(&self) -> f64 {
+    /// How far what is held may reach below the cups, m: what was held when celld started may be any object;
+    /// 0 where nothing hangs.
+    pub(crate) fn held_depth(&self) -> f64 {
         let depth = |held: &Held| held.grasp.as_ref().map_or(held.height, |grasp| grasp.load().depth());
-        self.back.held.as_ref().map_or(0.0, depth)
+        let unknown = if self.back.grips { self.model.cycle.tallest } else { 0.0 };
+        self.back.held.as_ref().map_or(unknown, depth)
+    }
+
+    /// Height of what is held, m; 0 where nothing is known to be.
+    pub(crate) fn held_height(&self) -> f64 {
+        self.back.held.as_ref().map_or(0.0, |held| held.height)
     }
 
     /// Mass of what the vacuum holds, kg; what was let go counts no more.

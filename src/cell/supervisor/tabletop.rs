@@ -7,6 +7,7 @@ use crate::cell::plan_check::PlanLimits;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::motion::bodies::{Room, Standing, Tabletop};
 use cell_vision::observe::Observation;
+use rearrange::tabletop::instance::KeepOut;
 use std::sync::Arc;
 
 impl Supervisor {
@@ -23,17 +24,21 @@ impl Supervisor {
         Tabletop { layer: self.layer(), standing }
     }
 
-    /// Keep-out regions, fixed objects and what carries no marker. How high they are is not known of all,
-    /// so all count as high as the highest.
-    fn standing_obstacles(&self, seen: &Observation) -> Vec<Standing> {
-        let height = self.cycle().tallest;
-        let obstacles = self.obstacles(seen).into_iter().map(|region| Standing {
-            name: "an obstacle on the table".to_string(),
+    /// What stands there and is never moved: things without a marker as high as they were seen, fixed objects
+    /// and keep-out regions, of which no height is known, as high as the tallest object.
+    pub(crate) fn standing_obstacles(&self, seen: &Observation) -> Vec<Standing> {
+        let standing = |name: &str, region: KeepOut, height| Standing {
+            name: name.to_string(),
             footprint: region.footprint,
             pose: region.pose,
             height,
-        });
-        obstacles.collect()
+        };
+        let kept_out = self.model.keep_out.iter().cloned();
+        let kept_out =
+            kept_out.map(|region| standing("a region kept free", region, self.model.cycle.tallest));
+        let foreign = self.foreign_regions(seen);
+        let foreign = foreign.map(|(region, height)| standing("a thing without a marker", region, height));
+        kept_out.chain(foreign).collect()
     }
 
     /// What the arm can do of a plan for the table as it was seen.
@@ -46,15 +51,17 @@ impl Supervisor {
             cycle: self.cycle(),
             objects: objects.collect(),
             obstacles: self.standing_obstacles(seen),
-            mask: Arc::clone(&self.model.reach),
+            start: self.model.after_a_look(),
+            mask: Arc::default(),
         }
     }
 
     /// Name of the object with this index in a plan request: those known of the seen ones, in their order.
-    pub(crate) fn listed(&self, index: usize) -> String {
+    /// `None` once the table is not known any more.
+    pub(crate) fn listed(&self, index: usize) -> Option<String> {
         let seen = self.seen.iter().flat_map(|seen| &seen.objects);
         let mut known = seen.filter(|object| self.model.object(&object.id).is_some());
-        known.nth(index).map(|object| object.id.clone()).unwrap_or_default()
+        known.nth(index).map(|object| object.id.clone())
     }
 
     /// Anything may lie on the table up to here, m; the air over it is for what hangs below the tool.
@@ -73,7 +80,15 @@ impl Supervisor {
 
     /// Largest acceleration that what may hang on the gripper stands, m/s2.
     pub(crate) fn hold(&self) -> f64 {
-        let grasp = self.back.held.as_ref().and_then(|held| held.grasp.as_ref());
-        grasp.map_or(f64::INFINITY, |grasp| grasp.hold())
+        self.back.held.as_ref().map_or_else(|| self.unknown_hold(), |held| held.hold)
+    }
+
+    /// The same of something that was held when celld started: any object of the catalogue; no limit where
+    /// nothing hangs.
+    fn unknown_hold(&self) -> f64 {
+        if !self.back.grips {
+            return f64::INFINITY;
+        }
+        self.model.objects.iter().map(|object| object.hold).fold(f64::INFINITY, f64::min)
     }
 }

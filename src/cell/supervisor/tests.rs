@@ -105,7 +105,6 @@ fn model() -> CellModel {
         ignore_markers: vec![78],
         foreign: ForeignRule::Refuse { depth_needed: false },
         objects: vec![object()],
-        reach: Default::default(),
         tolerances: tolerances(),
         grip: GripSettings {
             channels: Channels::A,

@@ -9,8 +9,8 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::phase::Phase;
 use crate::cell::supervisor::reason::alarm;
-use crate::motion::bodies::Room;
-use crate::motion::bodies::sweep::Sweep;
+use crate::motion::bodies::sweep::{Meeting, Sweep};
+use crate::motion::bodies::{LAYER, Room};
 use crate::motion::path::{CheckedPath, Leg, PathFault, Segment, out_of_reach};
 use crate::motion::way::{NoWay, Search, find};
 use cell_values::units::Joints;
@@ -26,6 +26,24 @@ pub(crate) enum NoTravel {
     Path(#[from] PathFault),
     #[error(transparent)]
     Way(#[from] NoWay),
+    /// Between the objects there is no room but upwards, and there it would meet something.
+    #[error("straight above where the arm is, {} and {} would be too near to each other", .0.one, .0.other)]
+    Above(Meeting),
+}
+
+impl NoTravel {
+    /// What the arm would meet is what may lie on the table, or it cannot rise over that.
+    pub(crate) fn meets_layer(&self) -> bool {
+        match self {
+            NoTravel::Path(PathFault::OutOfReach { .. } | PathFault::TooLow { .. }) => true,
+            NoTravel::Path(fault) => fault.names(LAYER),
+            NoTravel::Above(meeting)
+            | NoTravel::Way(
+                NoWay::Start(meeting) | NoWay::Target(meeting) | NoWay::NotFound { meeting, .. },
+            ) => meeting.one == LAYER || meeting.other == LAYER,
+            NoTravel::Way(NoWay::Range { .. }) => false,
+        }
+    }
 }
 
 impl Supervisor {
@@ -44,7 +62,11 @@ impl Supervisor {
             legs.push(up);
         }
         let floor = self.tip_floor();
-        let points = find(arm, &room, &at, &target, SEARCH)?;
+        let raised = !legs.is_empty();
+        let points = find(arm, &room, &at, &target, SEARCH).map_err(|why| match why {
+            NoWay::Start(meeting) if raised => NoTravel::Above(meeting),
+            other => NoTravel::Way(other),
+        })?;
         let cycle = self.cycle();
         legs.extend(points.into_iter().map(|target| {
             let (speed, acceleration) = (cycle.joint_speed, cycle.joint_acceleration);
@@ -66,19 +88,22 @@ impl Supervisor {
     /// Lowest height of the tool on a joint move: over everything on the table, with what is held below it.
     fn travel_floor(&self) -> f64 {
         let cycle = self.cycle();
-        cycle.tallest + 0.5 * cycle.air + self.held_height()
+        cycle.tallest + 0.5 * cycle.air + self.held_depth()
     }
 
     /// The same where how it hangs is not known; else the bodies say it better.
     fn tip_floor(&self) -> f64 {
-        let unknown = self.back.held.as_ref().is_some_and(|held| held.grasp.is_none());
+        let unknown = match &self.back.held {
+            Some(held) => held.grasp.is_none(),
+            None => self.back.grips,
+        };
         if unknown { self.travel_floor() } else { f64::NEG_INFINITY }
     }
 
     /// Height at which the tool, with what is held, is over everything that may be on the table.
     fn height_over_all(&self) -> f64 {
         let cycle = self.cycle();
-        cycle.tallest + cycle.air + self.held_height()
+        cycle.tallest + cycle.air + self.held_depth()
     }
 
     /// A path straight up to where there is nothing any more; `None` where the tool is that high already.

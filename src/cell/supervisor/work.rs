@@ -64,6 +64,7 @@ impl Supervisor {
             grasp: Grasp::new(&self.model.arm, &paths.carry.start(), &task.lying_at(next.from), object.hold),
             height: object.height,
             mass: object.mass,
+            hold: object.hold,
             to: next.to,
             let_go: false,
         };

@@ -65,6 +65,8 @@ pub enum Part {
     Stand,
     /// The air over the table up to which something may lie there, unless it is seen in full.
     Layer,
+    /// The same over the table's rim, for what hangs on the flange.
+    Rim,
     /// One object that was seen or is planned there.
     Standing,
 }
@@ -324,6 +326,9 @@ fn table(surroundings: &Surroundings) -> Body {
 /// How far a table beside the robot reaches beyond its workspace, m.
 const TABLE_RIM_M: f64 = 0.1;
 
+/// What a person calls the air over the table in which things may lie.
+pub const LAYER: &str = "what may lie on the table";
+
 /// How far beyond the workspace things may lie, m: looks search so far.
 const LAYER_RIM_M: f64 = 0.02;
 
@@ -405,7 +410,10 @@ impl Room {
             let layer = table.layer.min(HIGHEST_M);
             let (size, middle) = layer_box(bodies.table, LAYER_RIM_M, (0.0, layer));
             let shape = Shape::cuboid(size, &(bodies.base_from_table * middle));
-            out.push(Body::new("what may lie on the table", Part::Layer, 0, shape));
+            out.push(Body::new(LAYER, Part::Layer, 0, shape));
+            let (size, middle) = layer_box(bodies.table, TABLE_RIM_M, (0.0, layer));
+            let shape = Shape::cuboid(size, &(bodies.base_from_table * middle));
+            out.push(Body::new(LAYER, Part::Rim, 0, shape));
         }
         out.extend(table.standing.iter().chain(also).map(|thing| {
             let range = (0.0, thing.height);

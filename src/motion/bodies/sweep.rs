@@ -119,7 +119,7 @@ impl<'a> Sweep<'a> {
     /// True where something of the arm is in the air over the table in which things may lie.
     pub fn is_low(&self, q: &Joints) -> bool {
         let frames = self.bodies.frames(q);
-        let layer = |pair: &Pair| self.other(pair.b).part == Part::Layer;
+        let layer = |pair: &Pair| matches!(self.other(pair.b).part, Part::Layer | Part::Rim);
         (0..self.pairs.len()).any(|index| {
             layer(&self.pairs[index]) && self.distance(&frames, index, false) < self.pairs[index].margin
         })
@@ -162,7 +162,8 @@ impl<'a> Sweep<'a> {
                 let pair = &self.pairs[index];
                 let travel = pair.travel(&turn);
                 let over = self.distance(&frames, index, false) - pair.margin;
-                if over < 0.0 {
+                // A distance that is no number is no distance.
+                if over.is_nan() || over < 0.0 {
                     return Err(self.meeting(index, &frames, q));
                 }
                 self.left[index] = share * travel + over.max(GRAIN_M);
@@ -200,7 +201,7 @@ impl<'a> Sweep<'a> {
         let pair = &self.pairs[index];
         let (a, b) = (self.moving(pair.a).part, self.other(pair.b).part);
         match (zone, b) {
-            (Zone::Over, Part::Standing) | (Zone::Between, Part::Layer) => false,
+            (Zone::Over, Part::Standing) | (Zone::Between, Part::Layer | Part::Rim) => false,
             (Zone::Between, Part::Standing | Part::Table) => !matches!(a, Part::Cups | Part::Load),
             _ => true,
         }
@@ -273,7 +274,9 @@ fn room_margin(part: Part, other: Part, margin: f64) -> Option<f64> {
     match (part, other) {
         (Part::Link(0 | 1), Part::Layer | Part::Standing) => None,
         (Part::Joint, _) => None,
-        (_, Part::Layer) => Some(0.0),
+        // Links pass over the rim where there is nothing but the robot's own base.
+        (Part::Link(_), Part::Rim) => None,
+        (_, Part::Layer | Part::Rim) => Some(0.0),
         _ => Some(margin),
     }
 }

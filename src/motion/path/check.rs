@@ -40,6 +40,9 @@ const ASIDE_M: f64 = 1e-3;
 /// A line that has to be slower than this for the joints to follow is refused, m/s.
 const LEAST_SPEED: f64 = 0.01;
 
+/// So is one that would take longer, s: the deadline of a path of several legs is a minute.
+const LONGEST_S: f64 = 15.0;
+
 /// Pieces of a joint leg at which the tool's acceleration is looked at.
 const LOAD_SAMPLES: usize = 16;
 
@@ -200,7 +203,11 @@ fn slowed_for_load(model: &ArmModel, from: &Joints, leg: &Leg) -> Segment {
     let along = places.windows(2).map(|p| (p[1] - p[0]).norm() / step).fold(0.0, f64::max);
     let bent = places.windows(3).map(|p| (p[2] - 2.0 * p[1] + p[0]).norm() / (step * step));
     let bent = bent.fold(0.0, f64::max);
-    let (speed, acceleration) = within_sum(speed, acceleration, along, bent, leg.hold);
+    let (mut speed, acceleration) = within_sum(speed, acceleration, along, bent, leg.hold);
+    if blend > 0.0 {
+        // The corner into the next leg is as narrow as the blend radius.
+        speed = speed.min((leg.hold * blend).sqrt() / along.max(1e-9));
+    }
     Segment::Joint { target, speed, acceleration, blend }
 }
 
@@ -276,6 +283,7 @@ fn slowed_on_line(
         speed = speed.min((leg.hold * blend).sqrt());
     }
     let limits = &model.limits;
+    let least = (length / LONGEST_S).max(LEAST_SPEED).min(limits.tool_speed);
     for joint in 0..6 {
         let at = |k: usize| points[k].0[joint];
         let along = (1..points.len()).map(|k| (at(k) - at(k - 1)).abs() / step).fold(0.0, f64::max);
@@ -284,7 +292,7 @@ fn slowed_on_line(
             .fold(0.0, f64::max);
         speed = speed.min(limits.joint_speed / along.max(1e-9));
         (speed, acceleration) = within_sum(speed, acceleration, along, bent, limits.joint_acceleration);
-        if speed < LEAST_SPEED.min(limits.tool_speed) {
+        if speed < least {
             return Err(PathFault::TooSlow { leg: index, joint: joint + 1, speed_mm_s: speed * 1e3 });
         }
     }

@@ -103,6 +103,11 @@ pub enum PathFault {
 }
 
 impl PathFault {
+    /// True where this body would meet something.
+    pub fn names(&self, body: &str) -> bool {
+        matches!(self, PathFault::Meets { one, other, .. } if one == body || other == body)
+    }
+
     /// The two bodies that are too near to each other before the arm has moved.
     pub fn met_at_start(&self) -> Option<(&str, &str)> {
         match self {

@@ -102,9 +102,10 @@ impl Rules {
 
     /// Where it moves, the arm lies neither in itself nor in the table.
     fn check_bodies(&mut self, machine: &Machine, q: &Joints) {
-        if self.thin.is_none() {
-            let Some(supervisor) = machine.supervisor() else { return };
-            let arm = &supervisor.model().arm;
+        let Some(supervisor) = machine.supervisor() else { return };
+        let arm = &supervisor.model().arm;
+        // A calibration round works with the arm as drawn; what follows it, with another.
+        if self.thin.as_ref().is_none_or(|thin| !thin.is_of(arm)) {
             let z = arm.flange_from_tool.translation.z;
             // The gripper's body; its cups go down to the table.
             let tool = Capsule { a: [0.0, 0.0, 0.4 * z], b: [0.0, 0.0, 0.6 * z], radius: 0.03 };

@@ -141,3 +141,20 @@ fn a_simulated_cell_is_armed_once_when_everything_is_there() {
         assert!(!bench.cell.status().armed, "{ordered:?} takes it back");
     }
 }
+
+#[test]
+fn a_plan_that_comes_after_a_disarming_is_shown_to_no_person() {
+    let mut bench = Bench::new();
+    bench.job(true);
+    bench.until_planning();
+    bench.feed(order(Order::Disarm));
+    let all = bench.plan();
+    let alarmed = |all: &[Action]| all.iter().any(|a| matches!(a, Action::Say(notice) if notice.alarm));
+    assert!(!alarmed(&all), "the table may have been changed since: {all:?}");
+    let reply = answer(&bench.feed(order(Order::Approve("j".into())))).expect("an answer");
+    assert!(!reply.accepted, "there is nothing to approve: {reply:?}");
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert_eq!(reply.message, "armed: the arm moves to look at the table now");
+    bench.look();
+    assert!(alarmed(&bench.plan()), "the plan of the new look is");
+}

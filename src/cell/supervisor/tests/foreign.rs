@@ -200,3 +200,20 @@ fn nothing_moves_below_what_is_taller_than_the_way_until_a_person_has_taken_it_a
         assert!(goes(&mut bench).is_ok(), "{rule:?}");
     }
 }
+
+#[test]
+fn each_obstacle_is_as_high_as_it_is_known_to_be() {
+    let rule = ForeignRule::Obstacle { margin_m: 0.01 };
+    let mut bench = with(rule, report(vec![thing(0.42, 0.1, 0.12), thing(0.1, 0.45, 0.005)], 0.99));
+    let region = KeepOut { footprint: Footprint::Disc { radius: 0.02 }, pose: Pose2::new(0.45, 0.45, 0.0) };
+    let mut model = bench.cell.model().clone();
+    model.keep_out.push(region);
+    bench.cell = Supervisor::new(model, 7);
+    let request = goes(&mut bench).unwrap();
+    let heights: Vec<f64> = request.limits.obstacles.iter().map(|standing| standing.height).collect();
+    let tallest = bench.cell.model().cycle.tallest;
+    for (found, known) in heights.iter().zip([tallest, 0.13, 0.015]) {
+        assert!((found - known).abs() < 1e-9, "{heights:?}");
+    }
+    assert_eq!(heights.len(), 3);
+}

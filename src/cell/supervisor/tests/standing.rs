@@ -4,6 +4,7 @@ use super::faults::working;
 use super::*;
 use crate::cell::device::gripper_types::GripperEvent;
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
+use crate::motion::pick_n_place::tool_down;
 
 fn vents(actions: &[Action]) -> bool {
     actions.iter().any(|action| matches!(action, Action::Gripper(GripperCommand::Release { .. })))
@@ -351,4 +352,25 @@ fn a_release_takes_back_arming_at_the_start() {
     bench.gripper_answers = true;
     bench.ticks(10);
     assert!(!bench.cell.status().armed);
+}
+
+#[test]
+fn beside_the_workspace_too_the_arm_goes_up_before_it_goes_aside() {
+    let bench = Bench::new();
+    let arm = &bench.cell.model().arm;
+    let at = |x: f64, z: f64| arm.joints_at(&tool_down(x, 0.25, z, 0.0), &HOME).expect("reachable");
+    for (x, z, low) in [(-0.07, 0.02, true), (-0.07, 0.2, false), (0.25, 0.02, true), (0.25, 0.2, false)] {
+        let up = bench.cell.straight_up_path(&at(x, z)).expect("free");
+        assert_eq!(up.is_some(), low, "x {x}, z {z}");
+    }
+}
+
+#[test]
+fn what_was_held_before_the_start_may_be_any_object() {
+    let mut bench = Bench::new();
+    assert_eq!((bench.cell.hold(), bench.cell.held_depth()), (f64::INFINITY, 0.0));
+    bench.vacuum = [0.5, 0.0];
+    bench.ticks(1);
+    let model = bench.cell.model();
+    assert_eq!((bench.cell.hold(), bench.cell.held_depth()), (model.objects[0].hold, model.cycle.tallest));
 }
