@@ -5,112 +5,13 @@
 //! elbows). Pure. The closed form (Hawkins, "Analytic inverse kinematics for the Universal Robots") holds for
 //! the nominal arm only: three parallel axes. A real arm's parameters deviate by its calibration, and its
 //! table may even trade large opposite offsets along the parallel axes, so each nominal solution is the
-//! start of a few Newton steps on the calibrated parameters.
+//! start of a few Newton steps on the calibrated parameters. Where two singularities meet these lead nowhere;
+//! then damped steps from many starts find what there is.
 
+pub use crate::models::{ARM_MODELS, ArmModel, DhParameters, model_of};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
-
-/// Denavit-Hartenberg parameters, standard convention, base to wrist 3: m and rad.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DhParameters {
-    /// Link lengths a, m.
-    pub a: [f64; 6],
-    /// Link offsets d, m.
-    pub d: [f64; 6],
-    /// Link twists alpha, rad.
-    pub alpha: [f64; 6],
-    /// Joint angle offsets, rad.
-    pub theta: [f64; 6],
-}
-
-impl DhParameters {
-    /// Nominal UR5e (the vendor's published table).
-    pub const UR5E: DhParameters = DhParameters::of([0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996]);
-
-    /// The six lengths (m) in which the vendor's arms differ: d1, a2, a3, d4, d5, d6.
-    const fn of([d1, a2, a3, d4, d5, d6]: [f64; 6]) -> DhParameters {
-        DhParameters {
-            a: [0.0, a2, a3, 0.0, 0.0, 0.0],
-            d: [d1, 0.0, 0.0, d4, d5, d6],
-            alpha: [FRAC_PI_2, 0.0, 0.0, FRAC_PI_2, -FRAC_PI_2, 0.0],
-            theta: [0.0; 6],
-        }
-    }
-}
-
-/// One of the vendor's arms.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ArmModel {
-    /// The vendor's name.
-    pub name: &'static str,
-    /// Nominal parameters.
-    pub dh: DhParameters,
-    /// Fastest speed of each joint, rad/s.
-    pub joint_speed: [f64; 6],
-}
-
-const SLOW: f64 = 120.0 / 180.0 * PI;
-const WRIST: f64 = 210.0 / 180.0 * PI;
-const LARGE: [f64; 6] = [SLOW, SLOW, PI, PI, PI, PI];
-const SMALL: [f64; 6] = [PI, PI, PI, TAU, TAU, TAU];
-const HEAVY: [f64; 6] = [SLOW, SLOW, 150.0 / 180.0 * PI, WRIST, WRIST, WRIST];
-
-/// The arms whose published figures two sources agree on: the vendor's article on DH parameters, and the
-/// vendor's public robot descriptions or the parameter tables of others. Speeds: the vendor's joint limits.
-pub const ARM_MODELS: &[ArmModel] = &[
-    ArmModel { name: "UR5e", dh: DhParameters::UR5E, joint_speed: [PI; 6] },
-    ArmModel {
-        name: "UR3e",
-        dh: DhParameters::of([0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921]),
-        joint_speed: SMALL,
-    },
-    ArmModel {
-        name: "UR10e",
-        dh: DhParameters::of([0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655]),
-        joint_speed: LARGE,
-    },
-    ArmModel {
-        name: "UR16e",
-        dh: DhParameters::of([0.1807, -0.4784, -0.36, 0.17415, 0.11985, 0.11655]),
-        joint_speed: LARGE,
-    },
-    ArmModel {
-        name: "UR20",
-        dh: DhParameters::of([0.2363, -0.862, -0.7287, 0.201, 0.1593, 0.1543]),
-        joint_speed: HEAVY,
-    },
-    ArmModel {
-        name: "UR30",
-        dh: DhParameters::of([0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543]),
-        joint_speed: HEAVY,
-    },
-    ArmModel {
-        name: "UR3",
-        dh: DhParameters::of([0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819]),
-        joint_speed: SMALL,
-    },
-    ArmModel {
-        name: "UR5",
-        dh: DhParameters::of([0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823]),
-        joint_speed: [PI; 6],
-    },
-    ArmModel {
-        name: "UR10",
-        dh: DhParameters::of([0.1273, -0.612, -0.5723, 0.163941, 0.1157, 0.0922]),
-        joint_speed: LARGE,
-    },
-];
-
-/// The arm that calibrated parameters belong to. The offsets d2 and d3 along the parallel axes say nothing: a
-/// calibration trades them against each other.
-pub fn model_of(dh: &DhParameters) -> &'static ArmModel {
-    let distance = |other: &DhParameters| {
-        let a = (0..6).map(|i| (dh.a[i] - other.a[i]).abs()).sum::<f64>();
-        a + [0, 4, 5].map(|i: usize| (dh.d[i] - other.d[i]).abs()).iter().sum::<f64>()
-    };
-    ARM_MODELS.iter().min_by(|a, b| distance(&a.dh).total_cmp(&distance(&b.dh))).unwrap_or(&ARM_MODELS[0])
-}
 
 /// Newton stops when the pose error (m and rad together) is below this; the controller's own
 /// `get_inverse_kin` works to 1e-10.
@@ -118,6 +19,37 @@ const POSE_TOLERANCE: f64 = 1e-11;
 
 /// Newton steps before a start is given up; a nominal start needs three or four.
 const MAX_NEWTON_STEPS: usize = 30;
+
+/// And damped ones, near a singularity.
+const MAX_DAMPED_STEPS: usize = 600;
+
+/// Within so many of them the error has to be halved.
+const STEPS_TO_HALVE: usize = 40;
+
+/// Where the branches of the closed form meet, so many are followed.
+const SINGULAR_SOLUTIONS: usize = 8;
+
+/// Starts that rest on no closed form.
+const ANYWHERE: usize = 200;
+
+/// How far a cosine of the closed form may be beyond 1 for its solution to be a start: the calibrated arm may
+/// just reach.
+const BEYOND: f64 = 0.02;
+
+/// The same for the nominal arm itself: the rounding of its poses.
+const BEYOND_EXACT: f64 = 1e-6;
+
+/// The same where no start has led to a solution.
+const FAR_BEYOND: f64 = 1.0;
+
+/// And what is then added to joint 1, rad.
+const AROUND: &[f64] = &[0.0, 0.02, -0.02, 0.1, -0.1, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.5, -1.5];
+
+/// Nearer than this to the shoulder's axis, in offsets d4, joint 1 is near its singularity.
+const SINGULAR_SHOULDER: f64 = 1.1;
+
+/// A wrist counts as near its singularity below this sine.
+const SINGULAR: f64 = 0.1;
 
 /// Longest Newton step of a joint, rad.
 const MAX_STEP: f64 = 0.2;
@@ -169,17 +101,50 @@ fn jacobian_of(frames: &[Isometry3<f64>; 6]) -> Matrix6<f64> {
 pub fn inverse(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<Joints> {
     let nominal = &model_of(dh).dh;
     let mut solutions: Vec<Joints> = Vec::with_capacity(8);
-    for (start, sure) in inverse_nominal(nominal, base_from_flange) {
-        // The closed form is exact for the nominal arm, but near its singularities and at the edge of reach.
-        let found = if sure && dh == nominal { Some(start) } else { refine(dh, base_from_flange, start) };
-        if let Some(joints) = found {
-            let wrapped = Joints(joints.0.map(wrap));
-            if solutions.iter().all(|known| known.max_difference(&wrapped) > 1e-6) {
-                solutions.push(wrapped);
-            }
-        }
+    // The closed form is exact for the nominal arm, but near its singularities and at the edge of reach.
+    let exact = dh == nominal;
+    let beyond = if exact { BEYOND_EXACT } else { BEYOND };
+    let starts = inverse_nominal(nominal, base_from_flange, &[0.0], beyond);
+    for (start, sure) in &starts {
+        let found = if *sure && exact { Some(*start) } else { refine(dh, base_from_flange, *start) };
+        note(&mut solutions, found);
+    }
+    if solutions.is_empty() {
+        // Where two singularities meet, the calibrated arm is elsewhere than the nominal one by far more than
+        // the calibration itself. Few poses are like this, and most that are out of reach are not.
+        let far = inverse_nominal(nominal, base_from_flange, AROUND, FAR_BEYOND);
+        let wrist = |q: &Joints| q.0[4].sin().abs() < SINGULAR;
+        let near_singular = !starts.is_empty()
+            || far.iter().any(|(q, _)| wrist(q))
+            || wrist_radius(nominal, base_from_flange) < SINGULAR_SHOULDER * nominal.d[3];
+        let starts = starts.into_iter().chain(far).map(|(start, _)| start).chain(anywhere());
+        let starts = starts.filter(|_| near_singular);
+        let found = starts.filter_map(|start| refine_damped(dh, base_from_flange, start));
+        found.take(SINGULAR_SOLUTIONS).for_each(|joints| note(&mut solutions, Some(joints)));
     }
     solutions
+}
+
+/// Joint positions all over, by the fractional parts of multiples of roots: as even as random ones, and the
+/// same each time.
+fn anywhere() -> impl Iterator<Item = Joints> {
+    let roots = [2.0_f64, 3.0, 5.0, 7.0, 11.0, 13.0].map(f64::sqrt);
+    (1..=ANYWHERE).map(move |k| Joints(roots.map(|root| wrap(TAU * (k as f64 * root).fract()))))
+}
+
+/// How far the wrist is from the shoulder's axis, m.
+fn wrist_radius(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> f64 {
+    let wrist = base_from_flange * nalgebra::Point3::new(0.0, 0.0, -dh.d[5]);
+    wrist.x.hypot(wrist.y)
+}
+
+/// Adds a solution that is not known yet.
+fn note(solutions: &mut Vec<Joints>, found: Option<Joints>) {
+    let Some(joints) = found else { return };
+    let wrapped = Joints(joints.0.map(wrap));
+    if solutions.iter().all(|known| known.max_difference(&wrapped) > 1e-6) {
+        solutions.push(wrapped);
+    }
 }
 
 /// Of the solutions of a pose and their full turns within `min..max` (rad), the one nearest to `near`
@@ -223,63 +188,85 @@ pub fn unwind(solution: &Joints, near: &Joints, range: (f64, f64)) -> Option<Joi
 }
 
 fn wrap(angle: f64) -> f64 {
+    if angle > -PI && angle <= PI {
+        return angle;
+    }
     let turned = angle.rem_euclid(TAU);
     if turned > PI { turned - TAU } else { turned }
 }
 
-/// The closed form for the nominal arm, and whether each solution is exact as it is; solutions slightly out
-/// of reach are clamped onto the boundary so that the refinement may still find them on the calibrated arm.
-fn inverse_nominal(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<(Joints, bool)> {
+/// The closed form for the nominal arm, and whether each solution is exact as it is; solutions out of reach
+/// by a cosine of `beyond` at most are clamped onto the boundary so that the refinement may still find them
+/// on the calibrated arm. `turns` are added to joint 1, rad: with others than 0 they are starts only.
+fn inverse_nominal(
+    dh: &DhParameters,
+    base_from_flange: &Isometry3<f64>,
+    turns: &[f64],
+    beyond: f64,
+) -> Vec<(Joints, bool)> {
     let mut out = Vec::with_capacity(8);
     let p = base_from_flange.translation.vector;
-    let rotation = base_from_flange.rotation.to_rotation_matrix();
-    let wrist = p - rotation * Vector3::new(0.0, 0.0, dh.d[5]);
+    let rotation = base_from_flange.rotation.to_rotation_matrix().into_inner();
+    let [x6, y6, z6] = [0, 1, 2].map(|i| rotation.column(i).into_owned());
+    let wrist = p - dh.d[5] * z6;
     let radius = wrist.x.hypot(wrist.y);
-    let Some((shoulder, sure)) = clamped_acos(dh.d[3] / radius) else { return out };
-    for q1 in [1.0, -1.0].map(|side| wrist.y.atan2(wrist.x) + side * shoulder + FRAC_PI_2) {
+    let Some((shoulder, sure)) = clamped_acos(dh.d[3] / radius, beyond) else { return out };
+    let both = [1.0, -1.0].map(|side| wrist.y.atan2(wrist.x) + side * shoulder + FRAC_PI_2);
+    for q1 in both.into_iter().flat_map(|q1| turns.iter().map(move |turn| q1 + turn)) {
+        let (s1, c1) = q1.sin_cos();
         // The axis shared by shoulder, elbow and wrist 1.
-        let axis = Vector3::new(q1.sin(), -q1.cos(), 0.0);
-        let Some((bend, exact)) = clamped_acos((p.dot(&axis) - dh.d[3]) / dh.d[5]) else { continue };
+        let axis = Vector3::new(s1, -c1, 0.0);
+        let cosine = (p.dot(&axis) - dh.d[3]) / dh.d[5];
+        let Some((bend, exact)) = clamped_acos(cosine, beyond) else { continue };
         let sure = sure && exact;
-        let link_1_from_flange = link(dh, 0, q1).inverse() * base_from_flange;
         for q5 in [bend, -bend] {
-            let q6 = if q5.sin().abs() < 1e-9 {
-                0.0
-            } else {
-                let in_flange = rotation.inverse() * axis;
-                (-in_flange.y / q5.sin()).atan2(in_flange.x / q5.sin())
+            let (s5, c5) = q5.sin_cos();
+            let q6 = if s5.abs() < 1e-9 { 0.0 } else { (-axis.dot(&y6) / s5).atan2(axis.dot(&x6) / s5) };
+            let (s6, c6) = q6.sin_cos();
+            // Frame 4, in which joint 5 turns: its x axis, and its origin. The products of the links, with
+            // the nominal twists, written out.
+            let x4 = c5 * (c6 * x6 - s6 * y6) - s5 * z6;
+            let from_1 = wrist + dh.d[4] * (s6 * x6 + c6 * y6) - Vector3::new(0.0, 0.0, dh.d[0]);
+            let wrist_1 = Planar {
+                reach: [c1 * from_1.x + s1 * from_1.y, from_1.z],
+                angle: x4.z.atan2(c1 * x4.x + s1 * x4.y),
             };
-            let link_1_from_4 = link_1_from_flange * (link(dh, 4, q5) * link(dh, 5, q6)).inverse();
-            planar_pair(dh, &link_1_from_4, ([q1, q5, q6], sure), &mut out);
+            planar_pair(dh, &wrist_1, ([q1, q5, q6], sure), beyond, &mut out);
         }
     }
     out
 }
 
+/// Where wrist 1 is to be in the plane of the arm: from the shoulder, m, and how it is turned, rad.
+struct Planar {
+    reach: [f64; 2],
+    angle: f64,
+}
+
 /// Shoulder, elbow and wrist 1 as a planar two-link arm: both elbow solutions.
 fn planar_pair(
     dh: &DhParameters,
-    link_1_from_4: &Isometry3<f64>,
+    &Planar { reach: [x, y], angle }: &Planar,
     (known, sure): ([f64; 3], bool),
+    beyond: f64,
     out: &mut Vec<(Joints, bool)>,
 ) {
     let [q1, q5, q6] = known;
-    let reach = link_1_from_4.translation.vector;
     let (upper, fore) = (dh.a[1], dh.a[2]);
-    let cosine = (reach.x.powi(2) + reach.y.powi(2) - upper * upper - fore * fore) / (2.0 * upper * fore);
-    let Some((elbow, exact)) = clamped_acos(cosine) else { return };
-    for q3 in [elbow, -elbow] {
-        let q2 = reach.y.atan2(reach.x) - (fore * q3.sin()).atan2(upper + fore * q3.cos());
-        let x_axis = link_1_from_4.rotation * Vector3::x();
-        let q4 = x_axis.y.atan2(x_axis.x) - q2 - q3;
+    let cosine = (x * x + y * y - upper * upper - fore * fore) / (2.0 * upper * fore);
+    let Some((elbow, exact)) = clamped_acos(cosine, beyond) else { return };
+    let (sin, cos) = elbow.sin_cos();
+    let (towards, bent) = (y.atan2(x), (fore * sin).atan2(upper + fore * cos));
+    for (q2, q3) in [(towards - bent, elbow), (towards + bent, -elbow)] {
+        let q4 = angle - q2 - q3;
         out.push((Joints([q1, q2, q3, q4, q5, q6].map(wrap)), sure && exact));
     }
 }
 
-/// acos that forgives 2 % beyond [-1, 1] (the calibrated arm may just reach) and refuses more, and NaN; and
-/// whether the cosine is far enough from 1 for the angle to be exact.
-fn clamped_acos(cosine: f64) -> Option<(f64, bool)> {
-    (cosine.abs() <= 1.02).then(|| (cosine.clamp(-1.0, 1.0).acos(), cosine.abs() < 1.0 - 1e-6))
+/// acos that forgives so much beyond [-1, 1] (the calibrated arm may just reach) and refuses more, and NaN;
+/// and whether the cosine is far enough from 1 for the angle to be exact.
+fn clamped_acos(cosine: f64, beyond: f64) -> Option<(f64, bool)> {
+    (cosine.abs() <= 1.0 + beyond).then(|| (cosine.clamp(-1.0, 1.0).acos(), cosine.abs() < 1.0 - 1e-6))
 }
 
 /// Newton on the pose error; `None` when it does not converge (out of reach, or in a singularity).
@@ -305,6 +292,38 @@ fn refine(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> Option<J
         }
     }
     (pose_error(&forward(dh, &q), target).norm() < 1e-9).then_some(q)
+}
+
+/// The same by Levenberg and Marquardt, for starts near a singularity: slower, and it comes nearer with every
+/// step.
+fn refine_damped(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> Option<Joints> {
+    let error_at = |q: &Joints| pose_error(&forward(dh, q), target);
+    let (mut q, mut damping) = (start, 1e-4);
+    let mut error = error_at(&q);
+    let mut before = f64::INFINITY;
+    for step in 0..MAX_DAMPED_STEPS {
+        if error.norm() < POSE_TOLERANCE {
+            return Some(q);
+        }
+        // A pose that is out of reach comes to rest before it is reached.
+        if step % STEPS_TO_HALVE == 0 && error.norm() > 0.5 * std::mem::replace(&mut before, error.norm()) {
+            return None;
+        }
+        let j = jacobian(dh, &q);
+        let damped = j.transpose() * j + Matrix6::identity() * damping;
+        let step = damped.cholesky()?.solve(&(j.transpose() * error));
+        if !step.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        let next = Joints(std::array::from_fn(|i| q.0[i] + step[i]));
+        let next_error = error_at(&next);
+        if next_error.norm() < error.norm() {
+            (q, error, damping) = (next, next_error, (damping * 0.2).max(1e-14));
+        } else {
+            damping *= 5.0;
+        }
+    }
+    (error.norm() < 1e-9).then_some(q)
 }
 
 /// Translation (m) and rotation vector (rad), both in the base frame, that carry `from` to `to`.
@@ -452,5 +471,37 @@ mod tests {
         let unwound = unwind(&Joints([-3.0; 6]), &near, (-TAU, TAU)).expect("fits");
         assert!((unwound.0[0] - (TAU - 3.0)).abs() < 1e-12);
         assert!(unwind(&Joints([-3.0; 6]), &near, (-1.0, 1.0)).is_none());
+    }
+
+    /// Where two singularities meet the closed form of the nominal arm is far off; each of these poses was
+    /// once without joints.
+    #[test]
+    fn poses_at_two_singularities_have_joints_too() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        let (mut tried, mut folded) = (0, 0);
+        for model in ARM_MODELS {
+            let mut dh = model.dh;
+            for i in 0..6 {
+                dh.a[i] += rng.random_range(-5e-4..5e-4);
+                dh.d[i] += rng.random_range(-5e-4..5e-4);
+                dh.alpha[i] += rng.random_range(-1e-3..1e-3);
+                dh.theta[i] += rng.random_range(-1e-3..1e-3);
+            }
+            (dh.d[1], dh.d[2]) = (dh.d[1] + 0.7, dh.d[2] - 0.7);
+            for _ in 0..300 {
+                let mut q: [f64; 6] = std::array::from_fn(|_| rng.random_range(-3.1..3.1));
+                q[4] = [0.0, PI][tried % 2] + rng.random_range(-0.05..0.05);
+                q[2] = [0.0, PI, q[2]][tried % 3] + rng.random_range(-0.05..0.05);
+                tried += 1;
+                folded += usize::from(q[2].sin().abs() < 0.05);
+                let target = forward(&dh, &Joints(q));
+                let found = inverse(&dh, &target);
+                assert!(!found.is_empty(), "{}: {q:?}", model.name);
+                for joints in found {
+                    assert!(pose_error(&forward(&dh, &joints), &target).norm() < 1e-9, "{q:?}");
+                }
+            }
+        }
+        assert!(folded > 1000, "{folded} of {tried}");
     }
 }

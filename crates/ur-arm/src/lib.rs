@@ -5,6 +5,7 @@
 
 pub mod bodies;
 pub mod kinematics;
+pub mod models;
 pub mod pose;
 
 /// The example of the README, run by `cargo test --doc`.

@@ -23,8 +23,8 @@ const RING_M: f64 = 0.015;
 const RINGS: usize = 40;
 const PLACES: usize = 24;
 
-/// Free places whose paths are tried.
-const TRIES: usize = 30;
+/// Free places whose paths are tried: no heartbeat goes out meanwhile.
+const TRIES: usize = 12;
 
 /// Something that takes room on the table.
 struct Taken {
