@@ -96,6 +96,7 @@ pub enum Code {
     ParkTimeout,
     Unpickable,
     VacuumLost,
+    VacuumWeak,
     ObjectStuck,
     GripperUnreachable,
     Infeasible,
@@ -214,7 +215,7 @@ impl Code {
 }
 
 /// Places, words and meanings, in the order of the enum.
-const TABLE: [(Code, Place, &str, &str); 82] = [
+const TABLE: [(Code, Place, &str, &str); 83] = [
     (Code::Done, Place::Result, "done", "every object is at its goal, and the camera shows it"),
     (Code::Cancelled, Place::Result, "cancelled", "a person cancelled the job"),
     (Code::PlanRejected, Place::Result, "plan_rejected", "a person rejected the plan"),
@@ -308,6 +309,7 @@ const TABLE: [(Code, Place, &str, &str); 82] = [
     (Code::ParkTimeout, Place::Result, "park_timeout", "the park pose was not reached in time"),
     (Code::Unpickable, Place::Result, "unpickable", "an object could not be gripped"),
     (Code::VacuumLost, Place::Result, "vacuum_lost", "an object was lost on the way"),
+    (Code::VacuumWeak, Place::Result, "vacuum_weak", "the vacuum fell while an object was carried"),
     (
         Code::ObjectStuck,
         Place::Result,

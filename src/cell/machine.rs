@@ -249,6 +249,7 @@ impl Machine {
                 | GripperEvent::GripFailed { .. }
                 | GripperEvent::Released
                 | GripperEvent::ReleaseFailed { .. }
+                | GripperEvent::VacuumWeak { .. }
                 | GripperEvent::VacuumLost { .. }
                 | GripperEvent::Refused
                 | GripperEvent::Reading { .. } => {}

@@ -4,6 +4,7 @@
 //! checked configuration, or every complaint at once. Nothing measured and no limit has a default; what may
 //! be left out are the keys that only switch something on.
 
+use crate::cell::device::gripper_types::UNIT;
 use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::config::bodies::{Equipment, equipment};
@@ -28,9 +29,6 @@ use rearrange::tabletop::decode;
 use rearrange::tabletop::instance::ObjectSpec;
 use rearrange::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
 use std::path::Path;
-
-/// The Modbus unit of a gripper alone on the wrist (reference: ur-interfaces 7.1).
-const GRIPPER_UNIT: u8 = 65;
 
 /// Keys of the file.
 pub const CELL_KEYS: &[&str] = &[
@@ -187,7 +185,7 @@ fn devices(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Devices> {
     let gripper = fields.required("gripper", decoder).and_then(|at| {
         let fields = decoder.map(&at, &["host", "port", "unit"])?;
         let (host, port) = (host(decoder, &fields, "host"), port(decoder, &fields, "port"));
-        let unit = optional(decoder, &fields, "unit", GRIPPER_UNIT, gripper_unit);
+        let unit = optional(decoder, &fields, "unit", UNIT, gripper_unit);
         Some((host?, port?, unit?))
     });
     let camera = fields.required("camera", decoder).and_then(|at| camera_device(decoder, &at, folder));

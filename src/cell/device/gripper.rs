@@ -26,6 +26,10 @@ const ANSWER_WITHIN_HELD: Duration = Duration::from_millis(80);
 const MAX_FAILURES: u32 = 3;
 /// Below the threshold for longer than this and the object counts as lost: readings are noisy.
 const LOST_AFTER: Duration = Duration::from_millis(50);
+/// A vacuum that has fallen by so much, for so long, goes on falling: the pump regulates it, so something
+/// leaks. What falls faster is lost before that.
+const WEAKER_BY: f64 = 0.1;
+const WEAK_AFTER: Duration = Duration::from_millis(200);
 /// Readings in a row over the threshold that make a grip.
 const GOOD_READINGS: u32 = 2;
 /// Below this a channel counts as released.
@@ -47,6 +51,9 @@ enum Hold {
     Holding {
         channels: Channels,
         low_since: Option<Timestamp>,
+        /// Highest vacuum so far, and since when it is well below that.
+        best: f64,
+        falls: Falls,
     },
     /// Gripped or tried to, without success; the pump may be on.
     Failed,
@@ -56,6 +63,20 @@ enum Hold {
         /// What the other channel goes on to hold.
         still: Option<Channels>,
     },
+}
+
+/// The vacuum of what is held, against what it was.
+#[derive(Clone, Copy, Debug)]
+enum Falls {
+    No,
+    Since(Timestamp),
+    Reported,
+}
+
+impl Hold {
+    fn holding(channels: Channels) -> Hold {
+        Hold::Holding { channels, low_since: None, best: 0.0, falls: Falls::No }
+    }
 }
 
 struct Outstanding {
@@ -235,8 +256,7 @@ impl Gripper {
                 self.outbox.report(GripperEvent::GripFailed { vacuum: channels.lowest(vacuum) });
             }
             Hold::Releasing { channels, deadline, still } if now >= deadline => {
-                self.hold =
-                    still.map_or(Hold::Failed, |channels| Hold::Holding { channels, low_since: None });
+                self.hold = still.map_or(Hold::Failed, Hold::holding);
                 self.forget_writes();
                 self.outbox.report(GripperEvent::ReleaseFailed { vacuum: channels.highest(vacuum) });
             }
@@ -345,7 +365,7 @@ impl Gripper {
             [false, true] => Channels::B,
             [false, false] => return,
         };
-        self.hold = Hold::Holding { channels, low_since: None };
+        self.hold = Hold::holding(channels);
     }
 
     fn take_reading(&mut self, now: Timestamp, vacuum: [f64; 2]) {
@@ -356,12 +376,23 @@ impl Gripper {
                 let (channels, lowest) = (*channels, channels.lowest(vacuum));
                 *good = if lowest >= self.parameters.vacuum_min { *good + 1 } else { 0 };
                 if *good >= GOOD_READINGS && self.written {
-                    self.hold = Hold::Holding { channels, low_since: None };
+                    self.hold = Hold::holding(channels);
                     self.outbox.report(GripperEvent::Gripped { vacuum: lowest });
                 }
             }
-            Hold::Holding { channels, low_since } => {
+            Hold::Holding { channels, low_since, best, falls } => {
                 let lowest = channels.lowest(vacuum);
+                *best = best.max(lowest);
+                let weak = lowest < *best - WEAKER_BY;
+                match *falls {
+                    Falls::Since(since) if weak && now.since(since) > WEAK_AFTER => {
+                        *falls = Falls::Reported;
+                        self.outbox.report(GripperEvent::VacuumWeak { vacuum: lowest, best: *best });
+                    }
+                    Falls::No if weak => *falls = Falls::Since(now),
+                    Falls::Since(_) if !weak => *falls = Falls::No,
+                    Falls::No | Falls::Since(_) | Falls::Reported => {}
+                }
                 if lowest >= self.parameters.vacuum_hold {
                     *low_since = None;
                 } else if now.since(*low_since.get_or_insert(now)) > LOST_AFTER {
@@ -373,7 +404,7 @@ impl Gripper {
                 // Before the command got through a low vacuum proves nothing: the pump may be on.
                 if self.written && channels.highest(vacuum) < RELEASED_BELOW {
                     self.hold = match *still {
-                        Some(channels) => Hold::Holding { channels, low_since: None },
+                        Some(channels) => Hold::holding(channels),
                         None => Hold::Empty,
                     };
                     self.outbox.report(GripperEvent::Released);

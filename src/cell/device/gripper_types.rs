@@ -189,6 +189,13 @@ pub enum GripperEvent {
         /// Highest vacuum of the channels released.
         vacuum: f64,
     },
+    /// What is held is still held, and the vacuum falls. Reported once.
+    VacuumWeak {
+        /// Lowest vacuum of the channels used.
+        vacuum: f64,
+        /// The highest it was.
+        best: f64,
+    },
     /// What was held is held no more. Reported once.
     VacuumLost {
         /// Lowest vacuum of the channels used.

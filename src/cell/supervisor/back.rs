@@ -42,6 +42,8 @@ pub(crate) struct Back {
     /// The vacuum holds something.
     pub grips: bool,
     pub held: Option<Held>,
+    /// That the vacuum fell at the last pick-n-place.
+    pub weak: Option<String>,
     /// What fell, and where the tool was.
     pub fell: Option<String>,
     /// Since when the arm is in a protective stop.

@@ -419,6 +419,7 @@ impl Supervisor {
             GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. } => !outside.gripper_answers,
             GripperEvent::Gripped { .. }
             | GripperEvent::Released
+            | GripperEvent::VacuumWeak { .. }
             | GripperEvent::VacuumLost { .. }
             | GripperEvent::Answering
             | GripperEvent::Refused

@@ -36,6 +36,7 @@ impl Supervisor {
                 _ if gates::empty_handed(outside).is_ok() => (self.back.held, self.back.fell) = (None, None),
                 _ => {}
             },
+            GripperEvent::VacuumWeak { vacuum, best } => self.vacuum_falls(works, [*best, *vacuum], out),
             GripperEvent::VacuumLost { .. } => {
                 let what =
                     self.back.held.as_ref().map_or("what the gripper held", |held| held.object.as_str());
@@ -57,6 +58,31 @@ impl Supervisor {
             | GripperEvent::Refused
             | GripperEvent::Reading { .. } => {}
         }
+    }
+
+    /// What is held may be lost soon. A pick-n-place under way is finished, which is sooner over than
+    /// anything else; nothing is picked after it before a person has looked at cups and hoses.
+    fn vacuum_falls(&mut self, works: bool, [best, now]: [f64; 2], out: &mut Vec<Action>) {
+        let what = self.back.held.as_ref().map_or("something unknown", |held| held.object.as_str());
+        let fell = format!(
+            "the vacuum fell from {:.0} to {:.0} % with {what} on the cups",
+            100.0 * best,
+            100.0 * now
+        );
+        let then = if works { "it is put down, and nothing is picked after it" } else { "it may fall" };
+        alarm(out, format!("{fell}: {then}"));
+        self.back.weak = works.then_some(fell);
+    }
+
+    /// Ends the job where the vacuum fell at the last pick; true if it does.
+    pub(crate) fn gave_way(&mut self, now: Timestamp, out: &mut Vec<Action>) -> bool {
+        let Some(fell) = self.back.weak.take() else { return false };
+        let hint = "clean the cups and the tops of the objects, look for leaks in hoses and bellows, then `celld arm` \
+                    and submit again";
+        self.mode.disarm();
+        alarm(out, format!("disarmed: {fell}; {hint}"));
+        self.finish(now, JobStatus::Failed, Code::VacuumWeak.because(fell, hint), out);
+        true
     }
 
     /// What was let go and is not on the table hangs on the cups: the job ends by its name. True if it does.

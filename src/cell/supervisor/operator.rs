@@ -137,6 +137,7 @@ impl Supervisor {
     pub(crate) fn armed_now(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.arms_when_open = false;
         (self.back.fell, self.back.last_stop, self.back.error) = (None, None, None);
+        self.back.weak = None;
         self.seen = None;
         self.foreign_height = 0.0;
         self.drift_reported = false;
@@ -463,6 +464,7 @@ impl Supervisor {
             GripperEvent::Refused => Some(Reply::refuse("the gripper takes no order: it does not answer")),
             GripperEvent::Gripped { .. }
             | GripperEvent::GripFailed { .. }
+            | GripperEvent::VacuumWeak { .. }
             | GripperEvent::VacuumLost { .. }
             | GripperEvent::Unreachable { .. }
             | GripperEvent::Answering

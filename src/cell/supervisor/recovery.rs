@@ -382,6 +382,7 @@ impl Supervisor {
             | GripperEvent::GripFailed { .. }
             | GripperEvent::Released
             | GripperEvent::ReleaseFailed { .. }
+            | GripperEvent::VacuumWeak { .. }
             | GripperEvent::VacuumLost { .. }
             | GripperEvent::Answering
             | GripperEvent::Reading { .. } => {}

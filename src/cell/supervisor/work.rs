@@ -33,6 +33,10 @@ impl Supervisor {
         {
             return self.wait(now, closed, out);
         }
+        if self.gave_way(now, out) {
+            return;
+        }
+        let Some(job) = &self.job else { return };
         let Some(next) = job.route.as_ref().and_then(|route| route.first()).cloned() else { return };
         let Some(object) = self.model.object(&next.object) else { return };
         let task = object.pick_n_place(next.from, next.to);

@@ -376,3 +376,29 @@ fn silence_is_noticed_sooner_while_an_object_is_held() {
         assert!(rig.events.iter().any(unreachable), "{within_ms}: {:?}", rig.events);
     }
 }
+
+#[test]
+fn a_vacuum_that_falls_is_reported_before_it_is_lost() {
+    let mut rig = Rig::holding();
+    rig.vacuum = [640, 0];
+    rig.run_ms(300);
+    rig.vacuum = [560, 0];
+    rig.run_ms(1000);
+    assert_eq!(rig.events, [], "a little less is no leak");
+    rig.vacuum = [520, 0];
+    rig.run_ms(150);
+    rig.vacuum = [600, 0];
+    rig.run_ms(300);
+    assert_eq!(rig.events, [], "nor is a moment");
+    rig.vacuum = [500, 0];
+    rig.run_ms(2000);
+    assert_eq!(rig.events, [GripperEvent::VacuumWeak { vacuum: 0.5, best: 0.64 }], "once");
+    rig.vacuum = [0, 0];
+    rig.run_ms(200);
+    assert_eq!(rig.events[1..], [GripperEvent::VacuumLost { vacuum: 0.0 }]);
+    // What falls at once is lost and nothing else.
+    let mut rig = Rig::holding();
+    rig.vacuum = [0, 0];
+    rig.run_ms(500);
+    assert_eq!(rig.events, [GripperEvent::VacuumLost { vacuum: 0.0 }]);
+}

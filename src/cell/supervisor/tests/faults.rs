@@ -446,3 +446,14 @@ fn what_falls_while_no_job_is_under_way_is_an_alarm() {
     assert!(said(&fallen, "fell near x ") && said(&fallen, "see where it lies"), "{fallen:?}");
     assert!(bench.cell.status().held.expect("in the status").contains("fell near x "));
 }
+
+#[test]
+fn a_vacuum_that_falls_while_no_job_is_under_way_is_an_alarm() {
+    let mut bench = Bench::new();
+    let weak = crate::cell::device::gripper_types::GripperEvent::VacuumWeak { vacuum: 0.4, best: 0.6 };
+    let warned = bench.feed(Input::Gripper(weak));
+    assert!(said(&warned, "fell from 60 to 40 %") && said(&warned, "it may fall"), "{warned:?}");
+    bench.job(false);
+    bench.until_planning();
+    assert_eq!(streams(&bench.plan()), 1, "it was none of this job's");
+}
