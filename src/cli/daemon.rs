@@ -157,6 +157,7 @@ async fn daemon(
     let measured = measured(&config, &calibration, &arm)?;
     let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     model.gripper_confirmed |= confirmed;
+    model.held_before = keeper.held_before();
     for pose in blocked_poses(&config, &model) {
         complain(&format!("taught pose {pose}; the arm will not go there"));
     }

@@ -111,6 +111,7 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
     CellModel {
         addresses: DeviceAddresses { robot: devices.robot_host.clone(), gripper: gripper_address(devices) },
         gripper_confirmed: config.simulation.is_some(),
+        held_before: None,
         arm: arm_model(config, measured.dh, measured.base_from_table),
         cycle: cycle_parameters(config),
         mount: measured.mount,

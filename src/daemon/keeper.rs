@@ -8,6 +8,7 @@ use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::Channels;
 use crate::cell::orders::{Approval, Order, Reply};
 use crate::cell::supervisor::input::Record;
+use crate::cell::supervisor::model::HeldBefore;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
 use crate::cell::supervisor::status::{Doing, Status};
 use crate::config::cell::CellConfig;
@@ -16,7 +17,7 @@ use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
-use crate::jobs::record::{JobRecord, JobResult, JobState, ObjectResult, StepIntent, StepKind};
+use crate::jobs::record::{JobRecord, JobResult, JobState, ObjectResult, StepIntent, StepKind, StepPhase};
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status;
@@ -52,6 +53,7 @@ pub struct StateKeeper {
     /// The active job and its open step.
     active: Option<(String, Option<u32>)>,
     notices: Vec<String>,
+    held_before: Option<HeldBefore>,
 }
 
 impl StateKeeper {
@@ -78,7 +80,24 @@ impl StateKeeper {
         let mut spool = Spool::open(state.root(), SpoolSettings { at_once: 1, ..SpoolSettings::STANDARD })?;
         spool.reconcile_at_start(&mut journal)?;
         let started_unix_s = now;
-        Ok(StateKeeper { config, state, journal, spool, daemon, started_unix_s, active: None, notices })
+        let gripped = journal.last_step()?.filter(|step| step.phase == StepPhase::Gripped);
+        let held_before = gripped.map(|step| HeldBefore { object: step.intent.object, to: step.intent.to });
+        Ok(StateKeeper {
+            config,
+            state,
+            journal,
+            spool,
+            daemon,
+            started_unix_s,
+            active: None,
+            notices,
+            held_before,
+        })
+    }
+
+    /// What was gripped and not let go when an earlier celld ended.
+    pub fn held_before(&self) -> Option<HeldBefore> {
+        self.held_before.clone()
     }
 
     /// What the recovery found, once.

@@ -7,7 +7,7 @@
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::GripperEvent;
-use crate::cell::supervisor::back::BackStage;
+use crate::cell::supervisor::back::{BackStage, Held};
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::{self, GateClosed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
@@ -58,6 +58,31 @@ impl Supervisor {
             | GripperEvent::Refused
             | GripperEvent::Reading { .. } => {}
         }
+    }
+
+    /// At the first reading after a start: what an earlier celld had gripped hangs there if there is vacuum.
+    /// How it hangs is not known any more, so it is not put down by celld, but its mass and height count.
+    pub(crate) fn name_what_hangs(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        if outside.vacuum.is_none() || !outside.gripper_answers {
+            return;
+        }
+        let Some(before) = self.model.held_before.take().filter(|_| self.back.grips) else { return };
+        let Some(object) = self.model.object(&before.object) else { return };
+        let held = Held {
+            object: before.object,
+            grasp: None,
+            height: object.height,
+            mass: object.mass,
+            hold: object.hold,
+            to: before.to,
+            let_go: false,
+        };
+        let what = &held.object;
+        alarm(
+            out,
+            format!("{what} was gripped when celld last ended: it hangs on the cups; `celld recover`"),
+        );
+        self.back.held = Some(held);
     }
 
     /// What is held may be lost soon. A pick-n-place under way is finished, which is sooner over than

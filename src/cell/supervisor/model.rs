@@ -121,6 +121,15 @@ pub struct GripSettings {
     pub tool_centre: Vector3<f64>,
 }
 
+/// An object that was gripped when an earlier celld ended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeldBefore {
+    /// Its name.
+    pub object: String,
+    /// Where it was to go, table frame.
+    pub to: Pose2,
+}
+
 /// Where the devices are, for the sentences about waiting for them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceAddresses {
@@ -138,6 +147,8 @@ pub struct CellModel {
     /// A person has confirmed once that what answers at the gripper's address is the gripper, or the cell is
     /// simulated. The device itself has no register that says what it is.
     pub gripper_confirmed: bool,
+    /// What an earlier celld had gripped and not let go; it hangs there where there is vacuum.
+    pub held_before: Option<HeldBefore>,
     /// Arm, table pose and limits.
     pub arm: ArmModel,
     /// Heights and speeds of a cycle; `tallest` covers every object of the catalogue.

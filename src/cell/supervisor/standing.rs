@@ -37,6 +37,7 @@ impl Supervisor {
         self.stands |= stands && order.is_none();
         self.arm_settled = outside.arm_settled;
         self.back.grips = matches!(gates::empty_handed(outside), Err(GateClosed::Holding(_)));
+        self.name_what_hangs(outside, out);
         for waits in std::mem::take(&mut self.until_it_stands) {
             let late = now.since(waits.since) >= STANDS_WITHIN;
             if (!stands && !late) || order == Some(waits.number) {

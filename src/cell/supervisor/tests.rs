@@ -70,6 +70,7 @@ fn model() -> CellModel {
     CellModel {
         addresses: DeviceAddresses { robot: "10.0.0.2".into(), gripper: "10.0.0.3:502, unit 65".into() },
         gripper_confirmed: true,
+        held_before: None,
         arm: ArmModel {
             dh: DhParameters::UR5E,
             base_from_table: Isometry3::translation(-0.25, 0.18, 0.0),

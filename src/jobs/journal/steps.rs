@@ -6,7 +6,7 @@
 use crate::jobs::journal::rows::encode;
 use crate::jobs::journal::{Journal, JournalError};
 use crate::jobs::record::{JobState, StepIntent, StepPhase, StepRecord};
-use rusqlite::params;
+use rusqlite::{OptionalExtension, params};
 
 impl Journal {
     /// Writes down a step before its first byte of motion leaves the PC, and returns its number.
@@ -93,6 +93,22 @@ impl Journal {
             .and_then(Iterator::collect::<Result<Vec<_>, _>>)
             .map_err(|e| self.fail(e))?;
         rows.into_iter().map(|(step, intent, phase)| self.step_record(step, &intent, &phase)).collect()
+    }
+
+    /// The step that was begun last, of whatever job: where it was gripped and not let go, its object may
+    /// still hang on the cups.
+    ///
+    /// # Errors
+    /// SQLite fails ([`JournalError::Database`]), or the row is damaged ([`JournalError::Damaged`]).
+    pub fn last_step(&self) -> Result<Option<StepRecord>, JournalError> {
+        let select = "SELECT step, intent, phase FROM steps ORDER BY rowid DESC LIMIT 1";
+        let row = self.database.query_row(select, [], |row| {
+            Ok((row.get::<_, u32>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?))
+        });
+        match row.optional().map_err(|e| self.fail(e))? {
+            Some((step, intent, phase)) => self.step_record(step, &intent, &phase).map(Some),
+            None => Ok(None),
+        }
     }
 
     fn step_record(&self, step: u32, intent: &str, phase: &str) -> Result<StepRecord, JournalError> {

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::cell::code::JobStatus;
-use crate::jobs::record::{JobSpec, StepIntent, StepKind};
+use crate::jobs::record::{JobSpec, StepIntent, StepKind, StepPhase};
 use cell_edge::files::FileIdentity;
 use rearrange::geometry::pose::Pose2;
 
@@ -128,14 +128,18 @@ fn no_step_begins_while_one_is_open() {
     claim(&mut journal, "a", "1", &spec(0, None, false));
     assert!(journal.step_intent("a", &intent(), NOW).is_err(), "the job is not active yet");
     journal.start("a", NOW).unwrap();
+    assert_eq!(journal.last_step().unwrap(), None);
     assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 1);
     assert!(matches!(journal.step_intent("a", &intent(), NOW), Err(JournalError::WrongState { .. })));
     journal.step_gripped("a", 1, NOW).unwrap();
+    let last = |journal: &Journal| journal.last_step().unwrap().map(|step| (step.step, step.phase));
+    assert_eq!(last(&journal), Some((1, StepPhase::Gripped)));
     assert!(matches!(journal.requeue("a"), Err(JournalError::WrongState { .. })));
     journal.step_done("a", 1, NOW).unwrap();
     assert!(matches!(journal.step_done("a", 1, NOW), Err(JournalError::WrongStep { step: 1, .. })));
     assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 2);
     journal.step_abandoned("a", 2, NOW).unwrap();
+    assert_eq!(last(&journal), Some((2, StepPhase::Abandoned)));
     assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 3);
 }
 

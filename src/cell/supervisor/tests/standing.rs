@@ -3,6 +3,7 @@
 use super::faults::working;
 use super::*;
 use crate::cell::device::gripper_types::GripperEvent;
+use crate::cell::supervisor::model::HeldBefore;
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::motion::pick_n_place::tool_down;
 
@@ -373,4 +374,25 @@ fn what_was_held_before_the_start_may_be_any_object() {
     bench.ticks(1);
     let model = bench.cell.model();
     assert_eq!((bench.cell.hold(), bench.cell.held_depth()), (model.objects[0].hold, model.cycle.tallest));
+}
+
+#[test]
+fn what_an_earlier_celld_had_gripped_is_named_where_there_is_vacuum() {
+    let before = HeldBefore { object: "a".into(), to: Pose2::new(0.3, 0.3, 0.0) };
+    for (vacuum, held) in [([0.5, 0.0], Some("holds a")), ([0.0, 0.0], None)] {
+        let mut bench = Bench::new();
+        bench.cell.model.held_before = Some(before.clone());
+        bench.gripper_answers = false;
+        bench.ticks(3);
+        assert_eq!(bench.cell.status().held, None, "nothing is known before the gripper answers");
+        (bench.gripper_answers, bench.vacuum) = (true, vacuum);
+        bench.ticks(3);
+        assert_eq!(bench.cell.status().held.as_deref(), held);
+        let mass = if held.is_some() { bench.cell.model().objects[0].mass } else { 0.0 };
+        assert_eq!(bench.cell.held_mass(), mass);
+        // What hangs there later is another thing.
+        bench.vacuum = [0.5, 0.0];
+        bench.ticks(3);
+        assert_eq!(bench.cell.status().held.as_deref(), held);
+    }
 }
