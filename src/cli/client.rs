@@ -28,6 +28,8 @@ impl StateArg {
 pub(super) enum ClientError {
     #[error("no daemon runs on the state folder {0}; start it with `celld run --config ... --state {0}`")]
     NoDaemon(PathBuf),
+    #[error("celld is starting and takes no orders yet: {0}; `celld doctor` says what is missing")]
+    Starting(String),
     #[error("the daemon did not take the command within {0} s; see `celld status`")]
     NoAnswer(u64),
     #[error("the daemon took the command and did not answer within {0} s; see `celld status`")]

@@ -151,9 +151,15 @@ async fn daemon(
         complain(&notice);
     }
     let stopped = || stop.load(Ordering::Relaxed);
-    let host = config.devices.robot_host.clone();
-    let mut say = |missing: &str| complain(&format!("waiting for the robot at {host}: {missing}"));
+    let waiting = format!("waiting for the robot at {}", config.devices.robot_host);
+    keeper.waits_for(&waiting);
+    let mut say = |missing: &str| {
+        let message = format!("{waiting}: {missing}");
+        keeper.waits_for(&message);
+        complain(&message);
+    };
     let arm = shell.wait_for_robot(&stopped, &mut say).await.map_err(|error| chain(&error))?;
+    keeper.waits_for("the robot answers; the camera is opened and the table's pictures are read");
     let measured = measured(&config, &calibration, &arm)?;
     let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     model.gripper_confirmed |= confirmed;

@@ -11,7 +11,7 @@ use crate::jobs::command::{Command, Given, ReleaseChannel, Sent};
 use crate::jobs::journal::Journal;
 use crate::jobs::record::{JobRecord, quoted};
 use crate::jobs::state::StateFolder;
-use crate::jobs::status::Status;
+use crate::jobs::status::{STARTING, Status};
 use crate::jobs::utc;
 use crate::report::text::{columns, or_dash};
 use cell_edge::clock::{boot_now_s, unix_now_s};
@@ -227,7 +227,11 @@ fn running_daemon(state: &StateFolder) -> Result<String, ClientError> {
     if !state.is_taken()? {
         return Err(none());
     }
-    Ok(Status::read(&state.status())?.ok_or_else(none)?.daemon)
+    let status = Status::read(&state.status())?.ok_or_else(none)?;
+    if status.state == STARTING {
+        return Err(ClientError::Starting(status.message));
+    }
+    Ok(status.daemon)
 }
 
 fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
@@ -342,6 +346,18 @@ mod tests {
         drop(lock);
         assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon(_))));
         assert_eq!(std::fs::read_dir(state.commands()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_daemon_that_waits_for_the_robot_takes_no_order_and_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        let _lock = state.take().unwrap();
+        let waits = Status::starting("d1".into(), 0.0, 0.0, "waiting for the robot at 10.0.0.2".into());
+        waits.write(&state.status()).unwrap();
+        let refused = send(&state, &Command::Arm).expect_err("no order is taken").to_string();
+        assert!(refused.contains("waiting for the robot at 10.0.0.2"), "{refused}");
+        assert_eq!(std::fs::read_dir(state.commands()).unwrap().count(), 0, "and none is kept");
     }
 
     #[test]

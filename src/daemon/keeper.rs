@@ -105,6 +105,16 @@ impl StateKeeper {
         std::mem::take(&mut self.notices)
     }
 
+    /// Writes down that the daemon waits for something before it takes orders; a disk that does not take it
+    /// is named later, by what needs it.
+    pub fn waits_for(&self, message: &str) {
+        let (started, now) = (self.started_unix_s, unix_now_s());
+        let status = status::Status::starting(self.daemon.clone(), started, now, message.to_string());
+        if let Err(error) = status.write(&self.state.status()) {
+            tracing::warn!(%error, "the status file could not be written");
+        }
+    }
+
     /// Takes in new job files; a fault of the folders is said and tried again at the next call.
     fn scan(&mut self, now: Timestamp) -> Vec<SpoolEvent> {
         let config = &self.config;

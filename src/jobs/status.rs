@@ -55,7 +55,16 @@ pub struct DeviceStatus {
     pub message: String,
 }
 
+/// The state of a daemon that waits for the robot and takes no orders yet.
+pub const STARTING: &str = "starting";
+
 impl Status {
+    /// A daemon that is not ready for orders, and what it waits for.
+    pub fn starting(daemon: String, started_unix_s: f64, unix_s: f64, message: String) -> Status {
+        let (pid, state) = (std::process::id(), STARTING.to_string());
+        Status { daemon, pid, started_unix_s, written_unix_s: unix_s, state, message, ..Status::default() }
+    }
+
     /// Writes the file whole.
     ///
     /// # Errors

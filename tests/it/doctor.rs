@@ -72,8 +72,10 @@ fn cell_doctor_names_what_is_missing_until_the_arm_may_move() {
     let daemon = start_daemon(folder, &cell);
     let log = || std::fs::read_to_string(folder.join(LOG)).unwrap_or_default();
     wait_until("the daemon runs", || log().contains("celld runs"));
-    let (refused, why) = order(folder, &["arm"]);
-    assert!(refused == 1 && why.contains("celld confirm-gripper"), "{why}");
+    wait_until("arming is refused", || {
+        let (code, why) = order(folder, &["arm"]);
+        code == 1 && why.contains("celld confirm-gripper")
+    });
     wait_until("the gripper is confirmed", || order(folder, &["confirm-gripper"]).0 == 0);
     wait_until("and the cell armed", || order(folder, &["arm"]).0 == 0);
     let (busy, code) = sheet(folder);
