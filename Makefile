@@ -94,8 +94,11 @@ demo: setup
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
 
-# Without nextest the closed-loop tests (cell_*, robot_session) run after the others, one at a time: they need
-# the cores.
+# The whole cells over sockets (cell_*, robot_session) run by themselves, three at a time: most of their time
+# is real time that passes, but what computes beside them could hold a heartbeat up. Without nextest they run
+# one after the other.
+CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
+
 test: setup
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets -- -D warnings
@@ -104,7 +107,9 @@ test: setup
 	cargo test --quiet --doc --workspace
 	@[ -d "$(DATA)" ] || echo "SKIPPED: tests on the public instances and camera recordings, no folder $(DATA) (set CELLD_DATA)"
 	@if cargo nextest --version >/dev/null 2>&1; then \
-	  echo "cargo nextest run"; cargo nextest run --workspace -E 'not test(/^third_party::/)'; \
+	  echo "cargo nextest run"; \
+	  cargo nextest run --workspace --profile cells --test-threads 3 -E '$(CELLS)'; \
+	  cargo nextest run --workspace -E 'not (test(/^third_party::/) | $(CELLS))'; \
 	else \
 	  echo "cargo test"; \
 	  cargo test --workspace --all-targets -- --skip cell_ --skip robot_session:: --skip third_party::; \

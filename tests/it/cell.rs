@@ -1,6 +1,6 @@
 //! The whole cell as a user starts it: the binary, real sockets, the simulated devices in scaled time.
 //!
-//! Names begin with `cell_`, so that the test runner gives each the machine for itself. Every simulation has
+//! Names begin with `cell_`, so that `make test` runs these by themselves (Makefile). Every simulation has
 //! a loopback address of its own, because the robot's port numbers are fixed.
 
 use crate::edit::{replace_once, replace_times};
