@@ -24,13 +24,16 @@ const MAX_NEWTON_STEPS: usize = 30;
 const MAX_DAMPED_STEPS: usize = 600;
 
 /// Within so many of them the error has to be halved.
-const STEPS_TO_HALVE: usize = 40;
+const STEPS_TO_HALVE: usize = 80;
 
 /// Where the branches of the closed form meet, so many are followed.
 const SINGULAR_SOLUTIONS: usize = 8;
 
 /// Starts that rest on no closed form.
 const ANYWHERE: usize = 200;
+
+/// Elbow and wrist count as near their singularity below this sine.
+const SINGULAR: f64 = 0.25;
 
 /// How far a cosine of the closed form may be beyond 1 for its solution to be a start: the calibrated arm may
 /// just reach.
@@ -39,7 +42,7 @@ const BEYOND: f64 = 0.02;
 /// The same for the nominal arm itself: the rounding of its poses.
 const BEYOND_EXACT: f64 = 1e-6;
 
-/// The same where no start has led to a solution.
+/// The same where no start has led to a solution: how near they are to the pose decides.
 const FAR_BEYOND: f64 = 1.0;
 
 /// And what is then added to joint 1, rad.
@@ -48,8 +51,11 @@ const AROUND: &[f64] = &[0.0, 0.02, -0.02, 0.1, -0.1, 0.3, -0.3, 0.6, -0.6, 1.0,
 /// Nearer than this to the shoulder's axis, in offsets d4, joint 1 is near its singularity.
 const SINGULAR_SHOULDER: f64 = 1.1;
 
-/// A wrist counts as near its singularity below this sine.
-const SINGULAR: f64 = 0.1;
+/// How far the nominal arm may be from a pose at a start near a singularity, m and rad together.
+const NEAR: f64 = 0.15;
+
+/// Of these starts so many are followed, nearest first.
+const NEAREST: usize = 8;
 
 /// Longest Newton step of a joint, rad.
 const MAX_STEP: f64 = 0.2;
@@ -109,19 +115,37 @@ pub fn inverse(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<Join
         let found = if *sure && exact { Some(*start) } else { refine(dh, base_from_flange, *start) };
         note(&mut solutions, found);
     }
-    if solutions.is_empty() {
-        // Where two singularities meet, the calibrated arm is elsewhere than the nominal one by far more than
-        // the calibration itself. Few poses are like this, and most that are out of reach are not.
-        let far = inverse_nominal(nominal, base_from_flange, AROUND, FAR_BEYOND);
-        let wrist = |q: &Joints| q.0[4].sin().abs() < SINGULAR;
-        let near_singular = !starts.is_empty()
-            || far.iter().any(|(q, _)| wrist(q))
-            || wrist_radius(nominal, base_from_flange) < SINGULAR_SHOULDER * nominal.d[3];
-        let starts = starts.into_iter().chain(far).map(|(start, _)| start).chain(anywhere());
-        let starts = starts.filter(|_| near_singular);
-        let found = starts.filter_map(|start| refine_damped(dh, base_from_flange, start));
-        found.take(SINGULAR_SOLUTIONS).for_each(|joints| note(&mut solutions, Some(joints)));
+    // Where the nominal arm is not at one of its boundaries, its closed form has said all.
+    if solutions.is_empty() && !(exact && starts.is_empty()) {
+        solutions = at_singularities(dh, base_from_flange, starts);
     }
+    solutions
+}
+
+/// Solutions where two singularities meet: there the calibrated arm is elsewhere than the nominal one by far
+/// more than the calibration itself. Few poses are like this, and most that are out of reach are not.
+fn at_singularities(
+    dh: &DhParameters,
+    base_from_flange: &Isometry3<f64>,
+    starts: Vec<(Joints, bool)>,
+) -> Vec<Joints> {
+    let nominal = &model_of(dh).dh;
+    let at_boundary = !starts.is_empty();
+    let far = inverse_nominal(nominal, base_from_flange, AROUND, FAR_BEYOND);
+    let off = |q: &Joints| pose_error(&forward(nominal, q), base_from_flange).norm();
+    let starts = starts.into_iter().chain(far).map(|(start, _)| (off(&start), start));
+    let mut near: Vec<(f64, Joints)> = starts.filter(|(off, _)| *off < NEAR).collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let shoulder = wrist_radius(nominal, base_from_flange) < SINGULAR_SHOULDER * nominal.d[3];
+    let two_meet = near.iter().any(|(_, q)| {
+        let [wrist, elbow] = [4, 2].map(|joint| q.0[joint].sin().abs() < SINGULAR);
+        [wrist, elbow, shoulder].into_iter().filter(|near| *near).count() > 1
+    });
+    let nearest = near.iter().map(|(_, start)| *start).take(NEAREST).filter(|_| at_boundary || two_meet);
+    let starts = nearest.chain(anywhere().filter(|_| two_meet));
+    let found = starts.filter_map(|start| refine_damped(dh, base_from_flange, start));
+    let mut solutions = Vec::new();
+    found.take(SINGULAR_SOLUTIONS).for_each(|joints| note(&mut solutions, Some(joints)));
     solutions
 }
 
@@ -216,12 +240,13 @@ fn inverse_nominal(
         let (s1, c1) = q1.sin_cos();
         // The axis shared by shoulder, elbow and wrist 1.
         let axis = Vector3::new(s1, -c1, 0.0);
-        let cosine = (p.dot(&axis) - dh.d[3]) / dh.d[5];
-        let Some((bend, exact)) = clamped_acos(cosine, beyond) else { continue };
-        let sure = sure && exact;
+        // How the flange is turned against it is joint 5, towards where joint 6. A cosine alone would be too coarse
+        // where joint 5 is near its singularity.
+        let [x, y, z] = [x6, y6, z6].map(|side| axis.dot(&side));
+        let bend = x.hypot(y).atan2(z);
         for q5 in [bend, -bend] {
             let (s5, c5) = q5.sin_cos();
-            let q6 = if s5.abs() < 1e-9 { 0.0 } else { (-axis.dot(&y6) / s5).atan2(axis.dot(&x6) / s5) };
+            let q6 = if bend.sin() < 1e-12 { 0.0 } else { (-y * s5.signum()).atan2(x * s5.signum()) };
             let (s6, c6) = q6.sin_cos();
             // Frame 4, in which joint 5 turns: its x axis, and its origin. The products of the links, with
             // the nominal twists, written out.
