@@ -24,7 +24,6 @@ const NEIGHBOURS: usize = 8;
 pub fn roadmap(model: &ArmModel, room: &Room, from: &Joints, to: &Joints, steps: usize, seed: u64) -> bool {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut sweep = Sweep::new(&model.bodies, room);
-    sweep.accept_start(from);
     let mut points = vec![*from, *to];
     // Which of the two ends a point is joined with: sets that are united.
     let mut parent = vec![0, 1];
@@ -50,7 +49,9 @@ pub fn roadmap(model: &ArmModel, room: &Room, from: &Joints, to: &Joints, steps:
                 continue;
             }
             checked += 1;
-            if sweep.way(&points[*k], &q).is_ok() {
+            let way = &points[*k];
+            let free = if *k == 0 { sweep.way_out(way, &q) } else { sweep.way(way, &q) };
+            if free.is_ok() {
                 let (a, b) = (root(&mut parent, *k), root(&mut parent, new));
                 parent[b] = a;
             }

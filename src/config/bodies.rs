@@ -33,10 +33,14 @@ impl Default for Equipment {
     }
 }
 
+/// The check measures distances as often as half a millimetre may be used up, m.
+const LEAST_MARGIN_M: f64 = 0.001;
+
 /// The section.
 pub(super) fn equipment(d: &mut Decoder, at: &At) -> Option<Equipment> {
     let fields = d.map(at, &["margin_m", "cable_m", "stand", "boxes", "cylinders", "planes", "tool"])?;
-    let margin_m = optional(d, &fields, "margin_m", MARGIN_M, |d, at| d.number_in(at, 0.0..=0.1, "m"));
+    let margin_m =
+        optional(d, &fields, "margin_m", MARGIN_M, |d, at| d.number_in(at, LEAST_MARGIN_M..=0.1, "m"));
     let cable_m = optional(d, &fields, "cable_m", 0.0, |d, at| d.number_in(at, 0.0..=0.2, "m"));
     let stand = optional(d, &fields, "stand", None, |d, at| stand(d, at).map(Some));
     let boxes = optional(d, &fields, "boxes", Vec::new(), |d, at| list(d, at, cuboid));

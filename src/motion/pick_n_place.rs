@@ -176,6 +176,13 @@ fn travel_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
     cycle.tallest + cycle.air + task.depth().max(cycle.approach)
 }
 
+/// Blend radius of a corner at that height, m: with something `below` the tool (m), the way that cuts it
+/// stays over everything, of which half of the air is kept.
+fn corner(below: f64, task: &PickNPlace, cycle: &CycleParameters) -> f64 {
+    let over_all = travel_height(task, cycle) - below - cycle.tallest - 0.5 * cycle.air;
+    cycle.blend.min(0.9 * over_all)
+}
+
 fn yaws(task: &PickNPlace) -> Vec<f64> {
     match task.grip_yaw {
         Some(yaw) => vec![task.from.theta + yaw],
@@ -246,7 +253,8 @@ fn assemble(
     let low = task.height - cycle.press;
     let empty_floor = cycle.tallest + 0.5 * cycle.air;
     let lower = Leg::between(linear(candidate.pick, cycle, 0.0), low - 1e-3);
-    let direct = [Leg::over(joint(candidate.over_pick, cycle, cycle.blend), empty_floor), lower];
+    let blend = corner(0.0, task, cycle);
+    let direct = [Leg::over(joint(candidate.over_pick, cycle, blend), empty_floor), lower];
     let approach = CheckedPath::new(model, start, &direct, &rooms.before).or_else(|fault| {
         let ends = (start, &candidate.over_pick);
         let mut legs = round(model, ends, cycle, &rooms.before, search).ok_or(fault)?;
@@ -273,6 +281,7 @@ fn carry_path(
 ) -> Result<CheckedPath, PathFault> {
     let low = task.height - cycle.press;
     let floor = cycle.tallest + 0.5 * cycle.air + task.height;
+    let blend = corner(task.depth(), task, cycle);
     let room = rooms.meanwhile.holding(&model.bodies, Some(&task.hanging(candidate.yaw)));
     let with_transfer = |blend: f64, transfer: Vec<Leg>| {
         let lift = Leg::between(linear(candidate.over_pick, cycle, blend), low - 1e-3);
@@ -282,9 +291,9 @@ fn carry_path(
         let legs: Vec<Leg> = legs.map(|leg| leg.holding(task.hold)).collect();
         CheckedPath::new(model, &candidate.pick, &legs, &room)
     };
-    let blended = |transfer: Segment| with_transfer(cycle.blend, vec![Leg::over(transfer, floor)]);
-    blended(joint(candidate.over_place, cycle, cycle.blend))
-        .or_else(|_| blended(linear(candidate.over_place, cycle, cycle.blend)))
+    let blended = |transfer: Segment| with_transfer(blend, vec![Leg::over(transfer, floor)]);
+    blended(joint(candidate.over_place, cycle, blend))
+        .or_else(|_| blended(linear(candidate.over_place, cycle, blend)))
         .or_else(|fault| {
             let ends = (&candidate.over_pick, &candidate.over_place);
             with_transfer(0.0, round(model, ends, cycle, &room, search).ok_or(fault)?)

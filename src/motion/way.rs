@@ -76,10 +76,9 @@ pub fn find(
         }
     }
     let mut sweep = Sweep::new(&model.bodies, room);
-    sweep.accept_start(from);
-    sweep.place(from, Zone::Over).map_err(NoWay::Start)?;
+    sweep.way_out(from, from).map_err(NoWay::Start)?;
     sweep.place(to, Zone::Over).map_err(NoWay::Target)?;
-    let meeting = match sweep.way(from, to) {
+    let meeting = match sweep.way_out(from, to) {
         Ok(()) => return Ok(vec![*to]),
         Err(meeting) => meeting,
     };
@@ -156,7 +155,8 @@ impl Trees<'_> {
         let far = q.max_difference(wanted);
         let next = if far <= STRIDE_RAD { *wanted } else { between(&q, wanted, STRIDE_RAD / far) };
         self.steps += 1;
-        self.sweep.way(&q, &next).ok()?;
+        let from_the_start = side == 0 && from == 0;
+        self.free(from_the_start, &q, &next).then_some(())?;
         self.trees[side].push(Node { q: next, parent: from });
         Some(self.trees[side].len() - 1)
     }
@@ -171,6 +171,12 @@ impl Trees<'_> {
             at = self.stride(side, at, goal)?;
         }
         Some(at)
+    }
+
+    /// The straight way between two points; one that leaves where the arm was left may begin too near.
+    fn free(&mut self, from_the_start: bool, from: &Joints, to: &Joints) -> bool {
+        let sweep = &mut self.sweep;
+        if from_the_start { sweep.way_out(from, to).is_ok() } else { sweep.way(from, to).is_ok() }
     }
 
     fn joined(&self, side: usize, reached: usize, met: usize) -> Vec<Joints> {
@@ -201,7 +207,7 @@ impl Trees<'_> {
             }
             let first = self.random.random_range(0..points.len() - 2);
             let last = self.random.random_range(first + 2..points.len());
-            if self.sweep.way(&points[first], &points[last]).is_ok() {
+            if self.free(first == 0, &points[first], &points[last]) {
                 points.drain(first + 1..last);
             }
         }

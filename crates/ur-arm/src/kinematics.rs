@@ -240,8 +240,8 @@ fn inverse_nominal(
         let (s1, c1) = q1.sin_cos();
         // The axis shared by shoulder, elbow and wrist 1.
         let axis = Vector3::new(s1, -c1, 0.0);
-        // How the flange is turned against it is joint 5, towards where joint 6. A cosine alone would be too coarse
-        // where joint 5 is near its singularity.
+        // How the flange is turned against it is joint 5, towards where joint 6. A cosine alone would be too
+        // coarse where joint 5 is near its singularity.
         let [x, y, z] = [x6, y6, z6].map(|side| axis.dot(&side));
         let bend = x.hypot(y).atan2(z);
         for q5 in [bend, -bend] {

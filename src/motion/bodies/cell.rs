@@ -68,10 +68,10 @@ impl CellBodies {
         flange_from_camera: Option<&Isometry3<f64>>,
     ) -> CellBodies {
         let tool_from_flange = flange_from_tool.inverse();
-        let up = -tool_from_flange.translation.z;
         let seen =
             |[x, y]: [f64; 2], z: f64| -> [f64; 3] { (flange_from_tool * Point3::new(x, y, z)).into() };
-        let top = up.min(-gripper.above_lips);
+        // In the tool frame z points out of the gripper: the flange is where z is lowest.
+        let top = tool_from_flange.translation.z.min(-gripper.above_lips);
         let outline = gripper.outline.iter();
         let body = outline.flat_map(|corner| [seen(*corner, -gripper.above_lips), seen(*corner, top)]);
         let mut tool = vec![NamedShape { name: "the gripper".to_string(), shape: Shape::hull(body, 0.0) }];

@@ -15,11 +15,13 @@ pub mod sweep;
 mod tests;
 
 use crate::motion::bodies::cell::{CellBodies, NamedShape};
-use crate::motion::bodies::shape::{Shape, placed};
+use crate::motion::bodies::shape::{Shape, apart, placed};
+use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use parry3d_f64::math::Pose;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
+use std::f64::consts::TAU;
 use std::sync::Arc;
 use ur_arm::bodies::{BODY_NAMES, HARMLESS_PAIRS, capsules};
 use ur_arm::kinematics::{ArmModel as Model, DhParameters, model_of};
@@ -38,6 +40,9 @@ const BESIDE_M: f64 = 0.02;
 
 /// Thickness of a table beside the robot, m: whatever is under it, the arm does not go there.
 const TABLE_DEPTH_M: f64 = 1.0;
+
+/// Positions of joint 6 at which a body on the flange is compared with wrist 2.
+const RING: usize = 72;
 
 /// Frame of what hangs on the flange, after the arm's frames 0 (base) to 6.
 pub const TOOL_FRAME: usize = 7;
@@ -69,6 +74,8 @@ pub enum Part {
     Rim,
     /// One object that was seen or is planned there.
     Standing,
+    /// One that reaches out of the layer: the arm goes round it, not only over the layer.
+    Tall,
 }
 
 /// One convex body.
@@ -115,10 +122,18 @@ pub(super) struct Pair {
     pub a: usize,
     /// The other one.
     pub b: Other,
-    /// Distance kept, m.
+    /// Distance kept, m; less than `wanted` while an arm leaves a place that is nearer.
     pub margin: f64,
+    /// Distance to be kept, m.
+    pub wanted: f64,
     /// Metres that the two move against each other at most, for each radian of each joint.
     pub levers: [f64; 6],
+}
+
+impl Pair {
+    pub fn new(a: usize, b: Other, margin: f64, levers: [f64; 6]) -> Pair {
+        Pair { a, b, margin, wanted: margin, levers }
+    }
 }
 
 /// The second body of a pair.
@@ -155,7 +170,7 @@ impl Bodies {
         moving.extend(cell.tool.iter().map(|named| tool(named, Part::Tool)));
         moving.extend(cell.cups.iter().map(|named| tool(named, Part::Cups)));
         moving.extend((2..=6).map(|frame| {
-            let name = format!("the middle of {}", BODY_NAMES[frame]);
+            let name = format!("the middle of {}", link_name(frame));
             Body::new(name, Part::Joint, frame, Shape::capsule([0.0; 3], [0.0; 3], 0.0))
         }));
         let mut fixed = vec![table(surroundings), plane(surroundings)];
@@ -203,19 +218,33 @@ impl Bodies {
         let mut pairs = Vec::new();
         for (a, body) in self.moving.iter().enumerate() {
             for (b, other) in self.moving.iter().enumerate().skip(a + 1) {
-                if let Some(margin) = own_margin(body, other) {
+                if let Some(margin) =
+                    own_margin(body, other).filter(|margin| self.can_part(body, other, *margin))
+                {
                     let levers = self.levers(other, body.frame, &body.shape);
-                    pairs.push(Pair { a, b: Other::Moving(b), margin, levers });
+                    pairs.push(Pair::new(a, Other::Moving(b), margin, levers));
                 }
             }
             for (b, other) in self.fixed.iter().enumerate() {
                 if let Some(margin) = self.margin_to(body, other) {
                     let levers = self.levers(body, 0, &other.shape);
-                    pairs.push(Pair { a, b: Other::Fixed(b), margin, levers });
+                    pairs.push(Pair::new(a, Other::Fixed(b), margin, levers));
                 }
             }
         }
         pairs
+    }
+
+    /// False where a body on the flange is as near to wrist 2 in every position of joint 6, which alone moves
+    /// the two against each other: it is built so.
+    fn can_part(&self, link: &Body, tool: &Body, margin: f64) -> bool {
+        if link.part != Part::Link(5) {
+            return true;
+        }
+        (0..RING).any(|k| {
+            let frames = self.frames(&Joints([0.0, 0.0, 0.0, 0.0, 0.0, TAU * k as f64 / RING as f64]));
+            apart(&link.shape, &frames[link.frame], &tool.shape, &frames[tool.frame]) > margin
+        })
     }
 
     /// Distance a moving body keeps to something that does not move; `None` where the two cannot meet.
@@ -225,10 +254,16 @@ impl Bodies {
             (Part::Joint, _) | (_, Part::Plane) => None,
             // The base stands on its stand, and the shoulder turns on the spot.
             (Part::Link(0 | 1), _) => None,
-            // The upper arm turns about the shoulder, which is over the stand.
-            (Part::Link(2), Part::Stand) => None,
+            // So does the upper arm's end there.
+            (Part::Link(2), Part::Stand) if self.is_at_shoulder(body) => None,
             _ => Some(self.margin),
         }
+    }
+
+    /// True of the end of the upper arm that the shoulder's axis goes through.
+    fn is_at_shoulder(&self, body: &Body) -> bool {
+        let [x, y, _] = body.shape.centre();
+        (x + self.nominal.a[1]).hypot(y) < body.shape.thickness()
     }
 
     /// Metres that `body` moves at most, seen from frame `seen_from`, for each radian of each joint; less
@@ -254,7 +289,7 @@ impl Bodies {
     }
 
     /// Poses of the frames 0 to 6 and of the flange, in the base frame.
-    pub(super) fn frames(&self, q: &cell_values::units::Joints) -> [Pose; 8] {
+    pub(super) fn frames(&self, q: &Joints) -> [Pose; 8] {
         let nominal = ur_arm::kinematics::link_frames(&self.nominal, q);
         let flange = ur_arm::kinematics::forward(&self.dh, q);
         std::array::from_fn(|i| match i {
@@ -273,14 +308,20 @@ fn links(model: &Model, cable_m: f64) -> Vec<Body> {
         (None, Some(links)) => (links, GUESSED_M),
         (None, None) => return Vec::new(),
     };
-    let bodies = links.iter().zip(BODY_NAMES).enumerate().flat_map(|(link, (capsules, name))| {
+    let bodies = links.iter().enumerate().flat_map(|(link, capsules)| {
         let cable = if link >= 3 { cable_m } else { 0.0 };
         capsules.iter().map(move |capsule| {
             let shape = Shape::capsule(capsule.a, capsule.b, capsule.radius + more + cable);
-            Body::new(format!("the {name}"), Part::Link(link), link, shape)
+            Body::new(link_name(link), Part::Link(link), link, shape)
         })
     });
     bodies.collect()
+}
+
+/// A link in a sentence: "the forearm", "wrist 1".
+fn link_name(link: usize) -> String {
+    let name = BODY_NAMES[link];
+    if name.starts_with("wrist") { name.to_string() } else { format!("the {name}") }
 }
 
 /// Distance that two bodies of the arm keep; `None` where they cannot meet, or always touch.
@@ -288,8 +329,8 @@ fn own_margin(a: &Body, b: &Body) -> Option<f64> {
     match (a.part, b.part) {
         (Part::Link(i), Part::Link(k)) if i == k || HARMLESS_PAIRS.contains(&(i.min(k), i.max(k))) => None,
         (Part::Link(_), Part::Link(_)) => Some(SELF_MARGIN_M),
-        // Wrist 2 and wrist 3 carry the tool.
-        (Part::Link(5 | 6), _) => None,
+        // Wrist 3 carries the tool, and what hangs on the cups is on the other side of it than wrist 2.
+        (Part::Link(6), _) | (Part::Link(5), Part::Load) => None,
         (Part::Link(_), Part::Tool | Part::Cups | Part::Load) => Some(SELF_MARGIN_M),
         _ => None,
     }
@@ -374,9 +415,13 @@ const TILT_RAD: f64 = 0.05;
 impl Load {
     /// How far it may reach below the cups, m: tilted, its far edge hangs lower.
     pub fn depth(&self) -> f64 {
+        self.height + TILT_RAD * (self.reach() + self.height)
+    }
+
+    /// How far its outline reaches from the tool's axis, m.
+    fn reach(&self) -> f64 {
         let [x, y] = self.tool_from_object.transform([0.0, 0.0]);
-        let reach = x.hypot(y) + self.footprint.bounding_radius();
-        self.height + TILT_RAD * (reach + self.height)
+        x.hypot(y) + self.footprint.bounding_radius()
     }
 }
 
@@ -405,9 +450,9 @@ impl Room {
     /// A table with this on it, and one more thing where `also` is given; nothing held.
     pub fn new(bodies: &Bodies, table: &Tabletop, also: Option<&Standing>) -> Room {
         let mut out = Vec::new();
-        if table.layer > 0.0 {
-            // What has no known height reaches higher than any arm.
-            let layer = table.layer.min(HIGHEST_M);
+        // What has no known height reaches higher than any arm.
+        let layer = table.layer.min(HIGHEST_M);
+        if layer > 0.0 {
             let (size, middle) = layer_box(bodies.table, LAYER_RIM_M, (0.0, layer));
             let shape = Shape::cuboid(size, &(bodies.base_from_table * middle));
             out.push(Body::new(LAYER, Part::Layer, 0, shape));
@@ -416,9 +461,10 @@ impl Room {
             out.push(Body::new(LAYER, Part::Rim, 0, shape));
         }
         out.extend(table.standing.iter().chain(also).map(|thing| {
-            let range = (0.0, thing.height);
+            let range = (0.0, thing.height.min(HIGHEST_M));
             let shape = Shape::prism(&thing.footprint, &thing.pose, range, &bodies.base_from_table);
-            Body::new(&thing.name, Part::Standing, 0, shape)
+            let part = if thing.height > table.layer { Part::Tall } else { Part::Standing };
+            Body::new(&thing.name, part, 0, shape)
         }));
         Room { bodies: Arc::new(out), load: None }
     }
@@ -436,7 +482,8 @@ impl Bodies {
         let mirrored = Isometry3::rotation(nalgebra::Vector3::x() * std::f64::consts::PI);
         let frame = self.flange_from_tool * mirrored;
         let aside = TILT_RAD * load.height;
-        let range = (aside - load.depth(), 0.0);
+        // Widened by what its lower face moves aside; its raised edge is as far over the cups.
+        let range = (aside - load.depth(), TILT_RAD * load.reach() - aside);
         let shape = Shape::prism(&load.footprint, &load.tool_from_object, range, &frame);
         Body::new(&load.name, Part::Load, TOOL_FRAME, shape.widened(aside))
     }

@@ -70,8 +70,11 @@ impl Shape {
     }
 
     /// The convex hull of points (m), and everything within `radius` of it.
+    /// One without points, or with one that is no number, is too near to everything.
     pub fn hull(points: impl IntoIterator<Item = [f64; 3]>, radius: f64) -> Shape {
         let points: Vec<Vector> = points.into_iter().map(Vector::from).collect();
+        let sound = !points.is_empty() && points.iter().all(|point| point.is_finite());
+        let radius = if sound { radius } else { f64::NAN };
         let low = points.iter().fold(Vector::INFINITY, |low, point| low.min(*point));
         let high = points.iter().fold(Vector::NEG_INFINITY, |high, point| high.max(*point));
         let centre = 0.5 * (low + high);
@@ -135,6 +138,11 @@ impl Shape {
     /// How far its farthest point is from the origin of its frame, m.
     pub fn farthest(&self) -> f64 {
         self.centre.length() + self.reach
+    }
+
+    /// Radius round its core, m.
+    pub fn thickness(&self) -> f64 {
+        self.radius
     }
 
     /// The part of a unit motion along the plane of a half-space that counts: how far its normal is from
@@ -250,5 +258,69 @@ mod tests {
                 (surely_apart(&a, &Pose::IDENTITY, &b, &pose), apart(&a, &Pose::IDENTITY, &b, &pose));
             assert!(sure <= found + 1e-9 || found <= -0.05, "{sure} {found}");
         }
+    }
+
+    /// A distance that the two surely have, and one that they surely do not exceed, m, by nothing but their
+    /// points: the point nearest to the origin in the set of all differences, approached one straight line
+    /// at a time (Gilbert, "An iterative procedure for computing the minimum of a quadratic form on a convex
+    /// set", 1966).
+    fn bounds(a: &Shape, b: &Shape, b_at: &Pose) -> [f64; 2] {
+        let points = |shape: &Shape| match &shape.core {
+            Core::Segment(segment) => vec![segment.a, segment.b],
+            Core::Hull(Hull(points)) => points.clone(),
+            Core::HalfSpace { .. } => Vec::new(),
+        };
+        let ones = points(a);
+        let others: Vec<Vector> = points(b).into_iter().map(|point| *b_at * point).collect();
+        let least = |of: &[Vector], along: Vector| {
+            of.iter().copied().min_by(|p, q| along.dot(*p).total_cmp(&along.dot(*q))).expect("points")
+        };
+        let (mut nearest, mut sure) = (others[0] - ones[0], f64::NEG_INFINITY);
+        for _ in 0..20_000 {
+            let corner = least(&others, nearest) - least(&ones, -nearest);
+            sure = sure.max(nearest.dot(corner) / nearest.length());
+            if nearest.length() - sure < 1e-4 || nearest.length() < 1e-4 {
+                break;
+            }
+            let way = corner - nearest;
+            nearest += way * (-nearest.dot(way) / way.length_squared()).clamp(0.0, 1.0);
+        }
+        [sure, nearest.length()].map(|distance| distance - a.radius - b.radius)
+    }
+
+    #[test]
+    fn distances_lie_between_two_bounds_found_by_another_method() {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
+        let mut separate = 0;
+        for case in 0..2000 {
+            let mut point = |to: f64| [0, 1, 2].map(|_| random.random_range(-to..to));
+            let turn = nalgebra::Vector3::from(point(3.0));
+            let pose = placed(&Isometry3::new(nalgebra::Vector3::from(point(0.4)), turn));
+            let frame = Isometry3::new(nalgebra::Vector3::from(point(0.1)), turn.yxz());
+            let (a, b) = match case % 4 {
+                0 => (
+                    Shape::capsule(point(0.3), point(0.3), 0.05),
+                    Shape::hull((0..6).map(|_| point(0.3)).collect::<Vec<_>>(), 0.01),
+                ),
+                1 => (
+                    Shape::cuboid([0.16, 0.05, 0.02], &frame),
+                    Shape::cylinder(0.02, 0.15, &Isometry3::identity()),
+                ),
+                2 => (Shape::cuboid([0.5, 0.5, 0.001], &frame), Shape::capsule(point(0.3), point(0.3), 0.04)),
+                _ => (
+                    Shape::cuboid([0.5, 0.5, 0.035], &Isometry3::identity()),
+                    Shape::cuboid([0.07, 0.07, 0.12], &frame),
+                ),
+            };
+            let found = apart(&a, &Pose::IDENTITY, &b, &pose);
+            let [sure, most] = bounds(&a, &b, &pose);
+            assert!(found <= most + 1e-9, "case {case}: {found}, at most {most}");
+            // Where the cores are apart it is not nearer than they are either.
+            if sure > 0.0 {
+                separate += 1;
+                assert!(found >= sure - 1e-9, "case {case}: {found}, surely {sure}");
+            }
+        }
+        assert!(separate > 700, "{separate}");
     }
 }

@@ -48,6 +48,16 @@ impl Ord for Due {
     }
 }
 
+/// Distances that are lowered because the arm rests nearer are lowered to this at least, m: what is nearer
+/// may touch, and a path that begins where another ended does not come nearer each time.
+const LEAST_M: f64 = 2e-3;
+
+/// How far joints are at most off the straight way of a piece, rad: in its middle, less towards its ends.
+pub type Bulge = [f64; 6];
+
+/// The bulge of ways that are straight in joint space.
+pub const STRAIGHT: Bulge = [0.0; 6];
+
 impl Pair {
     /// Metres that the two move against each other at most while the joints turn so far, rad.
     fn travel(&self, turn: &[f64; 6]) -> f64 {
@@ -103,7 +113,7 @@ impl<'a> Sweep<'a> {
     /// The first pair that is too near.
     pub fn place(&mut self, q: &Joints, zone: Zone) -> Result<(), Meeting> {
         self.left.fill(0.0);
-        self.piece(q, q, zone, 0.0)
+        self.piece(q, q, zone, &STRAIGHT)
     }
 
     /// Checks a straight way in joint space, over everything on the table, that has nothing to do with the
@@ -113,7 +123,18 @@ impl<'a> Sweep<'a> {
     /// The first pair that comes too near.
     pub fn way(&mut self, from: &Joints, to: &Joints) -> Result<(), Meeting> {
         self.left.fill(0.0);
-        self.piece(from, to, Zone::Over, 0.0)
+        self.piece(from, to, Zone::Over, &STRAIGHT)
+    }
+
+    /// The same from a place that [`Sweep::accept_start`] accepts; other ways are not affected.
+    ///
+    /// # Errors
+    /// The first pair that comes too near.
+    pub fn way_out(&mut self, from: &Joints, to: &Joints) -> Result<(), Meeting> {
+        self.accept_start(from);
+        let passed = self.way(from, to);
+        self.pairs.iter_mut().for_each(|pair| pair.margin = pair.wanted);
+        passed
     }
 
     /// True where something of the arm is in the air over the table in which things may lie.
@@ -126,25 +147,26 @@ impl<'a> Sweep<'a> {
     }
 
     /// Distances at the start are accepted as they are where the arm rests nearer to something than it may,
-    /// without touching it: such a pair has to keep what it has.
+    /// without touching it: such a pair has to keep what it has until it first has what it should.
     pub fn accept_start(&mut self, q: &Joints) {
         let frames = self.bodies.frames(q);
         for index in 0..self.pairs.len() {
             let distance = self.distance(&frames, index, false);
             let pair = &mut self.pairs[index];
-            if distance < pair.margin && distance > 0.0 {
-                pair.margin = (distance - 2.0 * GRAIN_M).max(0.0);
+            if distance < pair.margin && distance >= LEAST_M {
+                pair.margin = (distance - 2.0 * GRAIN_M).max(LEAST_M);
             }
         }
     }
 
-    /// Checks all joint positions on the straight way from `from` to `to`; every pair has to have `slack` (m
-    /// for each radian of the piece) more than its margin, for ways that are only nearly straight.
+    /// Checks all joint positions between `from` and `to`, on the straight way or so far from it at most as
+    /// `bulge` says.
     ///
     /// # Errors
     /// The first pair that comes too near.
-    pub fn piece(&mut self, from: &Joints, to: &Joints, zone: Zone, slack: f64) -> Result<(), Meeting> {
-        let turn: [f64; 6] = std::array::from_fn(|j| (1.0 + slack) * (to.0[j] - from.0[j]).abs());
+    pub fn piece(&mut self, from: &Joints, to: &Joints, zone: Zone, bulge: &Bulge) -> Result<(), Meeting> {
+        // Off the straight way by 4 s (1 - s) of the bulge at a share s of it, which adds to the motion.
+        let turn: [f64; 6] = std::array::from_fn(|j| (to.0[j] - from.0[j]).abs() + 4.0 * bulge[j]);
         let mut due = self.due(&turn, zone);
         while let Some(Reverse(first)) = due.peek() {
             let share = first.share;
@@ -161,9 +183,15 @@ impl<'a> Sweep<'a> {
             for index in now {
                 let pair = &self.pairs[index];
                 let travel = pair.travel(&turn);
-                let over = self.distance(&frames, index, false) - pair.margin;
+                let distance = self.distance(&frames, index, false);
+                let distance = distance - 4.0 * share * (1.0 - share) * pair.travel(bulge);
+                let pair = &mut self.pairs[index];
+                if distance >= pair.wanted + GRAIN_M {
+                    pair.margin = pair.wanted;
+                }
+                let over = distance - pair.margin;
                 // A distance that is no number is no distance.
-                if over.is_nan() || over < 0.0 {
+                if !travel.is_finite() || over.is_nan() || over < 0.0 {
                     return Err(self.meeting(index, &frames, q));
                 }
                 self.left[index] = share * travel + over.max(GRAIN_M);
@@ -189,10 +217,12 @@ impl<'a> Sweep<'a> {
                 continue;
             }
             let (left, travel) = (self.left[index], self.pairs[index].travel(turn));
-            if left <= 0.0 || left < travel {
-                let share = if left <= 0.0 { 0.0 } else { left / travel };
-                due.push(Reverse(Due { share, index }));
+            // Of what is no number nothing is left.
+            if left > 0.0 && left >= travel {
+                continue;
             }
+            let share = if left > 0.0 && travel.is_finite() { left / travel } else { 0.0 };
+            due.push(Reverse(Due { share, index }));
         }
         due.into()
     }
@@ -201,8 +231,12 @@ impl<'a> Sweep<'a> {
         let pair = &self.pairs[index];
         let (a, b) = (self.moving(pair.a).part, self.other(pair.b).part);
         match (zone, b) {
-            (Zone::Over, Part::Standing) | (Zone::Between, Part::Layer | Part::Rim) => false,
-            (Zone::Between, Part::Standing | Part::Table) => !matches!(a, Part::Cups | Part::Load),
+            // Between the objects forearm and elbow are over everything still, seen or not.
+            (Zone::Between, Part::Layer) => matches!(a, Part::Link(2 | 3)),
+            (Zone::Over, Part::Standing) | (Zone::Between, Part::Rim) => false,
+            (Zone::Between, Part::Standing | Part::Tall | Part::Table) => {
+                !matches!(a, Part::Cups | Part::Load)
+            }
             _ => true,
         }
     }
@@ -244,12 +278,7 @@ fn room_pairs(bodies: &Bodies, room: &Room) -> Vec<Pair> {
     for (a, body) in bodies.moving.iter().enumerate().chain(load) {
         for (b, other) in room.bodies.iter().enumerate() {
             if let Some(margin) = room_margin(body.part, other.part, bodies.margin) {
-                pairs.push(Pair {
-                    a,
-                    b: Other::Room(b),
-                    margin,
-                    levers: bodies.levers(body, 0, &other.shape),
-                });
+                pairs.push(Pair::new(a, Other::Room(b), margin, bodies.levers(body, 0, &other.shape)));
             }
         }
     }
@@ -257,13 +286,13 @@ fn room_pairs(bodies: &Bodies, room: &Room) -> Vec<Pair> {
     for (a, body) in bodies.moving.iter().enumerate() {
         if let Some(margin) = super::own_margin(body, load) {
             let levers = bodies.levers(load, body.frame, &body.shape);
-            pairs.push(Pair { a, b: Other::Moving(index), margin, levers });
+            pairs.push(Pair::new(a, Other::Moving(index), margin, levers));
         }
     }
     for (b, other) in bodies.fixed.iter().enumerate() {
         if let Some(margin) = bodies.margin_to(load, other) {
             let levers = bodies.levers(load, 0, &other.shape);
-            pairs.push(Pair { a: index, b: Other::Fixed(b), margin, levers });
+            pairs.push(Pair::new(index, Other::Fixed(b), margin, levers));
         }
     }
     pairs
@@ -272,7 +301,7 @@ fn room_pairs(bodies: &Bodies, room: &Room) -> Vec<Pair> {
 /// Distance that a body keeps to something on the table. Over the table the heights leave air already.
 fn room_margin(part: Part, other: Part, margin: f64) -> Option<f64> {
     match (part, other) {
-        (Part::Link(0 | 1), Part::Layer | Part::Standing) => None,
+        (Part::Link(0 | 1), Part::Layer | Part::Standing | Part::Tall) => None,
         (Part::Joint, _) => None,
         // Links pass over the rim where there is nothing but the robot's own base.
         (Part::Link(_), Part::Rim) => None,

@@ -10,7 +10,7 @@
 
 use crate::motion::arm::ArmModel;
 use crate::motion::bodies::Room;
-use crate::motion::bodies::sweep::{Meeting, Sweep, Zone};
+use crate::motion::bodies::sweep::{Bulge, Meeting, STRAIGHT, Sweep, Zone};
 use crate::motion::path::fault::{PathFault, out_of_reach};
 use crate::motion::path::leg::{Leg, Segment};
 use cell_values::units::Joints;
@@ -30,9 +30,15 @@ const SAMPLE_RAD: f64 = 0.02;
 /// Tool travel between samples of a linear leg, m.
 const SAMPLE_M: f64 = 0.01;
 
-/// Joint positions of a linear leg between two samples lie on the straight way between them but for this
-/// share of it.
-const BEND: f64 = 0.25;
+/// Between two of its points a curve goes aside by an eighth of its second difference, and by this share of
+/// it at most where that changes from point to point.
+const BULGE: f64 = 0.25;
+
+/// Straight pieces along a corner.
+const CORNER_PIECES: usize = 8;
+
+/// A leg between the objects turns the tool by at most this much, rad.
+const TURN_RAD: f64 = 0.01;
 
 /// A leg between the objects goes aside by at most this much, m.
 const ASIDE_M: f64 = 1e-3;
@@ -50,7 +56,6 @@ const LOAD_SAMPLES: usize = 16;
 struct Traced {
     points: Vec<Joints>,
     segment: Segment,
-    bend: f64,
 }
 
 /// The segments of a path, if all of it passes.
@@ -67,10 +72,13 @@ pub(super) fn path(
     let mut traced = Vec::with_capacity(legs.len());
     for (index, leg) in legs.iter().enumerate() {
         check_numbers(model, index, &leg.segment)?;
-        traced.push(match leg.segment {
+        check_hold(index, leg.hold)?;
+        let way = match leg.segment {
             Segment::Joint { target, .. } => trace_joint(model, index, &from, &target, leg)?,
             Segment::Linear { target, .. } => trace_linear(model, index, &from, &target, leg)?,
-        });
+        };
+        check_numbers(model, index, &way.segment)?;
+        traced.push(way);
         from = leg.segment.target();
     }
     sweep(model, start, legs, &traced, room)?;
@@ -89,20 +97,40 @@ fn sweep(
     sweep.accept_start(start);
     for (index, (leg, way)) in legs.iter().zip(traced).enumerate() {
         let found = |meeting| meets(index, start, meeting);
-        for pair in way.points.windows(2) {
-            sweep.piece(&pair[0], &pair[1], leg.zone, way.bend).map_err(found)?;
-        }
+        chain(&mut sweep, &way.points, leg.zone).map_err(found)?;
         let Some((after, next)) = traced.get(index + 1).zip(legs.get(index + 1)) else { continue };
         if leg.segment.blend() > 0.0 {
-            let corner = leg.segment.target();
-            let inner = inside_of_corner(model, way, after, leg.segment.blend());
-            // Both ways are checked beforehand; the corner is cut where the higher of the two goes.
-            let zone = if Zone::Over == leg.zone { leg.zone } else { next.zone };
-            sweep.piece(&corner, &inner, zone, BEND).map_err(found)?;
-            sweep.piece(&inner, &corner, next.zone, BEND).map_err(found)?;
+            let corner = Corner::new(model, way, after, leg.segment.blend());
+            // A corner is cut aside of both legs: over everything, and clear of everything.
+            corner.check(&mut sweep, leg.zone).map_err(found)?;
+            if next.zone != leg.zone {
+                corner.check(&mut sweep, next.zone).map_err(found)?;
+            }
         }
     }
     Ok(())
+}
+
+/// All that is between the points of a curve in joint space.
+fn chain(sweep: &mut Sweep, points: &[Joints], zone: Zone) -> Result<(), Meeting> {
+    for (k, pair) in points.windows(2).enumerate() {
+        sweep.piece(&pair[0], &pair[1], zone, &bulge(points, k))?;
+    }
+    Ok(())
+}
+
+/// How far a curve is off the straight way from its point `k` to the next, by its second differences there
+/// and at the points next to them: at the ends of a line, and where it bends to the other side, one says too
+/// little.
+fn bulge(points: &[Joints], k: usize) -> Bulge {
+    let second = |at: usize, joint: usize| -> Option<f64> {
+        let value = |k: usize| points.get(k).map(|q| q.0[joint]);
+        let (before, after) = (value(at.checked_sub(1)?)?, value(at + 1)?);
+        Some((before - 2.0 * value(at)? + after).abs())
+    };
+    let largest =
+        |joint| (k.saturating_sub(1)..=k + 2).filter_map(|at| second(at, joint)).fold(0.0, f64::max);
+    std::array::from_fn(|joint| BULGE * largest(joint))
 }
 
 fn meets(leg: usize, start: &Joints, meeting: Meeting) -> PathFault {
@@ -111,12 +139,35 @@ fn meets(leg: usize, start: &Joints, meeting: Meeting) -> PathFault {
     PathFault::Meets { leg, one, other, distance_mm: distance * 1e3, at_start }
 }
 
-/// The middle between where a blend leaves the one leg and where it reaches the next: the blended way lies
-/// between there and the corner.
-fn inside_of_corner(model: &ArmModel, before: &Traced, after: &Traced, blend: f64) -> Joints {
-    let leaves = at_distance(model, before.points.iter().rev(), blend);
-    let joins = at_distance(model, after.points.iter(), blend);
-    between(&leaves, &joins, 0.5)
+/// A corner that is cut: where a blend leaves the one leg and where it joins the next.
+struct Corner {
+    leaves: Joints,
+    at: Joints,
+    joins: Joints,
+}
+
+impl Corner {
+    fn new(model: &ArmModel, before: &Traced, after: &Traced, blend: f64) -> Corner {
+        Corner {
+            leaves: at_distance(model, before.points.iter().rev(), blend),
+            at: before.segment.target(),
+            joins: at_distance(model, after.points.iter(), blend),
+        }
+    }
+
+    /// From the corner back to where it is left, along the parabola that touches both legs, straight back as
+    /// the shortest way of all, and to the corner.
+    fn check(&self, sweep: &mut Sweep, zone: Zone) -> Result<(), Meeting> {
+        let Corner { leaves, at, joins } = self;
+        let parabola = (0..=CORNER_PIECES).map(|k| {
+            let share = k as f64 / CORNER_PIECES as f64;
+            between(&between(leaves, at, share), &between(at, joins, share), share)
+        });
+        sweep.piece(at, leaves, zone, &STRAIGHT)?;
+        chain(sweep, &parabola.collect::<Vec<_>>(), zone)?;
+        sweep.piece(joins, leaves, zone, &STRAIGHT)?;
+        sweep.piece(leaves, at, zone, &STRAIGHT)
+    }
 }
 
 /// The first place along a chain, from its first point on, where the tool is `distance` (m) away from there.
@@ -167,6 +218,16 @@ fn check_numbers(model: &ArmModel, leg: usize, segment: &Segment) -> Result<(), 
     }
 }
 
+/// What is held stands some acceleration.
+fn check_hold(leg: usize, hold: f64) -> Result<(), PathFault> {
+    if hold > 0.0 {
+        Ok(())
+    } else {
+        let what = "the acceleration that the vacuum holds at";
+        Err(PathFault::Limit { leg, what, value: hold, limit: f64::INFINITY })
+    }
+}
+
 fn trace_joint(
     model: &ArmModel,
     index: usize,
@@ -184,7 +245,7 @@ fn trace_joint(
         check_place(model, index, &between(from, to, k as f64 / samples as f64), leg.floor)?;
     }
     let segment = if leg.hold.is_finite() { slowed_for_load(model, from, leg) } else { leg.segment };
-    Ok(Traced { points: vec![*from, *to], segment, bend: 0.0 })
+    Ok(Traced { points: vec![*from, *to], segment })
 }
 
 /// A joint leg at a speed and an acceleration at which what is held stands the tool's acceleration: along the
@@ -236,6 +297,9 @@ fn trace_linear(
         return Err(PathFault::Aside { leg: index, aside_mm: aside * 1e3 });
     }
     let turn = start.rotation.angle_to(&end.rotation);
+    if leg.zone == Zone::Between && turn > TURN_RAD {
+        return Err(PathFault::Turning { leg: index, turn_deg: turn.to_degrees() });
+    }
     let samples = (way.norm() / SAMPLE_M + turn / 0.05).ceil().clamp(2.0, 500.0) as usize;
     let mut points = Vec::with_capacity(samples + 1);
     let mut near = *from;
@@ -260,7 +324,7 @@ fn trace_linear(
         return Err(PathFault::Singular { leg: index, which: "wrist" });
     }
     let segment = slowed_on_line(model, index, &points, way.norm(), leg)?;
-    Ok(Traced { points, segment, bend: BEND })
+    Ok(Traced { points, segment })
 }
 
 /// A line at a speed and an acceleration at which every joint keeps its limits, and the vacuum its load.
@@ -324,4 +388,58 @@ fn check_place(model: &ArmModel, leg: usize, q: &Joints, floor: f64) -> Result<(
         return Err(PathFault::TooLow { leg, height_mm: height * 1e3, floor_mm: floor * 1e3 });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::pick_n_place::tests::model;
+    use crate::motion::pick_n_place::tool_down;
+    use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn joints_on_a_line_are_off_the_straight_way_by_the_bulge_at_most() {
+        let model = model(0.5);
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
+        let mut traced = 0;
+        let mut largest: f64 = 0.0;
+        while traced < 150 {
+            let mut tool = || {
+                let (x, y) = (random.random_range(-0.5..1.0), random.random_range(-0.1..0.8));
+                let aside = Vector3::new(random.random_range(-0.6..0.6), random.random_range(-0.6..0.6), 0.0);
+                let tilt = Isometry3::rotation(aside);
+                tool_down(x, y, random.random_range(0.05..0.5), random.random_range(-3.0..3.0)) * tilt
+            };
+            let (from, to) = (tool(), tool());
+            let Some(from) = model.joints_in_work_posture(&from, &model.home) else { continue };
+            let Some(to) = model.joints_in_work_posture(&to, &from) else { continue };
+            let segment = Segment::Linear { target: to, speed: 0.02, acceleration: 1.0, blend: 0.0 };
+            let leg = Leg::over(segment, f64::NEG_INFINITY);
+            let Ok(way) = trace_linear(&model, 0, &from, &to, &leg) else { continue };
+            traced += 1;
+            let [start, end] = [from, to].map(|q| model.tool_at(&q));
+            for (k, pair) in way.points.windows(2).enumerate() {
+                let bulge = bulge(&way.points, k);
+                for part in [0.25, 0.5, 0.75] {
+                    let share = (k as f64 + part) / (way.points.len() - 1) as f64;
+                    let rotation = start.rotation.slerp(&end.rotation, share);
+                    let place = start.translation.vector.lerp(&end.translation.vector, share);
+                    let tool = model.flange_at(&Isometry3::from_parts(place.into(), rotation));
+                    let there =
+                        inverse_from(&model.dh, &tool, &pair[0]).expect("between two that are in reach");
+                    let chord = between(&pair[0], &pair[1], part);
+                    for (joint, bulge) in bulge.iter().enumerate() {
+                        let off = (there.0[joint] - chord.0[joint]).abs();
+                        let most = 4.0 * part * (1.0 - part) * bulge;
+                        largest = largest.max(off);
+                        assert!(
+                            off <= most + 1e-6,
+                            "line {traced}, piece {k}, joint {joint}: {off} of {most}"
+                        );
+                    }
+                }
+            }
+        }
+        assert!(largest > 1e-3, "lines that bend: {largest}");
+    }
 }

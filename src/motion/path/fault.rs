@@ -84,6 +84,14 @@ pub enum PathFault {
         /// How far, mm.
         aside_mm: f64,
     },
+    /// Nor does the tool turn there.
+    #[error("leg {leg}: the way between the objects turns the tool by {turn_deg:.1} degrees")]
+    Turning {
+        /// Index of the leg.
+        leg: usize,
+        /// How far, degrees.
+        turn_deg: f64,
+    },
     /// A straight line that the joints cannot follow at any useful speed.
     #[error(
         "leg {leg}: joint {joint} can follow a straight line here at {speed_mm_s:.1} mm/s only, too near to the edge \
