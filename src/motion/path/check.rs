@@ -96,7 +96,7 @@ fn sweep(
     let mut sweep = Sweep::new(&model.bodies, room);
     sweep.accept_start(start);
     for (index, (leg, way)) in legs.iter().zip(traced).enumerate() {
-        let found = |meeting| meets(index, start, meeting);
+        let found = |meeting| meets(model, index, start, meeting);
         chain(&mut sweep, &way.points, leg.zone).map_err(found)?;
         let Some((after, next)) = traced.get(index + 1).zip(legs.get(index + 1)) else { continue };
         if leg.segment.blend() > 0.0 {
@@ -133,10 +133,11 @@ fn bulge(points: &[Joints], k: usize) -> Bulge {
     std::array::from_fn(|joint| BULGE * largest(joint))
 }
 
-fn meets(leg: usize, start: &Joints, meeting: Meeting) -> PathFault {
+fn meets(model: &ArmModel, leg: usize, start: &Joints, meeting: Meeting) -> PathFault {
     let Meeting { one, other, distance, at } = meeting;
     let at_start = leg == 0 && at.max_difference(start) < 1e-9;
-    PathFault::Meets { leg, one, other, distance_mm: distance * 1e3, at_start }
+    let tool = model.tool_at(&at).translation.vector.into();
+    PathFault::Meets { leg, one, other, distance_mm: distance * 1e3, tool, at_start }
 }
 
 /// A corner that is cut: where a blend leaves the one leg and where it joins the next.

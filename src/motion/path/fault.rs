@@ -2,6 +2,7 @@
 //!
 //! In: what the check found. Out: [`PathFault`], whose text goes into sentences for the operator. Pure.
 
+use cell_values::units::mm_from_m;
 use nalgebra::Isometry3;
 use ur_arm::pose::ur_pose_from_isometry;
 
@@ -21,7 +22,7 @@ pub enum PathFault {
         z: f64,
     },
     /// A joint leaves its range.
-    #[error("leg {leg}: joint {joint} at {at_deg:.1} degrees is outside its range")]
+    #[error("joint {joint} would be at {at_deg:.1} degrees, outside its range")]
     JointRange {
         /// Index of the leg.
         leg: usize,
@@ -31,9 +32,7 @@ pub enum PathFault {
         at_deg: f64,
     },
     /// The tool would go too low.
-    #[error(
-        "leg {leg}: the tool would be {height_mm:.1} mm over the table, {floor_mm:.1} mm is the floor there"
-    )]
+    #[error("the tool would be {height_mm:.1} mm over the table, where {floor_mm:.1} mm is the least")]
     TooLow {
         /// Index of the leg.
         leg: usize,
@@ -43,7 +42,7 @@ pub enum PathFault {
         floor_mm: f64,
     },
     /// A linear segment passes too near to a singularity, or jumps between branches.
-    #[error("leg {leg}: a straight line here passes too near to a {which} singularity")]
+    #[error("a straight line here passes too near to a {which} singularity")]
     Singular {
         /// Index of the leg.
         leg: usize,
@@ -51,7 +50,7 @@ pub enum PathFault {
         which: &'static str,
     },
     /// Speed, acceleration or blend is not a number in its limits.
-    #[error("leg {leg}: {what} is {value}, outside (0, {limit}]")]
+    #[error("{what} is {value}, outside (0, {limit}]")]
     Limit {
         /// Index of the leg.
         leg: usize,
@@ -63,7 +62,7 @@ pub enum PathFault {
         limit: f64,
     },
     /// Two bodies would meet, or come nearer than they may.
-    #[error("leg {leg}: {one} would {how} {other}", how = nearness(*.distance_mm))]
+    #[error("{one} {how} {other}, with the tool at {place}", how = nearness(*.distance_mm, *.at_start), place = place(.tool))]
     Meets {
         /// Index of the leg.
         leg: usize,
@@ -73,11 +72,13 @@ pub enum PathFault {
         other: String,
         /// Their distance there, mm.
         distance_mm: f64,
+        /// Where the tool is then, table frame, m.
+        tool: [f64; 3],
         /// Whether the arm is there already, at the start of the path.
         at_start: bool,
     },
     /// What goes down between the objects has to go straight.
-    #[error("leg {leg}: the way between the objects is not vertical: it goes {aside_mm:.1} mm aside")]
+    #[error("the way between the objects is not vertical: it goes {aside_mm:.1} mm aside")]
     Aside {
         /// Index of the leg.
         leg: usize,
@@ -85,7 +86,7 @@ pub enum PathFault {
         aside_mm: f64,
     },
     /// Nor does the tool turn there.
-    #[error("leg {leg}: the way between the objects turns the tool by {turn_deg:.1} degrees")]
+    #[error("the way between the objects turns the tool by {turn_deg:.1} degrees")]
     Turning {
         /// Index of the leg.
         leg: usize,
@@ -94,7 +95,7 @@ pub enum PathFault {
     },
     /// A straight line that the joints cannot follow at any useful speed.
     #[error(
-        "leg {leg}: joint {joint} can follow a straight line here at {speed_mm_s:.1} mm/s only, too near to the edge \
+        "joint {joint} can follow a straight line here at {speed_mm_s:.1} mm/s only, too near to the edge \
          of reach"
     )]
     TooSlow {
@@ -125,9 +126,19 @@ impl PathFault {
     }
 }
 
-/// How near two bodies come.
-fn nearness(distance_mm: f64) -> String {
-    if distance_mm > 0.0 { format!("come within {distance_mm:.0} mm of") } else { "meet".to_string() }
+/// How near two bodies come, or are.
+fn nearness(distance_mm: f64, at_start: bool) -> String {
+    match (distance_mm > 0.0, at_start) {
+        (true, false) => format!("would come within {distance_mm:.0} mm of"),
+        (false, false) => "would meet".to_string(),
+        (true, true) => format!("is within {distance_mm:.0} mm of"),
+        (false, true) => "touches".to_string(),
+    }
+}
+
+/// A place of the tool, for people.
+fn place([x, y, z]: &[f64; 3]) -> String {
+    format!("x {x:.3} m, y {y:.3} m, {:.0} mm over the table", mm_from_m(*z))
 }
 
 /// Names the position of a pose that no joint solution reaches.
