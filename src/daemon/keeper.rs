@@ -81,7 +81,11 @@ impl StateKeeper {
         spool.reconcile_at_start(&mut journal)?;
         let started_unix_s = now;
         let gripped = journal.last_step()?.filter(|step| step.phase == StepPhase::Gripped);
-        let held_before = gripped.map(|step| HeldBefore { object: step.intent.object, to: step.intent.to });
+        let held_before = gripped.map(|step| HeldBefore {
+            object: step.intent.object,
+            to: step.intent.to,
+            tool_from_object: step.intent.tool_from_object,
+        });
         Ok(StateKeeper {
             config,
             state,
@@ -233,7 +237,7 @@ impl StateKeeper {
         let Some((id, open)) = &mut self.active else { return Ok(()) };
         let now = unix_now_s();
         match (record, *open) {
-            (Record::Intent { object, from, to, kind, .. }, previous) => {
+            (Record::Intent { object, from, to, kind, tool_from_object, .. }, previous) => {
                 // A grip that failed left its step open; it is over once the next one is meant.
                 if let Some(step) = previous {
                     self.journal.step_abandoned(id, step, now)?;
@@ -242,7 +246,8 @@ impl StateKeeper {
                     ActionKind::Goal => StepKind::Goal,
                     ActionKind::Buffer => StepKind::Buffer,
                 };
-                let intent = StepIntent { object: object.clone(), from: *from, to: *to, kind };
+                let (object, tool_from_object) = (object.clone(), *tool_from_object);
+                let intent = StepIntent { object, from: *from, to: *to, kind, tool_from_object };
                 *open = Some(self.journal.step_intent(id, &intent, now)?);
                 Ok(())
             }

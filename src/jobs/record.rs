@@ -133,6 +133,9 @@ pub struct StepIntent {
     pub to: Pose2,
     /// What the place is.
     pub kind: StepKind,
+    /// How the object hangs on the tool, seen from above. Journals of earlier versions do not have it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tool_from_object: Option<Pose2>,
 }
 
 /// What a pick-n-place leads to.

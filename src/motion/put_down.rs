@@ -42,6 +42,11 @@ impl Grasp {
         Some(Grasp { load: Load { name, footprint, tool_from_object, height }, hold })
     }
 
+    /// An object that hangs as it was written down when it was picked.
+    pub fn remembered(load: Load, hold: f64) -> Grasp {
+        Grasp { load, hold }
+    }
+
     /// The object as a body below the cups.
     pub fn load(&self) -> &Load {
         &self.load

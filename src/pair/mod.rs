@@ -473,7 +473,8 @@ impl Pair {
     fn notify(&mut self, news: News) {
         match news {
             News::Identified(_) => {
-                let model = Box::new(self.stage.model.clone());
+                let mut model = Box::new(self.stage.model.clone());
+                model.held_before = self.store.held_before().cloned();
                 self.due.push(Event::Commission { model, arm: false });
             }
             News::Notice(notice) => self.notices.push(notice),

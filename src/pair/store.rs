@@ -6,6 +6,7 @@
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::supervisor::input::Record;
+use crate::cell::supervisor::model::HeldBefore;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
 use std::collections::VecDeque;
 
@@ -18,6 +19,8 @@ pub struct Store {
     reports: Vec<JobReport>,
     /// Records on disk when the daemon was started last.
     recovered: usize,
+    /// What was gripped and not let go when it was.
+    held_before: Option<HeldBefore>,
 }
 
 impl Store {
@@ -68,6 +71,7 @@ impl Store {
     /// The daemon starts anew and finds these records.
     pub fn recover(&mut self, durable: &[Record]) {
         self.wanted = false;
+        self.held_before = gripped_last(durable);
         let since = durable.get(self.recovered..).unwrap_or_default();
         self.recovered = durable.len();
         let Some(job) = self.active.take() else { return };
@@ -78,6 +82,11 @@ impl Store {
             Some(Record::Intent { .. } | Record::Released { .. }) => self.interrupt(&job, Code::Interrupted),
             Some(Record::Gripped { .. }) => self.interrupt(&job, Code::InterruptedCarrying),
         }
+    }
+
+    /// What was gripped and not let go when the daemon was started last.
+    pub fn held_before(&self) -> Option<&HeldBefore> {
+        self.held_before.as_ref()
     }
 
     fn interrupt(&mut self, job: &JobOrder, code: Code) {
@@ -95,5 +104,18 @@ impl Store {
             seconds: 0.0,
             objects: Vec::new(),
         });
+    }
+}
+
+/// The object of the last step, if that was gripped and not let go.
+fn gripped_last(durable: &[Record]) -> Option<HeldBefore> {
+    let steps = durable.iter().rev().filter(|record| !matches!(record, Record::Ended(_)));
+    let mut steps = steps.skip_while(|record| matches!(record, Record::Gripped { .. }));
+    let gripped = durable.iter().rev().find(|record| !matches!(record, Record::Ended(_)));
+    match (gripped, steps.next()) {
+        (Some(Record::Gripped { .. }), Some(Record::Intent { object, to, tool_from_object, .. })) => {
+            Some(HeldBefore { object: object.clone(), to: *to, tool_from_object: *tool_from_object })
+        }
+        _ => None,
     }
 }

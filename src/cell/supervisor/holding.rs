@@ -13,6 +13,8 @@ use crate::cell::supervisor::gates::{self, GateClosed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::phase::{Phase, WorkStage};
 use crate::cell::supervisor::reason::alarm;
+use crate::motion::bodies::Load;
+use crate::motion::put_down::Grasp;
 use cell_values::time::Timestamp;
 use cell_vision::observe::Observation;
 
@@ -61,7 +63,7 @@ impl Supervisor {
     }
 
     /// At the first reading after a start: what an earlier celld had gripped hangs there if there is vacuum.
-    /// How it hangs is not known any more, so it is not put down by celld, but its mass and height count.
+    /// How it hangs was written down before it was picked.
     pub(crate) fn name_what_hangs(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         if outside.vacuum.is_none() || !outside.gripper_answers {
             return;
@@ -70,7 +72,11 @@ impl Supervisor {
         let Some(object) = self.model.object(&before.object) else { return };
         let held = Held {
             object: before.object,
-            grasp: None,
+            grasp: before.tool_from_object.map(|tool_from_object| {
+                let (name, footprint) = (object.id.clone(), object.footprint.clone());
+                let load = Load { name, footprint, tool_from_object, height: object.height };
+                Grasp::remembered(load, object.hold)
+            }),
             height: object.height,
             mass: object.mass,
             hold: object.hold,

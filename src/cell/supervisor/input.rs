@@ -157,6 +157,8 @@ pub enum Record {
         to: Pose2,
         /// To its goal or to a buffer.
         kind: ActionKind,
+        /// How it will hang on the tool, seen from above: what a later start needs to put it down.
+        tool_from_object: Option<Pose2>,
     },
     /// The object is held.
     Gripped {

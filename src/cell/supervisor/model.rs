@@ -128,6 +128,8 @@ pub struct HeldBefore {
     pub object: String,
     /// Where it was to go, table frame.
     pub to: Pose2,
+    /// How it hangs on the tool, seen from above; `None` where that was not written down.
+    pub tool_from_object: Option<Pose2>,
 }
 
 /// Where the devices are, for the sentences about waiting for them.

@@ -56,16 +56,19 @@ impl Supervisor {
                 return self.finish(now, JobStatus::Failed, reason, out);
             }
         };
+        let lying = task.lying_at(next.from);
+        let grasp = Grasp::new(&self.model.arm, &paths.carry.start(), &lying, object.hold);
         let record = Record::Intent {
             step: job.moves,
             object: next.object.clone(),
             from: next.from,
             to: next.to,
             kind: if next.to_goal { ActionKind::Goal } else { ActionKind::Buffer },
+            tool_from_object: grasp.as_ref().map(|grasp| grasp.load().tool_from_object),
         };
         let held = Held {
             object: next.object.clone(),
-            grasp: Grasp::new(&self.model.arm, &paths.carry.start(), &task.lying_at(next.from), object.hold),
+            grasp,
             height: object.height,
             mass: object.mass,
             hold: object.hold,

@@ -35,6 +35,7 @@ fn intent() -> StepIntent {
         from: Pose2::default(),
         to: Pose2::new(0.1, 0.2, 0.3),
         kind: StepKind::Goal,
+        tool_from_object: Some(Pose2::new(0.01, 0.0, 0.2)),
     }
 }
 

@@ -312,7 +312,13 @@ fn work(bench: &mut Bench, motions: &mut Vec<(String, u32)>) -> Result<(), Spool
         spool.reconcile(journal)?;
         for _ in 0..2 {
             let pose = Pose2::default();
-            let intent = StepIntent { object: "mug".into(), from: pose, to: pose, kind: StepKind::Goal };
+            let intent = StepIntent {
+                object: "mug".into(),
+                from: pose,
+                to: pose,
+                kind: StepKind::Goal,
+                tool_from_object: None,
+            };
             let step = journal.step_intent(&job.id, &intent, NOW)?;
             motions.push((job.id.clone(), step));
             spool.point()?;
@@ -396,7 +402,13 @@ fn an_interrupted_step_ends_the_job_with_a_named_state() {
     bench.scan(500);
     bench.journal.start("a", NOW).unwrap();
     let pose = Pose2::default();
-    let intent = StepIntent { object: "mug".into(), from: pose, to: pose, kind: StepKind::Buffer };
+    let intent = StepIntent {
+        object: "mug".into(),
+        from: pose,
+        to: pose,
+        kind: StepKind::Buffer,
+        tool_from_object: None,
+    };
     bench.journal.step_intent("a", &intent, NOW).unwrap();
     let recovered = bench.journal.recover(NOW).unwrap();
     assert!(matches!(recovered.as_slice(), [Recovered::Interrupted { id, .. }] if id == "a"));

@@ -378,7 +378,7 @@ fn what_was_held_before_the_start_may_be_any_object() {
 
 #[test]
 fn what_an_earlier_celld_had_gripped_is_named_where_there_is_vacuum() {
-    let before = HeldBefore { object: "a".into(), to: Pose2::new(0.3, 0.3, 0.0) };
+    let before = HeldBefore { object: "a".into(), to: Pose2::new(0.3, 0.3, 0.0), tool_from_object: None };
     for (vacuum, held) in [([0.5, 0.0], Some("holds a")), ([0.0, 0.0], None)] {
         let mut bench = Bench::new();
         bench.cell.model.held_before = Some(before.clone());
