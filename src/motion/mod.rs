@@ -5,12 +5,13 @@
 //! them will take. `put_down`: the way back with an object in the hand. `slow`: the moves of a calibration.
 //! `reach`: where the arm can pick and place at all. `holding`: what the cups stand. `bodies`: what the
 //! arm, its tool, its load and the cell are made of, and the check that none meets another. `way`: round
-//! them.
+//! them. `jog`: what a person does where there is none.
 
 pub mod arm;
 pub mod bodies;
 pub mod cycle_time;
 pub mod holding;
+pub mod jog;
 pub mod path;
 pub mod pick_n_place;
 pub mod put_down;

@@ -23,6 +23,9 @@ const SHORTCUTS: usize = 60;
 /// How far round both ends joints are tried at first, rad; doubled each time a share of the steps is used up.
 const NEAR_RAD: f64 = 0.8;
 
+/// The far end of a way, in words.
+pub const THERE: &str = "there";
+
 /// How a search is bounded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Search {
@@ -70,7 +73,7 @@ pub fn find(
     to: &Joints,
     search: Search,
 ) -> Result<Vec<Joints>, NoWay> {
-    for (q, place) in [(from, "where the arm is"), (to, "there")] {
+    for (q, place) in [(from, "where the arm is"), (to, THERE)] {
         if let Some(joint) = model.outside_range(q) {
             return Err(NoWay::Range { place, joint: joint + 1 });
         }

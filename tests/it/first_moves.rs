@@ -4,6 +4,7 @@
 use cell_values::units::Joints;
 use celld::cell::code::JobStatus;
 use celld::cell::orders::Order;
+use celld::cell::supervisor::order::JobReport;
 use celld::motion::bodies::cell::NamedShape;
 use celld::motion::bodies::shape::Shape;
 use celld::pair::eyes::Eye;
@@ -25,7 +26,7 @@ fn left_at(stage: &Stage, start: Joints) -> Pair {
 }
 
 /// Arms, with a job waiting; whether the first look comes about, or why not.
-fn looks(pair: &mut Pair, stage: &Stage) -> Result<(), String> {
+fn looks(pair: &mut Pair, stage: &Stage) -> Result<(), Box<JobReport>> {
     pair.submit(job(&stage.model, &true_poses(pair, &stage.model), 1, 0));
     pair.order(Order::Arm);
     let looked = |pair: &Pair| pair.status().is_some_and(|now| now.text().starts_with("planning"));
@@ -33,7 +34,7 @@ fn looks(pair: &mut Pair, stage: &Stage) -> Result<(), String> {
     assert!(pair.run_until(180.0, |pair| looked(pair) || over(pair)), "{:?}", pair.status());
     assert_eq!(pair.breaches(), []);
     match pair.reports().last() {
-        Some(report) if report.moves == 0 && report.end == JobStatus::Failed => Err(report.message.clone()),
+        Some(report) if report.moves == 0 && report.end == JobStatus::Failed => Err(Box::new(report.clone())),
         _ => Ok(()),
     }
 }
@@ -72,15 +73,23 @@ fn from_a_folded_wrist_the_arm_finds_its_way_or_stays() {
 fn from_random_places_the_arm_goes_a_free_way_or_stays_and_says_what_is_near() {
     let stage = stage(1, Eye::Corners).expect("a cell");
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(17);
-    let (mut gone, mut stayed) = (0, 0);
+    let (mut gone, mut stayed, mut jogged) = (0, 0, 0);
     for case in 0..30 {
         let mut start = Joints(std::array::from_fn(|_| random.random_range(-6.2..6.2)));
         start.0[2] = random.random_range(-2.9..2.9);
         let mut pair = left_at(&stage, start);
         match looks(&mut pair, &stage) {
             Ok(()) => gone += 1,
-            Err(message) => {
+            Err(report) => {
+                let JobReport { message, hint, .. } = *report;
                 stayed += 1;
+                if let Some(after) = after_the_jog(&start, &hint) {
+                    jogged += 1;
+                    if let Err(again) = looks(&mut left_at(&stage, after), &stage) {
+                        let still = again.message.contains("where the arm is");
+                        assert!(!still, "case {case}: {hint}, then: {}", again.message);
+                    }
+                }
                 let q = pair.simulator().core().robot.controller().core.mover.q();
                 assert!(q.max_difference(&start) < 1e-3, "case {case}: it moved, then: {message}");
                 let says = ["too near", "meet", "cannot be reached", "no free way", "out of the arm's reach"];
@@ -88,7 +97,17 @@ fn from_random_places_the_arm_goes_a_free_way_or_stays_and_says_what_is_near() {
             }
         }
     }
-    assert!(gone > 3 && stayed > 3, "{gone} gone, {stayed} stayed");
+    assert!(gone > 3 && stayed > 3 && jogged > 3, "{gone} gone, {stayed} stayed, {jogged} jogged");
+}
+
+/// Where the arm is after a person has done what a hint says: "jog Wrist 1 by +12 degrees".
+fn after_the_jog(start: &Joints, hint: &str) -> Option<Joints> {
+    let (joint, by) = hint.strip_prefix("jog ")?.split_once(" degrees")?.0.split_once(" by ")?;
+    let names = ["Base", "Shoulder", "Elbow", "Wrist 1", "Wrist 2", "Wrist 3"];
+    let joint = names.iter().position(|name| *name == joint)?;
+    let mut after = *start;
+    after.0[joint] += by.parse::<f64>().expect("degrees").to_radians();
+    Some(after)
 }
 
 #[test]

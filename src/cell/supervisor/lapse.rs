@@ -89,7 +89,7 @@ impl Supervisor {
         if held || self.round.is_some() || self.back.recovery.is_some() {
             return self.stop_all(now, JobStatus::Interrupted, Code::ArmingLapsed.because(why, ""), out);
         }
-        let goes_on = self.disarm_after_this_motion(out);
+        let goes_on = self.disarm_after_this_motion(outside, out);
         let first = if goes_on { "; the motion under way is finished first" } else { "" };
         alarm(out, format!("disarmed: {why}{first}; see that the cell is clear, then `celld arm`"));
     }

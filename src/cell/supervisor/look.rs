@@ -17,6 +17,7 @@ use crate::cell::supervisor::reason::{alarm, say};
 use crate::cell::supervisor::travel::NoTravel;
 use crate::motion::cycle_time::CycleTimes;
 use cell_values::time::Timestamp;
+use cell_values::units::Joints;
 use cell_vision::observe::{Observation, View};
 use rearrange::geometry::collision::penetration;
 use rearrange::geometry::pose::Pose2;
@@ -67,16 +68,23 @@ impl Supervisor {
                 let look = Look { view, stage: LookStage::Moving, views, fault: None, void: false };
                 self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
             }
-            Err(fault) => self.no_way_to_look(now, view, &fault, out),
+            Err(fault) => self.no_way_to_look(now, view, (&robot.q, &fault), out),
         }
     }
 
     /// The look pose cannot be reached from here: a person has to see why.
-    fn no_way_to_look(&mut self, now: Timestamp, view: usize, fault: &NoTravel, out: &mut Vec<Action>) {
+    fn no_way_to_look(
+        &mut self,
+        now: Timestamp,
+        view: usize,
+        (from, fault): (&Joints, &NoTravel),
+        out: &mut Vec<Action>,
+    ) {
         self.phase = Phase::Ready;
         let message = format!("look pose {} cannot be reached: {fault}", view + 1);
+        let advice = self.advice(from, fault);
         if self.back.recovery.is_some() {
-            return self.end_recovery(Err(message), out);
+            return self.end_recovery(Err(format!("{message}; {advice}")), out);
         }
         self.mode.disarm();
         let in_the_way = fault.meets_layer() && self.foreign_height > self.model.cycle.tallest;
@@ -89,10 +97,9 @@ impl Supervisor {
                         cannot tell";
             Code::ForeignObject.because(what, "take it away, then `celld arm`")
         } else {
-            let hint = "move the arm free by hand or teach the look poses again, then arm";
-            Code::Unreachable.because(message, hint)
+            Code::Unreachable.because(message, format!("{advice}, then `celld arm` and submit again"))
         };
-        alarm(out, format!("{}; disarmed", reason.message));
+        alarm(out, format!("{}; disarmed; {}", reason.message, reason.hint));
         self.finish(now, JobStatus::Failed, reason, out);
     }
 

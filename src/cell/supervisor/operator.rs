@@ -177,16 +177,24 @@ impl Supervisor {
             self.stop_all(now, JobStatus::Interrupted, reason, out);
             return self.answer_when_it_stands(now, number, Then::Say);
         }
-        let goes_on = self.disarm_after_this_motion(out);
+        let goes_on = self.disarm_after_this_motion(outside, out);
         if self.stopping(outside) {
             self.answer_when_it_stands(now, number, Then::Say);
         }
         say(out, if goes_on { "disarmed once the present motion is over" } else { "disarmed" });
     }
 
-    /// Disarms; a robot that is being started is stopped. True while a motion under way is finished first.
-    pub(crate) fn disarm_after_this_motion(&mut self, out: &mut Vec<Action>) -> bool {
-        if matches!(self.phase, Phase::BringUp(_)) {
+    /// Disarms; a robot that is being started is stopped, and so is a way to a look pose or to the park pose
+    /// on which the arm has not set out. True while a motion under way is finished first.
+    pub(crate) fn disarm_after_this_motion(
+        &mut self,
+        outside: &DeviceSnapshot,
+        out: &mut Vec<Action>,
+    ) -> bool {
+        let rests = outside.robot.is_some_and(|robot| outside.robot_fresh && robot.stands_still());
+        let travels = matches!(self.phase, Phase::Look(_) | Phase::Park) && self.follows_a_path();
+        let not_set_out = travels && rests;
+        if not_set_out || matches!(self.phase, Phase::BringUp(_)) {
             self.stop_robot(out);
         }
         self.mode.disarm();
@@ -201,9 +209,10 @@ impl Supervisor {
             | Phase::Approve
             | Phase::Park
             | Phase::Visit(_)
-            | Phase::Recover(_) => self.follows_a_path(),
+            | Phase::Recover(_) => self.follows_a_path() && !not_set_out,
         };
         match &mut self.phase {
+            Phase::Park if !begun => self.phase = Phase::Ready,
             Phase::BringUp(_) => self.phase = self.after_bring_up(),
             Phase::Work(_) | Phase::Look(_) if !begun => self.phase = Phase::Ready,
             Phase::Look(look) => look.void = true,

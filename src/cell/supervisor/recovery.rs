@@ -17,6 +17,7 @@ use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::judge::foreign_height;
 use crate::cell::supervisor::phase::Phase;
 use crate::cell::supervisor::reason::{Reason, alarm, say};
+use crate::cell::supervisor::travel::NoTravel;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::observe::Observation;
 use rearrange::geometry::pose::Pose2;
@@ -253,8 +254,8 @@ impl Supervisor {
                 self.pursue_recovery(self.clock(), outside, out);
             }
             Err(fault) => {
-                let why =
-                    format!("the arm cannot go straight up from here: {fault}; jog it free at the pendant");
+                let advice = self.advice(&robot.q, &NoTravel::Path(fault.clone()));
+                let why = format!("the arm cannot go straight up from here: {fault}; {advice}");
                 self.end_recovery(Err(why), out);
             }
         }

@@ -11,8 +11,9 @@ use crate::cell::supervisor::phase::Phase;
 use crate::cell::supervisor::reason::alarm;
 use crate::motion::bodies::sweep::{Meeting, Sweep};
 use crate::motion::bodies::{LAYER, Room};
+use crate::motion::jog::jog_free;
 use crate::motion::path::{CheckedPath, Leg, PathFault, Segment, out_of_reach};
-use crate::motion::way::{NoWay, Search, find};
+use crate::motion::way::{NoWay, Search, THERE, find};
 use cell_values::units::Joints;
 
 /// The search for a way: the same every time, and short enough that the robot's watchdog does not run out
@@ -73,6 +74,27 @@ impl Supervisor {
             Leg::over(Segment::Joint { target, speed, acceleration, blend: 0.0 }, floor).holding(self.hold())
         }));
         Ok(CheckedPath::new(arm, from, &legs, &room)?)
+    }
+
+    /// What a person does at the pendant where there was no way from here.
+    pub(crate) fn advice(&self, from: &Joints, fault: &NoTravel) -> String {
+        let jog = jog_free(&self.model.arm, &self.unseen_room(), from);
+        match (fault, jog) {
+            (NoTravel::Way(NoWay::Target(_) | NoWay::Range { place: THERE, .. }), _) => {
+                "teach that pose again with more room".to_string()
+            }
+            (_, Some(jog)) => jog.to_string(),
+            (NoTravel::Way(NoWay::Range { joint, .. }), None) => {
+                format!("jog joint {joint} back into its range at the pendant")
+            }
+            (NoTravel::Way(NoWay::NotFound { .. }), None) => {
+                "jog the arm towards the park pose at the pendant".to_string()
+            }
+            (NoTravel::Way(NoWay::Start(_)) | NoTravel::Above(_) | NoTravel::Path(_), None) => {
+                "jog the arm at the pendant to where it is high over the table and clear of everything"
+                    .to_string()
+            }
+        }
     }
 
     /// The tool, or what is round it, is lower than things on the table may reach.
@@ -141,7 +163,7 @@ impl Supervisor {
             }
             Err(fault) => {
                 self.mode.set_park(false);
-                alarm(out, format!("cannot park: {fault}"));
+                alarm(out, format!("cannot park: {fault}; {}", self.advice(&robot.q, &fault)));
             }
         }
     }

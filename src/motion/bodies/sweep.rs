@@ -137,6 +137,16 @@ impl<'a> Sweep<'a> {
         passed
     }
 
+    /// The pairs that are too near at one place, over everything on the table, each by its number and with
+    /// its distance, m; not positive where the two overlap.
+    pub fn too_near(&self, q: &Joints) -> Vec<(usize, f64)> {
+        let frames = self.bodies.frames(q);
+        let counted = (0..self.pairs.len()).filter(|index| self.counts(*index, Zone::Over));
+        let distances = counted.map(|index| (index, self.distance(&frames, index, false)));
+        let wanted = |index: usize| self.pairs[index].wanted;
+        distances.filter(|(index, distance)| distance.is_nan() || *distance < wanted(*index)).collect()
+    }
+
     /// True where something of the arm is in the air over the table in which things may lie.
     pub fn is_low(&self, q: &Joints) -> bool {
         let frames = self.bodies.frames(q);

@@ -72,7 +72,9 @@ impl Rules {
         if std::mem::replace(&mut self.paused, paused) && !paused {
             self.played_at = Some(frame).filter(|_| self.unreached());
         }
-        if moves && self.still >= STOOD_FRAMES {
+        // Between two legs of one path the arm is at rest for a moment, and begins nothing.
+        let began = moves && self.still >= STOOD_FRAMES;
+        if began {
             self.began_at = frame;
         }
         self.still = if moves { 0 } else { self.still + 1 };
@@ -83,7 +85,6 @@ impl Rules {
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
         self.check_answers(machine);
-        let began = moves && !self.moved;
         self.moved = moves;
         if began && !stranger && !self.stranger {
             self.check_begin(machine, nonce);

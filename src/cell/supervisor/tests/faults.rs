@@ -392,6 +392,8 @@ fn an_order_is_answered_by_what_it_led_to() {
     bench.ticks(20);
     let early = reported(&mut bench, Order::Approve("j".into()));
     assert!(!early.0 && early.1.contains("does not wait for approval"), "{early:?}");
+    bench.robot.qd[0] = 0.4;
+    bench.ticks(1);
     assert!(reported(&mut bench, Order::Disarm).1.contains("goes on to its next stop"));
     let mut bench = working();
     assert!(reported(&mut bench, Order::Disarm).1.contains("finished first"));

@@ -243,7 +243,12 @@ fn what_was_seen_before_the_cell_was_disarmed_is_seen_anew() {
         if stage > 1 {
             bench.feed(Input::Captured(Ok(Vec::new())));
         }
+        // On its way the arm moves; a way on which it has not set out is withdrawn.
+        bench.robot.qd[0] = if stage == 0 { 0.4 } else { 0.0 };
+        bench.ticks(1);
         bench.feed(order(Order::Disarm));
+        bench.robot.qd[0] = 0.0;
+        bench.ticks(1);
         let late = match stage {
             0 => Input::Robot(RobotEvent::PathFinished { batch: 1 }),
             1 => Input::Captured(Ok(Vec::new())),
@@ -262,6 +267,35 @@ fn what_was_seen_before_the_cell_was_disarmed_is_seen_anew() {
     bench.cell.mode.disarm();
     bench.feed(order(Order::Arm));
     assert!(bench.cell.observation().is_none());
+}
+
+#[test]
+fn a_way_on_which_the_arm_has_not_set_out_is_withdrawn_when_the_cell_is_disarmed() {
+    for lapses in [false, true] {
+        let mut bench = Bench::new();
+        bench.job(true);
+        bench.feed(order(Order::Arm));
+        assert_eq!(streams(&bench.ticks(20)), 1, "the way to the first look");
+        let all = if lapses {
+            bench.gripper_answers = false;
+            bench.ticks(1)
+        } else {
+            bench.feed(order(Order::Disarm))
+        };
+        let stops = all.iter().filter(|action| matches!(action, Action::Robot(RobotCommand::Stop))).count();
+        assert_eq!((stops, ended(&all)), (1, None), "{all:?}");
+        let goes_on =
+            |action: &Action| matches!(action, Action::Say(notice) if notice.text.contains("motion"));
+        assert!(!all.iter().any(goes_on), "{all:?}");
+        let mut after = bench.feed(Input::Robot(RobotEvent::Stopped));
+        after.extend(bench.ticks(5));
+        let replied = all.iter().chain(&after).find_map(|action| match action {
+            Action::Reply { reply, .. } => Some(reply.message.clone()),
+            _ => None,
+        });
+        assert_eq!(replied.as_deref(), (!lapses).then_some("stopped and disarmed"), "{after:?}");
+        assert!(streams(&after) == 0 && bench.cell.status().text().starts_with("waiting"), "{after:?}");
+    }
 }
 
 #[test]
