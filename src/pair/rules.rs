@@ -13,6 +13,7 @@ use crate::cell::machine::Machine;
 use crate::cell::orders::{Order, Reply, WayBack};
 use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::mode::Mode;
+use crate::cell::supervisor::reason::STOP_ORDERED;
 use crate::cell::supervisor::status::Doing;
 use crate::pair::thin_arm::ThinModel;
 use std::collections::{BTreeMap, BTreeSet};
@@ -286,7 +287,7 @@ impl Rules {
             Effect::Registers(ModbusRequest::Read { .. }) => self.last_read = frame,
             Effect::Reply { number, reply } => self.check_reply(*number, reply, machine),
             Effect::End(_) => self.check_end(),
-            Effect::Notify(News::Notice(notice)) if notice.text.starts_with("stopped and disarmed") => {
+            Effect::Notify(News::Notice(notice)) if notice.text.starts_with(STOP_ORDERED) => {
                 (self.stopped_at, self.picking) = (Some(frame), false);
                 self.disturbed = frame;
             }

@@ -96,7 +96,13 @@ impl Store {
             code,
             object: None,
             message: code.meaning().to_string(),
-            hint: "look at the cell, then submit the job again".to_string(),
+            hint: match code {
+                Code::InterruptedCarrying => {
+                    "something may be held: `celld recover` shows the ways back; then submit again"
+                }
+                _ => "look at the cell, `celld recover`, then submit the job again",
+            }
+            .to_string(),
             moves: 0,
             lower_bound: None,
             planned: None,

@@ -192,7 +192,7 @@ impl Adapter for Mutant {
                 made_up.push(Event::Registers(Ok(Vec::new())));
             }
             (Fault::ReleaseSaid, Effect::Reply { number, reply })
-                if reply.message.contains("does not go") =>
+                if reply.message.contains("not released") =>
             {
                 effects.push(Effect::Reply { number, reply: Reply::accept("vacuum off") });
             }
@@ -208,7 +208,7 @@ impl Adapter for Mutant {
                 effects.push(Effect::Notify(News::Status(status)));
             }
             (fault, Effect::Notify(News::Notice(notice))) => {
-                let stops = notice.text.starts_with("stopped and disarmed");
+                let stops = notice.text.starts_with("disarmed, a stop is ordered");
                 self.stopped = if stops { self.frames } else { self.stopped };
                 if stops && fault == Fault::VacuumOpenedByStop {
                     effects.push(Mutant::vent());

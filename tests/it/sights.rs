@@ -119,7 +119,8 @@ fn nothing_moves_while_something_without_a_marker_stands_on_the_table() {
     // There at first, and taken away while the cell looks again.
     fault(&mut pair, MUG).unwrap();
     submit(&mut pair, "one", [0.30, 0.38]);
-    let seen = pair.run_until(60.0, |pair| said(pair, "belongs to nothing the cell knows; looking again"));
+    let seen =
+        pair.run_until(60.0, |pair| said(pair, "belongs to nothing the cell knows; the arm looks again now"));
     assert!(seen, "{:?}", pair.notices());
     fault(&mut pair, r#"{"do": "clear", "args": {"fault": "world.foreign"}}"#).unwrap();
     let (code, moves, _) = ended(&mut pair, |_| ());
@@ -283,7 +284,7 @@ fn colour_finds_what_was_not_on_the_empty_table() {
     submit(&mut pair, "mug", [0.40, 0.38]);
     let (code, moves, message) = ended(&mut pair, |_| ());
     assert_eq!((code, moves), (Code::ForeignObject, 0), "{message}");
-    assert!(message.contains("how high it is"), "{message}");
+    assert!(message.contains("its height is not known"), "{message}");
     assert!(pair.status().is_some_and(|status| !status.armed), "nobody knows how high it is");
     fault(&mut pair, r#"{"do": "clear"}"#).unwrap();
     pair.order(Order::Arm);

@@ -335,7 +335,8 @@ fn what_sticks_to_the_cups_is_named_before_the_next_pick_and_moves_on_no_more() 
 fn a_gripper_that_falls_silent_while_carrying_stops_the_arm_within_300_ms() {
     for seed in 0..6 {
         let (mut pair, _) = carrying(seed, Eye::Corners);
-        let stopped = |pair: &Pair| pair.notices().iter().any(|notice| notice.text.starts_with("stopped"));
+        let stopped =
+            |pair: &Pair| pair.notices().iter().any(|notice| notice.text.contains("a stop is ordered"));
         fault(&mut pair, r#"{"do": "net.timeout", "args": {"link": "gripper", "seconds": 30}}"#);
         assert!(pair.run_until(0.3, stopped), "seed {seed}");
         assert!(pair.run_until(2.0, |pair| pair.simulator().core().robot.controller().core.mover.stands()));

@@ -444,6 +444,12 @@ impl Supervisor {
     pub(crate) fn finish(&mut self, now: Timestamp, end: JobStatus, reason: Reason, out: &mut Vec<Action>) {
         self.waiting_for = None;
         let Some(job) = self.job.take() else { return };
+        // The next job may begin at once: no hint sends hands to an armed arm.
+        let first = self.mode.armed() && end == JobStatus::Failed && reason.code.needs_hands();
+        let hint = match first && !reason.hint.is_empty() && !reason.hint.contains("celld disarm") {
+            true => format!("`celld disarm`, then {}", reason.hint),
+            false => reason.hint,
+        };
         let objects = job
             .order
             .goals
@@ -461,7 +467,7 @@ impl Supervisor {
             code: reason.code,
             object: reason.object,
             message: reason.message,
-            hint: reason.hint,
+            hint,
             moves: job.moves,
             lower_bound: job.lower_bound,
             planned: job.planned,

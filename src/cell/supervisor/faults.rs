@@ -13,7 +13,7 @@ use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::cell::supervisor::mode::{EndFault, Mode};
 use crate::cell::supervisor::phase::{Look, LookStage, Phase};
-use crate::cell::supervisor::reason::{Reason, alarm, say};
+use crate::cell::supervisor::reason::{Reason, STOP_ORDERED, alarm, say};
 use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
 
@@ -129,7 +129,7 @@ impl Supervisor {
             Phase::Look(_) => (Code::LookTimeout, "the look was not finished in time".to_string()),
             Phase::Plan => (Code::PlannerStuck, "the planner did not answer within its budget".to_string()),
             Phase::Work(work) => {
-                (Code::WorkTimeout, format!("{:?} {} took too long", work.stage, work.object))
+                (Code::WorkTimeout, format!("{} {} took too long", work.stage.verb(), work.object))
             }
             Phase::Park => (Code::ParkTimeout, "the park pose was not reached in time".to_string()),
             Phase::Recover(stage) => {
@@ -238,8 +238,7 @@ impl Supervisor {
         if matches!(self.mode, Mode::Ending { fault: Some(_), .. }) {
             return;
         }
-        let reason =
-            Code::JournalFailed.because(fault.to_string(), "see what ails the disk, start celld again");
+        let reason = Code::JournalFailed.because(fault.to_string(), "check the disk, then start celld again");
         self.stop_all(now, JobStatus::Interrupted, reason, out);
         self.mode = Mode::Ending { since: now, fault: Some(fault) };
     }
@@ -283,7 +282,7 @@ impl Supervisor {
         self.mode.disarm();
         self.arms_when_open = false;
         let reason = self.with_a_hint(reason);
-        alarm(out, format!("stopped and disarmed: {}; {}", reason.message, reason.hint));
+        alarm(out, format!("{STOP_ORDERED}: {}; {}", reason.message, reason.hint));
         self.end_what_moves(now, &reason, out);
         self.finish(now, end, reason, out);
     }

@@ -21,7 +21,8 @@ impl GateClosed {
             }
             GateClosed::Safety(mode) => safety_remedy(*mode),
             GateClosed::Mode(_) => {
-                "power the arm at the pendant, or switch it to Remote Control so that celld may"
+                "see the pendant: a controller that starts or is updated takes its time, a new safety configuration is confirmed \
+                 there, and so is backdrive ended; then `celld arm`"
             }
             GateClosed::Guided => {
                 "let go of the freedrive button and stand clear of the arm, then `celld arm`"
@@ -51,7 +52,7 @@ pub enum GateClosed {
     #[error("the {0} link to the controller is down")]
     Link(Link),
     /// No state of the robot within the staleness limit.
-    #[error("the robot's state is not fresh")]
+    #[error("the robot sends no state")]
     Stale,
     /// The safety system does not allow motion.
     #[error("{}", safety_words(*.0))]
@@ -66,7 +67,7 @@ pub enum GateClosed {
     #[error("remote control is off")]
     Local,
     /// The program running on the controller is not the one uploaded.
-    #[error("the on-robot program is not acknowledged")]
+    #[error("celld's program does not run on the robot")]
     Program,
     /// The program is paused at the pendant.
     #[error("the program is paused")]

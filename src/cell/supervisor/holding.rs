@@ -49,7 +49,7 @@ impl Supervisor {
                 });
                 let fell = format!("{what} fell{place}");
                 if !works {
-                    alarm(out, format!("{fell}: see where it lies"));
+                    alarm(out, format!("{fell}: see where it lies, or whether it still hangs on the cups"));
                 }
                 self.back.fell = Some(fell);
             }

@@ -39,7 +39,10 @@ impl Supervisor {
         let same_arm = (&before.model, &before.serial) == (&now.model, &now.serial);
         let remedy = if same_arm { "end celld, read what has changed, start it again" } else { ANEW };
         Some(Difference {
-            what: format!("another robot answers: {now}; celld started with {before}"),
+            what: match same_arm {
+                true => format!("the robot's software was changed: {now}; celld started with {before}"),
+                false => format!("another robot answers: {now}; celld started with {before}"),
+            },
             remedy,
         })
     }

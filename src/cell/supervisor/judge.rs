@@ -82,10 +82,11 @@ impl Supervisor {
     fn doubt_marker(&self, observation: &Observation) -> Option<Reason> {
         let known = |id: &&u32| self.model.ignore_markers.contains(id);
         let id = observation.unknown.iter().find(|id| !known(id))?;
-        let message = format!(
-            "marker {id} is on the table and belongs to nothing the cell knows; take it away, or name it in `ignore_markers`"
-        );
-        Some(Code::UnknownMarker.because(message, ""))
+        let message = format!("marker {id} is on the table and belongs to nothing the cell knows");
+        Some(
+            Code::UnknownMarker
+                .because(message, "take it away, or name it in `ignore_markers`; then submit again"),
+        )
     }
 
     /// The reference markers are not where they were surveyed, or too few of them are seen to decide.
@@ -132,7 +133,7 @@ impl Supervisor {
                 tolerances.reference.turn_rad.to_degrees()
             ));
         }
-        let hint = "camera or table were moved: see which, then `celld calibrate`";
+        let hint = "see whether camera or table was moved, then `celld calibrate`";
         Some(Code::CalibrationInvalid.because(message, hint))
     }
 
@@ -160,7 +161,7 @@ impl Supervisor {
                 }
                 Some(object) if object.std_xy_m > self.model.tolerances.measurement_std => {
                     let mm = object.std_xy_m * 1e3;
-                    let message = format!("{id} is only known to {mm:.1} mm");
+                    let message = format!("the position of {id} is uncertain by {mm:.1} mm");
                     return Some(Code::ObjectUncertain.because(message, "").of(id));
                 }
                 Some(_) => {}

@@ -90,7 +90,17 @@ impl Supervisor {
             return self.stop_all(now, JobStatus::Interrupted, Code::ArmingLapsed.because(why, ""), out);
         }
         let goes_on = self.disarm_after_this_motion(outside, out);
-        let first = if goes_on { "; the motion under way is finished first" } else { "" };
-        alarm(out, format!("disarmed: {why}{first}; see that the cell is clear, then `celld arm`"));
+        let first = match (goes_on, &self.phase) {
+            (true, Phase::Work(_)) => {
+                "; the pick-n-place under way is finished first, `celld abort` stops it now"
+            }
+            (true, _) => "; the motion under way goes on to its next stop, `celld abort` stops it now",
+            (false, _) => "",
+        };
+        let back = match outside.link_lost.is_some() || !outside.gripper_answers {
+            true => "see to its power and its network; once it answers and the cell is clear, `celld arm`",
+            false => "see that the cell is clear, then `celld arm`",
+        };
+        alarm(out, format!("disarmed: {why}{first}; {back}"));
     }
 }

@@ -93,8 +93,8 @@ impl Supervisor {
             let what = format!("something without a marker reaches up to {height_mm:.0} mm over the table");
             Code::ForeignObject.because(format!("{message}; {what}"), "take it away, then `celld arm`")
         } else if in_the_way {
-            let what = "something without a marker is on the table, and how high it is a camera without depth \
-                        cannot tell";
+            let what =
+                "something without a marker is on the table; without a depth camera its height is not known";
             Code::ForeignObject.because(what, "take it away, then `celld arm`")
         } else {
             Code::Unreachable.because(message, format!("{advice}, then `celld arm` and submit again"))
@@ -181,7 +181,14 @@ impl Supervisor {
         let Phase::Look(look) = &mut self.phase else { return };
         look.stage = LookStage::Settling { still_since: None };
         if look.fault.as_ref().is_none_or(|before| before.code != fault.code) {
-            alarm(out, format!("waiting for the camera ({}): {}; {}", fault.code, fault.message, fault.hint));
+            alarm(
+                out,
+                format!(
+                    "waiting for the camera ({}): {}; the arm moves on as soon as a picture comes, `celld disarm` before \
+                     going to it; {}",
+                    fault.code, fault.message, fault.hint
+                ),
+            );
         }
         look.fault = Some(fault);
     }
@@ -242,10 +249,7 @@ impl Supervisor {
         match fault {
             None => {
                 job.look_failures = 0;
-                if !std::mem::replace(&mut job.absent_reported, true) && !observation.missing.is_empty() {
-                    let absent = observation.missing.join(", ");
-                    alarm(out, format!("not to be seen, taken as not on the table: {absent}"));
-                }
+                report_absent(job, &observation, out);
                 self.seen = Some(observation);
                 self.seen_at = now;
             }
@@ -254,7 +258,7 @@ impl Supervisor {
             }
             Some(doubt) => {
                 job.look_failures += 1;
-                say(out, format!("{}; looking again", doubt.message));
+                say(out, format!("{}; the arm looks again now", doubt.message));
             }
         }
     }
@@ -401,7 +405,13 @@ impl Supervisor {
         let Some(route) = route.collect::<Option<Vec<RouteAction>>>() else { return };
         let Some(job) = &mut self.job else { return };
         let buffers = route.iter().filter(|action| !action.to_goal).count();
-        say(out, format!("plan: {} pick-n-places, {buffers} to a buffer, bound {lower_bound}", route.len()));
+        say(
+            out,
+            format!(
+                "plan: {} pick-n-places, {buffers} of them to a temporary place, lower bound {lower_bound}",
+                route.len()
+            ),
+        );
         if job.planned.is_none() {
             job.planned = Some((route.len(), buffers));
             job.lower_bound = Some(lower_bound);
@@ -427,7 +437,10 @@ impl Supervisor {
             }
             PlanAnswer::Refused(cause) => {
                 let message = format!("the measured table is no valid start: {cause}");
-                Code::BadStart.because(message, "separate the objects by hand")
+                Code::BadStart.because(
+                    message,
+                    "move what is named apart, or onto the table, by hand; then submit again",
+                )
             }
             PlanAnswer::Unsolvable(cause) => {
                 Code::SolverUnfit.because(cause.clone(), "choose another solver or objective in the job")
@@ -450,5 +463,13 @@ impl Supervisor {
             }
         };
         self.finish(now, JobStatus::Failed, reason, out);
+    }
+}
+
+/// Names once what is in the catalogue and not seen.
+fn report_absent(job: &mut JobRun, seen: &Observation, out: &mut Vec<Action>) {
+    if !std::mem::replace(&mut job.absent_reported, true) && !seen.missing.is_empty() {
+        let absent = seen.missing.join(", ");
+        alarm(out, format!("not seen: {absent}; the plan is made as if they were not on the table"));
     }
 }

@@ -46,15 +46,13 @@ pub enum Pace {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EndFault {
     /// An entry could not be written.
-    #[error("the journal cannot be written: {0}; the arm was stopped")]
+    #[error("the journal cannot be written: {0}")]
     Journal(String),
     /// The disk is silent.
-    #[error("the state folder has not answered for {0} s; the arm was stopped: see what ails its disk")]
+    #[error("nothing could be written to the state folder for {0} s")]
     Silent(u64),
     /// A defect of this program.
-    #[error(
-        "the thread of the state folder failed; the arm was stopped: please report what was printed above"
-    )]
+    #[error("a defect of celld ended what writes to the state folder: please report what was printed above")]
     Failed,
 }
 
@@ -81,6 +79,11 @@ impl Mode {
     /// The daemon ends.
     pub fn ending(&self) -> bool {
         matches!(self, Mode::Ending { .. })
+    }
+
+    /// A person's order to arm would be considered.
+    pub fn can_be_armed(&self) -> bool {
+        matches!(self, Mode::Armed { .. } | Mode::Disarmed { .. })
     }
 
     /// Motion is allowed from now on; false where it cannot be.

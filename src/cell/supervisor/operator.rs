@@ -5,18 +5,15 @@
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
-use crate::cell::orders::{Order, Reply, WayBack};
+use crate::cell::orders::{Order, Reply};
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::{GateClosed, motion_speed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::mode::{Mode, Pace};
-use crate::cell::supervisor::phase::{BringUp, Phase, Then, WorkStage};
+use crate::cell::supervisor::phase::{Phase, Then, WorkStage};
 use crate::cell::supervisor::reason::say;
 use cell_values::time::Timestamp;
 use ur_wire::enumerations::RobotMode;
-
-/// The arm is at its park pose within this joint angle, rad.
-const PARKED_RAD: f64 = 0.002;
 
 impl Supervisor {
     /// Carries an order out; the refusal, if it is refused.
@@ -34,24 +31,10 @@ impl Supervisor {
             Order::Approve(id) => return self.on_verdict(now, id, true, out),
             Order::Reject(id) => return self.on_verdict(now, id, false, out),
             Order::Cancel(id) => return self.on_cancel(id),
-            Order::Pause | Order::Step | Order::Park if self.back.recovery.is_some() => {
-                let why = "no: a way back is under way; `celld abort` ends it";
-                return Some(Reply::refuse(why));
+            Order::Pause | Order::Step | Order::Park if self.has_no_pace().is_some() => {
+                return self.has_no_pace();
             }
-            Order::Pause | Order::Step | Order::Park if self.round.is_some() => {
-                let why = "no: a calibration round is under way; `celld abort` ends it";
-                return Some(Reply::refuse(why));
-            }
-            Order::Pause if self.mode.paused() => return Some(Reply::accept("paused already")),
-            Order::Pause => {
-                self.mode.set_pace(Pace::Paused);
-                if !matches!(self.phase, Phase::Park) {
-                    self.mode.set_park(false);
-                }
-                if !self.mode.paused() {
-                    return Some(self.not_armed(outside, "not paused, and nothing moves"));
-                }
-            }
+            Order::Pause => return self.on_pause(outside),
             Order::Resume if !self.mode.paused() && self.moving() && motion_speed(outside) == 0.0 => {
                 let why =
                     "celld was not paused: the arm is held at the pendant, by pause or by the speed slider";
@@ -78,6 +61,28 @@ impl Supervisor {
             Order::ConfirmGripper => return Some(self.on_confirm_gripper(outside, out)),
         }
         None
+    }
+
+    /// A way back and a calibration round take no pace; they are ended.
+    fn has_no_pace(&self) -> Option<Reply> {
+        let what = match (self.back.recovery.is_some(), self.round.is_some()) {
+            (true, _) => "way back",
+            (false, true) => "calibration round",
+            (false, false) => return None,
+        };
+        Some(Reply::refuse(format!("no: a {what} is under way; `celld abort` ends it")))
+    }
+
+    fn on_pause(&mut self, outside: &DeviceSnapshot) -> Option<Reply> {
+        let parks = matches!(self.phase, Phase::Park);
+        if self.mode.paused() && !parks {
+            return Some(Reply::accept("paused already"));
+        }
+        self.mode.set_pace(Pace::Paused);
+        if !parks {
+            self.mode.set_park(false);
+        }
+        (!self.mode.paused()).then(|| self.not_armed(outside, "not paused, and nothing moves"))
     }
 
     fn not_armed(&self, outside: &DeviceSnapshot, what: &str) -> Reply {
@@ -107,7 +112,9 @@ impl Supervisor {
 
     fn on_arm(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) -> Option<Reply> {
         if self.back.recovery.is_some() {
-            return Some(Reply::refuse("not armed: a way back is under way; `celld abort` ends it"));
+            return Some(Reply::refuse(
+                "not armed: a way back is under way, and the arm may move; `celld abort` stops it",
+            ));
         }
         if self.mode.armed() {
             return Some(Reply::accept("armed already"));
@@ -181,7 +188,14 @@ impl Supervisor {
         if self.stopping(outside) {
             self.answer_when_it_stands(now, number, Then::Say);
         }
-        say(out, if goes_on { "disarmed once the present motion is over" } else { "disarmed" });
+        say(
+            out,
+            if goes_on {
+                "disarmed; what is under way is finished first, `celld abort` stops it now"
+            } else {
+                "disarmed"
+            },
+        );
     }
 
     /// Disarms; a robot that is being started is stopped, and so is a way to a look pose or to the park pose
@@ -290,143 +304,6 @@ impl Supervisor {
         None
     }
 
-    /// What has become of an order that was taken; `None` where the answer comes later.
-    pub(crate) fn answer(&self, outside: &DeviceSnapshot, order: &Order) -> Option<Reply> {
-        Some(match order {
-            Order::Arm => Reply::accept(self.armed_and_now()),
-            Order::Disarm => Reply::accept(self.disarmed_and_now(outside)),
-            Order::Approve(_) if !self.mode.armed() => {
-                Reply::accept("approved; nothing moves before `celld arm`")
-            }
-            Order::Approve(_) => Reply::accept(self.approved_and_now()),
-            Order::Reject(_) => Reply::accept("rejected; the job has ended"),
-            Order::Cancel(_) => Reply::accept(match &self.job {
-                Some(_) => "cancelled after the present pick-n-place or look",
-                None => "cancelled",
-            }),
-            Order::Pause => Reply::accept(match &self.phase {
-                Phase::Work(_) => "pauses after the present pick-n-place",
-                Phase::Park => "the arm goes on to its park pose, then nothing moves",
-                Phase::Ready
-                | Phase::BringUp(_)
-                | Phase::Look(_)
-                | Phase::Plan
-                | Phase::Approve
-                | Phase::Recover(_)
-                | Phase::Visit(_) => match &self.job {
-                    Some(_) => "pauses before the next pick-n-place",
-                    None => "paused; no job is under way",
-                },
-            }),
-            Order::Resume => Reply::accept(match self.mode.armed() {
-                true => "goes on",
-                false => "the pause is over; the cell is disarmed, `celld arm` lets it move",
-            }),
-            Order::Step if matches!(self.phase, Phase::Approve) => {
-                Reply::accept("one pick-n-place once the plan is approved, then a pause")
-            }
-            Order::Step => Reply::accept(match &self.job {
-                Some(_) => "one pick-n-place, then a pause",
-                None => "no job is under way; the next one pauses after one pick-n-place",
-            }),
-            Order::Park => self.then_the_job(self.answer_park(outside)),
-            Order::Recover(WayBack::Show | WayBack::Release)
-            | Order::Abort
-            | Order::Release(_)
-            | Order::ConfirmGripper => return None,
-            Order::Recover(way) => return Some(self.recovering(outside, *way)),
-        })
-    }
-
-    /// That the cell is armed, and what the arm does next.
-    fn armed_and_now(&self) -> String {
-        if let (Phase::Ready, Some(closed)) = (&self.phase, &self.waiting_for) {
-            return format!("armed; nothing moves yet: {}", self.place(closed));
-        }
-        let now = match &self.phase {
-            Phase::Approve => "armed; the plan waits for `celld approve`",
-            Phase::BringUp(BringUp { asked: Some(_), .. }) => {
-                "armed: celld switches the arm's power on and releases its brakes now"
-            }
-            Phase::BringUp(_) => "armed: celld starts its program on the robot now, then the arm moves",
-            _ if self.mode.paused() => "armed; a pause is in force, `celld resume` ends it",
-            Phase::Look(_) => "armed: the arm moves to look at the table now",
-            _ if self.round.is_some() || self.job.is_some() => "armed: the job goes on now",
-            _ => "armed; nothing moves until there is a job",
-        };
-        now.to_string()
-    }
-
-    /// That the cell is disarmed, and what the arm still does.
-    fn disarmed_and_now(&self, outside: &DeviceSnapshot) -> &'static str {
-        if !outside.robot_fresh {
-            return "disarmed; the robot does not answer, so nothing is known of the arm: keep away from it";
-        }
-        match &self.phase {
-            Phase::Work(_) => {
-                "disarmed; the pick-n-place under way is finished first, `celld abort` stops it now"
-            }
-            Phase::Ready
-            | Phase::BringUp(_)
-            | Phase::Look(_)
-            | Phase::Plan
-            | Phase::Approve
-            | Phase::Park
-            | Phase::Recover(_)
-            | Phase::Visit(_) => match self.follows_a_path() {
-                true => "disarmed; the motion under way goes on to its next stop, `celld abort` stops it now",
-                false => "disarmed",
-            },
-        }
-    }
-
-    /// That a plan is approved, and what the arm does next.
-    fn approved_and_now(&self) -> String {
-        match (&self.phase, &self.waiting_for) {
-            (Phase::Ready, Some(closed)) => format!("approved; nothing moves yet: {}", self.place(closed)),
-            _ if self.mode.paused() => "approved; a pause is in force, `celld resume` ends it".to_string(),
-            (Phase::Look(_), _) => {
-                "approved: the arm looks at the table now, then carries the plan out".to_string()
-            }
-            _ => "approved: the arm carries the plan out now".to_string(),
-        }
-    }
-
-    /// The arm is at rest at its park pose.
-    fn is_parked(&self, outside: &DeviceSnapshot) -> bool {
-        let fresh = outside.robot.filter(|_| outside.robot_fresh);
-        fresh.is_some_and(|robot| {
-            robot.q.max_difference(&self.model.park) < PARKED_RAD && robot.stands_still()
-        })
-    }
-
-    /// Parking keeps no job back: who wants the arm to stay there needs to know.
-    fn then_the_job(&self, reply: Reply) -> Reply {
-        let goes_on = reply.accepted && self.job.is_some() && !self.mode.paused();
-        let after = if goes_on { "; then the job goes on, `celld pause` keeps it there" } else { "" };
-        Reply { message: format!("{}{after}", reply.message), ..reply }
-    }
-
-    fn answer_park(&self, outside: &DeviceSnapshot) -> Reply {
-        if self.moving() && motion_speed(outside) == 0.0 {
-            return Reply::accept("parks as soon as the present motion is over, which is held now");
-        }
-        match (&self.phase, &self.waiting_for) {
-            (Phase::BringUp(_), _) => Reply::accept("parks as soon as the robot is started"),
-            (Phase::Park, _) => Reply::accept("parks now"),
-            (Phase::Plan, _) => Reply::accept("parks as soon as the planning is over"),
-            (Phase::Approve, _) => Reply::accept("parks as soon as the plan is approved or rejected"),
-            (Phase::Ready, Some(reason)) => Reply::accept(format!("parks as soon as it may move: {reason}")),
-            (Phase::Ready, None) if !self.mode.parks() => {
-                Reply::refuse("not parked: the park pose cannot be reached from here")
-            }
-            (Phase::Ready, None)
-            | (Phase::Look(_) | Phase::Work(_) | Phase::Visit(_) | Phase::Recover(_), _) => {
-                Reply::accept("parks as soon as the present motion is over")
-            }
-        }
-    }
-
     /// What is let go in motion flies, and a carry must not go on without its object: the arm is stopped
     /// first. The person who orders it has hands at the gripper: an armed cell, which could begin a motion at
     /// any time, is stopped and disarmed.
@@ -443,7 +320,7 @@ impl Supervisor {
         if self.moving() || self.mode.armed() || self.back.recovery.is_some() {
             let reason = Code::Released.because(
                 "the operator releases the vacuum",
-                "see where it lies; then `celld arm` and submit again",
+                "if something was held, see where it lies; then `celld arm` and submit again",
             );
             self.stop_all(now, JobStatus::Interrupted, reason, out);
         } else if self.arm_stands(outside) || (self.stands && !outside.robot_fresh) {
@@ -467,7 +344,7 @@ impl Supervisor {
                 one => format!("vacuum off, {one} only; the cell is disarmed"),
             })),
             GripperEvent::ReleaseFailed { vacuum } => Some(Reply::refuse(format!(
-                "the vacuum does not go: {:.0} %; see the gripper, what it holds may still hang there",
+                "not released: the vacuum was {:.0} % at the last reading; the object may still be held, see the gripper",
                 vacuum * 100.0
             ))),
             GripperEvent::Refused => Some(Reply::refuse("the gripper takes no order: it does not answer")),

@@ -5,6 +5,9 @@
 use crate::cell::code::Code;
 use crate::cell::supervisor::input::{Action, Notice};
 
+/// How the notice of a stop begins. When it is given the arm still brakes.
+pub(crate) const STOP_ORDERED: &str = "disarmed, a stop is ordered";
+
 /// Why a job ends.
 #[derive(Clone, Debug)]
 pub(crate) struct Reason {
@@ -25,6 +28,12 @@ impl Reason {
 }
 
 impl Code {
+    /// What ended the job is put right at the table, the arm or the gripper, and not in a file.
+    pub(crate) fn needs_hands(self) -> bool {
+        let in_files = [Code::Infeasible, Code::NoPlan, Code::SolverUnfit, Code::PlannerStuck];
+        !in_files.contains(&self)
+    }
+
     /// With a sentence and what to do about it.
     pub(crate) fn because(self, message: impl Into<String>, hint: impl Into<String>) -> Reason {
         Reason { code: self, object: None, message: message.into(), hint: hint.into() }

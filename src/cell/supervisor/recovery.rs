@@ -151,7 +151,9 @@ impl Supervisor {
                 )
             }
             WayBack::Release => format!("the vacuum goes off where the arm is: hold {object} by hand"),
-            WayBack::Retreat => format!("{first}the arm goes straight up, unless it is over everything"),
+            WayBack::Retreat => format!(
+                "{first}the arm goes straight up; where it is high enough over the table already, it does not move"
+            ),
             WayBack::Place => format!(
                 "{first}the arm goes straight up, looks at the table and puts {object} down at its place or the \
                  nearest free one"
@@ -231,7 +233,8 @@ impl Supervisor {
             return self.raise(outside, out);
         }
         if recovery.way == WayBack::Retreat {
-            return self.end_recovery(Ok("the arm is over everything on the table".to_string()), out);
+            return self
+                .end_recovery(Ok("the arm is high enough over everything on the table".to_string()), out);
         }
         match self.seen.take() {
             None => self.begin_look(now, outside, 0, out),
@@ -304,7 +307,7 @@ impl Supervisor {
         match self.doubt_on_the_way(&observation) {
             Some(doubt) => {
                 let Reason { message, hint, .. } = doubt;
-                self.end_recovery(Err(format!("no free place can be seen: {message}; {hint}")), out);
+                self.end_recovery(Err(format!("no free place can be seen: {message}; {hint}; for what is held, `celld recover --place` again")), out);
             }
             None => {
                 self.seen = Some(observation);
@@ -370,7 +373,8 @@ impl Supervisor {
                 self.enter(Phase::Recover(BackStage::Leaving), self.model.tolerances.phase_deadline);
             }
             GripperEvent::ReleaseFailed { vacuum } if stage == BackStage::Releasing => {
-                let message = format!("the vacuum does not go: {:.0} %", vacuum * 100.0);
+                let message =
+                    format!("the vacuum does not fall: {:.0} % at the last reading", vacuum * 100.0);
                 lost(self, Code::GripperUnreachable, message, out);
             }
             GripperEvent::Refused => {

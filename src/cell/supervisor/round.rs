@@ -31,7 +31,7 @@ pub enum RoundFault {
     #[error(transparent)]
     Move(#[from] SlowFault),
     /// What stopped the robot.
-    #[error("the robot stopped: {0}")]
+    #[error("the round ended, or was not begun: {0}")]
     Robot(String),
     /// The camera gave no picture.
     #[error("camera: {0}")]

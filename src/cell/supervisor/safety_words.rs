@@ -21,7 +21,7 @@ pub(crate) fn safety_words(mode: SafetyMode) -> String {
 pub(crate) fn safety_remedy(mode: SafetyMode) -> &'static str {
     match safety_code(mode) {
         Code::EmergencyStop => "release the button once the cell is safe",
-        Code::ProtectiveStop => "see what the arm has met; `celld recover` unlocks it",
+        Code::ProtectiveStop => "see what the arm has met; `celld recover` shows the ways to unlock it",
         Code::SafeguardStop => "close the safeguard once nobody is in the cell",
         Code::SafetyFault => "read the pendant, restart the safety system there",
         _ => "read the pendant for what it waits for",

@@ -80,6 +80,9 @@ impl Supervisor {
         }));
         lines.push(match self.mode.armed() {
             true => "the cell is armed".to_string(),
+            false if !self.mode.can_be_armed() => {
+                "`celld arm` is refused: the cell is locked or ends".to_string()
+            }
             false => match self.may_arm(outside) {
                 Ok(()) => "`celld arm` goes on with jobs".to_string(),
                 Err(closed) => format!("`celld arm` is refused: {}", self.place(&closed)),
@@ -97,7 +100,7 @@ impl Supervisor {
 
     fn what_happened(&self, now: Timestamp) -> String {
         match &self.back.last_stop {
-            None => "what happened: nothing was stopped since celld started".to_string(),
+            None => "what happened: no stop since the cell was last armed".to_string(),
             Some(stop) => {
                 let (code, seconds) = (stop.reason.code, now.since(stop.at).as_secs());
                 format!("what happened: {} ({code}), {seconds} s ago", stop.reason.message)
@@ -150,8 +153,10 @@ impl Supervisor {
         let height = (tool.z - self.held_height()) * 1e3;
         let what = if self.back.held.is_some() { "what hangs on it" } else { "the cups" };
         Some(format!(
-            "arm: tool at x {:.3} m, y {:.3} m; {what} {height:.0} mm over the table",
-            tool.x, tool.y
+            "arm{}: tool at x {:.3} m, y {:.3} m; {what} {height:.0} mm over the table",
+            if outside.robot_fresh { "" } else { ", as it was last known" },
+            tool.x,
+            tool.y
         ))
     }
 }

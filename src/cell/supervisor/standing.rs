@@ -109,12 +109,12 @@ fn stopped(stands: bool, robot: Option<&RobotState>, settled: bool) -> Reply {
              the pendant shows that it is off"
         }
         Some(robot) if robot.stands_still() => {
-            "disarmed, and the arm stands, but its program could not be ended: nobody may press play at the pendant \
+            "disarmed, and the arm is at rest, but its program could not be ended: nobody may press play at the pendant \
              before it is stopped there"
         }
         Some(_) => "disarmed, but the arm has not come to rest: keep away from it, use the emergency stop",
         None => {
-            "disarmed; the robot does not answer, so the arm is not known to stand: use the emergency stop"
+            "disarmed; the robot does not answer, and whether the arm is at rest is not known: use the emergency stop"
         }
     };
     Reply::refuse(but)

@@ -65,7 +65,7 @@ impl Supervisor {
             }
             RobotEvent::RtdeLost => self.rtde_lost(outside),
             RobotEvent::Refused { what, reply } => {
-                let message = format!("the controller refused {what}: {reply}");
+                let message = format!("{what} was not carried out by the controller: {reply}");
                 self.trouble(Code::RobotRefused, message, "see the pendant")
             }
             RobotEvent::Safety { mode } if !mode.allows_motion() => self.safety_trouble(mode),
@@ -98,7 +98,7 @@ impl Supervisor {
             return None;
         }
         self.nonce = None;
-        let message = format!("the on-robot program ended: {reason}");
+        let message = format!("celld's program on the robot does not run as it should: {reason}");
         Some(match reason {
             // A round, the daemon or a stop has ended it; why is said already.
             ProgramEnd::AsAsked | ProgramEnd::StoppedByUs => return None,
@@ -131,7 +131,8 @@ impl Supervisor {
             let message = "the controller ended all its connections: it starts anew, or was switched off";
             return self.trouble(Code::ControllerGone, message, "wait for the controller, look at the arm");
         }
-        let message = "the RTDE link was lost; the program's watchdog stops the arm";
+        let message = "the connection to the controller (RTDE) is lost, and with it the sight of the arm: its program stops \
+                       by itself, keep away until it is seen at rest";
         self.trouble(Code::LinkLost, message, "see the network between this computer and the controller")
     }
 

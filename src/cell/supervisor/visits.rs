@@ -38,7 +38,10 @@ impl Supervisor {
         let way_back = self.back.recovery.is_some().then_some("a way back is under way");
         let why = self.under_way(outside).or(way_back).map(str::to_string);
         let why = why.or_else(|| self.round_gate(outside));
-        let why = why.or_else(|| (!self.mode.arm()).then(|| "the cell cannot be armed".to_string()));
+        let why = why.or_else(|| {
+            (!self.mode.arm())
+                .then(|| "the cell is locked or ends: `celld status` names the reason".to_string())
+        });
         match why {
             Some(why) => out.push(Action::RoundOver(Err(RoundFault::Robot(why)))),
             None => self.round = Some(Round { order, at: 0 }),

@@ -301,7 +301,7 @@ impl Supervisor {
             let object = object.unwrap_or_default();
             let message = format!("{object} could not be gripped in {} tries", retries + 1);
             alarm(out, message.clone());
-            let hint = "clean cups and object, check the grip point, submit again";
+            let hint = "clean cups and object, check the grip point, then submit again";
             self.finish(now, JobStatus::Failed, Code::Unpickable.because(message, hint).of(object), out);
         }
     }

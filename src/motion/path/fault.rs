@@ -50,7 +50,7 @@ pub enum PathFault {
         which: &'static str,
     },
     /// Speed, acceleration or blend is not a number in its limits.
-    #[error("{what} is {value}, outside (0, {limit}]")]
+    #[error("the {what} is {value:.3}; it has to be over 0 and at most {limit:.3} (m, rad, s)")]
     Limit {
         /// Index of the leg.
         leg: usize,

@@ -254,12 +254,14 @@ fn objects_of_the_catalogue_that_are_not_seen_are_reported_once() {
     bench.missing = vec!["b".into()];
     bench.job(false);
     let all = bench.until_planning();
-    let reported =
-        all.iter().filter(|a| matches!(a, Action::Say(n) if n.alarm && n.text.ends_with(": b"))).count();
+    let reported = all
+        .iter()
+        .filter(|a| matches!(a, Action::Say(n) if n.alarm && n.text.starts_with("not seen: b;")))
+        .count();
     assert_eq!(reported, 1, "{all:?}");
     bench.plan();
     bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
-    assert!(!said(&bench.ticks(50), ": b"));
+    assert!(!said(&bench.ticks(50), "not seen: b"));
 }
 
 #[test]

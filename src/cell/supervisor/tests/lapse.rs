@@ -46,7 +46,7 @@ fn a_pick_n_place_under_way_is_finished_when_a_link_is_lost_and_nothing_follows(
     let mut bench = working();
     bench.link_down = Some(Link::Dashboard);
     let lost = bench.ticks(3);
-    assert!(said(&lost, "the motion under way is finished first"), "{lost:?}");
+    assert!(said(&lost, "the pick-n-place under way is finished first"), "{lost:?}");
     assert!(!lost.iter().any(|action| matches!(action, Action::Robot(RobotCommand::Stop))), "{lost:?}");
     assert!(!bench.cell.status().armed);
     let over = bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));

@@ -49,7 +49,7 @@ fn an_arm_that_stands_with_a_program_that_cannot_be_ended_is_not_called_stopped(
     let mut bench = working();
     bench.feed(order(Order::Abort));
     let reply = answer(&bench.ticks(280)).expect("an answer");
-    assert!(!reply.accepted && reply.message.contains("the arm stands, but its program"), "{reply:?}");
+    assert!(!reply.accepted && reply.message.contains("the arm is at rest, but its program"), "{reply:?}");
 }
 
 #[test]
