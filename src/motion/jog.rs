@@ -32,7 +32,7 @@ pub struct Jog {
 
 impl fmt::Display for Jog {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "jog {} by {:+.0} degrees at the pendant", NAMES[self.joint], self.by_deg)
+        write!(f, "jog {} by {:+.1} degrees", NAMES[self.joint], self.by_deg)
     }
 }
 
@@ -122,6 +122,6 @@ mod tests {
         let model = model(0.5);
         assert_eq!(jog_free(&model, &Room::empty(), &home(&model, 0.5)), None);
         let jog = Jog { joint: 3, by_deg: -12.0 };
-        assert_eq!(jog.to_string(), "jog Wrist 1 by -12 degrees at the pendant");
+        assert_eq!(jog.to_string(), "jog Wrist 1 by -12.0 degrees");
     }
 }

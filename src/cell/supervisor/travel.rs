@@ -76,25 +76,23 @@ impl Supervisor {
         Ok(CheckedPath::new(arm, from, &legs, &room)?)
     }
 
-    /// What a person does at the pendant where there was no way from here.
+    /// What a person does where there was no way from here. In Remote Control the pendant moves nothing.
     pub(crate) fn advice(&self, from: &Joints, fault: &NoTravel) -> String {
         let jog = jog_free(&self.model.arm, &self.unseen_room(), from);
-        match (fault, jog) {
+        let what = match (fault, jog) {
             (NoTravel::Way(NoWay::Target(_) | NoWay::Range { place: THERE, .. }), _) => {
-                "teach that pose again with more room".to_string()
+                return "teach that pose again with more room".to_string();
             }
             (_, Some(jog)) => jog.to_string(),
             (NoTravel::Way(NoWay::Range { joint, .. }), None) => {
-                format!("jog joint {joint} back into its range at the pendant")
+                format!("jog joint {joint} back into its range")
             }
-            (NoTravel::Way(NoWay::NotFound { .. }), None) => {
-                "jog the arm towards the park pose at the pendant".to_string()
-            }
+            (NoTravel::Way(NoWay::NotFound { .. }), None) => "jog the arm towards the park pose".to_string(),
             (NoTravel::Way(NoWay::Start(_)) | NoTravel::Above(_) | NoTravel::Path(_), None) => {
-                "jog the arm at the pendant to where it is high over the table and clear of everything"
-                    .to_string()
+                "jog the arm to where it is high over the table and clear of everything".to_string()
             }
-        }
+        };
+        format!("{what} at the pendant in Local Control, then switch it back to Remote Control")
     }
 
     /// The tool, or what is round it, is lower than things on the table may reach.
@@ -163,7 +161,11 @@ impl Supervisor {
             }
             Err(fault) => {
                 self.mode.set_park(false);
-                alarm(out, format!("cannot park: {fault}; {}", self.advice(&robot.q, &fault)));
+                let advice = self.advice(&robot.q, &fault);
+                alarm(
+                    out,
+                    format!("cannot park: {fault}; the cell stays armed: `celld disarm`, then {advice}"),
+                );
             }
         }
     }
