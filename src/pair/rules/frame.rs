@@ -72,9 +72,7 @@ impl Rules {
         if std::mem::replace(&mut self.paused, paused) && !paused {
             self.played_at = Some(frame).filter(|_| self.unreached());
         }
-        // Between two legs of one path the arm is at rest for a moment, and begins nothing.
-        let began = moves && self.still >= STOOD_FRAMES;
-        if began {
+        if moves && self.still >= STOOD_FRAMES {
             self.began_at = frame;
         }
         self.still = if moves { 0 } else { self.still + 1 };
@@ -85,6 +83,7 @@ impl Rules {
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
         self.check_answers(machine);
+        let began = moves && !self.moved;
         self.moved = moves;
         if began && !stranger && !self.stranger {
             self.check_begin(machine, nonce);
