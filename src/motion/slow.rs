@@ -89,7 +89,7 @@ pub fn slow_move(
         .map_err(|fault| SlowFault::Path { pose, fault })?;
     let Some(room) = room else { return Ok(path) };
     for k in 0..=TRAVEL_SAMPLES {
-        let q = between(from, &target, k as f64 / TRAVEL_SAMPLES as f64);
+        let q = from.lerp(&target, k as f64 / TRAVEL_SAMPLES as f64);
         let outside_m = room.outside_m(&forward(&model.dh, &q).translation.vector);
         if outside_m > 0.0 {
             let what = match k {
@@ -103,16 +103,10 @@ pub fn slow_move(
     Ok(path)
 }
 
-/// The joints a share of the way along a joint move.
-fn between(from: &Joints, to: &Joints, share: f64) -> Joints {
-    Joints(std::array::from_fn(|i| from.0[i] + share * (to.0[i] - from.0[i])))
-}
-
 /// Speed of the leading joint (rad/s) at which the tool stays below [`TOOL_SPEED`] all along the move.
 fn slow_enough(model: &ArmModel, from: &Joints, to: &Joints) -> f64 {
     let travel = from.max_difference(to);
-    let at =
-        |k: usize| model.tool_at(&between(from, to, k as f64 / TRAVEL_SAMPLES as f64)).translation.vector;
+    let at = |k: usize| model.tool_at(&from.lerp(to, k as f64 / TRAVEL_SAMPLES as f64)).translation.vector;
     let steps = (0..TRAVEL_SAMPLES).map(|k| (at(k + 1) - at(k)).norm());
     let metres_per_rad = steps.fold(0.0, f64::max) * TRAVEL_SAMPLES as f64 / travel.max(1e-9);
     // A move that hardly moves the tool needs no limit of ours.
@@ -172,7 +166,7 @@ mod tests {
             "{reported}"
         );
         // All of the way is in this one, but for its last half step.
-        let (before, end) = (between(&from, &to, 1.0 - 0.5 / TRAVEL_SAMPLES as f64), at(&to));
+        let (before, end) = (from.lerp(&to, 1.0 - 0.5 / TRAVEL_SAMPLES as f64), at(&to));
         let mut short = CalibrationBox { low_m: [-2.0; 3], high_m: [2.0; 3] };
         let axis = usize::from((end[1] - at(&from)[1]).abs() > (end[0] - at(&from)[0]).abs());
         let bound = if end[axis] > at(&from)[axis] { &mut short.high_m } else { &mut short.low_m };

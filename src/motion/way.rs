@@ -156,7 +156,7 @@ impl Trees<'_> {
     fn stride(&mut self, side: usize, from: usize, wanted: &Joints) -> Option<usize> {
         let q = self.trees[side][from].q;
         let far = q.max_difference(wanted);
-        let next = if far <= STRIDE_RAD { *wanted } else { between(&q, wanted, STRIDE_RAD / far) };
+        let next = if far <= STRIDE_RAD { *wanted } else { q.lerp(wanted, STRIDE_RAD / far) };
         self.steps += 1;
         let from_the_start = side == 0 && from == 0;
         self.free(from_the_start, &q, &next).then_some(())?;
@@ -217,8 +217,4 @@ impl Trees<'_> {
         points.remove(0);
         points
     }
-}
-
-fn between(from: &Joints, to: &Joints, share: f64) -> Joints {
-    Joints(std::array::from_fn(|i| from.0[i] + share * (to.0[i] - from.0[i])))
 }

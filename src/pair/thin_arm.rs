@@ -60,7 +60,7 @@ impl ThinModel {
         let samples = (from.max_difference(to) / step).ceil().max(1.0) as usize;
         let at = |k: usize| {
             let share = k as f64 / samples as f64;
-            Joints(std::array::from_fn(|j| from.0[j] + share * (to.0[j] - from.0[j])))
+            from.lerp(&to, share)
         };
         (0..=samples).all(|k| self.least_at(&at(k)) >= distance)
     }

@@ -15,6 +15,11 @@ impl Joints {
         self.0.iter().zip(&other.0).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     }
 
+    /// The joints a share (0 to 1) of the way along a straight joint move.
+    pub fn lerp(&self, to: &Joints, share: f64) -> Joints {
+        Joints(std::array::from_fn(|i| self.0[i] + share * (to.0[i] - self.0[i])))
+    }
+
     /// True when every number is finite.
     pub fn is_finite(&self) -> bool {
         self.0.iter().all(|value| value.is_finite())

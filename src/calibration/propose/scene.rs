@@ -130,7 +130,7 @@ impl Scene<'_> {
         let [width, height] = self.target_m;
         (0..=ON_THE_WAY).all(|k| {
             let share = f64::from(k) / f64::from(ON_THE_WAY);
-            let q = Joints(std::array::from_fn(|i| from.0[i] + share * (to.0[i] - from.0[i])));
+            let q = from.lerp(to, share);
             let [base_from_board, _] = self.placed(&forward(&self.model.dh, &q));
             let corners = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]
                 .map(|[x, y]| base_from_board * Point3::new(x, y, 0.0));

@@ -180,7 +180,7 @@ impl<'a> Sweep<'a> {
         let mut due = self.due(&turn, zone);
         while let Some(Reverse(first)) = due.peek() {
             let share = first.share;
-            let q = Joints(std::array::from_fn(|j| from.0[j] + share * (to.0[j] - from.0[j])));
+            let q = from.lerp(to, share);
             let frames = self.bodies.frames(&q);
             // Those that are due soon are measured at the same place, once.
             let mut now = Vec::new();

@@ -108,7 +108,7 @@ fn from_a_folded_wrist_there_is_a_way_and_from_inside_of_itself_none() {
     let target = home(&model, 0.5);
     let search = Search { seed: 1, steps: 1500 };
     let mut sweep = Sweep::new(&model.bodies, &empty);
-    let on = |share: f64| Joints(std::array::from_fn(|j| folded.0[j] + share * (target.0[j] - folded.0[j])));
+    let on = |share: f64| folded.lerp(&target, share);
     let met = sweep.way(&folded, &target).expect_err("the gripper would pass through the upper arm");
     assert!([met.one, met.other].iter().any(|name| name.contains("upper arm")));
     let way = find(&model, &empty, &folded, &target, search).expect("round it");

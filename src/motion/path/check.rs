@@ -70,14 +70,14 @@ pub(super) fn path(
     }
     let mut from = *start;
     let mut traced = Vec::with_capacity(legs.len());
-    for (index, leg) in legs.iter().enumerate() {
-        check_numbers(model, index, &leg.segment)?;
-        check_hold(index, leg.hold)?;
+    for leg in legs {
+        check_numbers(model, &leg.segment)?;
+        check_hold(leg.hold)?;
         let way = match leg.segment {
-            Segment::Joint { target, .. } => trace_joint(model, index, &from, &target, leg)?,
-            Segment::Linear { target, .. } => trace_linear(model, index, &from, &target, leg)?,
+            Segment::Joint { target, .. } => trace_joint(model, &from, &target, leg)?,
+            Segment::Linear { target, .. } => trace_linear(model, &from, &target, leg)?,
         };
-        check_numbers(model, index, &way.segment)?;
+        check_numbers(model, &way.segment)?;
         traced.push(way);
         from = leg.segment.target();
     }
@@ -96,7 +96,7 @@ fn sweep(
     let mut sweep = Sweep::new(&model.bodies, room);
     sweep.accept_start(start);
     for (index, (leg, way)) in legs.iter().zip(traced).enumerate() {
-        let found = |meeting| meets(model, index, start, meeting);
+        let found = |meeting| meets(model, (index == 0).then_some(start), meeting);
         chain(&mut sweep, &way.points, leg.zone).map_err(found)?;
         let Some((after, next)) = traced.get(index + 1).zip(legs.get(index + 1)) else { continue };
         if leg.segment.blend() > 0.0 {
@@ -133,11 +133,12 @@ fn bulge(points: &[Joints], k: usize) -> Bulge {
     std::array::from_fn(|joint| BULGE * largest(joint))
 }
 
-fn meets(model: &ArmModel, leg: usize, start: &Joints, meeting: Meeting) -> PathFault {
+/// A meeting in words for people; `start` on the path's first leg only.
+fn meets(model: &ArmModel, start: Option<&Joints>, meeting: Meeting) -> PathFault {
     let Meeting { one, other, distance, at } = meeting;
-    let at_start = leg == 0 && at.max_difference(start) < 1e-9;
+    let at_start = start.is_some_and(|start| at.max_difference(start) < 1e-9);
     let tool = model.tool_at(&at).translation.vector.into();
-    PathFault::Meets { leg, one, other, distance_mm: distance * 1e3, tool, at_start }
+    PathFault::Meets { one, other, distance_mm: distance * 1e3, tool, at_start }
 }
 
 /// A corner that is cut: where a blend leaves the one leg and where it joins the next.
@@ -162,7 +163,7 @@ impl Corner {
         let Corner { leaves, at, joins } = self;
         let parabola = (0..=CORNER_PIECES).map(|k| {
             let share = k as f64 / CORNER_PIECES as f64;
-            between(&between(leaves, at, share), &between(at, joins, share), share)
+            leaves.lerp(at, share).lerp(&at.lerp(joins, share), share)
         });
         sweep.piece(at, leaves, zone, &STRAIGHT)?;
         chain(sweep, &parabola.collect::<Vec<_>>(), zone)?;
@@ -183,20 +184,16 @@ fn at_distance<'a>(model: &ArmModel, chain: impl Iterator<Item = &'a Joints>, di
             let (mut low, mut high) = (0.0, 1.0);
             for _ in 0..12 {
                 let middle = 0.5 * (low + high);
-                if away(&between(&near, next, middle)) >= distance { high = middle } else { low = middle }
+                if away(&near.lerp(next, middle)) >= distance { high = middle } else { low = middle }
             }
-            return between(&near, next, high);
+            return near.lerp(next, high);
         }
         near = *next;
     }
     near
 }
 
-fn between(from: &Joints, to: &Joints, share: f64) -> Joints {
-    Joints(std::array::from_fn(|i| from.0[i] + share * (to.0[i] - from.0[i])))
-}
-
-fn check_numbers(model: &ArmModel, leg: usize, segment: &Segment) -> Result<(), PathFault> {
+fn check_numbers(model: &ArmModel, segment: &Segment) -> Result<(), PathFault> {
     let limits = &model.limits;
     let (speed, acceleration, blend, speed_limit, acceleration_limit) = match *segment {
         Segment::Joint { speed, acceleration, blend, .. } => {
@@ -208,42 +205,36 @@ fn check_numbers(model: &ArmModel, leg: usize, segment: &Segment) -> Result<(), 
     };
     let within = |what, value: f64, limit: f64| {
         let inside = value > 0.0 && value <= limit;
-        if inside { Ok(()) } else { Err(PathFault::Limit { leg, what, value, limit }) }
+        if inside { Ok(()) } else { Err(PathFault::Limit { what, value, limit }) }
     };
     within("speed", speed, speed_limit)?;
     within("acceleration", acceleration, acceleration_limit)?;
     if (0.0..=0.5).contains(&blend) {
         Ok(())
     } else {
-        Err(PathFault::Limit { leg, what: "blend radius", value: blend, limit: 0.5 })
+        Err(PathFault::Limit { what: "blend radius", value: blend, limit: 0.5 })
     }
 }
 
 /// What is held stands some acceleration.
-fn check_hold(leg: usize, hold: f64) -> Result<(), PathFault> {
+fn check_hold(hold: f64) -> Result<(), PathFault> {
     if hold > 0.0 {
         Ok(())
     } else {
         let what = "the acceleration that the vacuum holds at";
-        Err(PathFault::Limit { leg, what, value: hold, limit: f64::INFINITY })
+        Err(PathFault::Limit { what, value: hold, limit: f64::INFINITY })
     }
 }
 
-fn trace_joint(
-    model: &ArmModel,
-    index: usize,
-    from: &Joints,
-    to: &Joints,
-    leg: &Leg,
-) -> Result<Traced, PathFault> {
+fn trace_joint(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Result<Traced, PathFault> {
     if leg.zone == Zone::Between {
-        return Err(PathFault::Aside { leg: index, aside_mm: f64::INFINITY });
+        return Err(PathFault::Aside { aside_mm: f64::INFINITY });
     }
     let samples = (from.max_difference(to) / SAMPLE_RAD).ceil().clamp(1.0, 2_000.0) as usize;
     // Without a floor the ends say it all: no joint leaves its range between them.
     let samples = if leg.floor == f64::NEG_INFINITY { 1 } else { samples };
     for k in 0..=samples {
-        check_place(model, index, &between(from, to, k as f64 / samples as f64), leg.floor)?;
+        check_place(model, &from.lerp(to, k as f64 / samples as f64), leg.floor)?;
     }
     let segment = if leg.hold.is_finite() { slowed_for_load(model, from, leg) } else { leg.segment };
     Ok(Traced { points: vec![*from, *to], segment })
@@ -254,8 +245,7 @@ fn trace_joint(
 fn slowed_for_load(model: &ArmModel, from: &Joints, leg: &Leg) -> Segment {
     let Segment::Joint { target, speed, acceleration, blend } = leg.segment else { return leg.segment };
     let travel = from.max_difference(&target);
-    let at =
-        |k: usize| model.tool_at(&between(from, &target, k as f64 / LOAD_SAMPLES as f64)).translation.vector;
+    let at = |k: usize| model.tool_at(&from.lerp(&target, k as f64 / LOAD_SAMPLES as f64)).translation.vector;
     let places: Vec<Vector3<f64>> = (0..=LOAD_SAMPLES).map(at).collect();
     // For each radian of the leading joint, and for each squared.
     let step = travel / LOAD_SAMPLES as f64;
@@ -284,22 +274,16 @@ fn within_sum(speed: f64, acceleration: f64, along: f64, bent: f64, limit: f64) 
     (slower, softer)
 }
 
-fn trace_linear(
-    model: &ArmModel,
-    index: usize,
-    from: &Joints,
-    to: &Joints,
-    leg: &Leg,
-) -> Result<Traced, PathFault> {
+fn trace_linear(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Result<Traced, PathFault> {
     let (start, end) = (model.tool_at(from), model.tool_at(to));
     let way = end.translation.vector - start.translation.vector;
     let aside = way.x.hypot(way.y);
     if leg.zone == Zone::Between && aside > ASIDE_M {
-        return Err(PathFault::Aside { leg: index, aside_mm: aside * 1e3 });
+        return Err(PathFault::Aside { aside_mm: aside * 1e3 });
     }
     let turn = start.rotation.angle_to(&end.rotation);
     if leg.zone == Zone::Between && turn > TURN_RAD {
-        return Err(PathFault::Turning { leg: index, turn_deg: turn.to_degrees() });
+        return Err(PathFault::Turning { turn_deg: turn.to_degrees() });
     }
     let samples = (way.norm() / SAMPLE_M + turn / 0.05).ceil().clamp(2.0, 500.0) as usize;
     let mut points = Vec::with_capacity(samples + 1);
@@ -313,29 +297,23 @@ fn trace_linear(
             .ok_or_else(|| out_of_reach("on a straight line", &tool))?;
         // A continuous solution moves little from sample to sample; a jump means the branches met.
         if q.max_difference(&near) > 0.35 {
-            return Err(PathFault::Singular { leg: index, which: "shoulder" });
+            return Err(PathFault::Singular { which: "shoulder" });
         }
-        check_singular(model, index, &q)?;
-        check_place(model, index, &q, leg.floor)?;
+        check_singular(model, &q)?;
+        check_place(model, &q, leg.floor)?;
         points.push(q);
         near = q;
     }
     // The controller follows the same branch: it has to arrive at the joints that were requested.
     if near.max_difference(to) > 1e-3 {
-        return Err(PathFault::Singular { leg: index, which: "wrist" });
+        return Err(PathFault::Singular { which: "wrist" });
     }
-    let segment = slowed_on_line(model, index, &points, way.norm(), leg)?;
+    let segment = slowed_on_line(model, &points, way.norm(), leg)?;
     Ok(Traced { points, segment })
 }
 
 /// A line at a speed and an acceleration at which every joint keeps its limits, and the vacuum its load.
-fn slowed_on_line(
-    model: &ArmModel,
-    index: usize,
-    points: &[Joints],
-    length: f64,
-    leg: &Leg,
-) -> Result<Segment, PathFault> {
+fn slowed_on_line(model: &ArmModel, points: &[Joints], length: f64, leg: &Leg) -> Result<Segment, PathFault> {
     let Segment::Linear { target, mut speed, mut acceleration, blend } = leg.segment else {
         return Ok(leg.segment);
     };
@@ -358,35 +336,35 @@ fn slowed_on_line(
         speed = speed.min(limits.joint_speed / along.max(1e-9));
         (speed, acceleration) = within_sum(speed, acceleration, along, bent, limits.joint_acceleration);
         if speed < least {
-            return Err(PathFault::TooSlow { leg: index, joint: joint + 1, speed_mm_s: speed * 1e3 });
+            return Err(PathFault::TooSlow { joint: joint + 1, speed_mm_s: speed * 1e3 });
         }
     }
     Ok(Segment::Linear { target, speed, acceleration, blend })
 }
 
-fn check_singular(model: &ArmModel, leg: usize, q: &Joints) -> Result<(), PathFault> {
+fn check_singular(model: &ArmModel, q: &Joints) -> Result<(), PathFault> {
     let wrist = forward(&model.dh, q) * nalgebra::Point3::new(0.0, 0.0, -model.dh.d[5]);
     if q.0[4].sin().abs() < MIN_WRIST_SINE {
-        Err(PathFault::Singular { leg, which: "wrist" })
+        Err(PathFault::Singular { which: "wrist" })
     } else if q.0[2].sin().abs() < MIN_ELBOW_SINE {
-        Err(PathFault::Singular { leg, which: "elbow" })
+        Err(PathFault::Singular { which: "elbow" })
     } else if wrist.x.hypot(wrist.y) < MIN_SHOULDER_RADIUS_M {
-        Err(PathFault::Singular { leg, which: "shoulder" })
+        Err(PathFault::Singular { which: "shoulder" })
     } else {
         Ok(())
     }
 }
 
-fn check_place(model: &ArmModel, leg: usize, q: &Joints, floor: f64) -> Result<(), PathFault> {
+fn check_place(model: &ArmModel, q: &Joints, floor: f64) -> Result<(), PathFault> {
     if let Some(joint) = model.outside_range(q) {
-        return Err(PathFault::JointRange { leg, joint: joint + 1, at_deg: q.0[joint].to_degrees() });
+        return Err(PathFault::JointRange { joint: joint + 1, at_deg: q.0[joint].to_degrees() });
     }
     if floor == f64::NEG_INFINITY {
         return Ok(());
     }
     let height = model.tool_at(q).translation.vector.z;
     if height < floor - 1e-6 {
-        return Err(PathFault::TooLow { leg, height_mm: height * 1e3, floor_mm: floor * 1e3 });
+        return Err(PathFault::TooLow { height_mm: height * 1e3, floor_mm: floor * 1e3 });
     }
     Ok(())
 }
@@ -416,7 +394,7 @@ mod tests {
             let Some(to) = model.joints_in_work_posture(&to, &from) else { continue };
             let segment = Segment::Linear { target: to, speed: 0.02, acceleration: 1.0, blend: 0.0 };
             let leg = Leg::over(segment, f64::NEG_INFINITY);
-            let Ok(way) = trace_linear(&model, 0, &from, &to, &leg) else { continue };
+            let Ok(way) = trace_linear(&model, &from, &to, &leg) else { continue };
             traced += 1;
             let [start, end] = [from, to].map(|q| model.tool_at(&q));
             for (k, pair) in way.points.windows(2).enumerate() {
@@ -428,7 +406,7 @@ mod tests {
                     let tool = model.flange_at(&Isometry3::from_parts(place.into(), rotation));
                     let there =
                         inverse_from(&model.dh, &tool, &pair[0]).expect("between two that are in reach");
-                    let chord = between(&pair[0], &pair[1], part);
+                    let chord = pair[0].lerp(&pair[1], part);
                     for (joint, bulge) in bulge.iter().enumerate() {
                         let off = (there.0[joint] - chord.0[joint]).abs();
                         let most = 4.0 * part * (1.0 - part) * bulge;

@@ -24,8 +24,6 @@ pub enum PathFault {
     /// A joint leaves its range.
     #[error("joint {joint} would be at {at_deg:.1} degrees, outside its range")]
     JointRange {
-        /// Index of the leg.
-        leg: usize,
         /// Joint number, 1 to 6.
         joint: usize,
         /// Where it would be, degrees.
@@ -34,8 +32,6 @@ pub enum PathFault {
     /// The tool would go too low.
     #[error("the tool would be {height_mm:.1} mm over the table, where {floor_mm:.1} mm is the least")]
     TooLow {
-        /// Index of the leg.
-        leg: usize,
         /// Height reached, mm.
         height_mm: f64,
         /// Height allowed, mm.
@@ -44,16 +40,12 @@ pub enum PathFault {
     /// A linear segment passes too near to a singularity, or jumps between branches.
     #[error("a straight line here passes too near to a {which} singularity")]
     Singular {
-        /// Index of the leg.
-        leg: usize,
         /// wrist, elbow or shoulder.
         which: &'static str,
     },
     /// Speed, acceleration or blend is not a number in its limits.
     #[error("the {what} is {value:.3}; it has to be over 0 and at most {limit:.3} (m, rad, s)")]
     Limit {
-        /// Index of the leg.
-        leg: usize,
         /// Which number.
         what: &'static str,
         /// Its value, SI.
@@ -64,8 +56,6 @@ pub enum PathFault {
     /// Two bodies would meet, or come nearer than they may.
     #[error("{one} {how} {other}, with the tool at {place}", how = nearness(*.distance_mm, *.at_start), place = place(.tool))]
     Meets {
-        /// Index of the leg.
-        leg: usize,
         /// One of them.
         one: String,
         /// The other.
@@ -80,16 +70,12 @@ pub enum PathFault {
     /// What goes down between the objects has to go straight.
     #[error("the way between the objects is not vertical: it goes {aside_mm:.1} mm aside")]
     Aside {
-        /// Index of the leg.
-        leg: usize,
         /// How far, mm.
         aside_mm: f64,
     },
     /// Nor does the tool turn there.
     #[error("the way between the objects turns the tool by {turn_deg:.1} degrees")]
     Turning {
-        /// Index of the leg.
-        leg: usize,
         /// How far, degrees.
         turn_deg: f64,
     },
@@ -99,8 +85,6 @@ pub enum PathFault {
          of reach"
     )]
     TooSlow {
-        /// Index of the leg.
-        leg: usize,
         /// Joint number, 1 to 6.
         joint: usize,
         /// Speed of the tool at which it can, mm/s.
@@ -115,6 +99,27 @@ impl PathFault {
     /// True where this body would meet something.
     pub fn names(&self, body: &str) -> bool {
         matches!(self, PathFault::Meets { one, other, .. } if one == body || other == body)
+    }
+
+    /// What a person does about a pick or a place that is refused for this. A place may be out of reach for
+    /// being too far away, or too near to the arm's own base.
+    pub fn remedy(&self) -> &'static str {
+        match self {
+            PathFault::OutOfReach { .. } | PathFault::TooSlow { .. } => {
+                "put the object or its goal where the arm reaches without being stretched out"
+            }
+            PathFault::Singular { .. } | PathFault::JointRange { .. } => {
+                "put the object or its goal where the arm is neither stretched out nor folded over its base"
+            }
+            PathFault::Meets { .. } => {
+                "take what would be met aside by hand, or give the job a goal with more room"
+            }
+            PathFault::TooLow { .. }
+            | PathFault::Limit { .. }
+            | PathFault::Aside { .. }
+            | PathFault::Turning { .. }
+            | PathFault::Empty => "see `motion:` and the object's height and grip in the configuration",
+        }
     }
 
     /// The two bodies that are too near to each other before the arm has moved.
