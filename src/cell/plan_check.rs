@@ -46,6 +46,8 @@ pub struct OutOfReach {
     pub buffer: Option<(usize, Pose2)>,
     /// In words, with the object's name.
     pub message: String,
+    /// What a person can do about it.
+    pub remedy: &'static str,
 }
 
 impl PlanLimits {
@@ -130,7 +132,7 @@ impl PlanLimits {
     fn out_of_reach(&self, object: usize, what: &str, fault: &PathFault) -> OutOfReach {
         let name = self.objects[object].object.clone();
         let message = format!("{name} cannot be moved ({what}): {fault}");
-        OutOfReach { object, name, buffer: None, message }
+        OutOfReach { object, name, buffer: None, message, remedy: fault.remedy() }
     }
 }
 

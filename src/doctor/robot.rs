@@ -4,7 +4,7 @@
 //! In: [`RobotFacts`]. Out: lines. Pure.
 
 use crate::cell::device::robot_types::{Link, RobotState};
-use crate::cell::supervisor::safety_words::{safety_remedy, safety_words};
+use crate::cell::supervisor::safety_words::{mode_words, safety_remedy, safety_words};
 use crate::doctor::{Area, Line};
 use cell_values::time::Duration;
 use ur_arm::kinematics::{DhParameters, model_of};
@@ -162,7 +162,8 @@ impl RobotFacts {
                     _ => "",
                 };
                 format!(
-                    "the controller boots, or the service is off: on the pendant under Settings, Security, Services, \
+                    "the controller boots, or the service is off: on the pendant under Settings, Security, \
+                     Services, \
                      enable \"{name}\"{x}"
                 )
             }
@@ -193,7 +194,8 @@ impl RobotFacts {
             Some(false) => problem(
                 "remote control",
                 "off: the pendant is in local control",
-                "enable it under Settings, System, Remote Control; then switch the pendant from Local to Remote",
+                "enable it under Settings, System, Remote Control; then switch the pendant from Local to \
+                 Remote",
             ),
             None => problem(
                 "remote control",
@@ -249,7 +251,8 @@ fn stream_line(rtde: &RtdeFacts) -> Line {
         rtde.lost,
         gap.as_secs_f64() * 1e3
     );
-    let hint = "connect the controller by a cable of its own, not over wireless or a busy switch; see the lines on \
+    let hint = "connect the controller by a cable of its own, not over wireless or a busy switch; see the \
+                lines on \
                 this computer";
     if gap >= GAP_STALE {
         problem("states", found, hint)
@@ -273,7 +276,7 @@ fn arm_line(mode: RobotMode) -> Line {
         RobotMode::PowerOff | RobotMode::Idle => {
             ok("arm", "off; `celld arm` powers it and releases the brakes")
         }
-        _ => problem("arm", format!("the robot mode is {mode}"), "look at the pendant for what it waits for"),
+        _ => problem("arm", mode_words(mode), "look at the pendant for what it waits for"),
     }
 }
 

@@ -60,7 +60,7 @@ impl ThinModel {
         let samples = (from.max_difference(to) / step).ceil().max(1.0) as usize;
         let at = |k: usize| {
             let share = k as f64 / samples as f64;
-            from.lerp(&to, share)
+            from.lerp(to, share)
         };
         (0..=samples).all(|k| self.least_at(&at(k)) >= distance)
     }

@@ -76,7 +76,7 @@ fn assert_stays_in(drawn: &Drawn, model: &ArmModel, start: Option<Joints>, poses
     for (index, q) in poses.iter().enumerate() {
         for k in 0..=1000 {
             let share = f64::from(k) / 1000.0;
-            let on_way = at.lerp(&q, share);
+            let on_way = at.lerp(q, share);
             let flange = forward(&model.dh, &on_way);
             assert!(room.outside_m(&flange.translation.vector) < 1e-4, "pose {index} at {share}");
             assert!(model.tool_at(&on_way).translation.z > 0.049, "pose {index}");

@@ -252,7 +252,7 @@ impl Stream {
             sent.budget_s -= scaled_s;
             if sent.budget_s < 0.0 {
                 let what = match sent.what {
-                    What::Segment { batch, index, .. } => format!("segment {index} of path {batch}"),
+                    What::Segment { index, .. } => format!("part {} of the motion", index + 1),
                     What::Setting(_) => "setting payload or TCP".into(),
                 };
                 return Err(format!("{what} (command {}) is overdue", sent.sequence));

@@ -6,7 +6,7 @@
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::Link;
 use crate::cell::supervisor::input::DeviceSnapshot;
-use crate::cell::supervisor::safety_words::{safety_remedy, safety_words};
+use crate::cell::supervisor::safety_words::{mode_words, safety_remedy, safety_words};
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
@@ -17,11 +17,13 @@ impl GateClosed {
     pub fn hint(&self) -> &'static str {
         match self {
             GateClosed::Link(_) | GateClosed::Stale => {
-                "see that the controller is on and in the network: `devices.robot` in the configuration, `ping` it"
+                "see that the controller is on and in the network: `devices.robot` in the configuration, \
+                 `ping` it"
             }
             GateClosed::Safety(mode) => safety_remedy(*mode),
             GateClosed::Mode(_) => {
-                "see the pendant: a controller that starts or is updated takes its time, a new safety configuration is confirmed \
+                "see the pendant: a controller that starts or is updated takes its time, a new safety \
+                 configuration is confirmed \
                  there, and so is backdrive ended; then `celld arm`"
             }
             GateClosed::Guided => {
@@ -33,7 +35,8 @@ impl GateClosed {
             GateClosed::NotPlaying(_) => "look at the pendant for what the program does, or `celld abort`",
             GateClosed::Disarmed => "`celld arm` once the cell is clear",
             GateClosed::Gripper => {
-                "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, `ping` it"
+                "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, \
+                 `ping` it"
             }
             GateClosed::GripperUnconfirmed => {
                 "see that it is the gripper on this arm, then `celld confirm-gripper`, once for this address"
@@ -58,8 +61,8 @@ pub enum GateClosed {
     #[error("{}", safety_words(*.0))]
     Safety(SafetyMode),
     /// The arm is not powered with its brakes released.
-    #[error("the robot mode is {0}")]
-    Mode(String),
+    #[error("{}", mode_words(*.0))]
+    Mode(RobotMode),
     /// A person guides the arm by hand.
     #[error("the arm is guided by hand (freedrive)")]
     Guided,
@@ -138,7 +141,7 @@ pub fn arming_for_round(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
         | RobotMode::PowerOn
         | RobotMode::Backdrive
         | RobotMode::UpdatingFirmware
-        | RobotMode::Unknown(_) => Err(GateClosed::Mode(format!("{:?}", robot.robot_mode))),
+        | RobotMode::Unknown(_) => Err(GateClosed::Mode(robot.robot_mode)),
     }
 }
 
@@ -172,7 +175,7 @@ pub fn any_motion(armed: bool, outside: &DeviceSnapshot, nonce: Option<Nonce>) -
         return Err(GateClosed::Safety(robot.safety_mode));
     }
     if robot.robot_mode != RobotMode::Running {
-        return Err(GateClosed::Mode(format!("{:?}", robot.robot_mode)));
+        return Err(GateClosed::Mode(robot.robot_mode));
     }
     if robot.guided {
         return Err(GateClosed::Guided);

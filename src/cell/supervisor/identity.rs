@@ -25,6 +25,12 @@ impl Supervisor {
             .or_else(|| self.other_safety_configuration(event))
             .or_else(|| self.other_kinematics(event))?;
         let Difference { what, remedy } = difference;
+        // A locked cell has no ways back: what hangs on the cups is taken off by hand.
+        let hands = match self.may_be_held() {
+            true => "hold what hangs on the cups by hand and `celld release --yes`, then ",
+            false => "",
+        };
+        let remedy = format!("{hands}{remedy}");
         self.mode.lock(format!("{what}; {remedy}"));
         Some(Code::OtherRobot.because(what, remedy))
     }
@@ -51,7 +57,8 @@ impl Supervisor {
         let RobotEvent::SafetyChecksum { checksum } = event else { return None };
         let before = *self.robot.safety_checksum.get_or_insert(*checksum);
         let what = format!(
-            "the robot's safety configuration was changed: its checksum is {checksum:08x}, it was {before:08x}"
+            "the robot's safety configuration was changed: its checksum is {checksum:08x}, it was \
+             {before:08x}"
         );
         let remedy = "see that it is the one of the risk assessment, end celld, start it again";
         (before != *checksum).then_some(Difference { what, remedy })

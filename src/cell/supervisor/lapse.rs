@@ -12,6 +12,7 @@ use crate::cell::supervisor::gates::motion_speed;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
 use crate::cell::supervisor::phase::{Phase, Quiet};
 use crate::cell::supervisor::reason::alarm;
+use crate::cell::supervisor::safety_words::mode_words;
 use cell_values::time::{Duration, Timestamp};
 use ur_wire::enumerations::RobotMode;
 
@@ -73,10 +74,8 @@ impl Supervisor {
         }
         let starts = matches!(self.phase, Phase::BringUp(_));
         if robot.robot_mode != RobotMode::Running && !starts {
-            let mode = robot.robot_mode;
-            return Some(format!(
-                "power or brakes were switched, and not by celld: the robot mode is {mode:?}"
-            ));
+            let mode = mode_words(robot.robot_mode);
+            return Some(format!("power or brakes were switched, and not by celld: {mode}"));
         }
         let rest = self.quiet.and_then(|quiet| quiet.at)?;
         (robot.q.max_difference(&rest) > MOVED_RAD).then(|| "the arm was moved, and not by celld".to_string())

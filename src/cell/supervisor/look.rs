@@ -184,7 +184,8 @@ impl Supervisor {
             alarm(
                 out,
                 format!(
-                    "waiting for the camera ({}): {}; the arm moves on as soon as a picture comes, `celld disarm` before \
+                    "waiting for the camera ({}): {}; the arm moves on as soon as a picture comes, `celld \
+                     disarm` before \
                      going to it; {}",
                     fault.code, fault.message, fault.hint
                 ),
@@ -447,11 +448,10 @@ impl Supervisor {
             }
             PlanAnswer::OutOfReach(fault) => {
                 let hint = match fault.buffer {
-                    None => {
-                        "put the object or its goal nearer to the robot, or take what is in the way aside"
-                    }
+                    None => fault.remedy,
                     Some(_) => {
-                        "there is too little room to put things aside within reach: clear the table a little, \
+                        "there is too little room to put things aside within reach: clear the table a \
+                         little, \
                          or give the job a longer time_limit_s"
                     }
                 };

@@ -1,10 +1,11 @@
-//! Modes of the robot's safety system in words, and what a person does about each.
+//! Modes of the robot and of its safety system in words, and what a person does about each.
 //!
 //! In: a mode. Out: its kind, as a result code; a sentence; what to do first. Below gates and troubles, which
-//! both say it. Pure.
+//! both say it. The controller's own name of a mode goes with the words, for its log and its manual use it.
+//! Pure.
 
 use crate::cell::code::Code;
-use ur_wire::enumerations::SafetyMode;
+use ur_wire::enumerations::{RobotMode, SafetyMode};
 
 /// A safety mode as a person would say it.
 pub(crate) fn safety_words(mode: SafetyMode) -> String {
@@ -15,6 +16,24 @@ pub(crate) fn safety_words(mode: SafetyMode) -> String {
         Code::SafetyFault => format!("the safety system has failed ({mode})"),
         _ => format!("the safety system is in a mode without motion ({mode})"),
     }
+}
+
+/// How far the arm is powered up, as a person would say it.
+pub(crate) fn mode_words(mode: RobotMode) -> String {
+    let words = match mode {
+        RobotMode::NoController => "the controller's own software does not run",
+        RobotMode::Disconnected => "the controller has no connection to the arm",
+        RobotMode::ConfirmSafety => "a safety configuration waits for its confirmation at the pendant",
+        RobotMode::Booting => "the controller is starting",
+        RobotMode::PowerOff => "the arm is powered off",
+        RobotMode::PowerOn => "the arm's power is coming on",
+        RobotMode::Idle => "the arm's brakes are on",
+        RobotMode::Backdrive => "the arm is in backdrive",
+        RobotMode::Running => "the arm is powered, its brakes released",
+        RobotMode::UpdatingFirmware => "the arm's firmware is being updated",
+        RobotMode::Unknown(_) => "the arm is in a mode that celld does not know",
+    };
+    format!("{words} (robot mode {mode})")
 }
 
 /// What to do before anything else.
@@ -76,5 +95,11 @@ mod tests {
             assert_eq!(safety_code(mode), code, "{mode}");
         }
         assert!(safety_words(SafetyMode::Unknown(99)).contains("99"), "the number is shown");
+    }
+
+    #[test]
+    fn a_robot_mode_has_words_and_the_controllers_name_for_it() {
+        assert_eq!(mode_words(RobotMode::Booting), "the controller is starting (robot mode BOOTING)");
+        assert!(mode_words(RobotMode::Unknown(42)).contains("42"), "the number is shown");
     }
 }

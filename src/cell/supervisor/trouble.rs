@@ -12,7 +12,7 @@ use crate::cell::supervisor::gates::motion_speed;
 use crate::cell::supervisor::input::DeviceSnapshot;
 use crate::cell::supervisor::phase::Phase;
 use crate::cell::supervisor::reason::Reason;
-use crate::cell::supervisor::safety_words::{safety_code, safety_remedy, safety_words};
+use crate::cell::supervisor::safety_words::{mode_words, safety_code, safety_remedy, safety_words};
 use cell_values::time::Timestamp;
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
@@ -22,10 +22,15 @@ impl Supervisor {
         code.because(message, format!("{first}; {}", self.then()))
     }
 
+    /// Something is held, or may hang on the cups.
+    pub(crate) fn may_be_held(&self) -> bool {
+        let held = self.back.held.as_ref().is_some_and(|held| !held.let_go);
+        held || self.back.grips || self.back.fell.is_some()
+    }
+
     /// What leads on after a stop.
     pub(crate) fn then(&self) -> &'static str {
-        let held = self.back.held.as_ref().is_some_and(|held| !held.let_go);
-        match (held || self.back.grips || self.back.fell.is_some(), self.job.is_some()) {
+        match (self.may_be_held(), self.job.is_some()) {
             (true, _) => "something may be held: `celld recover` shows the ways back",
             (false, true) => "then `celld arm` and submit again",
             (false, false) => "then `celld arm`",
@@ -112,7 +117,11 @@ impl Supervisor {
                 let first = "see the network, and that this computer is not overloaded";
                 self.trouble(Code::HeartbeatLost, message, first)
             }
-            ProgramEnd::LinkLost => self.trouble(Code::LinkLost, message, "see the network"),
+            ProgramEnd::LinkLost => {
+                let first = "see the network, and that no other RTDE client has taken celld's inputs \
+                             (`celld recover` names those taken)";
+                self.trouble(Code::LinkLost, message, first)
+            }
             ProgramEnd::NotStarted(_) => {
                 self.trouble(Code::ProgramNotStarted, message, "see the pendant for the program's error")
             }
@@ -131,8 +140,9 @@ impl Supervisor {
             let message = "the controller ended all its connections: it starts anew, or was switched off";
             return self.trouble(Code::ControllerGone, message, "wait for the controller, look at the arm");
         }
-        let message = "the connection to the controller (RTDE) is lost, and with it the sight of the arm: its program stops \
-                       by itself, keep away until it is seen at rest";
+        let message = "the connection to the controller (RTDE) is lost, and with it the sight of the arm: \
+                       its program should \
+                       stop by itself, keep away until the arm is seen at rest";
         self.trouble(Code::LinkLost, message, "see the network between this computer and the controller")
     }
 
@@ -154,7 +164,7 @@ impl Supervisor {
         } else if !robot.safety_mode.allows_motion() {
             Some(self.safety_trouble(robot.safety_mode))
         } else if robot.robot_mode != RobotMode::Running {
-            let message = format!("the arm is not ready any more: robot mode {:?}", robot.robot_mode);
+            let message = format!("the arm is not ready any more: {}", mode_words(robot.robot_mode));
             Some(self.trouble(Code::PowerSwitched, message, "see who switched its power or brakes"))
         } else if robot.guided {
             let message = "a person holds the freedrive button";

@@ -9,6 +9,7 @@ use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
+use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::phase::{Phase, Visit};
 use crate::cell::supervisor::round::{Round, RoundFault, RoundOrder};
 use crate::motion::slow::slow_move;
@@ -39,8 +40,12 @@ impl Supervisor {
         let why = self.under_way(outside).or(way_back).map(str::to_string);
         let why = why.or_else(|| self.round_gate(outside));
         let why = why.or_else(|| {
-            (!self.mode.arm())
-                .then(|| "the cell is locked or ends: `celld status` names the reason".to_string())
+            (!self.mode.arm()).then(|| match &self.mode {
+                Mode::Locked(reason) => reason.clone(),
+                Mode::Ending { .. } | Mode::Disarmed { .. } | Mode::Armed { .. } => {
+                    "celld is ending".to_string()
+                }
+            })
         });
         match why {
             Some(why) => out.push(Action::RoundOver(Err(RoundFault::Robot(why)))),

@@ -51,8 +51,7 @@ impl Supervisor {
             Ok(paths) => paths,
             Err(fault) => {
                 let message = format!("{} cannot be moved: {fault}", next.object);
-                let hint = "put the object or its goal nearer to the robot";
-                let reason = Code::Unreachable.because(message, hint).of(&next.object);
+                let reason = Code::Unreachable.because(message, fault.remedy()).of(&next.object);
                 return self.finish(now, JobStatus::Failed, reason, out);
             }
         };
@@ -237,7 +236,8 @@ impl Supervisor {
             }
             (WorkStage::NotingGrip(_) | WorkStage::Carrying, GripperEvent::VacuumLost { vacuum }) => {
                 let message = format!("{} was lost: vacuum {:.0} %", work.object, vacuum * 100.0);
-                let hint = "see where it lies, or whether it still hangs: `celld recover` says what the gripper reads";
+                let hint = "see where it lies, or whether it still hangs: `celld recover` says what the \
+                            gripper reads";
                 let reason = Code::VacuumLost.because(message, hint).of(&work.object);
                 return self.stop_all(now, JobStatus::Failed, reason, out);
             }
@@ -282,7 +282,9 @@ impl Supervisor {
             | WorkStage::Withdrawing => "while holding",
         };
         let message = format!("the gripper stopped answering {during} {}", work.object);
-        let reason = Code::GripperUnreachable.because(message, "").of(&work.object);
+        let hint = "see that the Compute Box is on and in the network, and keep clear of what may fall; \
+                    `celld recover` shows what is held and the ways back";
+        let reason = Code::GripperUnreachable.because(message, hint).of(&work.object);
         self.stop_all(now, JobStatus::Interrupted, reason, out);
     }
 

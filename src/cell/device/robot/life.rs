@@ -350,7 +350,7 @@ impl Robot {
                 self.program_ended(ProgramEnd::NotStarted(detail));
             }
             Program::Starting { .. } => {
-                let detail = "it did not show its nonce within 5 s".to_string();
+                let detail = "it did not identify itself within 5 s".to_string();
                 self.halt(now, Some(ProgramEnd::NotStarted(detail)), false);
             }
             Program::Stopping { .. } => self.halt(now, Some(ProgramEnd::StoppedByUs), true),
