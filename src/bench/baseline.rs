@@ -240,7 +240,8 @@ fn totals(pairs: &[&Pair]) -> String {
         solved.iter().filter(|pair| !pair.dependable()).map(|pair| missed(pair)).collect();
     let gained = pairs.iter().filter(|pair| pair.theirs.cost.is_none() && pair.dependable()).count();
     let mut text = format!(
-        "rows: {}; theirs solved {}, of which ours in at least {share} of {of} seeds {}; ours solved {gained} of \
+        "rows: {}; theirs solved {}, of which ours in at least {share} of {of} seeds {}; ours solved \
+         {gained} of \
          the {} that theirs did not\n",
         pairs.len(),
         solved.len(),

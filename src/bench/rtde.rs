@@ -29,10 +29,14 @@ const DECODED: u32 = 20_000;
 const COMMANDS: i32 = 100;
 
 /// A program that starts a motion in the frame in which register 24 changes.
-const ANSWERS: &str = "def bench():\n  last = 0\n  while True:\n    n = read_input_integer_register(24)\n    if n != last:\n      last = n\n      speedj([0.1 * (1 - 2 * (n % 2)),0,0,0,0,0], 20, 0.02)\n      stopj(20)\n    end\n    sync()\n  end\nend\n";
+const ANSWERS: &str = "def bench():\n  last = 0\n  while True:\n    n = \
+                       read_input_integer_register(24)\n    if n != last:\n      last = n\n      \
+                       speedj([0.1 * (1 - 2 * (n % 2)),0,0,0,0,0], 20, 0.02)\n      stopj(20)\n    end\n    \
+                       sync()\n  end\nend\n";
 
 /// A program that moves without end, as the demo does.
-const MOVES: &str = "def bench():\n  q = get_target_joint_positions()\n  while True:\n    movej(q + [0.5,0,0,0,0,0], a=3, v=1.5)\n    movej(q, a=3, v=1.5)\n  end\nend\n";
+const MOVES: &str = "def bench():\n  q = get_target_joint_positions()\n  while True:\n    movej(q + \
+                     [0.5,0,0,0,0,0], a=3, v=1.5)\n    movej(q, a=3, v=1.5)\n  end\nend\n";
 
 /// What to measure, and with what.
 #[derive(Clone, Debug)]

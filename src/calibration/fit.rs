@@ -174,7 +174,8 @@ impl TransformStd {
 pub enum CalibrateError {
     /// Too few samples show a reference marker.
     #[error(
-        "only {found} of {given} samples show a reference marker, {wanted} are needed: check the marker ids and sizes in the \
+        "only {found} of {given} samples show a reference marker, {wanted} are needed: check the marker ids \
+         and sizes in the \
          config, the light, and that the camera looks at the table"
     )]
     TooFewSamples {
@@ -187,7 +188,8 @@ pub enum CalibrateError {
     },
     /// Too few samples show the board on the hand.
     #[error(
-        "only {found} of {given} samples show the board on the hand, {wanted} are needed: check `camera.board` in the config \
+        "only {found} of {given} samples show the board on the hand, {wanted} are needed: check \
+         `camera.board` in the config \
          against the print, the light, and that the camera sees the hand"
     )]
     BoardUnseen {
@@ -210,7 +212,8 @@ pub enum CalibrateError {
     },
     /// The fit did not come near the data.
     #[error(
-        "the best fit misses the corners by {reprojection_px:.1} px: samples taken while the arm moved, wrong marker sizes, \
+        "the best fit misses the corners by {reprojection_px:.1} px: samples taken while the arm moved, \
+         wrong marker sizes, \
          a wrong marker survey, or the camera's intrinsics of another resolution"
     )]
     NoFit {

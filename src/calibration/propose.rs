@@ -42,7 +42,8 @@ impl Proposal {
     /// How many, and how good: one sentence.
     pub fn sentence(&self) -> String {
         format!(
-            "{} poses; with corners known to {NOISE_PX} px they would place the camera within {:.2} mm and {:.3} degrees",
+            "{} poses; with corners known to {NOISE_PX} px they would place the camera within {:.2} mm and \
+             {:.3} degrees",
             self.poses.len(),
             mm_from_m(self.std.translation_m),
             deg_from_rad(self.std.rotation_rad)
@@ -97,7 +98,8 @@ pub fn check(drawn: &Drawn) -> Result<(), String> {
 fn room(drawn: &Drawn) -> Result<&CalibrationBox, String> {
     drawn.room.as_ref().ok_or_else(|| {
         "calibration_box is missing: poses are proposed within a box that the flange does not leave; add \
-         calibration_box: {low: [x, y, z], high: [x, y, z]} (m, base frame), or {corners_deg: [[6 joints], [6 joints]]} as taught"
+         calibration_box: {low: [x, y, z], high: [x, y, z]} (m, base frame), or \
+         {corners_deg: [[6 joints], [6 joints]]} as taught"
             .to_string()
     })
 }
@@ -126,13 +128,17 @@ fn proposal(
 fn no_room(scene: &Scene, found: usize, count: usize) -> String {
     match scene.carried {
         Carried::Camera { .. } => format!(
-            "calibration_box has room for {found} of {count} poses that see {SEEN_MIN} reference markers and that the arm reaches \
+            "calibration_box has room for {found} of {count} poses that see {SEEN_MIN} reference markers \
+             and that the arm reaches \
              in its work posture without leaving the box; widen it, above all upwards"
         ),
         Carried::Board { .. } => format!(
-            "calibration_box has room for {found} of {count} poses that show {SEEN_MIN} markers of the board past the arm to the \
-             camera, well clear of it and the table, and that the arm reaches in its work posture without leaving the box; check \
-             base_from_camera and flange_from_board, clamp the board further from the wrist, or widen the box sideways"
+            "calibration_box has room for {found} of {count} poses that show {SEEN_MIN} markers of the \
+             board past the arm to the \
+             camera, well clear of it and the table, and that the arm reaches in its work posture without \
+             leaving the box; check \
+             base_from_camera and flange_from_board, clamp the board further from the wrist, or widen the \
+             box sideways"
         ),
     }
 }
@@ -148,7 +154,8 @@ fn scene<'a>(drawn: &'a Drawn, lens: &'a CameraModel, model: &'a ArmModel) -> Re
     let mut scene = Scene { model, room, lens, carried, target, target_m, upright: 0.0 };
     scene.stand_upright().map_err(|off| {
         format!(
-            "to show the board the hand would hang {:.0} degrees away from work_pose_deg: in camera.flange_from_board x runs along \
+            "to show the board the hand would hang {:.0} degrees away from work_pose_deg: in \
+             camera.flange_from_board x runs along \
              the board's lower edge and z out of the print",
             deg_from_rad(off)
         )
@@ -165,8 +172,10 @@ fn carried(drawn: &Drawn) -> Result<Carried, String> {
             Ok(Carried::Board { flange_from_board, base_from_camera })
         }
         CameraMount::Fixed { flange_from_board: None, .. } => Err(
-            "camera.flange_from_board is missing: to propose poses before a fixed camera celld has to know roughly (within 2 cm and \
-             10 degrees) how the board is clamped, its lower left corner in the flange frame; or teach calibration_poses_deg \
+            "camera.flange_from_board is missing: to propose poses before a fixed camera celld has to know \
+             roughly (within 2 cm and \
+             10 degrees) how the board is clamped, its lower left corner in the flange frame; or teach \
+             calibration_poses_deg \
              that carry the board through the picture, turned about at least two axes"
                 .into(),
         ),

@@ -63,7 +63,8 @@ pub struct BenchPlanningArgs {
           conflicts_with_all = ["figure", "targets", "scenario", "density", "n", "objective", "count", "ids"])]
     pub baseline: Option<PathBuf>,
     /// Cases of each cell; the paper has 50
-    #[arg(long, value_name = "K", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, value_name = "K", default_value_t = 5,
+          value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub count: u64,
     /// Ids of public cases instead of the first ones; pairs like 1-3 for discs and sticks
     #[arg(long, value_delimiter = ',', requires = "data")]
@@ -96,7 +97,8 @@ pub struct BenchPlanningArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
     /// Threads of each case, for auto
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    #[arg(long, value_name = "N", default_value_t = 1,
+          value_parser = clap::value_parser!(u16).range(1..=256))]
     pub solver_threads: u16,
     /// Run part i of N only; the parts' files merge by concatenation
     #[arg(long, value_name = "i/N", value_parser = Shard::parse)]

@@ -118,7 +118,8 @@ fn table(report: &Report) -> String {
         "{} frames of 1280 x 720, seed {}\n\
          detection rate    {:.3} % of {} markers wholly visible; {} false ids, {} misplaced\n\
          corners           median {:.3} px, p99 {:.3} px\n\
-         time              {:.1} ms a frame on a core, {:.1} ms with two threads; the C library alone {:.1} ms, ratio {:.2}\n",
+         time              {:.1} ms a frame on a core, {:.1} ms with two threads; the C library alone {:.1} \
+         ms, ratio {:.2}\n",
         report.frames,
         report.seed,
         100.0 * report.detection_rate,
@@ -136,7 +137,8 @@ fn table(report: &Report) -> String {
         let lens = column.lens;
         let _ = writeln!(
             text,
-            "calibrated lens   reprojection {:.3} px, focal length {:.3} %, principal point {:.2} px, distortion {:.2} px off",
+            "calibrated lens   reprojection {:.3} px, focal length {:.3} %, principal point {:.2} px, \
+             distortion {:.2} px off",
             lens.reprojection_px,
             lens.focal_error_percent,
             lens.centre_error_px,

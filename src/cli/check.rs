@@ -97,7 +97,10 @@ fn check(path: &Path, with: With) -> Result<Kind, String> {
         None => {
             let node = parse(&text, &source).map_err(|complaints| complaints.to_string())?;
             kind_of(&node).ok_or_else(|| {
-                format!("{source}:1:1: its top-level keys are those of no file of celld; say what it is with --kind config, sim, calibration, job, goal, instance or faults")
+                format!(
+                    "{source}:1:1: its top-level keys are those of no file of celld; say what it is \
+                         with --kind config, sim, calibration, job, goal, instance or faults"
+                )
             })?
         }
     };
@@ -169,7 +172,8 @@ fn check_calibration(text: &str, source: &str) -> Result<(), String> {
         }
         Some(files::Kind::Round) => files::round::Round::parse(text, source).map(drop).map_err(reported),
         None => Err(format!(
-            "{source}:1:1: no calibration file has these keys; it has `version`, `date` and one of `camera`, `hand_eye`, `table`, `touches`, `samples`"
+            "{source}:1:1: no calibration file has these keys; it has `version`, `date` and one of \
+             `camera`, `hand_eye`, `table`, `touches`, `samples`"
         )),
     }
 }

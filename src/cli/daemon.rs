@@ -73,9 +73,12 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
 /// Old pictures must not move a real arm.
 fn refuse_recorded_camera(config: &CellConfig) -> Result<(), String> {
     if config.devices.camera.is_recording() && config.simulation.is_none() {
-        return Err("devices.camera: a folder or recording shows an old table, no arm may act on it; name a live camera, \
+        return Err(
+            "devices.camera: a folder or recording shows an old table, no arm may act on it; name a \
+                    live camera, \
                     or try the pictures with `celld detect`"
-            .to_string());
+                .to_string(),
+        );
     }
     Ok(())
 }

@@ -163,7 +163,10 @@ fn table(path: &Path, image: &Image, found: &[Found]) -> String {
     let name = path.display();
     let _ = writeln!(text, "{name}: {} x {}, {} markers", image.width, image.height, found.len());
     if found.is_empty() {
-        text.push_str("no marker of the families looked for: too small (under 3 px a module), too dark, blurred, or without its white ring?\n");
+        text.push_str(
+            "no marker of the families looked for: too small (under 3 px a module), too dark, \
+                       blurred, or without its white ring?\n",
+        );
         return text;
     }
     let placed = found.iter().any(|found| found.pose.is_some());

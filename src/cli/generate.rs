@@ -26,7 +26,8 @@ pub struct GenerateArgs {
     #[arg(long, value_name = "RHO", value_parser = seconds)]
     pub density: f64,
     /// Number of cases
-    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, value_name = "K", default_value_t = 1,
+          value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub count: u64,
     /// Seed of every random choice; case k of a seed is the same whatever the count
     #[arg(long, value_name = "S", default_value_t = 0)]

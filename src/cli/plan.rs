@@ -30,10 +30,12 @@ const QUIET: Duration = Duration::from_millis(500);
 const SOLVERS: &str = "\
 How the plan is found.
 
-Objects that block each other in a circle cannot all go straight home: some have to wait elsewhere on the table. \
+Objects that block each other in a circle cannot all go straight home: some have to wait elsewhere on the \
+table. \
 The solvers differ in whom they put aside, and when.
 
-  erbm   As little as possible waits at the same time, and objects that are hard to place (large, long) count \
+  erbm   As little as possible waits at the same time, and objects that are hard to place (large, long) \
+  count \
 more. Fast and dependable, also on crowded tables.
   rbm    The same, all objects count alike. Good for objects of one size.
   etbm   As little as possible is put aside in all, hard-to-place objects counting more. The shortest plans \
@@ -42,10 +44,12 @@ where there is room.
   mcts   Tries moves on the real table and follows those that bring objects home. Longer plans at first, \
 but it goes on improving until the time limit unless --first is given.
   emcts  The same, hard-to-place objects are tried more often.
-  auto   A plan within milliseconds, then better ones until the time limit or until one is proved best. The default: \
+  auto   A plan within milliseconds, then better ones until the time limit or until one is proved best. The \
+  default: \
 take another only to compare.
 
-Under --objective ti the three that begin with e count impedance instead of difficulty; the others search as under \
+Under --objective ti the three that begin with e count impedance instead of difficulty; the others search \
+as under \
 pp. All are randomised: another --seed gives another plan.";
 
 /// Arguments of `celld plan`.

@@ -95,7 +95,8 @@ pub(super) fn calibration_box(decoder: &mut Decoder, at: &At) -> Option<Calibrat
     if found.as_ref().is_some_and(large) {
         return found;
     }
-    let help = "low is its corner with the smallest x, y and z (m, base frame); or teach at least two opposite corners, \
+    let help = "low is its corner with the smallest x, y and z (m, base frame); or teach at least two \
+                opposite corners, \
                 also of different height";
     decoder.complain_at(at, format!("no box with edges of {LEAST_EDGE_M} to 4 m"), help);
     None

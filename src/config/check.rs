@@ -56,7 +56,8 @@ fn check_gripper_height(decoder: &mut Decoder, parts: &CellParts, places: &Place
         return;
     }
     let message = format!(
-        "the gripper's lower face is {:.1} mm over what the cups are pressed onto, and keeps {:.1} mm (cell.margin_m)",
+        "the gripper's lower face is {:.1} mm over what the cups are pressed onto, and keeps {:.1} mm \
+         (cell.margin_m)",
         mm_from_m(gripper.body_height_m - limits.press_m),
         mm_from_m(cell.margin_m)
     );
@@ -95,7 +96,8 @@ fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     // Colour does not show how high a thing is: it can be refused, but not driven over.
     if needed && !measured && (obstacle || !compared) {
         let message = "the search for what carries no marker needs depth, and the camera is not asked for it";
-        let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: {mode: off}`; \
+        let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: \
+                    {mode: off}`; \
                     `mode: refuse` also works with pictures of the empty table (`empty` under `calibration`)";
         decoder.complain(places.at(&["devices", "camera"]), "devices.camera", message, help);
     }
@@ -226,7 +228,8 @@ fn check_weight(
 ) {
     if held < needed {
         let message = format!(
-            "{:?} weighs {mass_kg} kg: carrying it safely takes {needed:.1} N, its cups hold {held:.1} N where \
+            "{:?} weighs {mass_kg} kg: carrying it safely takes {needed:.1} N, its cups hold {held:.1} N \
+             where \
              a loss is reported, at {HELD_SHARE} of vacuum_min",
             object.id
         );

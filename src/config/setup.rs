@@ -65,7 +65,8 @@ pub enum SetupError {
     },
     /// The cups could lose it on the way.
     #[error(
-        "object {id} weighs {mass_kg} kg: carrying it safely takes {needed_n:.1} N, the cups hold {held_n:.1} N where a loss is reported"
+        "object {id} weighs {mass_kg} kg: carrying it safely takes {needed_n:.1} N, the cups hold \
+         {held_n:.1} N where a loss is reported"
     )]
     TooHeavy {
         /// Object.

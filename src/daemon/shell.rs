@@ -64,7 +64,8 @@ impl Observer for Samples<'_> {
 pub enum StartError {
     /// A device did not come up or stopped answering.
     #[error(
-        "{what} within {seconds} s ({links}); see that `devices.robot` is its address, that it is powered and in \
+        "{what} within {seconds} s ({links}); see that `devices.robot` is its address, that it is powered \
+         and in \
          remote control, and try `ping`; for a simulated one start `celld sim`"
     )]
     Deadline {

@@ -65,7 +65,8 @@ fn refuse_table_markers(instance: &Instance) -> Result<(), String> {
     }
     let (first, last) = (table.iter().min().unwrap_or(&0), table.iter().max().unwrap_or(&0));
     Err(format!(
-        "{}: markers {first} to {last} are the demo table's own; give other numbers, {} to {} are for objects",
+        "{}: markers {first} to {last} are the demo table's own; give other numbers, {} to {} are for \
+         objects",
         clashes.join(", "),
         fit::OBJECT_IDS.start,
         fit::OBJECT_IDS.end - 1

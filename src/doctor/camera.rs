@@ -115,7 +115,8 @@ impl CameraFacts {
             1e3 * limits.residual_m
         );
         if check.drifted(limits) {
-            let hint = "camera, table or a marker was moved since the calibration: `celld calibrate` (docs/calibration.md)";
+            let hint = "camera, table or a marker was moved since the calibration: `celld calibrate` \
+                        (docs/calibration.md)";
             return Line::problem(Area::Camera, item, found, hint);
         }
         Line::ok(Area::Camera, item, found)

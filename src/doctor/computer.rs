@@ -59,7 +59,8 @@ impl ComputerFacts {
     }
 
     fn clock(&self) -> Line {
-        let follow = "start a time service (systemd-timesyncd, chrony): names and dates of jobs come from it, motion \
+        let follow = "start a time service (systemd-timesyncd, chrony): names and dates of jobs come from \
+                      it, motion \
                       does not";
         if self.unix_s < BUILT_AFTER_UNIX_S {
             return problem("clock", "the calendar is years behind", follow);
@@ -94,7 +95,8 @@ impl ComputerFacts {
             }
         };
         let found = format!("reach the disk within {:.1} ms", longest.as_secs_f64() * 1e3);
-        let hint = "each move waits for two of them: use a solid-state disk of this computer, no memory card or network";
+        let hint = "each move waits for two of them: use a solid-state disk of this computer, no memory \
+                    card or network";
         match longest {
             longest if longest >= WRITE_SLOW => problem("disk writes", found, hint),
             longest if longest >= WRITE_NOTED => note("disk writes", found, hint),
@@ -110,7 +112,8 @@ impl ComputerFacts {
         note(
             "priority",
             format!("robot communication may not go before other work; {cores}"),
-            "LimitNICE=-10 in the service's unit, or `nice` in /etc/security/limits.conf; and nothing else on this \
+            "LimitNICE=-10 in the service's unit, or `nice` in /etc/security/limits.conf; and nothing else \
+             on this \
              computer",
         )
     }
@@ -119,7 +122,8 @@ impl ComputerFacts {
         let late = self.latest_wake;
         let found =
             format!("a thread that wakes every 2 ms was {:.1} ms late at worst", late.as_secs_f64() * 1e3);
-        let hint = "the heartbeat of the robot's program comes every 8 ms: end other work, switch power saving off in the \
+        let hint = "the heartbeat of the robot's program comes every 8 ms: end other work, switch power \
+                    saving off in the \
                     BIOS, use a kernel with PREEMPT_RT";
         if late >= WAKE_LATE {
             problem("wake-ups", found, hint)

@@ -296,7 +296,9 @@ mod tests {
             "0.4 mm are measurement"
         );
         assert_eq!(complaints("objects:\n  - {id: plank-1, pose_deg: [0.02, 0.05, 90]}\n"), "1 fine");
-        let instance = "workspace: {width: 1, height: 1}\nobjects:\n  - {id: plank-1, footprint: {disc: {radius: 0.1}}, goal: [0.1, 0.1, 0]}\n  - {id: other, footprint: {disc: {radius: 0.1}}}\n";
+        let instance = "workspace: {width: 1, height: 1}\n\
+                        objects:\n  - \
+                        {id: plank-1, footprint: {disc: {radius: 0.1}}, goal: [0.1, 0.1, 0]}\n  - {id: other, footprint: {disc: {radius: 0.1}}}\n";
         assert_eq!(complaints(instance), "1 fine");
     }
 
@@ -339,7 +341,8 @@ mod tests {
 ";
         assert_eq!(
             complaints(text),
-            "goal.yaml:3:5: objects[1]: the goals of \"plank-2\" and \"plank-1\" (line 2) overlap by 10.00 mm; move them apart\n\
+            "goal.yaml:3:5: objects[1]: the goals of \"plank-2\" and \"plank-1\" (line 2) overlap by 10.00 \
+             mm; move them apart\n\
              goal.yaml:4:5: objects[2]: object \"plnk-1\" is unknown; did you mean \"plank-1\"?\n\
              goal.yaml:5:5: objects[3]: object \"base\" is fixed, it never moves; remove it from the goal"
         );

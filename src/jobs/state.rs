@@ -27,7 +27,8 @@ struct Confirmed {
 pub enum StateError {
     /// Another daemon works on it.
     #[error(
-        "another celld runs on the state folder {path}; `celld status --state {path}` asks it, or give this one a folder of its own"
+        "another celld runs on the state folder {path}; `celld status --state {path}` asks it, or give this \
+         one a folder of its own"
     )]
     Taken {
         /// The folder.

@@ -60,7 +60,8 @@ pub enum SlowFault {
     },
     /// The arm would leave the taught box, or is outside of it.
     #[error(
-        "{what} {outside_mm:.0} mm outside the calibration box: jog the arm into it, or widen `calibration_box` as far as the \
+        "{what} {outside_mm:.0} mm outside the calibration box: jog the arm into it, or widen \
+         `calibration_box` as far as the \
          arm's reach is free of people and things"
     )]
     OutsideBox {

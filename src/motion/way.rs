@@ -53,7 +53,8 @@ pub enum NoWay {
         joint: usize,
     },
     /// The search ended without one.
-    #[error("no free way was found in {steps} steps; on the straight way {} and {} would meet", .meeting.one, .meeting.other)]
+    #[error("no free way was found in {steps} steps; on the straight way {} and {} would meet",
+            .meeting.one, .meeting.other)]
     NotFound {
         /// Pieces that were checked.
         steps: usize,

@@ -51,7 +51,8 @@ pub fn where_taken(
     let count = on_table.len() / 4;
     if count < REFERENCES_MIN {
         return Err(format!(
-            "{count} of the {} reference markers are in it, {REFERENCES_MIN} are needed to tell where it was taken: \
+            "{count} of the {} reference markers are in it, {REFERENCES_MIN} are needed to tell where it \
+             was taken: \
              uncover them or take the picture from higher up",
             reference.len()
         ));
@@ -59,7 +60,8 @@ pub fn where_taken(
     let pose = cv::board_pose(lens, &on_table, &in_picture).map_err(|error| chain(&error))?;
     if pose.reprojection_px > MISFIT_PX {
         return Err(format!(
-            "its reference markers miss their surveyed places by {:.1} px: one was moved, or the lens is another one",
+            "its reference markers miss their surveyed places by {:.1} px: one was moved, or the lens is \
+             another one",
             pose.reprojection_px
         ));
     }

@@ -328,7 +328,8 @@ fn line(svg: &mut String, [x1, y1, x2, y2]: [f64; 4], colour: &str, width: f64) 
 fn text(svg: &mut String, [x, y]: [f64; 2], (size, anchor): (f64, &str), text: &str) {
     let _ = writeln!(
         svg,
-        "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{size}\" text-anchor=\"{anchor}\" fill=\"{INK}\">{}</text>",
+        "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{size}\" text-anchor=\"{anchor}\" \
+         fill=\"{INK}\">{}</text>",
         escape(text)
     );
 }

@@ -65,7 +65,8 @@ fn pictures(page: &mut String, pictures: &[Picture]) {
         let caption = escape(&picture.caption);
         let _ = write!(
             page,
-            "<figure><img alt=\"{caption}\" src=\"data:{};base64,{data}\"><figcaption>{caption}</figcaption></figure>",
+            "<figure><img alt=\"{caption}\" \
+             src=\"data:{};base64,{data}\"><figcaption>{caption}</figcaption></figure>",
             picture.media_type
         );
     }
@@ -92,7 +93,8 @@ fn objects(page: &mut String, objects: &[ObjectRow], values: &Figures) {
     let _ = write!(
         page,
         "<h2>Objects</h2><p>Distance to the goal; {:.1} mm and {:.1} degrees are allowed.</p>\
-         <div class=\"scroll\"><table><thead><tr><th>object</th><th>goal: x, y, angle</th><th>by the camera</th><th></th>{}</tr></thead><tbody>",
+         <div class=\"scroll\"><table><thead><tr><th>object</th><th>goal: x, y, angle</th><th>by the \
+         camera</th><th></th>{}</tr></thead><tbody>",
         values.tolerance_mm,
         values.tolerance_deg,
         if with_truth { "<th>in the simulated world</th><th></th>" } else { "" }
@@ -120,7 +122,8 @@ fn deviation_cells(page: &mut String, deviation: Option<Deviation>, values: &Fig
     let class = if good { "good" } else { "bad" };
     let _ = write!(
         page,
-        "<td class=\"{class}\">{mm:.2} mm<span class=\"bar\"><i style=\"width:{percent:.0}%\"></i></span></td><td>{deg:.2}&deg;</td>"
+        "<td class=\"{class}\">{mm:.2} mm<span class=\"bar\"><i \
+         style=\"width:{percent:.0}%\"></i></span></td><td>{deg:.2}&deg;</td>"
     );
 }
 
@@ -131,7 +134,8 @@ fn moves(page: &mut String, moves: &[MoveRow]) {
     let with_vacuum = moves.iter().any(|row| row.vacuum.is_some());
     let _ = write!(
         page,
-        "<h2>Pick-n-places</h2><div class=\"scroll\"><table><thead><tr><th>no.</th><th class=\"text\">object</th>\
+        "<h2>Pick-n-places</h2><div class=\"scroll\"><table><thead><tr><th>no.</th><th \
+         class=\"text\">object</th>\
          <th class=\"text\">to</th><th>from</th><th>to</th>{}<th>time</th></tr></thead><tbody>",
         if with_vacuum { "<th>vacuum</th>" } else { "" }
     );
@@ -139,7 +143,8 @@ fn moves(page: &mut String, moves: &[MoveRow]) {
         let kind = if row.buffer { "buffer" } else { "goal" };
         let _ = write!(
             page,
-            "<tr><td>{}</td><td class=\"text\">{}</td><td class=\"text\"><span class=\"kind {kind}\">{kind}</span></td>\
+            "<tr><td>{}</td><td class=\"text\">{}</td><td class=\"text\"><span class=\"kind \
+             {kind}\">{kind}</span></td>\
              <td>{}</td><td>{}</td>",
             index + 1,
             escape(&row.object),

@@ -76,7 +76,8 @@ fn draw_table(svg: &mut String, panel: &Panel, problem: &Problem) {
     line(
         svg,
         format_args!(
-            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"#f6f4ef\" stroke=\"#555\"/>",
+            "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"#f6f4ef\" \
+             stroke=\"#555\"/>",
             panel.left,
             panel.bottom - panel.height,
             panel.width,
@@ -163,7 +164,8 @@ fn draw_text(svg: &mut String, at: [f64; 2], size: f64, text: &str) {
     line(
         svg,
         format_args!(
-            "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"{size}\" text-anchor=\"middle\" fill=\"#111\">{}</text>",
+            "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"{size}\" text-anchor=\"middle\" \
+             fill=\"#111\">{}</text>",
             at[0],
             at[1],
             escape(text)

@@ -56,7 +56,8 @@ pub enum PrintFault {
     },
     /// It does not fit the paper.
     #[error(
-        "{width_mm:.1} x {height_mm:.1} mm do not fit the paper, which has room for {room_wide_mm:.1} x {room_high_mm:.1} mm: {hint}"
+        "{width_mm:.1} x {height_mm:.1} mm do not fit the paper, which has room for {room_wide_mm:.1} x \
+         {room_high_mm:.1} mm: {hint}"
     )]
     TooLarge {
         /// What is to be printed.
@@ -247,7 +248,8 @@ impl Sheet {
             bars.push([at, y, 0.15, high]);
         }
         self.shapes.push(bars);
-        let check = "This ruler is 100 mm from end to end. Print at 100 %, measure it, and do not use the sheet if it is not.";
+        let check = "This ruler is 100 mm from end to end. Print at 100 %, measure it, and do not use the \
+                     sheet if it is not.";
         self.words.push(Label { at_mm: [x, MARGIN_MM], height_mm: 2.6, text: check.to_owned() });
         let at_mm = [x + RULER_MM + 5.0, y + 1.0];
         self.words.push(Label { at_mm, height_mm: 3.0, text: what.to_owned() });
@@ -257,8 +259,10 @@ impl Sheet {
     pub fn svg(&self) -> String {
         let [wide, high] = self.size_mm;
         let mut svg = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{wide}mm\" height=\"{high}mm\" viewBox=\"0 0 {wide} {high}\" \
-             font-family=\"Helvetica, Arial, sans-serif\">\n<rect width=\"{wide}\" height=\"{high}\" fill=\"#fff\"/>\n"
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{wide}mm\" height=\"{high}mm\" viewBox=\"0 0 \
+             {wide} {high}\" \
+             font-family=\"Helvetica, Arial, sans-serif\">\n\
+             <rect width=\"{wide}\" height=\"{high}\" fill=\"#fff\"/>\n"
         );
         for bars in &self.shapes {
             svg.push_str("<path fill=\"#000\" d=\"");

@@ -30,7 +30,8 @@ pub enum RasterFault {
     Png(String),
     /// The feature is left out.
     #[error(
-        "this celld is built without PNG figures (cargo's feature `figures`); the SVG file is the same drawing"
+        "this celld is built without PNG figures (cargo's feature `figures`); the SVG file is the same \
+         drawing"
     )]
     NotBuilt,
 }

@@ -184,8 +184,10 @@ fn wide_comments_are_flagged_and_wide_code_is_not() {
 
 #[test]
 fn a_dependency_without_a_reason_is_flagged_and_so_is_a_reason_without_a_dependency() {
-    let root = "[workspace.dependencies]\nown = { path = \"crates/own\" }\none = \"1\"\ntwo = { version = \"2\" }\n\
-                [lints.rust]\na = \"b\"\n[dependencies]\none.workspace = true\n[dev-dependencies]\ntwo.workspace = true\n";
+    let root = "[workspace.dependencies]\nown = { path = \"crates/own\" }\none = \"1\"\n\
+                two = { version = \"2\" }\n\
+                [lints.rust]\na = \"b\"\n[dependencies]\none.workspace = true\n[dev-dependencies]\n\
+                two.workspace = true\n";
     let manifests = [File::planted("Cargo.toml", root), File::planted("crates/own/Cargo.toml", "")];
     let both =
         "\n## Dependencies\n\n| crate | why |\n|---|---|\n| `one`, `two` | because it saves us work |\n";
@@ -237,8 +239,10 @@ fn a_manifest_that_needs_more_than_its_row_is_flagged() {
 
 #[test]
 fn a_written_table_that_drifts_is_flagged() {
-    let good = "\n## Modules\n\n| module | job | may use |\n|---|---|---|\n| `low` | a | - |\n| `side` | b | - |\n\
-                | `high` | c | `low`, `side::open` |\n| `shell` | d | all above but `side`, with `side::open` |\n\n## Next\n| `x` | y | z |\n";
+    let good = "\n## Modules\n\n| module | job | may use |\n|---|---|---|\n| `low` | a | - |\n\
+                | `side` | b | - |\n\
+                | `high` | c | `low`, `side::open` |\n\
+                | `shell` | d | all above but `side`, with `side::open` |\n\n## Next\n| `x` | y | z |\n";
     flagged(rules::written_table_breaches(MINIATURE, good), &[]);
     let drifted = good.replace("`low`, `side::open` |", "`low` |");
     flagged(rules::written_table_breaches(MINIATURE, &drifted), &["`high`"]);

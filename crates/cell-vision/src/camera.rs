@@ -56,7 +56,8 @@ pub enum CameraModelError {
     },
     /// The picture has another size than the calibration.
     #[error(
-        "the picture is {picture_width} x {picture_height} but camera {serial:?} is calibrated for {width} x {height}; \
+        "the picture is {picture_width} x {picture_height} but camera {serial:?} is calibrated for {width} \
+         x {height}; \
          set the stream to that size or calibrate at this one"
     )]
     OtherSize {
@@ -73,7 +74,8 @@ pub enum CameraModelError {
     },
     /// The factory's distortion cannot be written as Brown-Conrady.
     #[error(
-        "camera {serial:?}: the factory's distortion ({form}) differs from Brown-Conrady by {miss_px:.2} pixels at worst; \
+        "camera {serial:?}: the factory's distortion ({form}) differs from Brown-Conrady by {miss_px:.2} \
+         pixels at worst; \
          measure the lens with `celld calibrate camera` instead"
     )]
     Distortion {

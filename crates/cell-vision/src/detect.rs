@@ -134,7 +134,8 @@ pub enum DetectError {
     /// The picture is smaller than any marker, larger than the library can address, or not as long as it
     /// says.
     #[error(
-        "a {width} x {height} picture of {bytes} bytes cannot be searched (32 x 32 to {MAX_EDGE} x {MAX_EDGE})"
+        "a {width} x {height} picture of {bytes} bytes cannot be searched (32 x 32 to {MAX_EDGE} x \
+         {MAX_EDGE})"
     )]
     Picture {
         /// Pixels per row.

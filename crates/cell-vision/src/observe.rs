@@ -141,7 +141,8 @@ fn place(
         }
         (Err(clash), None) => {
             let reason = format!(
-                "the pictures disagree by {:.2} mm about where it is: it moved, or the camera's pose is wrong",
+                "the pictures disagree by {:.2} mm about where it is: it moved, or the camera's pose is \
+                 wrong",
                 cell_values::units::mm_from_m(clash.apart_m)
             );
             observation.suspicious.push(suspicious(reason, None));

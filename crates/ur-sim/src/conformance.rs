@@ -67,7 +67,8 @@ const MOTION: &[Claim] = &[
     Claim(
         "Joint moments and currents, acceleration, momentum",
         Grade::Modelled,
-        "moments from the published masses; currents in proportion to them, as no torque constant is published",
+        "moments from the published masses; currents in proportion to them, as no torque constant is \
+         published",
         "a_standing_arm_holds_its_weight_and_the_payload_and_what_presses_on_it",
     ),
     Claim("Self-collision, safety planes, momentum and power limits", Grade::Absent, "", ""),
@@ -218,10 +219,14 @@ pub fn page() -> String {
 
 const HEAD: &str = "# What is real, modelled and absent
 
-Printed by `celld sim --conformance`; a test keeps this page equal to the program. Real: as the manuals say. Modelled:
-something simpler, which the note names. Absent: not there, and said so when asked for. The last column of the first tables
-names a test of it; the script and RTDE tables are those that the simulator runs by, and tests call every row of
-them (`crates/ur-sim/src/controller/builtins.rs`, `crates/ur-sim/src/robot_server/dashboard/tests.rs`) and judge every built-in that is called
+Printed by `celld sim --conformance`; a test keeps this page equal to the program. Real: as the manuals \
+say. Modelled:
+something simpler, which the note names. Absent: not there, and said so when asked for. The last column of \
+the first tables
+names a test of it; the script and RTDE tables are those that the simulator runs by, and tests call every \
+row of
+them (`crates/ur-sim/src/controller/builtins.rs`, `crates/ur-sim/src/robot_server/dashboard/tests.rs`) and \
+judge every built-in that is called
 real (`crates/ur-sim/src/controller/tests/judged.rs`).
 ";
 
@@ -240,8 +245,10 @@ fn scripts(page: &mut String) {
     let count = |grade| of(grade).count();
     let _ = writeln!(
         page,
-        "\n## URScript\n\nThe language is whole: threads, critical sections, nested definitions, named and default \
-         arguments, lists, matrices,\nposes, structs and their methods, strings. Of {} built-ins known by name {} are real, {} modelled, \
+        "\n## URScript\n\n\
+         The language is whole: threads, critical sections, nested definitions, named and default \
+         arguments, lists, matrices,\n\
+         poses, structs and their methods, strings. Of {} built-ins known by name {} are real, {} modelled, \
          {} absent (calling one is a runtime\nexception; a program that only mentions it loads).\n",
         all.len(),
         count(Grade::Real),
@@ -278,8 +285,10 @@ fn variables(page: &mut String) {
     let inputs: Vec<_> = INPUTS.iter().map(|(name, _)| format!("`{name}`")).collect();
     let _ = writeln!(
         page,
-        "\n## RTDE variables\n\nAll have the guide's types. Registers (bit 64 to 127, int and double 0 to 47, in and \
-         out) are real.\n\nOutputs that follow the simulation:\n{}.\n\nAlways what a healthy robot could send:\n{}.\n\n\
+        "\n## RTDE variables\n\n\
+         All have the guide's types. Registers (bit 64 to 127, int and double 0 to 47, in and \
+         out) are real.\n\nOutputs that follow the simulation:\n{}.\n\n\
+         Always what a healthy robot could send:\n{}.\n\n\
          Always zero, as nothing in the simulation corresponds to them:\n{}.\n\nInputs, all of them:\n{}.",
         wrapped(&computed),
         wrapped(&constant),

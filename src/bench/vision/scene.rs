@@ -227,7 +227,8 @@ pub fn sheets(count: usize, random: &mut ChaCha8Rng) -> Result<Vec<Sheet>, Strin
 fn sheet(random: &mut ChaCha8Rng) -> Result<Sheet, String> {
     let edge = SHEET_EDGE as f64;
     let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{edge}\" height=\"{edge}\" font-family=\"sans-serif\">\
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{edge}\" height=\"{edge}\" \
+         font-family=\"sans-serif\">\
          <rect width=\"{edge}\" height=\"{edge}\" fill=\"#b0b0b0\"/>"
     );
     for _ in 0..260 {

@@ -72,7 +72,8 @@ impl CameraCalibration {
             return Ok(());
         }
         Err(format!(
-            "{name}: measured for camera {} at {} x {}, but this is {} at {} x {}: run `celld calibrate camera` for it, \
+            "{name}: measured for camera {} at {} x {}, but this is {} at {} x {}: run `celld calibrate \
+             camera` for it, \
              or delete the file to work with the camera's own numbers",
             known.serial, known.width, known.height, own.serial, own.width, own.height
         ))
@@ -116,7 +117,8 @@ impl CameraCalibration {
             ));
             pairs.push(("samples", Out::List(measured.samples.iter().map(sample_out).collect())));
         }
-        let header = "# Lens of the camera: pixels with (0, 0) in the centre of the first pixel, distortion k1, k2, p1, p2, k3.\n";
+        let header = "# Lens of the camera: pixels with (0, 0) in the centre of the first pixel, distortion \
+                      k1, k2, p1, p2, k3.\n";
         format!("{header}{}", Out::map(pairs).to_yaml(2))
     }
 }

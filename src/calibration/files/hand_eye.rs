@@ -144,7 +144,8 @@ impl HandEyeCalibration {
         let (made, wanted) = (&self.provenance, mount.as_str());
         if self.mount.as_str() != wanted {
             return Err(format!(
-                "{name}: made with `mount: {}`, but the configuration says {wanted}; run `celld calibrate hand-eye`",
+                "{name}: made with `mount: {}`, but the configuration says {wanted}; run `celld calibrate \
+                 hand-eye`",
                 self.mount.as_str()
             ));
         }
@@ -183,7 +184,8 @@ impl HandEyeCalibration {
         self.provenance.write(&mut pairs);
         pairs.push(("residuals", self.residuals.to_out()));
         pairs.push(("samples", Out::List(self.samples.iter().map(sample_out).collect())));
-        let header = "# Where the camera sits, by celld calibrate: lengths m, angles rad, rotations as quaternions x, y, z, w.\n";
+        let header = "# Where the camera sits, by celld calibrate: lengths m, angles rad, rotations as \
+                      quaternions x, y, z, w.\n";
         format!("{header}{}", Out::map(pairs).to_yaml(2))
     }
 }

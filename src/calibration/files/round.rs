@@ -52,7 +52,8 @@ impl Round {
             ])
         };
         pairs.push(("samples", Out::List(self.samples.iter().map(sample).collect())));
-        let header = "# A calibration round: the flange in the robot's base (m, quaternion x, y, z, w) at each picture.\n";
+        let header = "# A calibration round: the flange in the robot's base (m, quaternion x, y, z, w) at \
+                      each picture.\n";
         format!("{header}{}", Out::map(pairs).to_yaml(2))
     }
 }

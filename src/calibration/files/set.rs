@@ -103,7 +103,8 @@ impl CalibrationSet {
             return Ok(());
         }
         Err(format!(
-            "{name}: made with robot {} (kinematics {}), but this is {serial} ({checksum}); run `celld calibrate`",
+            "{name}: made with robot {} (kinematics {}), but this is {serial} ({checksum}); run `celld \
+             calibrate`",
             made_with.robot_serial, made_with.kinematics_checksum
         ))
     }

@@ -109,7 +109,8 @@ impl TableCalibration {
         if let Some(touched) = &self.touches {
             pairs.push(("touches", touched.to_out()));
         }
-        let header = "# Table under the robot, by celld calibrate: lengths m, angles rad, rotations as quaternions x, y, z, w.\n";
+        let header = "# Table under the robot, by celld calibrate: lengths m, angles rad, rotations as \
+                      quaternions x, y, z, w.\n";
         format!("{header}{}", Out::map(pairs).to_yaml(2))
     }
 }

@@ -177,7 +177,8 @@ impl Touches {
             return Ok(());
         }
         Err(format!(
-            "{name}: touched with robot {robot_serial} (kinematics {kinematics_checksum}), but the pictures are of {} ({})",
+            "{name}: touched with robot {robot_serial} (kinematics {kinematics_checksum}), but the pictures \
+             are of {} ({})",
             taken.robot_serial, taken.kinematics_checksum
         ))
     }

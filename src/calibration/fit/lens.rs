@@ -79,8 +79,10 @@ pub struct LensSolution {
 pub enum LensError {
     /// Too few pictures show the board.
     #[error(
-        "only {found} of {given} pictures show {corners} or more corners of the board, {wanted} are needed: check the \
-         board's family, ids and size (--family, --board, --first-id), the light, and that the pictures are sharp"
+        "only {found} of {given} pictures show {corners} or more corners of the board, {wanted} are needed: \
+         check the \
+         board's family, ids and size (--family, --board, --first-id), the light, and that the pictures are \
+         sharp"
     )]
     TooFewViews {
         /// Pictures that do.
@@ -100,7 +102,8 @@ pub enum LensError {
     },
     /// The pictures leave a number undetermined.
     #[error(
-        "{what} is only known to {std:.2} px (limit {limit:.2} px): tilt the board by 20 to 40 degrees about both of its \
+        "{what} is only known to {std:.2} px (limit {limit:.2} px): tilt the board by 20 to 40 degrees \
+         about both of its \
          axes in half of the pictures, and fill the picture with it"
     )]
     NotObservable {
@@ -113,7 +116,8 @@ pub enum LensError {
     },
     /// The fit does not come near the data.
     #[error(
-        "the best fit misses the corners by {reprojection_px:.1} px: blurred pictures, a bent board, another board than \
+        "the best fit misses the corners by {reprojection_px:.1} px: blurred pictures, a bent board, \
+         another board than \
          the one named, or pictures of several cameras"
     )]
     NoFit {
@@ -122,7 +126,8 @@ pub enum LensError {
     },
     /// Not even a start can be found, which is what pictures of a board that is never tilted bring about.
     #[error(
-        "the pictures fix no focal length: tilt the board by 20 to 40 degrees about both of its axes in half of them, \
+        "the pictures fix no focal length: tilt the board by 20 to 40 degrees about both of its axes in \
+         half of them, \
          and see that --board, --size-mm and --first-id are those of the print"
     )]
     Undetermined {

@@ -72,7 +72,8 @@ fn sentence(scatter: &Matrix3<f64>, target_on_hand: bool) -> String {
     let names = ["x", "y", "z"];
     match turning.as_slice() {
         [] => format!(
-            "{moved} hardly rotates between the samples: rotate it by 20 degrees and more about the camera's x axis and \
+            "{moved} hardly rotates between the samples: rotate it by 20 degrees and more about the \
+             camera's x axis and \
              about the camera's y axis (image right and image down)"
         ),
         &[only] => {
@@ -85,12 +86,14 @@ fn sentence(scatter: &Matrix3<f64>, target_on_hand: bool) -> String {
                 [a, b, _] => format!("{} axis and about the camera's {}", names[a.min(b)], names[a.max(b)]),
             };
             format!(
-                "all rotations are about one axis, nearest the camera's {}: also rotate {moved} by 20 degrees and more about \
+                "all rotations are about one axis, nearest the camera's {}: also rotate {moved} by 20 \
+                 degrees and more about \
                  the camera's {missing} axis",
                 names[by_share[2]]
             )
         }
-        _ => "the samples rotate enough but show too little: take more of them, further apart, with more reference markers in \
+        _ => "the samples rotate enough but show too little: take more of them, further apart, with more \
+              reference markers in \
               each picture"
             .to_owned(),
     }

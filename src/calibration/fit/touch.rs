@@ -71,7 +71,8 @@ pub enum TouchError {
     },
     /// The table could turn about a line.
     #[error(
-        "the touched points lie on one line within {beside_mm:.0} mm, so the table's turn about that line is open: also touch \
+        "the touched points lie on one line within {beside_mm:.0} mm, so the table's turn about that line \
+         is open: also touch \
          a point at least {wanted_mm:.0} mm beside it"
     )]
     OneLine {
@@ -82,7 +83,8 @@ pub enum TouchError {
     },
     /// All near one place.
     #[error(
-        "the touched points lie within {spread_mm:.0} mm of each other, too near to tell how the table lies: touch points at \
+        "the touched points lie within {spread_mm:.0} mm of each other, too near to tell how the table \
+         lies: touch points at \
          least {wanted_mm:.0} mm apart"
     )]
     TooClose {
@@ -93,8 +95,10 @@ pub enum TouchError {
     },
     /// The two sets of points have different shapes.
     #[error(
-        "the touches miss their points by {rms_mm:.1} mm on the whole, touch {worst} by {worst_mm:.1} mm: another point was \
-         touched, a marker was surveyed wrongly, or the tip's offset from the flange is wrong; leave one out with --drop-touch"
+        "the touches miss their points by {rms_mm:.1} mm on the whole, touch {worst} by {worst_mm:.1} mm: \
+         another point was \
+         touched, a marker was surveyed wrongly, or the tip's offset from the flange is wrong; leave one \
+         out with --drop-touch"
     )]
     NoFit {
         /// Root mean square residual, mm.
@@ -258,8 +262,10 @@ pub struct Registration {
 pub enum RegistrationError {
     /// More than the limits.
     #[error(
-        "touch and camera disagree: touch puts the table's middle {x:+.2}, {y:+.2}, {z:+.2} mm (x right, y away, z up) from where \
-         the camera puts it, turned by {deg:.2} degrees; {limit_mm} mm and {limit_deg} degrees are the limits. {hint}"
+        "touch and camera disagree: touch puts the table's middle {x:+.2}, {y:+.2}, {z:+.2} mm (x right, y \
+         away, z up) from where \
+         the camera puts it, turned by {deg:.2} degrees; {limit_mm} mm and {limit_deg} degrees are the \
+         limits. {hint}"
     )]
     Disagree {
         /// mm.
@@ -284,8 +290,10 @@ pub enum RegistrationError {
 
 const ALONG_Z: &str =
     "It is mostly height: measure the tip's length (--tip-mm) again, and let the tip just touch";
-const ELSEWHERE: &str = "See that the tip's offset (--tip-mm) is right and the tip points straight along it, that the touched \
-                         markers lie where the survey says, and take a new round with `celld calibrate hand-eye`";
+const ELSEWHERE: &str = "See that the tip's offset (--tip-mm) is right and the tip points straight along \
+                         it, that the touched \
+                         markers lie where the survey says, and take a new round with `celld calibrate \
+                         hand-eye`";
 
 /// Ties the table by touch to the table by camera; `middle` is the table's middle in its own frame, m.
 ///

@@ -32,7 +32,8 @@ impl Refusal {
     pub(super) fn text(&self, direction: &str) -> String {
         match self {
             Refusal::InUse(names) => format!(
-                "{direction} registers are in use by another RTDE client or a field bus (EtherNet/IP, PROFINET): {}",
+                "{direction} registers are in use by another RTDE client or a field bus (EtherNet/IP, \
+                 PROFINET): {}",
                 names.join(", ")
             ),
             Refusal::NotFound(names) => {

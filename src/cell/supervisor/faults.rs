@@ -72,7 +72,8 @@ impl Supervisor {
             Disk::Fine => {}
             Disk::Slow => alarm(
                 out,
-                "the state folder's disk has been writing an entry for 1 s; no motion begins before it is written",
+                "the state folder's disk has been writing an entry for 1 s; no motion begins before it is \
+                 written",
             ),
             Disk::Silent => self.on_store_lost(now, EndFault::Silent(SILENT_AFTER.as_secs()), out),
         }
@@ -157,7 +158,8 @@ impl Supervisor {
                 return alarm(
                     out,
                     format!(
-                        "the program is paused in the middle of a motion: play within {seconds} s goes on with it, \
+                        "the program is paused in the middle of a motion: play within {seconds} s goes on \
+                         with it, \
                          `celld abort` ends it"
                     ),
                 );

@@ -108,7 +108,8 @@ impl Supervisor {
     /// Ends the job where the vacuum fell at the last pick; true if it does.
     pub(crate) fn gave_way(&mut self, now: Timestamp, out: &mut Vec<Action>) -> bool {
         let Some(fell) = self.back.weak.take() else { return false };
-        let hint = "clean the cups and the tops of the objects, look for leaks in hoses and bellows, then `celld arm` \
+        let hint = "clean the cups and the tops of the objects, look for leaks in hoses and bellows, then \
+                    `celld arm` \
                     and submit again";
         self.mode.disarm();
         alarm(out, format!("disarmed: {fell}; {hint}"));

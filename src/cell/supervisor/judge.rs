@@ -113,7 +113,8 @@ impl Supervisor {
         }
         let mm = |metres: f64| metres * 1e3;
         let mut message = format!(
-            "the reference markers are {:.1} mm off, {:.1} mm are allowed: the table seems shifted by {:.1} mm in x, \
+            "the reference markers are {:.1} mm off, {:.1} mm are allowed: the table seems shifted by {:.1} \
+             mm in x, \
              {:.1} mm in y and {:.2} degrees",
             mm(check.residual_rms_m),
             mm(tolerances.reference.residual_m),
@@ -123,7 +124,8 @@ impl Supervisor {
         );
         if let Some((look, _)) = check.worst_look(&tolerances.reference) {
             message.push_str(&format!(
-                "; from the worst look pose by {:.1} mm in x, {:.1} mm in y, {:.1} mm in height and {:.2} degrees, \
+                "; from the worst look pose by {:.1} mm in x, {:.1} mm in y, {:.1} mm in height and {:.2} \
+                 degrees, \
                  {:.1} mm and {:.2} degrees are allowed",
                 mm(look.shift_m[0]),
                 mm(look.shift_m[1]),
@@ -192,7 +194,8 @@ impl Supervisor {
             return Some(Code::TableNotCompared.because(message, hint));
         }
         if let Some(message) = unmeasured(report) {
-            let hint = "light the table, clean the lens, see that the look poses show all of it from within the camera's range";
+            let hint = "light the table, clean the lens, see that the look poses show all of it from within \
+                        the camera's range";
             return Some(Code::DepthPoor.because(message, hint));
         }
         match self.model.foreign {
@@ -221,7 +224,8 @@ impl Supervisor {
             say(
                 out,
                 format!(
-                    "the reference markers are off by {share:.0} % of what is allowed; if that is so right after a \
+                    "the reference markers are off by {share:.0} % of what is allowed; if that is so right \
+                     after a \
                      calibration, survey them anew or take more poses, else calibrate before it stops a job"
                 ),
             );

@@ -344,7 +344,8 @@ impl Supervisor {
                 one => format!("vacuum off, {one} only; the cell is disarmed"),
             })),
             GripperEvent::ReleaseFailed { vacuum } => Some(Reply::refuse(format!(
-                "not released: the vacuum was {:.0} % at the last reading; the object may still be held, see the gripper",
+                "not released: the vacuum was {:.0} % at the last reading; the object may still be held, \
+                 see the gripper",
                 vacuum * 100.0
             ))),
             GripperEvent::Refused => Some(Reply::refuse("the gripper takes no order: it does not answer")),

@@ -147,15 +147,18 @@ impl Supervisor {
             }
             WayBack::Release if protective(outside) => {
                 format!(
-                    "the vacuum goes off where the arm is: hold {object} by hand; then `--hold` unlocks the stop"
+                    "the vacuum goes off where the arm is: hold {object} by hand; then `--hold` unlocks the \
+                     stop"
                 )
             }
             WayBack::Release => format!("the vacuum goes off where the arm is: hold {object} by hand"),
             WayBack::Retreat => format!(
-                "{first}the arm goes straight up; where it is high enough over the table already, it does not move"
+                "{first}the arm goes straight up; where it is high enough over the table already, it does \
+                 not move"
             ),
             WayBack::Place => format!(
-                "{first}the arm goes straight up, looks at the table and puts {object} down at its place or the \
+                "{first}the arm goes straight up, looks at the table and puts {object} down at its place or \
+                 the \
                  nearest free one"
             ),
         }
@@ -307,7 +310,13 @@ impl Supervisor {
         match self.doubt_on_the_way(&observation) {
             Some(doubt) => {
                 let Reason { message, hint, .. } = doubt;
-                self.end_recovery(Err(format!("no free place can be seen: {message}; {hint}; for what is held, `celld recover --place` again")), out);
+                self.end_recovery(
+                    Err(format!(
+                        "no free place can be seen: {message}; {hint}; for what is \
+                                               held, `celld recover --place` again"
+                    )),
+                    out,
+                );
             }
             None => {
                 self.seen = Some(observation);

@@ -19,7 +19,8 @@ pub struct RoundOrder {
 pub enum RoundFault {
     /// A gate stayed closed.
     #[error(
-        "{what} for {seconds} s; see that `devices.robot` is its address, that it is powered and in remote control"
+        "{what} for {seconds} s; see that `devices.robot` is its address, that it is powered and in remote \
+         control"
     )]
     NotReady {
         /// Which.

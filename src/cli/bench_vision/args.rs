@@ -9,13 +9,15 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, clap::Args)]
 pub struct BenchVisionArgs {
     /// Frames, five views of a table each
-    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 500,
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(super) frames: u32,
     /// Seed of tables, cameras and noise
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub(super) seed: u64,
     /// Tables at the same time
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    #[arg(long, value_name = "N", default_value_t = 1,
+          value_parser = clap::value_parser!(u16).range(1..=256))]
     pub(super) threads: u16,
     /// Search on a picture this much smaller
     #[arg(long, value_name = "F", default_value_t = DetectSettings::default().decimate)]
@@ -40,19 +42,24 @@ pub struct BenchVisionArgs {
     #[arg(long, value_delimiter = ',', value_enum, default_values_t = Part::ALL)]
     pub(super) part: Vec<Part>,
     /// Tables with something foreign, and as many without
-    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 500,
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(super) scenes: u32,
     /// Looks with a bumped camera
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 1000,
+          value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     pub(super) trials: u32,
     /// Looks with a camera where it should be
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 10_000,
+          value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
     pub(super) looks: u32,
     /// Looks that are rendered and detected, half of them with a bumped camera
-    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 40,
+          value_parser = clap::value_parser!(u32).range(0..=100_000))]
     pub(super) rendered: u32,
     /// Rounds of twenty poses for the camera's mount
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 200,
+          value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(super) rounds: u32,
     /// How to print the figures
     #[arg(long, default_value = "text", value_parser = ["text", "json"])]

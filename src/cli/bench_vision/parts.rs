@@ -73,7 +73,8 @@ pub(super) fn foreign(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Optio
     bar.finish_and_clear();
     let Some(report) = report else { return Ok(None) };
     let mut text = format!(
-        "foreign objects   {:.2} % of {} found; false alarms on {:.2} % of {} clean tables, {} strays beside real ones\n\
+        "foreign objects   {:.2} % of {} found; false alarms on {:.2} % of {} clean tables, {} strays \
+         beside real ones\n\
          where             position median {:.1} mm, height median {:.1} mm off\n\
          clean tables      depth on {:.1} % of each and more, the largest piece without {:.1} cm2\n\
          time              {:.1} ms a look on a core\n",

@@ -191,7 +191,8 @@ fn look(folder: &Path, names: &[String], board: &Board) -> Result<BoardPictures,
         let (width, height) = *size.get_or_insert((image.width, image.height));
         if (image.width, image.height) != (width, height) {
             return Err(bad_input(format!(
-                "{}: {} x {}, but the pictures before it are {width} x {height}: all of one lens have one size",
+                "{}: {} x {}, but the pictures before it are {width} x {height}: all of one lens have one \
+                 size",
                 path.display(),
                 image.width,
                 image.height
@@ -208,7 +209,8 @@ fn report(solved: &LensSolution) {
     let lens = &solved.camera;
     let [fx, fy, cx, cy] = solved.std_px;
     complain(&format!(
-        "focal lengths {:.2} +- {fx:.2}, {:.2} +- {fy:.2} px; principal point {:.2} +- {cx:.2}, {:.2} +- {cy:.2} px",
+        "focal lengths {:.2} +- {fx:.2}, {:.2} +- {fy:.2} px; principal point {:.2} +- {cx:.2}, {:.2} +- \
+         {cy:.2} px",
         lens.fx, lens.fy, lens.cx, lens.cy
     ));
     complain(&format!(

@@ -49,7 +49,8 @@ pub(super) fn take(
         let all = board.count();
         match pictures.look(&frame.image).map_err(|error| bad_input(error.to_string()))? {
             BoardSight::TooLittle { markers } => complain(&format!(
-                "  {markers} of the board's {all} markers: not kept; nearer, sharper, and is it the board that was named?"
+                "  {markers} of the board's {all} markers: not kept; nearer, sharper, and is it the board \
+                 that was named?"
             )),
             BoardSight::Board { name, markers, uncovered } => {
                 let bytes = frame.image.encode_png().map_err(|error| bad_input(error.to_string()))?;

@@ -33,12 +33,17 @@ use tokio::sync::oneshot::error::TryRecvError;
 
 /// Shown under `celld calibrate touches --help`.
 pub(super) const HELP: &str = "\
-Mount a stiff pointed tip, measure where its point is in the flange frame (--tip-mm), and move the arm by hand (freedrive)
-or with the pendant. celld names each point and reads where the arm is when you press Enter; it moves nothing itself.
+Mount a stiff pointed tip, measure where its point is in the flange frame (--tip-mm), and move the arm by \
+hand (freedrive)
+or with the pendant. celld names each point and reads where the arm is when you press Enter; it moves \
+nothing itself.
   celld calibrate touches --points 500,501:lower_left,503,0.25/0.25 --tip-mm 0,0,150 --save touches.yaml
-A point is a reference marker's middle (500), a corner of its black square (500:lower_left, seen upright), or a place in the
-table frame in m (0.25/0.25 or 0.25/0.25/0.02). Four far apart are better than three; on one line they are refused.
-A file can also be written by hand: `tip_m: [x, y, z]` for each touch, as the pendant shows it with the tip as its TCP.";
+A point is a reference marker's middle (500), a corner of its black square (500:lower_left, seen upright), \
+or a place in the
+table frame in m (0.25/0.25 or 0.25/0.25/0.02). Four far apart are better than three; on one line they are \
+refused.
+A file can also be written by hand: `tip_m: [x, y, z]` for each touch, as the pendant shows it with the tip \
+as its TCP.";
 
 /// `celld calibrate touches`
 #[derive(Args, Clone, Debug)]
@@ -251,7 +256,8 @@ pub(super) fn tied(
     let tie = touched.tie(camera, [config.workspace.width_m, config.workspace.height_m], &limits)?;
     let [x, y, z] = [tie.shift_m.x, tie.shift_m.y, tie.shift_m.z].map(mm_from_m);
     complain(&format!(
-        "touch less camera: {x:+.2}, {y:+.2}, {z:+.2} mm at the table's middle, {:.3} degrees; {:.1} standard deviations",
+        "touch less camera: {x:+.2}, {y:+.2}, {z:+.2} mm at the table's middle, {:.3} degrees; {:.1} \
+         standard deviations",
         deg_from_rad(tie.turn_rad),
         tie.in_std
     ));

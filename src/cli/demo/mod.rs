@@ -212,7 +212,8 @@ mod tests {
         let path = folder.path().join("task.yaml");
         let task = |id: u32| {
             format!(
-                "workspace: {{width: 0.5, height: 0.5}}\nobjects:\n  - {{id: mug, footprint: {{disc: {{radius: 0.05}}}}, \
+                "workspace: {{width: 0.5, height: 0.5}}\n\
+                 objects:\n  - {{id: mug, footprint: {{disc: {{radius: 0.05}}}}, \
                  start: [0.2, 0.2, 0], marker: {{id: {id}, size: 0.05}}}}\n"
             )
         };

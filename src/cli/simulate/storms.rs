@@ -89,7 +89,8 @@ fn text(ran: &[(usize, Aftermath)], seconds: f64) -> String {
     let faults: usize = ran.iter().map(|(count, _)| count).sum();
     let failed = ran.iter().filter(|(_, aftermath)| !aftermath.faults.is_empty()).count();
     let mut text = format!(
-        "{} jobs with {faults} faults, and as many after them, in {seconds:.0} s: {failed} with something that must \
+        "{} jobs with {faults} faults, and as many after them, in {seconds:.0} s: {failed} with something \
+         that must \
          not be\n",
         ran.len()
     );

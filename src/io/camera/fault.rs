@@ -74,7 +74,8 @@ impl FaultKind {
 pub enum CameraError {
     /// No answer within the time limit.
     #[error(
-        "camera at {address} does not answer within {limit:?}; look at its cable and power and at the address in the config \
+        "camera at {address} does not answer within {limit:?}; look at its cable and power and at the \
+         address in the config \
          (for the simulator: is `celld sim` running?), then try: curl -I {address}"
     )]
     Unreachable {
@@ -120,7 +121,8 @@ pub enum CameraError {
     Model(#[from] CameraModelError),
     /// Nothing says what lens the pictures were taken with.
     #[error(
-        "{place} has no intrinsics: give the camera's calibration file (--camera camera.yaml), nothing measured has a default"
+        "{place} has no intrinsics: give the camera's calibration file (--camera camera.yaml), nothing \
+         measured has a default"
     )]
     NoIntrinsics {
         /// Folder or file.
@@ -128,7 +130,8 @@ pub enum CameraError {
     },
     /// The picture comes from another camera than the calibration.
     #[error(
-        "{address} is camera {found:?}, the calibration is of camera {wanted:?}: connect that one or calibrate this one"
+        "{address} is camera {found:?}, the calibration is of camera {wanted:?}: connect that one or \
+         calibrate this one"
     )]
     OtherSerial {
         /// The address requested.
@@ -168,7 +171,8 @@ pub enum CameraError {
         last: u64,
     },
     /// An address whose picture stayed the same.
-    #[error("{address} went on giving the same picture for {:.1} s: the camera is frozen, or the address renews too seldom", .within.as_secs_f64())]
+    #[error("{address} went on giving the same picture for {:.1} s: the camera is frozen, or the address \
+             renews too seldom", .within.as_secs_f64())]
     NotRenewed {
         /// The address.
         address: String,
@@ -292,7 +296,8 @@ pub enum CameraError {
     },
     /// A camera that this binary leaves out.
     #[error(
-        "{place}: this celld is built without its cameras of this kind: cargo build --release --features {feature}"
+        "{place}: this celld is built without its cameras of this kind: cargo build --release --features \
+         {feature}"
     )]
     NotBuilt {
         /// Device or file.

@@ -125,7 +125,8 @@ impl RealSenseCamera {
                     return Ok(set);
                 }
                 _ if over => {
-                    let what = "its sets of frames lack the colour or the depth picture; if that stays so, set both \
+                    let what = "its sets of frames lack the colour or the depth picture; if that stays so, \
+                                set both \
                                 streams to the same rate, or set `depth: false`"
                         .to_string();
                     return Err(CameraError::Incomplete { place: place_of(&self.settings), what });

@@ -110,7 +110,8 @@ fn begin(settings: &UvcSettings) -> Result<VideoCapture, CameraError> {
     let mut capture = VideoCapture::from_file(&settings.device, CAP_V4L2)
         .map_err(|source| failed("OpenCV refuses the device", Some(source)))?;
     if !capture.is_opened().unwrap_or(false) {
-        let what = "it cannot be opened: another program has it, this user may not (group video), or it takes no pictures";
+        let what = "it cannot be opened: another program has it, this user may not (group video), or it \
+                    takes no pictures";
         return Err(CameraError::Setting { place, what: what.to_string() });
     }
     let [width, height] = settings.size.map(f64::from);

@@ -85,7 +85,8 @@ pub enum JournalError {
     },
     /// Written by another version of celld.
     #[error(
-        "journal {path} has schema version {found}, this celld knows {SCHEMA_VERSION}; use the celld that wrote it, or start with a new state folder"
+        "journal {path} has schema version {found}, this celld knows {SCHEMA_VERSION}; use the celld that \
+         wrote it, or start with a new state folder"
     )]
     Version {
         /// The file.
@@ -322,7 +323,8 @@ impl Journal {
     /// ([`JournalError::WrongState`]), or as [`Journal::active`].
     pub fn start(&mut self, id: &str, unix_s: f64) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET state = 'active', started = coalesce(started, ?2), head = 0
-                      WHERE id = ?1 AND state = 'waiting' AND NOT EXISTS (SELECT 1 FROM jobs WHERE state = 'active')";
+                      WHERE id = ?1 AND state = 'waiting' AND NOT EXISTS (SELECT 1 FROM jobs WHERE state = \
+                      'active')";
         self.change(id, "start it beside another job", update, params![id, unix_s])
     }
 
@@ -333,7 +335,8 @@ impl Journal {
     /// ([`JournalError::WrongState`]), or as [`Journal::active`].
     pub fn requeue(&mut self, id: &str) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET state = 'waiting', head = 1 WHERE id = ?1 AND state = 'active'
-                      AND NOT EXISTS (SELECT 1 FROM steps WHERE job = sequence AND phase IN ('intent','gripped','released'))";
+                      AND NOT EXISTS (SELECT 1 FROM steps WHERE job = sequence AND phase IN \
+                      ('intent','gripped','released'))";
         self.change(id, "put it back into the queue", update, params![id])
     }
 
@@ -354,7 +357,8 @@ impl Journal {
     pub fn finish(&mut self, id: &str, result: &JobResult, unix_s: f64) -> Result<(), JournalError> {
         let text = encode(&storable(result));
         let state = result.status.as_str();
-        let update = "UPDATE jobs SET state = ?2, result = ?3, ended = ?4 WHERE id = ?1 AND state IN ('waiting','active')";
+        let update = "UPDATE jobs SET state = ?2, result = ?3, ended = ?4 WHERE id = ?1 AND state IN \
+                      ('waiting','active')";
         self.change(id, "end it", update, params![id, state, text, unix_s])
     }
 

@@ -84,10 +84,12 @@ pub(super) fn interrupted(
     let holding = open.phase == StepPhase::Gripped;
     let hint = if holding {
         format!(
-            "the gripper may hold {object:?}: `celld recover` shows the ways back; then submit the job again with `rerun: true`"
+            "the gripper may hold {object:?}: `celld recover` shows the ways back; then submit the job \
+             again with `rerun: true`"
         )
     } else {
-        "look at the cell, `celld recover`, then submit the job again with `rerun: true`; it looks and plans anew"
+        "look at the cell, `celld recover`, then submit the job again with `rerun: true`; it looks and \
+         plans anew"
             .to_owned()
     };
     JobResult {

@@ -42,7 +42,8 @@ pub enum SpoolError {
     Journal(#[from] JournalError),
     /// Folders on different file systems cannot exchange files by rename.
     #[error(
-        "{path} is on another file system than its neighbours: moving a job there could lose it; put the whole state folder on one file system"
+        "{path} is on another file system than its neighbours: moving a job there could lose it; put the \
+         whole state folder on one file system"
     )]
     OtherFileSystem {
         /// The folder.

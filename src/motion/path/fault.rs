@@ -54,7 +54,8 @@ pub enum PathFault {
         limit: f64,
     },
     /// Two bodies would meet, or come nearer than they may.
-    #[error("{one} {how} {other}, with the tool at {place}", how = nearness(*.distance_mm, *.at_start), place = place(.tool))]
+    #[error("{one} {how} {other}, with the tool at {place}",
+            how = nearness(*.distance_mm, *.at_start), place = place(.tool))]
     Meets {
         /// One of them.
         one: String,

@@ -73,7 +73,8 @@ pub struct DepthLens {
 pub enum HeightMapError {
     /// The depth picture is not aligned to the colour picture.
     #[error(
-        "the depth picture is {found_width} x {found_height} and the camera's calibration is for {width} x {height}: \
+        "the depth picture is {found_width} x {found_height} and the camera's calibration is for {width} x \
+         {height}: \
          depth has to be aligned to the colour picture"
     )]
     OtherSize {

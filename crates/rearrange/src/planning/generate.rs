@@ -65,8 +65,10 @@ pub enum GenerateError {
     },
     /// The search for an arrangement gave up.
     #[error(
-        "density {density}: no {arrangement} arrangement of {objects} objects was found, neither by rejection \
-         sampling nor by push-apart, for {MOST_DRAWS} draws of outlines; lower the density, take another number of objects \
+        "density {density}: no {arrangement} arrangement of {objects} objects was found, neither by \
+         rejection \
+         sampling nor by push-apart, for {MOST_DRAWS} draws of outlines; lower the density, take another \
+         number of objects \
          or another seed"
     )]
     NoArrangement {
@@ -134,7 +136,8 @@ fn origin(recipe: &Recipe, seed: u64, case: u64, draw: usize, found: (&Arranged,
         Scenario::Sq => String::new(),
     };
     format!(
-        "celld generate {scenario} --objects {objects} --density {density}{ratios} --seed {seed}, case {case}: start by {}, \
+        "celld generate {scenario} --objects {objects} --density {density}{ratios} --seed {seed}, case \
+         {case}: start by {}, \
          goal by {}, outlines of draw {draw}",
         found.0.how(),
         found.1.how()

@@ -110,7 +110,8 @@ impl std::fmt::Display for Refusal {
         match self.lack {
             Lack::Marker { size, px, needed } => write!(
                 out,
-                "object `{}` is too small for a readable marker: at most {:.1} mm, {px:.1} px a module where {needed} \
+                "object `{}` is too small for a readable marker: at most {:.1} mm, {px:.1} px a module \
+                 where {needed} \
                  are needed",
                 self.object,
                 size * 1e3
@@ -118,7 +119,8 @@ impl std::fmt::Display for Refusal {
             Lack::StatedMarker { size, px, needed } => {
                 return write!(
                     out,
-                    "the marker of object `{}` ({:.1} mm) is too small to be read: {px:.1} px a module where {needed} \
+                    "the marker of object `{}` ({:.1} mm) is too small to be read: {px:.1} px a module \
+                     where {needed} \
                      are needed; print a larger one, or leave it out and the largest that fits is taken",
                     self.object,
                     size * 1e3

@@ -93,7 +93,8 @@ const COMPLAINTS: &[(&str, &str, &str)] = &[
     (
         "footprint: [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]",
         "[0.1, 0], [0, 0.1]",
-        ".footprint[2]: the outline crosses itself: the edge from point 0 meets the edge from point 2; reorder",
+        ".footprint[2]: the outline crosses itself: the edge from point 0 meets the edge from point 2; \
+         reorder",
     ),
     ("footprint: [[0, 0], [0.1, x]]", "x", ".footprint[1][1]: \"x\" is not a number"),
     ("footprint: [[0, 0], [0.1, 0]]", "[[0", ".footprint: a polygon needs at least 3 points, this one has 2"),

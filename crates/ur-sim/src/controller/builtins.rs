@@ -68,7 +68,8 @@ pub const TABLE: &[Entry] = entries![
     Real movel(pose; a, v, t, r) "";
     Real movep(pose; a, v, r) "corners are arcs at constant speed when the next movep follows";
     Real movec(pose_via, pose_to; a, v, r, mode) "";
-    Modelled optimovej(goal; a, v, r) "trapezoid instead of a jerk-limited profile; shares of the fastest joint's limits";
+    Modelled optimovej(goal; a, v, r) "trapezoid instead of a jerk-limited profile; shares of the fastest \
+                                       joint's limits";
     Modelled optimovel(goal; a, v, r) "trapezoid instead of a jerk-limited profile";
     Modelled servoj(q; a, v, t, lookahead_time, gain) "first-order lag of lookahead_time; gain has no effect";
     Modelled servoc(pose; a, v, r) "as movep towards each new target";
@@ -76,7 +77,8 @@ pub const TABLE: &[Entry] = entries![
     Real speedl(xd, a; t, aRot) "";
     Real stopj(a) "";
     Real stopl(a; aRot) "";
-    Modelled direct_torque(torque; friction_comp, viscous_scale, coulomb_scale) "rigid bodies with a little friction; the compensation's arguments have no effect";
+    Modelled direct_torque(torque; friction_comp, viscous_scale, coulomb_scale) "rigid bodies with a little \
+        friction; the compensation's arguments have no effect";
     Modelled set_pos(q) "places the standing arm";
     Absent reset_revolution_counter(; qNear) "";
     Absent path_offset_enable() "";
@@ -88,7 +90,8 @@ pub const TABLE: &[Entry] = entries![
     Absent track_conveyor_linear(direction, ticks_per_meter; encoder_index) "";
     Absent track_conveyor_circular(center, ticks_per_revolution; rotate_tool, encoder_index) "";
     Absent stop_conveyor_tracking(; a) "";
-    Modelled tool_wrench_limit_set(frame_offset; Fx, Fy, Fz, Mx, My, Mz) "accepted; no motion is slowed by it";
+    Modelled tool_wrench_limit_set(frame_offset; Fx, Fy, Fz, Mx, My, Mz) "accepted; no motion is slowed by \
+        it";
     Modelled tool_wrench_limit_disable() "accepted";
     Absent conveyor_pulse_decode(type, A; B) "";
     Absent get_conveyor_tick_count() "";
@@ -97,9 +100,11 @@ pub const TABLE: &[Entry] = entries![
     Modelled encoder_enable_set_tick_count(encoder_index, range_id) "accepted; no encoder is wired";
     Modelled encoder_set_tick_count(encoder_index, count) "the count stays as scripts set it";
     Modelled encoder_get_tick_count(encoder_index; opt) "the count that scripts have set, raw or not";
-    Modelled encoder_unwind_delta_tick_count(encoder_index, delta_tick_count) "16 bit counters, whatever range was set";
+    Modelled encoder_unwind_delta_tick_count(encoder_index, delta_tick_count) "16 bit counters, whatever \
+        range was set";
     // Force.
-    Modelled force_mode(task_frame, selection_vector, wrench, type, limits) "speed in proportion to the missing force";
+    Modelled force_mode(task_frame, selection_vector, wrench, type, limits) "speed in proportion to the \
+        missing force";
     Modelled end_force_mode() "";
     Modelled force_mode_set_damping(damping) "scales the speed";
     Modelled force_mode_set_gain_scaling(scaling) "scales the speed";
@@ -115,7 +120,8 @@ pub const TABLE: &[Entry] = entries![
     Modelled get_tcp_force() "without noise";
     Modelled zero_ftsensor() "";
     Modelled tool_contact(; direction) "force above 5 N against the direction";
-    Modelled ft_rtde_input_enable(enable; sensor_mass, sensor_measuring_offset, sensor_cog) "the sensor's own mass is not compensated";
+    Modelled ft_rtde_input_enable(enable; sensor_mass, sensor_measuring_offset, sensor_cog) "the sensor's \
+        own mass is not compensated";
     Modelled enable_external_ft_sensor(enable; sensor_mass, sensor_measuring_offset, sensor_cog) "as ft_rtde_input_enable";
     Modelled get_joint_torques() "from the force at the tool";
     // Dynamics.
@@ -143,7 +149,8 @@ pub const TABLE: &[Entry] = entries![
     Real get_actual_tool_flange_pose() "";
     Real get_tcp_offset() "";
     Real get_forward_kin(; q, tcp) "";
-    Real get_inverse_kin(x; qnear, maxPositionError, maxOrientationError, tcp) "nearest by the largest joint difference";
+    Real get_inverse_kin(x; qnear, maxPositionError, maxOrientationError, tcp) "nearest by the largest \
+        joint difference";
     Real get_inverse_kin_has_solution(pose; qnear, maxPositionError, maxOrientationError, tcp) "";
     Modelled is_within_safety_limits(position; qNear, maxPositionError, maxOrientationError, tcp) "joint ranges and reach; no safety planes";
     Modelled get_joint_temp(j) "35 degrees";
@@ -151,7 +158,8 @@ pub const TABLE: &[Entry] = entries![
     Modelled get_tool_accelerometer_reading() "gravity and motion in the flange frame, without noise";
     Modelled get_tool_current() "0";
     Modelled get_tool_temp() "35 degrees";
-    Modelled time(; mode) "mode 0: of the simulation since its controller started; mode 2: the same, counted from 2026-01-01";
+    Modelled time(; mode) "mode 0: of the simulation since its controller started; mode 2: the same, \
+                           counted from 2026-01-01";
     // Tool and installation.
     Real set_tcp(pose; tcp_name) "";
     Real set_payload(m; cog) "";

@@ -18,7 +18,8 @@ const UNLOCK_FRAMES: u64 = 2500;
 pub const PATH_SANITY_CODE: i32 = 204;
 
 /// What the dashboard says to an early unlock.
-pub const UNLOCK_TOO_EARLY: &str = "Cannot unlock protective stop until 5s after occurrence. Always inspect cause \
+pub const UNLOCK_TOO_EARLY: &str = "Cannot unlock protective stop until 5s after occurrence. Always inspect \
+                                    cause \
                                     of protective stop before unlocking";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

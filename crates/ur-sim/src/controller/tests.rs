@@ -313,7 +313,8 @@ fn a_killed_motion_brakes_by_itself_and_stopj_takes_it_over() {
     for stop in ["", "stopj(2)"] {
         let mut controller = running();
         let script = format!(
-            "def m():\n thread t():\n  movej([1,-1.57,1.57,-1.57,-1.57,0])\n end\n h = run t()\n sleep(0.5)\n \
+            "def m():\n thread t():\n  movej([1,-1.57,1.57,-1.57,-1.57,0])\n end\n h = run t()\n \
+             sleep(0.5)\n \
              kill h\n {stop}\n sleep(2)\n textmsg(is_steady())\nend\n"
         );
         upload(&mut controller, &script);
@@ -342,7 +343,8 @@ fn blended_moves_of_a_program_do_not_stop() {
     let mut controller = running();
     upload(
         &mut controller,
-        "def m():\n i = 1\n while i <= 4:\n  movej([0.4 * i,-1.57,1.57,-1.57,-1.57,0], a=3, v=1, r=0.05)\n  i = i + 1\n \
+        "def m():\n i = 1\n while i <= 4:\n  movej([0.4 * i,-1.57,1.57,-1.57,-1.57,0], a=3, v=1, r=0.05)\n  \
+         i = i + 1\n \
          end\n movej([2,-1.57,1.57,-1.57,-1.57,0], a=3, v=1)\nend\n",
     );
     (0..250).for_each(|_| controller.frame());
@@ -387,7 +389,8 @@ fn a_watchdog_acts_when_its_client_falls_silent() {
     controller.core.registers.claim(ClientId(1), std::slice::from_ref(&name));
     upload(
         &mut controller,
-        "def m():\n rtde_set_watchdog(\"input_int_register_27\", 10, \"stop\")\n while True:\n  sync()\n end\nend\n",
+        "def m():\n rtde_set_watchdog(\"input_int_register_27\", 10, \"stop\")\n while True:\n  sync()\n \
+         end\nend\n",
     );
     for frame in 0..200 {
         if frame % 20 == 0 {

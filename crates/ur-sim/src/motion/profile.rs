@@ -222,7 +222,8 @@ mod tests {
                 prop_assert!(moved >= -1e-9 && moved <= speed * (1.0 + 1e-6), "speed {moved} at {k}");
                 if let Some(before) = last_speed {
                     let change: f64 = (moved - before) / dt;
-                    prop_assert!(change.abs() <= acceleration * (1.0 + 1e-3) + 1e-6, "acceleration {change} at {k}");
+                    prop_assert!(change.abs() <= acceleration * (1.0 + 1e-3) + 1e-6, "acceleration {change} \
+                        at {k}");
                 }
                 (last, last_speed) = (position, Some(moved));
             }

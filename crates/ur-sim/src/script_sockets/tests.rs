@@ -78,7 +78,8 @@ fn every_way_of_reading_takes_its_part_of_the_stream() {
         "def r():\n textmsg(socket_open(\"127.0.0.1\", {port}))\n \
          textmsg(socket_read_binary_integer(2))\n textmsg(socket_read_byte_list(2))\n \
          textmsg(socket_read_ascii_float(3))\n textmsg(socket_read_line())\n \
-         textmsg(socket_read_string(prefix=\"<\", suffix=\">\"))\n textmsg(socket_read_string(prefix=\"<\", suffix=\">\"))\n \
+         textmsg(socket_read_string(prefix=\"<\", suffix=\">\"))\n textmsg(socket_read_string(prefix=\"<\", \
+         suffix=\">\"))\n \
          textmsg(socket_read_string())\n textmsg(socket_read_binary_integer(3, timeout=0.01))\nend\n"
     );
     let expected = [
@@ -106,7 +107,8 @@ fn every_way_of_sending_arrives_as_documented() {
     let script = format!(
         "def s():\n socket_open(\"127.0.0.1\", {port}, \"x\")\n textmsg(socket_send_int(-2, \"x\"))\n \
          socket_send_byte(65, \"x\")\n socket_send_string([1, 2], \"x\")\n socket_send_line(\"b\", \"x\")\n \
-         socket_set_var(\"POS\", 7, \"x\")\n textmsg(socket_send_int(1, \"nobody\"))\n socket_close(\"x\")\nend\n"
+         socket_set_var(\"POS\", 7, \"x\")\n textmsg(socket_send_int(1, \"nobody\"))\n socket_close(\"x\")\n\
+         end\n"
     );
     assert_eq!(said(&script), ["True", "False"]);
     assert_eq!(arrived.recv_timeout(PATIENCE).unwrap(), b"\xff\xff\xff\xfeA[1, 2]b\nSET POS 7\n");
@@ -165,7 +167,8 @@ fn a_peer_that_never_reads_does_not_hold_the_controller() {
     });
     let script = format!(
         "def f():\n socket_open(\"127.0.0.1\", {port})\n t = \"0123456789\"\n i = 0\n while i < 10:\n  \
-         t = str_cat(t, t)\n  i = i + 1\n end\n while socket_send_string(t):\n  sync()\n end\n textmsg(\"full\")\nend\n"
+         t = str_cat(t, t)\n  i = i + 1\n end\n while socket_send_string(t):\n  sync()\n end\n \
+         textmsg(\"full\")\nend\n"
     );
     assert_eq!(said(&script), ["full"]);
     drop(keep);

@@ -466,7 +466,8 @@ async fn a_script_and_rtde_exchange_registers() {
     rtde.inputs(&["input_int_register_24"]).await;
     rtde.ask(Request::Start).await;
     let mut sender = TcpStream::connect(bench.at.realtime).await.unwrap();
-    let script = "def echo():\n while True:\n  write_output_integer_register(24, 2 * read_input_integer_register(24))\n  sync()\n end\nend\n";
+    let script = "def echo():\n while True:\n  write_output_integer_register(24, 2 * \
+                  read_input_integer_register(24))\n  sync()\n end\nend\n";
     sender.write_all(script.as_bytes()).await.unwrap();
     rtde.send(Request::Data { recipe: 1, payload: 21i32.to_be_bytes().to_vec() }).await;
     let echoed = async { while rtde.data(&recipe).await != [Value::Int32(42), Value::Int32(21)] {} };

@@ -124,7 +124,8 @@ fn lists_poses_and_strings() {
 #[test]
 fn functions_defaults_and_names() {
     check(
-        "def f(a, b=2, c=a_default()): return a + b + c end def a_default(): return 10 end say(f(1)) say(f(1, c=0))",
+        "def f(a, b=2, c=a_default()): return a + b + c end def a_default(): return 10 end say(f(1)) \
+         say(f(1, c=0))",
         "13|3",
     );
     check("def p(): say(f(2)) def f(x): return x * 2 end end", "4");
@@ -196,14 +197,16 @@ fn the_critical_section_is_handed_on_in_order() {
         "m|a|m|a",
     );
     check(
-        "thread a(): enter_critical wait(1000) exit_critical end h = run a() sync() kill h enter_critical say('free') exit_critical",
+        "thread a(): enter_critical wait(1000) exit_critical end h = run a() sync() kill h enter_critical \
+         say('free') exit_critical",
         "free",
     );
     check("enter_critical enter_critical exit_critical exit_critical say(1)", "1");
     // A trajectory within the section, and orders that are read within it, do not wait for each other.
     check(
         "thread a(): enter_critical wait(5) say('arrived') wait(5) exit_critical end\n\
-         h = run a() n = 0 while n < 2: enter_critical wait(2) say('order') exit_critical n = n + 1 end join h",
+         h = run a() n = 0 while n < 2: enter_critical wait(2) say('order') exit_critical n = n + 1 end \
+         join h",
         "order|order|arrived",
     );
     check(
@@ -212,14 +215,16 @@ fn the_critical_section_is_handed_on_in_order() {
         "arrived|end",
     );
     check(
-        "thread a(): enter_critical say('a') sync() say('a2') exit_critical end h = run a() enter_critical sync() \
+        "thread a(): enter_critical say('a') sync() say('a2') exit_critical end h = run a() enter_critical \
+         sync() \
          join 0 say('m') sync() say('m2') exit_critical join h",
         "m|m2|a|a2",
     );
     // A thread that is ordered in the section to end, waited for there, and has to pass it once more itself.
     check(
         "on = True thread a(): while on: enter_critical wait(2) exit_critical end say('ended') end\n\
-         h = run a() sync() enter_critical on = False join h say('joined') exit_critical enter_critical say('free') \
+         h = run a() sync() enter_critical on = False join h say('joined') exit_critical enter_critical \
+         say('free') \
          exit_critical",
         "ended|joined|free",
     );
@@ -308,7 +313,8 @@ fn methods_work_on_lists_structs_and_matrices() {
     // The manual's own examples (chapter 4.3), and what it leaves open.
     check(
         "l = make_list(0, 0, 10)\nl.append(88)\nsay(l)\nsay(l.capacity())\nsay(l.excess_capacity())\n\
-         l.extend([1, 2])\nl.insert(1, 7)\nsay(l)\nsay(l.pop())\nl.remove(0)\nsay(l.to_string())\nl.clear()\nsay(l.length())",
+         l.extend([1, 2])\nl.insert(1, 7)\nsay(l)\nsay(l.pop())\nl.remove(0)\nsay(l.to_string())\n\
+         l.clear()\nsay(l.length())",
         "[88]|10|9|[88, 7, 1, 2]|2|[7, 1]|0",
     );
     check(
@@ -323,7 +329,8 @@ fn methods_work_on_lists_structs_and_matrices() {
     );
     // A list keeps its capacity when it is assigned to; copies are their own.
     check(
-        "a = make_list(0, 0, 3)\na = [1, 2]\na.append(3)\nb = a\nb[0] = 9\nsay(a)\nsay(a.capacity())\nc = [0.0, 0.0]\n\
+        "a = make_list(0, 0, 3)\na = [1, 2]\na.append(3)\nb = a\nb[0] = 9\nsay(a)\nsay(a.capacity())\n\
+         c = [0.0, 0.0]\n\
          c = struct(x = 1.5, y = 2.5)\nsay(c)",
         "[1, 2, 3]|3|[1.5, 2.5]",
     );

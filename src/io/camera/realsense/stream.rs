@@ -110,7 +110,8 @@ fn not_started(settings: &RealSenseSettings, source: SdkError) -> CameraError {
         (None, SdkError::Call { message, disconnected: false, .. }) => {
             let ([width, height], rate) = (settings.size, settings.rate);
             let what = format!(
-                "it does not start streams of {width} x {height} at {rate} a second ({message}): see that no other program \
+                "it does not start streams of {width} x {height} at {rate} a second ({message}): see that \
+                 no other program \
                  uses it, and that it has that size and rate (rs-enumerate-devices lists them)"
             );
             CameraError::Incomplete { place, what }

@@ -152,7 +152,8 @@ fn checker_and_kernel_agree_on_a_hundred_thousand_pairs() {
             assert_eq!(
                 kernel,
                 checker,
-                "{} and {}, seed {seed}, pair {k}: {a:?} at {pose_a:?}, {b:?} at {pose_b:?}, depth {:e}, distance {:e}",
+                "{} and {}, seed {seed}, pair {k}: {a:?} at {pose_a:?}, {b:?} at {pose_b:?}, depth {:e}, \
+                 distance {:e}",
                 KINDS[i],
                 KINDS[j],
                 placed_a.penetration(&placed_b),

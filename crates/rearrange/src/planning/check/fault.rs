@@ -91,7 +91,8 @@ pub enum PlanFault {
     },
     /// The object would be nearer than the clearance.
     #[error(
-        "action {action}: {object} comes within {gap_um:.3} um of {meets}; the clearance is {clearance_um:.3} um"
+        "action {action}: {object} comes within {gap_um:.3} um of {meets}; the clearance is \
+         {clearance_um:.3} um"
     )]
     Clearance {
         /// Action.
@@ -107,7 +108,8 @@ pub enum PlanFault {
     },
     /// An object with a goal does not end exactly there.
     #[error(
-        "{object} ends {off_um:.6} um and {off_deg:.9} deg from its goal; its last action must repeat the goal's numbers"
+        "{object} ends {off_um:.6} um and {off_deg:.9} deg from its goal; its last action must repeat the \
+         goal's numbers"
     )]
     Goal {
         /// The object.

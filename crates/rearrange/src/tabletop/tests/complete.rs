@@ -90,7 +90,8 @@ fn both_files_of_a_pair_are_judged_and_strangers_named_where_they_stand() {
 
 fn discs(points: &str, count: &str) -> String {
     format!(
-        "{{\"Object_Radius\": 50, \"Object_Shape\": \"disc\", \"Workspace_Density\": 0.1, \"Workspace_Height\": 1000,\n\
+        "{{\"Object_Radius\": 50, \"Object_Shape\": \"disc\", \"Workspace_Density\": \
+         0.1, \"Workspace_Height\": 1000,\n\
          \"Workspace_Width\": 1000, \"number_of_objects\": {count},\n\"point_list\": [{points}]}}"
     )
 }

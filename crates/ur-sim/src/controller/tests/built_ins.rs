@@ -39,7 +39,8 @@ fn a_circle_is_driven_at_its_speed_and_ends_at_its_target() {
 #[test]
 fn process_moves_round_their_corners_at_constant_speed() {
     let mut controller = running();
-    let script = "def p():\n a = get_actual_tcp_pose()\n movep(pose_add(a, p[0.1,0,0,0,0,0]), a=2, v=0.2, r=0.03)\n \
+    let script = "def p():\n a = get_actual_tcp_pose()\n movep(pose_add(a, p[0.1,0,0,0,0,0]), a=2, v=0.2, \
+                  r=0.03)\n \
                   movep(pose_add(a, p[0.1,0.1,0,0,0,0]), a=2, v=0.2, r=0.03)\n \
                   movep(pose_add(a, p[0,0.1,0.05,0,0,0]), a=2, v=0.2)\nend\n";
     upload(&mut controller, script);
@@ -81,7 +82,13 @@ fn the_tool_is_slowed_down_to_the_safety_configurations_speed() {
 
 #[test]
 fn optimal_moves_take_shares_and_refuse_more_than_all() {
-    assert!(said("def o():\n optimovej([0.5,-1.57,1.57,-1.57,-1.57,0], a=0.5, v=0.5)\n optimovel(pose_trans(get_actual_tcp_pose(), p[0,0,-0.05,0,0,0]), 0.3, 0.3)\nend\n").is_empty());
+    assert!(
+        said(
+            "def o():\n optimovej([0.5,-1.57,1.57,-1.57,-1.57,0], a=0.5, v=0.5)\n \
+                  optimovel(pose_trans(get_actual_tcp_pose(), p[0,0,-0.05,0,0,0]), 0.3, 0.3)\nend\n"
+        )
+        .is_empty()
+    );
     let refused = said("def o():\n optimovej([0.5,-1.57,1.57,-1.57,-1.57,0], a=1.4, v=1.05)\nend\n");
     assert!(refused[0].contains("1.4 is not a share"), "{refused:?}");
 }
@@ -91,7 +98,8 @@ fn torque_accelerates_and_silence_brakes() {
     let mut controller = running();
     upload(
         &mut controller,
-        "def t():\n i = 0\n while i < 100:\n  direct_torque([5,0,0,0,0,0])\n  i = i + 1\n end\n sleep(1)\n textmsg(is_steady())\nend\n",
+        "def t():\n i = 0\n while i < 100:\n  direct_torque([5,0,0,0,0,0])\n  i = i + 1\n end\n sleep(1)\n \
+         textmsg(is_steady())\nend\n",
     );
     (0..100).for_each(|_| controller.frame());
     // 5 Nm move an inertia of about 1 kg m2 for 0.2 s, less what friction and the other joints take.
@@ -113,7 +121,8 @@ fn force_mode_runs_at_its_limit_in_the_air_and_rests_at_its_force_on_a_wall() {
     let mut controller = running();
     upload(
         &mut controller,
-        "def f():\n force_mode(p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,-20,0,0,0], 2, [0.1,0.1,0.05,0.5,0.5,0.5])\n \
+        "def f():\n force_mode(p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,-20,0,0,0], 2, \
+         [0.1,0.1,0.05,0.5,0.5,0.5])\n \
          sleep(4)\n end_force_mode()\n sleep(1)\nend\n",
     );
     let start = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
@@ -157,8 +166,10 @@ fn freedrive_follows_a_push_on_its_free_axes_and_stands_without_one() {
 #[test]
 fn contact_is_felt_and_the_way_back_is_remembered() {
     let mut controller = running();
-    let script = "def c():\n speedl([0,0,-0.05,0,0,0], 0.5, 0.4)\n while tool_contact(get_target_tcp_speed()) == 0:\n  \
-                  speedl([0,0,-0.05,0,0,0], 0.5, 0.002)\n end\n back = tool_contact()\n q = get_actual_joint_positions_history(back)\n \
+    let script = "def c():\n speedl([0,0,-0.05,0,0,0], 0.5, 0.4)\n while \
+                  tool_contact(get_target_tcp_speed()) == 0:\n  \
+                  speedl([0,0,-0.05,0,0,0], 0.5, 0.002)\n end\n back = tool_contact()\n q = \
+                  get_actual_joint_positions_history(back)\n \
                   stopl(3)\n movel(q)\n textmsg(force() > 10)\nend\n";
     upload(&mut controller, script);
     let start = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
@@ -175,9 +186,12 @@ fn contact_is_felt_and_the_way_back_is_remembered() {
 #[test]
 fn matrices_and_state_have_their_shapes_and_meaning() {
     let script = "def m():\n j = get_jacobian()\n textmsg(size(j))\n textmsg(size(get_mass_matrix()))\n \
-                  textmsg(size(get_jacobian_time_derivative()))\n textmsg(get_list_length(get_coriolis_and_centrifugal_torques()))\n \
-                  x = get_target_waypoint()\n textmsg(pose_dist(x, get_actual_tcp_pose()) < 0.000001)\n textmsg(get_freedrive_status())\n \
-                  textmsg(norm(get_joint_torques()) < 0.000001)\n textmsg(norm(get_tool_accelerometer_reading() - get_gravity()) > 1)\nend\n";
+                  textmsg(size(get_jacobian_time_derivative()))\n \
+                  textmsg(get_list_length(get_coriolis_and_centrifugal_torques()))\n \
+                  x = get_target_waypoint()\n textmsg(pose_dist(x, get_actual_tcp_pose()) < 0.000001)\n \
+                  textmsg(get_freedrive_status())\n \
+                  textmsg(norm(get_joint_torques()) < 0.000001)\n \
+                  textmsg(norm(get_tool_accelerometer_reading() - get_gravity()) > 1)\nend\n";
     let expected = ["[6, 6]", "[6, 6]", "[6, 6]", "6", "True", "0", "True", "True"];
     assert_eq!(said(script), expected.map(|text| format!("text:{text}")));
 }
@@ -199,10 +213,14 @@ fn a_blocking_popup_waits_until_it_is_closed() {
 
 #[test]
 fn settings_are_kept_and_unknown_ones_refused() {
-    let script = "def s():\n set_flag(3, True)\n textmsg(get_flag(3))\n write_port_register(128, 7)\n textmsg(read_port_register(128))\n \
-                  modbus_add_signal(\"1.2.3.4\", 255, 5, 0, \"valve\")\n modbus_set_output_signal(\"valve\", True)\n \
-                  textmsg(modbus_get_signal_status(\"valve\"))\n textmsg(encoder_unwind_delta_tick_count(0, -65530))\n \
-                  set_standard_digital_input_action(0, \"default\")\n set_tool_communication(True, 115200, 1, 1, 1.0, 3.5)\n \
+    let script = "def s():\n set_flag(3, True)\n textmsg(get_flag(3))\n write_port_register(128, 7)\n \
+                  textmsg(read_port_register(128))\n \
+                  modbus_add_signal(\"1.2.3.4\", 255, 5, 0, \"valve\")\n \
+                  modbus_set_output_signal(\"valve\", True)\n \
+                  textmsg(modbus_get_signal_status(\"valve\"))\n textmsg(encoder_unwind_delta_tick_count(0, \
+                  -65530))\n \
+                  set_standard_digital_input_action(0, \"default\")\n set_tool_communication(True, 115200, \
+                  1, 1, 1.0, 3.5)\n \
                   get_flag(99)\nend\n";
     assert_eq!(
         said(script),
@@ -219,7 +237,8 @@ fn other_models_have_their_reach_and_their_name() {
     let mut controller = Controller::new(config("UR10e"));
     upload(
         &mut controller,
-        "def r():\n textmsg(get_inverse_kin_has_solution(p[-1.1,-0.17,0.3,0,3.14,0]))\n movej([2,-1.57,1.57,-1.57,-1.57,0], a=10, v=3)\nend\n",
+        "def r():\n textmsg(get_inverse_kin_has_solution(p[-1.1,-0.17,0.3,0,3.14,0]))\n \
+         movej([2,-1.57,1.57,-1.57,-1.57,0], a=10, v=3)\nend\n",
     );
     controller.frame();
     let mut fastest = 0.0f64;

@@ -19,14 +19,16 @@ const LINES: &[(&str, &str)] = &[
         "True",
     ),
     (
-        "abs(tan(d2r(45)) - 1) + abs(r2d(d2r(10)) - 10) + abs(log(2, 8) - 3) + abs(exp(1) - 2.718281828459) < 0.000000001",
+        "abs(tan(d2r(45)) - 1) + abs(r2d(d2r(10)) - 10) + abs(log(2, 8) - 3) + abs(exp(1) - 2.718281828459) \
+         < 0.000000001",
         "True",
     ),
     ("[pow(2, 10), sqrt(16), min(3, -4), max(3, -4)]", "[1024, 4, -4, 3]"),
     ("random() >= 0 and random() < 1 and random() != random()", "True"),
     // Lists, matrices, strings.
     (
-        "[norm([3, 4]), dot([1, 2, 3], [4, 5, 6]), sum([1, 2, 3.5]), length([7, 8]), get_list_length([7, 8, 9])]",
+        "[norm([3, 4]), dot([1, 2, 3], [4, 5, 6]), sum([1, 2, 3.5]), length([7, 8]), get_list_length([7, 8, \
+         9])]",
         "[5, 32, 6.5, 2, 3]",
     ),
     ("normalize([3, 4])", "[0.6, 0.8]"),
@@ -42,7 +44,8 @@ const LINES: &[(&str, &str)] = &[
     ("integer_to_binary_list(6)[1]", "True"),
     ("str_cat(str_at(\"abc\", 1), str_sub(\"abcdef\", 2, 3))", "bcde"),
     (
-        "[str_len(\"abcd\"), str_find(\"abcabc\", \"c\"), str_find(\"abcabc\", \"c\", 3), str_find(\"abc\", \"x\")]",
+        "[str_len(\"abcd\"), str_find(\"abcabc\", \"c\"), str_find(\"abcabc\", \"c\", 3), \
+         str_find(\"abc\", \"x\")]",
         "[4, 2, 5, -1]",
     ),
     ("str_empty(\"\") and not str_empty(\"a\")", "True"),
@@ -58,11 +61,13 @@ const LINES: &[(&str, &str)] = &[
         "True",
     ),
     (
-        "pose_dist(pose_trans(p[1,2,3,0.1,0.2,0.3], pose_inv(p[1,2,3,0.1,0.2,0.3])), p[0,0,0,0,0,0]) < 0.000000001",
+        "pose_dist(pose_trans(p[1,2,3,0.1,0.2,0.3], pose_inv(p[1,2,3,0.1,0.2,0.3])), p[0,0,0,0,0,0]) < \
+         0.000000001",
         "True",
     ),
     (
-        "pose_dist(interpolate_pose(p[0,0,0,0,0,0], p[2,0,0,0,0,1], 0.25), p[0.5,0,0,0,0,0.25]) < 0.000000001",
+        "pose_dist(interpolate_pose(p[0,0,0,0,0,0], p[2,0,0,0,0,1], 0.25), p[0.5,0,0,0,0,0.25]) < \
+         0.000000001",
         "True",
     ),
     (
@@ -78,20 +83,23 @@ const LINES: &[(&str, &str)] = &[
     ("norm(get_actual_joint_positions() - get_target_joint_positions()) == 0", "True"),
     ("norm(get_joint_positions() - get_actual_joint_positions_history(5)) == 0", "True"),
     (
-        "pose_dist(get_forward_kin(), get_actual_tcp_pose()) + pose_dist(get_target_tcp_pose(), get_actual_tcp_pose()) < 0.000001",
+        "pose_dist(get_forward_kin(), get_actual_tcp_pose()) + pose_dist(get_target_tcp_pose(), \
+         get_actual_tcp_pose()) < 0.000001",
         "True",
     ),
     ("pose_dist(get_target_tcp_pose_along_path(), get_target_waypoint()) < 0.000001", "True"),
     ("norm(get_inverse_kin(get_actual_tcp_pose()) - get_actual_joint_positions()) < 0.00001", "True"),
     (
-        "get_inverse_kin_has_solution(get_actual_tcp_pose()) and not get_inverse_kin_has_solution(p[9,0,0,0,0,0])",
+        "get_inverse_kin_has_solution(get_actual_tcp_pose()) and not \
+         get_inverse_kin_has_solution(p[9,0,0,0,0,0])",
         "True",
     ),
     // The tool's speed is the Jacobian times that of the joints.
     ("abs((get_jacobian() * [1,0,0,0,0,0])[0] + get_actual_tcp_pose()[1]) < 0.000001", "True"),
     ("size(get_jacobian_time_derivative())", "[6, 6]"),
     (
-        "abs(get_jacobian_time_derivative(get_actual_joint_positions(), [1,0,0,0,0,0])[0, 0] + get_actual_tcp_pose()[0]) < 0.00001",
+        "abs(get_jacobian_time_derivative(get_actual_joint_positions(), [1,0,0,0,0,0])[0, 0] + \
+         get_actual_tcp_pose()[0]) < 0.00001",
         "True",
     ),
     ("get_freedrive_status()", "0"),
@@ -100,11 +108,13 @@ const LINES: &[(&str, &str)] = &[
     ("[read_input_integer_register(30), read_input_float_register(31)]", "[-7, 2.5]"),
     ("read_input_boolean_register(70)", "True"),
     (
-        "get_digital_in(3) and get_standard_digital_in(3) and get_configurable_digital_in(1) and get_tool_digital_in(0)",
+        "get_digital_in(3) and get_standard_digital_in(3) and get_configurable_digital_in(1) and \
+         get_tool_digital_in(0)",
         "True",
     ),
     (
-        "get_digital_in(4) or get_standard_digital_in(4) or get_configurable_digital_in(2) or get_tool_digital_in(1)",
+        "get_digital_in(4) or get_standard_digital_in(4) or get_configurable_digital_in(2) or \
+         get_tool_digital_in(1)",
         "False",
     ),
 ];
@@ -228,8 +238,10 @@ fn speeds_are_reported_while_the_arm_speeds_up() {
                   v = get_actual_tcp_speed()\n textmsg(abs(qd[0] - 0.05) < 0.001)\n \
                   textmsg(norm(qd - get_target_joint_speeds()) == 0)\n \
                   textmsg(abs(get_target_joint_accelerations()[0] - 0.1) < 0.000001)\n \
-                  textmsg(abs(v[0] + qd[0] * get_actual_tcp_pose()[1]) < 0.00001 and abs(v[5] - qd[0]) < 0.000001)\n \
-                  textmsg(norm(v - get_target_tcp_speed()) + norm(v - get_target_tcp_speed_along_path()) == 0)\nend\n";
+                  textmsg(abs(v[0] + qd[0] * get_actual_tcp_pose()[1]) < 0.00001 and abs(v[5] - qd[0]) < \
+                  0.000001)\n \
+                  textmsg(norm(v - get_target_tcp_speed()) + norm(v - get_target_tcp_speed_along_path()) == \
+                  0)\nend\n";
     let mut controller = running();
     upload(&mut controller, script);
     controller.frame();

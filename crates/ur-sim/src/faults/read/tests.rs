@@ -14,7 +14,9 @@ fn refused(text: &str, complaint: &str) {
 
 #[test]
 fn triggers_and_arguments_are_read() {
-    let text = "faults:\n  - {at: {time_s: 3}, do: vacuum.drop}\n  - at: {step: 3, phase: carry, progress: 0.5}\n    do: ur.slider\n    args: {fraction: 0.1, seconds: 2}\n  - {at: {event: grip, count: 2}, do: camera.off}\n";
+    let text = "faults:\n  - {at: {time_s: 3}, do: vacuum.drop}\n  - at: \
+                {step: 3, phase: carry, progress: 0.5}\n    do: ur.slider\n    args: \
+                {fraction: 0.1, seconds: 2}\n  - {at: {event: grip, count: 2}, do: camera.off}\n";
     let plans = read_faults(text, "f").unwrap();
     assert_eq!(plans[0].at, Some(Trigger::Time(3.0)));
     assert_eq!(plans[0].order.fault, Fault::Vacuum(VacuumFault::Drop(None)));

@@ -261,9 +261,11 @@ async fn the_gripper_answers_with_an_exception_and_leaks() {
 }
 
 /// Down to the block, up, 0.2 m aside, down, up. Something switches the vacuum.
-const PICK_AND_PLACE: &str = "def ours():\n  p = get_actual_tcp_pose()\n  movel(pose_trans(p, p[0,0,0.0998,0,0,0]), v=0.25)\n  \
+const PICK_AND_PLACE: &str = "def ours():\n  p = get_actual_tcp_pose()\n  movel(pose_trans(p, \
+                              p[0,0,0.0998,0,0,0]), v=0.25)\n  \
     sleep(1)\n  movel(p, v=0.25)\n  movel(pose_add(p, p[0.2,0,0,0,0,0]), a=0.5, v=0.25)\n  \
-    movel(pose_trans(pose_add(p, p[0.2,0,0,0,0,0]), p[0,0,0.0998,0,0,0]), v=0.25)\n  sleep(1)\n  movel(p, v=0.25)\nend\n";
+    movel(pose_trans(pose_add(p, p[0.2,0,0,0,0,0]), p[0,0,0.0998,0,0,0]), v=0.25)\n  sleep(1)\n  movel(p, \
+    v=0.25)\nend\n";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_vacuum_drops_half_way_through_the_first_carry() {
@@ -338,7 +340,8 @@ async fn things_without_a_marker_stand_on_the_table_until_their_fault_ends() {
     assert_eq!(heights(), [0.03], "the block alone");
     let thing = |shape: &str, y: f64, height_m: f64| {
         format!(
-            "{{do: world.foreign, args: {{shape: {shape}, size_m: [0.08, 0.05], height_m: {height_m}, pose: [0.2, {y}, 0]}}}}"
+            "{{do: world.foreign, args: {{shape: {shape}, size_m: [0.08, 0.05], height_m: {height_m}, pose: \
+             [0.2, {y}, 0]}}}}"
         )
     };
     bench.fault(&thing("mug", 0.2, 0.09));

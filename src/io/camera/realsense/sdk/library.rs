@@ -67,7 +67,8 @@ impl std::fmt::Display for Version {
 pub enum SdkError {
     /// Not there.
     #[error(
-        "the RealSense SDK cannot be loaded ({tried}): install librealsense2 ({OLDEST} or newer), or name its library in the camera's \
+        "the RealSense SDK cannot be loaded ({tried}): install librealsense2 ({OLDEST} or newer), or name \
+         its library in the camera's \
          `library` key; the Python package pyrealsense2 carries one"
     )]
     Missing {
@@ -76,7 +77,8 @@ pub enum SdkError {
     },
     /// There, but not the SDK.
     #[error(
-        "{library} is no RealSense SDK: it has no {symbol}; name librealsense2.so in the camera's `library` key"
+        "{library} is no RealSense SDK: it has no {symbol}; name librealsense2.so in the camera's `library` \
+         key"
     )]
     NotTheSdk {
         /// The file.
