@@ -85,6 +85,7 @@ impl StateKeeper {
             object: step.intent.object,
             to: step.intent.to,
             tool_from_object: step.intent.tool_from_object,
+            table: step.intent.table,
         });
         Ok(StateKeeper {
             config,
@@ -234,10 +235,13 @@ impl StateKeeper {
             self.reconcile();
             return Ok(());
         }
-        let Some((id, open)) = &mut self.active else { return Ok(()) };
         let now = unix_now_s();
+        if let Record::LetGo = record {
+            return self.journal.let_go(now);
+        }
+        let Some((id, open)) = &mut self.active else { return Ok(()) };
         match (record, *open) {
-            (Record::Intent { object, from, to, kind, tool_from_object, .. }, previous) => {
+            (Record::Intent { object, from, to, kind, tool_from_object, table, .. }, previous) => {
                 // A grip that failed left its step open; it is over once the next one is meant.
                 if let Some(step) = previous {
                     self.journal.step_abandoned(id, step, now)?;
@@ -247,7 +251,8 @@ impl StateKeeper {
                     ActionKind::Buffer => StepKind::Buffer,
                 };
                 let (object, tool_from_object) = (object.clone(), *tool_from_object);
-                let intent = StepIntent { object, from: *from, to: *to, kind, tool_from_object };
+                let table = table.clone();
+                let intent = StepIntent { object, from: *from, to: *to, kind, tool_from_object, table };
                 *open = Some(self.journal.step_intent(id, &intent, now)?);
                 Ok(())
             }
@@ -258,7 +263,7 @@ impl StateKeeper {
                 self.journal.step_done(id, step, now)
             }
             (Record::Gripped { .. } | Record::Released { .. } | Record::Done { .. }, None)
-            | (Record::Ended(_), _) => Ok(()),
+            | (Record::LetGo | Record::Ended(_), _) => Ok(()),
         }
     }
 }

@@ -136,6 +136,9 @@ pub struct StepIntent {
     /// How the object hangs on the tool, seen from above. Journals of earlier versions do not have it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tool_from_object: Option<Pose2>,
+    /// Where each object was seen last, by name.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub table: Vec<(String, Pose2)>,
 }
 
 /// What a pick-n-place leads to.

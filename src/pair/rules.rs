@@ -269,7 +269,7 @@ impl Rules {
         self.frame = frame;
         match effect {
             Effect::Commit { number, record } => {
-                self.open.insert(*number, !matches!(record, Record::Ended(_)));
+                self.open.insert(*number, !matches!(record, Record::Ended(_) | Record::LetGo));
                 match record {
                     Record::Intent { object, .. } => {
                         self.picking = true;
@@ -277,7 +277,9 @@ impl Rules {
                             self.breach(Rule::PickOnOldSight, object.clone());
                         }
                     }
-                    Record::Gripped { .. } | Record::Released { .. } => self.disturbed = frame,
+                    Record::Gripped { .. } | Record::Released { .. } | Record::LetGo => {
+                        self.disturbed = frame
+                    }
                     Record::Done { .. } => (self.picking, self.disturbed) = (false, frame),
                     Record::Ended(_) => {}
                 }

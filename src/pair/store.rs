@@ -78,7 +78,9 @@ impl Store {
         match since.last() {
             // Its report had reached the disk, and had reached no reader.
             Some(Record::Ended(report)) if report.id == job.id => self.reports.push((**report).clone()),
-            Some(Record::Ended(_) | Record::Done { .. }) | None => self.waiting.push_front(job),
+            Some(Record::Ended(_) | Record::LetGo | Record::Done { .. }) | None => {
+                self.waiting.push_front(job);
+            }
             Some(Record::Intent { .. } | Record::Released { .. }) => self.interrupt(&job, Code::Interrupted),
             Some(Record::Gripped { .. }) => self.interrupt(&job, Code::InterruptedCarrying),
         }
@@ -119,8 +121,9 @@ fn gripped_last(durable: &[Record]) -> Option<HeldBefore> {
     let mut steps = steps.skip_while(|record| matches!(record, Record::Gripped { .. }));
     let gripped = durable.iter().rev().find(|record| !matches!(record, Record::Ended(_)));
     match (gripped, steps.next()) {
-        (Some(Record::Gripped { .. }), Some(Record::Intent { object, to, tool_from_object, .. })) => {
-            Some(HeldBefore { object: object.clone(), to: *to, tool_from_object: *tool_from_object })
+        (Some(Record::Gripped { .. }), Some(Record::Intent { object, to, tool_from_object, table, .. })) => {
+            let (object, table) = (object.clone(), table.clone());
+            Some(HeldBefore { object, to: *to, tool_from_object: *tool_from_object, table })
         }
         _ => None,
     }

@@ -51,11 +51,16 @@ impl Supervisor {
             return format!("armed; nothing moves yet: {}", self.place(closed));
         }
         let now = match &self.phase {
+            Phase::Park => "armed: the arm goes on to its park pose",
+            Phase::Work(_) => "armed: the pick-n-place under way goes on",
             Phase::Approve => "armed; the plan waits for `celld approve`",
             Phase::BringUp(BringUp { asked: Some(_), .. }) => {
                 "armed: celld switches the arm's power on and releases its brakes now"
             }
             Phase::BringUp(_) => "armed: celld starts its program on the robot now, then the arm moves",
+            Phase::Look(_) if self.mode.paused() => {
+                "armed: the arm goes round its look poses, then a pause is in force, `celld resume` ends it"
+            }
             _ if self.mode.paused() => "armed; a pause is in force, `celld resume` ends it",
             Phase::Look(_) => "armed: the arm moves to look at the table now",
             _ if self.round.is_some() || self.job.is_some() => "armed: the job goes on now",

@@ -7,6 +7,7 @@ use crate::cell::device::robot_types::RobotCommand;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot};
+use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::phase::{BringUp, JobRun, Phase};
 use crate::cell::supervisor::reason::{alarm, say};
 use crate::cell::supervisor::round::RoundFault;
@@ -69,6 +70,7 @@ impl Supervisor {
             | GateClosed::Paused
             | GateClosed::NotPlaying(_)
             | GateClosed::Disarmed
+            | GateClosed::Locked(_)
             | GateClosed::Holding(_)
             | GateClosed::MayHang(_)
             | GateClosed::NotObserved
@@ -76,15 +78,27 @@ impl Supervisor {
         }
     }
 
+    /// Why the cell cannot be armed any more, if it is locked.
+    pub(crate) fn locked(&self) -> Option<GateClosed> {
+        match &self.mode {
+            Mode::Locked(reason) => Some(GateClosed::Locked(reason.clone())),
+            Mode::Disarmed { .. } | Mode::Armed { .. } | Mode::Ending { .. } => None,
+        }
+    }
+
     /// Waits for a gate to open; not for ever, unless a person has to arm the cell.
     pub(crate) fn wait(&mut self, now: Timestamp, closed: GateClosed, out: &mut Vec<Action>) {
+        let closed = match self.locked() {
+            Some(locked) if closed == GateClosed::Disarmed => locked,
+            _ => closed,
+        };
         let kind = std::mem::discriminant(&closed);
         if self.waiting_for.as_ref().map(std::mem::discriminant) != Some(kind) {
             say(out, format!("waiting: {}; {}", self.place(&closed), closed.hint()));
             self.waiting_since = now;
         }
         let (message, hint) = (self.place(&closed), closed.hint());
-        let patient = closed == GateClosed::Disarmed;
+        let patient = matches!(closed, GateClosed::Disarmed | GateClosed::Locked(_));
         self.waiting_for = Some(closed);
         if !patient && now.since(self.waiting_since) > NOT_READY_LIMIT {
             // No person shall be surprised by a cell that comes to life when its device does.
@@ -172,6 +186,7 @@ fn opens_by_bring_up(closed: &GateClosed) -> bool {
         | GateClosed::Paused
         | GateClosed::NotPlaying(_)
         | GateClosed::Disarmed
+        | GateClosed::Locked(_)
         | GateClosed::Gripper
         | GateClosed::GripperUnconfirmed
         | GateClosed::Holding(_)

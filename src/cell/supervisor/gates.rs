@@ -13,6 +13,13 @@ use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 const EMPTY_BELOW: f64 = 0.05;
 
 impl GateClosed {
+    /// The same for an order that is given again and needs no `celld arm`.
+    pub fn hint_to_try_again(&self) -> String {
+        let hint = self.hint();
+        hint.strip_suffix("then `celld arm`")
+            .map_or_else(|| hint.to_string(), |first| format!("{first}then try again"))
+    }
+
     /// What a person can do about it.
     pub fn hint(&self) -> &'static str {
         match self {
@@ -34,6 +41,7 @@ impl GateClosed {
             GateClosed::Paused => "press play at the pendant, or `celld abort`",
             GateClosed::NotPlaying(_) => "look at the pendant for what the program does, or `celld abort`",
             GateClosed::Disarmed => "`celld arm` once the cell is clear",
+            GateClosed::Locked(_) => "the cell cannot be armed before that",
             GateClosed::Gripper => {
                 "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, \
                  `ping` it"
@@ -81,6 +89,9 @@ pub enum GateClosed {
     /// The cell was not armed.
     #[error("the cell is disarmed")]
     Disarmed,
+    /// Nor can it be armed, for this reason.
+    #[error("the cell is locked: {0}")]
+    Locked(String),
     /// The gripper does not answer.
     #[error("the gripper does not answer")]
     Gripper,

@@ -10,7 +10,7 @@ use crate::cell::device::gripper_types::GripperEvent;
 use crate::cell::supervisor::back::{BackStage, Held};
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::{self, GateClosed};
-use crate::cell::supervisor::input::{Action, DeviceSnapshot};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot, Record};
 use crate::cell::supervisor::phase::{Phase, WorkStage};
 use crate::cell::supervisor::reason::alarm;
 use crate::motion::bodies::Load;
@@ -33,9 +33,18 @@ impl Supervisor {
             // not.
             GripperEvent::Released => match (&self.phase, &mut self.back.held) {
                 (Phase::Work(work), Some(held)) if work.stage == WorkStage::Releasing => held.let_go = true,
-                (Phase::Recover(BackStage::Leaving), Some(held)) => held.let_go = true,
+                (Phase::Recover(BackStage::Leaving), Some(held)) => {
+                    held.let_go = true;
+                    self.note_let_go(out);
+                }
                 // One channel may have been let go, and the other hold on.
-                _ if gates::empty_handed(outside).is_ok() => (self.back.held, self.back.fell) = (None, None),
+                (_, held) if gates::empty_handed(outside).is_ok() => {
+                    let gone = held.take().is_some() && !works;
+                    self.back.fell = None;
+                    if gone {
+                        self.note_let_go(out);
+                    }
+                }
                 _ => {}
             },
             GripperEvent::VacuumWeak { vacuum, best } => self.vacuum_falls(works, [*best, *vacuum], out),
@@ -68,7 +77,14 @@ impl Supervisor {
         if outside.vacuum.is_none() || !outside.gripper_answers {
             return;
         }
-        let Some(before) = self.model.held_before.take().filter(|_| self.back.grips) else { return };
+        let Some(before) = self.model.held_before.take() else { return };
+        if !self.back.grips {
+            // What hangs there at a later start is another thing.
+            return self.note_let_go(out);
+        }
+        if self.back.table.is_empty() {
+            self.back.table.clone_from(&before.table);
+        }
         let Some(object) = self.model.object(&before.object) else { return };
         let held = Held {
             object: before.object,
@@ -89,6 +105,11 @@ impl Supervisor {
             format!("{what} was gripped when celld last ended: it hangs on the cups; `celld recover`"),
         );
         self.back.held = Some(held);
+    }
+
+    /// Writes down that what was gripped last is gone from the cups; nothing waits for it.
+    fn note_let_go(&mut self, out: &mut Vec<Action>) {
+        self.commit(self.clock(), Record::LetGo, out);
     }
 
     /// What is held may be lost soon. A pick-n-place under way is finished, which is sooner over than

@@ -159,6 +159,8 @@ pub enum Record {
         kind: ActionKind,
         /// How it will hang on the tool, seen from above: what a later start needs to put it down.
         tool_from_object: Option<Pose2>,
+        /// Where each object was seen last, by name: what is held may hide one from the next look.
+        table: Vec<(String, Pose2)>,
     },
     /// The object is held.
     Gripped {
@@ -175,6 +177,9 @@ pub enum Record {
         /// Running number.
         step: usize,
     },
+    /// What was gripped last does not hang on the cups any more: it was put down on a way back, let go by a
+    /// person's order, or had gone when celld started. Of no job.
+    LetGo,
     /// The job is over.
     Ended(Box<JobReport>),
 }

@@ -13,7 +13,7 @@ use crate::cell::supervisor::judge::foreign_height;
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase};
-use crate::cell::supervisor::reason::{alarm, say};
+use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::cell::supervisor::travel::NoTravel;
 use crate::motion::cycle_time::CycleTimes;
 use cell_values::time::Timestamp;
@@ -254,14 +254,20 @@ impl Supervisor {
                 self.seen = Some(observation);
                 self.seen_at = now;
             }
-            Some(doubt) if job.look_failures >= self.model.tolerances.retries => {
-                self.finish(now, JobStatus::Failed, doubt, out);
-            }
-            Some(doubt) => {
-                job.look_failures += 1;
-                say(out, format!("{}; the arm looks again now", doubt.message));
-            }
+            Some(doubt) => self.look_again(now, doubt, out),
         }
+    }
+
+    /// What was seen cannot be acted upon: another look, or the end of the job.
+    fn look_again(&mut self, now: Timestamp, doubt: Reason, out: &mut Vec<Action>) {
+        let goes_on = self.mode.armed() && !self.mode.paused();
+        let Some(job) = &mut self.job else { return };
+        if job.look_failures >= self.model.tolerances.retries {
+            return self.finish(now, JobStatus::Failed, doubt, out);
+        }
+        job.look_failures += 1;
+        let again = if goes_on && !job.cancel { "; the arm looks again now" } else { "" };
+        say(out, format!("{}{again}", doubt.message));
     }
 
     /// The table is known: done, go on with the route, or plan.
@@ -458,7 +464,8 @@ impl Supervisor {
                 Code::Unreachable.because(fault.message.clone(), hint).of(fault.name.clone())
             }
             PlanAnswer::Timeout | PlanAnswer::Found { .. } => {
-                let hint = "give the job a longer time_limit_s, or clear the table a little";
+                let hint =
+                    "give the job a longer time_limit_s; or `celld disarm`, then clear the table a little";
                 Code::NoPlan.because("no plan was found in time", hint)
             }
         };

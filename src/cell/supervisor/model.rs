@@ -130,6 +130,8 @@ pub struct HeldBefore {
     pub to: Pose2,
     /// How it hangs on the tool, seen from above; `None` where that was not written down.
     pub tool_from_object: Option<Pose2>,
+    /// Where each object was seen last before it was gripped.
+    pub table: Vec<(String, Pose2)>,
 }
 
 /// Where the devices are, for the sentences about waiting for them.

@@ -76,7 +76,12 @@ impl Supervisor {
     fn on_pause(&mut self, outside: &DeviceSnapshot) -> Option<Reply> {
         let parks = matches!(self.phase, Phase::Park);
         if self.mode.paused() && !parks {
-            return Some(Reply::accept("paused already"));
+            let said = match self.mode.parks() {
+                true => "paused already; the arm is not parked any more",
+                false => "paused already",
+            };
+            self.mode.set_park(false);
+            return Some(Reply::accept(said));
         }
         self.mode.set_pace(Pace::Paused);
         if !parks {

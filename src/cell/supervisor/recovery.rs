@@ -83,10 +83,8 @@ impl Supervisor {
         if !matches!(self.phase, Phase::Ready | Phase::Approve) {
             return Err("a motion or a plan is under way: wait for its end, or `celld abort`".to_string());
         }
-        gates::recovering(outside).map_err(|closed| {
-            let hint = closed.hint().replace(", then `celld arm`", ", then try again");
-            format!("{}; {hint}", self.place(&closed))
-        })?;
+        gates::recovering(outside)
+            .map_err(|closed| format!("{}; {}", self.place(&closed), closed.hint_to_try_again()))?;
         if !outside.robot.is_some_and(RobotState::stands_still) {
             return Err("the arm moves, and not by celld: see what moves it".to_string());
         }

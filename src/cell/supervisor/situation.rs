@@ -100,7 +100,7 @@ impl Supervisor {
 
     fn what_happened(&self, now: Timestamp) -> String {
         match &self.back.last_stop {
-            None => "what happened: no stop since the cell was last armed".to_string(),
+            None => "what happened: no stop that is still to be left".to_string(),
             Some(stop) => {
                 let (code, seconds) = (stop.reason.code, now.since(stop.at).as_secs());
                 format!("what happened: {} ({code}), {seconds} s ago", stop.reason.message)

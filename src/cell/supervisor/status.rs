@@ -108,7 +108,7 @@ impl Supervisor {
             Phase::Ready if self.back.recovery.is_some() => Doing::Recovering("about to go on"),
             Phase::Ready => match (&self.job, &self.waiting_for) {
                 (None, _) if !self.ledger.is_clear() => Doing::Writing,
-                (None, _) => Doing::Idle,
+                (None, _) => self.locked().map_or(Doing::Idle, Doing::Waiting),
                 (Some(_), Some(reason)) => Doing::Waiting(reason.clone()),
                 (Some(_), None) if self.mode.paused() => Doing::Paused,
                 (Some(_), None) => Doing::Ready,

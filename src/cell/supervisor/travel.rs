@@ -87,10 +87,12 @@ impl Supervisor {
             (NoTravel::Way(NoWay::Range { joint, .. }), None) => {
                 format!("jog joint {joint} back into its range")
             }
-            (NoTravel::Way(NoWay::NotFound { .. }), None) => "jog the arm towards the park pose".to_string(),
-            (NoTravel::Way(NoWay::Start(_)) | NoTravel::Above(_) | NoTravel::Path(_), None) => {
-                "jog the arm to where it is high over the table and clear of everything".to_string()
-            }
+            (
+                NoTravel::Way(NoWay::NotFound { .. } | NoWay::Start(_))
+                | NoTravel::Above(_)
+                | NoTravel::Path(_),
+                None,
+            ) => "jog the arm to where it is high over the table and clear of everything".to_string(),
         };
         format!("{what} at the pendant in Local Control, then switch it back to Remote Control")
     }

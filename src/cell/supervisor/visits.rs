@@ -56,7 +56,7 @@ impl Supervisor {
     /// What keeps the cell from being armed for a round, and what to do about it.
     fn round_gate(&self, outside: &DeviceSnapshot) -> Option<String> {
         let closed = gates::arming_for_round(outside).err()?;
-        Some(format!("{}; {}", self.place(&closed), closed.hint()))
+        Some(format!("{}; {}", self.place(&closed), closed.hint_to_try_again()))
     }
 
     /// Sends the arm to the next pose; after the last one the round is over.

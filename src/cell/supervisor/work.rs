@@ -64,6 +64,7 @@ impl Supervisor {
             to: next.to,
             kind: if next.to_goal { ActionKind::Goal } else { ActionKind::Buffer },
             tool_from_object: grasp.as_ref().map(|grasp| grasp.load().tool_from_object),
+            table: self.back.table.clone(),
         };
         let held = Held {
             object: next.object.clone(),

@@ -66,6 +66,17 @@ impl Journal {
         self.step_phase(id, step, StepPhase::Abandoned, unix_s)
     }
 
+    /// What the last step gripped does not hang on the cups any more, after its job's end; nothing where it
+    /// was let go before.
+    ///
+    /// # Errors
+    /// The database cannot be written.
+    pub fn let_go(&mut self, unix_s: f64) -> Result<(), JournalError> {
+        let update = "UPDATE steps SET phase = 'released', changed = ?1
+             WHERE phase = 'gripped' AND rowid = (SELECT max(rowid) FROM steps)";
+        self.database.execute(update, [unix_s]).map(|_| ()).map_err(|e| self.fail(e))
+    }
+
     fn step_phase(&mut self, id: &str, step: u32, to: StepPhase, unix_s: f64) -> Result<(), JournalError> {
         let update = "UPDATE steps SET phase = ?3, changed = ?4 WHERE step = ?2
              AND job = (SELECT sequence FROM jobs WHERE id = ?1) AND phase IN \

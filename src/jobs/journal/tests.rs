@@ -36,6 +36,7 @@ fn intent() -> StepIntent {
         to: Pose2::new(0.1, 0.2, 0.3),
         kind: StepKind::Goal,
         tool_from_object: Some(Pose2::new(0.01, 0.0, 0.2)),
+        table: vec![("lid".into(), Pose2::new(0.4, 0.1, 0.0))],
     }
 }
 
@@ -135,12 +136,16 @@ fn no_step_begins_while_one_is_open() {
     journal.step_gripped("a", 1, NOW).unwrap();
     let last = |journal: &Journal| journal.last_step().unwrap().map(|step| (step.step, step.phase));
     assert_eq!(last(&journal), Some((1, StepPhase::Gripped)));
+    assert_eq!(journal.last_step().unwrap().map(|step| step.intent), Some(intent()));
+    journal.let_go(NOW).unwrap();
+    assert_eq!(last(&journal), Some((1, StepPhase::Released)));
     assert!(matches!(journal.requeue("a"), Err(JournalError::WrongState { .. })));
     journal.step_done("a", 1, NOW).unwrap();
     assert!(matches!(journal.step_done("a", 1, NOW), Err(JournalError::WrongStep { step: 1, .. })));
     assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 2);
     journal.step_abandoned("a", 2, NOW).unwrap();
-    assert_eq!(last(&journal), Some((2, StepPhase::Abandoned)));
+    journal.let_go(NOW).unwrap();
+    assert_eq!(last(&journal), Some((2, StepPhase::Abandoned)), "nothing was gripped");
     assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 3);
 }
 

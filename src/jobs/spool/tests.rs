@@ -318,6 +318,7 @@ fn work(bench: &mut Bench, motions: &mut Vec<(String, u32)>) -> Result<(), Spool
                 to: pose,
                 kind: StepKind::Goal,
                 tool_from_object: None,
+                table: Vec::new(),
             };
             let step = journal.step_intent(&job.id, &intent, NOW)?;
             motions.push((job.id.clone(), step));
@@ -408,6 +409,7 @@ fn an_interrupted_step_ends_the_job_with_a_named_state() {
         to: pose,
         kind: StepKind::Buffer,
         tool_from_object: None,
+        table: Vec::new(),
     };
     bench.journal.step_intent("a", &intent, NOW).unwrap();
     let recovered = bench.journal.recover(NOW).unwrap();

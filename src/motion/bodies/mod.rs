@@ -235,8 +235,9 @@ impl Bodies {
         pairs
     }
 
-    /// False where a body on the flange is as near to wrist 2 in every position of joint 6, which alone moves
-    /// the two against each other: it is built so.
+    /// False where a body on the flange is within the margin of wrist 2 in every position of joint 6, which
+    /// alone moves the two against each other: it is built so, and no path could keep the margin. That holds
+    /// for the whole body: a long bracket is better entered as several.
     fn can_part(&self, link: &Body, tool: &Body, margin: f64) -> bool {
         if link.part != Part::Link(5) {
             return true;

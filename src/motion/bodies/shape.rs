@@ -205,6 +205,13 @@ pub fn apart(a: &Shape, a_at: &Pose, b: &Shape, b_at: &Pose) -> f64 {
     cores - a.radius - b.radius
 }
 
+/// True where a distance that [`apart`] has found says how deep the two overlap: not where their cores meet,
+/// unless one is a half-space.
+pub fn depth_is_known(a: &Shape, b: &Shape, distance: f64) -> bool {
+    let plane = [a, b].iter().any(|shape| matches!(shape.core, Core::HalfSpace { .. }));
+    (plane && !distance.is_nan()) || distance > -(a.radius + b.radius)
+}
+
 /// The lowest point of a shape over a plane, m; `plane_from_shape` places it.
 fn over(normal: Vector, offset: f64, shape: &Shape, plane_from_shape: &Pose) -> f64 {
     let height = |point: Vector| normal.dot(*plane_from_shape * point) - offset;

@@ -9,7 +9,7 @@
 //! Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, section 2.3). What is left of
 //! its distance is carried over to the next piece.
 
-use crate::motion::bodies::shape::{apart, surely_apart};
+use crate::motion::bodies::shape::{apart, depth_is_known, surely_apart};
 use crate::motion::bodies::{Bodies, Body, Other, Pair, Part, Room};
 use cell_values::units::Joints;
 use parry3d_f64::math::Pose;
@@ -145,6 +145,17 @@ impl<'a> Sweep<'a> {
         let distances = counted.map(|index| (index, self.distance(&frames, index, false)));
         let wanted = |index: usize| self.pairs[index].wanted;
         distances.filter(|(index, distance)| distance.is_nan() || *distance < wanted(*index)).collect()
+    }
+
+    /// True where these pairs that are too near say on which way they part: not where it is unknown how deep
+    /// two bodies overlap, nor in the air over the table in which things may lie, whose places are not known.
+    pub fn way_out_is_known(&self, near: &[(usize, f64)]) -> bool {
+        near.iter().all(|(index, distance)| {
+            let pair = &self.pairs[*index];
+            let (a, b) = (self.moving(pair.a), self.other(pair.b));
+            let inside_layer = matches!(b.part, Part::Layer | Part::Rim) && *distance <= 0.0;
+            !inside_layer && depth_is_known(&a.shape, &b.shape, *distance)
+        })
     }
 
     /// True where something of the arm is in the air over the table in which things may lie.

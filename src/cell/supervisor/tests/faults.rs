@@ -397,6 +397,16 @@ fn an_order_is_answered_by_what_it_led_to() {
     bench.robot.qd[0] = 0.4;
     bench.ticks(1);
     assert!(reported(&mut bench, Order::Disarm).1.contains("goes on to its next stop"));
+    let armed = reported(&mut bench, Order::Arm);
+    assert!(armed.1.contains("moves to look") || armed.1.contains("not armed"), "{armed:?}");
+    let mut bench = working();
+    for (given, parks) in [(Order::Pause, false), (Order::Park, true), (Order::Pause, false)] {
+        let (_, message) = reported(&mut bench, given);
+        assert_eq!(bench.cell.mode.parks(), parks, "{message}");
+    }
+    bench.feed(order(Order::Disarm));
+    let armed = reported(&mut bench, Order::Arm);
+    assert!(armed.1.contains("the pick-n-place under way goes on"), "{armed:?}");
     let mut bench = working();
     assert!(reported(&mut bench, Order::Disarm).1.contains("finished first"));
 }

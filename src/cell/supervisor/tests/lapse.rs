@@ -134,8 +134,12 @@ fn another_robot_locks_the_cell_and_both_are_named() {
         let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
         assert!(!reply.accepted && reply.message.contains(word), "{}", reply.message);
         assert!(reply.message.contains(remedy), "{}", reply.message);
+        let locked = |bench: &Bench| bench.cell.status().text().contains("the cell is locked");
+        assert!(locked(&bench), "{}", bench.cell.status().text());
         bench.job(false);
-        assert_eq!(streams(&bench.ticks(200)), 0, "{word}");
+        let all = bench.ticks(200);
+        assert_eq!(streams(&all), 0, "{word}");
+        assert!(locked(&bench) && !said(&all, "`celld arm`"), "no text names an order that is refused");
     }
 }
 

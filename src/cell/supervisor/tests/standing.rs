@@ -412,7 +412,12 @@ fn what_was_held_before_the_start_may_be_any_object() {
 
 #[test]
 fn what_an_earlier_celld_had_gripped_is_named_where_there_is_vacuum() {
-    let before = HeldBefore { object: "a".into(), to: Pose2::new(0.3, 0.3, 0.0), tool_from_object: None };
+    let before = HeldBefore {
+        object: "a".into(),
+        to: Pose2::new(0.3, 0.3, 0.0),
+        tool_from_object: None,
+        table: vec![("b".into(), Pose2::new(0.1, 0.1, 0.0))],
+    };
     for (vacuum, held) in [([0.5, 0.0], Some("holds a")), ([0.0, 0.0], None)] {
         let mut bench = Bench::new();
         bench.cell.model.held_before = Some(before.clone());
@@ -420,7 +425,10 @@ fn what_an_earlier_celld_had_gripped_is_named_where_there_is_vacuum() {
         bench.ticks(3);
         assert_eq!(bench.cell.status().held, None, "nothing is known before the gripper answers");
         (bench.gripper_answers, bench.vacuum) = (true, vacuum);
-        bench.ticks(3);
+        let all = bench.ticks(3);
+        let let_go = all.iter().any(|action| matches!(action, Action::Commit { record: Record::LetGo, .. }));
+        assert_eq!(let_go, held.is_none(), "what has gone is not taken for held at a later start");
+        assert_eq!(bench.cell.back.table.is_empty(), held.is_none(), "what it hides from a look is known");
         assert_eq!(bench.cell.status().held.as_deref(), held);
         let mass = if held.is_some() { bench.cell.model().objects[0].mass } else { 0.0 };
         assert_eq!(bench.cell.held_mass(), mass);
