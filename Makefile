@@ -13,8 +13,8 @@ PACKAGES := clang pkg-config libopencv-calib3d-dev libopencv-videoio-dev
 # `make demo FEATURES=--no-default-features`: without USB cameras, video files and PNG figures.
 FEATURES ?=
 
-# python3-venv runs the third-party clients of the tests; their RealSense SDK needs libusb and the interpreter
-# as a library.
+# python3-venv runs the third-party clients of the tests; their RealSense SDK needs libusb and the
+# interpreter as a library.
 CLIENT_PACKAGES := python3-venv libpython3.11 libusb-1.0-0
 
 BUILD := $(abspath $(or $(CARGO_TARGET_DIR),target))

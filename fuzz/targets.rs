@@ -1,10 +1,10 @@
 //! What is done with fuzzed bytes: one function a protocol, for libFuzzer and for the test that replays the
 //! corpora.
 //!
-//! In: any bytes; the first says how the rest is cut into pieces, as a network may. Out: nothing, or a panic,
-//! which is a finding: our own of a broken promise, or one of the code under test. Both directions of every
-//! codec are read, and the simulator's sessions are driven as if over a socket, with controller frames in
-//! between.
+//! In: any bytes; the first says how the rest is cut into pieces, as a network may. Out: nothing, or a
+//! panic, which is a finding: our own of a broken promise, or one of the code under test. Both directions of
+//! every codec are read, and the simulator's sessions are driven as if over a socket, with controller frames
+//! in between.
 
 use cell_values::time::{Duration, Timestamp};
 use celld::cell::device::dashboard_session::DashboardSession;

@@ -116,8 +116,8 @@ const MOST_LINES: usize = 600;
 /// The same without its test module; files of tests are exempt.
 const MOST_LINES_WITHOUT_TESTS: usize = 500;
 
-/// Columns of a line with a comment.
-const MOST_COLUMNS: usize = 110;
+/// Columns of a line with a comment: with its line end it has those of a line of code.
+const MOST_COLUMNS: usize = 109;
 
 /// Lines a function may have, from its `fn` to its closing brace.
 const MOST_FUNCTION_LINES: usize = 60;

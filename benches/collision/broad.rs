@@ -4,8 +4,8 @@
 //! In: arrangements of 20 to 200 objects of RAND, density 0.4, by seed; poses of one of their objects, the
 //! others being where they are. Out: nanoseconds a check of one pose, for poses drawn uniformly and for
 //! those among them that are free (a drawn pose mostly ends at the first object it meets, a free one passes
-//! all), and nanoseconds to keep the structure when an object moves. The paper tried the first three and kept
-//! the discs. All have to answer alike.
+//! all), and nanoseconds to keep the structure when an object moves. The paper tried the first three and
+//! kept the discs. All have to answer alike.
 
 use crate::parry::Tree;
 use crate::{PAIRS, SEED, nanoseconds};

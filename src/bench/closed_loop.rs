@@ -1,5 +1,5 @@
-//! `bench loop`: how fast the closed loop in virtual time runs, and whether it holds what it promises on many
-//! seeds.
+//! `bench loop`: how fast the closed loop in virtual time runs, and whether it holds what it promises on
+//! many seeds.
 //!
 //! In: seeds and numbers of jobs. Out: [`Figure`]s and their table. Speed is of one thread; the others use
 //! all cores.

@@ -2,10 +2,10 @@
 //!
 //! `table`: rows and their CSV. `planning`: one case. `cells`: which cases a run consists of, and its share
 //! of them. `baseline`: beside the public code's own figures. `runner`: many cases on many threads.
-//! `results`: the file that survives interruptions. `summary`: a table for people. `figures`: the paper's six
-//! figures from rows. `rtde`: the codec and the simulator's own timing, with `rtde_client` as the clients and
-//! `rtde_process` as the simulator that is watched. `closed_loop`: speed and promises of the whole cell in
-//! virtual time. `vision`: rate, accuracy and time of detection and poses.
+//! `results`: the file that survives interruptions. `summary`: a table for people. `figures`: the paper's
+//! six figures from rows. `rtde`: the codec and the simulator's own timing, with `rtde_client` as the
+//! clients and `rtde_process` as the simulator that is watched. `closed_loop`: speed and promises of the
+//! whole cell in virtual time. `vision`: rate, accuracy and time of detection and poses.
 
 pub mod baseline;
 pub mod cells;

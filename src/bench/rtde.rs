@@ -3,8 +3,8 @@
 //! In: the program to watch (this one), a configuration, an address, seconds, a number of clients. Out:
 //! [`Figures`]. The simulator runs as a process of its own; its clients run here, each on a thread. Lateness
 //! is recorded inside the simulator, package by package, from when the frame was due to when the bytes were
-//! handed to the system. Beside it is the machine's own wake-up jitter: a thread here that only sleeps to the
-//! same schedule meanwhile.
+//! handed to the system. Beside it is the machine's own wake-up jitter: a thread here that only sleeps to
+//! the same schedule meanwhile.
 
 use crate::bench::rtde_client::{Client, Seen, bring_up, play, watch};
 use crate::bench::rtde_process::Simulator;

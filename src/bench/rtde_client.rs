@@ -1,7 +1,7 @@
 //! Plain RTDE, dashboard and script clients over blocking sockets, for the benchmark.
 //!
-//! In: an address and names of outputs. Out: values as they come, and counts of what was missed. Deliberately
-//! not the daemon's session: the benchmark must not wait for states that only the daemon needs.
+//! In: an address and names of outputs. Out: values as they come, and counts of what was missed.
+//! Deliberately not the daemon's session: the benchmark must not wait for states that only the daemon needs.
 
 use std::io::{Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpStream};

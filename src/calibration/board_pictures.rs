@@ -1,4 +1,5 @@
-//! Pictures of the board while they are taken: which are of use, and what of the picture no board was in yet.
+//! Pictures of the board while they are taken: which are of use, and what of the picture no board was in
+//! yet.
 //!
 //! In: the board, one picture after the other. Out: the name under which a picture is kept, or that too
 //! little can be measured in it, so that this is not found out after the last one. Pure.

@@ -51,7 +51,8 @@ pub struct HandEyeSettings {
     pub robust_px: f64,
     /// Fewest samples with a reference marker.
     pub samples_min: usize,
-    /// Largest standard deviation of the worst determined direction, m (rotations count by a lever of 0.3 m).
+    /// Largest standard deviation of the worst determined direction, m (rotations count by a lever of 0.3
+    /// m).
     pub std_max_m: f64,
     /// Samples with a residual above this many times the median are left out, at most a quarter of them.
     pub outlier_ratio: f64,
@@ -175,8 +176,7 @@ pub enum CalibrateError {
     /// Too few samples show a reference marker.
     #[error(
         "only {found} of {given} samples show a reference marker, {wanted} are needed: check the marker ids \
-         and sizes in the \
-         config, the light, and that the camera looks at the table"
+         and sizes in the config, the light, and that the camera looks at the table"
     )]
     TooFewSamples {
         /// Samples with a reference marker.
@@ -189,8 +189,7 @@ pub enum CalibrateError {
     /// Too few samples show the board on the hand.
     #[error(
         "only {found} of {given} samples show the board on the hand, {wanted} are needed: check \
-         `camera.board` in the config \
-         against the print, the light, and that the camera sees the hand"
+         `camera.board` in the config against the print, the light, and that the camera sees the hand"
     )]
     BoardUnseen {
         /// Samples with a marker of the board.
@@ -213,8 +212,7 @@ pub enum CalibrateError {
     /// The fit did not come near the data.
     #[error(
         "the best fit misses the corners by {reprojection_px:.1} px: samples taken while the arm moved, \
-         wrong marker sizes, \
-         a wrong marker survey, or the camera's intrinsics of another resolution"
+         wrong marker sizes, a wrong marker survey, or the camera's intrinsics of another resolution"
     )]
     NoFit {
         /// Root mean square corner error, pixels.

@@ -2,10 +2,10 @@
 //!
 //! In: the cell as drawn (nominal mount and table, survey, `calibration_box`), a lens, the arm's kinematics,
 //! where it is. Out: joint poses in an order in which the arm can go from each to the next without leaving
-//! the box, or what keeps the box from being large enough. Every pose shows four reference markers or more to
-//! a camera on the hand, or as many of the board on the hand to a fixed one; the directions of tilt go round,
-//! so that the rotations are about many axes. Before they are given out, the round is played through on
-//! paper: what the gate of the real calibration would refuse is refused here, with the same sentence.
+//! the box, or what keeps the box from being large enough. Every pose shows four reference markers or more
+//! to a camera on the hand, or as many of the board on the hand to a fixed one; the directions of tilt go
+//! round, so that the rotations are about many axes. Before they are given out, the round is played through
+//! on paper: what the gate of the real calibration would refuse is refused here, with the same sentence.
 
 pub(crate) mod body;
 mod scene;
@@ -128,17 +128,14 @@ fn proposal(
 fn no_room(scene: &Scene, found: usize, count: usize) -> String {
     match scene.carried {
         Carried::Camera { .. } => format!(
-            "calibration_box has room for {found} of {count} poses that see {SEEN_MIN} reference markers \
-             and that the arm reaches \
-             in its work posture without leaving the box; widen it, above all upwards"
+            "calibration_box has room for {found} of {count} poses that see {SEEN_MIN} reference markers and \
+             that the arm reaches in its work posture without leaving the box; widen it, above all upwards"
         ),
         Carried::Board { .. } => format!(
-            "calibration_box has room for {found} of {count} poses that show {SEEN_MIN} markers of the \
-             board past the arm to the \
-             camera, well clear of it and the table, and that the arm reaches in its work posture without \
-             leaving the box; check \
-             base_from_camera and flange_from_board, clamp the board further from the wrist, or widen the \
-             box sideways"
+            "calibration_box has room for {found} of {count} poses that show {SEEN_MIN} markers of the board \
+             past the arm to the camera, well clear of it and the table, and that the arm reaches in its \
+             work posture without leaving the box; check base_from_camera and flange_from_board, clamp the \
+             board further from the wrist, or widen the box sideways"
         ),
     }
 }
@@ -155,8 +152,7 @@ fn scene<'a>(drawn: &'a Drawn, lens: &'a CameraModel, model: &'a ArmModel) -> Re
     scene.stand_upright().map_err(|off| {
         format!(
             "to show the board the hand would hang {:.0} degrees away from work_pose_deg: in \
-             camera.flange_from_board x runs along \
-             the board's lower edge and z out of the print",
+             camera.flange_from_board x runs along the board's lower edge and z out of the print",
             deg_from_rad(off)
         )
     })?;
@@ -173,10 +169,9 @@ fn carried(drawn: &Drawn) -> Result<Carried, String> {
         }
         CameraMount::Fixed { flange_from_board: None, .. } => Err(
             "camera.flange_from_board is missing: to propose poses before a fixed camera celld has to know \
-             roughly (within 2 cm and \
-             10 degrees) how the board is clamped, its lower left corner in the flange frame; or teach \
-             calibration_poses_deg \
-             that carry the board through the picture, turned about at least two axes"
+             roughly (within 2 cm and 10 degrees) how the board is clamped, its lower left corner in the \
+             flange frame; or teach calibration_poses_deg that carry the board through the picture, turned \
+             about at least two axes"
                 .into(),
         ),
     }

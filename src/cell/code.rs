@@ -2,9 +2,9 @@
 //! a job, a job file or an order can end.
 //!
 //! In: a decision of the cell, of the job folders, or of a restart. Out: [`Code`], its word for files and
-//! programs, and where it appears. One enum in place of texts in many files, so that a page, a script and the
-//! sweep of faults all know the same words; `docs/results.md` is written from [`Code::ALL`], and a test holds
-//! it to that.
+//! programs, and where it appears. One enum in place of texts in many files, so that a page, a script and
+//! the sweep of faults all know the same words; `docs/results.md` is written from [`Code::ALL`], and a test
+//! holds it to that.
 
 use cell_values::image::quality::PictureFault;
 use rearrange::document::word::{UnknownWord, named};

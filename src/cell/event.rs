@@ -1,8 +1,8 @@
 //! What goes into the machine and what comes out of it.
 //!
-//! Every event carries what happened and nothing of how it was learned; every effect names what is to be done
-//! and never how. Answers carry the number of the effect that they answer, so that one that comes too late is
-//! known as such.
+//! Every event carries what happened and nothing of how it was learned; every effect names what is to be
+//! done and never how. Answers carry the number of the effect that they answer, so that one that comes too
+//! late is known as such.
 
 use crate::cell::device::gripper_types::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;

@@ -74,7 +74,8 @@ struct Identity {
     reported: bool,
 }
 
-/// Numbers of the requests to perception and planner: an answer to any but the last one is too late to count.
+/// Numbers of the requests to perception and planner: an answer to any but the last one is too late to
+/// count.
 #[derive(Default)]
 struct Requests {
     last: u64,

@@ -14,7 +14,8 @@ use std::str::FromStr;
 pub enum Order {
     /// Allow motion.
     Arm,
-    /// Forbid motion once the present pick-n-place is over; a robot that is held or being started is stopped.
+    /// Forbid motion once the present pick-n-place is over; a robot that is held or being started is
+    /// stopped.
     Disarm,
     /// The plan shown for this job may be carried out.
     Approve(String),

@@ -1,7 +1,7 @@
 //! What the arm can do of a plan: reach, known to the solvers, and the whole plan before it is shown.
 //!
-//! In: the arm, heights and speeds, the objects and obstacles, a problem or its plan. Out: the problem within
-//! reach; or the first pick or place that the arm cannot do, by object and place. Pure.
+//! In: the arm, heights and speeds, the objects and obstacles, a problem or its plan. Out: the problem
+//! within reach; or the first pick or place that the arm cannot do, by object and place. Pure.
 //!
 //! Objects out of reach that need not move never do: they are obstacles. The whole plan is carried out
 //! here, pick-n-place by pick-n-place, with the bodies standing as planned; the paths are not kept, for

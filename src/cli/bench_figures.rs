@@ -57,8 +57,7 @@ fn draw(args: &BenchFiguresArgs) -> Result<(), String> {
         let names: Vec<&str> = FIGURES.iter().map(|spec| spec.name).collect();
         return Err(format!(
             "no row belongs into the figures asked for; `celld bench planning --figure NAME` runs the cells \
-             of \
-             one ({})",
+             of one ({})",
             names.join(", ")
         ));
     }

@@ -37,7 +37,8 @@ pub struct BenchPlanningArgs {
     #[arg(long, value_delimiter = ',', value_parser = figure_parser(),
           conflicts_with_all = ["scenario", "density", "n", "objective"])]
     pub figure: Vec<String>,
-    /// The cells that auto has figures to reach in; prints what is reached beside them. 10 or 60 s a case, or
+    /// The cells that auto has figures to reach in; prints what is reached beside them. 10 or 60 s a case,
+    /// or
     /// --time-limit if that is less. Generated cases without --data, and then no discs and sticks
     #[arg(long, conflicts_with_all = ["figure", "scenario", "density", "n", "objective"])]
     pub targets: bool,

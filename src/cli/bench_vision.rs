@@ -2,8 +2,8 @@
 //! surely a bumped camera and things without a marker are noticed; how exact the camera's mount comes out of
 //! calibration.
 //!
-//! In: which parts, how many frames, scenes and looks, a seed, detector settings. Out: a table for people, or
-//! one JSON object; some of the frames as pictures with the truth about their corners where that is
+//! In: which parts, how many frames, scenes and looks, a seed, detector settings. Out: a table for people,
+//! or one JSON object; some of the frames as pictures with the truth about their corners where that is
 //! requested. Exit code 0, 2 for usage, 130 after Ctrl-C.
 
 mod args;

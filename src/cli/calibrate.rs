@@ -76,34 +76,29 @@ enum What {
 }
 
 const HAND_EYE_HELP: &str = "\
-With `camera: {mount: flange}` the camera looks at the reference markers from the taught \
-`calibration_poses_deg`.
-With `camera: {mount: fixed, base_from_camera, board}` the hand carries the board through the picture of a \
-camera that
-stands; the reference markers seen meanwhile place the table. `celld sim` draws such a cell: \
-base_from_camera and hand_board
-in its configuration (docs/simulator.md).
+With `camera: {mount: flange}` the camera looks at the reference markers from the taught
+`calibration_poses_deg`. With `camera: {mount: fixed, base_from_camera, board}` the hand carries
+the board through the picture of a camera that stands; the reference markers seen meanwhile place
+the table. `celld sim` draws such a cell: base_from_camera and hand_board in its configuration
+(docs/simulator.md).
 
-Poses need not be taught: give a `calibration_box` in the configuration, which the flange does not leave; \
-gripper and
-camera reach beyond it and the elbow goes anywhere, so keep the arm's whole reach free of people and \
-things. For a camera that
-stands, tell how the board is clamped, within 2 cm and 10 degrees: flange_from_board in `camera`; the poses \
-keep arm and
-board 0.2 m clear of where the configuration has the camera, its stand is yours to keep clear. Then
+Poses need not be taught: give a `calibration_box` in the configuration, which the flange does not
+leave; gripper and camera reach beyond it and the elbow goes anywhere, so keep the arm's whole
+reach free of people and things. For a camera that stands, tell how the board is clamped, within 2
+cm and 10 degrees: flange_from_board in `camera`; the poses keep arm and board 0.2 m clear of
+where the configuration has the camera, its stand is yours to keep clear. Then
   celld calibrate hand-eye --propose              # prints poses in the box, as calibration_poses_deg
   celld calibrate hand-eye --visit --yes          # proposes, moves there slowly, looks, calibrates
-Poses that leave a rotation out are refused with its name. Expect under 0.3 px, and under 0.5 mm for \
-held-out samples.";
+Poses that leave a rotation out are refused with its name. Expect under 0.3 px, and under 0.5 mm
+for held-out samples.";
 
 const TABLE_HELP: &str = "\
-Registration the table to the tool as well: touch at least three marked points far apart, not on one line, \
-then
+Register the table to the tool as well: touch at least three marked points far apart, not on one
+line, then
   celld calibrate touches --points 500,501,502,503 --tip-mm 0,0,150 --save touches.yaml
   celld calibrate table --touches touches.yaml
-Touch knows nothing of lens and mount. Expect touches within 0.5 mm, and touch and camera to agree within 1 \
-mm and
-0.2 degrees; above --tie-mm or --tie-deg nothing is written.";
+Touches know nothing of lens and mount. Expect them within 0.5 mm, and touches and camera to agree
+within 1 mm and 0.2 degrees; above --tie-mm or --tie-deg nothing is written.";
 
 /// A round for camera and table, from taught or proposed poses.
 #[derive(Args, Clone, Debug)]
@@ -153,9 +148,8 @@ fn hand_eye(args: &HandEyeArgs, stop: Arc<AtomicBool>) -> u8 {
             }
             complain(
                 "the arm would move to poses like these, chosen from where it then stands; the flange stays \
-                 in the box, gripper and \
-                 elbow do not: when the arm's whole reach is free of people and things (a fixed camera's \
-                 stand too), add --yes",
+                 in the box, gripper and elbow do not: when the arm's whole reach is free of people and \
+                 things (a fixed camera's stand too), add --yes",
             );
             2
         }

@@ -1,9 +1,9 @@
 //! `celld check FILE...`: every complaint about configuration, calibration, job, goal, instance and fault
 //! files.
 //!
-//! In: files; their kind follows from their top-level keys; with `--config`, the cell that jobs and goals are
-//! for. Out: one line for each complaint, with file, line and column, on stdout; exit code 2 if there is any.
-//! Nothing is changed and no daemon is needed.
+//! In: files; their kind follows from their top-level keys; with `--config`, the cell that jobs and goals
+//! are for. Out: one line for each complaint, with file, line and column, on stdout; exit code 2 if there is
+//! any. Nothing is changed and no daemon is needed.
 
 use crate::calibration::files;
 use crate::cell::orders::Approval;
@@ -98,8 +98,8 @@ fn check(path: &Path, with: With) -> Result<Kind, String> {
             let node = parse(&text, &source).map_err(|complaints| complaints.to_string())?;
             kind_of(&node).ok_or_else(|| {
                 format!(
-                    "{source}:1:1: its top-level keys are those of no file of celld; say what it is \
-                         with --kind config, sim, calibration, job, goal, instance or faults"
+                    "{source}:1:1: its top-level keys are those of no file of celld; say what it is with \
+                     --kind config, sim, calibration, job, goal, instance or faults"
                 )
             })?
         }

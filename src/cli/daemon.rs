@@ -74,9 +74,8 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
 fn refuse_recorded_camera(config: &CellConfig) -> Result<(), String> {
     if config.devices.camera.is_recording() && config.simulation.is_none() {
         return Err(
-            "devices.camera: a folder or recording shows an old table, no arm may act on it; name a \
-                    live camera, \
-                    or try the pictures with `celld detect`"
+            "devices.camera: a folder or recording shows an old table, no arm may act on it; name a live \
+             camera, or try the pictures with `celld detect`"
                 .to_string(),
         );
     }
@@ -126,7 +125,8 @@ async fn end_requested() {
     }
 }
 
-/// The machine and its sockets, for the devices that the configuration names. `seed` differs from run to run.
+/// The machine and its sockets, for the devices that the configuration names. `seed` differs from run to
+/// run.
 pub(super) fn open_shell(config: &CellConfig, seed: u64) -> Result<Shell, String> {
     let addresses = Addresses::of(&config.devices)?;
     let clock = Clock::new(config.simulation.map_or(1.0, |simulation| simulation.clock_factor));

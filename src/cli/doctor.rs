@@ -13,13 +13,11 @@ use clap::Args;
 use std::path::PathBuf;
 
 const HELP: &str = "\
-Each line says what was found; below a line marked MISSING stands what to do about it, and `note` is worth \
-knowing and no
-hindrance. Nothing moves: the doctor reads, and claims the controller's input registers for two seconds as \
-celld will.
-While a celld runs on the state folder, gripper and camera are left to it. docs/commissioning.md goes \
-through all of it
-from a crated robot to the first pick.";
+Each line says what was found; below a line marked MISSING stands what to do about it, and `note`
+is worth knowing and no hindrance. Nothing moves: the doctor reads, and claims the controller's
+input registers for two seconds as celld will. While a celld runs on the state folder, gripper and
+camera are left to it. docs/commissioning.md goes through all of it from a crated robot to the
+first pick.";
 
 /// Arguments of `celld doctor`.
 #[derive(Args, Debug)]

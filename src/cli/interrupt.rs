@@ -1,7 +1,7 @@
 //! Ctrl-C for commands that compute for a long time.
 //!
-//! In: the flag that the computation polls. Out: the flag is raised at the first Ctrl-C, so that what is done
-//! can be kept; the second one ends the process at once with exit code 130.
+//! In: the flag that the computation polls. Out: the flag is raised at the first Ctrl-C, so that what is
+//! done can be kept; the second one ends the process at once with exit code 130.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -83,8 +83,8 @@ pub enum ClientCommand {
     },
     /// After a stop: what happened, what is held, and the ways back; with a choice, one of them.
     Recover(RecoverArgs),
-    /// Say that what answers at the gripper's address is the gripper on this arm. Needed once for an address,
-    /// before the first `arm`: no register of the device says what it is. Not needed in simulation.
+    /// Say that what answers at the gripper's address is the gripper on this arm. Needed once for an
+    /// address, before the first `arm`: no register of the device says what it is. Not needed in simulation.
     ConfirmGripper(StateArg),
     /// What the cell is doing.
     Status {
@@ -136,14 +136,12 @@ impl RecoverChoice {
 }
 
 const RECOVER_HELP: &str = "\
-Without a choice nothing is done: the answer says what happened, what is held and where the arm is, and for \
-each way back
-what it would do, or why it cannot be taken now. Each choice is your word that the cell is safe: a \
-protective stop is
-unlocked by it, once the 5 s have passed that the controller demands; not by --release, which is for hands \
-at the gripper.
-Whatever comes of it, the cell is disarmed afterwards; `celld abort` stops a way back, and what is held \
-stays held.";
+Without a choice nothing is done: the answer says what happened, what is held and where the arm
+is, and for each way back what it would do, or why it cannot be taken now. Each choice is your
+word that the cell is safe: a protective stop is unlocked by it, once the 5 s have passed that the
+controller demands; not by
+--release, which is for hands at the gripper. Whatever comes of it, the cell is disarmed afterwards;
+`celld abort` stops a way back, and what is held stays held.";
 
 /// Arguments of `celld recover`.
 #[derive(Args, Debug)]

@@ -31,12 +31,10 @@ const SOLVERS: &str = "\
 How the plan is found.
 
 Objects that block each other in a circle cannot all go straight home: some have to wait elsewhere on the \
-table. \
-The solvers differ in whom they put aside, and when.
+table. The solvers differ in whom they put aside, and when.
 
   erbm   As little as possible waits at the same time, and objects that are hard to place (large, long) \
-  count \
-more. Fast and dependable, also on crowded tables.
+count more. Fast and dependable, also on crowded tables.
   rbm    The same, all objects count alike. Good for objects of one size.
   etbm   As little as possible is put aside in all, hard-to-place objects counting more. The shortest plans \
 where there is room.
@@ -45,12 +43,10 @@ where there is room.
 but it goes on improving until the time limit unless --first is given.
   emcts  The same, hard-to-place objects are tried more often.
   auto   A plan within milliseconds, then better ones until the time limit or until one is proved best. The \
-  default: \
-take another only to compare.
+default: take another only to compare.
 
 Under --objective ti the three that begin with e count impedance instead of difficulty; the others search \
-as under \
-pp. All are randomised: another --seed gives another plan.";
+as under pp. All are randomised: another --seed gives another plan.";
 
 /// Arguments of `celld plan`.
 #[derive(Clone, Debug, clap::Args)]
@@ -71,8 +67,8 @@ pub struct PlanArgs {
     /// Deterministic steps of planning; with it the same seed gives the same plan on any machine
     #[arg(long, value_name = "N")]
     pub work: Option<u64>,
-    /// Stop at the first plan, as in the paper. tbm, rbm, etbm and erbm always do; mcts, emcts and auto go on
-    /// for better ones until the time is up or the plan is proved best
+    /// Stop at the first plan, as in the paper. tbm, rbm, etbm and erbm always do; mcts, emcts and auto go
+    /// on for better ones until the time is up or the plan is proved best
     #[arg(long)]
     pub first: bool,
     /// Seed of every random choice
@@ -81,9 +77,9 @@ pub struct PlanArgs {
     /// Threads for auto, default one for each core; the paper's solvers use one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
-    /// Keep to the paper where celld knows better: rbm and erbm take the first order of moves with the fewest
-    /// objects waiting at once, not the one with the fewest put aside in all; tbm, rbm, etbm and erbm never
-    /// clear a place for an object that finds none
+    /// Keep to the paper where celld knows better: rbm and erbm take the first order of moves with the
+    /// fewest objects waiting at once, not the one with the fewest put aside in all; tbm, rbm, etbm and erbm
+    /// never clear a place for an object that finds none
     #[arg(long)]
     pub strict_paper: bool,
     /// Write the plan (JSON) to this file
@@ -200,8 +196,8 @@ fn pool(threads: Option<u16>) -> Option<rayon::ThreadPool> {
     thread_pool(threads.unwrap_or_else(|| u16::try_from(cores()).unwrap_or(u16::MAX)))
 }
 
-/// What goes to standard error: a line for each better plan of a search that goes on, and, on a terminal, one
-/// that stays and shows the time when a search takes long.
+/// What goes to standard error: a line for each better plan of a search that goes on, and, on a terminal,
+/// one that stays and shows the time when a search takes long.
 struct Progress {
     begun: Instant,
     limit: f64,

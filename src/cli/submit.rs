@@ -3,7 +3,8 @@
 //!
 //! In: a job file. Out: the job's id on stdout; the file in `incoming`, written whole and renamed. A goal
 //! file is read here and its poses go into what is handed in, so that it need not be where the daemon looks.
-//! Exit code 0 when handed in (with `--wait`: when done), 1 when the job did not succeed, 2 when it is wrong.
+//! Exit code 0 when handed in (with `--wait`: when done), 1 when the job did not succeed, 2 when it is
+//! wrong.
 
 use crate::cell::code::JobStatus;
 use crate::cli::check::beside;

@@ -2,8 +2,8 @@
 //! are proposed.
 //!
 //! In: located values and a decoder that collects complaints. Out: [`CameraMount`], [`CalibrationFiles`],
-//! [`CalibrationBox`], or `None` with a complaint kept. Only what the printed board's maker (`celld markers`)
-//! decides by itself has a default.
+//! [`CalibrationBox`], or `None` with a complaint kept. Only what the printed board's maker (`celld
+//! markers`) decides by itself has a default.
 
 use crate::calibration::drawn::CameraMount;
 use crate::config::cell::CalibrationFiles;
@@ -96,8 +96,7 @@ pub(super) fn calibration_box(decoder: &mut Decoder, at: &At) -> Option<Calibrat
         return found;
     }
     let help = "low is its corner with the smallest x, y and z (m, base frame); or teach at least two \
-                opposite corners, \
-                also of different height";
+                opposite corners, also of different height";
     decoder.complain_at(at, format!("no box with edges of {LEAST_EDGE_M} to 4 m"), help);
     None
 }

@@ -30,8 +30,8 @@ pub struct CellConfig {
     pub devices: Devices,
     /// Size and obstacles of the table.
     pub workspace: WorkspaceConfig,
-    /// Everything that may lie on the table: height, mass and marker present, `goal` absent, `start` only for
-    /// fixed objects.
+    /// Everything that may lie on the table: height, mass and marker present, `goal` absent, `start` only
+    /// for fixed objects.
     pub objects: Vec<ObjectSpec>,
     /// Markers fixed to the table, in the table frame.
     pub reference_markers: Vec<ReferenceMarkerConfig>,

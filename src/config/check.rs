@@ -1,8 +1,8 @@
 //! What no single key can show: whether the parts of a cell's configuration fit each other.
 //!
 //! In: the parts that could be read, and where the keys are. Out: complaints in the decoder. Each check
-//! takes the parts it needs and is left out when one of them is missing, so that one wrong key hides no other
-//! fault. Pure.
+//! takes the parts it needs and is left out when one of them is missing, so that one wrong key hides no
+//! other fault. Pure.
 
 use crate::calibration::drawn::CameraMount;
 use crate::cell::supervisor::model::ForeignRule;
@@ -97,8 +97,8 @@ fn check_depth(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     if needed && !measured && (obstacle || !compared) {
         let message = "the search for what carries no marker needs depth, and the camera is not asked for it";
         let help = "set `depth: true` in `devices.camera` where the camera measures depth, or `foreign: \
-                    {mode: off}`; \
-                    `mode: refuse` also works with pictures of the empty table (`empty` under `calibration`)";
+                    {mode: off}`; `mode: refuse` also works with pictures of the empty table (`empty` under \
+                    `calibration`)";
         decoder.complain(places.at(&["devices", "camera"]), "devices.camera", message, help);
     }
 }
@@ -229,8 +229,7 @@ fn check_weight(
     if held < needed {
         let message = format!(
             "{:?} weighs {mass_kg} kg: carrying it safely takes {needed:.1} N, its cups hold {held:.1} N \
-             where \
-             a loss is reported, at {HELD_SHARE} of vacuum_min",
+             where a loss is reported, at {HELD_SHARE} of vacuum_min",
             object.id
         );
         decoder.complain(at, path, message, "use larger or more cups, or a higher vacuum_min");

@@ -1,8 +1,8 @@
 //! The pictures of the empty table that `celld calibrate empty` took, for looks without depth.
 //!
 //! In: the configuration, the calibration. Out: the search for foreign objects knows how the empty
-//! table looks from the look poses; or a sentence that names the file. Pictures that were just taken are kept
-//! only if they show none of the cell's objects.
+//! table looks from the look poses; or a sentence that names the file. Pictures that were just taken are
+//! kept only if they show none of the cell's objects.
 
 use crate::calibration::files::round::Round;
 use crate::calibration::fit::Sample;

@@ -1,7 +1,8 @@
 //! A cell's configuration while it is read: every part by itself, absent where it could not be read.
 //!
-//! In: what the decoders of `read_cell` found. Out: [`CellConfig`] when nothing is missing. The checks across
-//! parts run on this, so that a wrong unit in one place does not hide a marker used twice in another. Pure.
+//! In: what the decoders of `read_cell` found. Out: [`CellConfig`] when nothing is missing. The checks
+//! across parts run on this, so that a wrong unit in one place does not hide a marker used twice in another.
+//! Pure.
 
 use crate::calibration::drawn::CameraMount;
 use crate::cell::orders::Approval;

@@ -371,8 +371,8 @@ pub fn scene(config: &CellConfig, measured: &Measured) -> Result<Scene, HeightMa
     let foreign = match config.foreign {
         ForeignRule::Off => None,
         ForeignRule::Refuse { .. } | ForeignRule::Obstacle { .. } => {
-            // Before a fixed camera the look poses keep the arm out of the picture; what of it is in there is
-            // in the way.
+            // Before a fixed camera the look poses keep the arm out of the picture; what of it is in there
+            // is in the way.
             let own = match &measured.mount {
                 Mount::Flange { flange_from_camera } => {
                     Some(flange_from_camera.inverse() * config.flange_from_tool)
@@ -439,8 +439,8 @@ pub fn drift_limits(config: &CellConfig) -> DriftLimits {
     }
 }
 
-/// What the table may carry, for the search for what it should not; `camera_from_tool` where the camera is on
-/// the arm.
+/// What the table may carry, for the search for what it should not; `camera_from_tool` where the camera is
+/// on the arm.
 pub fn inventory(config: &CellConfig, camera_from_tool: Option<Isometry3<f64>>) -> Inventory {
     let (width, height) = (config.workspace.width_m, config.workspace.height_m);
     let marked = |object: &&ObjectSpec| object.marker.is_some();

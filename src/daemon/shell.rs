@@ -4,8 +4,8 @@
 //! In: a [`Machine`], sockets, and as they become known camera and perception, the state folder, an
 //! [`Observer`]. Out: effects carried out; it decides nothing. One turn: wait for the first thing to happen,
 //! take in everything that has happened, hand over the time, carry out what the machine wants. `celld run`,
-//! `celld demo` and `celld calibrate` are composed from the same calls: [`Shell::open`], [`Shell::identify`],
-//! [`Shell::commission`], [`Shell::round`], [`Shell::run`].
+//! `celld demo` and `celld calibrate` are composed from the same calls: [`Shell::open`],
+//! [`Shell::identify`], [`Shell::commission`], [`Shell::round`], [`Shell::run`].
 
 use crate::calibration::visit::{Samples, Stop};
 use crate::cell::device::robot_types::RobotState;
@@ -65,8 +65,7 @@ pub enum StartError {
     /// A device did not come up or stopped answering.
     #[error(
         "{what} within {seconds} s ({links}); see that `devices.robot` is its address, that it is powered \
-         and in \
-         remote control, and try `ping`; for a simulated one start `celld sim`"
+         and in remote control, and try `ping`; for a simulated one start `celld sim`"
     )]
     Deadline {
         /// What was waited for.

@@ -2,8 +2,9 @@
 //!
 //! In: what the machine wants written, answered or claimed. Out: [`Event`]s: commits in the order of the
 //! requests, orders, jobs. Two threads: one writes the journal and looks after job files, the other reads
-//! orders and writes answers. A commit takes milliseconds at best and half a second on a busy disk; the robot
-//! stops when no message reaches it for a fraction of that, and a person who aborts does not wait for a disk.
+//! orders and writes answers. A commit takes milliseconds at best and half a second on a busy disk; the
+//! robot stops when no message reaches it for a fraction of that, and a person who aborts does not wait for
+//! a disk.
 
 use crate::cell::event::Event;
 use crate::cell::orders::{Order, Reply};

@@ -85,8 +85,8 @@ pub fn look_poses(
     Ok(poses)
 }
 
-/// Where pictures that reach `half` up and down have their middles, table frame, so that none of the table up
-/// to `far` is seen through the gripper alone.
+/// Where pictures that reach `half` up and down have their middles, table frame, so that none of the table
+/// up to `far` is seen through the gripper alone.
 fn rows(far: f64, half: f64) -> Vec<f64> {
     let (below, above) = (FREE_SHARE * half, USED_SHARE * half);
     let count = ((far + NEAR_M) / (below + above)).ceil().max(1.0) as usize;

@@ -1,8 +1,8 @@
 //! This computer: calendar, disk, scheduling, and how late it wakes up.
 //!
-//! In: [`ComputerFacts`]. Out: lines. Pure. None of it stops the arm from moving safely (the on-robot program
-//! watches the heartbeat), but a cell on a computer that is late stops often, and for reasons that are hard
-//! to find.
+//! In: [`ComputerFacts`]. Out: lines. Pure. None of it stops the arm from moving safely (the on-robot
+//! program watches the heartbeat), but a cell on a computer that is late stops often, and for reasons that
+//! are hard to find.
 
 use crate::doctor::{Area, Line};
 use cell_values::time::Duration;
@@ -60,8 +60,7 @@ impl ComputerFacts {
 
     fn clock(&self) -> Line {
         let follow = "start a time service (systemd-timesyncd, chrony): names and dates of jobs come from \
-                      it, motion \
-                      does not";
+                      it, motion does not";
         if self.unix_s < BUILT_AFTER_UNIX_S {
             return problem("clock", "the calendar is years behind", follow);
         }
@@ -113,8 +112,7 @@ impl ComputerFacts {
             "priority",
             format!("robot communication may not go before other work; {cores}"),
             "LimitNICE=-10 in the service's unit, or `nice` in /etc/security/limits.conf; and nothing else \
-             on this \
-             computer",
+             on this computer",
         )
     }
 
@@ -123,8 +121,7 @@ impl ComputerFacts {
         let found =
             format!("a thread that wakes every 2 ms was {:.1} ms late at worst", late.as_secs_f64() * 1e3);
         let hint = "the heartbeat of the robot's program comes every 8 ms: end other work, switch power \
-                    saving off in the \
-                    BIOS, use a kernel with PREEMPT_RT";
+                    saving off in the BIOS, use a kernel with PREEMPT_RT";
         if late >= WAKE_LATE {
             problem("wake-ups", found, hint)
         } else if late >= WAKE_NOTED {

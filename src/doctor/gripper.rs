@@ -49,10 +49,9 @@ impl GripperFacts {
         let vacuum = match &self.vacuum {
             Ok(vacuum) => *vacuum,
             Err(cause) => {
-                let hint = "see that the Compute Box has power and its cable; \
-                            `devices.gripper` in the configuration names its host, port (502) and unit (65 \
-                            alone on \
-                            the wrist, 66 or 67 on a dual quick changer)";
+                let hint = "see that the Compute Box has power and its cable; `devices.gripper` in the \
+                            configuration names its host, port (502) and unit (65 alone on the wrist, 66 or \
+                            67 on a dual quick changer)";
                 return vec![problem("Modbus", format!("{}: {cause}", self.address), hint)];
             }
         };
@@ -85,8 +84,7 @@ impl GripperFacts {
             "identity",
             format!("no person has confirmed yet that this is the gripper on the arm{said}"),
             "see on the Compute Box's own web page (its address in a browser) that it is the one on this \
-             arm, then \
-             `celld run` and `celld confirm-gripper`; once for an address",
+             arm, then `celld run` and `celld confirm-gripper`; once for an address",
         )
     }
 
@@ -110,8 +108,7 @@ impl GripperFacts {
             let found =
                 format!("channel {} is commanded to grip, and no celld runs here", channels.join(" and "));
             let hint = "an earlier celld left it so, which keeps what is held; or another master commands \
-                        it: end \
-                        that one";
+                        it: end that one";
             lines.push(Line::note(Area::Gripper, "other master", found, hint));
         }
         lines

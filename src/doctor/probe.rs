@@ -1,9 +1,9 @@
 //! The probes: sockets, camera, files and clock of this computer, opened once and for reading.
 //!
-//! In: the configuration, the state folder. Out: facts, as plain values, for the rest of the module to judge.
-//! The links to the controller are those of the daemon: the same sessions read the same bytes, so that what
-//! the doctor finds good is good for the daemon. While a daemon runs on the state folder, its gripper and
-//! camera are left alone: both have one master.
+//! In: the configuration, the state folder. Out: facts, as plain values, for the rest of the module to
+//! judge. The links to the controller are those of the daemon: the same sessions read the same bytes, so
+//! that what the doctor finds good is good for the daemon. While a daemon runs on the state folder, its
+//! gripper and camera are left alone: both have one master.
 
 pub mod camera;
 pub mod computer;

@@ -163,8 +163,7 @@ impl RobotFacts {
                 };
                 format!(
                     "the controller boots, or the service is off: on the pendant under Settings, Security, \
-                     Services, \
-                     enable \"{name}\"{x}"
+                     Services, enable \"{name}\"{x}"
                 )
             }
             LinkFault::Silent(_) => format!(
@@ -252,8 +251,7 @@ fn stream_line(rtde: &RtdeFacts) -> Line {
         gap.as_secs_f64() * 1e3
     );
     let hint = "connect the controller by a cable of its own, not over wireless or a busy switch; see the \
-                lines on \
-                this computer";
+                lines on this computer";
     if gap >= GAP_STALE {
         problem("states", found, hint)
     } else if gap >= GAP_NOTED || rtde.lost > 0 {

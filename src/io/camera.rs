@@ -2,10 +2,10 @@
 //! videos.
 //!
 //! Out: [`Frame`]s with time, sequence number and source, each checked by [`validator`]: a picture that
-//! repeats the last one, by number or by content, is an error and not a picture, because a frozen camera must
-//! not look like a table at rest. [`monitored`] puts a camera that fails back to work, step by step, and
-//! names the fault when that does not help. Calls block, up to the time limit given; the daemon makes them
-//! from a worker thread.
+//! repeats the last one, by number or by content, is an error and not a picture, because a frozen camera
+//! must not look like a table at rest. [`monitored`] puts a camera that fails back to work, step by step,
+//! and names the fault when that does not help. Calls block, up to the time limit given; the daemon makes
+//! them from a worker thread.
 
 pub mod fault;
 pub mod folder;
@@ -72,7 +72,8 @@ pub enum Exposure {
 
 /// Something pictures come from.
 pub trait CameraSource: Send {
-    /// The lens: from the camera itself where it knows, otherwise the calibration the source was opened with.
+    /// The lens: from the camera itself where it knows, otherwise the calibration the source was opened
+    /// with.
     ///
     /// # Errors
     /// Where the camera does not answer or knows no lens.

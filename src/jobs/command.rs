@@ -4,8 +4,8 @@
 //! A command is a file, renamed into place whole, that carries the name of the daemon it was meant for: one
 //! that was not taken (the daemon had just ended) is never obeyed by the next daemon, and one that is read
 //! more than [`COUNTS_FOR_S`] after it was given is refused, so an old `arm` cannot move an arm. What only
-//! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at most
-//! once.
+//! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at
+//! most once.
 
 use crate::cell::orders::{Reply, WayBack};
 use cell_edge::files::{FileError, create_folder, read_regular, remove, rename_new, write_atomic};
@@ -163,8 +163,9 @@ impl Inbox {
     }
 
     /// Takes what is there at `boot_s`, s since the machine started, in the order of sending. Files that are
-    /// no command for this daemon are removed, and so are orders that do not count any more. Whatever happens
-    /// to one file, the commands taken before it are returned: an abort must not be lost to a full disk.
+    /// no command for this daemon are removed, and so are orders that do not count any more. Whatever
+    /// happens to one file, the commands taken before it are returned: an abort must not be lost to a full
+    /// disk.
     ///
     /// # Errors
     /// The folder cannot be listed. A single file that makes trouble is logged and is no error.

@@ -153,8 +153,8 @@ pub fn parse_goal_file(
     decoder.finish(entries)
 }
 
-/// The goals of an instance file. Every key of it is read as the instance parser reads it; its starts are not
-/// compared, for the camera says where things are.
+/// The goals of an instance file. Every key of it is read as the instance parser reads it; its starts are
+/// not compared, for the camera says where things are.
 fn decode_instance_goals(decoder: &mut Decoder, top: &At) -> Option<Vec<GoalEntry>> {
     let fields = decoder.map(top, INSTANCE_KEYS)?;
     header(decoder, &fields);

@@ -1,9 +1,9 @@
 //! Job files: text to [`JobSpec`], with every complaint at once.
 //!
-//! In: the text of a job file, the cell's catalogue and table, a reader for goal files. Out: the job with its
-//! goal resolved to poses, so that nothing outside the journal is needed later; or all complaints with line
-//! and column. A goal that overlaps itself, leaves the table or names an unknown object is a complaint here:
-//! such a job is rejected, it does not fail later.
+//! In: the text of a job file, the cell's catalogue and table, a reader for goal files. Out: the job with
+//! its goal resolved to poses, so that nothing outside the journal is needed later; or all complaints with
+//! line and column. A goal that overlaps itself, leaves the table or names an unknown object is a complaint
+//! here: such a job is rejected, it does not fail later.
 
 use crate::cell::code::Code;
 use crate::cell::orders::Approval;

@@ -109,8 +109,8 @@ const SEARCHED: usize = 2;
 /// How far: twice for each of them, to the pick and with the object.
 const SEARCH: Search = Search { seed: 1, steps: 400 };
 
-/// Plans the three paths from the joints `start` (the arm at rest, gripper empty). `table` is what lies on it
-/// besides the object.
+/// Plans the three paths from the joints `start` (the arm at rest, gripper empty). `table` is what lies on
+/// it besides the object.
 ///
 /// # Errors
 /// The fault of the cheapest candidate, or that a pose has no joint solution at all.

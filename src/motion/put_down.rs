@@ -2,8 +2,8 @@
 //!
 //! In: the joints at which an object was picked, its pose then, where the arm is, where the object is to go.
 //! Out: where the object hangs now, and the two checked paths down onto the place and up again. Pure. The
-//! tool points straight down, as it does in every pick-n-place; an arm that was moved by hand may have tilted
-//! it, and then nothing is put down.
+//! tool points straight down, as it does in every pick-n-place; an arm that was moved by hand may have
+//! tilted it, and then nothing is put down.
 
 use crate::motion::bodies::{Load, Room, Standing, Tabletop};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment, out_of_reach};

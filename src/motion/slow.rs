@@ -1,4 +1,5 @@
-//! Slow checked moves for calibration: at most 0.1 m/s at the tool, inside the taught box where there is one.
+//! Slow checked moves for calibration: at most 0.1 m/s at the tool, inside the taught box where there is
+//! one.
 //!
 //! In: the arm with its nominal table, the box, where the arm is and where it is to go. Out: a checked path,
 //! or who would be outside of what (design, section 7, rule 1, class *calibrate*). Pure.
@@ -61,8 +62,7 @@ pub enum SlowFault {
     /// The arm would leave the taught box, or is outside of it.
     #[error(
         "{what} {outside_mm:.0} mm outside the calibration box: jog the arm into it, or widen \
-         `calibration_box` as far as the \
-         arm's reach is free of people and things"
+         `calibration_box` as far as the arm's reach is free of people and things"
     )]
     OutsideBox {
         /// Who is outside.

@@ -1,11 +1,11 @@
 //! A way for the arm from wherever it was left to where it is to be, round everything it could touch.
 //!
-//! In: the arm's model, the room, joints at both ends, a seed, a bound of steps. Out: joint positions between
-//! which the straight ways are free, or why there are none. Pure; the same seed finds the same way.
+//! In: the arm's model, the room, joints at both ends, a seed, a bound of steps. Out: joint positions
+//! between which the straight ways are free, or why there are none. Pure; the same seed finds the same way.
 //!
-//! Where the straight joint move is free, it is the way. Else two trees grow towards each other from the ends
-//! (RRT-Connect: Kuffner and LaValle, ICRA 2000), first near both ends, then ever wider; what is found is cut
-//! short. Full turns of joints are different places: a way never winds a joint beyond its range.
+//! Where the straight joint move is free, it is the way. Else two trees grow towards each other from the
+//! ends (RRT-Connect: Kuffner and LaValle, ICRA 2000), first near both ends, then ever wider; what is found
+//! is cut short. Full turns of joints are different places: a way never winds a joint beyond its range.
 
 use crate::motion::bodies::Room;
 use crate::motion::bodies::sweep::{Meeting, Sweep, Zone};
@@ -20,7 +20,8 @@ const STRIDE_RAD: f64 = 0.6;
 /// Tries to cut a way short.
 const SHORTCUTS: usize = 60;
 
-/// How far round both ends joints are tried at first, rad; doubled each time a share of the steps is used up.
+/// How far round both ends joints are tried at first, rad; doubled each time a share of the steps is used
+/// up.
 const NEAR_RAD: f64 = 0.8;
 
 /// The far end of a way, in words.

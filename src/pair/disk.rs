@@ -1,8 +1,8 @@
 //! The disk under the journal in virtual time: what was acknowledged survives, the rest may or may not.
 //!
-//! In: commits, the time, moods (slow, full, broken, silent), a cut of power or a kill. Out: acknowledgements
-//! in the order of the commits, and after a restart what is on disk. A seeded model of the commit record:
-//! real SQLite is in the tests that kill real processes.
+//! In: commits, the time, moods (slow, full, broken, silent), a cut of power or a kill. Out:
+//! acknowledgements in the order of the commits, and after a restart what is on disk. A seeded model of the
+//! commit record: real SQLite is in the tests that kill real processes.
 
 use crate::cell::supervisor::input::Record;
 use rand::{RngExt, SeedableRng};
@@ -78,7 +78,8 @@ impl Disk {
         })
     }
 
-    /// The process or the power is gone: of what was not acknowledged, some of the first commits are on disk.
+    /// The process or the power is gone: of what was not acknowledged, some of the first commits are on
+    /// disk.
     pub fn cut(&mut self) {
         let survivors = self.rng.random_range(0..=self.under_way.len());
         let survivors = if self.mood == Mood::Fine { survivors } else { 0 };

@@ -4,7 +4,8 @@
 //! In: look requests, the simulated world, the time. Out: views after exposure, transfer and detection have
 //! taken their time. Pictures go through the same [`Perception`] as on a real cell. Corners are projected by
 //! the simulator's own lens, with the noise that the benchmark of the detector measured; they miss what only
-//! a picture has: a marker half hidden by the gripper, light, depth. A test compares both on the same tables.
+//! a picture has: a marker half hidden by the gripper, light, depth. A test compares both on the same
+//! tables.
 
 use crate::cell::code::Code;
 use crate::cell::event::Event;

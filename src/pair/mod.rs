@@ -1,10 +1,11 @@
-//! The whole cell in a closed loop in virtual time: machine, simulator, network, disk and eyes on one thread.
+//! The whole cell in a closed loop in virtual time: machine, simulator, network, disk and eyes on one
+//! thread.
 //!
 //! In: a [`Stage`] and a seed, then jobs, orders and faults. Out: what became of the jobs, the answers, the
-//! breaches of the rules, and a trace that is the same, byte for byte, for the same seed. There is no socket,
-//! no file, no clock and no other thread; a turn is one controller frame (2 ms), and everything that takes
-//! time (network, disk, planner, detector, exposure) takes it from a seed. The daemon drives the same machine
-//! over real sockets (`daemon::shell`).
+//! breaches of the rules, and a trace that is the same, byte for byte, for the same seed. There is no
+//! socket, no file, no clock and no other thread; a turn is one controller frame (2 ms), and everything that
+//! takes time (network, disk, planner, detector, exposure) takes it from a seed. The daemon drives the same
+//! machine over real sockets (`daemon::shell`).
 
 pub mod disk;
 pub mod eyes;
@@ -105,8 +106,8 @@ pub enum Loss {
     PowerCut,
 }
 
-/// Something between machine and world that a test puts there to see whether the rules notice: it may change,
-/// drop and add what passes. Nothing of the kind is in the daemon.
+/// Something between machine and world that a test puts there to see whether the rules notice: it may
+/// change, drop and add what passes. Nothing of the kind is in the daemon.
 pub trait Adapter {
     /// What becomes of an event on its way to the machine.
     fn event(&mut self, event: Event, events: &mut Vec<Event>) {

@@ -1,10 +1,10 @@
-//! The network between cell and simulator in virtual time: delays, splits, and what the simulator's faults do
-//! to it.
+//! The network between cell and simulator in virtual time: delays, splits, and what the simulator's faults
+//! do to it.
 //!
 //! In: connect, close and send of the machine, what the simulator transmits, a seed. Out: events of the
-//! machine and calls of the simulator, in order on each connection. Times are whole controller frames (2 ms).
-//! A cut cable is silence in both directions that goes on where it was when the fault ends, as TCP does; a
-//! reset ends a connection for both sides.
+//! machine and calls of the simulator, in order on each connection. Times are whole controller frames (2
+//! ms). A cut cable is silence in both directions that goes on where it was when the fault ends, as TCP
+//! does; a reset ends a connection for both sides.
 
 use crate::cell::device::gripper_types::{ModbusFailure, ModbusRequest};
 use crate::cell::device::robot_types::Link;

@@ -13,12 +13,11 @@ pub const PAGE: &str = include_str!("../../docs/orders.md");
 const HEAD: &str = "\
 # What each order does in each state of the cell
 
-Every command of the operator is given in every state below, in the closed loop of `celld simulate`; the test
-`every_order_in_every_state_does_what_it_answers` holds the answer against what arm, power, vacuum and jobs \
-truly do in the
-30 seconds after it. `#` is a number, `OBJECT` the name of one.
+Every command of the operator is given in every state below, in the closed loop of `celld simulate`; the
+test `every_order_in_every_state_does_what_it_answers` holds the answer against what arm, power, vacuum
+and jobs truly do in the 30 seconds after it. `#` is a number, `OBJECT` the name of one.
 
-Written by `celld simulate --orders --write docs/orders.md`; `celld simulate --orders` compares the cell \
+Written by `celld simulate --orders --write docs/orders.md`; `celld simulate --orders` compares the cell
 with it.
 ";
 

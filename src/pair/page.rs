@@ -18,21 +18,16 @@ pub const PAGE_SEED: u64 = 0;
 const HEAD: &str = "\
 # What the cell does about faults
 
-Every fault below is brought about in every phase of a pick-n-place in which it can occur, in the closed \
-loop of
-`celld simulate`. The columns: how the job ended (its `code`, see [results](results.md)), whether the cell \
-is armed
-afterwards, whether what was held is still held, what the operator reads last and what to do about it, and \
-how another
-job ends once the fault is over, a person has cleared what there is to clear at the pendant and armed the \
-cell. `#` is a
-number, `OBJECT` the name of one. Numbers of rows are those of the fault table that the project started \
-from, 0 is what a
-person does; 37, 39 and 42 to 46 (the process, clocks, files, the network) have tests of their own.
+Every fault below is brought about in every phase of a pick-n-place in which it can occur, in the closed
+loop of `celld simulate`. The columns: how the job ended (its `code`, see [results](results.md)), whether
+the cell is armed afterwards, whether what was held is still held, what the operator reads last and what
+to do about it, and how another job ends once the fault is over, a person has cleared what there is to
+clear at the pendant and armed the cell. `#` is a number, `OBJECT` the name of one. Numbers of rows are
+those of the fault table that the project started from, 0 is what a person does; 37, 39 and 42 to 46 (the
+process, clocks, files, the network) have tests of their own.
 
-Written by `celld simulate --faults sweep --write docs/reactions.md`; `celld simulate --faults sweep` \
-compares the cell
-with it and checks the [rules](../ARCHITECTURE.md) after every step.
+Written by `celld simulate --faults sweep --write docs/reactions.md`; `celld simulate --faults sweep`
+compares the cell with it and checks the [rules](../ARCHITECTURE.md) after every step.
 
 | # | fault | phases | job | armed | held | operator reads | what to do | next job |
 |---|---|---|---|---|---|---|---|---|

@@ -2,9 +2,9 @@
 //! every frame.
 //!
 //! In: what passes between machine and world (here), the state of both (`frame`). Out: [`Breach`]es, each
-//! with its rule's name. The rules know nothing of how the machine decides: they look at the arm, the vacuum,
-//! the disk, the answers and the sight that a pick rests on. A rule that the machine's own word could satisfy
-//! would prove nothing.
+//! with its rule's name. The rules know nothing of how the machine decides: they look at the arm, the
+//! vacuum, the disk, the answers and the sight that a pick rests on. A rule that the machine's own word
+//! could satisfy would prove nothing.
 
 use crate::cell::device::gripper_types::{Channels, ModbusRequest};
 use crate::cell::device::robot_types::Link;
@@ -52,7 +52,8 @@ pub enum Rule {
     OrderUnanswered,
     /// The status says armed and the cell is not, or the other way round.
     StatusNotTrue,
-    /// Arming was accepted although no state of the robot comes, safety forbids motion, or something is held.
+    /// Arming was accepted although no state of the robot comes, safety forbids motion, or something is
+    /// held.
     ArmedWithGateClosed,
     /// A connection was lost and the cell is armed all the same.
     ArmedThroughLinkLoss,

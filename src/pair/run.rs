@@ -1,8 +1,8 @@
 //! Whole runs of the closed loop: jobs one after the other, with the operator that they need.
 //!
-//! In: a stage, a choice, how many jobs, faults. Out: a [`Summary`]. The operator here does what the daemon's
-//! sentences request: arms, clears stops at the pendant once faults have ended, arms again; a caller that
-//! needs another operator drives [`Pair`] directly.
+//! In: a stage, a choice, how many jobs, faults. Out: a [`Summary`]. The operator here does what the
+//! daemon's sentences request: arms, clears stops at the pendant once faults have ended, arms again; a
+//! caller that needs another operator drives [`Pair`] directly.
 
 use crate::cell::code::JobStatus;
 use crate::cell::orders::Order;

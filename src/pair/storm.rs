@@ -1,9 +1,9 @@
 //! Jobs with one to three faults at once, drawn by seed (row 49 of the fault table).
 //!
 //! In: a seed. Out: which faults come when ([`strikes`]), and what became of the job and of the one after it
-//! ([`storm`]). While faults may come, only the rules count: anything may fail. Then the faults end, a person
-//! clears the pendant and arms, and another job has to end in a named state. [`fewest`] leaves out what a
-//! failure does not need.
+//! ([`storm`]). While faults may come, only the rules count: anything may fail. Then the faults end, a
+//! person clears the pendant and arms, and another job has to end in a named state. [`fewest`] leaves out
+//! what a failure does not need.
 
 use crate::cell::code::Code;
 use crate::cell::orders::Order;

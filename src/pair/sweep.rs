@@ -1,11 +1,11 @@
 //! Every fault of the table in every phase of a pick-n-place in which it can occur.
 //!
 //! In: the rows of [`ROWS`] (numbers as in the reference's fault table) and the phases. Out: for each an
-//! [`Outcome`]: how the job ended, what the operator read, whether the vacuum stayed, whether the cell stayed
-//! armed, and whether work went on afterwards; and every breach of a rule. [`judge`] holds that against the
-//! page of reactions. A case runs until the phase is there, brings the fault about, lets it last, approves
-//! what requires it, then ends the fault, does at the pendant what a person would do, arms, and hands in
-//! another job, which has to end in a named state.
+//! [`Outcome`]: how the job ended, what the operator read, whether the vacuum stayed, whether the cell
+//! stayed armed, and whether work went on afterwards; and every breach of a rule. [`judge`] holds that
+//! against the page of reactions. A case runs until the phase is there, brings the fault about, lets it
+//! last, approves what requires it, then ends the fault, does at the pendant what a person would do, arms,
+//! and hands in another job, which has to end in a named state.
 
 use crate::cell::code::Code;
 use crate::cell::event::{Effect, Event};
@@ -307,8 +307,8 @@ fn lose(pair: &mut Pair, loss: Loss) {
     let _ = pair.restart(loss);
 }
 
-/// The fault is over; a person clears what has to be cleared at the pendant, releases what is held, arms, and
-/// hands in another job. Its code.
+/// The fault is over; a person clears what has to be cleared at the pendant, releases what is held, arms,
+/// and hands in another job. Its code.
 pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
     let swallows = pair.disk().swallows();
     pair.disk().mood = Mood::Fine;

@@ -1,8 +1,9 @@
 //! What was done in a closed loop, for comparison: a fingerprint of every event and effect, and lines for
 //! people.
 //!
-//! In: events and effects with the frame in which they passed. Out: a number that differs as soon as anything
-//! differs, and on request the lines. One seed gives one trace on any machine and any number of threads.
+//! In: events and effects with the frame in which they passed. Out: a number that differs as soon as
+//! anything differs, and on request the lines. One seed gives one trace on any machine and any number of
+//! threads.
 
 use crate::cell::event::{Effect, Event, News};
 use crate::cell::supervisor::input::Record;

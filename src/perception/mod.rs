@@ -2,9 +2,9 @@
 //!
 //! In: pictures (with depth where the camera measures it), where the camera was, the surveyed scene. Out: a
 //! [`View`] for each frame, and of all views of a look one [`Observation`]. The daemon, `celld detect`,
-//! `celld capture` and the benchmarks call these functions, so that what is measured on the bench is what the
-//! cell sees. Pure but for OpenCV's and apriltag's calls in `cell-vision`: no camera is opened here, and no
-//! file written.
+//! `celld capture` and the benchmarks call these functions, so that what is measured on the bench is what
+//! the cell sees. Pure but for OpenCV's and apriltag's calls in `cell-vision`: no camera is opened here, and
+//! no file written.
 
 pub mod diagnostic_images;
 pub mod place;

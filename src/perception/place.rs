@@ -51,9 +51,8 @@ pub fn where_taken(
     let count = on_table.len() / 4;
     if count < REFERENCES_MIN {
         return Err(format!(
-            "{count} of the {} reference markers are in it, {REFERENCES_MIN} are needed to tell where it \
-             was taken: \
-             uncover them or take the picture from higher up",
+            "{count} of the {} reference markers are in it, {REFERENCES_MIN} are needed to tell where it was \
+             taken: uncover them or take the picture from higher up",
             reference.len()
         ));
     }

@@ -1,8 +1,8 @@
 //! A figure of line charts side by side: the layout of the paper's evaluation figures.
 //!
 //! In: a [`Figure`] of panels that share their x axis, each with curves of points. Out: one SVG on white.
-//! Every curve keeps its colour, mark and dash in all panels and in the legend; neighbours are moved apart by
-//! a few pixels so that equal values stay visible. Whiskers are drawn where a point has a spread. Text is
+//! Every curve keeps its colour, mark and dash in all panels and in the legend; neighbours are moved apart
+//! by a few pixels so that equal values stay visible. Whiskers are drawn where a point has a spread. Text is
 //! text: it needs a sans-serif font where the SVG is shown ([`crate::report::raster`] brings its own).
 
 use crate::report::text::escape;

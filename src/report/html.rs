@@ -135,8 +135,8 @@ fn moves(page: &mut String, moves: &[MoveRow]) {
     let _ = write!(
         page,
         "<h2>Pick-n-places</h2><div class=\"scroll\"><table><thead><tr><th>no.</th><th \
-         class=\"text\">object</th>\
-         <th class=\"text\">to</th><th>from</th><th>to</th>{}<th>time</th></tr></thead><tbody>",
+         class=\"text\">object</th><th \
+         class=\"text\">to</th><th>from</th><th>to</th>{}<th>time</th></tr></thead><tbody>",
         if with_vacuum { "<th>vacuum</th>" } else { "" }
     );
     for (index, row) in moves.iter().enumerate() {
@@ -144,8 +144,7 @@ fn moves(page: &mut String, moves: &[MoveRow]) {
         let _ = write!(
             page,
             "<tr><td>{}</td><td class=\"text\">{}</td><td class=\"text\"><span class=\"kind \
-             {kind}\">{kind}</span></td>\
-             <td>{}</td><td>{}</td>",
+             {kind}\">{kind}</span></td><td>{}</td><td>{}</td>",
             index + 1,
             escape(&row.object),
             pose(row.from),

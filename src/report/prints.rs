@@ -95,7 +95,8 @@ struct Label {
 pub struct Sheet {
     /// Width and height, mm.
     pub size_mm: [f64; 2],
-    /// Groups of black bars; the bars of a group are filled as one shape, so that no seam shows between them.
+    /// Groups of black bars; the bars of a group are filled as one shape, so that no seam shows between
+    /// them.
     shapes: Vec<Vec<Bar>>,
     /// Grey hairlines to cut along: from, to.
     cuts: Vec<[[f64; 2]; 2]>,

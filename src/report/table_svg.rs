@@ -1,7 +1,7 @@
 //! A drawing of the table from above: where objects began, should be, and are.
 //!
-//! In: workspace, footprints and poses in the table frame (m). Out: one SVG element of fixed style that reads
-//! in light and in dark. y points up as in the table frame; the robot is below the lower edge.
+//! In: workspace, footprints and poses in the table frame (m). Out: one SVG element of fixed style that
+//! reads in light and in dark. y points up as in the table frame; the robot is below the lower edge.
 
 use crate::report::text::escape;
 use rearrange::geometry::footprint::Footprint;

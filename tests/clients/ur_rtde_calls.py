@@ -208,6 +208,6 @@ control.disconnect()
 check("disconnect again", not control.isConnected())
 
 # Not asked here: FLAG_UPPER_RANGE_REGISTERS. This release of the client then uploads a program that listens
-# to the upper registers, while its own recipes go on naming the lower ones, so that no command of it arrives,
-# whatever the controller.
+# to the upper registers, while its own recipes go on naming the lower ones, so that no command of it
+# arrives, whatever the controller.
 finish()

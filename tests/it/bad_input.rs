@@ -25,8 +25,8 @@ objects:
 ";
 const CROSSING: &str = "footprint: [[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]";
 
-/// A sound text, what is replaced by what, where the complaint has to point (a text from the replacement on),
-/// and words of the complaint.
+/// A sound text, what is replaced by what, where the complaint has to point (a text from the replacement
+/// on), and words of the complaint.
 type Case = (&'static str, &'static str, &'static str, &'static str, &'static [&'static str]);
 
 const CASES: &[Case] = &[

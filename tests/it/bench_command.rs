@@ -1,5 +1,5 @@
-//! `celld generate`, `celld bench planning` and `celld bench figures` over real files, as a user goes through
-//! them.
+//! `celld generate`, `celld bench planning` and `celld bench figures` over real files, as a user goes
+//! through them.
 
 use celld::bench::table::{CSV_HEADER, Key, Table};
 use celld::cli::bench_figures::{BenchFiguresArgs, run as figures};

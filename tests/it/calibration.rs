@@ -198,8 +198,8 @@ impl OnHand<'_> {
         assert!(mm < 0.5 && deg < 0.1, "{mm} mm, {deg} degrees\n{said}");
     }
 
-    /// Touches points that the tip really meets at those poses, to a tenth of a millimetre, as a person would
-    /// note them; they are kept in `touches.yaml`.
+    /// Touches points that the tip really meets at those poses, to a tenth of a millimetre, as a person
+    /// would note them; they are kept in `touches.yaml`.
     fn is_touched(&self) {
         let touched = TOUCHED_FROM.map(|degrees| Joints(degrees.map(f64::to_radians)));
         let point = |q: &Joints| self.base_from_table.inverse() * forward(&self.dh, q) * Point3::from(TIP);

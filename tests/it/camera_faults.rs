@@ -67,8 +67,8 @@ impl Desk<'_> {
         wait_until("the cell is armed", || celld(&["arm"], self.folder).status.code() == Some(0));
     }
 
-    /// Hands in a job that wants the lid at `x`, does something `meanwhile`, and returns the job's result. It
-    /// is handed in once: a heartbeat or state that was lost on the way is a failure, and named.
+    /// Hands in a job that wants the lid at `x`, does something `meanwhile`, and returns the job's result.
+    /// It is handed in once: a heartbeat or state that was lost on the way is a failure, and named.
     fn job(&self, id: &str, x: f64, meanwhile: impl FnOnce()) -> String {
         let goal = format!("goal:\n  objects:\n    - {{id: lid, pose: [{x}, 0.38, 0]}}\n");
         let file = self.state.join("jobs/incoming").join(format!("{id}.yaml"));

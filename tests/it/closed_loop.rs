@@ -223,7 +223,8 @@ fn a_pose_outside_the_calibration_box_is_refused_and_the_arm_stays() {
     assert_eq!(pair.breaches(), []);
 }
 
-/// What the fast eye shows is what the detector would have found: within half a millimetre and half a degree.
+/// What the fast eye shows is what the detector would have found: within half a millimetre and half a
+/// degree.
 #[test]
 fn both_eyes_see_the_same_table() {
     for seed in [3, 4] {

@@ -1,5 +1,5 @@
-//! `celld doctor` as a user starts it, against the simulator and the daemon, over real sockets: what it finds
-//! missing is missing, and once nothing is, the cell can be armed.
+//! `celld doctor` as a user starts it, against the simulator and the daemon, over real sockets: what it
+//! finds missing is missing, and once nothing is, the cell can be armed.
 
 use crate::cell::{LOG, celld, configuration, copy_calibration, start_daemon, start_sim, text, wait_until};
 use crate::edit::replace_once;

@@ -1,8 +1,8 @@
 //! The program on the robot (hardware/ur5e/celld_program.script), run by celld's URScript interpreter on a
 //! host that has registers and an arm that takes a given number of frames for a move.
 //!
-//! What is held here is the register protocol of hardware/ur5e/README.md. The robot session is tested against
-//! the same protocol in `device`; the two meet over real sockets in the simulator.
+//! What is held here is the register protocol of hardware/ur5e/README.md. The robot session is tested
+//! against the same protocol in `device`; the two meet over real sockets in the simulator.
 
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 

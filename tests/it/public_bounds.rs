@@ -1,8 +1,8 @@
 //! The lower bound on the public instances against the bounds measured with other code.
 //!
-//! `trlb-baseline.csv` holds exact bounds (a MILP with lazy cycle cuts) for the peers' shapes: ellipses there
-//! are inscribed polygons, and what touches collides. That moves no bound of these instances; a failure names
-//! the arcs.
+//! `trlb-baseline.csv` holds exact bounds (a MILP with lazy cycle cuts) for the peers' shapes: ellipses
+//! there are inscribed polygons, and what touches collides. That moves no bound of these instances; a
+//! failure names the arcs.
 
 use celld::bench::planning::{Limits, run_case};
 use celld::bench::table::Key;

@@ -1,5 +1,5 @@
-//! The simulated camera against OpenCV and the marker detector: two readings of the same lens, and corners in
-//! drawn pictures where the lens puts them. `ur-sim` may use neither, hence here.
+//! The simulated camera against OpenCV and the marker detector: two readings of the same lens, and corners
+//! in drawn pictures where the lens puts them. `ur-sim` may use neither, hence here.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 

@@ -1,5 +1,5 @@
-//! What the cell sees in the closed loop, with rendered pictures, the real detector and depth: things without
-//! a marker, faults of the camera, a fixed camera.
+//! What the cell sees in the closed loop, with rendered pictures, the real detector and depth: things
+//! without a marker, faults of the camera, a fixed camera.
 //!
 //! The example cell of `config/`, calibrated as well as a round leaves it, in virtual time. What is compared
 //! is the truth of the simulated world, in every frame.

@@ -1,5 +1,5 @@
-//! The simulator's example configuration: it is sound, fits the example cell, and every kind of mistake in it
-//! is named with its place.
+//! The simulator's example configuration: it is sound, fits the example cell, and every kind of mistake in
+//! it is named with its place.
 
 use crate::edit::{replace_first, replace_once};
 use celld::config::load::load_cell;

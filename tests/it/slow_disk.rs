@@ -1,8 +1,8 @@
 //! A disk that takes a quarter of a second for every commit, and more than one at times, end to end: the
 //! arm's heartbeat does not wait for it, and a wait of the arm is reported.
 //!
-//! The daemon is the real one; a library put before libc's holds each fsync up. The robot's program stops the
-//! arm when it receives nothing for 200 ms, so that a loop that waits for one commit fails here.
+//! The daemon is the real one; a library put before libc's holds each fsync up. The robot's program stops
+//! the arm when it receives nothing for 200 ms, so that a loop that waits for one commit fails here.
 
 use crate::cell::{
     LOG, celld, configuration, copy_calibration, result_of, start_daemon_with, start_sim, text, wait_until,

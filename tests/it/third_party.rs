@@ -1,10 +1,10 @@
 //! Clients that others wrote, unmodified, against `celld sim` as a process: SDU's ur_rtde, Universal Robots'
 //! own Python RTDE client, pymodbus.
 //!
-//! In: the scripts of `tests/clients` and the Python environment that `make test-clients` prepares. Out: what
-//! they found, printed check by check. Each simulation has a loopback address of its own, because the clients
-//! insist on the controller's port numbers. Without the environment the tests are skipped, loudly; with
-//! `CELLD_CLIENTS` set they must run.
+//! In: the scripts of `tests/clients` and the Python environment that `make test-clients` prepares. Out:
+//! what they found, printed check by check. Each simulation has a loopback address of its own, because the
+//! clients insist on the controller's port numbers. Without the environment the tests are skipped, loudly;
+//! with `CELLD_CLIENTS` set they must run.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 

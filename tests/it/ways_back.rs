@@ -263,8 +263,8 @@ fn a_program_that_is_resumed_on_the_pendant_does_not_go_on() {
     }
 }
 
-/// The fault that a second master of the registers makes at the very start: named with its likely owners, and
-/// waited for, however long it takes.
+/// The fault that a second master of the registers makes at the very start: named with its likely owners,
+/// and waited for, however long it takes.
 #[test]
 fn a_claimed_register_at_the_start_is_named_and_waited_for() {
     let stage = stage(1, Eye::Corners).unwrap();

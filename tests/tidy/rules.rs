@@ -68,7 +68,8 @@ pub fn table_faults(table: &[Row]) -> Vec<String> {
     faults
 }
 
-/// The crate or top-level module that a source file belongs to; `None` for the roots of celld and its binary.
+/// The crate or top-level module that a source file belongs to; `None` for the roots of celld and its
+/// binary.
 fn top_module(path: &str) -> Option<&str> {
     if let Some(inside) = path.strip_prefix("crates/") {
         return inside.split('/').next();

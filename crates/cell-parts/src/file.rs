@@ -40,7 +40,8 @@ pub fn open(path: &Path) -> Result<(String, PathBuf), ConfigError> {
 /// Text of a plain file of reasonable size (links are followed); why not, in words.
 ///
 /// # Errors
-/// The file is absent, no plain file, larger than 16 MiB or not UTF-8 text, or the system refuses to read it.
+/// The file is absent, no plain file, larger than 16 MiB or not UTF-8 text, or the system refuses to read
+/// it.
 pub fn read_text(path: &Path) -> Result<String, String> {
     read_named(path, MAX_BYTES).map_err(|error| error.reason())
 }

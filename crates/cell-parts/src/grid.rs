@@ -1,8 +1,8 @@
 //! A grid of markers on one flat sheet, as both configuration files describe the board in the robot's hand.
 //!
 //! In: located values and a decoder that collects complaints. Out: [`MarkerGrid`], lengths in m, or `None`
-//! with a complaint kept. The markers are of the family that the table's markers are of, so that one detector
-//! finds both.
+//! with a complaint kept. The markers are of the family that the table's markers are of, so that one
+//! detector finds both.
 
 use crate::fields::{optional, required_number};
 use cell_values::image::tag36h11;
@@ -65,8 +65,8 @@ pub fn board(decoder: &mut Decoder, at: &At) -> Option<MarkerGrid> {
     Some(board)
 }
 
-/// Complains at the place and keys given about a board with markers of these numbers, one of which is also on
-/// the table.
+/// Complains at the place and keys given about a board with markers of these numbers, one of which is also
+/// on the table.
 pub fn board_apart(
     decoder: &mut Decoder,
     numbers: Range<i64>,

@@ -1,5 +1,6 @@
 //! The plain values that the rooms of a robot cell pass on: joint positions and the few factors between
-//! units (`units`), timestamps (`time`), pictures in memory with the patterns of the marker family (`image`).
+//! units (`units`), timestamps (`time`), pictures in memory with the patterns of the marker family
+//! (`image`).
 //!
 //! Pure: no clock is read and no file is opened.
 

@@ -16,6 +16,7 @@ impl Joints {
     }
 
     /// The joints a share (0 to 1) of the way along a straight joint move.
+    #[inline]
     pub fn lerp(&self, to: &Joints, share: f64) -> Joints {
         Joints(std::array::from_fn(|i| self.0[i] + share * (to.0[i] - self.0[i])))
     }

@@ -1,10 +1,10 @@
 //! A picture for people: detections with their ids, object outlines with their axes, drawn over what the
 //! camera saw.
 //!
-//! In: an [`Image`], detections in pixels, [`Overlay`]s in the table frame with the camera's pose. Out: a new
-//! [`Image`]. Points on the table go through the lens like everything else, so that an outline that does not
-//! cover its object shows a wrong calibration at once. Pure; a small line and letter rasteriser of its own
-//! (`raster`).
+//! In: an [`Image`], detections in pixels, [`Overlay`]s in the table frame with the camera's pose. Out: a
+//! new [`Image`]. Points on the table go through the lens like everything else, so that an outline that does
+//! not cover its object shows a wrong calibration at once. Pure; a small line and letter rasteriser of its
+//! own (`raster`).
 
 pub mod raster;
 

@@ -1,7 +1,7 @@
 //! Calibration boards: a grid of markers on one flat sheet.
 //!
-//! In: family, how many markers, their size and distance. Out: where each marker and each of its corners lies
-//! on the board, m. The board frame has its origin in the lower left corner of the lower left marker, x
+//! In: family, how many markers, their size and distance. Out: where each marker and each of its corners
+//! lies on the board, m. The board frame has its origin in the lower left corner of the lower left marker, x
 //! right, y up, z out of the print; numbers run from there to the right, then up. Pure data.
 
 use crate::detect::{Detection, Family};

@@ -2,9 +2,9 @@
 //!
 //! In: values from the camera's factory or from a calibration. Out: a checked [`CameraModel`]. Pure data;
 //! projecting and undistorting with it is `cv`'s job. Pixel (0, 0) is the centre of the first pixel; the
-//! camera frame is optical (x right, y down, z forward). Distortion is Brown-Conrady as OpenCV orders it: k1,
-//! k2, p1, p2, k3. Factories write it in other forms too; [`FactoryLens::model`] brings those into this one,
-//! or refuses.
+//! camera frame is optical (x right, y down, z forward). Distortion is Brown-Conrady as OpenCV orders it:
+//! k1, k2, p1, p2, k3. Factories write it in other forms too; [`FactoryLens::model`] brings those into this
+//! one, or refuses.
 
 use nalgebra::{Matrix3, SMatrix, SVector};
 use serde::{Deserialize, Serialize};
@@ -56,9 +56,8 @@ pub enum CameraModelError {
     },
     /// The picture has another size than the calibration.
     #[error(
-        "the picture is {picture_width} x {picture_height} but camera {serial:?} is calibrated for {width} \
-         x {height}; \
-         set the stream to that size or calibrate at this one"
+        "the picture is {picture_width} x {picture_height} but camera {serial:?} is calibrated for {width} x \
+         {height}; set the stream to that size or calibrate at this one"
     )]
     OtherSize {
         /// Whose calibration.
@@ -75,8 +74,7 @@ pub enum CameraModelError {
     /// The factory's distortion cannot be written as Brown-Conrady.
     #[error(
         "camera {serial:?}: the factory's distortion ({form}) differs from Brown-Conrady by {miss_px:.2} \
-         pixels at worst; \
-         measure the lens with `celld calibrate camera` instead"
+         pixels at worst; measure the lens with `celld calibrate camera` instead"
     )]
     Distortion {
         /// Whose numbers.
@@ -88,8 +86,8 @@ pub enum CameraModelError {
     },
 }
 
-/// Worst difference that bringing a factory's distortion into our form may make, pixels: half of what corners
-/// are found to.
+/// Worst difference that bringing a factory's distortion into our form may make, pixels: half of what
+/// corners are found to.
 const FACTORY_MISS_PX: f64 = 0.05;
 
 /// How a factory writes down a lens.
@@ -111,8 +109,8 @@ pub enum FactoryDistortion {
     /// As ours.
     BrownConrady,
     /// As ours, but for the tangential part, which is that of the point that was moved radially already. The
-    /// SDK of the RealSense cameras projects with this for the models that it calls modified and, despite the
-    /// name, inverse Brown-Conrady (D405, D415, D455): the coefficients distort, they do not undistort.
+    /// SDK of the RealSense cameras projects with this for the models that it calls modified and, despite
+    /// the name, inverse Brown-Conrady (D405, D415, D455): the coefficients distort, they do not undistort.
     TangentialAfterRadial,
     /// A fisheye lens.
     Fisheye,

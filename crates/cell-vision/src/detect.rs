@@ -22,16 +22,16 @@ pub struct DetectSettings {
     /// Quads are searched on a picture this much smaller: 1.5 halves the time, and `sharpen_px` makes good
     /// what it loses. Corners are as exact with any.
     pub decimate: f32,
-    /// Unsharp mask before quads are searched, standard deviation, pixels of the smaller picture; 0 for none.
-    /// It keeps a marker's white ring apart from its black square where something bright or dark lies close
-    /// by.
+    /// Unsharp mask before quads are searched, standard deviation, pixels of the smaller picture; 0 for
+    /// none. It keeps a marker's white ring apart from its black square where something bright or dark lies
+    /// close by.
     pub sharpen_px: f32,
     /// Exponent of a curve over the grey levels before anything is searched, 0.25 to 2; below 1 it lifts the
     /// dark ones. The library parts black from white half-way between the darkest and the brightest pixel
     /// near by. Where a sheet of paper brighter than the marker's white lies at its ring, half-way is above
-    /// the ring; it is not on a curve that separates dark greys better than bright ones, as the eye does. The
-    /// library's own corners, which remain where ours find no clear step, lie a fraction of a pixel inside
-    /// the square's on it.
+    /// the ring; it is not on a curve that separates dark greys better than bright ones, as the eye does.
+    /// The library's own corners, which remain where ours find no clear step, lie a fraction of a pixel
+    /// inside the square's on it.
     pub tone: f32,
     /// Threads of the library, 1 to 16.
     pub threads: u8,

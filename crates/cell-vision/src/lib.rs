@@ -2,8 +2,8 @@
 //!
 //! The path of a picture: `image` (pixels) -> `detect` (marker corners; `refine` makes them exact) ->
 //! `observe` (what lies where, how sure). `camera` is the lens as numbers, `cv` what we let OpenCV compute
-//! with them, `foreign` what carries no marker, `annotate` the picture for people, `marker` the print itself.
-//! Pure; OpenCV is called in `cv` alone and the AprilTag library in `detect` alone.
+//! with them, `foreign` what carries no marker, `annotate` the picture for people, `marker` the print
+//! itself. Pure; OpenCV is called in `cv` alone and the AprilTag library in `detect` alone.
 
 pub mod annotate;
 pub mod board;

@@ -4,8 +4,8 @@
 //! In: the objects and reference markers that exist, the lens, [`View`]s (camera pose and detections),
 //! [`ObserveLimits`]. Out: [`Observation`]. The lens is taken out of each view's corners (`sighting`), which
 //! are laid on the known plane of the marker (`planar`), the views are fused with outliers out (`fuse`), and
-//! all views together must agree that the marker lies level at its height (`level`): an object that landed on
-//! another one is *suspicious* and never among the trusted ones. Poses are in the table frame.
+//! all views together must agree that the marker lies level at its height (`level`): an object that landed
+//! on another one is *suspicious* and never among the trusted ones. Poses are in the table frame.
 
 pub mod arrangement;
 pub mod fuse;

@@ -22,7 +22,8 @@ const END_PX: f64 = 3.0;
 const MOVE_MAX_PX: f64 = 2.0;
 /// Blur that a usable picture has, standard deviation, pixels.
 const BLUR_PX: (f64, f64) = (0.3, 2.5);
-/// Blur to begin with, and how much it counts beside the pixels: 3 grey levels of noise over 0.4 px, squared.
+/// Blur to begin with, and how much it counts beside the pixels: 3 grey levels of noise over 0.4 px,
+/// squared.
 const BLUR_USUAL_PX: f64 = 0.9;
 const BLUR_WEIGHT: f64 = 56.0;
 /// Rounds of choosing pixels anew, and steps in each.
@@ -31,8 +32,8 @@ const STEPS: usize = 5;
 /// Fewest pixels that fix five numbers well.
 const PIXELS_MIN: usize = 24;
 
-/// The corners refined; `None` when a side shows no clear step, or a corner would move further than a misread
-/// one.
+/// The corners refined; `None` when a side shows no clear step, or a corner would move further than a
+/// misread one.
 pub fn corners(picture: &GrayImage, rough: &[[f64; 2]; 4], modules: f64) -> Option<[[f64; 2]; 4]> {
     let at = |i: usize| Vector2::from(rough[i % 4]);
     let mut sides = [Line { point: Vector2::zeros(), along: Vector2::zeros() }; 4];

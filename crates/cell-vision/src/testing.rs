@@ -2,8 +2,8 @@
 //! lens model.
 //!
 //! In: a camera, where it is, markers with their poses. Out: a grey picture, supersampled, blurred, with
-//! noise from a seed. Shares no code with detection or with OpenCV, so that a misread convention cannot agree
-//! with itself.
+//! noise from a seed. Shares no code with detection or with OpenCV, so that a misread convention cannot
+//! agree with itself.
 
 use crate::camera::CameraModel;
 use cell_values::image::{GrayImage, tag36h11_bitmap};

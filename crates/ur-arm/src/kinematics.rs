@@ -2,11 +2,11 @@
 //!
 //! In: DH parameters (m, rad, standard convention) and joint positions or a `base_from_flange` pose.
 //! Out: the pose, the geometric Jacobian, or all joint solutions of the pose (2 shoulders x 2 wrists x 2
-//! elbows). Pure. The closed form (Hawkins, "Analytic inverse kinematics for the Universal Robots") holds for
-//! the nominal arm only: three parallel axes. A real arm's parameters deviate by its calibration, and its
-//! table may even trade large opposite offsets along the parallel axes, so each nominal solution is the
-//! start of a few Newton steps on the calibrated parameters. Where two singularities meet these lead nowhere;
-//! then damped steps from many starts find what there is.
+//! elbows). Pure. The closed form (Hawkins, "Analytic inverse kinematics for the Universal Robots") holds
+//! for the nominal arm only: three parallel axes. A real arm's parameters deviate by its calibration, and
+//! its table may even trade large opposite offsets along the parallel axes, so each nominal solution is the
+//! start of a few Newton steps on the calibrated parameters. Where two singularities meet these lead
+//! nowhere; then damped steps from many starts find what there is.
 
 pub use crate::models::{ARM_MODELS, ArmModel, DhParameters, model_of};
 use cell_values::units::Joints;
@@ -35,8 +35,8 @@ const ANYWHERE: usize = 200;
 /// Elbow and wrist count as near their singularity below this sine.
 const SINGULAR: f64 = 0.25;
 
-/// How far a cosine of the closed form may be beyond 1 for its solution to be a start: the calibrated arm may
-/// just reach.
+/// How far a cosine of the closed form may be beyond 1 for its solution to be a start: the calibrated arm
+/// may just reach.
 const BEYOND: f64 = 0.02;
 
 /// The same for the nominal arm itself: the rounding of its poses.
@@ -319,8 +319,8 @@ fn refine(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> Option<J
     (pose_error(&forward(dh, &q), target).norm() < 1e-9).then_some(q)
 }
 
-/// The same by Levenberg and Marquardt, for starts near a singularity: slower, and it comes nearer with every
-/// step.
+/// The same by Levenberg and Marquardt, for starts near a singularity: slower, and it comes nearer with
+/// every step.
 fn refine_damped(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> Option<Joints> {
     let error_at = |q: &Joints| pose_error(&forward(dh, q), target);
     let (mut q, mut damping) = (start, 1e-4);

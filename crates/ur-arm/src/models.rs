@@ -96,8 +96,8 @@ pub const ARM_MODELS: &[ArmModel] = &[
     },
 ];
 
-/// The arm that calibrated parameters belong to. The offsets d2 and d3 along the parallel axes say nothing: a
-/// calibration trades them against each other.
+/// The arm that calibrated parameters belong to. The offsets d2 and d3 along the parallel axes say nothing:
+/// a calibration trades them against each other.
 pub fn model_of(dh: &DhParameters) -> &'static ArmModel {
     let distance = |other: &DhParameters| {
         let a = (0..6).map(|i| (dh.a[i] - other.a[i]).abs()).sum::<f64>();

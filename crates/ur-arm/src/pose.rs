@@ -1,7 +1,7 @@
 //! Poses as a UR controller writes them: a position and a rotation vector.
 //!
-//! In and out: metres and radians; SE(3) is nalgebra's [`Isometry3`]. Source: `p[x, y, z, rx, ry, rz]` of the
-//! script manual.
+//! In and out: metres and radians; SE(3) is nalgebra's [`Isometry3`]. Source: `p[x, y, z, rx, ry, rz]` of
+//! the script manual.
 
 use nalgebra::{Isometry3, Vector3};
 

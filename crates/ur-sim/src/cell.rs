@@ -1,5 +1,5 @@
-//! The whole simulated cell as a process runs it: controller, world, gripper and camera behind their sockets,
-//! and the thread that keeps their time.
+//! The whole simulated cell as a process runs it: controller, world, gripper and camera behind their
+//! sockets, and the thread that keeps their time.
 //!
 //! In: [`SimConfig`]. Out: [`RunningSim`], which has the addresses, the world for reports and tests, and the
 //! time factor that was reached. This only puts together: [`frames`] advances the [`Core`],

@@ -117,8 +117,7 @@ pub fn run(args: &SimArgs) -> u8 {
     if args.control && !bind.is_loopback() {
         complain(&format!(
             "--control at {bind}: the control socket breaks things and tells the truth, so it opens on this \
-             machine \
-             only; give --bind 127.0.0.2, or leave --control out"
+             machine only; give --bind 127.0.0.2, or leave --control out"
         ));
         return 2;
     }

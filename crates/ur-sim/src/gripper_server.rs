@@ -4,8 +4,8 @@
 //! In: requests of unit 65: read holding registers (0x03), write one (0x06) or several (0x10), from several
 //! masters. Out: register values, or the exceptions the protocol has for what the device does not offer.
 //! Registers: 0 and 1 control of channels A and B (high byte 0 release, 1 grip, 2 idle; low byte target in
-//! per cent, more than 80 is taken as 80), 2 current limit in mA (up to 1000), 258 and 259 relative vacuum in
-//! per mille, read only. A lost connection leaves the last command active, as on the device. Source:
+//! per cent, more than 80 is taken as 80), 2 current limit in mA (up to 1000), 258 and 259 relative vacuum
+//! in per mille, read only. A lost connection leaves the last command active, as on the device. Source:
 //! reference drivers of the device; the answer to other units (exception 0x0B) is our choice.
 
 use crate::faults::link::LinkState;

@@ -17,8 +17,7 @@ pub const NOT_ALLOWED: &str = "Command is not allowed";
 
 /// The whole refusal, as the controller words it.
 pub const NOT_ALLOWED_TEXT: &str = "Command is not allowed due to safety reasons, please switch robot to \
-                                    Remote \
-                                    Control mode and reconnect to port 29999";
+                                    Remote Control mode and reconnect to port 29999";
 
 /// Longest line accepted in either direction.
 pub const MAX_LINE: usize = 4096;

@@ -1,8 +1,8 @@
 //! The sub-packages of a robot state that say which arm it is: kinematics (5) and configuration (6).
 //!
 //! In: the fields behind a sub-package's header. Out: values, and bytes again. Apart from `primary_state`
-//! because they stay the same while the controller runs. Joints are in the order base to wrist 3. Source: the
-//! vendor's client-interface guide.
+//! because they stay the same while the controller runs. Joints are in the order base to wrist 3. Source:
+//! the vendor's client-interface guide.
 
 use crate::bytes::{Reader, WireError, Writer};
 

@@ -2,7 +2,8 @@
 //!
 //! In: bytes of TCP port 30004. Out: [`Request`]s (client to controller) and [`Reply`]s (controller to
 //! client), and bytes again. The same type byte means different payloads by direction and version, so both
-//! are arguments. A session starts in version 1 until `V` has been answered. Source: the vendor's RTDE guide.
+//! are arguments. A session starts in version 1 until `V` has been answered. Source: the vendor's RTDE
+//! guide.
 
 use crate::bytes::{Pending, Reader, WireError, Writer, cut_text};
 use crate::rtde_values::Offer;

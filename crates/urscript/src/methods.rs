@@ -3,8 +3,8 @@
 //!
 //! In: the value the method belongs to and its arguments. Out: what it returns, or the message of a runtime
 //! exception; methods that [`change`] their value work on it in place. Source: script manual, chapter 4.3.
-//! The manual gives no return value to `pop` and `remove`; deployed scripts use that of `pop`, so both return
-//! the element they take out.
+//! The manual gives no return value to `pop` and `remove`; deployed scripts use that of `pop`, so both
+//! return the element they take out.
 
 use crate::string_library;
 use crate::value::{List, Value};

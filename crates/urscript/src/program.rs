@@ -1,8 +1,8 @@
 //! A running program: its threads, the scheduler that gives each a slice of every frame, and the critical
 //! section.
 //!
-//! In: compiled code, a host, and one call of [`Program::frame`] per controller frame (2 ms). Out: whether it
-//! runs on, ended, or failed with a runtime exception. Threads take turns in the order in which they were
+//! In: compiled code, a host, and one call of [`Program::frame`] per controller frame (2 ms). Out: whether
+//! it runs on, ended, or failed with a runtime exception. Threads take turns in the order in which they were
 //! started; a thread that becomes ready in a frame (joined, handed the critical section, just started) still
 //! runs in it. A slice longer than [`SLICE`] instructions is an endless loop and an exception, as the
 //! controller aborts a program that does not let time pass.

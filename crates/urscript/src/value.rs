@@ -1,8 +1,8 @@
 //! The values a script computes with, and their text.
 //!
 //! In and out: [`Value`]. Lists and structs are values, not references: assigning or passing one copies it
-//! (the storage is shared until one side changes). A pose is six numbers, x y z in m and a rotation vector in
-//! rad, and is its own type: it is not a list of six.
+//! (the storage is shared until one side changes). A pose is six numbers, x y z in m and a rotation vector
+//! in rad, and is its own type: it is not a list of six.
 
 use std::sync::Arc;
 

@@ -1,7 +1,7 @@
 //! What a calibration from the benchmark's own pictures finds, so that accuracy can be reported with it too.
 //!
-//! In: the true lens. Out: [`Found`]: the lens that pictures of a board give, and the mount that a round over
-//! reference markers gives with that lens, found by the code behind `celld calibrate camera` and `celld
+//! In: the true lens. Out: [`Found`]: the lens that pictures of a board give, and the mount that a round
+//! over reference markers gives with that lens, found by the code behind `celld calibrate camera` and `celld
 //! calibrate hand-eye`; and how far off they are.
 
 use crate::bench::vision::render::{Ground, Lens, Print, render};
@@ -81,7 +81,8 @@ impl Found {
 
 /// Calibrates lens and mount from pictures rendered through the true lens.
 ///
-/// The bare detector on purpose: calibration too works on markers alone, before there is a scene to perceive.
+/// The bare detector on purpose: calibration too works on markers alone, before there is a scene to
+/// perceive.
 ///
 /// # Errors
 /// What the solvers say.

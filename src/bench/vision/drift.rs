@@ -1,12 +1,13 @@
 //! How surely a camera that was bumped is noticed, and how often one is called bumped that was not.
 //!
-//! In: how many trials and looks, a seed. Out: [`Report`]. A table with twelve reference markers and two look
-//! poses, as in the example configuration; the arm comes back to each within its repeatability, corners carry
-//! noise. A bump shifts the camera by 2 mm in any direction or turns it by 0.3 degrees about any axis, for
-//! the whole look. Most looks use the corners as the lens projects them, with normal noise twice what the
-//! detector leaves on rendered pictures; some are rendered and detected. Observation and decision are the
-//! cell's own. A last part measures how much of the limits a calibration's own error takes up on an untouched
-//! cell: mounts off by what the hand-eye calibration may be off, and mounts as its rounds find them.
+//! In: how many trials and looks, a seed. Out: [`Report`]. A table with twelve reference markers and two
+//! look poses, as in the example configuration; the arm comes back to each within its repeatability, corners
+//! carry noise. A bump shifts the camera by 2 mm in any direction or turns it by 0.3 degrees about any axis,
+//! for the whole look. Most looks use the corners as the lens projects them, with normal noise twice what
+//! the detector leaves on rendered pictures; some are rendered and detected. Observation and decision are
+//! the cell's own. A last part measures how much of the limits a calibration's own error takes up on an
+//! untouched cell: mounts off by what the hand-eye calibration may be off, and mounts as its rounds find
+//! them.
 
 use crate::bench::vision::hand_eye::Calibration;
 use crate::bench::vision::render::{Ground, Lens, Print, render};

@@ -1,10 +1,10 @@
-//! How exact the camera's place on the flange comes out of twenty poses, and what the answer is to poses that
-//! do not determine it.
+//! How exact the camera's place on the flange comes out of twenty poses, and what the answer is to poses
+//! that do not determine it.
 //!
 //! In: how many rounds, a seed. Out: [`Report`]. Twenty poses over a table with reference markers, as an
-//! operator would teach them, corners with a noise of 0.2 px and the arm with one of 0.05 mm along each axis;
-//! then three sets of poses that leave something undetermined. Solved by the code behind `celld calibrate
-//! hand-eye`.
+//! operator would teach them, corners with a noise of 0.2 px and the arm with one of 0.05 mm along each
+//! axis; then three sets of poses that leave something undetermined. Solved by the code behind `celld
+//! calibrate hand-eye`.
 
 use crate::bench::vision::render::{Lens, Print};
 use crate::bench::vision::scene::{bench_camera, looking_down};

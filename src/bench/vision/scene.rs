@@ -1,10 +1,10 @@
 //! Tables for the vision benchmark: marked tops that are not quite level, cameras over them, clutter that is
 //! not ours.
 //!
-//! In: a seed. Out: [`Scene`]s with their truth, [`Sheet`]s of wood grain and printed words, cameras. Figures
-//! as the benchmark requires: 30 mm markers 0.5 m from the camera, tops level within 1 degree and 0.2 mm,
-//! contrast 50 to 100 %; every other scene lies on a printed sheet among markers of other families and
-//! squares of random modules.
+//! In: a seed. Out: [`Scene`]s with their truth, [`Sheet`]s of wood grain and printed words, cameras.
+//! Figures as the benchmark requires: 30 mm markers 0.5 m from the camera, tops level within 1 degree and
+//! 0.2 mm, contrast 50 to 100 %; every other scene lies on a printed sheet among markers of other families
+//! and squares of random modules.
 
 use crate::bench::vision::render::{Degrade, Ground, Lens, Print, Sheet};
 use crate::perception;
@@ -228,8 +228,7 @@ fn sheet(random: &mut ChaCha8Rng) -> Result<Sheet, String> {
     let edge = SHEET_EDGE as f64;
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{edge}\" height=\"{edge}\" \
-         font-family=\"sans-serif\">\
-         <rect width=\"{edge}\" height=\"{edge}\" fill=\"#b0b0b0\"/>"
+         font-family=\"sans-serif\"><rect width=\"{edge}\" height=\"{edge}\" fill=\"#b0b0b0\"/>"
     );
     for _ in 0..260 {
         let (y, bow) = (random.random_range(-60.0..edge), random.random_range(-80.0..80.0));

@@ -73,8 +73,7 @@ impl CameraCalibration {
         }
         Err(format!(
             "{name}: measured for camera {} at {} x {}, but this is {} at {} x {}: run `celld calibrate \
-             camera` for it, \
-             or delete the file to work with the camera's own numbers",
+             camera` for it, or delete the file to work with the camera's own numbers",
             known.serial, known.width, known.height, own.serial, own.width, own.height
         ))
     }

@@ -1,8 +1,8 @@
 //! `hand_eye.yaml`: where the camera sits, on the flange or fixed over the table, with every sample's error.
 //!
 //! In: text, or a [`HandEye`] or [`FixedCamera`] solution and the devices it was made with. Out:
-//! [`HandEyeCalibration`], or complaints; and the text of a new file. Camera and robot serial numbers and the
-//! checksum of the robot's kinematics show when it no longer holds. Pure.
+//! [`HandEyeCalibration`], or complaints; and the text of a new file. Camera and robot serial numbers and
+//! the checksum of the robot's kinematics show when it no longer holds. Pure.
 
 use crate::calibration::drawn::CameraMount;
 use crate::calibration::files;

@@ -1,8 +1,8 @@
 //! `samples.yaml`: a recorded calibration round: which picture was taken with the flange where, on which
 //! robot.
 //!
-//! In: text. Out: [`Round`], or complaints with line and column; and the text of a new file. The pictures lie
-//! beside it and are opened by the caller. A round can be solved again at leisure, with samples dropped,
+//! In: text. Out: [`Round`], or complaints with line and column; and the text of a new file. The pictures
+//! lie beside it and are opened by the caller. A round can be solved again at leisure, with samples dropped,
 //! without moving the arm. Pure.
 
 use crate::calibration::files::{self, hand_eye::Provenance};

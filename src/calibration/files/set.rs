@@ -11,7 +11,8 @@ use crate::calibration::files::table::TableCalibration;
 use cell_vision::observe::ReferenceMarker;
 use rearrange::document::Diagnostics;
 
-/// Distance (m) and angle (rad) by which a survey may differ from the configuration's: rounding in the files.
+/// Distance (m) and angle (rad) by which a survey may differ from the configuration's: rounding in the
+/// files.
 const SAME_PLACE: (f64, f64) = (1e-6, 1e-6);
 
 /// Camera, hand-eye and table of one calibration round.

@@ -1,7 +1,7 @@
 //! `table.yaml`: where the table lies under the robot, and the surveyed markers that say so.
 //!
-//! In: text, or a [`HandEye`] solution with the survey it used. Out: [`TableCalibration`], or complaints; and
-//! the text of a new file. The survey is kept with the result: a marker glued elsewhere later shows as a
+//! In: text, or a [`HandEye`] solution with the survey it used. Out: [`TableCalibration`], or complaints;
+//! and the text of a new file. The survey is kept with the result: a marker glued elsewhere later shows as a
 //! difference from the config. Pure.
 
 use crate::calibration::files;

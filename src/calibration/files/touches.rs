@@ -1,9 +1,10 @@
 //! `touches.yaml`: which points of the table the tool's tip touched, and where the arm was then.
 //!
 //! In: text. Out: [`Touches`], or complaints with line and column; and the text of a new file. A point is a
-//! reference marker's middle or one of its black corners, whose place the survey says at the time of solving,
-//! or a point of the table. Where the tip was is given by the flange's pose and the tip's offset from it, or
-//! by what the pendant shows with the tip as its TCP, so that a file can also be typed from a notebook. Pure.
+//! reference marker's middle or one of its black corners, whose place the survey says at the time of
+//! solving, or a point of the table. Where the tip was is given by the flange's pose and the tip's offset
+//! from it, or by what the pendant shows with the tip as its TCP, so that a file can also be typed from a
+//! notebook. Pure.
 
 use crate::calibration::files;
 use crate::calibration::files::hand_eye::Provenance;

@@ -1,11 +1,11 @@
 //! Where a camera is that does not move, and the table before it: the hand carries a board through its
 //! picture.
 //!
-//! In: [`Sample`]s whose pictures show the board on the hand (and the reference markers, where the arm leaves
-//! them in view). Out: [`FixedCamera`], or what is missing. With base and flange changed round, "board on the
-//! hand, camera on the base" is the equation of "table on the base, camera on the hand", so one solver, one
-//! observability gate and one report serve both. The table then comes from the reference markers with the
-//! camera's place kept. Pure.
+//! In: [`Sample`]s whose pictures show the board on the hand (and the reference markers, where the arm
+//! leaves them in view). Out: [`FixedCamera`], or what is missing. With base and flange changed round,
+//! "board on the hand, camera on the base" is the equation of "table on the base, camera on the hand", so
+//! one solver, one observability gate and one report serve both. The table then comes from the reference
+//! markers with the camera's place kept. Pure.
 
 use crate::calibration::fit::hand_eye::{closed_form, solve_hand_eye};
 use crate::calibration::fit::problem::Problem;

@@ -2,9 +2,9 @@
 //! hand-eye).
 //!
 //! In: [`Sample`]s (arm pose and detections), the surveyed reference markers, the lens, a rough guess. Out:
-//! [`HandEye`] with its errors in pixels and metres, or the sentence that says what is missing. A closed form
-//! or the guess starts, Levenberg-Marquardt on pixel errors with a robust loss finishes. Poses that leave a
-//! direction unseen are refused instead of answered with a number. Pure.
+//! [`HandEye`] with its errors in pixels and metres, or the sentence that says what is missing. A closed
+//! form or the guess starts, Levenberg-Marquardt on pixel errors with a robust loss finishes. Poses that
+//! leave a direction unseen are refused instead of answered with a number. Pure.
 
 use crate::calibration::fit::problem::{Fit, Problem};
 use crate::calibration::fit::{

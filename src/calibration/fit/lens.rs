@@ -1,9 +1,9 @@
 //! Focal lengths, principal point and distortion of a camera, from pictures of a board.
 //!
-//! In: the board's corners in each picture, the picture's size. Out: [`LensSolution`] with the error of every
-//! picture, or the sentence that says what is missing. OpenCV fits (`cv::calibrate_lens`); choosing the
-//! pictures, the refusals and the honest errors are ours: pictures that disagree with all others are left
-//! out, every fifth is predicted by a fit that has not seen it. Pure.
+//! In: the board's corners in each picture, the picture's size. Out: [`LensSolution`] with the error of
+//! every picture, or the sentence that says what is missing. OpenCV fits (`cv::calibrate_lens`); choosing
+//! the pictures, the refusals and the honest errors are ours: pictures that disagree with all others are
+//! left out, every fifth is predicted by a fit that has not seen it. Pure.
 
 use cell_vision::camera::CameraModel;
 use cell_vision::cv::{self, BoardCorners, CvError, LensFit};
@@ -80,9 +80,8 @@ pub enum LensError {
     /// Too few pictures show the board.
     #[error(
         "only {found} of {given} pictures show {corners} or more corners of the board, {wanted} are needed: \
-         check the \
-         board's family, ids and size (--family, --board, --first-id), the light, and that the pictures are \
-         sharp"
+         check the board's family, ids and size (--family, --board, --first-id), the light, and that the \
+         pictures are sharp"
     )]
     TooFewViews {
         /// Pictures that do.
@@ -102,9 +101,8 @@ pub enum LensError {
     },
     /// The pictures leave a number undetermined.
     #[error(
-        "{what} is only known to {std:.2} px (limit {limit:.2} px): tilt the board by 20 to 40 degrees \
-         about both of its \
-         axes in half of the pictures, and fill the picture with it"
+        "{what} is only known to {std:.2} px (limit {limit:.2} px): tilt the board by 20 to 40 degrees about \
+         both of its axes in half of the pictures, and fill the picture with it"
     )]
     NotObservable {
         /// Which number.
@@ -116,9 +114,8 @@ pub enum LensError {
     },
     /// The fit does not come near the data.
     #[error(
-        "the best fit misses the corners by {reprojection_px:.1} px: blurred pictures, a bent board, \
-         another board than \
-         the one named, or pictures of several cameras"
+        "the best fit misses the corners by {reprojection_px:.1} px: blurred pictures, a bent board, another \
+         board than the one named, or pictures of several cameras"
     )]
     NoFit {
         /// Root mean square corner error, pixels.
@@ -126,9 +123,8 @@ pub enum LensError {
     },
     /// Not even a start can be found, which is what pictures of a board that is never tilted bring about.
     #[error(
-        "the pictures fix no focal length: tilt the board by 20 to 40 degrees about both of its axes in \
-         half of them, \
-         and see that --board, --size-mm and --first-id are those of the print"
+        "the pictures fix no focal length: tilt the board by 20 to 40 degrees about both of its axes in half \
+         of them, and see that --board, --size-mm and --first-id are those of the print"
     )]
     Undetermined {
         /// What the solver said.

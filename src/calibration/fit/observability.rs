@@ -1,10 +1,10 @@
 //! Do the arm's poses determine the calibration, and if not, which motion is missing?
 //!
-//! In: a fit and its samples. Out: nothing, or `NotObservable` with a sentence for the operator. The smallest
-//! singular value of the problem says how well the worst direction is known; the rotations between the
-//! samples, taken about the camera's axes, say why. Without rotation about two different axes the camera's
-//! place along the common axis cannot be distinguished from the table's, and OpenCV's solvers return a number
-//! all the same.
+//! In: a fit and its samples. Out: nothing, or `NotObservable` with a sentence for the operator. The
+//! smallest singular value of the problem says how well the worst direction is known; the rotations between
+//! the samples, taken about the camera's axes, say why. Without rotation about two different axes the
+//! camera's place along the common axis cannot be distinguished from the table's, and OpenCV's solvers
+//! return a number all the same.
 
 use crate::calibration::fit::problem::{Fit, Problem};
 use crate::calibration::fit::{CalibrateError, HandEyeSettings};
@@ -72,29 +72,27 @@ fn sentence(scatter: &Matrix3<f64>, target_on_hand: bool) -> String {
     let names = ["x", "y", "z"];
     match turning.as_slice() {
         [] => format!(
-            "{moved} hardly rotates between the samples: rotate it by 20 degrees and more about the \
-             camera's x axis and \
-             about the camera's y axis (image right and image down)"
+            "{moved} hardly rotates between the samples: rotate it by 20 degrees and more about the camera's \
+             x axis and about the camera's y axis (image right and image down)"
         ),
         &[only] => {
             let axis = eigen.eigenvectors.column(only).into_owned();
             let mut by_share = [0, 1, 2];
             by_share.sort_by(|&a, &b| axis[a].abs().total_cmp(&axis[b].abs()));
-            // The optical axis is the least useful of the two that are left: tilting changes the perspective.
+            // The optical axis is the least useful of the two that are left: tilting changes the
+            // perspective.
             let missing = match by_share {
                 [a, b, _] if a == 2 || b == 2 => names[if a == 2 { b } else { a }].to_owned(),
                 [a, b, _] => format!("{} axis and about the camera's {}", names[a.min(b)], names[a.max(b)]),
             };
             format!(
                 "all rotations are about one axis, nearest the camera's {}: also rotate {moved} by 20 \
-                 degrees and more about \
-                 the camera's {missing} axis",
+                 degrees and more about the camera's {missing} axis",
                 names[by_share[2]]
             )
         }
         _ => "the samples rotate enough but show too little: take more of them, further apart, with more \
-              reference markers in \
-              each picture"
+              reference markers in each picture"
             .to_owned(),
     }
 }

@@ -1,9 +1,9 @@
 //! The hand-eye least squares problem: pixel errors of the reference markers over twelve unknowns.
 //!
 //! In: samples, survey, lens. Out: [`Fit`]s for any subset of the samples, residuals in pixels and metres.
-//! The corners are undistorted once, and errors are carried back to pixels by the lens model's slope, so that
-//! the loop is pure pinhole arithmetic. Unknowns: small motions of the camera in its own frame and of the
-//! table in its own frame.
+//! The corners are undistorted once, and errors are carried back to pixels by the lens model's slope, so
+//! that the loop is pure pinhole arithmetic. Unknowns: small motions of the camera in its own frame and of
+//! the table in its own frame.
 
 use crate::calibration::fit::{HandEyeGuess, HandEyeSettings, Sample};
 use cell_vision::camera::CameraModel;

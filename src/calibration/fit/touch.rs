@@ -31,7 +31,8 @@ pub struct TouchSettings {
     pub hand_std_m: f64,
     /// How many degrees of freedom that assumption is worth against those of the residuals.
     pub hand_weight: f64,
-    /// Largest standard deviation of the worst determined direction, m (rotations count by a lever of 0.3 m).
+    /// Largest standard deviation of the worst determined direction, m (rotations count by a lever of 0.3
+    /// m).
     pub std_max_m: f64,
     /// Largest root mean square residual, m.
     pub residual_max_m: f64,
@@ -71,9 +72,8 @@ pub enum TouchError {
     },
     /// The table could turn about a line.
     #[error(
-        "the touched points lie on one line within {beside_mm:.0} mm, so the table's turn about that line \
-         is open: also touch \
-         a point at least {wanted_mm:.0} mm beside it"
+        "the touched points lie on one line within {beside_mm:.0} mm, so the table's turn about that line is \
+         open: also touch a point at least {wanted_mm:.0} mm beside it"
     )]
     OneLine {
         /// Root mean square distance from the line, mm.
@@ -83,9 +83,8 @@ pub enum TouchError {
     },
     /// All near one place.
     #[error(
-        "the touched points lie within {spread_mm:.0} mm of each other, too near to tell how the table \
-         lies: touch points at \
-         least {wanted_mm:.0} mm apart"
+        "the touched points lie within {spread_mm:.0} mm of each other, too near to tell how the table lies: \
+         touch points at least {wanted_mm:.0} mm apart"
     )]
     TooClose {
         /// Root mean square distance from their middle, mm.
@@ -96,9 +95,8 @@ pub enum TouchError {
     /// The two sets of points have different shapes.
     #[error(
         "the touches miss their points by {rms_mm:.1} mm on the whole, touch {worst} by {worst_mm:.1} mm: \
-         another point was \
-         touched, a marker was surveyed wrongly, or the tip's offset from the flange is wrong; leave one \
-         out with --drop-touch"
+         another point was touched, a marker was surveyed wrongly, or the tip's offset from the flange is \
+         wrong; leave one out with --drop-touch"
     )]
     NoFit {
         /// Root mean square residual, mm.
@@ -263,9 +261,8 @@ pub enum RegistrationError {
     /// More than the limits.
     #[error(
         "touch and camera disagree: touch puts the table's middle {x:+.2}, {y:+.2}, {z:+.2} mm (x right, y \
-         away, z up) from where \
-         the camera puts it, turned by {deg:.2} degrees; {limit_mm} mm and {limit_deg} degrees are the \
-         limits. {hint}"
+         away, z up) from where the camera puts it, turned by {deg:.2} degrees; {limit_mm} mm and \
+         {limit_deg} degrees are the limits. {hint}"
     )]
     Disagree {
         /// mm.
@@ -290,10 +287,9 @@ pub enum RegistrationError {
 
 const ALONG_Z: &str =
     "It is mostly height: measure the tip's length (--tip-mm) again, and let the tip just touch";
-const ELSEWHERE: &str = "See that the tip's offset (--tip-mm) is right and the tip points straight along \
-                         it, that the touched \
-                         markers lie where the survey says, and take a new round with `celld calibrate \
-                         hand-eye`";
+const ELSEWHERE: &str = "See that the tip's offset (--tip-mm) is right and the tip points straight along it, \
+                         that the touched markers lie where the survey says, and take a new round with \
+                         `celld calibrate hand-eye`";
 
 /// Ties the table by touch to the table by camera; `middle` is the table's middle in its own frame, m.
 ///

@@ -36,8 +36,8 @@ impl Body {
         Body { links, tool: [at[5], frames[5] * model.flange_from_tool * Point3::origin()] }
     }
 
-    /// Something on the line of sight between two points, the tool apart: the person who clamps a board to it
-    /// sees that it is free.
+    /// Something on the line of sight between two points, the tool apart: the person who clamps a board to
+    /// it sees that it is free.
     pub(super) fn hides(&self, from: &Point3<f64>, to: &Point3<f64>) -> bool {
         self.links.iter().any(|link| apart_m(link, &[*from, *to]) < HALF_WIDTH_M)
     }

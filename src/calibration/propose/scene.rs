@@ -2,8 +2,8 @@
 //!
 //! In: a [`Scene`]: arm, box, lens, and which of camera and target the hand carries. Out: flange poses for a
 //! direction of view, the markers that appear well inside the picture. A camera on the hand before the table
-//! and a board on the hand before a fixed camera are one geometry: the camera looks at a flat target, and one
-//! of the two is on the flange. Pure.
+//! and a board on the hand before a fixed camera are one geometry: the camera looks at a flat target, and
+//! one of the two is on the flange. Pure.
 
 use crate::calibration::propose::body::Body;
 use crate::motion::path::ArmModel;
@@ -33,8 +33,8 @@ pub(super) const SEEN_MIN: usize = 4;
 const RIM: f64 = 0.05;
 /// Least edge of a marker in the picture, px.
 const EDGE_PX: f64 = 18.0;
-/// Least distance of the arm's and the board's middle from a fixed camera, m: half an arm, half a camera, and
-/// the 10 cm by which its place may be wrong.
+/// Least distance of the arm's and the board's middle from a fixed camera, m: half an arm, half a camera,
+/// and the 10 cm by which its place may be wrong.
 const CAMERA_CLEAR_M: f64 = 0.2;
 /// Least height of the board's corners over the table, m; plates are larger than the print.
 const BOARD_CLEAR_M: f64 = 0.08;
@@ -142,8 +142,8 @@ impl Scene<'_> {
         })
     }
 
-    /// Flange poses (base frame) within the box from which enough of the target is seen, tilted by `tilt` rad
-    /// in the direction of `turn`; those that show most come first.
+    /// Flange poses (base frame) within the box from which enough of the target is seen, tilted by `tilt`
+    /// rad in the direction of `turn`; those that show most come first.
     pub(super) fn flanges(&self, tilt: f64, turn: usize) -> Vec<Isometry3<f64>> {
         let look = direction(tilt, turn, self.upright);
         let aims = self.aims(turn);

@@ -2,8 +2,8 @@
 //!
 //! In: [`GripperCommand`]s, answers to Modbus requests, the time. Out: [`ModbusRequest`]s (one at a time),
 //! [`GripperEvent`]s. Vacuum is relative, as a fraction (0 ambient, 0.6 = 60 %). The device has no "part
-//! detected": vacuum over a threshold within a time is all there is. It has no watchdog either: without us it
-//! goes on as last commanded, which is what a held object needs. Only the registers of the channels in
+//! detected": vacuum over a threshold within a time is all there is. It has no watchdog either: without us
+//! it goes on as last commanded, which is what a held object needs. Only the registers of the channels in
 //! question are written, so that nothing is released by the way.
 
 use crate::cell::device::gripper_types::{

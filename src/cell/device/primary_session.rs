@@ -1,7 +1,7 @@
 //! Primary interface session: program text out, kinematics and messages in.
 //!
-//! In: bytes of TCP 30001, program text, the time. Out: bytes and [`PrimaryEvent`]s. There is no answer to an
-//! upload; its success shows in key messages, runtime exceptions, and (what counts) the nonce over RTDE.
+//! In: bytes of TCP 30001, program text, the time. Out: bytes and [`PrimaryEvent`]s. There is no answer to
+//! an upload; its success shows in key messages, runtime exceptions, and (what counts) the nonce over RTDE.
 
 use crate::cell::device::outbox::Outbox;
 use cell_values::time::{Duration, Timestamp};

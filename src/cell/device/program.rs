@@ -80,8 +80,8 @@ impl ProgramTemplate {
     }
 }
 
-/// Name of the program in the controller's key messages; at most 31 characters, and fresh for each upload, as
-/// messages name nothing else.
+/// Name of the program in the controller's key messages; at most 31 characters, and fresh for each upload,
+/// as messages name nothing else.
 pub fn program_name(nonce: Nonce) -> String {
     format!("celld_{}", nonce.number())
 }

@@ -1,8 +1,8 @@
 //! Which RTDE register means what between celld and its program on the robot.
 //!
 //! In: a command. Out: the values of the input registers in recipe order. All registers are 24 and up, as
-//! lower ones belong to field buses. The table for people is in hardware/ur5e/README.md; a test holds the two
-//! together, and the program's text is held to them by the simulator, which runs it.
+//! lower ones belong to field buses. The table for people is in hardware/ur5e/README.md; a test holds the
+//! two together, and the program's text is held to them by the simulator, which runs it.
 
 use ur_wire::rtde_values::Value;
 use ur_wire::rtde_variables::Register;

@@ -1,8 +1,8 @@
 //! The RTDE recipes: which fields are agreed with the controller, and the robot's state out of one package.
 //!
-//! In: the controller's offers for the names that were requested, values of a state package. Out: a recipe or
-//! why there is none, a [`RobotState`]. Apart from the session because nothing here depends on time or on the
-//! step of the handshake.
+//! In: the controller's offers for the names that were requested, values of a state package. Out: a recipe
+//! or why there is none, a [`RobotState`]. Apart from the session because nothing here depends on time or on
+//! the step of the handshake.
 
 use crate::cell::device::registers::{self, CommandRegisters, ProgramStatus};
 use crate::cell::device::robot_types::RobotState;

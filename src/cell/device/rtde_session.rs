@@ -4,7 +4,8 @@
 //! [`RobotState`]. The inputs are two small recipes, so that a refusal names few registers: the heartbeat,
 //! and the command with its arguments (one package, hence one controller frame).
 //!
-//! Anything malformed, a NaN included, is a fault that drops the link: after it nothing on it can be trusted.
+//! Anything malformed, a NaN included, is a fault that drops the link: after it nothing on it can be
+//! trusted.
 
 use crate::cell::device::outbox::Outbox;
 use crate::cell::device::registers::CommandRegisters;

@@ -1,9 +1,9 @@
 //! The supervisor's states, and the one function through which everything comes in.
 //!
 //! In: time, the devices' last state, one [`Input`]. Out: actions, to be carried out in order.
-//! Level-triggered: between two things the supervisor is `Ready` and `pursue` decides from what is known what
-//! comes next, so that a lost edge cannot leave it hanging. Every phase has a deadline that runs with the
-//! robot's speed slider, and is held while the program is paused. What must be on disk first is a phase
+//! Level-triggered: between two things the supervisor is `Ready` and `pursue` decides from what is known
+//! what comes next, so that a lost edge cannot leave it hanging. Every phase has a deadline that runs with
+//! the robot's speed slider, and is held while the program is paused. What must be on disk first is a phase
 //! too: it waits for the number of its record.
 
 use crate::cell::code::{Code, JobStatus};
@@ -232,8 +232,8 @@ impl Supervisor {
         self.last_now = now;
     }
 
-    /// A paused program takes no commands: those of a pick-n-place that is under way are kept for it until it
-    /// plays again, and fall away with a stop.
+    /// A paused program takes no commands: those of a pick-n-place that is under way are kept for it until
+    /// it plays again, and fall away with a stop.
     fn hold_while_paused(&mut self, outside: &DeviceSnapshot, actions: Vec<Action>) -> Vec<Action> {
         let playing = outside.robot.is_none_or(|robot| robot.runtime_state == RuntimeState::Playing);
         let mut out = if playing { std::mem::take(&mut self.held_back) } else { Vec::new() };

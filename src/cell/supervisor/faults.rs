@@ -159,8 +159,7 @@ impl Supervisor {
                     out,
                     format!(
                         "the program is paused in the middle of a motion: play within {seconds} s goes on \
-                         with it, \
-                         `celld abort` ends it"
+                         with it, `celld abort` ends it"
                     ),
                 );
             }

@@ -1,7 +1,8 @@
 //! The conditions without which nothing moves (design, section 7, rule 1).
 //!
-//! In: what the devices last said, whether the cell is armed, what was observed when. Out: `Ok`, or the first
-//! condition that is missing, in words. One function for each class of motion; every motion goes through one.
+//! In: what the devices last said, whether the cell is armed, what was observed when. Out: `Ok`, or the
+//! first condition that is missing, in words. One function for each class of motion; every motion goes
+//! through one.
 
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::Link;
@@ -30,8 +31,7 @@ impl GateClosed {
             GateClosed::Safety(mode) => safety_remedy(*mode),
             GateClosed::Mode(_) => {
                 "see the pendant: a controller that starts or is updated takes its time, a new safety \
-                 configuration is confirmed \
-                 there, and so is backdrive ended; then `celld arm`"
+                 configuration is confirmed there, and so is backdrive ended; then `celld arm`"
             }
             GateClosed::Guided => {
                 "let go of the freedrive button and stand clear of the arm, then `celld arm`"
@@ -112,8 +112,9 @@ pub enum GateClosed {
     NotApproved,
 }
 
-/// What arming needs: everything that a person at the table cannot see past. An arm that is off may be armed,
-/// for celld powers it on the order; an arm that comes to life later must not move for an order from before.
+/// What arming needs: everything that a person at the table cannot see past. An arm that is off may be
+/// armed, for celld powers it on the order; an arm that comes to life later must not move for an order from
+/// before.
 ///
 /// # Errors
 /// The first condition that does not hold.
@@ -246,8 +247,8 @@ pub fn manipulate(
     }
 }
 
-/// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does not
-/// play.
+/// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does
+/// not play.
 pub(crate) fn motion_speed(outside: &DeviceSnapshot) -> f64 {
     outside.robot.map_or(0.0, |robot| {
         let playing = robot.runtime_state == RuntimeState::Playing;

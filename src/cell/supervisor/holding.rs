@@ -2,8 +2,8 @@
 //!
 //! In: the gripper's reports, looks, orders. Out: what is held, for gates, paths and people. A vacuum that
 //! has gone proves nothing: an object may stick to the cups, and one that was lost may hang by an edge. So
-//! what was let go counts as possibly hanging until it is seen, and what was lost until a person says that it
-//! is gone.
+//! what was let go counts as possibly hanging until it is seen, and what was lost until a person says that
+//! it is gone.
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::GripperEvent;
@@ -130,8 +130,7 @@ impl Supervisor {
     pub(crate) fn gave_way(&mut self, now: Timestamp, out: &mut Vec<Action>) -> bool {
         let Some(fell) = self.back.weak.take() else { return false };
         let hint = "clean the cups and the tops of the objects, look for leaks in hoses and bellows, then \
-                    `celld arm` \
-                    and submit again";
+                    `celld arm` and submit again";
         self.mode.disarm();
         alarm(out, format!("disarmed: {fell}; {hint}"));
         self.finish(now, JobStatus::Failed, Code::VacuumWeak.because(fell, hint), out);

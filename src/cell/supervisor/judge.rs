@@ -1,7 +1,8 @@
 //! What makes a look useless: a bumped camera, objects that cannot be trusted, things that carry no marker.
 //!
-//! In: the observation of a look, the active job. Out: the first doubt, with its code, a sentence and what to
-//! do about it; and, where the configuration says so, foreign objects as obstacles for planning and motion.
+//! In: the observation of a look, the active job. Out: the first doubt, with its code, a sentence and what
+//! to do about it; and, where the configuration says so, foreign objects as obstacles for planning and
+//! motion.
 
 use crate::cell::code::Code;
 use crate::cell::supervisor::cell::Supervisor;
@@ -52,8 +53,8 @@ impl Supervisor {
         }
     }
 
-    /// What makes a look useless for putting down what is held, whatever job waits. Of the held object itself
-    /// it says nothing: its marker is wherever the arm is.
+    /// What makes a look useless for putting down what is held, whatever job waits. Of the held object
+    /// itself it says nothing: its marker is wherever the arm is.
     pub(crate) fn doubt_on_the_way(&self, seen: &Observation) -> Option<Reason> {
         let held = self.back.held.as_ref().map(|held| held.object.as_str());
         let tilted = || {
@@ -114,8 +115,7 @@ impl Supervisor {
         let mm = |metres: f64| metres * 1e3;
         let mut message = format!(
             "the reference markers are {:.1} mm off, {:.1} mm are allowed: the table seems shifted by {:.1} \
-             mm in x, \
-             {:.1} mm in y and {:.2} degrees",
+             mm in x, {:.1} mm in y and {:.2} degrees",
             mm(check.residual_rms_m),
             mm(tolerances.reference.residual_m),
             mm(check.shift_m[0]),
@@ -125,8 +125,7 @@ impl Supervisor {
         if let Some((look, _)) = check.worst_look(&tolerances.reference) {
             message.push_str(&format!(
                 "; from the worst look pose by {:.1} mm in x, {:.1} mm in y, {:.1} mm in height and {:.2} \
-                 degrees, \
-                 {:.1} mm and {:.2} degrees are allowed",
+                 degrees, {:.1} mm and {:.2} degrees are allowed",
                 mm(look.shift_m[0]),
                 mm(look.shift_m[1]),
                 mm(look.lift_m),
@@ -225,8 +224,8 @@ impl Supervisor {
                 out,
                 format!(
                     "the reference markers are off by {share:.0} % of what is allowed; if that is so right \
-                     after a \
-                     calibration, survey them anew or take more poses, else calibrate before it stops a job"
+                     after a calibration, survey them anew or take more poses, else calibrate before it \
+                     stops a job"
                 ),
             );
         }
@@ -261,7 +260,8 @@ impl Supervisor {
         cycle
     }
 
-    /// True when a disc at any of `places` that reaches down to `underside_m` would touch a foreign obstacle.
+    /// True when a disc at any of `places` that reaches down to `underside_m` would touch a foreign
+    /// obstacle.
     pub(crate) fn meets_foreign(
         &self,
         places: &[[f64; 2]],

@@ -2,9 +2,10 @@
 //! section 7, rule 2).
 //!
 //! In: the devices' state on every tick of an armed cell. Out: the cell disarmed as by an order to disarm: a
-//! pick-n-place under way is finished, the job waits, nothing begins before a person has armed again. Whoever
-//! armed the cell has seen it as it was: a link that comes back, an arm that was switched or moved by others,
-//! or ten quiet minutes mean that this is not so any more. Stops and safety events are in `faults`.
+//! pick-n-place under way is finished, the job waits, nothing begins before a person has armed again.
+//! Whoever armed the cell has seen it as it was: a link that comes back, an arm that was switched or moved
+//! by others, or ten quiet minutes mean that this is not so any more. Stops and safety events are in
+//! `faults`.
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::supervisor::cell::Supervisor;

@@ -1,7 +1,7 @@
 //! Looking at the table: going round the look poses, judging what was seen, deciding what to do about it.
 //!
-//! A frame counts only if the arm was at rest before and after it was taken. What a look shows is valid until
-//! an object is picked, placed or dropped, or the cell was stopped.
+//! A frame counts only if the arm was at rest before and after it was taken. What a look shows is valid
+//! until an object is picked, placed or dropped, or the cell was stopped.
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::robot_types::RobotCommand;
@@ -167,8 +167,8 @@ impl Supervisor {
         }
     }
 
-    /// The arm is at rest and waits for the camera; the look's deadline decides when this has gone on for too
-    /// long.
+    /// The arm is at rest and waits for the camera; the look's deadline decides when this has gone on for
+    /// too long.
     fn no_picture(&mut self, now: Timestamp, fault: CameraFault, out: &mut Vec<Action>) {
         if self.job.as_ref().is_some_and(|job| job.cancel) {
             // This picture is not awaited any more.
@@ -185,8 +185,7 @@ impl Supervisor {
                 out,
                 format!(
                     "waiting for the camera ({}): {}; the arm moves on as soon as a picture comes, `celld \
-                     disarm` before \
-                     going to it; {}",
+                     disarm` before going to it; {}",
                     fault.code, fault.message, fault.hint
                 ),
             );
@@ -322,8 +321,8 @@ impl Supervisor {
 
     /// The table as seen, with the job's goals, as a planning instance.
     ///
-    /// An object that counts as being at its goal is given its present pose as goal: it need not move, and it
-    /// must not be nudged for the sake of a tenth of a millimetre. Unless it is then in the goal of
+    /// An object that counts as being at its goal is given its present pose as goal: it need not move, and
+    /// it must not be nudged for the sake of a tenth of a millimetre. Unless it is then in the goal of
     /// another one: there the millimetre counts, for the other would be put down onto it.
     fn instance(&self, job: &JobRun, seen: &Observation, clearance: f64) -> Instance {
         let worst_std = seen.objects.iter().map(|estimate| estimate.std_xy_m).fold(0.0, f64::max);
@@ -457,8 +456,7 @@ impl Supervisor {
                     None => fault.remedy,
                     Some(_) => {
                         "there is too little room to put things aside within reach: clear the table a \
-                         little, \
-                         or give the job a longer time_limit_s"
+                         little, or give the job a longer time_limit_s"
                     }
                 };
                 Code::Unreachable.because(fault.message.clone(), hint).of(fault.name.clone())

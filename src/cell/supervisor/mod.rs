@@ -3,10 +3,10 @@
 //! `model`: what it knows of the cell. `order`: a job as it sees it, and its result. `input`: what comes in
 //! and what it requests. `mode`: whether and how the cell may move. `ledger`: records on their way to the
 //! disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve, pick,
-//! verify, place, look again; `bring_up`, `look`, `travel`, `judge`, `work`, `visits`, `operator`, `answers`,
-//! `standing`, `lapse`, `identity`, `holding`, `faults`, `trouble`, `recovery`, `free_place` and `situation`
-//! hold its parts. No clock, no socket: time and the devices' last word come in with every call, so that
-//! every stop, fault and late answer can be played through in a test.
+//! verify, place, look again; `bring_up`, `look`, `travel`, `judge`, `work`, `visits`, `operator`,
+//! `answers`, `standing`, `lapse`, `identity`, `holding`, `faults`, `trouble`, `recovery`, `free_place` and
+//! `situation` hold its parts. No clock, no socket: time and the devices' last word come in with every call,
+//! so that every stop, fault and late answer can be played through in a test.
 
 mod answers;
 mod back;

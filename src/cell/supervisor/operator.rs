@@ -1,7 +1,7 @@
 //! What the operator may order, what each order does in which state of the cell, and what is answered.
 //!
-//! In: an order. Out: what changes, and a [`Reply`] made after the decision from the state that it led to. An
-//! order that changes nothing says so.
+//! In: an order. Out: what changes, and a [`Reply`] made after the decision from the state that it led to.
+//! An order that changes nothing says so.
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
@@ -310,8 +310,8 @@ impl Supervisor {
     }
 
     /// What is let go in motion flies, and a carry must not go on without its object: the arm is stopped
-    /// first. The person who orders it has hands at the gripper: an armed cell, which could begin a motion at
-    /// any time, is stopped and disarmed.
+    /// first. The person who orders it has hands at the gripper: an armed cell, which could begin a motion
+    /// at any time, is stopped and disarmed.
     pub(crate) fn on_release_order(
         &mut self,
         now: Timestamp,

@@ -3,8 +3,8 @@
 //! In: the operator's choice, what hangs on the gripper, a look. Out: a protective stop unlocked after the
 //! choice and the controller's 5 s; the arm straight up; the object put down at its goal or the nearest free
 //! place that the look shows; and the cell disarmed again, whatever came of it. These are the only motions
-//! with an object held after a stop (design, section 7, rule 1), and every one of them is a person's order. A
-//! way back that meets a fault is stopped like any motion, and the object stays held.
+//! with an object held after a stop (design, section 7, rule 1), and every one of them is a person's order.
+//! A way back that meets a fault is stopped like any motion, and the object stays held.
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
@@ -156,8 +156,7 @@ impl Supervisor {
             ),
             WayBack::Place => format!(
                 "{first}the arm goes straight up, looks at the table and puts {object} down at its place or \
-                 the \
-                 nearest free one"
+                 the nearest free one"
             ),
         }
     }
@@ -310,8 +309,8 @@ impl Supervisor {
                 let Reason { message, hint, .. } = doubt;
                 self.end_recovery(
                     Err(format!(
-                        "no free place can be seen: {message}; {hint}; for what is \
-                                               held, `celld recover --place` again"
+                        "no free place can be seen: {message}; {hint}; for what is held, `celld recover \
+                         --place` again"
                     )),
                     out,
                 );

@@ -1,8 +1,8 @@
 //! Modes of the robot and of its safety system in words, and what a person does about each.
 //!
-//! In: a mode. Out: its kind, as a result code; a sentence; what to do first. Below gates and troubles, which
-//! both say it. The controller's own name of a mode goes with the words, for its log and its manual use it.
-//! Pure.
+//! In: a mode. Out: its kind, as a result code; a sentence; what to do first. Below gates and troubles,
+//! which both say it. The controller's own name of a mode goes with the words, for its log and its manual
+//! use it. Pure.
 
 use crate::cell::code::Code;
 use ur_wire::enumerations::{RobotMode, SafetyMode};

@@ -53,9 +53,8 @@ impl Supervisor {
                 Then::Release(_) => out.push(Action::Reply {
                     number: waits.number,
                     reply: Reply::refuse(
-                        "not released: the arm has not come to rest, or its program could not be ended: \
-                         stop it at \
-                         the pendant, then try again",
+                        "not released: the arm has not come to rest, or its program could not be ended: stop \
+                         it at the pendant, then try again",
                     ),
                 }),
                 Then::Say => {
@@ -107,13 +106,11 @@ fn stopped(stands: bool, robot: Option<&RobotState>, settled: bool) -> Reply {
         _ if stands => return Reply::accept("stopped and disarmed"),
         Some(_) if !settled => {
             "disarmed, but power and brakes were ordered before and may still come on: keep away from the \
-             arm until \
-             the pendant shows that it is off"
+             arm until the pendant shows that it is off"
         }
         Some(robot) if robot.stands_still() => {
             "disarmed, and the arm is at rest, but its program could not be ended: nobody may press play at \
-             the pendant \
-             before it is stopped there"
+             the pendant before it is stopped there"
         }
         Some(_) => "disarmed, but the arm has not come to rest: keep away from it, use the emergency stop",
         None => {

@@ -24,8 +24,8 @@ impl Supervisor {
         Tabletop { layer: self.layer(), standing }
     }
 
-    /// What stands there and is never moved: things without a marker as high as they were seen, fixed objects
-    /// and keep-out regions, of which no height is known, as high as the tallest object.
+    /// What stands there and is never moved: things without a marker as high as they were seen, fixed
+    /// objects and keep-out regions, of which no height is known, as high as the tallest object.
     pub(crate) fn standing_obstacles(&self, seen: &Observation) -> Vec<Standing> {
         let standing = |name: &str, region: KeepOut, height| Standing {
             name: name.to_string(),

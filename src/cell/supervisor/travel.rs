@@ -48,8 +48,8 @@ impl NoTravel {
 }
 
 impl Supervisor {
-    /// A checked way over everything that may be on the table. Full turns of the joints are left as they are,
-    /// where the joints' ranges allow it.
+    /// A checked way over everything that may be on the table. Full turns of the joints are left as they
+    /// are, where the joints' ranges allow it.
     pub(crate) fn transfer_to(&self, from: &Joints, target: Joints) -> Result<CheckedPath, NoTravel> {
         let arm = &self.model.arm;
         let target = arm.unwound(&target, from).unwrap_or(target);

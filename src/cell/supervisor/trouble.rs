@@ -1,5 +1,5 @@
-//! What stops the cell, in words: a code for programs, a sentence and what to do for people, each trouble its
-//! own.
+//! What stops the cell, in words: a code for programs, a sentence and what to do for people, each trouble
+//! its own.
 //!
 //! In: what the controller or a device reports, whether something is held. Out: [`Reason`]s. A hint never
 //! names a command that would be refused: while something is held `celld arm` is, and `celld recover` leads
@@ -141,8 +141,7 @@ impl Supervisor {
             return self.trouble(Code::ControllerGone, message, "wait for the controller, look at the arm");
         }
         let message = "the connection to the controller (RTDE) is lost, and with it the sight of the arm: \
-                       its program should \
-                       stop by itself, keep away until the arm is seen at rest";
+                       its program should stop by itself, keep away until the arm is seen at rest";
         self.trouble(Code::LinkLost, message, "see the network between this computer and the controller")
     }
 

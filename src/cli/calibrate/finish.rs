@@ -1,5 +1,5 @@
-//! From a round's samples to calibration files: solve for what is requested, report every sample's error, tie
-//! to touches, write.
+//! From a round's samples to calibration files: solve for what is requested, report every sample's error,
+//! tie to touches, write.
 //!
 //! In: the cell's configuration and a [`Taken`] round. Out: the three files, or why not; nothing is written
 //! unless all of it can be trusted. What is computed is `calibration::taken`.

@@ -33,17 +33,14 @@ use tokio::sync::oneshot::error::TryRecvError;
 
 /// Shown under `celld calibrate touches --help`.
 pub(super) const HELP: &str = "\
-Mount a stiff pointed tip, measure where its point is in the flange frame (--tip-mm), and move the arm by \
-hand (freedrive)
-or with the pendant. celld names each point and reads where the arm is when you press Enter; it moves \
-nothing itself.
+Mount a stiff pointed tip, measure where its point is in the flange frame (--tip-mm), and move the
+arm by hand (freedrive) or with the pendant. celld names each point and reads where the arm is
+when you press Enter; it moves nothing itself.
   celld calibrate touches --points 500,501:lower_left,503,0.25/0.25 --tip-mm 0,0,150 --save touches.yaml
-A point is a reference marker's middle (500), a corner of its black square (500:lower_left, seen upright), \
-or a place in the
-table frame in m (0.25/0.25 or 0.25/0.25/0.02). Four far apart are better than three; on one line they are \
-refused.
-A file can also be written by hand: `tip_m: [x, y, z]` for each touch, as the pendant shows it with the tip \
-as its TCP.";
+A point is a reference marker's middle (500), a corner of its black square (500:lower_left, seen
+upright), or a place in the table frame in m (0.25/0.25 or 0.25/0.25/0.02). Four far apart are
+better than three; on one line they are refused. A file can also be written by hand: `tip_m: [x,
+y, z]` for each touch, as the pendant shows it with the tip as its TCP.";
 
 /// `celld calibrate touches`
 #[derive(Args, Clone, Debug)]
@@ -70,7 +67,7 @@ pub struct Tip([f64; 3]);
 /// Tying the table to touches.
 #[derive(Args, Clone, Debug)]
 pub struct TieArgs {
-    /// Registration the table to these touches (`celld calibrate touches`).
+    /// Register the table to these touches (`celld calibrate touches`).
     #[arg(long, value_name = "FILE")]
     pub(super) touches: Option<PathBuf>,
     /// Leave these touches out, by their numbers: 2,5
@@ -218,8 +215,8 @@ fn enter() -> bool {
 }
 
 impl TieArgs {
-    /// The touches, if any were given, and the table by them alone. What is wrong with them is to be reported
-    /// before the arm moves for them.
+    /// The touches, if any were given, and the table by them alone. What is wrong with them is to be
+    /// reported before the arm moves for them.
     ///
     /// # Errors
     /// A file that is missing, broken or of another survey, a number that is not in it, touches that fix no

@@ -1,7 +1,7 @@
 //! The demo from beginning to end: simulator and daemon in one process, connected through real sockets.
 //!
-//! In: an instance that fits the cell. Out: [`DemoOutcome`]; files are written by `output`. Calibration comes
-//! first, as in a real cell: the daemon's nominal numbers are off by millimetres.
+//! In: an instance that fits the cell. Out: [`DemoOutcome`]; files are written by `output`. Calibration
+//! comes first, as in a real cell: the daemon's nominal numbers are off by millimetres.
 
 use crate::calibration::files::hand_eye::Mount;
 use crate::calibration::fit::HandEye;

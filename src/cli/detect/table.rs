@@ -58,8 +58,8 @@ impl Cell {
     /// The table in a picture with these markers.
     ///
     /// # Errors
-    /// The reference markers do not fix where the picture was taken, the depth picture cannot be read or does
-    /// not fit the lens, or OpenCV fails.
+    /// The reference markers do not fix where the picture was taken, the depth picture cannot be read or
+    /// does not fit the lens, or OpenCV fails.
     pub fn look(self, detections: &[Detection], depth: Option<&Path>) -> Result<Table, String> {
         let Cell { config, lens } = self;
         // Markers of the cell are of one family; in others the same numbers mean nothing to it.

@@ -37,11 +37,9 @@ pub struct SimulateArgs {
 }
 
 const HELP: &str = "\
-The machine that drives a real robot, the simulated cell, a network and a disk run on one thread without \
-socket, file or
-clock: the same seed gives the same trace, byte for byte. After every 2 ms of simulated time the rules that \
-hold at all times
-are checked against the simulated truth.";
+The machine that drives a real robot, the simulated cell, a network and a disk run on one thread
+without socket, file or clock: the same seed gives the same trace, byte for byte. After every 2 ms
+of simulated time the rules that hold at all times are checked against the simulated truth.";
 
 /// How the cell sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

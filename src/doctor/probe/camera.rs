@@ -1,6 +1,7 @@
 //! One picture, and the reference markers in it where the arm's place is known.
 //!
-//! In: the configuration, the calibration with this arm's kinematics, the arm's joints. Out: [`CameraFacts`].
+//! In: the configuration, the calibration with this arm's kinematics, the arm's joints. Out:
+//! [`CameraFacts`].
 
 use crate::config::calibrated::read_lens;
 use crate::config::cell::CellConfig;

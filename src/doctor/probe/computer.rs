@@ -1,7 +1,7 @@
 //! Calendar, disk and scheduling of this computer, measured.
 //!
-//! In: the state folder. Out: [`ComputerFacts`]. A file is written and removed in the state folder, or in the
-//! nearest folder above it that exists.
+//! In: the state folder. Out: [`ComputerFacts`]. A file is written and removed in the state folder, or in
+//! the nearest folder above it that exists.
 
 use crate::doctor::computer::ComputerFacts;
 use cell_edge::files::{remove, write_atomic};

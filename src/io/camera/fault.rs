@@ -75,8 +75,7 @@ pub enum CameraError {
     /// No answer within the time limit.
     #[error(
         "camera at {address} does not answer within {limit:?}; look at its cable and power and at the \
-         address in the config \
-         (for the simulator: is `celld sim` running?), then try: curl -I {address}"
+         address in the config (for the simulator: is `celld sim` running?), then try: curl -I {address}"
     )]
     Unreachable {
         /// The address requested.

@@ -1,8 +1,8 @@
 //! A camera behind an HTTP address: the simulator's, or any that speaks the same few words.
 //!
 //! `GET /frame.png` gives a picture with headers `X-Sequence` (whole number), `X-Time` (s) and `X-Serial`;
-//! `GET /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is requested, 16
-//! bits of 0.1 mm with a number of its own. Every request has a time limit and the answer a size limit.
+//! `GET /intrinsics.json` gives the fields of [`CameraModel`]; `GET /depth.png`, where depth is requested,
+//! 16 bits of 0.1 mm with a number of its own. Every request has a time limit and the answer a size limit.
 
 use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::{CameraError, CameraSource, Frame};
@@ -194,7 +194,8 @@ pub(super) mod tests {
     const LENS: &str = r#"{"serial": "7", "width": 40, "height": 32, "fx": 30, "fy": 30, "cx": 20, "cy": 16,
         "distortion": [0, 0, 0, 0, 0]}"#;
 
-    /// Answers each request with the next of `answers` (status line and headers, body), then stops listening.
+    /// Answers each request with the next of `answers` (status line and headers, body), then stops
+    /// listening.
     pub fn serve(answers: Vec<(String, Vec<u8>)>) -> String {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = format!("http://{}", listener.local_addr().unwrap());

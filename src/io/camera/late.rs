@@ -22,8 +22,8 @@ impl LateCamera {
     /// With it, why it is away.
     ///
     /// # Errors
-    /// What waiting does not mend: another serial number, a setting it lacks, no SDK, a recording that is not
-    /// there.
+    /// What waiting does not mend: another serial number, a setting it lacks, no SDK, a recording that is
+    /// not there.
     pub fn open(mut open: Open) -> Result<(LateCamera, Option<CameraError>), CameraError> {
         let (camera, away) = match open() {
             Ok(camera) => (Some(camera), None),

@@ -1,5 +1,5 @@
-//! A camera that is looked after: every picture judged, every failure answered by the ladder, the fault named
-//! at its end.
+//! A camera that is looked after: every picture judged, every failure answered by the ladder, the fault
+//! named at its end.
 //!
 //! In: a source and the limits of a usable picture. Out: a source that gives usable pictures or says what is
 //! wrong. A recording is judged too, but there is nothing to restart about it.

@@ -126,8 +126,7 @@ impl RealSenseCamera {
                 }
                 _ if over => {
                     let what = "its sets of frames lack the colour or the depth picture; if that stays so, \
-                                set both \
-                                streams to the same rate, or set `depth: false`"
+                                set both streams to the same rate, or set `depth: false`"
                         .to_string();
                     return Err(CameraError::Incomplete { place: place_of(&self.settings), what });
                 }

@@ -2,8 +2,8 @@
 //!
 //! In: the kind of fault, what the camera can do, what was tried since the last good picture. Out: the next
 //! step. From mild to harsh: request again, connect anew, restart the device, give up; every step has a
-//! count, so the ladder ends. What is wrong with the light or the focus is only waited for, and what is wrong
-//! with the configuration not even that.
+//! count, so the ladder ends. What is wrong with the light or the focus is only waited for, and what is
+//! wrong with the configuration not even that.
 
 use crate::io::camera::FaultKind;
 use std::time::Duration;

@@ -1,10 +1,10 @@
 //! A camera that answers an address with its present picture: network cameras, a phone, a script.
 //!
 //! In: the address of a PNG or JPEG, the camera's serial number as the configuration gives it, the lens from
-//! a calibration. Out: frames with a count and a time of our own, for such an answer carries neither: seconds
-//! since the camera was opened, at the moment the answer was there. Nothing distinguishes an old picture from
-//! a new one but its content, and many such cameras keep their last picture for any client. So each frame is
-//! the first picture that differs from the one that was kept when it was requested.
+//! a calibration. Out: frames with a count and a time of our own, for such an answer carries neither:
+//! seconds since the camera was opened, at the moment the answer was there. Nothing distinguishes an old
+//! picture from a new one but its content, and many such cameras keep their last picture for any client. So
+//! each frame is the first picture that differs from the one that was kept when it was requested.
 
 use crate::io::camera::http::Client;
 use crate::io::camera::validator::{FrameValidator, content};

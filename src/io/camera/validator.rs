@@ -1,9 +1,9 @@
 //! Watches a stream of frames for a camera that is frozen, restarted, or not the one that was calibrated.
 //!
-//! In: frames in the order they came. Out: nothing, or the error that says what is wrong. Content is compared
-//! by a hash of all pixels: a real sensor's noise never repeats, so two equal pictures are one picture. Where
-//! light or dark leave no room for noise, content says nothing, and the picture is left to those who judge
-//! its light.
+//! In: frames in the order they came. Out: nothing, or the error that says what is wrong. Content is
+//! compared by a hash of all pixels: a real sensor's noise never repeats, so two equal pictures are one
+//! picture. Where light or dark leave no room for noise, content says nothing, and the picture is left to
+//! those who judge its light.
 
 use crate::io::camera::{CameraError, Frame};
 use cell_values::image::Image;
@@ -71,7 +71,8 @@ impl FrameValidator {
     }
 }
 
-/// Grey levels between which a sensor's noise shows, and the least share of them that distinguishes pictures.
+/// Grey levels between which a sensor's noise shows, and the least share of them that distinguishes
+/// pictures.
 const NOISY: std::ops::RangeInclusive<u8> = 6..=249;
 const NOISY_SHARE: f64 = 1e-3;
 

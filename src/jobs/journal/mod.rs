@@ -2,8 +2,8 @@
 //!
 //! In: claims, step phases, results. Out: records, and after a restart what to do with unfinished jobs.
 //! WAL with `synchronous=FULL`: a commit that returned has reached the disk, so a power cut cannot forget an
-//! intent whose motion began. Folders follow this database (`jobs::spool`), never the other way round; only a
-//! file in `incoming` that is not known here is new.
+//! intent whose motion began. Folders follow this database (`jobs::spool`), never the other way round; only
+//! a file in `incoming` that is not known here is new.
 
 mod claim;
 pub(in crate::jobs) mod places;
@@ -323,8 +323,7 @@ impl Journal {
     /// ([`JournalError::WrongState`]), or as [`Journal::active`].
     pub fn start(&mut self, id: &str, unix_s: f64) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET state = 'active', started = coalesce(started, ?2), head = 0
-                      WHERE id = ?1 AND state = 'waiting' AND NOT EXISTS (SELECT 1 FROM jobs WHERE state = \
-                      'active')";
+                      WHERE id = ?1 AND state = 'waiting' AND NOT EXISTS (SELECT 1 FROM jobs WHERE state = 'active')";
         self.change(id, "start it beside another job", update, params![id, unix_s])
     }
 
@@ -335,8 +334,7 @@ impl Journal {
     /// ([`JournalError::WrongState`]), or as [`Journal::active`].
     pub fn requeue(&mut self, id: &str) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET state = 'waiting', head = 1 WHERE id = ?1 AND state = 'active'
-                      AND NOT EXISTS (SELECT 1 FROM steps WHERE job = sequence AND phase IN \
-                      ('intent','gripped','released'))";
+                      AND NOT EXISTS (SELECT 1 FROM steps WHERE job = sequence AND phase IN ('intent','gripped','released'))";
         self.change(id, "put it back into the queue", update, params![id])
     }
 

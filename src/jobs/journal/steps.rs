@@ -79,8 +79,7 @@ impl Journal {
 
     fn step_phase(&mut self, id: &str, step: u32, to: StepPhase, unix_s: f64) -> Result<(), JournalError> {
         let update = "UPDATE steps SET phase = ?3, changed = ?4 WHERE step = ?2
-             AND job = (SELECT sequence FROM jobs WHERE id = ?1) AND phase IN \
-             ('intent','gripped','released')";
+             AND job = (SELECT sequence FROM jobs WHERE id = ?1) AND phase IN ('intent','gripped','released')";
         let changed =
             self.transact(|transaction| transaction.execute(update, params![id, step, to.as_str(), unix_s]))?;
         if changed == 1 {

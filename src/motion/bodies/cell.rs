@@ -10,7 +10,8 @@ use std::f64::consts::TAU;
 /// Distance kept to everything that does not move, m, where the configuration gives none.
 pub const MARGIN_M: f64 = 0.005;
 
-/// Edges of a D405 along its x, y and z axes, m, and how far its front lies before the camera frame's origin.
+/// Edges of a D405 along its x, y and z axes, m, and how far its front lies before the camera frame's
+/// origin.
 const CAMERA_M: [f64; 3] = [0.042, 0.042, 0.023];
 const CAMERA_FRONT_M: f64 = 0.004;
 

@@ -200,8 +200,8 @@ impl Bodies {
         self
     }
 
-    /// The bodies of an arm with nothing on its flange, nothing round it and no table but the plane below it,
-    /// whose joints may go as low as that.
+    /// The bodies of an arm with nothing on its flange, nothing round it and no table but the plane below
+    /// it, whose joints may go as low as that.
     pub fn bare(dh: &DhParameters) -> Bodies {
         let still = Isometry3::identity();
         let surroundings = Surroundings {

@@ -16,8 +16,8 @@ use parry3d_f64::math::Pose;
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
-/// The least motion that a measured pair is given before it is measured again, m. Between two measurements it
-/// may be nearer than its margin by as much.
+/// The least motion that a measured pair is given before it is measured again, m. Between two measurements
+/// it may be nearer than its margin by as much.
 const GRAIN_M: f64 = 5e-4;
 
 /// Distances beyond this are taken from the spheres round the bodies, m.
@@ -148,7 +148,8 @@ impl<'a> Sweep<'a> {
     }
 
     /// True where these pairs that are too near say on which way they part: not where it is unknown how deep
-    /// two bodies overlap, nor in the air over the table in which things may lie, whose places are not known.
+    /// two bodies overlap, nor in the air over the table in which things may lie, whose places are not
+    /// known.
     pub fn way_out_is_known(&self, near: &[(usize, f64)]) -> bool {
         near.iter().all(|(index, distance)| {
             let pair = &self.pairs[*index];

@@ -1,8 +1,8 @@
 //! The rules that are held after every controller frame: arm, vacuum, gates, late answers, status.
 //!
 //! In: the machine, the simulated cell and the status of this frame, and what [`Rules`] has recorded of the
-//! messages before. Out: breaches. Apart from the rules about single messages because these judge a state and
-//! its age: most of them have a time after which celld has to have noticed.
+//! messages before. Out: breaches. Apart from the rules about single messages because these judge a state
+//! and its age: most of them have a time after which celld has to have noticed.
 
 use crate::cell::machine::Machine;
 use crate::cell::supervisor::status::{Doing, Status};
@@ -146,8 +146,8 @@ impl Rules {
             || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at))
     }
 
-    /// A person has pressed play on a program that no stop could reach: it moves until its own watchdog stops
-    /// it, or the link is back and the stop arrives.
+    /// A person has pressed play on a program that no stop could reach: it moves until its own watchdog
+    /// stops it, or the link is back and the stop arrives.
     fn played_unreached(&self) -> bool {
         self.played_at.is_some_and(|at| {
             let back = self.back_at.is_some_and(|back| back >= at && self.frame > back + ON_ITS_WAY_FRAMES);

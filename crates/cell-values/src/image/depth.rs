@@ -1,8 +1,8 @@
 //! A depth picture: how far away what each pixel shows is, along the optical axis.
 //!
 //! In: metres row by row, or the 16-bit units that depth cameras and PNG files hold. Out: [`DepthImage`],
-//! aligned to the colour picture of the same moment, pixel by pixel. A pixel at which nothing was measured (a
-//! hole) reads as `None`; 0, NaN, infinities and negative numbers all mean that, so that no source has to
+//! aligned to the colour picture of the same moment, pixel by pixel. A pixel at which nothing was measured
+//! (a hole) reads as `None`; 0, NaN, infinities and negative numbers all mean that, so that no source has to
 //! agree with another on which. Pure.
 
 use crate::image::{Image, ImageError, check_length, check_size};
@@ -59,8 +59,8 @@ impl DepthImage {
         }
     }
 
-    /// The picture as the bytes of a 16-bit grey PNG file with units of `unit_m`; what does not fit becomes a
-    /// hole.
+    /// The picture as the bytes of a 16-bit grey PNG file with units of `unit_m`; what does not fit becomes
+    /// a hole.
     ///
     /// # Errors
     /// As [`Image::encode_png`].

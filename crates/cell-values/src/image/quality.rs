@@ -42,8 +42,8 @@ pub struct PictureLimits {
 }
 
 impl PictureLimits {
-    /// Far outside what a usable picture shows and well inside what a useless one does (docs/cameras.md): not
-    /// measured on a cell, hence limits of trouble and not of accuracy.
+    /// Far outside what a usable picture shows and well inside what a useless one does (docs/cameras.md):
+    /// not measured on a cell, hence limits of trouble and not of accuracy.
     pub const STANDARD: PictureLimits =
         PictureLimits { light_min: 50, glare_max: 0.25, contrast_min: 30, edge_px_max: 6.0 };
 }

@@ -28,8 +28,8 @@ pub const BOARD_GAP: f64 = 0.3;
 /// Number of markers in the family: ids 0 to 586.
 pub const COUNT: u32 = 587;
 
-/// The marker `id` as printed: `[row][column]`, row 0 at the top, `true` is white. `None` if there is no such
-/// id.
+/// The marker `id` as printed: `[row][column]`, row 0 at the top, `true` is white. `None` if there is no
+/// such id.
 ///
 /// The marker frame's x axis points along a row to the right, its y axis from the last row to the first.
 pub fn tag36h11_bitmap(id: u32) -> Option<[[bool; MODULES]; MODULES]> {

@@ -1,9 +1,9 @@
 //! Markers that were just seen, found again in the pictures that follow from the same place.
 //!
-//! In: a picture, and what the whole picture before it showed. Out: as from a whole picture, in a part of the
-//! time. Only the surroundings of what was seen are searched; when one of the markers is not there again, the
-//! whole picture is. What comes into view elsewhere is not noticed, so the first picture of every look is
-//! searched whole.
+//! In: a picture, and what the whole picture before it showed. Out: as from a whole picture, in a part of
+//! the time. Only the surroundings of what was seen are searched; when one of the markers is not there
+//! again, the whole picture is. What comes into view elsewhere is not noticed, so the first picture of every
+//! look is searched whole.
 
 use crate::detect::{DetectError, Detection, Detector};
 use cell_values::image::GrayImage;

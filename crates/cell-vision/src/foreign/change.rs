@@ -1,17 +1,17 @@
 //! What changed on the table since it was empty, for cameras without depth.
 //!
-//! In: pictures of the empty table from the look poses, then a picture from one of them. Out: a [`HeightMap`]
-//! of another kind: each cell is as it was (0), changed (infinitely high, as its height is unknown) or not
-//! compared (NaN). Colours are compared as logarithms of their ratio, cell by cell, after a smooth change of
-//! the light over the whole picture is taken out, for each of red, green and blue. What has the table's own
-//! colour does not show; a shadow or a stain does. Pure.
+//! In: pictures of the empty table from the look poses, then a picture from one of them. Out: a
+//! [`HeightMap`] of another kind: each cell is as it was (0), changed (infinitely high, as its height is
+//! unknown) or not compared (NaN). Colours are compared as logarithms of their ratio, cell by cell, after a
+//! smooth change of the light over the whole picture is taken out, for each of red, green and blue. What has
+//! the table's own colour does not show; a shadow or a stain does. Pure.
 
 use crate::foreign::height_map::{Area, DepthLens, HeightMap};
 use cell_values::image::Image;
 use nalgebra::{Isometry3, Matrix4, Point3, Vector3, Vector4};
 
-/// A picture is compared with one from this near, m and rad: from elsewhere the gripper hides another part of
-/// the table, and wood shines differently.
+/// A picture is compared with one from this near, m and rad: from elsewhere the gripper hides another part
+/// of the table, and wood shines differently.
 const SAME_PLACE: (f64, f64) = (0.005, 0.02);
 /// Grey levels added to both colours: in the dark a ratio means nothing.
 const DARK: f64 = 10.0;

@@ -2,13 +2,14 @@
 //! whose distance is known.
 //!
 //! In: [`Sample`]s: direction, share by which a point reads too far. Out: [`Field`]. What is on the table
-//! reads too near and never too far, and it may cover more of the view than the table does. So the fit starts
-//! from a camera without error, drops what is clearly nearer than the fit so far, and follows the rest; far
-//! points are dropped less readily. Pure.
+//! reads too near and never too far, and it may cover more of the view than the table does. So the fit
+//! starts from a camera without error, drops what is clearly nearer than the fit so far, and follows the
+//! rest; far points are dropped less readily. Pure.
 
 use nalgebra::{Matrix4, Vector4};
 
-/// A point this much nearer than the field so far is no longer the table, as a share: 4 mm from half a metre.
+/// A point this much nearer than the field so far is no longer the table, as a share: 4 mm from half a
+/// metre.
 const NEARER: f64 = 0.008;
 /// The distance up to which that holds, m; the noise's share grows with the distance.
 const NEARER_UP_TO_M: f64 = 0.5;

@@ -1,11 +1,12 @@
 //! From a depth picture to a map of how high the table's surface and the things on it are.
 //!
 //! In: a [`DepthImage`], the lens, the camera's pose, the part of the table that matters, what of the robot
-//! is in view. Out: a [`HeightMap`]: for each cell of the table the median height of the points measured over
-//! it. Medians, because single points near edges are wild. Stereo cameras read flat targets up to a per cent
-//! or two too far towards the corners, by an amount that differs from camera to camera: the table itself,
-//! whose place is known from its markers, shows how much (`field`). The picture is corrected by that before
-//! it is mapped, and the map once more when it is known what lies where ([`HeightMap::levelled`]). Pure.
+//! is in view. Out: a [`HeightMap`]: for each cell of the table the median height of the points measured
+//! over it. Medians, because single points near edges are wild. Stereo cameras read flat targets up to a per
+//! cent or two too far towards the corners, by an amount that differs from camera to camera: the table
+//! itself, whose place is known from its markers, shows how much (`field`). The picture is corrected by that
+//! before it is mapped, and the map once more when it is known what lies where ([`HeightMap::levelled`]).
+//! Pure.
 
 use crate::camera::CameraModel;
 use crate::cv::{self, CvError};
@@ -74,8 +75,7 @@ pub enum HeightMapError {
     /// The depth picture is not aligned to the colour picture.
     #[error(
         "the depth picture is {found_width} x {found_height} and the camera's calibration is for {width} x \
-         {height}: \
-         depth has to be aligned to the colour picture"
+         {height}: depth has to be aligned to the colour picture"
     )]
     OtherSize {
         /// Pixels per row the lens is for.

@@ -32,8 +32,8 @@ impl std::fmt::Display for Hole {
     }
 }
 
-/// The cells of the `bare` table in which nothing was `measured` though no known object hides them from every
-/// look pose.
+/// The cells of the `bare` table in which nothing was `measured` though no known object hides them from
+/// every look pose.
 pub(crate) fn unmeasured(
     maps: &[&HeightMap],
     bare: &[bool],

@@ -98,7 +98,8 @@ impl ForeignSearch {
         HeightMap::new(depth, &self.lens, table_from_camera, self.inventory.area, self.inventory.own.as_ref())
     }
 
-    /// What the height maps of a look's views show besides what was observed in them; `None` without any map.
+    /// What the height maps of a look's views show besides what was observed in them; `None` without any
+    /// map.
     pub fn report(&self, views: &[View], seen: &Observation) -> Option<ForeignReport> {
         let maps: Vec<&HeightMap> = views.iter().filter_map(|view| view.heights.as_deref()).collect();
         if maps.is_empty() {

@@ -1,7 +1,7 @@
 //! What comes out of an observation.
 //!
-//! In: nothing. Out: the types that `observe` gives: estimates with their uncertainty, and the headings under
-//! which everything that cannot be trusted is filed. Poses are in the table frame. Pure data.
+//! In: nothing. Out: the types that `observe` gives: estimates with their uncertainty, and the headings
+//! under which everything that cannot be trusted is filed. Poses are in the table frame. Pure data.
 
 use crate::foreign::ForeignReport;
 use crate::observe::reference;

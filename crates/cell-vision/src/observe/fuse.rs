@@ -3,8 +3,8 @@
 //! In: the placed sightings of one marker. Out: [`Fused`], or [`Disagreement`]. The median decides which is
 //! an outlier; one square is fitted to the corners of all the rest, so that views from several sides also
 //! determine height and tilt. Corner errors that repeat while the camera is at rest (the bias of the pixel
-//! grid) are counted once for each place the camera was at, not once for each picture: five pictures from one
-//! place are hardly better than one, and the standard deviation says so. Pure.
+//! grid) are counted once for each place the camera was at, not once for each picture: five pictures from
+//! one place are hardly better than one, and the standard deviation says so. Pure.
 
 use crate::observe::input::{ObserveLimits, View};
 use crate::observe::planar::{self, Placed, Target};

@@ -1,9 +1,10 @@
 //! Does a marker lie level at the height it should have? Decided by all views together.
 //!
-//! In: the placed sightings of one marker, its target plane. Out: [`Level`]: tilt, height error, and how much
-//! better a tilted or raised square explains the corners. A complaint needs both size (more than the limit)
-//! and significance (a likelihood ratio well beyond corner noise): size alone would raise false alarms on
-//! small markers seen frontally, significance alone would complain about harmless tenths of a degree.
+//! In: the placed sightings of one marker, its target plane. Out: [`Level`]: tilt, height error, and how
+//! much better a tilted or raised square explains the corners. A complaint needs both size (more than the
+//! limit) and significance (a likelihood ratio well beyond corner noise): size alone would raise false
+//! alarms on small markers seen frontally, significance alone would complain about harmless tenths of a
+//! degree.
 
 use crate::observe::fuse;
 use crate::observe::input::{ObserveLimits, View};

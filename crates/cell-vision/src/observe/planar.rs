@@ -78,7 +78,8 @@ pub fn flat(table_from_marker: &Isometry3<f64>) -> Pose2 {
     Pose2::new(at.x, at.y, (x_axis.y - y_axis.x).atan2(x_axis.x + y_axis.y))
 }
 
-/// The part of a covariance of x, y, z and the turns about x, y, z that belongs to x, y and the turn about z.
+/// The part of a covariance of x, y, z and the turns about x, y, z that belongs to x, y and the turn about
+/// z.
 pub fn in_plane(covariance: &Matrix6<f64>) -> Matrix3<f64> {
     const PLANE: [usize; 3] = [0, 1, 5];
     Matrix3::from_fn(|i, j| covariance[(PLANE[i], PLANE[j])])

@@ -2,8 +2,8 @@
 //!
 //! In: the surveyed markers and what the views saw. Out: [`ReferenceCheck`]: each marker's error, their rms,
 //! the rigid shift that explains most of it, and for each place the camera looked from how far it seems to
-//! have been shifted, turned and lifted. Each place by itself, because what a bump does to the looks from two
-//! sides cancels in their mean. The limits are the caller's ([`DriftLimits`]). Pure.
+//! have been shifted, turned and lifted. Each place by itself, because what a bump does to the looks from
+//! two sides cancels in their mean. The limits are the caller's ([`DriftLimits`]). Pure.
 
 use crate::observe::fuse;
 use crate::observe::input::{ObserveLimits, ReferenceMarker, View};
@@ -76,8 +76,8 @@ pub struct ReferenceCheck {
 pub const MARKERS_MIN: usize = 3;
 
 impl ReferenceCheck {
-    /// The place whose shift, turn or lift exceeds its limit the most, with that excess (1 is the limit); NaN
-    /// counts as beyond every limit.
+    /// The place whose shift, turn or lift exceeds its limit the most, with that excess (1 is the limit);
+    /// NaN counts as beyond every limit.
     pub fn worst_look(&self, limits: &DriftLimits) -> Option<(LookShift, f64)> {
         let excess = |look: &LookShift| {
             let [x, y] = look.shift_m;

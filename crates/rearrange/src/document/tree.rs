@@ -1,9 +1,9 @@
 //! Text to a tree with the location of every key and value.
 //!
 //! In: YAML 1.2 or JSON text. Out: a [`Node`], or [`Diagnostics`]. Scalars stay text here; what a field
-//! should be decides how they are read, so that `id: 007` is a name where a name is wanted. Anchors, aliases,
-//! tags and several documents in one file are refused: none is needed, and each can hide what a file says.
-//! Size, depth and number of values are bounded, because files may come from anywhere.
+//! should be decides how they are read, so that `id: 007` is a name where a name is wanted. Anchors,
+//! aliases, tags and several documents in one file are refused: none is needed, and each can hide what a
+//! file says. Size, depth and number of values are bounded, because files may come from anywhere.
 
 use std::collections::HashMap;
 

@@ -1,9 +1,9 @@
 //! Do two placed footprints overlap, how deep, and how far apart are they: the solvers' collision kernel.
 //!
-//! In: footprints and poses, m and rad. Out: yes or no, or metres. Two steps, as in the paper (section on the
-//! efficient collision checker): bounding discs first, then exact tests of convex parts; the paper's narrow
-//! phase works on polygonal approximations, ours is exact for ellipses too. What touches does not collide:
-//! penetration up to [`TOUCH_M`] counts as touching.
+//! In: footprints and poses, m and rad. Out: yes or no, or metres. Two steps, as in the paper (section on
+//! the efficient collision checker): bounding discs first, then exact tests of convex parts; the paper's
+//! narrow phase works on polygonal approximations, ours is exact for ellipses too. What touches does not
+//! collide: penetration up to [`TOUCH_M`] counts as touching.
 
 use crate::geometry::ellipse::PlacedEllipse;
 use crate::geometry::footprint::{Footprint, rectangle_corners};

@@ -1,9 +1,9 @@
 //! Exact tests of ellipses against discs, ellipses and convex polygons.
 //!
-//! Overlap is invariant under affine maps, so the ellipse is mapped to the unit disc and the question becomes
-//! how far the origin is from the other shape. The separation in the original metric follows from the
-//! normal at the nearest point; it is exact where it is zero, and to first order near zero, which is all that
-//! a decision at 1e-9 m needs.
+//! Overlap is invariant under affine maps, so the ellipse is mapped to the unit disc and the question
+//! becomes how far the origin is from the other shape. The separation in the original metric follows from
+//! the normal at the nearest point; it is exact where it is zero, and to first order near zero, which is all
+//! that a decision at 1e-9 m needs.
 //! In: placed shapes, m. Out: signed separation, m: negative inside.
 
 use crate::geometry::polygon::{Point, closest_on_segment, cross, distance, dot, sub};

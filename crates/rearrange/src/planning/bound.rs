@@ -1,13 +1,13 @@
 //! Lower bound on the cost of every plan: required moves, and what the dependency cycles cost on top.
 //!
-//! In: a scene and the cost of one move of each object. Out: a number no valid plan is cheaper than, with its
-//! parts. An object must move if its start is not its goal, or if it has no goal and blocks one. In a cycle
-//! of the dependency graph not all objects can go home in one move each, for each would have to wait for the
-//! next; so the objects that move twice form a feedback vertex set, and the cheapest one is added. Members of
-//! a group count only by what holds for every assignment: they take no part in the cycles, and the group
-//! needs as many moves as it has goals at which there is no member (or members that are in the way of a
-//! goal, if that is more). The feedback vertex set is exact. `buffer_space` proves more where there is no
-//! room to put objects aside.
+//! In: a scene and the cost of one move of each object. Out: a number no valid plan is cheaper than, with
+//! its parts. An object must move if its start is not its goal, or if it has no goal and blocks one. In a
+//! cycle of the dependency graph not all objects can go home in one move each, for each would have to wait
+//! for the next; so the objects that move twice form a feedback vertex set, and the cheapest one is added.
+//! Members of a group count only by what holds for every assignment: they take no part in the cycles, and
+//! the group needs as many moves as it has goals at which there is no member (or members that are in the way
+//! of a goal, if that is more). The feedback vertex set is exact. `buffer_space` proves more where there is
+//! no room to put objects aside.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::feedback;

@@ -5,8 +5,8 @@
 //! predicate with the solvers' collision kernel. The rules are those of the design, section 3: no overlap of
 //! interiors beyond 1e-9 m, clearance between objects and to keep-out regions at every new place, nothing
 //! over the edge; pairs that overlap as given are exempt while both are exactly in those poses. The last
-//! action of an object repeats its goal's numbers exactly; members of a group end on the group's goals in any
-//! order.
+//! action of an object repeats its goal's numbers exactly; members of a group end on the group's goals in
+//! any order.
 
 use std::collections::BTreeSet;
 use std::fmt;

@@ -66,10 +66,8 @@ pub enum GenerateError {
     /// The search for an arrangement gave up.
     #[error(
         "density {density}: no {arrangement} arrangement of {objects} objects was found, neither by \
-         rejection \
-         sampling nor by push-apart, for {MOST_DRAWS} draws of outlines; lower the density, take another \
-         number of objects \
-         or another seed"
+         rejection sampling nor by push-apart, for {MOST_DRAWS} draws of outlines; lower the density, take \
+         another number of objects or another seed"
     )]
     NoArrangement {
         /// Density requested.
@@ -137,8 +135,7 @@ fn origin(recipe: &Recipe, seed: u64, case: u64, draw: usize, found: (&Arranged,
     };
     format!(
         "celld generate {scenario} --objects {objects} --density {density}{ratios} --seed {seed}, case \
-         {case}: start by {}, \
-         goal by {}, outlines of draw {draw}",
+         {case}: start by {}, goal by {}, outlines of draw {draw}",
         found.0.how(),
         found.1.how()
     )

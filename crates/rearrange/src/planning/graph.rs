@@ -1,8 +1,8 @@
 //! The dependency graph of a rearrangement and its strongly connected components.
 //!
-//! In: for every object the set of objects whose present pose blocks its goal. Out: components in an order in
-//! which they can be solved one after the other. Source: the paper, section "Dependency Graph"; components by
-//! Tarjan (1972), iterative, so that a long chain cannot overflow the stack.
+//! In: for every object the set of objects whose present pose blocks its goal. Out: components in an order
+//! in which they can be solved one after the other. Source: the paper, section "Dependency Graph";
+//! components by Tarjan (1972), iterative, so that a long chain cannot overflow the stack.
 
 use crate::planning::object_set::ObjectSet;
 

@@ -1,13 +1,13 @@
 //! The plan checker's own geometry: do two placed footprints overlap deeper than so much, or come too near?
 //!
 //! In: footprints and poses, m. Out: yes or no. Built on `geo` (exact orientation predicates, ear cutting,
-//! polygon intersection and distance) and shares nothing with `geometry::collision` but the shapes, so that a
-//! mistake there cannot vouch for itself. It works differently on purpose: polygons are cut into triangles,
-//! and a question is answered by testing if *shifting one of two convex pieces by the allowed depth along an
-//! edge's normal puts all of it beyond that edge*, decided by exact orientation of every corner. A curve is
-//! held between an inscribed and a circumscribed polygon of tangents, which are refined where the answer
-//! hangs on them until both give the same one; what is still open at the limit of `f64` counts as an
-//! overlap.
+//! polygon intersection and distance) and shares nothing with `geometry::collision` but the shapes, so that
+//! a mistake there cannot vouch for itself. It works differently on purpose: polygons are cut into
+//! triangles, and a question is answered by testing if *shifting one of two convex pieces by the allowed
+//! depth along an edge's normal puts all of it beyond that edge*, decided by exact orientation of every
+//! corner. A curve is held between an inscribed and a circumscribed polygon of tangents, which are refined
+//! where the answer hangs on them until both give the same one; what is still open at the limit of `f64`
+//! counts as an overlap.
 
 use std::f64::consts::TAU;
 
@@ -103,8 +103,8 @@ impl Body {
         Body { pieces, outline: Some(Polygon::new(LineString::new(corners), Vec::new())), bounds, sound }
     }
 
-    /// True when the two overlap by more than `depth` (m, at least [`TOUCH_M`]): some two convex pieces share
-    /// interior points, and no shift of `depth` along an edge's normal parts them.
+    /// True when the two overlap by more than `depth` (m, at least [`TOUCH_M`]): some two convex pieces
+    /// share interior points, and no shift of `depth` along an edge's normal parts them.
     pub fn overlaps_deeper(&self, other: &Body, depth: f64) -> bool {
         if !boxes_meet(&self.bounds, &other.bounds, 0.0) {
             return false;

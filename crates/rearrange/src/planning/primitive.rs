@@ -16,8 +16,8 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use std::collections::HashMap;
 
-/// Nodes spent on one limit before it counts as too small. Far above what the public instances need; it keeps
-/// a pathological component from stopping the search (the peak is then no longer proved minimal).
+/// Nodes spent on one limit before it counts as too small. Far above what the public instances need; it
+/// keeps a pathological component from stopping the search (the peak is then no longer proved minimal).
 const NODES_PER_LIMIT: u64 = 50_000;
 
 /// Nodes spent on fewer buffered objects once the first plan of a component is there.
@@ -336,7 +336,8 @@ mod tests {
 
     #[test]
     fn fewer_buffers_are_preferred_at_the_same_peak() {
-        // Two swaps that share object 0, which takes as much room as 1 and 2 together: parking 0, or 1 and 2.
+        // Two swaps that share object 0, which takes as much room as 1 and 2 together: parking 0, or 1 and
+        // 2.
         let graph = DependencyGraph::from_fn(3, |i, j| (i == 0) != (j == 0));
         let costs = |preference| -> BTreeSet<u32> {
             (0..20).map(|seed| plan_all(&graph, &[2, 1, 1], preference, seed).cost as u32).collect()

@@ -1,9 +1,9 @@
 //! The rearrangement problem: objects with starts, goals and costs, and the one rule of contact.
 //!
 //! In: an [`Instance`]. Out: a [`Problem`], or all [`ProblemFault`]s. The rule for a pair, which `scene`
-//! holds for the dependency graph, the buffers and every solver alike: two objects must not overlap, and must
-//! keep the clearance, except while both are exactly at their given starts, or both exactly at their given
-//! goals (design, section 3, given overlap).
+//! holds for the dependency graph, the buffers and every solver alike: two objects must not overlap, and
+//! must keep the clearance, except while both are exactly at their given starts, or both exactly at their
+//! given goals (design, section 3, given overlap).
 
 use crate::geometry::collision::{Placed, TOUCH_M, overhang};
 use crate::geometry::footprint::Footprint;

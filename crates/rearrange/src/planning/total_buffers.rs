@@ -1,14 +1,14 @@
 //! Primitive plans of least total buffer weight: the cheapest objects make way once, all others go straight
 //! home.
 //!
-//! In: a dependency graph, a positive weight for each object, random numbers. Out: steps "object to goal" and
-//! "object to buffer", without poses. Component by component the minimum weight feedback vertex set says who
-//! goes through a buffer; without these the graph has no cycle, so the others can follow its topological
+//! In: a dependency graph, a positive weight for each object, random numbers. Out: steps "object to goal"
+//! and "object to buffer", without poses. Component by component the minimum weight feedback vertex set says
+//! who goes through a buffer; without these the graph has no cycle, so the others can follow its topological
 //! order. Source: the paper, sections TRLB (TBM) and ETRLB (ETBM); the paper solves the feedback vertex set
 //! by dynamic or integer programming, this is an exact branch and bound. Deviations: a component that is not
 //! solved within `NODE_LIMIT` nodes takes the best set found; the paper leaves open when the objects of the
-//! set make way, here each does as late, and goes home as early, as the order allows, so that few wait at the
-//! same time.
+//! set make way, here each does as late, and goes home as early, as the order allows, so that few wait at
+//! the same time.
 
 use crate::planning::effort::Effort;
 use crate::planning::feedback;
@@ -44,8 +44,8 @@ impl TotalBuffers<'_> {
         Some(steps)
     }
 
-    /// The cheapest set that breaks all cycles of the component. The search breaks ties by vertex number, and
-    /// vertices are numbered in the component's (shuffled) order.
+    /// The cheapest set that breaks all cycles of the component. The search breaks ties by vertex number,
+    /// and vertices are numbered in the component's (shuffled) order.
     fn feedback_set(&self, component: &[usize], effort: &mut Effort) -> Option<ObjectSet> {
         if component.len() == 1 {
             return Some(ObjectSet::EMPTY);

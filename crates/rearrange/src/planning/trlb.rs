@@ -3,10 +3,10 @@
 //! In: a start and a complete goal arrangement, and a way to make primitive plans between two arrangements.
 //! Out: moves from the one to the other. A primitive plan whose buffers cannot be placed leaves a partial
 //! plan; the arrangements these reach grow two trees, rooted at start and goal, until a plan joins them.
-//! Moves of the goal-rooted tree are turned round: a move that is possible one way is possible the other way.
-//! Source: the paper, section TRLB. The first plan ends the search. Deviations: after `TREE_LIMIT` nodes
-//! the trees start afresh, so that a long search does not fill the memory; from `DETOURS_AFTER` nodes on an
-//! object that finds no buffer has one cleared for it (`detour`), unless `detours` is off.
+//! Moves of the goal-rooted tree are turned round: a move that is possible one way is possible the other
+//! way. Source: the paper, section TRLB. The first plan ends the search. Deviations: after `TREE_LIMIT`
+//! nodes the trees start afresh, so that a long search does not fill the memory; from `DETOURS_AFTER` nodes
+//! on an object that finds no buffer has one cleared for it (`detour`), unless `detours` is off.
 
 use crate::planning::buffers::{Arrangement, allocate};
 use crate::planning::detour;

@@ -1,8 +1,8 @@
 //! Makes an instance ready for a cell: table size, markers, heights, masses, and where the cups take hold.
 //!
-//! In: any [`Instance`] and what camera and gripper need. Out: the instance with a marker on every object and
-//! a grip for each, or every object that cannot be handled, by name, with the table size that would do. The
-//! marker is the largest that fits (the larger, the better its corners are seen); it may be gripped on.
+//! In: any [`Instance`] and what camera and gripper need. Out: the instance with a marker on every object
+//! and a grip for each, or every object that cannot be handled, by name, with the table size that would do.
+//! The marker is the largest that fits (the larger, the better its corners are seen); it may be gripped on.
 
 use crate::geometry::footprint::{Footprint, FootprintFault};
 use crate::geometry::polygon::Point;
@@ -110,18 +110,17 @@ impl std::fmt::Display for Refusal {
         match self.lack {
             Lack::Marker { size, px, needed } => write!(
                 out,
-                "object `{}` is too small for a readable marker: at most {:.1} mm, {px:.1} px a module \
-                 where {needed} \
-                 are needed",
+                "object `{}` is too small for a readable marker: at most {:.1} mm, {px:.1} px a module where \
+                 {needed} are needed",
                 self.object,
                 size * 1e3
             )?,
             Lack::StatedMarker { size, px, needed } => {
                 return write!(
                     out,
-                    "the marker of object `{}` ({:.1} mm) is too small to be read: {px:.1} px a module \
-                     where {needed} \
-                     are needed; print a larger one, or leave it out and the largest that fits is taken",
+                    "the marker of object `{}` ({:.1} mm) is too small to be read: {px:.1} px a module where \
+                     {needed} are needed; print a larger one, or leave it out and the largest that fits is \
+                     taken",
                     self.object,
                     size * 1e3
                 );
@@ -310,7 +309,8 @@ fn scaled_object(object: &ObjectSpec, factor: f64) -> Result<ObjectSpec, Footpri
     Ok(only.scaled(factor)?.objects.remove(0))
 }
 
-/// The smallest table on which this object of a table of `present` m can be handled, if one up to `max` does.
+/// The smallest table on which this object of a table of `present` m can be handled, if one up to `max`
+/// does.
 fn table_for_object(object: &ObjectSpec, needs: &Requirements, present: f64, max: f64) -> Option<f64> {
     let print = needs.least_marker_size() * PRINT_MODULES / BLACK_MODULES;
     let for_marker = present * print / largest_square(&object.footprint);

@@ -1,5 +1,5 @@
-//! A rearrangement task as data: the workspace, the objects with their footprints, starts and goals, and what
-//! the cell has to know besides (height, mass, marker, where cups may sit).
+//! A rearrangement task as data: the workspace, the objects with their footprints, starts and goals, and
+//! what the cell has to know besides (height, mass, marker, where cups may sit).
 //!
 //! In: values from the parsers in this folder, or from code. Out: plain structs in m, rad, kg; the checks
 //! that need geometry are made when a planning problem is built from them.

@@ -204,8 +204,8 @@ pub fn workspace(decoder: &mut Decoder, at: &At) -> Option<Workspace> {
     Some(Workspace { width: width?, height: height? })
 }
 
-/// Complains about every object of a task without a start, and about fixed ones without in any file. Works on
-/// the tree, as [`unique_names_and_markers`].
+/// Complains about every object of a task without a start, and about fixed ones without in any file. Works
+/// on the tree, as [`unique_names_and_markers`].
 fn missing_starts(decoder: &mut Decoder, items: &[At], role: Role) {
     for item in items {
         let given = |key: &str| item.node.get(key).is_some_and(|node| !node.is_null());

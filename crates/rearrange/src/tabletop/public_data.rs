@@ -4,9 +4,9 @@
 //! millimetre of a 1 m table), with `overlap_tolerance` 0.002 of the width, because their ellipses are
 //! inscribed polygons and their arrangements overlap a little for true ones. Formats: one file per
 //! heterogeneous task; one file per arrangement of discs or sticks, two of which make a task. Object k of a
-//! file is named `<shape>-<k>`. Two of their outlines (the plate and the skillet of YCB1) cross themselves in
-//! loops of a few millimetres; such loops are cut off. Impedance is area over the smallest area, 1 for discs
-//! and sticks.
+//! file is named `<shape>-<k>`. Two of their outlines (the plate and the skillet of YCB1) cross themselves
+//! in loops of a few millimetres; such loops are cut off. Impedance is area over the smallest area, 1 for
+//! discs and sticks.
 
 use std::collections::HashMap;
 

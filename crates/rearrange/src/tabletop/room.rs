@@ -1,8 +1,9 @@
-//! Where something fits on an object's top: the largest upright square (a marker) and the place for the cups.
+//! Where something fits on an object's top: the largest upright square (a marker) and the place for the
+//! cups.
 //!
-//! In: a footprint, lengths in m, object frame. Out: places with their sizes. Both questions are searches for
-//! points with enough room around them, and room changes no faster than the point moves; so a search over
-//! squares that halves the promising ones is exact to its stated tolerance, also on non-convex tops.
+//! In: a footprint, lengths in m, object frame. Out: places with their sizes. Both questions are searches
+//! for points with enough room around them, and room changes no faster than the point moves; so a search
+//! over squares that halves the promising ones is exact to its stated tolerance, also on non-convex tops.
 
 use crate::geometry::collision::TOUCH_M;
 use crate::geometry::ellipse::distance_to_ellipse;
@@ -38,8 +39,8 @@ pub struct Grip {
 /// Yaws tried when the cups do not sit on the tool's axis alone.
 const YAWS: usize = 24;
 
-/// Edge of the largest square, its sides along the object's axes, that lies on the footprint, m. Too small by
-/// at most 0.04 mm.
+/// Edge of the largest square, its sides along the object's axes, that lies on the footprint, m. Too small
+/// by at most 0.04 mm.
 pub fn largest_square(footprint: &Footprint) -> f64 {
     match footprint {
         Footprint::Rectangle { length, width } => length.min(*width),

@@ -1,8 +1,8 @@
 //! `celld sim --check-script FILE...`: does a controller load these programs?
 //!
 //! In: URScript files, or `-` for standard input. Out: for each one a line with the program's name on
-//! standard output, or on standard error what is wrong with it: place, sentence, the line itself and a caret.
-//! Exit code 2 if any of them is wrong.
+//! standard output, or on standard error what is wrong with it: place, sentence, the line itself and a
+//! caret. Exit code 2 if any of them is wrong.
 
 use crate::controller::builtins::compile_program;
 use cell_edge::terminal::{LARGEST_FILE_BYTES, complain, print, read_text};

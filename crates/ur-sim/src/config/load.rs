@@ -1,7 +1,7 @@
 //! The configuration of a simulated cell from files: the only place here that opens any.
 //!
-//! In: a path. Out: the checked configuration with the programs of the folder that it names, or a message for
-//! the terminal.
+//! In: a path. Out: the checked configuration with the programs of the folder that it names, or a message
+//! for the terminal.
 
 use crate::config::SimFile;
 use crate::config::read::read_sim;

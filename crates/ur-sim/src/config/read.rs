@@ -236,7 +236,8 @@ fn errors(decoder: &mut Decoder, at: &At) -> Option<SimErrors> {
         |key: &str| required_number(decoder, &fields, key, 0.0..=10.0, "degrees").map(rad_from_deg);
     let (placement_rad, table_rad, mount_rad, dh_rad) =
         (angle("placement_deg"), angle("table_deg"), angle("mount_deg"), angle("dh_deg"));
-    // Pictures without noise repeat bit by bit, and the daemon takes a camera that repeats itself for frozen.
+    // Pictures without noise repeat bit by bit, and the daemon takes a camera that repeats itself for
+    // frozen.
     let noise_levels = required_number(decoder, &fields, "noise_levels", 0.1..=50.0, "grey levels");
     Some(SimErrors {
         placement_m: placement_m?,

@@ -1,8 +1,8 @@
 //! The built-ins of the controller as one table: name, parameters, how real each one is, and what to know.
 //!
 //! In: a name. Out: its signature, for the compiler, and the rows of the conformance table ([`all`]). A name
-//! that is here and [`Grade::Absent`] lets a script load that mentions it without calling it; calling it is a
-//! runtime exception. Names and parameters are those of the script manual; a test calls every row.
+//! that is here and [`Grade::Absent`] lets a script load that mentions it without calling it; calling it is
+//! a runtime exception. Names and parameters are those of the script manual; a test calls every row.
 
 use std::fmt;
 use urscript::code::Code;

@@ -2,8 +2,8 @@
 //!
 //! In: what the script requested, the force felt at the tool. Out: the speed of the tool. Modelled, not
 //! measured: a compliant axis moves at a speed in proportion to the force that is missing, up to its limit.
-//! Free in the air it so runs at its limit, and against a stiff wall it comes to rest at the requested force.
-//! In freedrive the requested force is zero: the arm is at rest until something pushes it. Pure.
+//! Free in the air it so runs at its limit, and against a stiff wall it comes to rest at the requested
+//! force. In freedrive the requested force is zero: the arm is at rest until something pushes it. Pure.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3, Vector6};
 
@@ -48,8 +48,8 @@ impl Compliance {
         Compliance { frame, free, wrench: [0.0; 6], limits: FREEDRIVE_LIMITS, freedrive: true }
     }
 
-    /// Tool speed in the base frame, m/s and rad/s, for what is felt there (N, Nm), where the tool is and how
-    /// fast it moves.
+    /// Tool speed in the base frame, m/s and rad/s, for what is felt there (N, Nm), where the tool is and
+    /// how fast it moves.
     pub fn giving(
         &self,
         settings: &ForceSettings,

@@ -10,7 +10,8 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use ur_arm::kinematics::{ARM_MODELS, ArmModel, DhParameters};
 
-/// Standard deviation of the arm's calibrated parameters about the nominal ones unless set otherwise: m, rad.
+/// Standard deviation of the arm's calibrated parameters about the nominal ones unless set otherwise: m,
+/// rad.
 const CALIBRATION_STD_M: f64 = 5e-4;
 const CALIBRATION_STD_RAD: f64 = 0.05 / 360.0 * TAU;
 
@@ -73,8 +74,8 @@ impl ControllerConfig {
     }
 }
 
-/// Nominal parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each length
-/// and `std_rad` (rad) of each angle.
+/// Nominal parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each
+/// length and `std_rad` (rad) of each angle.
 pub fn calibrated(nominal: &DhParameters, seed: u64, std_m: f64, std_rad: f64) -> DhParameters {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5572_3565);
     // The sum of twelve uniform numbers is normal enough and needs no further crate.

@@ -1,8 +1,8 @@
 //! Everything of the controller but its programs, so that a running program can act on it.
 //!
 //! In: what clients and scripts set, and the frames that [`crate::controller::Controller::frame`] makes.
-//! Out: state to sample, and messages for the primary interface. The parts have files of their own; this puts
-//! them together and says what a frame leaves to be seen. Pure.
+//! Out: state to sample, and messages for the primary interface. The parts have files of their own; this
+//! puts them together and says what a frame leaves to be seen. Pure.
 
 use crate::controller::compliance::{Compliance, ForceSettings};
 use crate::controller::config::ControllerConfig;

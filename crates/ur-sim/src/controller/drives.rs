@@ -178,7 +178,8 @@ mod tests {
         let felt = Vector3::from(core.tool_accelerometer()).norm();
         let expected = Vector3::new(ax, ay, az + core.payload.gravity[2]).norm();
         assert!((felt - expected).abs() < 1e-9);
-        // A payload in the flange adds its mass times the flange's speed, in the direction the links move in.
+        // A payload in the flange adds its mass times the flange's speed, in the direction the links move
+        // in.
         let empty = core.momentum();
         controller.core.payload.mass = 1000.0;
         let added = controller.core.momentum() - empty;

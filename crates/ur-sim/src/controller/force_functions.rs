@@ -18,7 +18,8 @@ use urscript::value::Value;
 /// Time in which a compliant axis takes up its speed, s.
 const RISE_SECONDS: f64 = 0.05;
 
-/// Smallest singular value of the Jacobian at which freedrive is called near, and too near, to a singularity.
+/// Smallest singular value of the Jacobian at which freedrive is called near, and too near, to a
+/// singularity.
 const NEAR_SINGULAR: f64 = 0.06;
 const TOO_NEAR_SINGULAR: f64 = 0.03;
 

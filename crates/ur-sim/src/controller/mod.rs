@@ -1,10 +1,10 @@
 //! The simulated UR controller without its sockets: modes, programs, registers and the arm, in 2 ms frames.
 //!
-//! In: what clients request (methods), and [`Controller::frame`] every 2 ms of simulated time. Out: state for
-//! the servers to sample, and messages for the primary interface. Pure: it has no clock and no thread; time
-//! is the number of frames. Order in a frame, as on the controller: inputs that have arrived are in effect,
-//! the modes advance, programs run, the arm moves, and the state that is then left is what clients see.
-//! Source: the interface notes; what is modelled instead of known is said where it is modelled.
+//! In: what clients request (methods), and [`Controller::frame`] every 2 ms of simulated time. Out: state
+//! for the servers to sample, and messages for the primary interface. Pure: it has no clock and no thread;
+//! time is the number of frames. Order in a frame, as on the controller: inputs that have arrived are in
+//! effect, the modes advance, programs run, the arm moves, and the state that is then left is what clients
+//! see. Source: the interface notes; what is modelled instead of known is said where it is modelled.
 
 pub mod builtins;
 

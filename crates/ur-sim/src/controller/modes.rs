@@ -2,8 +2,9 @@
 //!
 //! In: what an operator, a client or the arm does. Out: the numbers that RTDE, dashboard and primary
 //! interface show. Power: off -> booting -> idle (brakes shut) -> releasing -> running. Safety is beside it:
-//! a protective stop leaves the arm powered, an emergency stop and a fault do not. The times are shorter than
-//! a real arm's (3 to 8 s and 2 to 5 s) but not zero, so that no client mistakes a reply for completion.
+//! a protective stop leaves the arm powered, an emergency stop and a fault do not. The times are shorter
+//! than a real arm's (3 to 8 s and 2 to 5 s) but not zero, so that no client mistakes a reply for
+//! completion.
 
 use ur_wire::enumerations::{RobotMode, SafetyMode};
 
@@ -19,8 +20,7 @@ pub const PATH_SANITY_CODE: i32 = 204;
 
 /// What the dashboard says to an early unlock.
 pub const UNLOCK_TOO_EARLY: &str = "Cannot unlock protective stop until 5s after occurrence. Always inspect \
-                                    cause \
-                                    of protective stop before unlocking";
+                                    cause of protective stop before unlocking";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Power {

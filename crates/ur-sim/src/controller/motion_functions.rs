@@ -1,9 +1,9 @@
 //! Built-ins that move the arm.
 //!
 //! In: calls from running programs, repeated each frame until they are done. Out: waits and, in the end,
-//! nothing. Defaults are those of the script manual. A pose may be given as joint positions and the other way
-//! round. `optimovej` and `optimovel` take shares of the fastest the arm can do and are trapezoids all the
-//! same. A target that is not finite, that no posture reaches or that lies outside the joint range is a
+//! nothing. Defaults are those of the script manual. A pose may be given as joint positions and the other
+//! way round. `optimovej` and `optimovel` take shares of the fastest the arm can do and are trapezoids all
+//! the same. A target that is not finite, that no posture reaches or that lies outside the joint range is a
 //! runtime exception; a line that leaves the range on its way or leads through a singularity is a protective
 //! stop, as on the arm.
 
@@ -257,8 +257,9 @@ fn speed(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
     Ok(done_if(core.mover.at_speed()))
 }
 
-/// Rigid bodies driven by the given torques, gravity already held; one frame. The real controller compensates
-/// most of the friction; [`FRICTION`] is left of it, and the arguments that set how much have no effect.
+/// Rigid bodies driven by the given torques, gravity already held; one frame. The real controller
+/// compensates most of the friction; [`FRICTION`] is left of it, and the arguments that set how much have no
+/// effect.
 fn torque(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     if call.frames > 0 {
         return Ok(Reply::Value(Value::Nothing));

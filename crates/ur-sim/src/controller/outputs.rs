@@ -1,7 +1,7 @@
 //! RTDE output variables: from a name to the value of this frame.
 //!
-//! In: names of an output recipe, resolved once; then the controller's state at the end of a frame. Out: wire
-//! values of exactly the documented types (client libraries unpack with type tables of their own).
+//! In: names of an output recipe, resolved once; then the controller's state at the end of a frame. Out:
+//! wire values of exactly the documented types (client libraries unpack with type tables of their own).
 //! What is not simulated has a constant that a healthy robot could send; see `CONSTANT`.
 
 use crate::controller::Controller;
@@ -160,7 +160,8 @@ pub fn elbow(controller: &Controller) -> [f64; 3] {
     link_frames(&mover.arm.dh, &mover.q())[1].translation.vector.into()
 }
 
-/// Speed of the elbow in the base frame, m/s: a difference over a step of the joints that no rounding spoils.
+/// Speed of the elbow in the base frame, m/s: a difference over a step of the joints that no rounding
+/// spoils.
 pub fn elbow_velocity(controller: &Controller) -> [f64; 3] {
     const STEP_S: f64 = 1e-5;
     let mover = &controller.core.mover;

@@ -165,8 +165,8 @@ impl Programs {
         }
     }
 
-    /// The dashboard's `play`: goes on with a paused program or starts the loaded one. False if there is none
-    /// or the arm is not ready. A script that came over a socket is not loaded, as on the controller.
+    /// The dashboard's `play`: goes on with a paused program or starts the loaded one. False if there is
+    /// none or the arm is not ready. A script that came over a socket is not loaded, as on the controller.
     pub fn play(&mut self, core: &mut Core) -> bool {
         if !core.modes.brakes_open() || !core.modes.motion_allowed() {
             return false;

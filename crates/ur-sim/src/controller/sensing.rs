@@ -86,7 +86,8 @@ impl Sensing {
         self.frames.get(frames).map(|(q, _)| *q)
     }
 
-    /// Frames since the tool came into contact against `direction` (base frame; zero for any), 0 without one.
+    /// Frames since the tool came into contact against `direction` (base frame; zero for any), 0 without
+    /// one.
     pub fn contact_frames(&self, direction: &Vector3<f64>) -> usize {
         let touches = |force: &[f64; 6]| {
             let force = Vector3::new(force[0], force[1], force[2]);

@@ -1,9 +1,9 @@
 //! Built-ins that set something and read it back: flags, ports, Modbus signals, encoders, configuration of
 //! inputs.
 //!
-//! In: calls from running programs. Out: values, or the message of a runtime exception for an address or name
-//! that does not exist. Nothing is wired to the simulated control box: configuration that would act on inputs
-//! is checked for its arguments and accepted, ports and signals keep what scripts write.
+//! In: calls from running programs. Out: values, or the message of a runtime exception for an address or
+//! name that does not exist. Nothing is wired to the simulated control box: configuration that would act on
+//! inputs is checked for its arguments and accepted, ports and signals keep what scripts write.
 
 use crate::controller::core::Core;
 use crate::controller::settings::MAX_SIGNALS;

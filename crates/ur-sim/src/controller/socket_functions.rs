@@ -2,8 +2,8 @@
 //!
 //! In: calls from running programs, repeated each frame while they wait. Out: values as the script manual
 //! gives them: a read of numbers is a list that starts with how many arrived; what did not arrive in time is
-//! -1 (whole numbers) or not a number (floats), a string is empty. A timeout of 0 or less waits for ever, 2 s
-//! is the default, and a peer that has gone ends a wait at once. Nothing here is an exception but a wrong
+//! -1 (whole numbers) or not a number (floats), a string is empty. A timeout of 0 or less waits for ever, 2
+//! s is the default, and a peer that has gone ends a wait at once. Nothing here is an exception but a wrong
 //! argument.
 
 use crate::controller::core::Core;

@@ -1,5 +1,5 @@
-//! The desk where faults are ordered: it brings them about when they are due and ends them when their time is
-//! over.
+//! The desk where faults are ordered: it brings them about when they are due and ends them when their time
+//! is over.
 //!
 //! In: plans from a file or a post, and one call of [`FaultInjector::frame`] per frame from the thread that
 //! keeps the time. Out: changes to controller, world and links. What camera, vacuum and links suffer follows
@@ -96,8 +96,8 @@ impl FaultInjector {
     /// Takes in plans; those without a trigger are carried out before this returns.
     ///
     /// # Errors
-    /// When an object or marker does not exist, nothing is done; when a fault is impossible now, those before
-    /// it in the list stay.
+    /// When an object or marker does not exist, nothing is done; when a fault is impossible now, those
+    /// before it in the list stay.
     pub fn submit(&self, plans: Vec<Planned>) -> Result<(), FaultError> {
         {
             let world = lock(&self.world.0);

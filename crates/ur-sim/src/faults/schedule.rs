@@ -5,8 +5,8 @@
 //!
 //! The world has no plan, so steps and phases are inferred from what happens: a pick-n-place ends when the
 //! arm has left the place where it let go, and the phases follow from pump, hold and the way the tool moves.
-//! How long a carry will be cannot be known; `progress` therefore is the share of the move that the arm is in
-//! (a carry mostly is one move). A phase that ends before its progress was reached fires the fault at its
+//! How long a carry will be cannot be known; `progress` therefore is the share of the move that the arm is
+//! in (a carry mostly is one move). A phase that ends before its progress was reached fires the fault at its
 //! end, so that none is lost.
 
 use crate::faults::{DeviceEvent, Order, Phase, Planned, Trigger};

@@ -1,10 +1,10 @@
 //! How the simulated arm moves: trapezoidal joint and Cartesian motion at 500 Hz, with blends.
 //!
-//! In: move, servo, speed and stop commands, and one step per 2 ms frame. Out: joint positions and speeds, or
-//! a [`MotionFault`] that the controller turns into a protective stop. Pure. The real controller's profiles
-//! are not published; modelled here: speed over the path is a trapezoid ([`profile`]), a path is a line in
-//! joint space or a line, circle or rounded corner in tool space ([`segment`], [`tool_path`]), and a blend is
-//! the end of one segment and the start of the next running at the same time ([`mover`]).
+//! In: move, servo, speed and stop commands, and one step per 2 ms frame. Out: joint positions and speeds,
+//! or a [`MotionFault`] that the controller turns into a protective stop. Pure. The real controller's
+//! profiles are not published; modelled here: speed over the path is a trapezoid ([`profile`]), a path is a
+//! line in joint space or a line, circle or rounded corner in tool space ([`segment`], [`tool_path`]), and a
+//! blend is the end of one segment and the start of the next running at the same time ([`mover`]).
 
 pub mod dynamics;
 
@@ -50,8 +50,8 @@ impl Arm {
     }
 
     /// An arm with these joint speeds (rad/s). The other limits are the same for all models: +-360 degrees
-    /// (data sheets); the acceleration is not published, 40 rad/s2 is what client libraries let pass; 1.5 m/s
-    /// is the usual safety configuration.
+    /// (data sheets); the acceleration is not published, 40 rad/s2 is what client libraries let pass; 1.5
+    /// m/s is the usual safety configuration.
     pub fn of(joint_speed: [f64; 6], dh: DhParameters) -> Arm {
         Arm {
             dh,
@@ -76,8 +76,8 @@ impl Arm {
         Isometry3::from_parts(moved, turned * pose.rotation)
     }
 
-    /// Joint positions near `near` that put the TCP at `base_from_tcp`: Newton steps from `near`, for poses a
-    /// frame's travel away. `None` at a singularity or out of reach.
+    /// Joint positions near `near` that put the TCP at `base_from_tcp`: Newton steps from `near`, for poses
+    /// a frame's travel away. `None` at a singularity or out of reach.
     pub fn follow(&self, base_from_tcp: &Isometry3<f64>, near: &Joints) -> Option<Joints> {
         let target = base_from_tcp * self.flange_from_tcp.inverse();
         let mut q = *near;

@@ -1,14 +1,14 @@
 //! What the arm is doing: following segments, servoing, moving at a speed, stopping or resting.
 //!
 //! In: commands (`commands`), and [`Mover::step`] once per frame (`frame`) with the speed scaling of that
-//! frame. Out: joint positions, speeds and accelerations. The speed slider, pauses and protective stops scale
-//! the time of the segments, so the arm stays on its path while it slows down and when it goes on. So does
-//! the safety configuration's limit of the tool speed: the real controller plans within it and stops
+//! frame. Out: joint positions, speeds and accelerations. The speed slider, pauses and protective stops
+//! scale the time of the segments, so the arm stays on its path while it slows down and when it goes on. So
+//! does the safety configuration's limit of the tool speed: the real controller plans within it and stops
 //! protectively only when it is exceeded, which a simulated arm that follows exactly never does.
 //! A blend: the new segment starts from the target of the one before while that still brakes; the joint
-//! positions are those of the new one plus what the old one lacks to its target. In a blend of moves of equal
-//! acceleration `a` that meet at an angle, acceleration is at most `a` times the difference of the two unit
-//! directions (that of a parabola).
+//! positions are those of the new one plus what the old one lacks to its target. In a blend of moves of
+//! equal acceleration `a` that meet at an angle, acceleration is at most `a` times the difference of the two
+//! unit directions (that of a parabola).
 
 use crate::motion::dynamics::tool_jacobian;
 use crate::motion::segment::Segment;

@@ -92,8 +92,8 @@ impl ToolPath {
         ToolPath::new(vec![Piece::Arc { centre, u, v, angle }], from.rotation, turn)
     }
 
-    /// On from `from`, where the tool moves along `direction`, to `to`: straight until the corner `ahead` (m)
-    /// away can be rounded by an arc, then straight to `to`. `None` where the way turns back on itself.
+    /// On from `from`, where the tool moves along `direction`, to `to`: straight until the corner `ahead`
+    /// (m) away can be rounded by an arc, then straight to `to`. `None` where the way turns back on itself.
     pub fn corner(
         from: &Isometry3<f64>,
         direction: &Unit<Vector3<f64>>,

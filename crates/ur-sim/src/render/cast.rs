@@ -2,8 +2,8 @@
 //!
 //! In: a scene, the camera pose, directions (x/z, y/z). Out: a colour in grey levels and a key that changes
 //! where the surface does, so that the caller samples edges more finely. Candidates come from lists per tile
-//! of 32 x 32 px, filled from the projected bounding boxes. All rays have length 1 along the optical axis, so
-//! the parameter of a hit is its depth and bodies compare by it.
+//! of 32 x 32 px, filled from the projected bounding boxes. All rays have length 1 along the optical axis,
+//! so the parameter of a hit is its depth and bodies compare by it.
 
 use crate::render::lens::CameraTruth;
 use crate::render::scene::{Cells, Print, Prism, Scene};

@@ -5,9 +5,9 @@
 //!
 //! How: one ray a pixel through the exact inverse of the lens ([`lens`]), met with prisms, prints and board
 //! ([`cast`]); where neighbouring pixels see different surfaces, 16 rays; then blur, noise and eight bits
-//! ([`sensor`]). A camera that moves while it exposes is drawn from several places along its way; there is no
-//! shadow. Uneven light is a smooth gain over the picture. Depth pictures are the same rays' lengths with the
-//! errors of stereo matching ([`depth`]).
+//! ([`sensor`]). A camera that moves while it exposes is drawn from several places along its way; there is
+//! no shadow. Uneven light is a smooth gain over the picture. Depth pictures are the same rays' lengths with
+//! the errors of stereo matching ([`depth`]).
 
 pub mod cast;
 pub mod depth;

@@ -1,14 +1,15 @@
 //! What the camera sees at one moment: a light copy of the world that can be drawn without holding it.
 //!
-//! In: the world. Out: prisms (objects, gripper), prints on the table, the board, and the flange pose. Shapes
-//! are shared, so that a copy costs some hundred bytes an object.
+//! In: the world. Out: prisms (objects, gripper), prints on the table, the board, and the flange pose.
+//! Shapes are shared, so that a copy costs some hundred bytes an object.
 
 use crate::world::section::Section;
 use crate::world::spec::CameraMount;
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion};
 use std::sync::Arc;
 
-/// A marker's modules as printed: row 0 at the top, true = white; the white ring, the black border, the code.
+/// A marker's modules as printed: row 0 at the top, true = white; the white ring, the black border, the
+/// code.
 pub type Cells = [[bool; 10]; 10];
 
 /// A scene in the table frame.

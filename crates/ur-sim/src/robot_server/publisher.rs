@@ -206,8 +206,8 @@ impl Publisher {
         self.publisher.iter().any(Outlet::is_behind)
     }
 
-    /// Gives up waiting: who is late counts as irregular until it writes regularly again, who is behind until
-    /// its queue has room again.
+    /// Gives up waiting: who is late counts as irregular until it writes regularly again, who is behind
+    /// until its queue has room again.
     pub fn give_up(&mut self, step: u64) {
         for outlet in &mut self.publisher {
             if outlet.is_late(step) {

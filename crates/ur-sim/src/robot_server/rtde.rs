@@ -1,7 +1,7 @@
 //! Connections to the RTDE server, protocol versions 1 and 2.
 //!
-//! In: packages. Out: replies and, after a start, data packages from the outlets. A connection has one output
-//! recipe (a second replaces it) and up to 255 input recipes, numbered from 1 in the order they are
+//! In: packages. Out: replies and, after a start, data packages from the outlets. A connection has one
+//! output recipe (a second replaces it) and up to 255 input recipes, numbered from 1 in the order they are
 //! requested; input packages are taken before and without a start, longer ones are cut to their recipe, as
 //! clients in use rely on. What is wrong with a package is said in a text message; only a broken length ends
 //! the connection.

@@ -3,9 +3,10 @@
 //! In: bytes in any chunks. Out: [`Upload`]s. The first line that is neither blank nor a comment decides: a
 //! `def` or `sec` goes on until what is open at its own indentation is closed; a known command is one;
 //! anything else is a program of one line. A program with an `end` too few in its body arrives all the same
-//! and is complained about: deeper lines alone keep none open, and a command ends what is open. Programs that
-//! clients really send have all lines in column 0, or the whole program indented. Comments and blank lines
-//! before a program belong to its text, so that line numbers in messages count from what was sent. Pure.
+//! and is complained about: deeper lines alone keep none open, and a command ends what is open. Programs
+//! that clients really send have all lines in column 0, or the whole program indented. Comments and blank
+//! lines before a program belong to its text, so that line numbers in messages count from what was sent.
+//! Pure.
 
 /// Longest program, bytes; the largest known one has 51 kB.
 const MAX_PROGRAM: usize = 4 << 20;

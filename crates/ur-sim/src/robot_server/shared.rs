@@ -1,9 +1,9 @@
 //! The controller and the connections to it, as sessions, frames and faults share them.
 //!
-//! In: a [`Controller`], and one call of [`RobotShared::frame`] per controller frame from the code that keeps
-//! the time. Out: guarded access. The controller is locked for single requests, so an input package takes
-//! effect as a whole in the frame that follows; the outputs are sampled under the same lock at the frame's
-//! end.
+//! In: a [`Controller`], and one call of [`RobotShared::frame`] per controller frame from the code that
+//! keeps the time. Out: guarded access. The controller is locked for single requests, so an input package
+//! takes effect as a whole in the frame that follows; the outputs are sampled under the same lock at the
+//! frame's end.
 
 use crate::controller::Controller;
 use crate::faults::link::Links;

@@ -192,8 +192,8 @@ fn sockets_close_with_the_program() {
     assert!(end.recv_timeout(PATIENCE).unwrap());
 }
 
-/// The way client libraries drive an arm from the PC: set-points on one socket, a trajectory on another while
-/// the first one is read on, and a cancellation in the middle of it.
+/// The way client libraries drive an arm from the PC: set-points on one socket, a trajectory on another
+/// while the first one is read on, and a cancellation in the middle of it.
 const EXTERNAL: &str = "
 def external():
   global mode = 0

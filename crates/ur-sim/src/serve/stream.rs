@@ -1,8 +1,8 @@
 //! Sockets that can go wrong: every connection of the simulator's servers passes through here.
 //!
-//! In: a TCP connection and the state of its server's [`Link`]. Out: the same bytes, or what the faults leave
-//! of them. Without faults nothing is copied or delayed. A cut cable is modelled as silence: both directions
-//! wait, and go on where they were when the fault ends, as TCP does.
+//! In: a TCP connection and the state of its server's [`Link`]. Out: the same bytes, or what the faults
+//! leave of them. Without faults nothing is copied or delayed. A cut cable is modelled as silence: both
+//! directions wait, and go on where they were when the fault ends, as TCP does.
 //!
 //! A [`Shortcut`] writes to the socket from any thread, without waking a task first: a second wake-up is a
 //! second chance to be late. It works only while nothing is wrong.

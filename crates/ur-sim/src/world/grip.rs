@@ -256,8 +256,8 @@ impl World {
         let x_axis = table_from_body.rotation * Vector3::x();
         let mut deepest = None;
         for body in reach {
-            // Seen from above the tool frame is mirrored: its outline is turned over before it is laid on the
-            // table.
+            // Seen from above the tool frame is mirrored: its outline is turned over before it is laid on
+            // the table.
             let pose = rearrange::geometry::pose::Pose2::new(
                 table_from_body.translation.x,
                 table_from_body.translation.y,
@@ -276,8 +276,8 @@ impl World {
     }
 }
 
-/// Height of `lip` over the top of `body` along its normal, and its place on that top, when it is above or in
-/// it.
+/// Height of `lip` over the top of `body` along its normal, and its place on that top, when it is above or
+/// in it.
 fn over(body: &Body, lip: &Point3<f64>) -> Option<(f64, [f64; 2])> {
     if !body.is_resting() && !body.is_held() {
         return None;

@@ -1,4 +1,5 @@
-//! A calibration board on the hand: where its markers are printed on the plate, and the plate as it is drawn.
+//! A calibration board on the hand: where its markers are printed on the plate, and the plate as it is
+//! drawn.
 //!
 //! In: a [`HandBoard`]. Out: a thin prism with the prints on its top, at the flange. The grid is laid out
 //! here and not by `cell_vision::board`, so that a board that is misread there does not agree with itself.

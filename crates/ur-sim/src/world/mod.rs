@@ -10,8 +10,8 @@
 //!   from the side is pushed along the table (`push`); nothing is knocked over.
 //! - A channel is sealed when all its cups lie on one object's top, within 2 mm in height and 3 degrees of
 //!   its normal, each lip inside the top (and inside `grippable`) and nothing else above it.
-//! - A sealed channel takes hold at 20 % vacuum. The object then moves rigidly with the tool while the vacuum
-//!   carries m (a - g); below that it falls. Resting on something it is let go below 5 %.
+//! - A sealed channel takes hold at 20 % vacuum. The object then moves rigidly with the tool while the
+//!   vacuum carries m (a - g); below that it falls. Resting on something it is let go below 5 %.
 //! - Grip and placing each add a random offset; nothing is ever moved towards a goal.
 //! - A placed object that penetrates others by up to 1 mm shares the push with them; deeper, it stays tilted
 //!   on top.
@@ -52,8 +52,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 const EVENT_CAPACITY: usize = 4096;
 /// Places of the flange kept: 0.6 s of controller frames.
 const TRAIL_CAPACITY: usize = 300;
-/// Time constant of the filter behind the tool's acceleration, s: a controller frame's step in speed (a stop)
-/// must not read as 100 m/s2.
+/// Time constant of the filter behind the tool's acceleration, s: a controller frame's step in speed (a
+/// stop) must not read as 100 m/s2.
 const ACCELERATION_TAU_S: f64 = 0.02;
 
 /// The world as the simulator's threads share it.
@@ -140,7 +140,8 @@ pub enum BodyState {
         tool_from_object: Isometry3<f64>,
         /// Height below which it cannot go, m: the table or what it would land on.
         floor_m: f64,
-        /// Objects it overlapped where it was gripped; they do not count as obstacles until it is above them.
+        /// Objects it overlapped where it was gripped; they do not count as obstacles until it is above
+        /// them.
         beside: Vec<usize>,
     },
     /// It left the table.

@@ -1,12 +1,12 @@
 //! What the arm touches from the side is pushed along the table, and what it touches presses back.
 //!
 //! In: the tool's pose in this frame. Out: moved objects, and the force the tool feels. The model is
-//! quasi-static and planar: the pusher penetrates, and the object leaves it along the contact normal, turning
-//! as one that slides with uniform pressure does (ellipsoidal limit surface: a force `f` at `r` moves it
-//! along `f` and turns it by `r x f / c^2`, with `c` the mean distance of its points from its centre). What
-//! the object meets is pushed in turn. Whether a touch is one from the side or from above is decided when it
-//! begins, by which penetration is the smaller. An object that is screwed down, or is in front of one that
-//! is, does not give way: the arm presses on it.
+//! quasi-static and planar: the pusher penetrates, and the object leaves it along the contact normal,
+//! turning as one that slides with uniform pressure does (ellipsoidal limit surface: a force `f` at `r`
+//! moves it along `f` and turns it by `r x f / c^2`, with `c` the mean distance of its points from its
+//! centre). What the object meets is pushed in turn. Whether a touch is one from the side or from above is
+//! decided when it begins, by which penetration is the smaller. An object that is screwed down, or is in
+//! front of one that is, does not give way: the arm presses on it.
 
 use crate::world::event::EventKind;
 use crate::world::placing::TOUCH_M;
@@ -68,7 +68,8 @@ impl World {
 
     fn pushers(&self) -> Vec<Pusher> {
         let Some(tool) = self.tool else { return Vec::new() };
-        // Seen from above the tool's frame is mirrored; its parts are named by outlines that are turned over.
+        // Seen from above the tool's frame is mirrored; its parts are named by outlines that are turned
+        // over.
         let down = |at: &Isometry3<f64>| {
             let x_axis = at.rotation * Vector3::x();
             Pose2::new(at.translation.x, at.translation.y, x_axis.y.atan2(x_axis.x))
@@ -123,8 +124,8 @@ impl World {
         (overlap.depth_m > TOUCH_M).then_some(overlap.depth_m)
     }
 
-    /// Pushes an object and what it meets; the force that takes. `None`, and nothing moved, if something does
-    /// not give way.
+    /// Pushes an object and what it meets; the force that takes. `None`, and nothing moved, if something
+    /// does not give way.
     fn push(&mut self, pusher: &Pusher, index: usize) -> Option<Vector3<f64>> {
         let before: Vec<Isometry3<f64>> = self.bodies.iter().map(|body| body.table_from_object).collect();
         let direction = self.slide(&pusher.section, &pusher.pose, index);

@@ -135,9 +135,9 @@ impl Section {
         self.moments().0
     }
 
-    /// Mean distance of its points from the centre of area, m: the ratio of the largest torque to the largest
-    /// force of friction under uniform pressure. From the radius of gyration, with the ratio of a disc (2/3
-    /// to 1/sqrt 2).
+    /// Mean distance of its points from the centre of area, m: the ratio of the largest torque to the
+    /// largest force of friction under uniform pressure. From the radius of gyration, with the ratio of a
+    /// disc (2/3 to 1/sqrt 2).
     pub fn friction_radius_m(&self) -> f64 {
         self.moments().1.sqrt() * (2.0 / 3.0) * std::f64::consts::SQRT_2
     }

@@ -1,7 +1,7 @@
 //! The true state as JSON, for the control server and the final report.
 //!
-//! In: the world. Out: one JSON object with time, objects, gripper, contact and events. Truth: no part of the
-//! daemon reads it.
+//! In: the world. Out: one JSON object with time, objects, gripper, contact and events. Truth: no part of
+//! the daemon reads it.
 
 use crate::world::vacuum::{Channel, VacuumMode};
 use crate::world::{Body, BodyState, World};

@@ -1,11 +1,12 @@
 //! One channel of the vacuum gripper: pump, vents and the relative vacuum they leave.
 //!
-//! In: the mode written to the gripper, whether the cups of the channel are sealed, time steps. Out: relative
-//! vacuum (0 = ambient, 0.6 = 60 %). A first-order model: the pump pulls towards what it can reach with
-//! `tau` = 0.12 s; unsealed cups leave 12 %; open vents release with 0.05 s; idle keeps what is there, and
-//! a sealed cup leaks with 40 s. Source of the figures: the device's data sheet times (0.35 s to grip, 0.2 s
-//! to release) and field reports; not measured by us. The current limit slows the pump down in proportion
-//! below the device's default of 500 mA, and at 0 it does not run: our assumption, nothing is published.
+//! In: the mode written to the gripper, whether the cups of the channel are sealed, time steps. Out:
+//! relative vacuum (0 = ambient, 0.6 = 60 %). A first-order model: the pump pulls towards what it can reach
+//! with `tau` = 0.12 s; unsealed cups leave 12 %; open vents release with 0.05 s; idle keeps what is there,
+//! and a sealed cup leaks with 40 s. Source of the figures: the device's data sheet times (0.35 s to grip,
+//! 0.2 s to release) and field reports; not measured by us. The current limit slows the pump down in
+//! proportion below the device's default of 500 mA, and at 0 it does not run: our assumption, nothing is
+//! published.
 
 /// Time constant of the pump on sealed cups, s.
 const PUMP_TAU_S: f64 = 0.12;

@@ -216,8 +216,7 @@ fn the_critical_section_is_handed_on_in_order() {
     );
     check(
         "thread a(): enter_critical say('a') sync() say('a2') exit_critical end h = run a() enter_critical \
-         sync() \
-         join 0 say('m') sync() say('m2') exit_critical join h",
+         sync() join 0 say('m') sync() say('m2') exit_critical join h",
         "m|m2|a|a2",
     );
     // A thread that is ordered in the section to end, waited for there, and has to pass it once more itself.

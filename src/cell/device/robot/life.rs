@@ -87,8 +87,8 @@ impl Robot {
         }
     }
 
-    /// Stops by dashboard and by silence. The opcode goes out as well: a program that is paused, and that the
-    /// dashboard cannot end, reads it in the first frame after a person presses play.
+    /// Stops by dashboard and by silence. The opcode goes out as well: a program that is paused, and that
+    /// the dashboard cannot end, reads it in the first frame after a person presses play.
     pub(super) fn halt(&mut self, now: Timestamp, reason: Option<ProgramEnd>, asked: bool) {
         self.stream.clear();
         self.setup.deadline = None;
@@ -150,8 +150,8 @@ impl Robot {
         }
     }
 
-    /// The dashboard accepted `stop`. While RTDE streams, its runtime state counts instead; without, that has
-    /// to do for what is known of the program, and nothing is known of the arm.
+    /// The dashboard accepted `stop`. While RTDE streams, its runtime state counts instead; without, that
+    /// has to do for what is known of the program, and nothing is known of the arm.
     pub(super) fn dashboard_stopped(&mut self) {
         if !self.rtde.ready()
             && let Program::Halting { asked, .. } = &mut self.program
@@ -252,8 +252,8 @@ impl Robot {
     }
 
     /// A program that is none of those given up here may be on the controller: one that was paused when its
-    /// link was lost, or that an earlier daemon has left. It finds a stop in its registers in its first frame
-    /// after a person presses play; programs of others do not read these registers.
+    /// link was lost, or that an earlier daemon has left. It finds a stop in its registers in its first
+    /// frame after a person presses play; programs of others do not read these registers.
     fn follow_left_behind(&mut self, state: &RobotState) {
         if state.runtime_state == RuntimeState::Stopped {
             self.stop_written_for = None;

@@ -1,6 +1,7 @@
 //! What arming needs, what its answer says, and that it is never made up for later.
 
 use super::*;
+use crate::cell::orders::WayBack;
 
 /// What is missing, and a word of the answer that names it.
 type Missing = (&'static str, fn(&mut Bench));
@@ -47,6 +48,21 @@ fn arming_names_what_is_missing_and_is_not_made_up_for_later() {
         assert!(!bench.cell.status().armed, "{word}");
         assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted, "{word}: now");
     }
+}
+
+#[test]
+fn a_way_back_that_is_refused_names_no_order_that_is_refused_too() {
+    let mut refused = 0;
+    for (word, remove) in MISSING {
+        let mut bench = Bench::new();
+        bench.vacuum = [0.5, 0.0];
+        bench.ticks(3);
+        remove(&mut bench);
+        let reply = answer(&bench.feed(order(Order::Recover(WayBack::Retreat)))).expect("an answer");
+        refused += usize::from(!reply.accepted);
+        assert!(!reply.message.contains("celld arm"), "{word}: {}", reply.message);
+    }
+    assert!(refused > 10, "{refused}");
 }
 
 #[test]

@@ -133,8 +133,8 @@ fn as_an_obstacle_it_reaches_the_planner_with_its_margin_and_the_arm_goes_over_i
     let [keep_out] = &request.instance.keep_out[..] else { panic!("{:?}", request.instance.keep_out) };
     let (low, high) = keep_out.footprint.bounds(&keep_out.pose);
     assert!(low[0] < 0.381 && low[0] > 0.378 && high[1] > 0.139 && high[1] < 0.142, "{low:?} {high:?}");
-    // Travelling ends over the object that is gripped: with the thing, its margin and the air above the lips'
-    // way there.
+    // Travelling ends over the object that is gripped: with the thing, its margin and the air above the
+    // lips' way there.
     let air = bench.cell.model().cycle.air;
     let over = approach_m(&mut bench);
     assert!(over >= 0.12 + 0.01 + 0.5 * air, "{over}");
@@ -144,8 +144,8 @@ fn as_an_obstacle_it_reaches_the_planner_with_its_margin_and_the_arm_goes_over_i
     assert!(over < 0.12, "{over}: the thing alone makes the way higher");
 }
 
-/// How high the lips end the first part of the way to the object, m: the travelling height, as the look poses
-/// are higher.
+/// How high the lips end the first part of the way to the object, m: the travelling height, as the look
+/// poses are higher.
 fn approach_m(bench: &mut Bench) -> f64 {
     let arm = bench.cell.model().arm.clone();
     let streamed = bench.plan();
@@ -160,7 +160,8 @@ fn approach_m(bench: &mut Bench) -> f64 {
 #[test]
 fn the_gripper_does_not_come_down_beside_a_tall_foreign_obstacle() {
     let rule = ForeignRule::Obstacle { margin_m: 0.01 };
-    // Beside the object's start by less than the radius of the gripper's body, and higher than its underside.
+    // Beside the object's start by less than the radius of the gripper's body, and higher than its
+    // underside.
     let mut bench = with(rule, report(vec![thing(0.15, 0.385, 0.12)], 0.99));
     goes(&mut bench).unwrap();
     let (_, code) = ended(&bench.plan()).expect("refused");

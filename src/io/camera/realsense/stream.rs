@@ -101,8 +101,8 @@ fn unplayable(file: &Path, source: SdkError) -> CameraError {
     CameraError::Recording { path: file.to_owned(), source }
 }
 
-/// Why the streams do not start: a recording that is none, a camera that has gone, or sizes and rates it does
-/// not have.
+/// Why the streams do not start: a recording that is none, a camera that has gone, or sizes and rates it
+/// does not have.
 fn not_started(settings: &RealSenseSettings, source: SdkError) -> CameraError {
     let place = place_of(settings);
     match (&settings.file, source) {
@@ -110,9 +110,8 @@ fn not_started(settings: &RealSenseSettings, source: SdkError) -> CameraError {
         (None, SdkError::Call { message, disconnected: false, .. }) => {
             let ([width, height], rate) = (settings.size, settings.rate);
             let what = format!(
-                "it does not start streams of {width} x {height} at {rate} a second ({message}): see that \
-                 no other program \
-                 uses it, and that it has that size and rate (rs-enumerate-devices lists them)"
+                "it does not start streams of {width} x {height} at {rate} a second ({message}): see that no \
+                 other program uses it, and that it has that size and rate (rs-enumerate-devices lists them)"
             );
             CameraError::Incomplete { place, what }
         }

@@ -2,8 +2,8 @@
 //! makes here.
 //!
 //! Without the SDK (`make clients` installs it) or the recordings these tests say so and look at nothing;
-//! with `CELLD_CLIENTS` set, as `make test-clients` does, the SDK must be there. No camera is connected where
-//! they run: what a live one does is not tested.
+//! with `CELLD_CLIENTS` set, as `make test-clients` does, the SDK must be there. No camera is connected
+//! where they run: what a live one does is not tested.
 
 use super::*;
 use crate::io::camera::{Exposure, FaultKind};
@@ -100,8 +100,8 @@ fn the_markers_in_the_recording_are_where_they_were_put() {
     let Some(file) = recording("sample-d405.bag") else { return };
     let mut camera = RealSenseCamera::open(settings(&library, &file), LIMIT, None).unwrap();
     let image = camera.grab().unwrap().image;
-    // Pixels in the right order and place: the tag's centres by the lens and the truth, dark and light around
-    // them.
+    // Pixels in the right order and place: the tag's centres by the lens and the truth, dark and light
+    // around them.
     for [x, y, z] in [[86.8, -140.6, 417.0], [-114.4, 27.5, 482.9], [132.7, -3.0, 535.4]] {
         let (u, v) = (339.5 + 650.0 * x / z, 259.5 + 650.0 * y / z);
         let half = 650.0 * 15.0 / z * 0.9;

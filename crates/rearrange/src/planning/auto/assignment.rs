@@ -1,8 +1,8 @@
 //! Who of a group takes which of its goals: the assignment is part of the plan.
 //!
 //! In: an arrangement to reach. Out: another one in which two members of a group have exchanged their ends,
-//! or a good one to begin with. What an assignment promises is the bound on what must follow: a move for each
-//! object away from its end, and the feedback vertex set of their graph.
+//! or a good one to begin with. What an assignment promises is the bound on what must follow: a move for
+//! each object away from its end, and the feedback vertex set of their graph.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::aside::node_limit;

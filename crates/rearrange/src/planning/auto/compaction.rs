@@ -2,9 +2,9 @@
 //!
 //! In: two arrangements. Out: moves from the one to the other, more than needed. Where free space lies about
 //! in pieces too small for anything, a search over places to park has none to choose from. Here it is
-//! gathered: an object that is not at its end yet is taken, and everything that is not at its end for good is
-//! shifted, by steps of any size at any angle, as far as it will go from where that one is to end, until no
-//! object is there. Of all these shifts only those are made that the one object needs, at once as far as
+//! gathered: an object that is not at its end yet is taken, and everything that is not at its end for good
+//! is shifted, by steps of any size at any angle, as far as it will go from where that one is to end, until
+//! no object is there. Of all these shifts only those are made that the one object needs, at once as far as
 //! they go. It goes home and stays, and the next one is taken. Mostly these go from one side of the table to
 //! the other, so that what is still loose keeps its room in one piece; large ones come before small ones
 //! beside them. Shifts take long: the work may stop at any step.

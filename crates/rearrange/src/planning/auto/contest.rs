@@ -1,10 +1,10 @@
 //! A place for an object where others are: which one costs the least, all things considered.
 //!
-//! In: a table on which the object finds no free place. Out: a place, who has to leave it first, and what has
-//! to be put aside after that. A place is priced by what must still follow: a move for each object displaced,
-//! two if it was at its end already, and the feedback vertex set of what remains, so that displacing objects
-//! that have to be put aside anyway costs nothing. Many places are priced roughly, the best of them by that
-//! bound.
+//! In: a table on which the object finds no free place. Out: a place, who has to leave it first, and what
+//! has to be put aside after that. A place is priced by what must still follow: a move for each object
+//! displaced, two if it was at its end already, and the feedback vertex set of what remains, so that
+//! displacing objects that have to be put aside anyway costs nothing. Many places are priced roughly, the
+//! best of them by that bound.
 
 use crate::planning::auto::aside::node_limit;
 use crate::planning::auto::parking;

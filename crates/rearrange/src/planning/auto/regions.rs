@@ -18,8 +18,8 @@ const CURVE_CORNERS: usize = 16;
 /// A position this far inside a forbidden polygon touches it, m.
 const TOUCH_M: f64 = 1e-9;
 
-/// The convex parts of a footprint in the object's frame, counter-clockwise, each held off by `clearance` all
-/// round.
+/// The convex parts of a footprint in the object's frame, counter-clockwise, each held off by `clearance`
+/// all round.
 pub fn convex_parts(footprint: &Footprint, clearance: f64) -> Vec<Vec<Point>> {
     let curve = |a: f64, b: f64| {
         let grown = 1.0 / (TAU / 2.0 / CURVE_CORNERS as f64).cos();

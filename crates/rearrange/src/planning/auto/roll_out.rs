@@ -2,9 +2,10 @@
 //!
 //! In: two arrangements, the cost of a move of each object, a ceiling. Out: moves that cost no more than the
 //! ceiling. Whatever can go home goes; when nothing can, a member of a minimum feedback vertex set of the
-//! objects in each other's way is parked (`parking`). What the remaining objects and that set must still cost
-//! is a lower bound for all that can follow from here, and cuts. Where no member finds an ideal place, sets
-//! without it are tried, then places that cost another move, then places that others have to leave first.
+//! objects in each other's way is parked (`parking`). What the remaining objects and that set must still
+//! cost is a lower bound for all that can follow from here, and cuts. Where no member finds an ideal place,
+//! sets without it are tried, then places that cost another move, then places that others have to leave
+//! first.
 
 use crate::planning::auto::aside::{NUDGE, STEADFAST, node_limit};
 use crate::planning::auto::contest::{Contest, Contested};

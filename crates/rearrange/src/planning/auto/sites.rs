@@ -146,7 +146,8 @@ mod tests {
     use crate::tabletop::instance::ObjectSpec;
     use rand::SeedableRng;
 
-    /// Five discs in two rows, two and three, of which the row of three is turned round; hardly a sixth fits.
+    /// Five discs in two rows, two and three, of which the row of three is turned round; hardly a sixth
+    /// fits.
     fn crowd() -> Problem {
         let at = [(0.2, 0.2), (0.6, 0.2), (0.19, 0.7), (0.56, 0.8), (0.81, 0.5)];
         let goals = [3, 1, 4, 2, 0];

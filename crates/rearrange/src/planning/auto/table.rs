@@ -1,8 +1,8 @@
 //! A table on its way to an arrangement: what is where, what still has to go, and what blocks what.
 //!
-//! In: an arrangement to leave, one to reach, moves. Out: the dependency graph of the moment, kept up to date
-//! move by move. A vertex is a move that has to be made: that of an object to its end, or, after these in
-//! number, to a stop that was planned on its way. What waits for an object to go away waits for its stop,
+//! In: an arrangement to leave, one to reach, moves. Out: the dependency graph of the moment, kept up to
+//! date move by move. A vertex is a move that has to be made: that of an object to its end, or, after these
+//! in number, to a stop that was planned on its way. What waits for an object to go away waits for its stop,
 //! what waits for the stop to be free again waits for its end: so what is at a place that a large object
 //! needs leaves in time, and what belongs there stays away. Objects that may end anywhere take the first
 //! place that is in no object's way.

@@ -1,8 +1,8 @@
 //! One worker of the portfolio: randomised roll-outs, then pieces of its best plan solved anew.
 //!
 //! In: a task that all members share, a seed. Out: after each round a plan no dearer than before. A first
-//! plan comes from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from the
-//! goal; where none of them arrives, from pressing everything out of the way (`compaction`); two members
+//! plan comes from a plan known before, from roll-outs (`roll_out`) from the start or, turned round, from
+//! the goal; where none of them arrives, from pressing everything out of the way (`compaction`); two members
 //! call the paper's solvers and nothing else, once a few rounds have found none. From then on a piece of the
 //! plan, its tail, its head (backwards) or a window, is replaced by a roll-out between the same two
 //! arrangements whenever that costs no more; equal cost counts as progress, so that the plan drifts until a

@@ -91,8 +91,8 @@ impl<'a> BufferSpaceBound<'a> {
         proof
     }
 
-    /// Goes on until the effort is spent, or nothing more can be proved. `enough`: the cost of a plan that is
-    /// known.
+    /// Goes on until the effort is spent, or nothing more can be proved. `enough`: the cost of a plan that
+    /// is known.
     pub fn work(&mut self, enough: f64, effort: &mut Effort) {
         while self.value < (1.0 - 1e-9) * enough && !self.is_done() {
             let Some(first) = self.waiting.smallest() else {
@@ -130,8 +130,8 @@ impl<'a> BufferSpaceBound<'a> {
         }
     }
 
-    /// Takes the largest object of a cheapest feedback vertex set without those taken, until such a set costs
-    /// more.
+    /// Takes the largest object of a cheapest feedback vertex set without those taken, until such a set
+    /// costs more.
     fn choose(&mut self) {
         (self.set, self.waiting) = (ObjectSet::EMPTY, ObjectSet::EMPTY);
         if self.sets_left == 0 {
@@ -360,8 +360,8 @@ impl Stop<'_> {
         idle.map(|o| back(o) * proof.costs[o]).sum()
     }
 
-    /// The feedback vertex set without `kept`, with the first move as a vertex of its own, and the second one
-    /// if there are `more`; `gone` is put aside anyway.
+    /// The feedback vertex set without `kept`, with the first move as a vertex of its own, and the second
+    /// one if there are `more`; `gone` is put aside anyway.
     fn cycles(&self, more: bool, kept: ObjectSet, gone: Option<usize>) -> f64 {
         let (parts, object, count) = (&self.proof.parts, self.object, self.proof.costs.len());
         let (first, second) = (count, count + 1);

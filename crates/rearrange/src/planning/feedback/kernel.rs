@@ -1,8 +1,8 @@
 //! A digraph that shrinks: the reductions of the feedback vertex set search.
 //!
-//! In: a dependency graph. Out: an equivalent smaller graph and the vertices that some cheapest set contains.
-//! `take` puts a vertex into the set; `keep` decides against it, which joins its predecessors to its
-//! successors (a vertex that thereby gets an arc to itself has to be taken).
+//! In: a dependency graph. Out: an equivalent smaller graph and the vertices that some cheapest set
+//! contains. `take` puts a vertex into the set; `keep` decides against it, which joins its predecessors to
+//! its successors (a vertex that thereby gets an arc to itself has to be taken).
 
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::Bits;
@@ -130,8 +130,9 @@ impl<const WORDS: usize> Kernel<WORDS> {
         changed
     }
 
-    /// Some cheapest set does without `v`: all its cycles pass a vertex that is no heavier, or its neighbours
-    /// are partners of each other, so that all but one are taken anyway, and v is the dearest of them.
+    /// Some cheapest set does without `v`: all its cycles pass a vertex that is no heavier, or its
+    /// neighbours are partners of each other, so that all but one are taken anyway, and v is the dearest of
+    /// them.
     fn may_be_kept(&self, v: usize, weights: &[f64]) -> bool {
         let lone = |set: Bits<WORDS>| if set.len() == 1 { set.smallest() } else { None };
         if [self.into[v], self.out[v]].into_iter().filter_map(lone).any(|u| weights[u] <= weights[v]) {

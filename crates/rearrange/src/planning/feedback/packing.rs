@@ -1,9 +1,9 @@
 //! A lower bound on every feedback vertex set, by packing cliques of partners and short cycles.
 //!
-//! In: a reduced graph and its weights. Out: a number no feedback vertex set can weigh less than. Each clique
-//! of k mutual partners charges the smallest weight left in it to all its members and counts it k - 1 times;
-//! each cycle does the same and counts it once. No vertex is ever charged more than its weight, so what was
-//! counted is a feasible solution of the linear programme's dual.
+//! In: a reduced graph and its weights. Out: a number no feedback vertex set can weigh less than. Each
+//! clique of k mutual partners charges the smallest weight left in it to all its members and counts it k - 1
+//! times; each cycle does the same and counts it once. No vertex is ever charged more than its weight, so
+//! what was counted is a feasible solution of the linear programme's dual.
 
 use crate::planning::feedback::kernel::Kernel;
 use crate::planning::object_set::Bits;

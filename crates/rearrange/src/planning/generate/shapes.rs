@@ -1,8 +1,9 @@
 //! The outlines of a random instance, scaled to its density.
 //!
-//! In: a recipe and random numbers. Out: footprints whose areas add up to the density times the table's area.
-//! Laws (the paper, section Evaluation): RAND draws ellipse or rectangle with equal chance, a side ratio, and
-//! an area uniform in [0.05, 1]; SQ has two large squares, then small ones of a ninth of their area.
+//! In: a recipe and random numbers. Out: footprints whose areas add up to the density times the table's
+//! area. Laws (the paper, section Evaluation): RAND draws ellipse or rectangle with equal chance, a side
+//! ratio, and an area uniform in [0.05, 1]; SQ has two large squares, then small ones of a ninth of their
+//! area.
 
 use crate::geometry::footprint::{Footprint, FootprintFault};
 use crate::planning::generate::recipe::{RatioLaw, Recipe, Scenario, TABLE};

@@ -1,16 +1,16 @@
 //! Monte Carlo tree search over arrangements: MCTS (Labbe et al.) and the paper's EMCTS.
 //!
-//! In: a start and a complete goal arrangement, a [`Rule`] (who counts how much), random numbers. Out: plans,
-//! each offered to the caller, who says whether the search goes on. Source: the paper, sections "MCTS for
-//! Solving TORI" and "Extended MCTS", with its reduced action space (only objects away from their goals are
-//! served) and its two-step collision check. The reward of a visit is that of the state it adds; nothing is
-//! rolled out. Deviations: rewards are shares of the whole, between 0 and 1, so that the exploration constant
-//! does not depend on the number of objects; the blocker that is relocated is the nearest that really
-//! overlaps the goal (the paper says "an object blocking", its code takes the nearest object); a relocation
-//! for which no free pose is sampled is dropped instead of repeating its state; states reached on several
-//! ways share one node; a tree that has grown to its limit is dropped and another one begun, since the poses
-//! sampled first decide much, and so that a long search does not fill the memory; once a plan is known,
-//! states from which no better one can be reached are left out.
+//! In: a start and a complete goal arrangement, a [`Rule`] (who counts how much), random numbers. Out:
+//! plans, each offered to the caller, who says whether the search goes on. Source: the paper, sections "MCTS
+//! for Solving TORI" and "Extended MCTS", with its reduced action space (only objects away from their goals
+//! are served) and its two-step collision check. The reward of a visit is that of the state it adds; nothing
+//! is rolled out. Deviations: rewards are shares of the whole, between 0 and 1, so that the exploration
+//! constant does not depend on the number of objects; the blocker that is relocated is the nearest that
+//! really overlaps the goal (the paper says "an object blocking", its code takes the nearest object); a
+//! relocation for which no free pose is sampled is dropped instead of repeating its state; states reached on
+//! several ways share one node; a tree that has grown to its limit is dropped and another one begun, since
+//! the poses sampled first decide much, and so that a long search does not fill the memory; once a plan is
+//! known, states from which no better one can be reached are left out.
 
 mod rule;
 mod table;

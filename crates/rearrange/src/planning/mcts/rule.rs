@@ -3,8 +3,8 @@
 //! In: the number of objects, or a weight for each. Out: a [`Rule`]: exploration, rewards and costs by
 //! object.
 
-/// The constant C of MCTS, for rewards between 0 and 1. Chosen on the public instances of density 0.4 with 20
-/// to 40 objects: 0.1 finds plans 5 % shorter in five times the time, 0.01 longer ones faster.
+/// The constant C of MCTS, for rewards between 0 and 1. Chosen on the public instances of density 0.4 with
+/// 20 to 40 objects: 0.1 finds plans 5 % shorter in five times the time, 0.01 longer ones faster.
 pub const MCTS_EXPLORATION: f64 = 0.03;
 
 /// The constant C of EMCTS, for rewards between 0 and 1; chosen like that of MCTS.

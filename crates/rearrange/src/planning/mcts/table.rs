@@ -1,11 +1,11 @@
 //! What the tree search knows of the table: every place an object ever had, by number, and which goals it
 //! blocks.
 //!
-//! In: start and goal arrangement, objects to move. Out: a state's actions carried out: the object goes home,
-//! or the object that really blocks it is put somewhere else. A state is one place number for each object,
-//! so that two orders of the same moves lead to the same state. The collision check has the paper's two
-//! steps (bounding discs, then shapes; `geometry::collision`), and the check of a goal is done once for each
-//! new place.
+//! In: start and goal arrangement, objects to move. Out: a state's actions carried out: the object goes
+//! home, or the object that really blocks it is put somewhere else. A state is one place number for each
+//! object, so that two orders of the same moves lead to the same state. The collision check has the paper's
+//! two steps (bounding discs, then shapes; `geometry::collision`), and the check of a goal is done once for
+//! each new place.
 
 use crate::planning::buffers::Arrangement;
 use crate::planning::effort::Effort;

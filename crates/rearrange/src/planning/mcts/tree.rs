@@ -2,8 +2,9 @@
 //! reached.
 //!
 //! In: states and the actions between them. Out: which action the upper confidence bound picks next, and the
-//! actions from the root to a state. Two paths to one state share its node, with its visits and rewards; each
-//! node keeps the cheapest way to it that is known. A node below which nothing is left to find is closed.
+//! actions from the root to a state. Two paths to one state share its node, with its visits and rewards;
+//! each node keeps the cheapest way to it that is known. A node below which nothing is left to find is
+//! closed.
 
 use crate::planning::mcts::rule::Rule;
 use crate::planning::object_set::ObjectSet;

@@ -1,6 +1,6 @@
 //! Every built-in that the conformance page calls real is judged: by a line here that must say what the
-//! script manual promises, or by the test named in [`ELSEWHERE`]. In: the table of built-ins. A row without a
-//! judge fails.
+//! script manual promises, or by the test named in [`ELSEWHERE`]. In: the table of built-ins. A row without
+//! a judge fails.
 
 use super::*;
 use std::path::Path;

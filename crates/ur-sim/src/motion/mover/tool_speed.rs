@@ -1,7 +1,7 @@
 //! How fast the tool is, and may be.
 //!
-//! In: the mover's joint speeds and the tool speed limit of the safety configuration. Out: speeds scaled down
-//! to it. Here because segments, joint speeds and tool speeds are all held to the same limit.
+//! In: the mover's joint speeds and the tool speed limit of the safety configuration. Out: speeds scaled
+//! down to it. Here because segments, joint speeds and tool speeds are all held to the same limit.
 
 use crate::motion::FRAME_SECONDS;
 use crate::motion::dynamics::tool_jacobian;

@@ -1,7 +1,7 @@
 //! The library itself: found, opened, its functions by their C names, and the one way to call them.
 //!
-//! In: where the library is, or nothing. Out: [`Sdk`], results instead of error pointers, and `Handle`, which
-//! frees what the SDK made.
+//! In: where the library is, or nothing. Out: [`Sdk`], results instead of error pointers, and `Handle`,
+//! which frees what the SDK made.
 
 use libloading::Library;
 use libloading::os::unix::{Library as UnixLibrary, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
@@ -68,8 +68,7 @@ pub enum SdkError {
     /// Not there.
     #[error(
         "the RealSense SDK cannot be loaded ({tried}): install librealsense2 ({OLDEST} or newer), or name \
-         its library in the camera's \
-         `library` key; the Python package pyrealsense2 carries one"
+         its library in the camera's `library` key; the Python package pyrealsense2 carries one"
     )]
     Missing {
         /// What was tried, and what the loader said.
