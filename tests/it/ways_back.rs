@@ -112,28 +112,37 @@ fn what_is_held_is_put_down_by_pictures_too() {
     placed_after_a_protective_stop(3, Eye::Pictures);
 }
 
+fn placed_after_a_restart(seed: u64, eye: Eye) {
+    let (mut pair, stage) = carrying(seed, eye);
+    pair.restart(Loss::Killed).expect("a template");
+    let knows = |pair: &Pair| {
+        let held = pair.status().and_then(|status| status.held.as_deref());
+        held.is_some_and(|held| held.starts_with("holds "))
+    };
+    assert!(pair.run_until(10.0, |pair| knows(pair) && at_rest_and_disarmed(pair)), "seed {seed}");
+    // The program of the killed daemon brakes, and ends.
+    pair.run_until(2.0, |_| false);
+    assert!(holds(&pair), "seed {seed}");
+    let reply = answer(&mut pair, Order::Recover(WayBack::Place));
+    assert!(reply.accepted, "seed {seed}: {reply:?}");
+    let over = pair.run_until(90.0, |pair| at_rest_and_disarmed(pair) && !holds(pair));
+    let said: Vec<_> = pair.notices().iter().rev().take(4).map(|notice| &notice.text).collect();
+    assert!(over, "seed {seed}: {said:?}");
+    assert!(said.iter().any(|text| text.contains("was put down at")), "seed {seed}: {said:?}");
+    check_table(&pair, &stage, seed);
+    assert_eq!(pair.breaches(), [], "seed {seed}");
+}
+
 #[test]
 fn what_was_carried_when_the_daemon_was_killed_is_put_down_by_the_next_one() {
     for seed in 0..12 {
-        let (mut pair, stage) = carrying(seed, Eye::Corners);
-        pair.restart(Loss::Killed).expect("a template");
-        let knows = |pair: &Pair| {
-            let held = pair.status().and_then(|status| status.held.as_deref());
-            held.is_some_and(|held| held.starts_with("holds "))
-        };
-        assert!(pair.run_until(10.0, |pair| knows(pair) && at_rest_and_disarmed(pair)), "seed {seed}");
-        // The program of the killed daemon brakes, and ends.
-        pair.run_until(2.0, |_| false);
-        assert!(holds(&pair), "seed {seed}");
-        let reply = answer(&mut pair, Order::Recover(WayBack::Place));
-        assert!(reply.accepted, "seed {seed}: {reply:?}");
-        let over = pair.run_until(90.0, |pair| at_rest_and_disarmed(pair) && !holds(pair));
-        let said: Vec<_> = pair.notices().iter().rev().take(4).map(|notice| &notice.text).collect();
-        assert!(over, "seed {seed}: {said:?}");
-        assert!(said.iter().any(|text| text.contains("was put down at")), "seed {seed}: {said:?}");
-        check_table(&pair, &stage, seed);
-        assert_eq!(pair.breaches(), [], "seed {seed}");
+        placed_after_a_restart(seed, Eye::Corners);
     }
+}
+
+#[test]
+fn what_was_carried_when_the_daemon_was_killed_is_put_down_by_pictures_too() {
+    placed_after_a_restart(3, Eye::Pictures);
 }
 
 #[test]

@@ -152,3 +152,32 @@ pub fn out_of_reach(what: &str, table_from_tool: &Isometry3<f64>) -> PathFault {
     let [x, y, z, ..] = ur_pose_from_isometry(table_from_tool);
     PathFault::OutOfReach { what: what.to_string(), x, y, z }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refused_pick_names_what_a_person_can_change() {
+        let what = String::new;
+        let meets = |at_start| PathFault::Meets {
+            one: "a".into(),
+            other: "b".into(),
+            distance_mm: 0.0,
+            tool: [0.0; 3],
+            at_start,
+        };
+        let cases = [
+            (PathFault::OutOfReach { what: what(), x: 2.0, y: 0.0, z: 0.0 }, "stretched out"),
+            (PathFault::TooSlow { joint: 1, speed_mm_s: 1.0 }, "stretched out"),
+            (meets(false), "aside by hand"),
+            (meets(true), "aside by hand"),
+            (PathFault::Aside { aside_mm: 3.0 }, "configuration"),
+            (PathFault::Turning { turn_deg: 3.0 }, "configuration"),
+            (PathFault::Empty, "configuration"),
+        ];
+        for (fault, part) in cases {
+            assert!(fault.remedy().contains(part), "{fault}: {}", fault.remedy());
+        }
+    }
+}

@@ -1,11 +1,12 @@
 //! What waits for the arm to come to rest: the answer to an abort, and the air after a release in motion.
 
-use super::faults::working;
+use super::faults::{said, working};
 use super::*;
 use crate::cell::device::gripper_types::GripperEvent;
 use crate::cell::supervisor::model::HeldBefore;
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::motion::pick_n_place::tool_down;
+use rearrange::geometry::collision::penetration;
 
 fn vents(actions: &[Action]) -> bool {
     actions.iter().any(|action| matches!(action, Action::Gripper(GripperCommand::Release { .. })))
@@ -437,4 +438,73 @@ fn what_an_earlier_celld_had_gripped_is_named_where_there_is_vacuum() {
         bench.ticks(3);
         assert_eq!(bench.cell.status().held.as_deref(), held);
     }
+}
+
+#[test]
+fn where_an_object_was_that_is_not_seen_now_nothing_is_put_down() {
+    let there = Pose2::new(0.3, 0.3, 0.0);
+    for (table, free) in [(vec![("b".into(), there)], false), (Vec::new(), true)] {
+        let mut bench = Bench::new();
+        let second = CellObject { id: "b".into(), ..object() };
+        bench.cell = Supervisor::new(CellModel { objects: vec![object(), second], ..model() }, 7);
+        let hangs = Pose2::default();
+        let before = HeldBefore { object: "a".into(), to: there, tool_from_object: Some(hangs), table };
+        bench.cell.model.held_before = Some(before);
+        bench.vacuum = [0.6, 0.0];
+        bench.ticks(3);
+        assert_eq!(bench.cell.status().held.as_deref(), Some("holds a"));
+        let placed = bench.cell.place_for_held(&HOME, there, &Observation::default());
+        let (place, meant, _) = placed.expect("there is room");
+        assert_eq!(meant, free, "{place:?}");
+        let meets = penetration(&object().footprint, &place, &object().footprint, &there) > 0.0;
+        assert_eq!(meets, free, "{place:?}");
+    }
+}
+
+#[test]
+fn a_new_look_is_announced_only_where_the_arm_goes_on() {
+    let doubtful = || {
+        let mut bench = Bench::new();
+        bench.job(false);
+        bench.feed(order(Order::Arm));
+        bench.ticks(20);
+        bench.unknown = vec![33];
+        bench
+    };
+    let again = "looks again now";
+    let mut bench = doubtful();
+    let first = bench.look();
+    assert!(said(&first, again) && ended(&first).is_none(), "{first:?}");
+    assert_eq!(streams(&first) + streams(&bench.ticks(20)), 1, "as announced");
+    for stop in [Order::Pause, Order::Abort, Order::Disarm, Order::Cancel("j".into())] {
+        let mut bench = doubtful();
+        bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+        bench.ticks(10);
+        bench.feed(Input::Captured(Ok(Vec::new())));
+        let mut all = bench.feed(order(stop.clone()));
+        let unknown = Observation { unknown: vec![33], ..Observation::default() };
+        all.extend(bench.feed(Input::Observed(Ok(Box::new(unknown)))));
+        all.extend(bench.ticks(200));
+        assert!(!said(&all, again) && streams(&all) == 0, "{stop:?}: {all:?}");
+    }
+}
+
+#[test]
+fn a_place_out_of_reach_ends_the_job_with_what_to_do_about_it() {
+    let mut bench = Bench::new();
+    let mut far = model();
+    far.arm.base_from_table = Isometry3::translation(-0.25, 0.6, 0.0);
+    bench.cell = Supervisor::new(far, 7);
+    bench.at = Pose2::new(0.25, 0.45, 0.0);
+    bench.job(false);
+    bench.until_planning();
+    let all = bench.plan();
+    let report = all.iter().find_map(|action| match action {
+        Action::Commit { record: Record::Ended(report), .. } => Some(report),
+        _ => None,
+    });
+    let report = report.expect("the job ends before its first move");
+    assert_eq!((report.code_text(), report.object.as_deref()), ("unreachable".into(), Some("a")));
+    assert!(report.hint.contains("without being stretched out"), "{report:?}");
+    assert_eq!(streams(&all), 0);
 }
