@@ -11,6 +11,7 @@ pub struct Joints(pub [f64; 6]);
 
 impl Joints {
     /// Largest absolute difference over the six joints, rad.
+    #[inline]
     pub fn max_difference(&self, other: &Joints) -> f64 {
         self.0.iter().zip(&other.0).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     }
@@ -22,6 +23,7 @@ impl Joints {
     }
 
     /// True when every number is finite.
+    #[inline]
     pub fn is_finite(&self) -> bool {
         self.0.iter().all(|value| value.is_finite())
     }

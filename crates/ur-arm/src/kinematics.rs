@@ -10,8 +10,8 @@
 
 pub use crate::models::{ARM_MODELS, ArmModel, DhParameters, model_of};
 use cell_values::units::Joints;
-use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use nalgebra::{Isometry3, Matrix6, Quaternion, Translation3, UnitQuaternion, Vector3, Vector6};
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI, TAU};
 
 /// Newton stops when the pose error (m and rad together) is below this; the controller's own
 /// `get_inverse_kin` works to 1e-10.
@@ -74,12 +74,25 @@ pub fn link_frames(dh: &DhParameters, q: &Joints) -> [Isometry3<f64>; 6] {
     })
 }
 
-/// Rz(theta) Tz(d) Tx(a) Rx(alpha) of joint `i`.
+/// Rz(theta) Tz(d) Tx(a) Rx(alpha) of joint `i`: everything that moves is computed from this, so the product
+/// of the two turns is written out in half angles.
 fn link(dh: &DhParameters, i: usize, q: f64) -> Isometry3<f64> {
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), q + dh.theta[i]);
-    let twist = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), dh.alpha[i]);
-    let along_x = turn * Vector3::new(dh.a[i], 0.0, 0.0);
-    Isometry3::from_parts(Translation3::new(along_x.x, along_x.y, dh.d[i]), turn * twist)
+    let (s, c) = (0.5 * (q + dh.theta[i])).sin_cos();
+    let (st, ct) = half_twist(dh.alpha[i]);
+    let turn = UnitQuaternion::new_unchecked(Quaternion::new(c * ct, c * st, s * st, s * ct));
+    let (sin, cos) = (2.0 * s * c, (c - s) * (c + s));
+    Isometry3::from_parts(Translation3::new(dh.a[i] * cos, dh.a[i] * sin, dh.d[i]), turn)
+}
+
+/// Sine and cosine of half a twist; those of the nominal table are known.
+fn half_twist(alpha: f64) -> (f64, f64) {
+    if alpha == 0.0 {
+        (0.0, 1.0)
+    } else if alpha.abs() == FRAC_PI_2 {
+        (FRAC_1_SQRT_2.copysign(alpha), FRAC_1_SQRT_2)
+    } else {
+        (0.5 * alpha).sin_cos()
+    }
 }
 
 /// Geometric Jacobian in the base frame: rows 0-2 linear velocity of the flange origin, rows 3-5 angular.
@@ -401,6 +414,25 @@ mod tests {
         let [x, y, z, ..] = ur_pose_from_isometry(&forward(&dh, &Joints([0.3, -1.2, 1.7, -2.0, -1.4, 0.6])));
         let wrong = [x + 0.519919, y + 0.318082, z - 0.265628].iter().any(|error| error.abs() > 1e-6);
         assert!(!wrong, "{x} {y} {z}");
+    }
+
+    #[test]
+    fn a_link_is_the_product_of_its_four_steps() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        for case in 0..10_000 {
+            let mut dh = DhParameters::UR5E;
+            let i = case % 6;
+            if case % 2 == 0 {
+                dh.alpha[i] += rng.random_range(-4.0..4.0);
+                (dh.theta[i], dh.a[i]) = (rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0));
+            }
+            let q = rng.random_range(-7.0..7.0);
+            let about = |axis, angle| UnitQuaternion::from_axis_angle(&axis, angle);
+            let steps = about(Vector3::z_axis(), q + dh.theta[i])
+                * Isometry3::translation(dh.a[i], 0.0, dh.d[i])
+                * about(Vector3::x_axis(), dh.alpha[i]);
+            assert!(pose_error(&link(&dh, i, q), &steps).norm() < 1e-14, "case {case}");
+        }
     }
 
     #[test]
