@@ -221,13 +221,13 @@ impl Bodies {
                 if let Some(margin) =
                     own_margin(body, other).filter(|margin| self.can_part(body, other, *margin))
                 {
-                    let levers = self.levers(other, body.frame, &body.shape);
+                    let levers = self.levers(other, body.frame);
                     pairs.push(Pair::new(a, Other::Moving(b), margin, levers));
                 }
             }
             for (b, other) in self.fixed.iter().enumerate() {
                 if let Some(margin) = self.margin_to(body, other) {
-                    let levers = self.levers(body, 0, &other.shape);
+                    let levers = against(self.levers(body, 0), &other.shape);
                     pairs.push(Pair::new(a, Other::Fixed(b), margin, levers));
                 }
             }
@@ -263,24 +263,22 @@ impl Bodies {
 
     /// True of the end of the upper arm that the shoulder's axis goes through.
     fn is_at_shoulder(&self, body: &Body) -> bool {
-        let [x, y, _] = body.shape.centre();
-        (x + self.nominal.a[1]).hypot(y) < body.shape.thickness()
+        let middle = body.shape.middle();
+        (middle.x + self.nominal.a[1]).hypot(middle.y) < body.shape.thickness()
     }
 
-    /// Metres that `body` moves at most, seen from frame `seen_from`, for each radian of each joint; less
-    /// against a plane that a joint's axis is square to.
-    fn levers(&self, body: &Body, seen_from: usize, other: &Shape) -> [f64; 6] {
+    /// Metres that `body` moves at most, seen from frame `seen_from`, for each radian of each joint.
+    fn levers(&self, body: &Body, seen_from: usize) -> [f64; 6] {
         let frame = body.frame.min(6);
         let chain = |joint: usize| -> f64 {
             let links = (joint + 1..frame).map(|i| self.longest(|dh| dh.a[i].hypot(dh.d[i]))).sum::<f64>();
             self.longest(|dh| dh.a[joint].abs()) + links + body.shape.farthest()
         };
-        std::array::from_fn(|joint| {
-            if joint < seen_from.min(6) || joint >= frame {
-                return 0.0;
-            }
-            if joint == 0 { chain(joint) * other.across([0.0, 0.0, 1.0]) } else { chain(joint) }
-        })
+        std::array::from_fn(
+            |joint| {
+                if joint < seen_from.min(6) || joint >= frame { 0.0 } else { chain(joint) }
+            },
+        )
     }
 
     /// The larger of the two arms' figures. What a calibration trades along the parallel axes adds to the
@@ -300,6 +298,13 @@ impl Bodies {
             i => placed(&nominal[i - 1]),
         })
     }
+}
+
+/// Levers against a thing that does not move: joint 1 moves nothing towards a plane that its axis is square
+/// to.
+fn against(mut levers: [f64; 6], other: &Shape) -> [f64; 6] {
+    levers[0] *= other.across([0.0, 0.0, 1.0]);
+    levers
 }
 
 /// The arm's own capsules. Hoses and cables lie round forearm and wrists, `cable_m` wide.

@@ -154,9 +154,9 @@ impl Shape {
         }
     }
 
-    /// The point of its frame round which it lies.
-    pub fn centre(&self) -> [f64; 3] {
-        self.centre.into()
+    /// The point of its frame round which it lies; the origin for a half-space.
+    pub fn middle(&self) -> Vector {
+        self.centre
     }
 }
 
@@ -181,12 +181,10 @@ pub fn placed(pose: &Isometry3<f64>) -> Pose {
     DPose3::from(*pose)
 }
 
-/// A distance that two shapes surely have, m: that of the spheres round them.
-pub fn surely_apart(a: &Shape, a_at: &Pose, b: &Shape, b_at: &Pose) -> f64 {
-    match (&a.core, &b.core) {
-        (Core::HalfSpace { .. }, _) | (_, Core::HalfSpace { .. }) => apart(a, a_at, b, b_at),
-        _ => (*a_at * a.centre - *b_at * b.centre).length() - a.reach - b.reach,
-    }
+/// A distance that two shapes surely have, m, with their middles at these places: that of the spheres round
+/// them; negative infinity for a half-space.
+pub fn surely_apart(a: &Shape, a_middle: Vector, b: &Shape, b_middle: Vector) -> f64 {
+    (a_middle - b_middle).length() - a.reach - b.reach
 }
 
 /// Distance of two shapes, m; where their cores meet, minus both radii and a hair.
@@ -262,7 +260,7 @@ mod tests {
             let a = Shape::capsule(point(0.3), point(0.3), 0.05);
             let b = Shape::hull((0..6).map(|_| point(0.3)).collect::<Vec<_>>(), 0.01);
             let (sure, found) =
-                (surely_apart(&a, &Pose::IDENTITY, &b, &pose), apart(&a, &Pose::IDENTITY, &b, &pose));
+                (surely_apart(&a, a.middle(), &b, pose * b.middle()), apart(&a, &Pose::IDENTITY, &b, &pose));
             assert!(sure <= found + 1e-9 || found <= -0.05, "{sure} {found}");
         }
     }

@@ -10,11 +10,9 @@
 //! its distance is carried over to the next piece.
 
 use crate::motion::bodies::shape::{apart, depth_is_known, surely_apart};
-use crate::motion::bodies::{Bodies, Body, Other, Pair, Part, Room};
+use crate::motion::bodies::{Bodies, Body, Other, Pair, Part, Room, against};
 use cell_values::units::Joints;
-use parry3d_f64::math::Pose;
-use std::cmp::{Ordering, Reverse};
-use std::collections::BinaryHeap;
+use parry3d_f64::math::{Pose, Vector};
 
 /// The least motion that a measured pair is given before it is measured again, m. Between two measurements
 /// it may be nearer than its margin by as much.
@@ -28,24 +26,15 @@ const FAR_M: f64 = 0.05;
 const TOGETHER: f64 = 0.02;
 
 /// A pair that has to be measured, from this share of a piece on.
-#[derive(Clone, Copy, Debug, PartialEq)]
 struct Due {
     share: f64,
     index: usize,
 }
 
-impl Eq for Due {}
-
-impl PartialOrd for Due {
-    fn partial_cmp(&self, other: &Due) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Due {
-    fn cmp(&self, other: &Due) -> Ordering {
-        self.share.total_cmp(&other.share).then(self.index.cmp(&other.index))
-    }
+/// Where the arm is: its frames, and the middles of all that moves with them, in the base frame.
+struct Place {
+    frames: [Pose; 8],
+    middles: Vec<Vector>,
 }
 
 /// Distances that are lowered because the arm rests nearer are lowered to this at least, m: what is nearer
@@ -58,21 +47,20 @@ pub type Bulge = [f64; 6];
 /// The bulge of ways that are straight in joint space.
 pub const STRAIGHT: Bulge = [0.0; 6];
 
-impl Pair {
-    /// Metres that the two move against each other at most while the joints turn so far, rad.
-    fn travel(&self, turn: &[f64; 6]) -> f64 {
-        turn.iter().zip(self.levers).map(|(turn, lever)| turn * lever).sum()
-    }
+/// Metres that two bodies with these levers move against each other at most while the joints turn so far,
+/// rad.
+fn travel(levers: &[f64; 6], turn: &[f64; 6]) -> f64 {
+    turn.iter().zip(levers).map(|(turn, lever)| turn * lever).sum()
 }
 
 /// Where the tool moves, which decides what is taken to be on the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Zone {
     /// Over everything that may lie there.
-    Over,
+    Over = 0,
     /// Straight down or up between the objects: each is kept clear of, but by cups and load, whose outlines
     /// the plan keeps apart from every other, and who touch what is picked.
-    Between,
+    Between = 1,
 }
 
 /// Two bodies too near to each other.
@@ -96,6 +84,13 @@ pub struct Sweep<'a> {
     pairs: Vec<Pair>,
     /// Metres that each pair may still move against each other before it is measured again.
     left: Vec<f64>,
+    /// Which pairs are kept apart over everything, and which between the objects.
+    watched: [Vec<bool>; 2],
+    /// Levers that several pairs have, and which of them each pair has.
+    levers: Vec<[f64; 6]>,
+    levers_of: Vec<usize>,
+    /// Metres that two bodies with these levers move against each other at most on the present piece.
+    travel: Vec<f64>,
 }
 
 impl<'a> Sweep<'a> {
@@ -103,8 +98,26 @@ impl<'a> Sweep<'a> {
     pub fn new(bodies: &'a Bodies, room: &'a Room) -> Sweep<'a> {
         let mut pairs = bodies.pairs.clone();
         pairs.extend(room_pairs(bodies, room));
-        let left = vec![0.0; pairs.len()];
-        Sweep { bodies, room, pairs, left }
+        let mut sweep = Sweep {
+            bodies,
+            room,
+            left: vec![0.0; pairs.len()],
+            watched: [Vec::new(), Vec::new()],
+            levers: Vec::new(),
+            levers_of: Vec::with_capacity(pairs.len()),
+            travel: Vec::new(),
+            pairs,
+        };
+        for pair in &sweep.pairs {
+            // One body's pairs follow each other.
+            if sweep.levers.last() != Some(&pair.levers) {
+                sweep.levers.push(pair.levers);
+            }
+            sweep.levers_of.push(sweep.levers.len() - 1);
+        }
+        let watched = |zone| sweep.pairs.iter().map(|pair| sweep.watches(pair, zone)).collect();
+        sweep.watched = [watched(Zone::Over), watched(Zone::Between)];
+        sweep
     }
 
     /// Checks one place.
@@ -140,9 +153,9 @@ impl<'a> Sweep<'a> {
     /// The pairs that are too near at one place, over everything on the table, each by its number and with
     /// its distance, m; not positive where the two overlap.
     pub fn too_near(&self, q: &Joints) -> Vec<(usize, f64)> {
-        let frames = self.bodies.frames(q);
-        let counted = (0..self.pairs.len()).filter(|index| self.counts(*index, Zone::Over));
-        let distances = counted.map(|index| (index, self.distance(&frames, index, false)));
+        let place = self.place_at(q);
+        let counted = (0..self.pairs.len()).filter(|index| self.watched[Zone::Over as usize][*index]);
+        let distances = counted.map(|index| (index, self.distance(&place, index, false)));
         let wanted = |index: usize| self.pairs[index].wanted;
         distances.filter(|(index, distance)| distance.is_nan() || *distance < wanted(*index)).collect()
     }
@@ -161,19 +174,19 @@ impl<'a> Sweep<'a> {
 
     /// True where something of the arm is in the air over the table in which things may lie.
     pub fn is_low(&self, q: &Joints) -> bool {
-        let frames = self.bodies.frames(q);
+        let place = self.place_at(q);
         let layer = |pair: &Pair| matches!(self.other(pair.b).part, Part::Layer | Part::Rim);
         (0..self.pairs.len()).any(|index| {
-            layer(&self.pairs[index]) && self.distance(&frames, index, false) < self.pairs[index].margin
+            layer(&self.pairs[index]) && self.distance(&place, index, false) < self.pairs[index].margin
         })
     }
 
     /// Distances at the start are accepted as they are where the arm rests nearer to something than it may,
     /// without touching it: such a pair has to keep what it has until it first has what it should.
     pub fn accept_start(&mut self, q: &Joints) {
-        let frames = self.bodies.frames(q);
+        let place = self.place_at(q);
         for index in 0..self.pairs.len() {
-            let distance = self.distance(&frames, index, false);
+            let distance = self.distance(&place, index, false);
             let pair = &mut self.pairs[index];
             if distance < pair.margin && distance >= LEAST_M {
                 pair.margin = (distance - 2.0 * GRAIN_M).max(LEAST_M);
@@ -189,68 +202,76 @@ impl<'a> Sweep<'a> {
     pub fn piece(&mut self, from: &Joints, to: &Joints, zone: Zone, bulge: &Bulge) -> Result<(), Meeting> {
         // Off the straight way by 4 s (1 - s) of the bulge at a share s of it, which adds to the motion.
         let turn: [f64; 6] = std::array::from_fn(|j| (to.0[j] - from.0[j]).abs() + 4.0 * bulge[j]);
-        let mut due = self.due(&turn, zone);
-        while let Some(Reverse(first)) = due.peek() {
-            let share = first.share;
+        self.travel.clear();
+        self.travel.extend(self.levers.iter().map(|levers| travel(levers, &turn)));
+        let mut due = self.due(zone);
+        while let Some(share) = due.iter().map(|pair| pair.share).min_by(f64::total_cmp) {
             let q = from.lerp(to, share);
-            let frames = self.bodies.frames(&q);
+            let place = self.place_at(&q);
             // Those that are due soon are measured at the same place, once.
-            let mut now = Vec::new();
-            while let Some(Reverse(pair)) = due.peek()
-                && pair.share <= share + TOGETHER
-            {
-                now.push(pair.index);
-                due.pop();
+            let mut later = Vec::new();
+            for pair in due {
+                if pair.share > share + TOGETHER {
+                    later.push(pair);
+                    continue;
+                }
+                let index = pair.index;
+                let share = self.measure(index, &place, share, bulge);
+                let share = share.map_err(|()| self.meeting(index, &place, q))?;
+                later.extend(share.map(|share| Due { share, index }));
             }
-            for index in now {
-                let pair = &self.pairs[index];
-                let travel = pair.travel(&turn);
-                let distance = self.distance(&frames, index, false);
-                let distance = distance - 4.0 * share * (1.0 - share) * pair.travel(bulge);
-                let pair = &mut self.pairs[index];
-                if distance >= pair.wanted + GRAIN_M {
-                    pair.margin = pair.wanted;
-                }
-                let over = distance - pair.margin;
-                // A distance that is no number is no distance.
-                if !travel.is_finite() || over.is_nan() || over < 0.0 {
-                    return Err(self.meeting(index, &frames, q));
-                }
-                self.left[index] = share * travel + over.max(GRAIN_M);
-                if self.left[index] < travel {
-                    due.push(Reverse(Due { share: self.left[index] / travel, index }));
-                }
-            }
+            due = later;
         }
-        for (left, pair) in self.left.iter_mut().zip(&self.pairs) {
+        for (left, levers) in self.left.iter_mut().zip(&self.levers_of) {
             // `left` counts from the start of the piece; what is used up is measured at the next one's.
-            *left = (*left - pair.travel(&turn)).max(0.0);
+            *left = (*left - self.travel[*levers]).max(0.0);
         }
         Ok(())
     }
 
-    /// The pairs that have to be measured on a piece, and where first.
-    fn due(&mut self, turn: &[f64; 6], zone: Zone) -> BinaryHeap<Reverse<Due>> {
-        let mut due = Vec::new();
-        for index in 0..self.pairs.len() {
-            if !self.counts(index, zone) {
-                // What is not watched has no distance left to rely on.
-                self.left[index] = 0.0;
-                continue;
-            }
-            let (left, travel) = (self.left[index], self.pairs[index].travel(turn));
-            // Of what is no number nothing is left.
-            if left > 0.0 && left >= travel {
-                continue;
-            }
-            let share = if left > 0.0 && travel.is_finite() { left / travel } else { 0.0 };
-            due.push(Reverse(Due { share, index }));
+    /// Measures one pair at a share of the piece: the share at which it is due again, if on this piece.
+    /// An error where it is too near.
+    fn measure(&mut self, index: usize, place: &Place, share: f64, bulge: &Bulge) -> Result<Option<f64>, ()> {
+        let distance = self.distance(place, index, false);
+        let (pair, travel) = (&mut self.pairs[index], self.travel[self.levers_of[index]]);
+        let aside =
+            if share > 0.0 { 4.0 * share * (1.0 - share) * self::travel(&pair.levers, bulge) } else { 0.0 };
+        let distance = distance - aside;
+        if distance >= pair.wanted + GRAIN_M {
+            pair.margin = pair.wanted;
         }
-        due.into()
+        let over = distance - pair.margin;
+        // A distance that is no number is no distance.
+        if !travel.is_finite() || over.is_nan() || over < 0.0 {
+            return Err(());
+        }
+        let left = share * travel + over.max(GRAIN_M);
+        self.left[index] = left;
+        Ok((left < travel).then(|| left / travel))
     }
 
-    fn counts(&self, index: usize, zone: Zone) -> bool {
-        let pair = &self.pairs[index];
+    /// The pairs that have to be measured on the present piece, and where first.
+    fn due(&mut self, zone: Zone) -> Vec<Due> {
+        let mut due = Vec::new();
+        let pairs = self.left.iter_mut().zip(&self.watched[zone as usize]).zip(&self.levers_of);
+        for (index, ((left, watched), levers)) in pairs.enumerate() {
+            if !watched {
+                // What is not watched has no distance left to rely on.
+                *left = 0.0;
+                continue;
+            }
+            let travel = self.travel[*levers];
+            // Of what is no number nothing is left.
+            if *left > 0.0 && *left >= travel {
+                continue;
+            }
+            let share = if *left > 0.0 && travel.is_finite() { *left / travel } else { 0.0 };
+            due.push(Due { share, index });
+        }
+        due
+    }
+
+    fn watches(&self, pair: &Pair, zone: Zone) -> bool {
         let (a, b) = (self.moving(pair.a).part, self.other(pair.b).part);
         match (zone, b) {
             // Between the objects forearm and elbow are over everything still, seen or not.
@@ -276,20 +297,31 @@ impl<'a> Sweep<'a> {
         }
     }
 
-    /// Distance of a pair: exact where it is near or `exact` is set, else one that it surely has.
-    fn distance(&self, frames: &[Pose; 8], index: usize, exact: bool) -> f64 {
-        let pair = &self.pairs[index];
-        let (a, b) = (self.moving(pair.a), self.other(pair.b));
-        let (at_a, at_b) = (&frames[a.frame], &frames[b.frame]);
-        let sure = surely_apart(&a.shape, at_a, &b.shape, at_b);
-        if sure - pair.margin > FAR_M && !exact { sure } else { apart(&a.shape, at_a, &b.shape, at_b) }
+    fn place_at(&self, q: &Joints) -> Place {
+        let frames = self.bodies.frames(q);
+        let moving = self.bodies.moving.iter().chain(&self.room.load);
+        let middles = moving.map(|body| frames[body.frame] * body.shape.middle()).collect();
+        Place { frames, middles }
     }
 
-    fn meeting(&self, index: usize, frames: &[Pose; 8], at: Joints) -> Meeting {
+    /// Distance of a pair: exact where it is near or `exact` is set, else one that it surely has.
+    fn distance(&self, place: &Place, index: usize, exact: bool) -> f64 {
+        let pair = &self.pairs[index];
+        let (a, b) = (self.moving(pair.a), self.other(pair.b));
+        // What does not move is in the base frame.
+        let middle = if let Other::Moving(b) = pair.b { place.middles[b] } else { b.shape.middle() };
+        let sure = surely_apart(&a.shape, place.middles[pair.a], &b.shape, middle);
+        if sure - pair.margin > FAR_M && !exact {
+            return sure;
+        }
+        apart(&a.shape, &place.frames[a.frame], &b.shape, &place.frames[b.frame])
+    }
+
+    fn meeting(&self, index: usize, place: &Place, at: Joints) -> Meeting {
         let pair = &self.pairs[index];
         let names = [self.moving(pair.a), self.other(pair.b)].map(|body| body.name.clone());
         let [one, other] = names;
-        Meeting { one, other, distance: self.distance(frames, index, true), at }
+        Meeting { one, other, distance: self.distance(place, index, true), at }
     }
 }
 
@@ -298,22 +330,23 @@ fn room_pairs(bodies: &Bodies, room: &Room) -> Vec<Pair> {
     let load = room.load.as_ref().map(|load| (bodies.moving.len(), load));
     let mut pairs = Vec::new();
     for (a, body) in bodies.moving.iter().enumerate().chain(load) {
+        let levers = bodies.levers(body, 0);
         for (b, other) in room.bodies.iter().enumerate() {
             if let Some(margin) = room_margin(body.part, other.part, bodies.margin) {
-                pairs.push(Pair::new(a, Other::Room(b), margin, bodies.levers(body, 0, &other.shape)));
+                pairs.push(Pair::new(a, Other::Room(b), margin, against(levers, &other.shape)));
             }
         }
     }
     let Some((index, load)) = load else { return pairs };
     for (a, body) in bodies.moving.iter().enumerate() {
         if let Some(margin) = super::own_margin(body, load) {
-            let levers = bodies.levers(load, body.frame, &body.shape);
+            let levers = bodies.levers(load, body.frame);
             pairs.push(Pair::new(a, Other::Moving(index), margin, levers));
         }
     }
     for (b, other) in bodies.fixed.iter().enumerate() {
         if let Some(margin) = bodies.margin_to(load, other) {
-            let levers = bodies.levers(load, 0, &other.shape);
+            let levers = against(bodies.levers(load, 0), &other.shape);
             pairs.push(Pair::new(index, Other::Fixed(b), margin, levers));
         }
     }
