@@ -17,7 +17,6 @@ use crate::motion::mover::{MoveId, Mover};
 use crate::motion::{Arm, FRAME_SECONDS};
 use nalgebra::Isometry3;
 use std::collections::VecDeque;
-use ur_arm::kinematics::forward;
 use ur_arm::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use ur_wire::primary_message::MessageBody;
 use urscript::value::ThreadId;
@@ -147,7 +146,7 @@ impl Core {
 
     /// `base_from_flange` as it really is.
     pub fn base_from_flange(&self) -> Isometry3<f64> {
-        forward(&self.mover.arm.dh, &self.mover.q())
+        self.mover.flange()
     }
 
     /// Pose the active move leads to; the present one when the arm is in none.
@@ -186,6 +185,6 @@ impl Core {
     }
 
     pub(super) fn refresh(&mut self) {
-        self.tcp_pose = ur_pose_from_isometry(&self.mover.arm.tcp(&self.mover.q()));
+        self.tcp_pose = ur_pose_from_isometry(&self.mover.tcp());
     }
 }

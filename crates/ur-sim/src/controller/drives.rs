@@ -82,7 +82,7 @@ impl Core {
     /// What an accelerometer in the flange reads, m/s2 in the flange frame; gravity shows as upwards.
     pub fn tool_accelerometer(&self) -> [f64; 3] {
         let mover = &self.mover;
-        let flange = link_frames(&mover.arm.dh, &mover.q())[5];
+        let flange = mover.flange();
         let [x, y, z, ..] = self.acceleration_of(&Isometry3::identity());
         let felt = Vector3::new(x, y, z) + self.felt_gravity();
         (flange.rotation.inverse() * felt).into()

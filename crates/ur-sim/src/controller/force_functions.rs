@@ -209,7 +209,7 @@ impl Core {
         let wanted = Vector6::from(drawn);
         let wanted = wanted
             + self.compliance.as_ref().map_or(Vector6::zeros(), |compliance| {
-                let (tcp, speed) = (self.mover.arm.tcp(&self.mover.q()), self.mover.tcp_speed());
+                let (tcp, speed) = (self.mover.tcp(), self.mover.tcp_speed());
                 compliance.giving(&self.force_settings, &Vector6::from(self.tcp_force()), &tcp, &speed)
             });
         let now = self.mover.drift();

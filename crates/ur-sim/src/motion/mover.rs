@@ -16,6 +16,7 @@ use crate::motion::{Arm, FRAME_SECONDS};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Vector6};
 use std::collections::VecDeque;
+use ur_arm::kinematics::forward;
 
 /// Time in which speed scaling goes from 1 to 0, s: pause and slider.
 pub const SOFT_RAMP_SECONDS: f64 = 0.2;
@@ -72,6 +73,8 @@ pub struct Mover {
     /// The arm's geometry and limits.
     pub arm: Arm,
     q: Joints,
+    /// The flange there, in the base frame; computed where the joints change, as most frames leave them.
+    flange: Isometry3<f64>,
     qd: [f64; 6],
     qdd: [f64; 6],
     /// Joint speeds of the task alone, without the drift: what braking and speeding up start from.
@@ -99,6 +102,7 @@ impl Mover {
     /// An arm at rest at `q`.
     pub fn new(arm: Arm, q: Joints) -> Mover {
         Mover {
+            flange: forward(&arm.dh, &q),
             arm,
             q,
             qd: [0.0; 6],
@@ -121,6 +125,16 @@ impl Mover {
     /// Joint positions.
     pub fn q(&self) -> Joints {
         self.q
+    }
+
+    /// The flange in the base frame.
+    pub fn flange(&self) -> Isometry3<f64> {
+        self.flange
+    }
+
+    /// The TCP in the base frame.
+    pub fn tcp(&self) -> Isometry3<f64> {
+        self.flange * self.arm.flange_from_tcp
     }
 
     /// Joint speeds over the last frame, rad/s.
@@ -236,6 +250,7 @@ impl Mover {
     pub fn place(&mut self, q: Joints) {
         self.freeze();
         (self.q, self.drifted, self.tool_speed) = (q, [0.0; 6], None);
+        self.flange = forward(&self.arm.dh, &q);
     }
 
     /// Time in which speed scaling goes from 1 to 0 from now on, s.

@@ -27,7 +27,7 @@ fn a_circle_is_driven_at_its_speed_and_ends_at_its_target() {
     let mut fastest = 0.0f64;
     while !stopped(&controller) {
         controller.frame();
-        let at = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.vector;
+        let at = controller.core.mover.tcp().translation.vector;
         let radius = (at - start - nalgebra::Vector3::new(0.0, 0.05, 0.0)).norm();
         assert!((radius - 0.05).abs() < 1e-6, "{radius}");
         fastest = fastest.max(controller.core.mover.tcp_speed().fixed_rows::<3>(0).norm());
@@ -46,7 +46,7 @@ fn process_moves_round_their_corners_at_constant_speed() {
     upload(&mut controller, script);
     controller.frame();
     let start = controller.core.mover.arm.tcp(&controller.core.config.start).translation.vector;
-    let position = |c: &Controller| c.core.mover.arm.tcp(&c.core.mover.q()).translation.vector - start;
+    let position = |c: &Controller| c.core.mover.tcp().translation.vector - start;
     step_until(&mut controller, |c| position(c).x > 0.03);
     let mut nearest = f64::INFINITY;
     while position(&controller).y < 0.06 {
@@ -112,7 +112,7 @@ fn torque_accelerates_and_silence_brakes() {
 
 /// A wall at `height` (m) with a spring of 20 kN/m under the tool.
 fn press(controller: &mut Controller, height: f64) {
-    let depth = height - controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
+    let depth = height - controller.core.mover.tcp().translation.z;
     controller.core.sensing.set_contact_wrench([0.0, 0.0, (depth * 20_000.0).max(0.0), 0.0, 0.0, 0.0]);
 }
 
@@ -125,7 +125,7 @@ fn force_mode_runs_at_its_limit_in_the_air_and_rests_at_its_force_on_a_wall() {
          [0.1,0.1,0.05,0.5,0.5,0.5])\n \
          sleep(4)\n end_force_mode()\n sleep(1)\nend\n",
     );
-    let start = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
+    let start = controller.core.mover.tcp().translation.z;
     let step = |controller: &mut Controller, frames: u32| {
         for _ in 0..frames {
             press(controller, start - 0.05);
@@ -172,14 +172,14 @@ fn contact_is_felt_and_the_way_back_is_remembered() {
                   get_actual_joint_positions_history(back)\n \
                   stopl(3)\n movel(q)\n textmsg(force() > 10)\nend\n";
     upload(&mut controller, script);
-    let start = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
+    let start = controller.core.mover.tcp().translation.z;
     while !stopped(&controller) || controller.core.step < 5 {
         press(&mut controller, start - 0.03);
         controller.frame();
         assert!(controller.core.step < 5000, "no contact");
     }
     assert_eq!(messages(&mut controller)[1], "text:False", "back where the contact began");
-    let height = controller.core.mover.arm.tcp(&controller.core.mover.q()).translation.z;
+    let height = controller.core.mover.tcp().translation.z;
     assert!((height - (start - 0.03)).abs() < 5e-4, "{}", height - start);
 }
 

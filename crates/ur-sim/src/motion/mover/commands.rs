@@ -84,7 +84,7 @@ impl Mover {
         let Task::Segments(segments) = &self.task else { return None };
         let only = segments.back().filter(|_| segments.len() == 1)?;
         let handover = only.segment.handover(only.time)?;
-        let path = ToolPath::corner(&self.arm.tcp(&self.q), &handover.direction, handover.ahead, to)?;
+        let path = ToolPath::corner(&self.tcp(), &handover.direction, handover.ahead, to)?;
         Some((path, handover.speed))
     }
 

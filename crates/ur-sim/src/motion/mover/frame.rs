@@ -9,6 +9,7 @@ use crate::motion::{Arm, FRAME_SECONDS, MotionFault};
 use cell_values::units::Joints;
 use nalgebra::Vector6;
 use std::collections::VecDeque;
+use ur_arm::kinematics::forward;
 
 impl Mover {
     /// One frame of `FRAME_SECONDS`; `scaling` is where the speed scaling should go (0: at rest).
@@ -27,10 +28,11 @@ impl Mover {
         let next = self.next_position().and_then(|next| self.give_way(next));
         match next.and_then(|next| self.check(&next).map(|()| next)) {
             Ok(next) => {
-                self.limit_tool_speed(&next);
+                let flange = if next == self.q { self.flange } else { forward(&self.arm.dh, &next) };
+                self.limit_tool_speed(&flange);
                 let qd: [f64; 6] = std::array::from_fn(|i| (next.0[i] - self.q.0[i]) / FRAME_SECONDS);
                 self.qdd = std::array::from_fn(|i| (qd[i] - self.qd[i]) / FRAME_SECONDS);
-                (self.q, self.qd) = (next, qd);
+                (self.q, self.flange, self.qd) = (next, flange, qd);
                 self.still_frames = if self.stands() { self.still_frames.saturating_add(1) } else { 0 };
                 Ok(())
             }

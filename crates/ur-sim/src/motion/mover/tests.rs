@@ -296,3 +296,16 @@ proptest! {
         prop_assert!(mover.q() == last);
     }
 }
+
+#[test]
+fn the_flange_is_that_of_the_joints_wherever_they_are() {
+    let agrees = |mover: &Mover| assert_eq!(mover.flange(), forward(&mover.arm.dh, &mover.q));
+    let mut mover = mover();
+    agrees(&mover);
+    mover.place(Joints([0.3, -1.2, 1.4, -1.8, -1.5, 0.2]));
+    agrees(&mover);
+    mover.move_joints(&HOME, &limits(1.4, 1.05, 0.0)).unwrap();
+    finish(&mut mover, agrees);
+    mover.step(1.0).unwrap();
+    agrees(&mover);
+}

@@ -6,15 +6,14 @@
 use crate::motion::FRAME_SECONDS;
 use crate::motion::dynamics::tool_jacobian;
 use crate::motion::mover::{Mover, Task};
-use cell_values::units::Joints;
-use nalgebra::Vector6;
+use nalgebra::{Isometry3, Vector6};
 
 impl Mover {
     /// Slows segments down in the next frame to the tool speed allowed: the speed this frame would have had
     /// without the limiter determines by how much.
-    pub(super) fn limit_tool_speed(&mut self, next: &Joints) {
-        let at = |q: &Joints| self.arm.tcp(q).translation.vector;
-        let speed = (at(next) - at(&self.q)).norm() / FRAME_SECONDS;
+    pub(super) fn limit_tool_speed(&mut self, next_flange: &Isometry3<f64>) {
+        let next = next_flange * self.arm.flange_from_tcp;
+        let speed = (next.translation.vector - self.tcp().translation.vector).norm() / FRAME_SECONDS;
         let unlimited = speed / self.limiter;
         let allowed = (self.arm.tool_speed / unlimited.max(1e-9)).clamp(0.01, 1.0);
         self.limiter = if matches!(self.task, Task::Segments(_)) { allowed } else { 1.0 };
