@@ -381,7 +381,7 @@ fn whole_time(
     let started = Instant::now();
     let view = perception.grey_view(picture, *table_from_camera, Timestamp::ZERO, None);
     let view = view.map_err(|error| chain(&error))?;
-    perception.observe(&[view]).map_err(|error| chain(&error))?;
+    perception.observe(&[view], None).map_err(|error| chain(&error))?;
     Ok(started.elapsed().as_secs_f64() * 1e3)
 }
 

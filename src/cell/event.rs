@@ -13,7 +13,7 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobOrder, JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::Status;
-use cell_vision::observe::{Observation, View};
+use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::Isometry3;
 use ur_arm::kinematics::DhParameters;
 
@@ -30,6 +30,8 @@ pub enum Event {
     Received(Link, Vec<u8>),
     /// The answer to [`Effect::Registers`]: the words of a read, nothing for a write.
     Registers(Result<Vec<u16>, ModbusFailure>),
+    /// To [`Effect::Look`], first: its frames are exposed, and the camera may be moved.
+    Exposed(u64),
     /// To [`Effect::Look`].
     Looked(u64, Result<Vec<View>, CameraFault>),
     /// To [`Effect::Observe`].
@@ -85,6 +87,8 @@ pub enum Effect {
         number: u64,
         /// All of the look.
         views: Vec<View>,
+        /// What it had to show, and what is remembered of the rest; `None`: the whole table.
+        partial: Option<PartialLook>,
     },
     /// Take one picture of a calibration round and keep what it shows.
     Picture {

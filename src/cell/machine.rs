@@ -74,11 +74,12 @@ struct Identity {
     reported: bool,
 }
 
-/// Numbers of the requests to perception and planner: an answer to any but the last one is too late to
-/// count.
+/// Numbers of the requests to perception and planner: an answer to one from before the last one, or before
+/// the first picture of the present look, is too late to count.
 #[derive(Default)]
 struct Requests {
     last: u64,
+    since: u64,
     planning: bool,
 }
 
@@ -127,6 +128,7 @@ impl Machine {
             }
             Event::Received(link, bytes) => self.robot.received(now, link, &bytes),
             Event::Registers(answer) => self.gripper.response(now, answer),
+            Event::Exposed(number) => self.answered(number, Input::Exposed),
             Event::Looked(number, result) => self.answered(number, Input::Captured(result)),
             Event::Observed(number, result) => self.answered(number, Input::Observed(result)),
             Event::Pictured(number, result) => self.answered(number, Input::Pictured(result)),
@@ -210,7 +212,7 @@ impl Machine {
     }
 
     fn answered(&mut self, number: u64, input: Input) {
-        if number == self.requests.last {
+        if (self.requests.since..=self.requests.last).contains(&number) {
             self.inputs.push_back(input);
         }
     }
@@ -344,6 +346,7 @@ impl Machine {
             Input::Tick
             | Input::Robot(_)
             | Input::Gripper(_)
+            | Input::Exposed
             | Input::Captured(_)
             | Input::Observed(_)
             | Input::Planned(_)
@@ -368,10 +371,13 @@ impl Machine {
                 let refused = self.gripper.command(now, command).is_err();
                 return refused.then_some(Input::Gripper(GripperEvent::Refused));
             }
-            Action::Capture { frames, table_from_camera } => {
-                Effect::Look { number: self.next_request(), frames, table_from_camera }
+            Action::Capture { frames, table_from_camera, first } => {
+                let number = if first { self.next_request() } else { self.further_request() };
+                Effect::Look { number, frames, table_from_camera }
             }
-            Action::Observe(views) => Effect::Observe { number: self.next_request(), views },
+            Action::Observe { views, partial } => {
+                Effect::Observe { number: self.next_request(), views, partial }
+            }
             Action::Picture { pose, base_from_flange } => {
                 Effect::Picture { number: self.next_request(), pose, base_from_flange }
             }
@@ -409,6 +415,12 @@ impl Machine {
     }
 
     fn next_request(&mut self) -> u64 {
+        self.requests.since = self.requests.last + 1;
+        self.further_request()
+    }
+
+    /// Answers to the requests before it still count.
+    fn further_request(&mut self) -> u64 {
         self.cancel_plan();
         self.requests.last += 1;
         self.requests.last

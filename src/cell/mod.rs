@@ -3,8 +3,10 @@
 //! `machine`: [`machine::Machine`], the one thing that a shell drives. `event`: what goes in, what comes
 //! out. `device`: the sessions with robot and gripper. `links`: when a connection is made anew.
 //! `supervisor`: what the cell does next. `orders`: what a person may order, and the answer. `planner`: a
-//! plan request answered, with `plan_check` for what the arm can do of a plan. `code`: the words for how a
-//! job ends. No clock, no socket, no file: the daemon turns effects into tokio calls, and a test plays the
+//! plan request answered, with `plan_check` for what the arm can do of a plan and `quickest`
+//! for the order of its moves. `views`: from where the
+//! camera sees which part of the table. `times`: where a job's time goes. `code`: the words for how a job
+//! ends. No clock, no socket, no file: the daemon turns effects into tokio calls, and a test plays the
 //! other side in its own time.
 
 pub mod code;
@@ -15,4 +17,7 @@ pub mod machine;
 pub mod orders;
 pub mod plan_check;
 pub mod planner;
+pub mod quickest;
 pub mod supervisor;
+pub mod times;
+pub mod views;

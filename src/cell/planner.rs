@@ -5,6 +5,7 @@
 //! why there is none. Pure.
 
 use crate::cell::plan_check::OutOfReach;
+use crate::cell::quickest::quickest;
 use crate::cell::supervisor::input::{PlanAnswer, PlanRequest};
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::{Action, Status};
@@ -35,6 +36,10 @@ pub fn answer(
             // What is left without the places that did not do is no proof of anything.
             return last.map_or_else(|| explained(answer, &stay), unreachable);
         };
+        let ordered = ordered(&request, &bad, actions);
+        if let Some(ordered) = ordered.filter(|ordered| request.limits.carry_out(ordered).is_ok()) {
+            return with_actions(answer, ordered);
+        }
         match request.limits.carry_out(actions) {
             Ok(()) => return answer,
             Err(fault @ OutOfReach { buffer: Some(place), .. }) => {
@@ -60,6 +65,24 @@ fn explained(answer: PlanAnswer, stay: &[String]) -> PlanAnswer {
 
 fn unreachable(fault: OutOfReach) -> PlanAnswer {
     PlanAnswer::OutOfReach(Box::new(fault))
+}
+
+/// The same pick-n-places in an order that takes less time; `None` where none is found.
+fn ordered(request: &PlanRequest, bad: &[(usize, Pose2)], actions: &[Action]) -> Option<Vec<Action>> {
+    let table = [request.instance.workspace.width, request.instance.workspace.height];
+    let problem = Problem::new(&request.instance).ok()?.within(request.limits.reach(table, bad.to_vec()));
+    let seconds = |actions: &[Action]| request.times.seconds(actions.iter().map(|a| (a.from, a.to)));
+    let ordered = quickest(&problem, actions.to_vec(), &seconds);
+    (ordered != actions).then_some(ordered)
+}
+
+fn with_actions(answer: PlanAnswer, actions: Vec<Action>) -> PlanAnswer {
+    match answer {
+        PlanAnswer::Found { cost, lower_bound, seconds, .. } => {
+            PlanAnswer::Found { actions, cost, lower_bound, seconds }
+        }
+        other => other,
+    }
 }
 
 /// One run of the solver, with buffers away from `bad` ones.

@@ -3,6 +3,7 @@
 //! In: how many poses, moves and starts. Out: a table, or one JSON object. Exit code 0; 1 when an accepted
 //! move meets something in the other model, or a pose is not found again.
 
+use crate::bench::cycle::{self, FAST, USUAL, measure_pace};
 use crate::bench::motion::Subject;
 use crate::bench::motion::{MotionCases, WAY_STEPS, measure, subject, table};
 use crate::config::setup::{arm_model, cycle_parameters};
@@ -29,6 +30,12 @@ pub struct BenchMotionArgs {
     /// Random starts from which a way to a look pose is searched for
     #[arg(long, value_name = "N", default_value_t = 300)]
     starts: usize,
+    /// Jobs of each of the demo's scenes, at each of two limits, for the time of a pick-n-place
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    jobs: u64,
+    /// Only these: the time of a pick-n-place
+    #[arg(long)]
+    cycle: bool,
     /// Seed of all random choices
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -49,6 +56,12 @@ objects:
 
 /// Runs `celld bench motion`. Returns the exit code.
 pub fn run(args: &BenchMotionArgs) -> u8 {
+    if args.cycle {
+        for pace in [USUAL, FAST] {
+            print(&cycle::table(&pace, &measure_pace(&pace, args.jobs)));
+        }
+        return 0;
+    }
     let subject = match demo_subject(args.seed) {
         Ok(subject) => subject,
         Err(message) => {

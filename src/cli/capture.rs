@@ -69,7 +69,7 @@ fn capture(args: &CaptureArgs) -> Result<(String, u8), String> {
         let view = placed_view(&mut perception, image, Timestamp::from_nanos(index as u64));
         views.push(view.map_err(|fault| format!("{name}: {fault}"))?);
     }
-    let seen = perception.observe(&views).map_err(|error| chain(&error))?;
+    let seen = perception.observe(&views, None).map_err(|error| chain(&error))?;
     let mut text = reported(&seen);
     if !seen.complete() && !args.partial || seen.objects.is_empty() {
         text.push_str("nothing was written; look again from where all can be seen, or give --partial\n");

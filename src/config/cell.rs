@@ -187,6 +187,10 @@ pub struct Tolerances {
     pub goal_angle_rad: f64,
     /// An observation older than this is not acted upon, s.
     pub observation_age_s: f64,
+    /// The whole table is looked at again after so many pick-n-places.
+    pub full_look_every: u32,
+    /// How long the arm is at rest before a picture is taken, s.
+    pub settle_s: f64,
     /// Largest mean residual of the reference markers in a look, m.
     pub reference_residual_m: f64,
     /// Shift or lift of the camera, shown by the reference markers from one look pose, that stops motion, m.

@@ -9,7 +9,7 @@ use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration::check_board;
 use crate::config::cell::{Devices, MotionLimits};
 use crate::config::parts::CellParts;
-use crate::motion::holding::{Lip, Offset, Suction};
+use crate::motion::holding::{LEAST_ACCELERATION, Lip, Offset, Suction};
 use cell_parts::gripper::{CupConfig, GripperConfig};
 use cell_parts::places::Places;
 use cell_parts::reference::check_reference_markers;
@@ -209,7 +209,7 @@ fn check_object(decoder: &mut Decoder, parts: &CellParts, object: &ObjectSpec, a
     };
     if let (Some(limits), Some(mass_kg)) = (&parts.limits, object.mass) {
         let (suction, off) = (suction(gripper), off_centre(&object.footprint, &grip));
-        let needed_n = suction.needed_n(mass_kg, off, limits.tool_acceleration);
+        let needed_n = suction.needed_n(mass_kg, off, limits.tool_acceleration.min(LEAST_ACCELERATION));
         check_weight(decoder, object, mass_kg, [suction.force_n, needed_n], (at, path));
     }
 }

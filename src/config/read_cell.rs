@@ -69,6 +69,13 @@ pub const REFERENCE_SHIFT_M: f64 = 1e-3;
 /// See [`REFERENCE_SHIFT_M`].
 pub const REFERENCE_TURN_DEG: f64 = 0.15;
 
+/// Pick-n-places after which the whole table is looked at again, unless the file says otherwise.
+pub const FULL_LOOK_EVERY: u32 = 20;
+
+/// How long the arm is at rest before a picture is taken, s, unless the file says otherwise: two states of
+/// the robot.
+pub const SETTLE_S: f64 = 0.016;
+
 /// Seconds without motion after which arming lapses, unless the file says otherwise.
 pub const ARM_LAPSE_S: f64 = 600.0;
 
@@ -353,6 +360,8 @@ fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
         "goal_position_m",
         "goal_angle_deg",
         "observation_age_s",
+        "full_look_every",
+        "settle_s",
         "reference_residual_m",
         "reference_shift_m",
         "reference_turn_deg",
@@ -361,6 +370,10 @@ fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
     let position = required_positive(decoder, &fields, "goal_position_m", 0.1, "m");
     let angle = required_positive(decoder, &fields, "goal_angle_deg", 90.0, "degrees");
     let age = required_positive(decoder, &fields, "observation_age_s", 3600.0, "s");
+    let every = optional(decoder, &fields, "full_look_every", FULL_LOOK_EVERY, |d, at| {
+        d.integer(at, 1..=10_000).and_then(|count| u32::try_from(count).ok())
+    });
+    let settle = optional(decoder, &fields, "settle_s", SETTLE_S, |d, at| d.number_in(at, 0.0..=5.0, "s"));
     let residual = required_positive(decoder, &fields, "reference_residual_m", 0.1, "m");
     let shift = optional(decoder, &fields, "reference_shift_m", REFERENCE_SHIFT_M, |d, at| {
         d.number_in(at, 1e-5..=0.1, "m")
@@ -372,6 +385,8 @@ fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
         goal_position_m: position?,
         goal_angle_rad: rad_from_deg(angle?),
         observation_age_s: age?,
+        full_look_every: every?,
+        settle_s: settle?,
         reference_residual_m: residual?,
         reference_shift_m: shift?,
         reference_turn_rad: rad_from_deg(turn?),

@@ -12,11 +12,13 @@ use crate::cell::machine::MachineParameters;
 use crate::cell::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
+use crate::cell::views::SightModel;
 use crate::config::bodies::Equipment;
 use crate::config::cell::{CellConfig, Devices};
 use crate::config::check::{HELD_SHARE, off_centre, suction};
 use crate::motion::bodies::cell::{CellBodies, GripperBody};
 use crate::motion::bodies::{Bodies, Surroundings, Tabletop};
+use crate::motion::holding::LEAST_ACCELERATION;
 use crate::motion::path::{ArmLimits, ArmModel};
 use crate::motion::pick_n_place::{CycleParameters, plan};
 use crate::perception::Scene;
@@ -31,6 +33,7 @@ use nalgebra::{Isometry3, Vector3};
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::{ObjectSpec, Workspace};
 use rearrange::tabletop::room::{Cup, Grip, place_for_cups};
+use std::sync::Arc;
 use ur_arm::kinematics::DhParameters;
 
 /// What calibration found and the controller reported.
@@ -118,6 +121,7 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
         mount: measured.mount,
         look_poses: config.look_poses.clone(),
         frames_per_view: 2,
+        sight: sight(config, measured),
         park: config.park_pose,
         workspace: Workspace { width: config.workspace.width_m, height: config.workspace.height_m },
         clearance: config.workspace.clearance_m,
@@ -131,11 +135,12 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
             expected_position: 2.0 * tolerances.goal_position_m,
             expected_angle: 2.0 * tolerances.goal_angle_rad,
             observation_age: Duration::from_secs_f64(tolerances.observation_age_s),
+            full_look_every: tolerances.full_look_every,
             reference: drift_limits(config),
             reference_seen: REFERENCES_SEEN,
             measurement_std: tolerances.goal_position_m,
             retries: 2,
-            settle: Duration::from_millis(150),
+            settle: Duration::from_secs_f64(tolerances.settle_s),
             look_deadline: Duration::from_secs(60),
             phase_deadline: Duration::from_secs(60),
             arm_lapse: Duration::from_secs_f64(config.arm_lapse_s),
@@ -143,6 +148,27 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
         },
         grip: grip_settings(config),
     }
+}
+
+/// What the camera shows from where. Colours are compared with pictures from the look poses alone.
+fn sight(config: &CellConfig, measured: &Measured) -> Option<SightModel> {
+    let flange_from_camera = measured.mount.flange_from_camera()?;
+    let by_colour = config.foreign != ForeignRule::Off && config.calibration.empty.is_some();
+    let by_depth = config.devices.camera.measures_depth() || !by_colour;
+    let own = own_body(config, flange_from_camera.inverse() * config.flange_from_tool);
+    by_depth.then(|| SightModel {
+        camera: measured.camera.clone(),
+        references: reference_markers(config),
+        own: Some(own),
+        views: Arc::default(),
+    })
+}
+
+/// The gripper as the camera on the wrist may see it.
+fn own_body(config: &CellConfig, camera_from_tool: Isometry3<f64>) -> OwnBody {
+    let radius = config.gripper.body_polygon.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
+    let (radius_m, beyond_m) = (radius + OWN_MARGIN_M, OWN_MARGIN_M);
+    OwnBody { camera_from_tool, radius_m, body_m: radius, beyond_m }
 }
 
 /// Host, port and Modbus unit of the gripper: what a person confirms to be it.
@@ -277,8 +303,8 @@ fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, S
             .ok_or_else(|| SetupError::NoGrip { id: object.id.clone() })?;
     let mass_kg = object.mass.ok_or_else(|| lacks("mass"))?;
     let (suction, off) = (suction(&config.gripper), off_centre(&object.footprint, &grip));
-    let (needed_n, held_n) =
-        (suction.needed_n(mass_kg, off, config.limits.tool_acceleration), suction.force_n);
+    let acceleration = config.limits.tool_acceleration.min(LEAST_ACCELERATION);
+    let (needed_n, held_n) = (suction.needed_n(mass_kg, off, acceleration), suction.force_n);
     if held_n < needed_n {
         return Err(SetupError::TooHeavy { id: object.id.clone(), mass_kg, needed_n, held_n });
     }
@@ -448,7 +474,6 @@ pub fn inventory(config: &CellConfig, camera_from_tool: Option<Isometry3<f64>>) 
         let (footprint, pose) = (object.footprint.clone(), object.start?);
         Some(KnownBody { footprint, pose, height_m: object.height? })
     };
-    let radius = config.gripper.body_polygon.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
     Inventory {
         area: Area::around(width, height, SEARCH_MARGIN_M),
         objects: config
@@ -463,10 +488,6 @@ pub fn inventory(config: &CellConfig, camera_from_tool: Option<Isometry3<f64>>) 
             .collect(),
         fixed: config.objects.iter().filter(|object| object.fixed).filter_map(body).collect(),
         ignored: config.workspace.keep_out.clone(),
-        own: camera_from_tool.map(|camera_from_tool| OwnBody {
-            camera_from_tool,
-            radius_m: radius + OWN_MARGIN_M,
-            beyond_m: OWN_MARGIN_M,
-        }),
+        own: camera_from_tool.map(|camera_from_tool| own_body(config, camera_from_tool)),
     }
 }

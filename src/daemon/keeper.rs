@@ -17,7 +17,9 @@ use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
-use crate::jobs::record::{JobRecord, JobResult, JobState, ObjectResult, StepIntent, StepKind, StepPhase};
+use crate::jobs::record::{
+    JobRecord, JobResult, JobState, ObjectResult, StepIntent, StepKind, StepPhase, StepRecord,
+};
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status;
@@ -80,7 +82,9 @@ impl StateKeeper {
         let mut spool = Spool::open(state.root(), SpoolSettings { at_once: 1, ..SpoolSettings::STANDARD })?;
         spool.reconcile_at_start(&mut journal)?;
         let started_unix_s = now;
-        let gripped = journal.last_step()?.filter(|step| step.phase == StepPhase::Gripped);
+        // The word of a grip may not have reached the disk before the end.
+        let may_hang = |step: &StepRecord| matches!(step.phase, StepPhase::Gripped | StepPhase::Intent);
+        let gripped = journal.last_step()?.filter(may_hang);
         let held_before = gripped.map(|step| HeldBefore {
             object: step.intent.object,
             to: step.intent.to,
@@ -258,11 +262,21 @@ impl StateKeeper {
             }
             (Record::Gripped { .. }, Some(step)) => self.journal.step_gripped(id, step, now),
             (Record::Released { .. }, Some(step)) => self.journal.step_released(id, step, now),
+            (Record::Withdrawn { .. }, Some(step)) => {
+                *open = None;
+                self.journal.step_abandoned(id, step, now)
+            }
             (Record::Done { .. }, Some(step)) => {
                 *open = None;
                 self.journal.step_done(id, step, now)
             }
-            (Record::Gripped { .. } | Record::Released { .. } | Record::Done { .. }, None)
+            (
+                Record::Gripped { .. }
+                | Record::Released { .. }
+                | Record::Done { .. }
+                | Record::Withdrawn { .. },
+                None,
+            )
             | (Record::LetGo | Record::Ended(_), _) => Ok(()),
         }
     }

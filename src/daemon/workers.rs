@@ -17,8 +17,9 @@ use crate::perception::{Perception, PerceptionError, Picture};
 use cell_edge::clock::Clock;
 use cell_edge::files;
 use cell_edge::priority;
+use cell_values::time::Timestamp;
 use cell_vision::detect::Detector;
-use cell_vision::observe::{Observation, View};
+use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::Isometry3;
 use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
@@ -37,7 +38,12 @@ pub enum SeeRequest {
         table_from_camera: Isometry3<f64>,
     },
     /// Put these views together.
-    Observe(Vec<View>),
+    Observe {
+        /// All of a look.
+        views: Vec<View>,
+        /// What it had to show; `None`: the whole table.
+        partial: Option<PartialLook>,
+    },
     /// One picture of a calibration round.
     Picture {
         /// The pose, from 1.
@@ -95,7 +101,9 @@ pub fn busy(number: u64, request: &SeeRequest) -> Event {
     };
     match request {
         SeeRequest::Look { .. } => Event::Looked(number, Err(fault())),
-        SeeRequest::Observe(_) => Event::Observed(number, Err("the camera thread does not answer".into())),
+        SeeRequest::Observe { .. } => {
+            Event::Observed(number, Err("the camera thread does not answer".into()))
+        }
         SeeRequest::Picture { .. } => Event::Pictured(number, Err(fault())),
     }
 }
@@ -111,14 +119,16 @@ impl Seeing {
     fn answer(&mut self, number: u64, request: SeeRequest) -> Event {
         match request {
             SeeRequest::Look { frames, table_from_camera } => {
-                let looked = self.look(frames, table_from_camera);
+                let looked = self.look(number, frames, table_from_camera);
                 if looked.is_err() {
                     // The look may end here; the next one's pictures are other ones.
                     self.shots.clear();
                 }
                 Event::Looked(number, looked)
             }
-            SeeRequest::Observe(views) => Event::Observed(number, self.observe(&views).map(Box::new)),
+            SeeRequest::Observe { views, partial } => {
+                Event::Observed(number, self.observe(&views, partial.as_ref()).map(Box::new))
+            }
             SeeRequest::Picture { pose, base_from_flange } => {
                 Event::Pictured(number, self.picture(pose, base_from_flange))
             }
@@ -130,13 +140,21 @@ impl Seeing {
         let _ = self.messages.blocking_send(Message::Displayed(displayed));
     }
 
-    fn look(&mut self, frames: usize, table_from_camera: Isometry3<f64>) -> Result<Vec<View>, CameraFault> {
+    fn look(
+        &mut self,
+        number: u64,
+        frames: usize,
+        table_from_camera: Isometry3<f64>,
+    ) -> Result<Vec<View>, CameraFault> {
         let PerceptionSetup { camera, sight: Sight::Cell(perception), diagnostic_images } = &mut self.eyes
         else {
             return Err(no_perception());
         };
         let camera: &mut dyn CameraSource = &mut **camera;
-        let (views, frame) = look(camera, perception, frames, table_from_camera, &self.clock)?;
+        let taken = take(camera, perception.wants_depth(), frames, &self.clock)?;
+        // The arm may go on while the pictures are searched; the loop has ended if there is no receiver.
+        let _ = self.messages.blocking_send(Message::Event(Event::Exposed(number)));
+        let (views, frame) = found_in(perception, taken, table_from_camera)?;
         if diagnostic_images.is_some() {
             diagnostic_images::keep(&mut self.shots, Shot { image: frame.image.clone(), table_from_camera });
         }
@@ -144,11 +162,11 @@ impl Seeing {
         Ok(views)
     }
 
-    fn observe(&mut self, views: &[View]) -> Result<Observation, String> {
+    fn observe(&mut self, views: &[View], partial: Option<&PartialLook>) -> Result<Observation, String> {
         let PerceptionSetup { sight: Sight::Cell(perception), diagnostic_images, .. } = &self.eyes else {
             return Err(no_perception().message);
         };
-        let seen = perception.observe(views).map_err(|error| chain(&error));
+        let seen = perception.observe(views, partial).map_err(|error| chain(&error));
         // A look that was broken off has left pictures of its own.
         let of_it = |shot: &Shot| views.iter().any(|view| view.table_from_camera == shot.table_from_camera);
         self.shots.retain(of_it);
@@ -182,26 +200,40 @@ impl Seeing {
     }
 }
 
-/// Takes `frames` new frames and finds the markers in each; the last one comes with depth if there is a
-/// search for it.
+/// Takes `frames` new frames, the last one with depth where that is wanted, each with its time.
 ///
 /// # Errors
-/// What the camera or the detector says, or that no frame was requested.
-fn look(
+/// What the camera says.
+fn take(
     camera: &mut dyn CameraSource,
-    perception: &mut Perception,
+    wants_depth: bool,
     frames: usize,
-    table_from_camera: Isometry3<f64>,
     clock: &Clock,
-) -> Result<(Vec<View>, Frame), CameraFault> {
-    let mut views: Vec<View> = Vec::with_capacity(frames);
-    let mut last = None;
-    for left in (0..frames).rev() {
-        camera.want_depth(perception.wants_depth() && left == 0);
+) -> Result<Vec<(Timestamp, Frame)>, CameraFault> {
+    let one = |left: usize| {
+        camera.want_depth(wants_depth && left == 0);
         let frame = camera.grab().map_err(|error| fault_of(&error))?;
+        Ok((clock.now(), frame))
+    };
+    (0..frames).rev().map(one).collect()
+}
+
+/// Finds the markers in frames of one place and one moment; the last one with what depth or colour say.
+///
+/// # Errors
+/// What the detector says, or that there is no frame.
+fn found_in(
+    perception: &mut Perception,
+    frames: Vec<(Timestamp, Frame)>,
+    table_from_camera: Isometry3<f64>,
+) -> Result<(Vec<View>, Frame), CameraFault> {
+    let mut views: Vec<View> = Vec::with_capacity(frames.len());
+    let mut last = None;
+    let count = frames.len();
+    for (index, (time, frame)) in frames.into_iter().enumerate() {
         let picture = Picture { image: &frame.image, depth: frame.depth.as_ref() };
         // The first picture is searched whole; the others are of the same place and the same moment.
-        let view = perception.view(picture, table_from_camera, clock.now(), views.last(), left == 0);
+        let view = perception.view(picture, table_from_camera, time, views.last(), index + 1 == count);
         views.push(view.map_err(|error| failed(&error))?);
         last = Some(frame);
     }
@@ -339,7 +371,8 @@ mod tests {
         let mut camera = Camera { depth, wanted: true, taken: 0 };
         let down = nalgebra::UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0);
         let over = Isometry3::from_parts(nalgebra::Translation3::new(0.1, 0.1, 0.5), down);
-        look(&mut camera, &mut perception, 2, over, &Clock::new(1.0))
+        let wants_depth = perception.wants_depth();
+        found_in(&mut perception, take(&mut camera, wants_depth, 2, &Clock::new(1.0))?, over)
     }
 
     #[test]

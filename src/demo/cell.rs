@@ -12,7 +12,9 @@ use crate::config::cell::{
     CalibrationFiles, CameraDevice, CellConfig, Devices, MotionLimits, PlannerConfig, SimulationConfig,
     Tolerances, WorkspaceConfig,
 };
-use crate::config::read_cell::{ARM_LAPSE_S, REFERENCE_SHIFT_M, REFERENCE_TURN_DEG};
+use crate::config::read_cell::{
+    ARM_LAPSE_S, FULL_LOOK_EVERY, REFERENCE_SHIFT_M, REFERENCE_TURN_DEG, SETTLE_S,
+};
 use crate::config::setup::arm_model;
 use crate::demo::teach::{
     BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
@@ -173,6 +175,8 @@ fn tolerances() -> Tolerances {
         goal_position_m: 0.0014,
         goal_angle_rad: 0.7f64.to_radians(),
         observation_age_s: 60.0,
+        full_look_every: FULL_LOOK_EVERY,
+        settle_s: SETTLE_S,
         reference_residual_m: 0.001,
         reference_shift_m: REFERENCE_SHIFT_M,
         reference_turn_rad: REFERENCE_TURN_DEG.to_radians(),

@@ -17,30 +17,50 @@ const GRIP_S: f64 = 0.5;
 /// Until it has gone, s.
 const RELEASE_S: f64 = 0.3;
 
+/// Until a picture is taken, s.
+const PICTURE_S: f64 = 0.1;
+
+/// What is this far from the middle of all that has to be seen is looked at from the greatest height, m.
+const SPREAD_M: f64 = 0.25;
+
 /// What an arm takes for its moves.
 #[derive(Clone, Debug)]
 pub struct CycleTimes {
     model: ArmModel,
     cycle: CycleParameters,
     start: Joints,
+    /// Heights of the tool at a look at a part of the table, m: at a small part, and at all of it.
+    look: Option<[f64; 2]>,
 }
 
 impl CycleTimes {
     /// Of an arm that begins at `start`.
     pub fn new(model: &ArmModel, cycle: &CycleParameters, start: Joints) -> CycleTimes {
-        CycleTimes { model: model.clone(), cycle: cycle.clone(), start }
+        CycleTimes { model: model.clone(), cycle: cycle.clone(), start, look: None }
+    }
+
+    /// The same with a look before every pick but the first, from these heights of the tool over the
+    /// table, m: the lower, the nearer together all is that has to be seen.
+    pub fn looking(self, heights: [f64; 2]) -> CycleTimes {
+        CycleTimes { look: Some(heights), ..self }
     }
 
     /// Seconds of these pick-n-places, one after the other: poses before and after, in the table frame.
     pub fn seconds(&self, moves: impl IntoIterator<Item = (Pose2, Pose2)>) -> f64 {
         let mut at = self.start;
         let mut sum = 0.0;
+        let mut before: Option<(Pose2, Pose2)> = None;
         for (from, to) in moves {
             let turn = wrap_angle(to.theta - from.theta);
+            let looked = before.and_then(|before| self.look(&at, [before.0, before.1, from, to]));
+            if let Some((view, way)) = looked {
+                (at, sum) = (view, sum + way);
+            }
             let (pick, empty) = self.way(&at, &from, 0.0, 5);
             let (place, carried) = self.way(&pick, &to, turn, 6);
             sum += empty + carried + self.least_move_seconds();
             at = place;
+            before = Some((from, to));
         }
         sum
     }
@@ -49,6 +69,21 @@ impl CycleTimes {
     pub fn least_move_seconds(&self) -> f64 {
         let straight = rest_to_rest(self.cycle.approach, self.cycle.tool_speed, self.cycle.tool_acceleration);
         4.0 * straight + GRIP_S + RELEASE_S
+    }
+
+    /// Where the arm looks at these places from, about, and the seconds until it is there: over their
+    /// middle, the higher the farther they are apart.
+    fn look(&self, from: &Joints, places: [Pose2; 4]) -> Option<(Joints, f64)> {
+        let [low, high] = self.look?;
+        let mean = |of: fn(&Pose2) -> f64| places.iter().map(of).sum::<f64>() / 4.0;
+        let middle = Pose2::new(mean(|pose| pose.x), mean(|pose| pose.y), 0.0);
+        let spread = places.iter().map(|pose| pose.distance(&middle)).fold(0.0, f64::max);
+        let height = low + (high - low) * (spread / SPREAD_M).min(1.0);
+        let over = tool_down(middle.x, middle.y, height, 0.0);
+        let q = self.model.joints_in_work_posture(&over, from)?;
+        let longest = (0..5).map(|joint| (q.0[joint] - from.0[joint]).abs()).fold(0.0, f64::max);
+        let way = rest_to_rest(longest, self.cycle.joint_speed, self.cycle.joint_acceleration);
+        Some((q, way + PICTURE_S))
     }
 
     /// Joint positions over a pose, and the seconds until they are reached by the first `joints` of them.
@@ -66,7 +101,7 @@ impl CycleTimes {
 }
 
 /// Seconds of a way from rest to rest.
-fn rest_to_rest(length: f64, speed: f64, acceleration: f64) -> f64 {
+pub fn rest_to_rest(length: f64, speed: f64, acceleration: f64) -> f64 {
     if length < speed * speed / acceleration {
         2.0 * (length / acceleration).sqrt()
     } else {

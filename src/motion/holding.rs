@@ -19,6 +19,9 @@ const FACTOR_ACCELERATING: f64 = 4.0;
 /// Rubber on a dry, smooth top; makers of cups calculate with 0.5.
 const FRICTION: f64 = 0.5;
 
+/// What is carried is accelerated by so much at least, m/s2: what the cups hold more slowly is too heavy.
+pub const LEAST_ACCELERATION: f64 = 0.5;
+
 /// One cup: its middle in the tool's plane, and the radius of its lip, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lip {

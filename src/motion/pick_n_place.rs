@@ -103,6 +103,10 @@ pub(crate) const YAWS: usize = 16;
 /// How many of the cheapest candidates go through the full check before the move is given up.
 const CANDIDATES: usize = 48;
 
+/// From where on the last joint counts as turned far, rad, and by what share of the rest.
+const WOUND_FROM_RAD: f64 = 0.75 * PI;
+const WOUND: f64 = 0.3;
+
 /// Of these a way round is searched for, where no candidate's straight moves are free.
 const SEARCHED: usize = 2;
 
@@ -157,6 +161,9 @@ pub fn tool_down(x: f64, y: f64, z: f64, yaw: f64) -> Isometry3<f64> {
 /// Joints at the corners of the move for one yaw and one branch.
 struct Candidate {
     yaw: f64,
+    /// Where the empty tool comes over the object.
+    hover: Joints,
+    /// Where it is lifted to.
     over_pick: Joints,
     pick: Joints,
     over_place: Joints,
@@ -171,16 +178,23 @@ struct Rooms {
     after: Room,
 }
 
-/// Height of the tool while it travels: over everything that is on the table, with the object hanging below.
-fn travel_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
-    cycle.tallest + cycle.air + task.depth().max(cycle.approach)
+/// Height of the tool while it travels with the object, or after it was put down, when it may still hang
+/// on the cups: over everything that is on the table, and so far over the place that the straight part is
+/// there.
+pub(crate) fn travel_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
+    (cycle.tallest + cycle.air + task.depth()).max(task.height + cycle.approach)
 }
 
-/// Blend radius of a corner at that height, m: with something `below` the tool (m), the way that cuts it
-/// stays over everything, of which half of the air is kept.
-fn corner(below: f64, task: &PickNPlace, cycle: &CycleParameters) -> f64 {
-    let over_all = travel_height(task, cycle) - below - cycle.tallest - 0.5 * cycle.air;
-    cycle.blend.min(0.9 * over_all)
+/// Height at which the empty tool comes over the object, the same way.
+fn hover_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
+    (cycle.tallest + cycle.air).max(task.height + cycle.approach)
+}
+
+/// Blend radius of a corner at a height, m: with something `below` the tool (m), the way that cuts it stays
+/// over everything, of which half of the air is kept.
+fn corner(height: f64, below: f64, cycle: &CycleParameters) -> f64 {
+    let over_all = height - below - cycle.tallest - 0.5 * cycle.air;
+    cycle.blend.min(0.9 * over_all).max(0.0)
 }
 
 fn yaws(task: &PickNPlace) -> Vec<f64> {
@@ -210,15 +224,23 @@ fn candidates(
         for start_turn in [0.0, -TAU, TAU] {
             let mut near = *start;
             near.0[5] += start_turn;
-            let Some(over_pick) = at(pick, high, yaw, &near) else { continue };
-            let Some(at_pick) = at(pick, low, yaw, &over_pick) else { continue };
+            let Some(hover) = at(pick, hover_height(task, cycle), yaw, &near) else { continue };
+            let Some(at_pick) = at(pick, low, yaw, &hover) else { continue };
+            let Some(over_pick) = at(pick, high, yaw, &at_pick) else { continue };
             let Some(over_place) = at(place, high, yaw + turn, &over_pick) else { continue };
             let Some(at_place) = at(place, low, yaw + turn, &over_place) else { continue };
-            let cost = start.max_difference(&over_pick) + over_pick.max_difference(&over_place);
-            out.push(Candidate { yaw, over_pick, pick: at_pick, over_place, place: at_place, cost });
+            let way = start.max_difference(&hover) + over_pick.max_difference(&over_place);
+            let cost = way + wound(&hover) + wound(&over_place);
+            out.push(Candidate { yaw, hover, over_pick, pick: at_pick, over_place, place: at_place, cost });
         }
     }
     out
+}
+
+/// What it costs that the last joint is turned far, rad of the leading joint: where it is left at one end of
+/// its range, the next turn may have to go all the way back.
+pub fn wound(q: &Joints) -> f64 {
+    WOUND * (q.0[5].abs() - WOUND_FROM_RAD).max(0.0)
 }
 
 /// Which of the four tool poses has no solution: pick or place.
@@ -253,10 +275,10 @@ fn assemble(
     let low = task.height - cycle.press;
     let empty_floor = cycle.tallest + 0.5 * cycle.air;
     let lower = Leg::between(linear(candidate.pick, cycle, 0.0), low - 1e-3);
-    let blend = corner(0.0, task, cycle);
-    let direct = [Leg::over(joint(candidate.over_pick, cycle, blend), empty_floor), lower];
+    let blend = corner(hover_height(task, cycle), 0.0, cycle);
+    let direct = [Leg::over(joint(candidate.hover, cycle, blend), empty_floor), lower];
     let approach = CheckedPath::new(model, start, &direct, &rooms.before).or_else(|fault| {
-        let ends = (start, &candidate.over_pick);
+        let ends = (start, &candidate.hover);
         let mut legs = round(model, ends, cycle, &rooms.before, search).ok_or(fault)?;
         legs.iter_mut().for_each(|leg| leg.floor = empty_floor);
         legs.push(lower);
@@ -281,7 +303,7 @@ fn carry_path(
 ) -> Result<CheckedPath, PathFault> {
     let low = task.height - cycle.press;
     let floor = cycle.tallest + 0.5 * cycle.air + task.height;
-    let blend = corner(task.depth(), task, cycle);
+    let blend = corner(travel_height(task, cycle), task.depth(), cycle);
     let room = rooms.meanwhile.holding(&model.bodies, Some(&task.hanging(candidate.yaw)));
     let with_transfer = |blend: f64, transfer: Vec<Leg>| {
         let lift = Leg::between(linear(candidate.over_pick, cycle, blend), low - 1e-3);
@@ -298,6 +320,25 @@ fn carry_path(
             let ends = (&candidate.over_pick, &candidate.over_place);
             with_transfer(0.0, round(model, ends, cycle, &room, search).ok_or(fault)?)
         })
+}
+
+/// From a place, where the arm is at `from`, straight up to `over` and on to `to`, as one motion; `None`
+/// where the way from there is not free for the tool with `load`, which was put down and may hang on it
+/// all the same. `table` is what else lies on it.
+pub fn leave(
+    model: &ArmModel,
+    [from, over, to]: [&Joints; 3],
+    (placed, load): (&PickNPlace, &Load),
+    cycle: &CycleParameters,
+    table: &Tabletop,
+) -> Option<CheckedPath> {
+    let room = Room::new(&model.bodies, table, None).holding(&model.bodies, Some(load));
+    let low = placed.height - cycle.press;
+    let to = model.unwound(to, over)?;
+    let blend = corner(travel_height(placed, cycle), placed.depth(), cycle);
+    let up = Leg::between(linear(*over, cycle, blend), low - 1e-3).holding(placed.hold);
+    let away = Leg::over(joint(to, cycle, 0.0), f64::NEG_INFINITY).holding(placed.hold);
+    CheckedPath::new(model, from, &[up, away], &room).ok()
 }
 
 /// A way round what is in the straight way, stop by stop; `None` where none is searched for or found.

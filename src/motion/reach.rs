@@ -10,7 +10,7 @@
 
 use crate::motion::bodies::{Room, Tabletop};
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment, out_of_reach};
-use crate::motion::pick_n_place::{CycleParameters, PickNPlace, YAWS, tool_down};
+use crate::motion::pick_n_place::{CycleParameters, PickNPlace, YAWS, tool_down, travel_height};
 use cell_values::units::Joints;
 use rearrange::geometry::pose::Pose2;
 use std::f64::consts::TAU;
@@ -42,8 +42,8 @@ impl Heights {
     /// From the highest that any of these objects is carried at, to the lowest that one is picked at.
     fn of(objects: &[PickNPlace], cycle: &CycleParameters) -> Heights {
         let lowest = objects.iter().map(|object| object.height).fold(f64::INFINITY, f64::min);
-        let deepest = objects.iter().map(PickNPlace::depth).fold(cycle.approach, f64::max);
-        Heights { low: lowest.min(cycle.tallest) - cycle.press, high: cycle.tallest + cycle.air + deepest }
+        let high = objects.iter().map(|object| travel_height(object, cycle)).fold(0.0, f64::max);
+        Heights { low: lowest.min(cycle.tallest) - cycle.press, high }
     }
 }
 

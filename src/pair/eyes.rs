@@ -17,7 +17,7 @@ use cell_values::image::quality::{PictureLimits, judge, measure};
 use cell_values::image::{Image, tag36h11_bitmap};
 use cell_values::time::Timestamp;
 use cell_vision::detect::{DetectSettings, Detection, Family};
-use cell_vision::observe::{Observation, View};
+use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -95,6 +95,8 @@ pub struct Eyes {
 
 /// The answer to a request, and how many seconds the cell waits for it still.
 pub struct Seen {
+    /// At once: the frames are exposed.
+    pub exposed: Option<Event>,
     /// For the machine.
     pub event: Event,
     /// Seconds.
@@ -178,7 +180,7 @@ impl Eyes {
                 if result.is_ok() {
                     self.pictures.push(RoundPicture { pose, base_from_flange, image });
                 }
-                Some(Seen { event: Event::Pictured(task.number, result), evaluation_s })
+                Some(Seen { exposed: None, event: Event::Pictured(task.number, result), evaluation_s })
             }
             Wanted::Look(look) => {
                 let seen = match fault {
@@ -234,17 +236,18 @@ impl Eyes {
                 Ok(views)
             }
         };
-        Some(Seen { event: Event::Looked(number, result), evaluation_s })
+        let exposed = result.is_ok().then_some(Event::Exposed(number));
+        Some(Seen { exposed, event: Event::Looked(number, result), evaluation_s })
     }
 
     /// The views of a look put together.
     ///
     /// # Errors
     /// What keeps them from fitting together.
-    pub fn observe(&self, views: &[View]) -> Result<Box<Observation>, String> {
+    pub fn observe(&self, views: &[View], partial: Option<&PartialLook>) -> Result<Box<Observation>, String> {
         let seen = match &self.sight {
-            Sight::Pictures(sight) => sight.1.observe(views),
-            Sight::Corners(sight) => observe_views(&sight.0, views),
+            Sight::Pictures(sight) => sight.1.observe(views, partial),
+            Sight::Corners(sight) => observe_views(&sight.0, views, partial),
         };
         seen.map(Box::new).map_err(|error| error.to_string())
     }

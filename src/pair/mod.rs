@@ -414,6 +414,7 @@ impl Pair {
         let world = lock(&core.world);
         let now_s = world.now_s();
         let Some(seen) = self.eyes.step(&world, now_s) else { return };
+        self.due.extend(seen.exposed);
         let due = self.frame + (seen.evaluation_s / FRAME_SECONDS) as u64 + 1;
         self.later.push(Later { due, event: seen.event });
     }
@@ -444,8 +445,8 @@ impl Pair {
                 let now_s = lock(&self.simulator.core().world).now_s();
                 self.eyes.look(now_s, number, frames, table_from_camera);
             }
-            Effect::Observe { number, views } => {
-                let seen = self.eyes.observe(&views);
+            Effect::Observe { number, views, partial } => {
+                let seen = self.eyes.observe(&views, partial.as_ref());
                 self.after(OBSERVING_S, Event::Observed(number, seen));
             }
             Effect::Plan { number, request } => {

@@ -25,8 +25,8 @@ use ur_sim::world::vacuum::VacuumMode;
 pub enum Rule {
     /// The arm begins to move although the cell is disarmed and no pick-n-place is under way.
     MotionWhileDisarmed,
-    /// The arm begins to move while a record that it depends on is not on disk.
-    MotionBeforeCommit,
+    /// The vacuum is switched on for a pick-n-place that is not on disk.
+    GripBeforeCommit,
     /// The arm begins to move on a state older than 100 ms.
     MotionOnStaleState,
     /// The arm moves for a program that is not the one uploaded last.
@@ -40,7 +40,7 @@ pub enum Rule {
     VacuumOffAway,
     /// Something is held and the vacuum is not read.
     HeldUnwatched,
-    /// A pick is meant on a sight older than the last pick, place, stop or release.
+    /// The vacuum is switched on for a pick on a sight older than the last pick, place, stop or release.
     PickOnOldSight,
     /// A record is reported to the machine as on disk, and it is not.
     AcknowledgedNotWritten,
@@ -71,7 +71,7 @@ impl Rule {
     /// All of them.
     pub const ALL: [Rule; 20] = [
         Rule::MotionWhileDisarmed,
-        Rule::MotionBeforeCommit,
+        Rule::GripBeforeCommit,
         Rule::MotionOnStaleState,
         Rule::MotionOfOldProgram,
         Rule::MotionAfterStop,
@@ -102,6 +102,11 @@ pub struct Breach {
     pub rule: Rule,
     /// What was seen.
     pub detail: String,
+}
+
+/// A control word that switches a channel's pump on.
+fn is_grip(word: &u16) -> bool {
+    word >> 8 == 1
 }
 
 /// A link that brings no state for so long is gone, 90 ms: celld stops the arm after 100 ms.
@@ -139,7 +144,7 @@ pub struct Rules {
     package: Vec<u8>,
     last_read: u64,
     frame: u64,
-    /// Records on their way to the disk, with whether motion waits for them.
+    /// Records on their way to the disk, with whether a grip waits for them.
     open: BTreeMap<u64, bool>,
     written: BTreeSet<u64>,
     /// Without an answer yet, with the frame in which they were given.
@@ -224,6 +229,7 @@ impl Rules {
             | Event::Connected(_)
             | Event::Received(..)
             | Event::Registers(_)
+            | Event::Exposed(_)
             | Event::Looked(..)
             | Event::Observed(..)
             | Event::Pictured(..)
@@ -270,14 +276,10 @@ impl Rules {
         self.frame = frame;
         match effect {
             Effect::Commit { number, record } => {
-                self.open.insert(*number, !matches!(record, Record::Ended(_) | Record::LetGo));
+                self.open.insert(*number, matches!(record, Record::Intent { .. }));
                 match record {
-                    Record::Intent { object, .. } => {
-                        self.picking = true;
-                        if self.sight <= self.disturbed {
-                            self.breach(Rule::PickOnOldSight, object.clone());
-                        }
-                    }
+                    Record::Intent { .. } => self.picking = true,
+                    Record::Withdrawn { .. } => self.picking = false,
                     Record::Gripped { .. } | Record::Released { .. } | Record::LetGo => {
                         self.disturbed = frame
                     }
@@ -288,6 +290,9 @@ impl Rules {
             Effect::Send(Link::Dashboard, bytes) => self.check_line(bytes, machine),
             Effect::Send(Link::Primary, _) => self.check_started("a program", machine),
             Effect::Registers(ModbusRequest::Read { .. }) => self.last_read = frame,
+            Effect::Registers(ModbusRequest::Write { values, .. }) if values.iter().any(is_grip) => {
+                self.check_grip();
+            }
             Effect::Reply { number, reply } => self.check_reply(*number, reply, machine),
             Effect::End(_) => self.check_end(),
             Effect::Notify(News::Notice(notice)) if notice.text.starts_with(STOP_ORDERED) => {

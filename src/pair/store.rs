@@ -8,6 +8,7 @@ use crate::cell::code::{Code, JobStatus};
 use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::model::HeldBefore;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
+use crate::cell::times::JobTimes;
 use std::collections::VecDeque;
 
 /// Jobs. See the module.
@@ -78,7 +79,8 @@ impl Store {
         match since.last() {
             // Its report had reached the disk, and had reached no reader.
             Some(Record::Ended(report)) if report.id == job.id => self.reports.push((**report).clone()),
-            Some(Record::Ended(_) | Record::LetGo | Record::Done { .. }) | None => {
+            Some(Record::Ended(_) | Record::LetGo | Record::Done { .. } | Record::Withdrawn { .. })
+            | None => {
                 self.waiting.push_front(job);
             }
             Some(Record::Intent { .. } | Record::Released { .. }) => self.interrupt(&job, Code::Interrupted),
@@ -110,21 +112,19 @@ impl Store {
             planned: None,
             planning_seconds: 0.0,
             seconds: 0.0,
+            times: JobTimes::default(),
             objects: Vec::new(),
         });
     }
 }
 
-/// The object of the last step, if that was gripped and not let go.
+/// The object of the last step, if that was not let go: gripped, or meant to be, for the word of the grip
+/// may not have reached the disk.
 fn gripped_last(durable: &[Record]) -> Option<HeldBefore> {
-    let steps = durable.iter().rev().filter(|record| !matches!(record, Record::Ended(_)));
-    let mut steps = steps.skip_while(|record| matches!(record, Record::Gripped { .. }));
-    let gripped = durable.iter().rev().find(|record| !matches!(record, Record::Ended(_)));
-    match (gripped, steps.next()) {
-        (Some(Record::Gripped { .. }), Some(Record::Intent { object, to, tool_from_object, table, .. })) => {
-            let (object, table) = (object.clone(), table.clone());
-            Some(HeldBefore { object, to: *to, tool_from_object: *tool_from_object, table })
-        }
-        _ => None,
-    }
+    let mut steps = durable.iter().rev().filter(|record| !matches!(record, Record::Ended(_)));
+    let last = steps.next()?;
+    let intent = if matches!(last, Record::Gripped { .. }) { steps.next()? } else { last };
+    let Record::Intent { object, to, tool_from_object, table, .. } = intent else { return None };
+    let (object, table) = (object.clone(), table.clone());
+    Some(HeldBefore { object, to: *to, tool_from_object: *tool_from_object, table })
 }

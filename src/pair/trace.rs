@@ -94,7 +94,7 @@ impl Trace {
             Effect::Look { number, frames, .. } => {
                 self.line(frame, || format!("> look {number}, {frames} frames"));
             }
-            Effect::Observe { number, views } => {
+            Effect::Observe { number, views, .. } => {
                 self.line(frame, || format!("> observe {number}, {} views", views.len()));
             }
             Effect::Plan { number, request } => {

@@ -17,7 +17,9 @@ use cell_vision::detect::{DetectError, DetectSettings, Detection, Detector};
 use cell_vision::foreign::search::ForeignSearch;
 use cell_vision::foreign::{HeightMap, HeightMapError};
 use cell_vision::observe::reference::DriftLimits;
-use cell_vision::observe::{MarkedObject, Observation, ObserveLimits, ReferenceMarker, View, observe};
+use cell_vision::observe::{
+    MarkedObject, Observation, ObserveLimits, PartialLook, ReferenceMarker, View, observe,
+};
 use nalgebra::Isometry3;
 use std::sync::Arc;
 
@@ -153,12 +155,17 @@ impl Perception {
         Ok(View { table_from_camera, detections, time, heights: None })
     }
 
-    /// The views of a look put together.
+    /// The views of a look put together; of a partial look only its region is searched for things without a
+    /// marker.
     ///
     /// # Errors
     /// What keeps them from fitting together.
-    pub fn observe(&self, views: &[View]) -> Result<Observation, PerceptionError> {
-        observe_views(&self.scene, views)
+    pub fn observe(
+        &self,
+        views: &[View],
+        partial: Option<&PartialLook>,
+    ) -> Result<Observation, PerceptionError> {
+        observe_views(&self.scene, views, partial)
     }
 }
 
@@ -166,10 +173,14 @@ impl Perception {
 ///
 /// # Errors
 /// What keeps them from fitting together.
-pub fn observe_views(scene: &Scene, views: &[View]) -> Result<Observation, PerceptionError> {
+pub fn observe_views(
+    scene: &Scene,
+    views: &[View],
+    partial: Option<&PartialLook>,
+) -> Result<Observation, PerceptionError> {
     let Scene { camera, objects, reference, limits, foreign, .. } = scene;
     let mut seen = observe(objects, reference, camera, views, limits)
         .map_err(|error| PerceptionError::Observe(rearrange::document::chain::chain(&error)))?;
-    seen.foreign = foreign.as_ref().and_then(|search| search.report(views, &seen));
+    seen.foreign = foreign.as_ref().and_then(|search| search.report(views, &seen, partial));
     Ok(seen)
 }

@@ -192,6 +192,11 @@ fn brown_conrady_terms(x: f64, y: f64) -> [[f64; 5]; 2] {
     ]
 }
 
+/// For each coefficient what it adds to x and to y.
+fn transposed([x, y]: [[f64; 5]; 2]) -> impl Iterator<Item = [f64; 2]> {
+    x.into_iter().zip(y).map(|(x, y)| [x, y])
+}
+
 impl CameraModel {
     /// Checks that the numbers can belong to a camera.
     ///
@@ -246,6 +251,28 @@ impl CameraModel {
     /// The matrix that takes normalised camera coordinates to pixels.
     pub fn matrix(&self) -> Matrix3<f64> {
         Matrix3::new(self.fx, 0.0, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
+    }
+
+    /// The pixel at which a point in the camera frame (m) shows, if that is in the picture; `None` also
+    /// where the distortion says nothing, far outside of it.
+    pub fn pixel(&self, [x, y, z]: [f64; 3]) -> Option<[f64; 2]> {
+        if z <= 0.0 {
+            return None;
+        }
+        let (x, y) = (x / z, y / z);
+        let (width, height) = (f64::from(self.width), f64::from(self.height));
+        let near = |value: f64, focal: f64, length: f64| (value * focal).abs() < length;
+        if !near(x, self.fx, width) || !near(y, self.fy, height) {
+            return None;
+        }
+        let mut moved = [x, y];
+        for (weight, terms) in self.distortion.iter().zip(transposed(brown_conrady_terms(x, y))) {
+            moved[0] += weight * terms[0];
+            moved[1] += weight * terms[1];
+        }
+        let [u, v] = [self.fx * moved[0] + self.cx, self.fy * moved[1] + self.cy];
+        let inside = (-0.5..=width - 0.5).contains(&u) && (-0.5..=height - 0.5).contains(&v);
+        inside.then_some([u, v])
     }
 
     /// Mean focal length, pixels: metres across the view times this over the distance is pixels.

@@ -21,6 +21,7 @@ pub use body::KnownBody;
 pub use height_map::{Area, DepthLens, HeightMap, HeightMapError, OwnBody};
 pub use holes::Hole;
 
+use crate::region::Region;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::polygon::{centroid, contains, convex_hull, distance_to_outline};
 use rearrange::geometry::pose::Pose2;
@@ -125,6 +126,17 @@ pub fn find(
     ignored: &[KeepOut],
     limits: &ForeignLimits,
 ) -> ForeignReport {
+    find_in(maps, known, ignored, limits, None)
+}
+
+/// The same in a part of the table; what is outside of it is neither foreign nor a hole.
+pub fn find_in(
+    maps: &[&HeightMap],
+    known: &[KnownBody],
+    ignored: &[KeepOut],
+    limits: &ForeignLimits,
+    region: Option<&Region>,
+) -> ForeignReport {
     let Some(first) = maps.first() else { return ForeignReport::default() };
     let maps: Vec<&HeightMap> = maps.iter().copied().filter(|map| map.area == first.area).collect();
     let expected = Expected::of(first, known, ignored, limits);
@@ -152,6 +164,11 @@ pub fn find(
             }
         }
     }
+    let counts = |cell: usize| region.is_none_or(|region| region.contains(first.centre(cell)));
+    let counts: Vec<bool> = (0..cells).map(counts).collect();
+    for (tallest, _) in tallest.iter_mut().zip(&counts).filter(|(_, counts)| !**counts) {
+        *tallest = f32::NEG_INFINITY;
+    }
     let excess = closed(first, &tallest, &measured);
     let mut objects: Vec<ForeignObject> = first
         .groups(&excess)
@@ -161,7 +178,8 @@ pub fn find(
         .collect();
     objects.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
     // Known objects, their shadows and keep-outs are left out.
-    let bare: Vec<bool> = expected.surface_m.iter().map(|surface| *surface == 0.0).collect();
+    let bare = expected.surface_m.iter().zip(&counts);
+    let bare: Vec<bool> = bare.map(|(surface, counts)| *surface == 0.0 && *counts).collect();
     let unmeasured = holes::unmeasured(&maps, &bare, &measured, known);
     let count = |cells: &[bool]| cells.iter().filter(|cell| **cell).count() as f64;
     let bare_measured =

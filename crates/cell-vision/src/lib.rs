@@ -2,8 +2,9 @@
 //!
 //! The path of a picture: `image` (pixels) -> `detect` (marker corners; `refine` makes them exact) ->
 //! `observe` (what lies where, how sure). `camera` is the lens as numbers, `cv` what we let OpenCV compute
-//! with them, `foreign` what carries no marker, `annotate` the picture for people, `marker` the print
-//! itself. Pure; OpenCV is called in `cv` alone and the AprilTag library in `detect` alone.
+//! with them, `foreign` what carries no marker, `region` parts of the table, `annotate` the picture for
+//! people, `marker` the print itself. Pure; OpenCV is called in `cv` alone and the AprilTag library in
+//! `detect` alone.
 
 pub mod annotate;
 pub mod board;
@@ -14,6 +15,7 @@ pub mod foreign;
 pub mod marker;
 pub mod observe;
 pub mod refine;
+pub mod region;
 
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;

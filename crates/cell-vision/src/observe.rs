@@ -17,7 +17,7 @@ pub mod reference;
 pub mod sighting;
 
 pub use arrangement::{Duplicate, ObjectEstimate, Observation, Suspicious};
-pub use input::{MarkedObject, ObserveLimits, ReferenceMarker, View};
+pub use input::{MarkedObject, ObserveLimits, PartialLook, ReferenceMarker, View};
 
 use crate::camera::CameraModel;
 use crate::cv::CvError;

@@ -314,7 +314,7 @@ impl Bench {
                 views.push(self.view(&truly, belief(nominal), eye, random)?);
             }
         }
-        let seen = observe_views(&self.known, &views);
+        let seen = observe_views(&self.known, &views, None);
         let check = seen.map_err(|error| chain(&error))?.reference;
         let check = check.ok_or("a look showed no reference marker")?;
         let limits = &self.known.drift;

@@ -293,7 +293,7 @@ pub(super) fn look<'a>(
         let (table_from_camera, time) = (*table_from_camera, Timestamp::ZERO);
         views.push(View { table_from_camera, detections: Vec::new(), time, heights });
     }
-    let seen = observe_views(cell, &views).map_err(|error| chain(&error))?;
+    let seen = observe_views(cell, &views, None).map_err(|error| chain(&error))?;
     seen.foreign.ok_or_else(|| "neither depth nor colour told of the table".to_string())
 }
 

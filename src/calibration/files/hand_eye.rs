@@ -75,6 +75,14 @@ impl Mount {
         }
     }
 
+    /// The camera in the flange frame, where it is on the wrist.
+    pub fn flange_from_camera(&self) -> Option<Isometry3<f64>> {
+        match self {
+            Mount::Flange { flange_from_camera } => Some(*flange_from_camera),
+            Mount::Fixed { .. } => None,
+        }
+    }
+
     /// The camera in the base with the flange at `base_from_flange`.
     pub fn base_from_camera(&self, base_from_flange: &Isometry3<f64>) -> Isometry3<f64> {
         match self {

@@ -15,17 +15,18 @@ use crate::cell::supervisor::back::Back;
 use crate::cell::supervisor::gates::{self, GateClosed, motion_speed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Record};
 use crate::cell::supervisor::ledger::Ledger;
+use crate::cell::supervisor::look_plan::Sight;
 use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobOrder, JobReport, ObjectReport, RouteAction};
-use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase, Quiet, UntilItStands, Visit};
+use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Meant, Phase, Quiet, UntilItStands, Visit};
 use crate::cell::supervisor::reason::{Reason, say};
 use crate::cell::supervisor::round::Round;
+use crate::cell::times::TimeBook;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::observe::Observation;
-use ur_wire::enumerations::RuntimeState;
 
-/// What a look showed, valid until something is picked, placed, dropped or stopped.
+/// What looks have shown, as far as it is still so: until something is dropped or stopped.
 pub(crate) type Seen = Observation;
 
 /// The supervisor.
@@ -42,6 +43,12 @@ pub struct Supervisor {
     pub(crate) seen: Option<Seen>,
     /// When the look behind `seen` was over.
     pub(crate) seen_at: Timestamp,
+    /// How much of it holds.
+    pub(crate) sight: Sight,
+    /// The pick-n-place that was written down and has not begun.
+    pub(crate) meant: Option<Meant>,
+    /// Where the time of the active job goes.
+    pub(crate) times: TimeBook,
     /// Height of what was last seen without a marker and counts as an obstacle, with its margin, m.
     pub(crate) foreign_height: f64,
     /// A look near the limits of drift was reported since the cell was armed.
@@ -75,7 +82,7 @@ pub struct Supervisor {
     /// [`Action::End`] was given.
     pub(crate) ended: bool,
     /// Commands to the arm that wait for a paused program.
-    held_back: Vec<Action>,
+    pub(crate) held_back: Vec<Action>,
 }
 
 impl Supervisor {
@@ -91,6 +98,9 @@ impl Supervisor {
             round: None,
             seen: None,
             seen_at: Timestamp::ZERO,
+            sight: Sight::default(),
+            meant: None,
+            times: TimeBook::default(),
             foreign_height: 0.0,
             drift_reported: false,
             held_since: None,
@@ -171,6 +181,7 @@ impl Supervisor {
             Input::Tick
             | Input::Robot(_)
             | Input::Gripper(_)
+            | Input::Exposed
             | Input::Captured(_)
             | Input::Observed(_)
             | Input::Planned(_)
@@ -182,6 +193,9 @@ impl Supervisor {
             | Input::Shutdown => None,
         };
         let mut actions = self.decide(now, outside, input);
+        if actions.iter().any(|action| matches!(action, Action::Robot(RobotCommand::Stream(_)))) {
+            self.times.begins_path();
+        }
         self.watch_standing(now, outside, order, &mut actions);
         self.hold_while_paused(outside, actions)
     }
@@ -193,6 +207,7 @@ impl Supervisor {
             Input::Tick => self.watch(now, outside, &mut out),
             Input::Robot(event) => self.on_robot(now, outside, event, &mut out),
             Input::Gripper(event) => self.on_gripper(now, outside, event, &mut out),
+            Input::Exposed => self.on_exposed(now, outside, &mut out),
             Input::Captured(result) => self.on_captured(now, outside, result, &mut out),
             Input::Observed(result) => self.on_observed(now, result, &mut out),
             Input::Pictured(result) => self.on_pictured(result, &mut out),
@@ -228,55 +243,10 @@ impl Supervisor {
 
     fn run_deadline(&mut self, now: Timestamp, outside: &DeviceSnapshot) {
         let speed = if self.follows_a_path() { motion_speed(outside) } else { 1.0 };
-        self.remaining = self.remaining.saturating_sub(now.since(self.last_now).mul_f64(speed));
+        let passed = now.since(self.last_now);
+        self.book_time(outside, passed);
+        self.remaining = self.remaining.saturating_sub(passed.mul_f64(speed));
         self.last_now = now;
-    }
-
-    /// A paused program takes no commands: those of a pick-n-place that is under way are kept for it until
-    /// it plays again, and fall away with a stop.
-    fn hold_while_paused(&mut self, outside: &DeviceSnapshot, actions: Vec<Action>) -> Vec<Action> {
-        let playing = outside.robot.is_none_or(|robot| robot.runtime_state == RuntimeState::Playing);
-        let mut out = if playing { std::mem::take(&mut self.held_back) } else { Vec::new() };
-        for action in actions {
-            match &action {
-                Action::Robot(RobotCommand::Stream(_) | RobotCommand::SetPayload { .. })
-                    if !playing && self.moving() =>
-                {
-                    self.held_back.push(action);
-                    continue;
-                }
-                Action::Robot(RobotCommand::Stop) => {
-                    self.held_back.clear();
-                    out.retain(|kept| !matches!(kept, Action::Robot(_)));
-                }
-                Action::Robot(
-                    RobotCommand::Stream(_)
-                    | RobotCommand::SetPayload { .. }
-                    | RobotCommand::PowerOn
-                    | RobotCommand::ReleaseBrakes
-                    | RobotCommand::StartProgram { .. }
-                    | RobotCommand::SetTcp(_)
-                    | RobotCommand::EndProgram
-                    | RobotCommand::UnlockProtectiveStop
-                    | RobotCommand::CloseSafetyPopup,
-                )
-                | Action::Gripper(_)
-                | Action::Capture { .. }
-                | Action::Observe(_)
-                | Action::Picture { .. }
-                | Action::Plan(_)
-                | Action::Commit { .. }
-                | Action::Reply { .. }
-                | Action::RoundOver(_)
-                | Action::Say(_)
-                | Action::End(_) => {}
-            }
-            out.push(action);
-        }
-        if !self.moving() {
-            self.held_back.clear();
-        }
-        out
     }
 
     /// True while the phase lasts as long as the arm takes for a path.
@@ -307,6 +277,8 @@ impl Supervisor {
         self.waiting_since = now;
         // What was seen for another job was not judged for this one.
         self.seen = None;
+        self.meant = None;
+        self.times = TimeBook::default();
         self.job = Some(JobRun {
             order,
             started: now,
@@ -349,12 +321,13 @@ impl Supervisor {
         if self.job.is_some() && self.mode.paused() && !self.mode.parks() {
             // The pause is the reason now, whatever was waited for before.
             self.waiting_for = None;
-            return;
+            return self.withdraw_meant(now, out);
         }
         let open = gates::any_motion(self.mode.armed(), outside, self.nonce);
         // A round only looks: it picks nothing, and the gripper need not be there.
         let open = if self.round.is_some() { open } else { open.and_then(|()| gates::empty_handed(outside)) };
         if let Err(closed) = open {
+            self.withdraw_meant(now, out);
             return self.wait_or_bring_up(now, outside, closed, out);
         }
         if self.round.is_some() {
@@ -365,9 +338,10 @@ impl Supervisor {
             self.seen = None;
         }
         if self.mode.parks() {
+            self.withdraw_meant(now, out);
             self.begin_park(outside, out);
-        } else if self.seen.is_none() {
-            self.begin_look(now, outside, 0, out);
+        } else if !self.is_seen() {
+            self.begin_look(now, outside, out);
         } else {
             self.compare_and_continue(now, outside, out);
         }
@@ -382,9 +356,13 @@ impl Supervisor {
     ) {
         self.stands |= matches!(event, RobotEvent::Stopped);
         match event {
+            RobotEvent::SegmentFinished { index: 0, .. } if matches!(self.phase, Phase::Work(_)) => {
+                self.times.segment_over();
+                self.work_segment_finished(now, out);
+            }
+            RobotEvent::SegmentFinished { .. } => self.times.segment_over(),
             RobotEvent::PathFinished { .. } => match &mut self.phase {
-                Phase::Look(Look { void: true, .. }) => self.phase = Phase::Ready,
-                Phase::Look(_) => self.look_pose_reached(),
+                Phase::Look(_) => self.look_pose_reached(now, out),
                 Phase::Visit(visit) => *visit = Visit::Settling { still_since: None },
                 Phase::Work(_) => self.work_path_finished(now, out),
                 Phase::Recover(stage) => {
@@ -429,7 +407,7 @@ impl Supervisor {
             return self.on_gripper_silent(now, out);
         }
         if matches!(self.phase, Phase::Work(_)) {
-            self.work_gripper(now, event, out);
+            self.work_gripper(now, outside, event, out);
         }
     }
 
@@ -473,8 +451,10 @@ impl Supervisor {
             planned: job.planned,
             planning_seconds: job.planning_seconds,
             seconds: now.since(job.started).as_secs_f64(),
+            times: self.times.close(),
             objects,
         };
+        self.meant = None;
         self.commit(now, Record::Ended(Box::new(report)), out);
     }
 }

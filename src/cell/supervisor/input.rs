@@ -10,7 +10,7 @@ use crate::cell::supervisor::order::{JobOrder, JobReport};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::motion::cycle_time::CycleTimes;
 use cell_values::time::Duration;
-use cell_vision::observe::{Observation, View};
+use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::Isometry3;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::{Action as PlanAction, ActionKind, Objective};
@@ -91,7 +91,9 @@ pub enum Input {
     Robot(RobotEvent),
     /// The gripper session reports.
     Gripper(GripperEvent),
-    /// The frames of one look pose were taken and searched for markers.
+    /// The frames of one look pose are exposed: the arm may go on.
+    Exposed,
+    /// They were searched for markers.
     Captured(Result<Vec<View>, CameraFault>),
     /// The views of a look were put together.
     Observed(Result<Box<Observation>, String>),
@@ -177,6 +179,11 @@ pub enum Record {
         /// Running number.
         step: usize,
     },
+    /// The pick-n-place that was meant last is not begun: the job waits, or its route is another.
+    Withdrawn {
+        /// Running number.
+        step: usize,
+    },
     /// What was gripped last does not hang on the cups any more: it was put down on a way back, let go by a
     /// person's order, or had gone when celld started. Of no job.
     LetGo,
@@ -191,15 +198,22 @@ pub enum Action {
     Robot(RobotCommand),
     /// For the gripper session.
     Gripper(GripperCommand),
-    /// Take frames and find the markers in them; answered by [`Input::Captured`].
+    /// Take frames and find the markers in them; answered by [`Input::Exposed`] and [`Input::Captured`].
     Capture {
         /// Number of frames.
         frames: usize,
         /// Where the camera is.
         table_from_camera: Isometry3<f64>,
+        /// The first of a look: answers to earlier ones are not awaited any more.
+        first: bool,
     },
     /// Put views together; answered by [`Input::Observed`].
-    Observe(Vec<View>),
+    Observe {
+        /// All of a look.
+        views: Vec<View>,
+        /// What it had to show, and what is remembered of the rest; `None`: the whole table.
+        partial: Option<PartialLook>,
+    },
     /// Take one picture of a calibration round; answered by [`Input::Pictured`].
     Picture {
         /// Number of the pose, from 1.

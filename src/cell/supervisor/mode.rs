@@ -76,6 +76,11 @@ impl Mode {
         matches!(self, Mode::Armed { park: true, .. })
     }
 
+    /// One pick-n-place follows the other, and nothing else is wanted.
+    pub fn runs(&self) -> bool {
+        matches!(self, Mode::Armed { pace: Pace::Running, park: false })
+    }
+
     /// The daemon ends.
     pub fn ending(&self) -> bool {
         matches!(self, Mode::Ending { .. })

@@ -5,6 +5,7 @@
 
 use crate::calibration::files::hand_eye::Mount;
 use crate::cell::device::gripper_types::Channels;
+use crate::cell::views::{Rig, SightModel, Views};
 use crate::motion::path::ArmModel;
 use crate::motion::pick_n_place::{CycleParameters, PickNPlace};
 use cell_values::time::Duration;
@@ -67,6 +68,8 @@ pub struct Tolerances {
     pub expected_angle: f64,
     /// What was seen longer ago than this is not acted upon.
     pub observation_age: Duration,
+    /// The whole table is looked at again after so many pick-n-places.
+    pub full_look_every: u32,
     /// Larger errors of the reference markers than these mean that camera or table were moved.
     pub reference: DriftLimits,
     /// Fewer reference markers in a look than this say nothing about that.
@@ -163,6 +166,9 @@ pub struct CellModel {
     pub look_poses: Vec<Joints>,
     /// Frames taken at each look pose.
     pub frames_per_view: usize,
+    /// For looks at a part of the table; `None` where every look goes round the look poses: with a camera
+    /// that stands, or where colours are compared with pictures of the empty table from those poses.
+    pub sight: Option<SightModel>,
     /// Where the arm rests.
     pub park: Joints,
     /// Size of the table's work area.
@@ -191,13 +197,24 @@ impl CellModel {
 
     /// `table_from_camera` with the arm at `q`.
     pub fn camera_at(&self, q: &Joints) -> Isometry3<f64> {
-        let base_from_flange = ur_arm::kinematics::forward(&self.arm.dh, q);
-        self.arm.base_from_table.inverse() * self.mount.base_from_camera(&base_from_flange)
+        self.rig().camera_at(q)
+    }
+
+    /// The arm with its camera over the table.
+    pub fn rig(&self) -> Rig<'_> {
+        let table = [self.workspace.width, self.workspace.height];
+        Rig { arm: &self.arm, mount: &self.mount, cycle: &self.cycle, look_poses: &self.look_poses, table }
     }
 
     /// Where the arm is when a pick-n-place begins: at the last look pose, for each begins with a look.
     pub fn after_a_look(&self) -> Joints {
         self.look_poses.last().copied().unwrap_or(self.arm.home)
+    }
+
+    /// The poses for looks at parts of the table; `None` where there are none.
+    pub fn views(&self) -> Option<&Views> {
+        let sight = self.sight.as_ref()?;
+        Some(sight.views.get_or_init(|| Views::new(&self.rig(), sight))).filter(|views| !views.is_empty())
     }
 
     /// True when `pose` counts as being at `goal`.

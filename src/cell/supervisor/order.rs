@@ -5,6 +5,7 @@
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::orders::Approval;
+use crate::cell::times::JobTimes;
 use cell_values::time::Duration;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::Objective;
@@ -78,6 +79,8 @@ pub struct JobReport {
     pub planning_seconds: f64,
     /// Seconds from the job's start to its end.
     pub seconds: f64,
+    /// What they were used for.
+    pub times: JobTimes,
     /// Each object.
     pub objects: Vec<ObjectReport>,
 }

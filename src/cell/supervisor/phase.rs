@@ -5,12 +5,15 @@
 use crate::cell::device::gripper_types::Channels;
 use crate::cell::supervisor::back::{BackStage, Held};
 use crate::cell::supervisor::input::CameraFault;
+use crate::cell::supervisor::look_plan::LookPlan;
 use crate::cell::supervisor::order::{JobOrder, RouteAction};
 use crate::motion::pick_n_place::PickNPlacePaths;
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;
 use cell_vision::observe::View;
+use cell_vision::region::Region;
 use rearrange::geometry::pose::Pose2;
+use std::collections::VecDeque;
 use ur_wire::enumerations::RobotMode;
 
 /// What the cell is doing.
@@ -46,11 +49,21 @@ pub(crate) struct BringUp {
 /// A look at the table.
 #[derive(Debug)]
 pub(crate) struct Look {
-    pub view: usize,
+    /// From where, in order.
+    pub poses: Vec<Joints>,
+    /// The present one.
+    pub at: usize,
+    /// What has to be seen; `None`: the whole table.
+    pub region: Option<Region>,
     pub stage: LookStage,
+    /// What the pictures show that were searched.
     pub views: Vec<View>,
+    /// Pictures that are being searched, oldest first, and whether they count.
+    pub awaited: VecDeque<bool>,
     /// Why there is no picture from here yet.
     pub fault: Option<CameraFault>,
+    /// Why the look ends at the next stop.
+    pub failed: Option<CameraFault>,
     /// The cell was disarmed on the way: what was seen before proves nothing.
     pub void: bool,
 }
@@ -64,7 +77,7 @@ pub(crate) enum LookStage {
     Settling { still_since: Option<Timestamp> },
     /// Frames are being taken with the arm at these joints.
     Capturing { q: Joints },
-    /// All views are in.
+    /// All pictures are taken; what they show is being worked out.
     Observing,
 }
 
@@ -83,29 +96,50 @@ pub(crate) enum Visit {
 #[derive(Debug)]
 pub(crate) struct Work {
     pub object: String,
+    /// Where it was seen.
+    pub from: Pose2,
     /// What hangs on the gripper once it has gripped.
     pub held: Held,
     pub paths: PickNPlacePaths,
     pub stage: WorkStage,
+    /// The job counts it as carried out.
+    pub over: bool,
+    /// The next look, to whose first pose the arm goes on from the place without a stop.
+    pub then: Option<LookPlan>,
 }
 
-/// How far a pick-n-place is. The `Noting` stages wait for a record, by its number, before the arm goes on.
+/// How far a pick-n-place is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum WorkStage {
-    /// Nothing has moved yet.
+    /// Nothing has moved yet: it waits for its record, by the number.
     NotingIntent(u64),
-    Approaching,
+    /// To the pick, in so many segments.
+    Approaching {
+        segments: usize,
+    },
     Gripping,
-    NotingGrip(u64),
-    Carrying,
+    /// To the place, in so many segments.
+    Carrying {
+        segments: usize,
+    },
     Releasing,
-    NotingRelease(u64),
     Retreating,
-    NotingDone(u64),
     /// The grip failed: letting go.
     GivingUp,
     /// The grip failed: going up empty.
     Withdrawing,
+}
+
+/// A pick-n-place that was written down, or is on its way to the disk.
+#[derive(Clone, Debug)]
+pub(crate) struct Meant {
+    /// Of the record.
+    pub number: u64,
+    pub on_disk: bool,
+    /// Of the job.
+    pub step: usize,
+    pub action: RouteAction,
+    pub tool_from_object: Option<Pose2>,
 }
 
 /// An armed cell in which nothing moves.
@@ -158,27 +192,24 @@ impl WorkStage {
     pub fn verb(self) -> &'static str {
         match self {
             WorkStage::NotingIntent(_) => "about to move",
-            WorkStage::Approaching => "approaching",
-            WorkStage::Gripping | WorkStage::NotingGrip(_) => "gripping",
-            WorkStage::Carrying => "carrying",
-            WorkStage::Releasing | WorkStage::NotingRelease(_) => "releasing",
-            WorkStage::Retreating | WorkStage::NotingDone(_) => "retreating from",
+            WorkStage::Approaching { .. } => "approaching",
+            WorkStage::Gripping => "gripping",
+            WorkStage::Carrying { .. } => "carrying",
+            WorkStage::Releasing => "releasing",
+            WorkStage::Retreating => "retreating from",
             WorkStage::GivingUp | WorkStage::Withdrawing => "giving up",
         }
     }
 
     pub fn follows_a_path(self) -> bool {
         match self {
-            WorkStage::Approaching | WorkStage::Carrying | WorkStage::Retreating | WorkStage::Withdrawing => {
-                true
+            WorkStage::Approaching { .. }
+            | WorkStage::Carrying { .. }
+            | WorkStage::Retreating
+            | WorkStage::Withdrawing => true,
+            WorkStage::NotingIntent(_) | WorkStage::Gripping | WorkStage::Releasing | WorkStage::GivingUp => {
+                false
             }
-            WorkStage::NotingIntent(_)
-            | WorkStage::Gripping
-            | WorkStage::NotingGrip(_)
-            | WorkStage::Releasing
-            | WorkStage::NotingRelease(_)
-            | WorkStage::NotingDone(_)
-            | WorkStage::GivingUp => false,
         }
     }
 }

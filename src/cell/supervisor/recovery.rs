@@ -237,7 +237,7 @@ impl Supervisor {
                 .end_recovery(Ok("the arm is high enough over everything on the table".to_string()), out);
         }
         match self.seen.take() {
-            None => self.begin_look(now, outside, 0, out),
+            None => self.begin_whole_look(now, outside, out),
             Some(seen) => self.put_down(outside, &seen, out),
         }
     }

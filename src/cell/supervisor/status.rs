@@ -116,7 +116,7 @@ impl Supervisor {
             Phase::BringUp(_) => Doing::StartingRobot,
             Phase::Look(look) => {
                 let fault = look.fault.as_ref().map(|fault| fault.code);
-                Doing::Looking(look.view + 1, self.model.look_poses.len(), fault)
+                Doing::Looking(look.at + 1, look.poses.len(), fault)
             }
             Phase::Plan => Doing::Planning,
             Phase::Approve => Doing::AwaitingApproval,

@@ -1,4 +1,9 @@
-//! One pick-n-place: approach, grip and verify, carry, release, retreat; and what to do when a grip fails.
+//! One pick-n-place: approach, grip and verify, carry, release, and on to the next look; and what to do when
+//! a grip fails.
+//!
+//! What is meant is on disk before the arm sets out for it. The next one is written down when the object is
+//! released, and reaches the disk while the arm goes to look; nothing else of a pick-n-place waits for the
+//! disk.
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{GripperCommand, GripperEvent};
@@ -9,15 +14,21 @@ use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, Record};
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::RouteAction;
-use crate::cell::supervisor::phase::{Phase, Work, WorkStage};
+use crate::cell::supervisor::phase::{Look, Meant, Phase, Work, WorkStage};
 use crate::cell::supervisor::reason::{alarm, say};
-use crate::motion::pick_n_place::plan;
+use crate::motion::path::CheckedPath;
+use crate::motion::pick_n_place::{PickNPlacePaths, leave, plan};
 use crate::motion::put_down::Grasp;
 use cell_values::time::Timestamp;
+use cell_values::units::Joints;
 use rearrange::geometry::collision::penetration;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::ActionKind;
+
+/// A pick-n-place is the one that was written down where its object lies, and hangs on the tool, as near to
+/// that as this: m and rad.
+const AS_MEANT: (f64, f64) = (2e-3, 0.02);
 
 impl Supervisor {
     /// Starts the next pick-n-place of the route, whose first action begins where its object was just seen.
@@ -28,8 +39,8 @@ impl Supervisor {
         out: &mut Vec<Action>,
     ) {
         let (Some(job), Some(robot)) = (&self.job, outside.robot) else { return };
-        let observed = self.seen.is_some();
-        if let Err(closed) = gates::manipulate(self.mode.armed(), outside, self.nonce, observed, job.approved)
+        if let Err(closed) =
+            gates::manipulate(self.mode.armed(), outside, self.nonce, self.is_seen(), job.approved)
         {
             return self.wait(now, closed, out);
         }
@@ -39,7 +50,6 @@ impl Supervisor {
         let Some(job) = &self.job else { return };
         let Some(next) = job.route.as_ref().and_then(|route| route.first()).cloned() else { return };
         let Some(object) = self.model.object(&next.object) else { return };
-        let task = object.pick_n_place(next.from, next.to);
         if let Some(neighbour) = self.body_meets(&next, object) {
             let message = format!("the gripper's body would meet {neighbour} beside {}", next.object);
             let hint = "move the two apart by hand, or give the job a goal with more room";
@@ -47,6 +57,7 @@ impl Supervisor {
             return self.finish(now, JobStatus::Failed, reason, out);
         }
         let table = self.tabletop(self.seen.as_ref(), &next.object);
+        let task = object.pick_n_place(next.from, next.to);
         let paths = match plan(&self.model.arm, &robot.q, &task, &self.cycle(), &table) {
             Ok(paths) => paths,
             Err(fault) => {
@@ -55,29 +66,74 @@ impl Supervisor {
                 return self.finish(now, JobStatus::Failed, reason, out);
             }
         };
-        let lying = task.lying_at(next.from);
-        let grasp = Grasp::new(&self.model.arm, &paths.carry.start(), &lying, object.hold);
-        let record = Record::Intent {
-            step: job.moves,
+        let (held, object) = (self.held(object, &next, &paths), next.object.clone());
+        let meant = self.meant.take().filter(|meant| self.is_as_meant(meant, &next, held.grasp.as_ref()));
+        let meant = meant.unwrap_or_else(|| self.mean(now, &next, held.grasp.as_ref(), out));
+        let stage = WorkStage::NotingIntent(meant.number);
+        let work = Work { object, from: next.from, held, paths, stage, over: false, then: None };
+        self.enter(Phase::Work(Box::new(work)), self.model.tolerances.phase_deadline);
+        if meant.on_disk {
+            self.begin_approach(now, outside, out);
+        }
+    }
+
+    /// What will hang on the gripper.
+    fn held(&self, object: &CellObject, next: &RouteAction, paths: &PickNPlacePaths) -> Held {
+        let lying = object.pick_n_place(next.from, next.to).lying_at(next.from);
+        Held {
             object: next.object.clone(),
-            from: next.from,
-            to: next.to,
-            kind: if next.to_goal { ActionKind::Goal } else { ActionKind::Buffer },
-            tool_from_object: grasp.as_ref().map(|grasp| grasp.load().tool_from_object),
-            table: self.back.table.clone(),
-        };
-        let held = Held {
-            object: next.object.clone(),
-            grasp,
+            grasp: Grasp::new(&self.model.arm, &paths.carry.start(), &lying, object.hold),
             height: object.height,
             mass: object.mass,
             hold: object.hold,
             to: next.to,
             let_go: false,
+        }
+    }
+
+    /// Has the next pick-n-place written down.
+    fn mean(
+        &mut self,
+        now: Timestamp,
+        next: &RouteAction,
+        grasp: Option<&Grasp>,
+        out: &mut Vec<Action>,
+    ) -> Meant {
+        let step = self.job.as_ref().map_or(0, |job| job.moves);
+        let tool_from_object = grasp.map(|grasp| grasp.load().tool_from_object);
+        let record = Record::Intent {
+            step,
+            object: next.object.clone(),
+            from: next.from,
+            to: next.to,
+            kind: if next.to_goal { ActionKind::Goal } else { ActionKind::Buffer },
+            tool_from_object,
+            table: self.back.table.clone(),
         };
         let number = self.commit(now, record, out);
-        let work = Work { object: next.object, held, paths, stage: WorkStage::NotingIntent(number) };
-        self.enter(Phase::Work(Box::new(work)), self.model.tolerances.phase_deadline);
+        Meant { number, on_disk: false, step, action: next.clone(), tool_from_object }
+    }
+
+    /// What was written down is what is about to be done.
+    fn is_as_meant(&self, meant: &Meant, next: &RouteAction, grasp: Option<&Grasp>) -> bool {
+        let near = |a: &Pose2, b: &Pose2| a.distance(b) <= AS_MEANT.0 && a.angle_difference(b) <= AS_MEANT.1;
+        let hangs = match (&meant.tool_from_object, grasp) {
+            (Some(meant), Some(grasp)) => near(meant, &grasp.load().tool_from_object),
+            (None, None) => true,
+            (Some(_), None) | (None, Some(_)) => false,
+        };
+        let RouteAction { object, from, to, to_goal } = &meant.action;
+        let step = self.job.as_ref().map(|job| job.moves);
+        let same = *object == next.object && *to == next.to && *to_goal == next.to_goal;
+        same && near(from, &next.from) && hangs && step == Some(meant.step)
+    }
+
+    /// The pick-n-place that was written down is not begun now: a later start must not take it for one that
+    /// may have been.
+    pub(crate) fn withdraw_meant(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        if let Some(meant) = self.meant.take() {
+            self.commit(now, Record::Withdrawn { step: meant.step }, out);
+        }
     }
 
     /// The record with this number is on disk: what waited for it goes on.
@@ -88,49 +144,25 @@ impl Supervisor {
         number: u64,
         out: &mut Vec<Action>,
     ) {
-        let Phase::Work(work) = &mut self.phase else { return };
-        match work.stage {
-            WorkStage::NotingIntent(awaited) if awaited == number => {
-                return self.begin_approach(now, outside, out);
-            }
-            WorkStage::NotingGrip(awaited) if awaited == number => {
-                work.stage = WorkStage::Carrying;
-                out.push(Action::Robot(RobotCommand::Stream(work.paths.carry.clone())));
-            }
-            WorkStage::NotingRelease(awaited) if awaited == number => {
-                work.stage = WorkStage::Retreating;
-                out.push(Action::Robot(RobotCommand::Stream(work.paths.retreat.clone())));
-            }
-            WorkStage::NotingDone(awaited) if awaited == number => {
-                self.phase = Phase::Ready;
-                self.mode.step_over();
-                return;
-            }
-            WorkStage::NotingIntent(_)
-            | WorkStage::Approaching
-            | WorkStage::Gripping
-            | WorkStage::NotingGrip(_)
-            | WorkStage::Carrying
-            | WorkStage::Releasing
-            | WorkStage::NotingRelease(_)
-            | WorkStage::Retreating
-            | WorkStage::NotingDone(_)
-            | WorkStage::GivingUp
-            | WorkStage::Withdrawing => return,
+        if let Some(meant) = self.meant.as_mut().filter(|meant| meant.number == number) {
+            meant.on_disk = true;
         }
-        self.remaining = self.model.tolerances.phase_deadline;
+        let Phase::Work(work) = &self.phase else { return };
+        if work.stage == WorkStage::NotingIntent(number) {
+            self.begin_approach(now, outside, out);
+        }
     }
 
     /// The intent is on disk. Writing it took time: every gate is looked at again before the arm moves.
     fn begin_approach(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
         let approved = self.job.as_ref().is_some_and(|job| job.approved);
-        let (armed, observed) = (self.mode.armed(), self.seen.is_some());
+        let (armed, observed) = (self.mode.armed(), self.is_seen());
         if let Err(closed) = gates::manipulate(armed, outside, self.nonce, observed, approved) {
             self.phase = Phase::Ready;
             return self.wait(now, closed, out);
         }
         let Phase::Work(work) = &mut self.phase else { return };
-        work.stage = WorkStage::Approaching;
+        work.stage = WorkStage::Approaching { segments: work.paths.approach.segments().len() };
         out.push(Action::Robot(RobotCommand::Stream(work.paths.approach.clone())));
         self.remaining = self.model.tolerances.phase_deadline;
     }
@@ -162,80 +194,104 @@ impl Supervisor {
         let Phase::Work(work) = &mut self.phase else { return };
         let channels = self.model.grip.channels;
         match work.stage {
-            WorkStage::Approaching => {
+            WorkStage::Approaching { .. } => {
                 work.stage = WorkStage::Gripping;
-                // From here on the table is no longer what was seen.
-                self.seen = None;
                 self.back.held = Some(work.held.clone());
+                let (object, from) = (work.object.clone(), work.from);
                 let target = self.model.grip.vacuum_target;
                 out.push(Action::Gripper(GripperCommand::Grip { channels, target }));
+                // From here on the table is no longer what was seen.
+                self.disturb(&object, &from);
             }
-            WorkStage::Carrying => {
+            WorkStage::Carrying { .. } => {
                 work.stage = WorkStage::Releasing;
                 out.push(Action::Gripper(GripperCommand::Release { channels }));
             }
-            WorkStage::Retreating => self.note_done(now, out),
+            WorkStage::Retreating => return self.left_the_place(now, out),
             WorkStage::Withdrawing => {
                 self.phase = Phase::Ready;
                 return;
             }
-            WorkStage::NotingIntent(_)
-            | WorkStage::Gripping
-            | WorkStage::NotingGrip(_)
-            | WorkStage::Releasing
-            | WorkStage::NotingRelease(_)
-            | WorkStage::NotingDone(_)
-            | WorkStage::GivingUp => {}
+            WorkStage::NotingIntent(_) | WorkStage::Gripping | WorkStage::Releasing | WorkStage::GivingUp => {
+            }
         }
         self.remaining = self.model.tolerances.phase_deadline;
     }
 
-    /// The arm has left the placed object.
-    fn note_done(&mut self, now: Timestamp, out: &mut Vec<Action>) {
-        self.seen = None;
-        let Some(job) = &mut self.job else {
-            self.phase = Phase::Ready;
+    /// One segment of a path is behind: from over the place the arm goes on to look.
+    pub(crate) fn work_segment_finished(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        let Phase::Work(work) = &mut self.phase else { return };
+        if work.stage != WorkStage::Retreating {
             return;
-        };
+        }
+        let Some(then) = work.then.take() else { return };
+        self.left_the_place(now, out);
+        let look = Look { void: !self.mode.armed(), ..Look::begun(then) };
+        if look.region.is_none() {
+            self.times.begins_round();
+        }
+        self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
+    }
+
+    /// The arm is over the placed object again.
+    fn left_the_place(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        let over = matches!(&self.phase, Phase::Work(work) if work.over);
+        if !over {
+            self.note_done(now, out);
+        }
+        self.phase = Phase::Ready;
+        self.mode.step_over();
+    }
+
+    /// The object is at its place.
+    fn note_done(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        self.moved_one();
+        self.times.move_over();
+        let Some(job) = &mut self.job else { return };
         let step = job.moves;
         job.moves += 1;
         job.grip_failures = 0;
         if let Some(route) = job.route.as_mut().filter(|route| !route.is_empty()) {
             route.remove(0);
         }
-        let number = self.commit(now, Record::Done { step }, out);
-        if let Phase::Work(work) = &mut self.phase {
-            work.stage = WorkStage::NotingDone(number);
-        }
+        self.commit(now, Record::Done { step }, out);
     }
 
     /// The gripper reports during a pick-n-place.
-    pub(crate) fn work_gripper(&mut self, now: Timestamp, event: GripperEvent, out: &mut Vec<Action>) {
+    pub(crate) fn work_gripper(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        event: GripperEvent,
+        out: &mut Vec<Action>,
+    ) {
         let Phase::Work(work) = &mut self.phase else { return };
         let step = self.job.as_ref().map_or(0, |job| job.moves);
         match (work.stage, event) {
             (WorkStage::Gripping, GripperEvent::Gripped { .. }) => {
-                let mass = self.model.object(&work.object).map_or(0.0, |object| object.mass);
-                let number = self.commit(now, Record::Gripped { step }, out);
+                work.stage = WorkStage::Carrying { segments: work.paths.carry.segments().len() };
+                let (mass, carry) = (work.held.mass, work.paths.carry.clone());
+                self.commit(now, Record::Gripped { step }, out);
                 self.set_payload(mass, out);
-                self.set_stage(WorkStage::NotingGrip(number));
+                out.push(Action::Robot(RobotCommand::Stream(carry)));
             }
             (WorkStage::Gripping, GripperEvent::GripFailed { vacuum }) => {
                 say(out, format!("{} did not seal: vacuum only {:.0} %", work.object, vacuum * 100.0));
                 work.stage = WorkStage::GivingUp;
+                self.seen = None;
                 out.push(Action::Gripper(GripperCommand::Release { channels: self.model.grip.channels }));
             }
             (WorkStage::Releasing, GripperEvent::Released) => {
-                let number = self.commit(now, Record::Released { step }, out);
+                self.commit(now, Record::Released { step }, out);
                 self.set_payload(0.0, out);
-                self.set_stage(WorkStage::NotingRelease(number));
+                self.retreat(now, outside, out);
             }
             (WorkStage::GivingUp, GripperEvent::Released) => {
                 work.stage = WorkStage::Withdrawing;
                 out.push(Action::Robot(RobotCommand::Stream(work.paths.give_up.clone())));
                 return self.count_grip_failure(now, out);
             }
-            (WorkStage::NotingGrip(_) | WorkStage::Carrying, GripperEvent::VacuumLost { vacuum }) => {
+            (WorkStage::Carrying { .. }, GripperEvent::VacuumLost { vacuum }) => {
                 let message = format!("{} was lost: vacuum {:.0} %", work.object, vacuum * 100.0);
                 let hint = "see where it lies, or whether it still hangs: `celld recover` says what the \
                             gripper reads";
@@ -249,20 +305,73 @@ impl Supervisor {
         self.remaining = self.model.tolerances.phase_deadline;
     }
 
+    /// The object is released: straight up, and where the job goes on, to the next look without a stop.
+    fn retreat(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let Phase::Work(work) = &mut self.phase else { return };
+        work.stage = WorkStage::Retreating;
+        let (object, to, up) = (work.object.clone(), work.held.to, work.paths.retreat.clone());
+        self.disturb(&object, &to);
+        let path = self.goes_on(outside).then(|| self.on_to_look(now, &up.start(), &up.end(), out)).flatten();
+        out.push(Action::Robot(RobotCommand::Stream(path.unwrap_or(up))));
+    }
+
+    /// Nothing keeps the arm from going on with the job.
+    fn goes_on(&self, outside: &DeviceSnapshot) -> bool {
+        let job = self.job.as_ref().is_some_and(|job| !job.cancel && job.approved);
+        let open = gates::any_motion(self.mode.armed(), outside, self.nonce).is_ok();
+        job && open && self.mode.runs() && self.back.weak.is_none()
+    }
+
+    /// From a place (joints `from`, and `over` it) on to where the next look begins; and what is done after
+    /// that look is written down.
+    fn on_to_look(
+        &mut self,
+        now: Timestamp,
+        from: &Joints,
+        over: &Joints,
+        out: &mut Vec<Action>,
+    ) -> Option<CheckedPath> {
+        let Phase::Work(work) = &self.phase else { return None };
+        let (object, to) = (self.model.object(&work.object)?, work.held.to);
+        let task = object.pick_n_place(to, to);
+        let load = work.held.grasp.as_ref()?.load().clone();
+        let table = self.tabletop(self.seen.as_ref(), &work.object);
+        self.note_done(now, out);
+        if let Phase::Work(work) = &mut self.phase {
+            work.over = true;
+        }
+        let look = self.next_look(over);
+        let first = look.poses.first()?;
+        let path = leave(&self.model.arm, [from, over, first], (&task, &load), &self.cycle(), &table)?;
+        self.mean_next(now, look.poses.last()?, out);
+        if let Phase::Work(work) = &mut self.phase {
+            work.then = Some(look);
+        }
+        Some(path)
+    }
+
+    /// Writes down the pick-n-place that follows a look from `view`, as far as it is known before that.
+    fn mean_next(&mut self, now: Timestamp, view: &Joints, out: &mut Vec<Action>) {
+        let route = self.job.as_ref().and_then(|job| job.route.as_ref());
+        let Some(next) = route.and_then(|route| route.first()).cloned() else { return };
+        let Some(object) = self.model.object(&next.object) else { return };
+        let table = self.tabletop(self.seen.as_ref(), &next.object);
+        let task = object.pick_n_place(next.from, next.to);
+        let Ok(paths) = plan(&self.model.arm, view, &task, &self.cycle(), &table) else { return };
+        let grasp = self.held(object, &next, &paths).grasp;
+        self.meant = Some(self.mean(now, &next, grasp.as_ref(), out));
+    }
+
     /// True while an object is gripped, held or let go.
     pub(crate) fn gripper_needed(&self) -> bool {
         let Phase::Work(work) = &self.phase else { return false };
         match work.stage {
-            WorkStage::Gripping
-            | WorkStage::NotingGrip(_)
-            | WorkStage::Carrying
-            | WorkStage::Releasing
-            | WorkStage::GivingUp => true,
+            WorkStage::Gripping | WorkStage::Carrying { .. } | WorkStage::Releasing | WorkStage::GivingUp => {
+                true
+            }
             WorkStage::NotingIntent(_)
-            | WorkStage::Approaching
-            | WorkStage::NotingRelease(_)
+            | WorkStage::Approaching { .. }
             | WorkStage::Retreating
-            | WorkStage::NotingDone(_)
             | WorkStage::Withdrawing => false,
         }
     }
@@ -274,12 +383,9 @@ impl Supervisor {
             WorkStage::Gripping => "while gripping",
             WorkStage::Releasing | WorkStage::GivingUp => "while letting go of",
             WorkStage::NotingIntent(_)
-            | WorkStage::Approaching
-            | WorkStage::NotingGrip(_)
-            | WorkStage::Carrying
-            | WorkStage::NotingRelease(_)
+            | WorkStage::Approaching { .. }
+            | WorkStage::Carrying { .. }
             | WorkStage::Retreating
-            | WorkStage::NotingDone(_)
             | WorkStage::Withdrawing => "while holding",
         };
         let message = format!("the gripper stopped answering {during} {}", work.object);
@@ -287,12 +393,6 @@ impl Supervisor {
                     `celld recover` shows what is held and the ways back";
         let reason = Code::GripperUnreachable.because(message, hint).of(&work.object);
         self.stop_all(now, JobStatus::Interrupted, reason, out);
-    }
-
-    fn set_stage(&mut self, stage: WorkStage) {
-        if let Phase::Work(work) = &mut self.phase {
-            work.stage = stage;
-        }
     }
 
     fn count_grip_failure(&mut self, now: Timestamp, out: &mut Vec<Action>) {

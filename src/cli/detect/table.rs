@@ -74,7 +74,7 @@ impl Cell {
         let heights = perception.scene().heights(depth.as_ref(), None, &table_from_camera);
         let heights = heights.map_err(|error| chain(&error))?;
         let view = View { table_from_camera, detections, time: Timestamp::ZERO, heights };
-        let seen = perception.observe(&[view]).map_err(|error| chain(&error))?;
+        let seen = perception.observe(&[view], None).map_err(|error| chain(&error))?;
         Ok(Table { seen, config, lens, table_from_camera })
     }
 }

@@ -72,6 +72,6 @@ fn references(
     let at = model.camera_at(&state.q);
     let view = perception.grey_view(&frame.image.gray(), at, Timestamp::ZERO, None);
     let view = view.map_err(|error| chain(&error))?;
-    let seen = perception.observe(&[view]).map_err(|error| chain(&error))?;
+    let seen = perception.observe(&[view], None).map_err(|error| chain(&error))?;
     Ok(References { surveyed, check: seen.reference, limits: drift_limits(config) })
 }

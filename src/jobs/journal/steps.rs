@@ -66,14 +66,15 @@ impl Journal {
         self.step_phase(id, step, StepPhase::Abandoned, unix_s)
     }
 
-    /// What the last step gripped does not hang on the cups any more, after its job's end; nothing where it
-    /// was let go before.
+    /// What the last step gripped, or meant to, does not hang on the cups any more, after its job's end;
+    /// nothing where it was let go before.
     ///
     /// # Errors
     /// The database cannot be written.
     pub fn let_go(&mut self, unix_s: f64) -> Result<(), JournalError> {
-        let update = "UPDATE steps SET phase = 'released', changed = ?1
-             WHERE phase = 'gripped' AND rowid = (SELECT max(rowid) FROM steps)";
+        let update = "UPDATE steps SET changed = ?1,
+             phase = CASE phase WHEN 'gripped' THEN 'released' ELSE 'abandoned' END
+             WHERE phase IN ('gripped','intent') AND rowid = (SELECT max(rowid) FROM steps)";
         self.database.execute(update, [unix_s]).map(|_| ()).map_err(|e| self.fail(e))
     }
 

@@ -84,7 +84,7 @@ fn what_may_lie_on_the_table_is_passed_over_and_between_the_objects_each_counts(
     assert!(meeting(&model, &high).is_some(), "the cups are 0.2 m over the table");
     // A tower of 0.15 m beside the object: the gripper's body, 0.08 m over the cups, would touch it.
     let tower = |x: f64| Tabletop {
-        layer: 0.17,
+        layer: 0.165,
         standing: vec![Standing {
             name: "tower".to_string(),
             footprint: Footprint::Disc { radius: 0.02 },

@@ -205,9 +205,6 @@ impl Rules {
         if !supervisor.mode().armed() && !self.picking && !just_now {
             self.breach(Rule::MotionWhileDisarmed, String::new());
         }
-        if let Some((number, _)) = self.open.iter().find(|(_, waits)| **waits) {
-            self.breach(Rule::MotionBeforeCommit, format!("record {number}"));
-        }
         if self.frame > self.last_state + STATE_AGE_FRAMES {
             self.breach(Rule::MotionOnStaleState, format!("{} frames", self.frame - self.last_state));
         }
@@ -254,6 +251,20 @@ impl Rules {
         if frame > since + WATCH_FRAMES && machine_lives {
             self.breach(Rule::HeldUnwatched, format!("{} frames", frame - since));
             self.last_read = frame;
+        }
+    }
+
+    /// An object is about to be gripped: what is meant is on disk, and the table was seen since it was last
+    /// disturbed. A grip that was on its way when a stop came is none of a pick-n-place.
+    pub(super) fn check_grip(&mut self) {
+        if !self.picking {
+            return;
+        }
+        if let Some((number, _)) = self.open.iter().find(|(_, waits)| **waits) {
+            self.breach(Rule::GripBeforeCommit, format!("record {number}"));
+        }
+        if self.sight <= self.disturbed {
+            self.breach(Rule::PickOnOldSight, format!("{} frames", self.disturbed - self.sight));
         }
     }
 

@@ -47,14 +47,17 @@ impl Area {
 pub struct OwnBody {
     /// The tool frame (cup lips, z out of the gripper) seen from the camera.
     pub camera_from_tool: Isometry3<f64>,
-    /// Its radius, m.
+    /// Its radius with room for errors: what is measured in it is the robot's own, m.
     pub radius_m: f64,
+    /// Its radius as it is, m.
+    pub body_m: f64,
     /// How far it reaches beyond the cup lips, m.
     pub beyond_m: f64,
 }
 
 impl OwnBody {
-    fn contains(&self, in_camera: &Point3<f64>) -> bool {
+    /// Whether a point in the camera frame is in it.
+    pub fn contains(&self, in_camera: &Point3<f64>) -> bool {
         let p = self.camera_from_tool.inverse_transform_point(in_camera);
         p.z < self.beyond_m && p.x.hypot(p.y) < self.radius_m
     }

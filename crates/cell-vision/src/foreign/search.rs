@@ -7,13 +7,14 @@
 use crate::camera::CameraModel;
 use crate::foreign::change::EmptyTable;
 use crate::foreign::{
-    Area, DepthLens, ForeignLimits, ForeignReport, HeightMap, HeightMapError, KnownBody, OwnBody, find,
+    Area, DepthLens, ForeignLimits, ForeignReport, HeightMap, HeightMapError, KnownBody, OwnBody, find_in,
 };
-use crate::observe::{Observation, View};
+use crate::observe::{Observation, PartialLook, View};
 use cell_values::image::Image;
 use cell_values::image::depth::DepthImage;
 use nalgebra::Isometry3;
 use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::KeepOut;
 
 /// What the cell may have on its table.
@@ -99,14 +100,23 @@ impl ForeignSearch {
     }
 
     /// What the height maps of a look's views show besides what was observed in them; `None` without any
-    /// map.
-    pub fn report(&self, views: &[View], seen: &Observation) -> Option<ForeignReport> {
+    /// map. Of a partial look only its region counts, and objects that it does not show are where they were.
+    pub fn report(
+        &self,
+        views: &[View],
+        seen: &Observation,
+        partial: Option<&PartialLook>,
+    ) -> Option<ForeignReport> {
         let maps: Vec<&HeightMap> = views.iter().filter_map(|view| view.heights.as_deref()).collect();
         if maps.is_empty() {
             return None;
         }
+        let remembered = |id: &str| -> Option<Pose2> {
+            let known = partial?.remembered.iter().find(|(known, _)| known == id)?;
+            Some(known.1)
+        };
         let placed = |object: &CatalogueObject| {
-            let pose = seen.object(&object.id)?.pose;
+            let pose = seen.object(&object.id).map(|seen| seen.pose).or_else(|| remembered(&object.id))?;
             Some(KnownBody { footprint: object.footprint.clone(), pose, height_m: object.height_m })
         };
         let known: Vec<KnownBody> = self
@@ -116,6 +126,7 @@ impl ForeignSearch {
             .filter_map(placed)
             .chain(self.inventory.fixed.iter().cloned())
             .collect();
-        Some(find(&maps, &known, &self.inventory.ignored, &self.limits))
+        let region = partial.map(|partial| &partial.region);
+        Some(find_in(&maps, &known, &self.inventory.ignored, &self.limits, region))
     }
 }

@@ -235,6 +235,7 @@ fn what_is_the_robots_or_lies_outside_what_is_searched_is_left_out() {
     let eye = eye(0.0);
     let tool = eye.inverse() * Point3::new(0.05, 0.05, 0.0);
     let own = OwnBody {
+        body_m: 0.0,
         camera_from_tool: Isometry3::translation(tool.x, tool.y, tool.z),
         radius_m: 0.06,
         beyond_m: 0.005,

@@ -5,6 +5,7 @@
 
 use crate::detect::Detection;
 use crate::foreign::HeightMap;
+use crate::region::Region;
 use cell_values::time::Timestamp;
 use nalgebra::Isometry3;
 use rearrange::geometry::pose::Pose2;
@@ -22,6 +23,15 @@ pub struct View {
     pub time: Timestamp,
     /// What the depth picture of the same moment says about the table, where there is one.
     pub heights: Option<Arc<HeightMap>>,
+}
+
+/// A look at a part of the table, and what is remembered of the rest.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PartialLook {
+    /// What the look has to show.
+    pub region: Region,
+    /// Where objects were seen earlier: those that this look does not show explain what is there still.
+    pub remembered: Vec<(String, Pose2)>,
 }
 
 /// An object and the marker on its top.

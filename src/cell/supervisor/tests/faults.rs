@@ -342,7 +342,7 @@ fn a_camera_without_pictures_is_waited_for_and_named_once() {
     bench.ticks(10);
     let back = bench.feed(Input::Captured(Ok(Vec::new())));
     assert!(said(&back, "gives pictures again"));
-    assert!(back.iter().any(|action| matches!(action, Action::Observe(_))), "{back:?}");
+    assert!(back.iter().any(|action| matches!(action, Action::Observe { .. })), "{back:?}");
 }
 
 #[test]

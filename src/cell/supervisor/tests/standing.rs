@@ -256,7 +256,10 @@ fn what_was_seen_before_the_cell_was_disarmed_is_seen_anew() {
             _ => Input::Observed(Ok(Box::default())),
         };
         let late = bench.feed(late);
-        assert!(!late.iter().any(|a| matches!(a, Action::Observe(_) | Action::Plan(_))), "{stage}: {late:?}");
+        assert!(
+            !late.iter().any(|a| matches!(a, Action::Observe { .. } | Action::Plan(_))),
+            "{stage}: {late:?}"
+        );
         let mut after = bench.feed(order(Order::Arm));
         after.extend(bench.ticks(20));
         assert!(!after.iter().any(|a| matches!(a, Action::Plan(_))), "{stage}: {after:?}");

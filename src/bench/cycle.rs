@@ -1,0 +1,438 @@
+//! `bench motion`: where the time of a pick-n-place goes, in the demo's four scenes in virtual time.
+//!
+//! In: limits of the arm, scenes, seeds. Out: for each scene the mean seconds of a verified pick-n-place
+//! by use, beside a naive script and a lower bound, the stops for pictures, the errors at the end by the
+//! world's truth. The limits are set here, not read from a file. The naive script has no blends, waits for
+//! both looks after every move, and then grips. The bound has the same rests (place, picture, pick) and
+//! between them no way but straight up and down as far as things may lie on the table; every joint turns
+//! between from the speed that the straight part lets it have, at its limits; one exposure, and the
+//! vacuum's own times as they were measured in the run.
+
+use crate::cell::code::Code;
+use crate::cell::orders::{Approval, Order};
+use crate::cell::supervisor::model::CellModel;
+use crate::cell::supervisor::model::ForeignRule;
+use crate::cell::supervisor::order::JobOrder;
+use crate::cell::supervisor::status::Doing;
+use crate::cell::times::{JobTimes, TimeSplit, Use};
+use crate::config::cell::{CellConfig, MotionLimits};
+use crate::demo::cell::{DemoChoice, cell_config, sim_file};
+use crate::demo::task::fitted;
+use crate::motion::cycle_time::rest_to_rest;
+use crate::motion::pick_n_place::CycleParameters;
+use crate::pair::eyes::Eye;
+use crate::pair::run::{bring_up, true_poses};
+use crate::pair::table::stage_of;
+use crate::pair::{Choice, Pair};
+use cell_values::time::Duration;
+use cell_values::units::Joints;
+use rayon::iter::{IntoParallelIterator, ParallelIterator};
+use rearrange::geometry::pose::Pose2;
+use rearrange::planning::plan::Objective;
+use rearrange::planning::solver::SolverKind;
+use rearrange::tabletop::instance::Instance;
+use rearrange::tabletop::scenes::{SCENES, scene};
+use std::f64::consts::TAU;
+use std::net::{IpAddr, Ipv4Addr};
+use std::path::Path;
+use ur_sim::camera::CameraTiming;
+
+/// Simulated seconds for a job.
+const JOB_WITHIN_S: f64 = 900.0;
+
+/// What the naive script rests before each of its pictures, s, and what one takes it from then on: half a
+/// period until the exposure, the exposure, the transfer, the detection.
+const NAIVE_SETTLE_S: f64 = 0.15;
+const DETECTION_S: f64 = 0.045;
+
+/// Limits of the arm that are measured.
+#[derive(Clone, Copy, Debug)]
+pub struct Pace {
+    /// For the table.
+    pub name: &'static str,
+    /// Of every joint, rad/s and rad/s2.
+    pub joint: (f64, f64),
+    /// Of the tool on straight parts, m/s and m/s2.
+    pub tool: (f64, f64),
+}
+
+/// Those of config/cell.yaml.
+pub const USUAL: Pace =
+    Pace { name: "as config/cell.yaml", joint: (60.0 * TAU / 360.0, 120.0 * TAU / 360.0), tool: (0.25, 1.0) };
+
+/// What a UR5e does in production.
+pub const FAST: Pace = Pace { name: "fast", joint: (180.0 * TAU / 360.0, 8.0), tool: (1.0, 3.0) };
+
+impl Pace {
+    fn limits(&self) -> MotionLimits {
+        MotionLimits {
+            joint_speed: self.joint.0,
+            joint_acceleration: self.joint.1,
+            tool_speed: self.tool.0,
+            tool_acceleration: self.tool.1,
+            joint_range: [(-TAU, TAU); 6],
+            link_floor_m: 0.03,
+            press_m: 5e-4,
+            lift_height_m: 0.03,
+            approach_height_m: 0.03,
+            blend_m: 0.05,
+        }
+    }
+
+    /// The limits in words.
+    pub fn text(&self) -> String {
+        let MotionLimits { lift_height_m, approach_height_m, blend_m, .. } = self.limits();
+        format!(
+            "{:.0} degrees/s, {:.0} degrees/s2, {:.2} m/s, {:.1} m/s2; lift {lift_height_m} m, approach \
+             {approach_height_m} m, blend {blend_m} m",
+            self.joint.0.to_degrees(),
+            self.joint.1.to_degrees(),
+            self.tool.0,
+            self.tool.1
+        )
+    }
+}
+
+/// One job, measured.
+#[derive(Clone, Debug, Default)]
+pub struct CycleRun {
+    /// How it ended, where it was not done.
+    pub fault: Option<String>,
+    /// Pick-n-places.
+    pub moves: usize,
+    /// Where the time went.
+    pub times: JobTimes,
+    /// Seconds of the naive script and of the bound for the same pick-n-places.
+    pub naive_s: f64,
+    /// See there.
+    pub bound_s: f64,
+    /// Distances from the goals at the end, by the world's truth, mm.
+    pub errors_mm: Vec<f64>,
+    /// Angles, degrees.
+    pub errors_deg: Vec<f64>,
+}
+
+impl CycleRun {
+    /// Seconds of all pick-n-places, without the first and the last look at the whole table.
+    pub fn seconds(&self) -> f64 {
+        let rounds = &self.times.rounds;
+        let between = rounds.get(1..rounds.len().saturating_sub(1)).unwrap_or_default();
+        let planning = rounds.first().map_or(0.0, |split| split.of(Use::Planning));
+        self.times.in_moves().total_s() + between.iter().map(TimeSplit::total_s).sum::<f64>() + planning
+    }
+}
+
+/// Figures of one scene over its seeds.
+#[derive(Clone, Debug, Default)]
+pub struct SceneFigures {
+    /// Its name.
+    pub scene: String,
+    /// Pick-n-places in all.
+    pub moves: usize,
+    /// Jobs that were not done, with the reason.
+    pub faults: Vec<String>,
+    /// Mean seconds of a pick-n-place.
+    pub cycle_s: f64,
+    /// By use.
+    pub split: TimeSplit,
+    /// Mean seconds of the naive script's.
+    pub naive_s: f64,
+    /// Of the bound's.
+    pub bound_s: f64,
+    /// Stops for pictures of a pick-n-place, whole looks not counted.
+    pub stops: f64,
+    /// Mean and largest error, mm.
+    pub error_mm: (f64, f64),
+    /// Largest error, degrees.
+    pub error_deg: f64,
+}
+
+/// All scenes at these limits, `seeds` each.
+pub fn measure_pace(pace: &Pace, seeds: u64) -> Vec<SceneFigures> {
+    SCENES.iter().map(|scene| scene_figures(pace, scene.name, seeds)).collect()
+}
+
+/// One scene.
+pub fn scene_figures(pace: &Pace, name: &str, seeds: u64) -> SceneFigures {
+    let runs: Vec<CycleRun> = (0..seeds)
+        .into_par_iter()
+        .map(|seed| {
+            run(pace, name, seed)
+                .unwrap_or_else(|fault| CycleRun { fault: Some(fault), ..CycleRun::default() })
+        })
+        .collect();
+    let moves = runs.iter().map(|run| run.moves).sum::<usize>();
+    let each = 1.0 / moves.max(1) as f64;
+    let mut split = TimeSplit::default();
+    for run in &runs {
+        run.times.in_moves().iter().for_each(|(what, seconds)| split.add(what, seconds * each));
+    }
+    let sum = |of: &dyn Fn(&CycleRun) -> f64| runs.iter().map(of).sum::<f64>() * each;
+    let errors = || runs.iter().flat_map(|run| run.errors_mm.iter().copied());
+    let mean = errors().sum::<f64>() / errors().count().max(1) as f64;
+    SceneFigures {
+        scene: name.to_string(),
+        moves,
+        faults: runs.iter().filter_map(|run| run.fault.clone()).collect(),
+        cycle_s: sum(&CycleRun::seconds),
+        split,
+        naive_s: sum(&|run| run.naive_s),
+        bound_s: sum(&|run| run.bound_s),
+        stops: sum(&|run| f64::from(run.times.stops)),
+        error_mm: (mean, errors().fold(0.0, f64::max)),
+        error_deg: runs.iter().flat_map(|run| run.errors_deg.iter().copied()).fold(0.0, f64::max),
+    }
+}
+
+/// A place where the arm rests.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Rest {
+    Look(Joints),
+    Pick(Joints),
+    Place(Joints),
+}
+
+/// One job of a scene.
+///
+/// # Errors
+/// The scene cannot be set up.
+pub fn run(pace: &Pace, name: &str, seed: u64) -> Result<CycleRun, String> {
+    let given = scene(name).map_err(|error| error.to_string())?;
+    let instance = fitted(&given, None)?;
+    let choice = DemoChoice {
+        bind: IpAddr::V4(Ipv4Addr::LOCALHOST),
+        time_factor: 1.0,
+        seed,
+        solver: SolverKind::Auto,
+        objective: Objective::Pp,
+        time_limit_s: 2.0,
+    };
+    let mut config: CellConfig = cell_config(&instance, &choice, Path::new("."))?;
+    config.limits = pace.limits();
+    // Corners have no depth.
+    config.foreign = ForeignRule::Off;
+    let stage = stage_of(&config, &sim_file(&instance, &config, &choice)?, seed)?;
+    let model = stage.model.clone();
+    let mut pair = Pair::new(stage, Choice { eye: Eye::Corners, ..Choice::of(seed) })
+        .map_err(|error| error.to_string())?;
+    if !bring_up(&mut pair) {
+        return Err("the cell did not come up".to_string());
+    }
+    pair.order(Order::Arm);
+    pair.submit(order_of(&instance, seed));
+    let mut rests: Vec<Rest> = Vec::new();
+    let over = pair.run_until(JOB_WITHIN_S, |pair| {
+        if let Some(rest) = rest_of(pair)
+            && rests.last() != Some(&rest)
+        {
+            rests.push(rest);
+        }
+        !pair.reports().is_empty()
+    });
+    let report = pair.reports().first().filter(|_| over);
+    let Some(report) = report else { return Err(format!("{name}, seed {seed}: the job does not end")) };
+    let mut fault = (report.code != Code::Done).then(|| format!("{name}, seed {seed}: {}", report.message));
+    if let Some(breach) = pair.breaches().first() {
+        fault = Some(format!("{name}, seed {seed}: {breach:?}"));
+    }
+    let (errors_mm, errors_deg) = errors(&pair, &model, &instance);
+    let script = Script { model: &model, cycle: &model.cycle };
+    let vacuum_s = report.times.in_moves().of(Use::Vacuum);
+    Ok(CycleRun {
+        fault,
+        moves: report.moves,
+        times: report.times.clone(),
+        naive_s: script.naive_s(&rests) + vacuum_s,
+        bound_s: script.bound_s(&rests) + vacuum_s,
+        errors_mm,
+        errors_deg,
+    })
+}
+
+fn order_of(instance: &Instance, seed: u64) -> JobOrder {
+    let goals = instance.objects.iter().filter(|object| !object.fixed);
+    JobOrder {
+        id: "cycle".to_string(),
+        goals: goals.filter_map(|object| Some((object.id.clone(), object.goal?))).collect(),
+        objective: Objective::Pp,
+        solver: SolverKind::Auto,
+        time_limit: Duration::from_secs(2),
+        seed,
+        approval: Approval::Never,
+    }
+}
+
+/// Where the arm rests now, and what for.
+fn rest_of(pair: &Pair) -> Option<Rest> {
+    let controller = pair.simulator().core().robot.controller();
+    let mover = &controller.core.mover;
+    if mover.still_frames() < 2 {
+        return None;
+    }
+    match &pair.status()?.doing {
+        Doing::Looking(..) => Some(Rest::Look(mover.q())),
+        Doing::Working("gripping", _) => Some(Rest::Pick(mover.q())),
+        Doing::Working("releasing", _) => Some(Rest::Place(mover.q())),
+        _ => None,
+    }
+}
+
+fn errors(pair: &Pair, model: &CellModel, instance: &Instance) -> (Vec<f64>, Vec<f64>) {
+    let truth = true_poses(pair, model);
+    let goal = |id: &str| -> Option<Pose2> {
+        instance.objects.iter().find(|object| object.id == id && !object.fixed)?.goal
+    };
+    let pairs: Vec<(Pose2, Pose2)> = truth.iter().filter_map(|(id, pose)| Some((*pose, goal(id)?))).collect();
+    let mm = pairs.iter().map(|(pose, goal)| 1e3 * pose.distance(goal)).collect();
+    let deg = pairs.iter().map(|(pose, goal)| pose.angle_difference(goal).to_degrees()).collect();
+    (mm, deg)
+}
+
+/// The same pick-n-places by other programs, from the places where the arm rested.
+struct Script<'a> {
+    model: &'a CellModel,
+    cycle: &'a CycleParameters,
+}
+
+impl Script<'_> {
+    /// Each pick-n-place: the look before it, the pick, the place, and the place before it.
+    fn each(rests: &[Rest]) -> Vec<[Joints; 4]> {
+        let (mut look, mut pick, mut before) = (None, None, None);
+        let mut out = Vec::new();
+        for rest in rests {
+            match rest {
+                Rest::Look(q) => look = Some(*q),
+                Rest::Pick(q) => pick = Some(*q),
+                Rest::Place(place) => {
+                    if let (Some(look), Some(pick)) = (look, pick) {
+                        out.push([before.unwrap_or(look), look, pick, *place]);
+                    }
+                    before = Some(*place);
+                }
+            }
+        }
+        out
+    }
+
+    /// Joints straight above `q`, with the tool at `height` over the table.
+    fn above(&self, q: &Joints, height: f64) -> (Joints, f64) {
+        let mut tool = self.model.arm.tool_at(q);
+        let rise = (height - tool.translation.vector.z).max(0.0);
+        tool.translation.vector.z += rise;
+        (self.model.arm.joints_at(&tool, q).unwrap_or(*q), rise)
+    }
+
+    fn turn(&self, from: &Joints, to: &Joints) -> f64 {
+        let to = self.model.arm.unwound(to, from).unwrap_or(*to);
+        from.max_difference(&to)
+    }
+
+    /// From rest to rest at every corner, all look poses after every move, and their pictures.
+    fn naive_s(&self, rests: &[Rest]) -> f64 {
+        let cycle = self.cycle;
+        let timing = CameraTiming::D405;
+        let picture =
+            NAIVE_SETTLE_S + timing.period_s / 2.0 + timing.exposure_s + timing.latency_s + DETECTION_S;
+        let joint = |from: &Joints, to: &Joints| {
+            rest_to_rest(self.turn(from, to), cycle.joint_speed, cycle.joint_acceleration)
+        };
+        let line = |length: f64| rest_to_rest(length, cycle.tool_speed, cycle.tool_acceleration);
+        let height = cycle.tallest + cycle.air + cycle.approach;
+        let mut sum = 0.0;
+        for [before, _, pick, place] in Script::each(rests) {
+            let (mut at, rise) = self.above(&before, height);
+            sum += line(rise);
+            for look in &self.model.look_poses {
+                sum += joint(&at, look) + picture;
+                at = *look;
+            }
+            let (over_pick, down) = self.above(&pick, height);
+            let (over_place, last) = self.above(&place, height);
+            sum += joint(&at, &over_pick) + 2.0 * line(down) + joint(&over_pick, &over_place) + line(last);
+        }
+        sum
+    }
+
+    /// Without a stop but at place, picture and pick.
+    fn bound_s(&self, rests: &[Rest]) -> f64 {
+        let cycle = self.cycle;
+        let layer = cycle.tallest + 0.5 * cycle.air;
+        let mut sum = 0.0;
+        for [before, look, pick, place] in Script::each(rests) {
+            sum += CameraTiming::D405.exposure_s;
+            sum += self.leg_s(&before, &look, layer) + self.leg_s(&look, &pick, layer);
+            // The load hangs below the tool.
+            let height = self.model.arm.tool_at(&pick).translation.vector.z;
+            sum += self.leg_s(&pick, &place, layer + height);
+        }
+        sum
+    }
+
+    /// One way from rest to rest over a height: up at the tool's limits, over at the joints', down; speeding
+    /// up and braking at the ends alone.
+    fn leg_s(&self, from: &Joints, to: &Joints, height: f64) -> f64 {
+        let cycle = self.cycle;
+        let ((above, up), (over, down)) = (self.above(from, height), self.above(to, height));
+        let tool = (cycle.tool_speed, cycle.tool_acceleration);
+        let joint = (cycle.joint_speed, cycle.joint_acceleration);
+        let over = self.model.arm.unwound(&over, &above).unwrap_or(over);
+        let ends = [up, down].map(|length| from_rest_s(length, tool));
+        // Where the straight part ends a joint is no faster than that lets it be.
+        let speeds = |q: &Joints, rise: f64| {
+            let speed = if rise > 1e-4 { (2.0 * tool.1 * rise).sqrt().min(tool.0) } else { 0.0 };
+            let height = self.model.arm.tool_at(q).translation.vector.z;
+            let (next, step) = self.above(q, height + 1e-3);
+            let rate = |joint: usize| (next.0[joint] - q.0[joint]).abs() / step.max(1e-9);
+            std::array::from_fn::<f64, 6, _>(|joint| (rate(joint) * speed).min(self.cycle.joint_speed))
+        };
+        let (first, last) = (speeds(&above, up), speeds(&over, down));
+        let middle = |j: usize| ramped_s((over.0[j] - above.0[j]).abs(), [first[j], last[j]], joint);
+        ends[0] + (0..6).map(middle).fold(0.0, f64::max) + ends[1]
+    }
+}
+
+/// Seconds of a length from one speed to another, at the most.
+fn ramped_s(length: f64, [from, to]: [f64; 2], (speed, acceleration): (f64, f64)) -> f64 {
+    // The way that speeding up and braking take, without a piece at full speed between.
+    let peak = ((2.0 * acceleration * length + from * from + to * to) / 2.0).sqrt();
+    if peak <= from.max(to) {
+        // Too short for the one speed to become the other: no less than at the higher one all along.
+        return length / from.max(to).max(1e-9);
+    }
+    let peak = peak.min(speed);
+    let ramps = (2.0 * peak * peak - from * from - to * to) / (2.0 * acceleration);
+    (2.0 * peak - from - to) / acceleration + (length - ramps).max(0.0) / peak
+}
+
+/// Seconds of a length from rest, without braking at its end.
+fn from_rest_s(length: f64, (speed, acceleration): (f64, f64)) -> f64 {
+    let ramp = speed * speed / (2.0 * acceleration);
+    if length < ramp { (2.0 * length / acceleration).sqrt() } else { (length + ramp) / speed }
+}
+
+/// The figures for people.
+pub fn table(pace: &Pace, figures: &[SceneFigures]) -> String {
+    let mut text = format!("limits {}: {}\n", pace.name, pace.text());
+    text.push_str(&format!("{:<14}{:>6}{:>8}", "scene", "moves", "cycle"));
+    Use::ALL.iter().for_each(|what| text.push_str(&format!("{:>10}", what.as_str())));
+    text.push_str(&format!(
+        "{:>8}{:>7}{:>8}{:>8}{:>8}{:>7}{:>14}{:>7}\n",
+        "naive", "bound", "/naive", "/bound", "idle", "stops", "error mm", "deg"
+    ));
+    for scene in figures {
+        let SceneFigures { cycle_s, naive_s, bound_s, .. } = scene;
+        text.push_str(&format!("{:<14}{:>6}{:>8.2}", scene.scene, scene.moves, cycle_s));
+        scene.split.iter().for_each(|(_, seconds)| text.push_str(&format!("{seconds:>10.3}")));
+        text.push_str(&format!(
+            "{naive_s:>8.2}{bound_s:>7.2}{:>8.2}{:>8.2}{:>7.1}%{:>7.2}{:>14}{:>7.2}\n",
+            cycle_s / naive_s,
+            cycle_s / bound_s,
+            100.0 * scene.split.idle_s() / cycle_s,
+            scene.stops,
+            format!("{:.2}..{:.2}", scene.error_mm.0, scene.error_mm.1),
+            scene.error_deg
+        ));
+        scene.faults.iter().for_each(|fault| text.push_str(&format!("  {fault}\n")));
+    }
+    text
+}

@@ -1,0 +1,27 @@
+//! From where the table is looked at, what has to be seen, and how much of what was seen holds.
+//!
+//! Plain data; `sight` decides with it.
+
+use cell_values::units::Joints;
+use cell_vision::region::Region;
+
+/// How much of what was seen holds.
+#[derive(Debug, Default)]
+pub(crate) struct Sight {
+    /// What was disturbed and not seen since.
+    pub disturbed: Region,
+    /// The number of the pick-n-place that the last look was made for.
+    pub made_for: Option<usize>,
+    /// The last look showed the whole table, and nothing was disturbed since.
+    pub whole: bool,
+    /// Pick-n-places since the last look at the whole table.
+    pub since_whole: u32,
+}
+
+/// From where the table is looked at, in order, and what has to be seen: the whole table where there is no
+/// region.
+#[derive(Clone, Debug)]
+pub(crate) struct LookPlan {
+    pub poses: Vec<Joints>,
+    pub region: Option<Region>,
+}
