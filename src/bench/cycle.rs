@@ -13,12 +13,14 @@ use crate::cell::orders::{Approval, Order};
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::cell::supervisor::order::JobOrder;
+use crate::cell::supervisor::phase::Phase;
 use crate::cell::supervisor::status::Doing;
 use crate::cell::times::{JobTimes, TimeSplit, Use};
 use crate::config::cell::{CellConfig, MotionLimits};
 use crate::demo::cell::{DemoChoice, cell_config, sim_file};
 use crate::demo::task::fitted;
 use crate::motion::cycle_time::rest_to_rest;
+use crate::motion::path::{CheckedPath, Segment};
 use crate::motion::pick_n_place::CycleParameters;
 use crate::pair::eyes::Eye;
 use crate::pair::run::{bring_up, true_poses};
@@ -147,6 +149,41 @@ pub struct SceneFigures {
     pub error_deg: f64,
 }
 
+/// Of all scenes, one with objects at the limit of their cups apart where `apart` is set: seconds of a
+/// pick-n-place, and the means of what it is measured by.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Means {
+    /// Seconds.
+    pub cycle_s: f64,
+    /// Over those of the naive script.
+    pub vs_naive: f64,
+    /// Over those of the bound.
+    pub vs_bound: f64,
+    /// Share in which the arm rests, and neither for a picture nor for the vacuum.
+    pub idle: f64,
+    /// Stops for pictures.
+    pub stops: f64,
+}
+
+/// The scene whose heaviest part is at the limit of its cup.
+pub const HEAVY_SCENE: &str = "desk";
+
+/// The means over scenes, the heavy one apart or not.
+pub fn means(figures: &[SceneFigures], heavy_apart: bool) -> Means {
+    let counted = figures.iter().filter(|scene| !heavy_apart || scene.scene != HEAVY_SCENE);
+    let scenes: Vec<&SceneFigures> = counted.collect();
+    let mean = |of: &dyn Fn(&SceneFigures) -> f64| {
+        scenes.iter().map(|scene| of(scene)).sum::<f64>() / scenes.len().max(1) as f64
+    };
+    Means {
+        cycle_s: mean(&|scene| scene.cycle_s),
+        vs_naive: mean(&|scene| scene.cycle_s / scene.naive_s),
+        vs_bound: mean(&|scene| scene.cycle_s / scene.bound_s),
+        idle: mean(&|scene| scene.split.idle_s() / scene.cycle_s),
+        stops: mean(&|scene| scene.stops),
+    }
+}
+
 /// All scenes at these limits, `seeds` each.
 pub fn measure_pace(pace: &Pace, seeds: u64) -> Vec<SceneFigures> {
     SCENES.iter().map(|scene| scene_figures(pace, scene.name, seeds)).collect()
@@ -184,12 +221,41 @@ pub fn scene_figures(pace: &Pace, name: &str, seeds: u64) -> SceneFigures {
     }
 }
 
-/// A place where the arm rests.
+/// A place where the arm rests; from a pick on, what may be asked of it with the object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Rest {
     Look(Joints),
-    Pick(Joints),
+    Pick(Joints, Carried),
     Place(Joints),
+}
+
+/// Speeds and accelerations at which the vacuum holds an object: of the joints, rad/s and rad/s2, and of the
+/// tool, m/s and m/s2.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Carried {
+    joint: (f64, f64),
+    tool: (f64, f64),
+}
+
+impl Carried {
+    fn empty(cycle: &CycleParameters) -> Carried {
+        Carried {
+            joint: (cycle.joint_speed, cycle.joint_acceleration),
+            tool: (cycle.tool_speed, cycle.tool_acceleration),
+        }
+    }
+
+    /// As the path of a pick-n-place is slowed for its object.
+    fn by(path: &CheckedPath, cycle: &CycleParameters) -> Carried {
+        let mut carried = Carried::empty(cycle);
+        for segment in path.segments() {
+            match *segment {
+                Segment::Joint { speed, acceleration, .. } => carried.joint = (speed, acceleration),
+                Segment::Linear { speed, acceleration, .. } => carried.tool = (speed, acceleration),
+            }
+        }
+        carried
+    }
 }
 
 /// One job of a scene.
@@ -271,7 +337,11 @@ fn rest_of(pair: &Pair) -> Option<Rest> {
     }
     match &pair.status()?.doing {
         Doing::Looking(..) => Some(Rest::Look(mover.q())),
-        Doing::Working("gripping", _) => Some(Rest::Pick(mover.q())),
+        Doing::Working("gripping", _) => {
+            let supervisor = pair.machine().supervisor()?;
+            let Phase::Work(work) = &supervisor.phase else { return None };
+            Some(Rest::Pick(mover.q(), Carried::by(&work.paths.carry, &supervisor.model().cycle)))
+        }
         Doing::Working("releasing", _) => Some(Rest::Place(mover.q())),
         _ => None,
     }
@@ -295,17 +365,17 @@ struct Script<'a> {
 }
 
 impl Script<'_> {
-    /// Each pick-n-place: the look before it, the pick, the place, and the place before it.
-    fn each(rests: &[Rest]) -> Vec<[Joints; 4]> {
+    /// Each pick-n-place: the place before it, the look, the pick, the place; and how the object is carried.
+    fn each(rests: &[Rest]) -> Vec<([Joints; 4], Carried)> {
         let (mut look, mut pick, mut before) = (None, None, None);
         let mut out = Vec::new();
         for rest in rests {
             match rest {
                 Rest::Look(q) => look = Some(*q),
-                Rest::Pick(q) => pick = Some(*q),
+                Rest::Pick(q, carried) => pick = Some((*q, *carried)),
                 Rest::Place(place) => {
-                    if let (Some(look), Some(pick)) = (look, pick) {
-                        out.push([before.unwrap_or(look), look, pick, *place]);
+                    if let (Some(look), Some((pick, carried))) = (look, pick) {
+                        out.push(([before.unwrap_or(look), look, pick, *place], carried));
                     }
                     before = Some(*place);
                 }
@@ -333,22 +403,24 @@ impl Script<'_> {
         let timing = CameraTiming::D405;
         let picture =
             NAIVE_SETTLE_S + timing.period_s / 2.0 + timing.exposure_s + timing.latency_s + DETECTION_S;
-        let joint = |from: &Joints, to: &Joints| {
-            rest_to_rest(self.turn(from, to), cycle.joint_speed, cycle.joint_acceleration)
+        let empty = Carried::empty(cycle);
+        let joint = |from: &Joints, to: &Joints, by: Carried| {
+            rest_to_rest(self.turn(from, to), by.joint.0, by.joint.1)
         };
-        let line = |length: f64| rest_to_rest(length, cycle.tool_speed, cycle.tool_acceleration);
+        let line = |length: f64, by: Carried| rest_to_rest(length, by.tool.0, by.tool.1);
         let height = cycle.tallest + cycle.air + cycle.approach;
         let mut sum = 0.0;
-        for [before, _, pick, place] in Script::each(rests) {
+        for ([before, _, pick, place], by) in Script::each(rests) {
             let (mut at, rise) = self.above(&before, height);
-            sum += line(rise);
+            sum += line(rise, empty);
             for look in &self.model.look_poses {
-                sum += joint(&at, look) + picture;
+                sum += joint(&at, look, empty) + picture;
                 at = *look;
             }
             let (over_pick, down) = self.above(&pick, height);
             let (over_place, last) = self.above(&place, height);
-            sum += joint(&at, &over_pick) + 2.0 * line(down) + joint(&over_pick, &over_place) + line(last);
+            sum += joint(&at, &over_pick, empty) + line(down, empty);
+            sum += line(down, by) + joint(&over_pick, &over_place, by) + line(last, by);
         }
         sum
     }
@@ -358,23 +430,22 @@ impl Script<'_> {
         let cycle = self.cycle;
         let layer = cycle.tallest + 0.5 * cycle.air;
         let mut sum = 0.0;
-        for [before, look, pick, place] in Script::each(rests) {
+        let empty = Carried::empty(cycle);
+        for ([before, look, pick, place], by) in Script::each(rests) {
             sum += CameraTiming::D405.exposure_s;
-            sum += self.leg_s(&before, &look, layer) + self.leg_s(&look, &pick, layer);
+            sum += self.leg_s([&before, &look], layer, empty) + self.leg_s([&look, &pick], layer, empty);
             // The load hangs below the tool.
             let height = self.model.arm.tool_at(&pick).translation.vector.z;
-            sum += self.leg_s(&pick, &place, layer + height);
+            sum += self.leg_s([&pick, &place], layer + height, by);
         }
         sum
     }
 
     /// One way from rest to rest over a height: up at the tool's limits, over at the joints', down; speeding
     /// up and braking at the ends alone.
-    fn leg_s(&self, from: &Joints, to: &Joints, height: f64) -> f64 {
-        let cycle = self.cycle;
+    fn leg_s(&self, [from, to]: [&Joints; 2], height: f64, by: Carried) -> f64 {
         let ((above, up), (over, down)) = (self.above(from, height), self.above(to, height));
-        let tool = (cycle.tool_speed, cycle.tool_acceleration);
-        let joint = (cycle.joint_speed, cycle.joint_acceleration);
+        let Carried { joint, tool } = by;
         let over = self.model.arm.unwound(&over, &above).unwrap_or(over);
         let ends = [up, down].map(|length| from_rest_s(length, tool));
         // Where the straight part ends a joint is no faster than that lets it be.
@@ -383,7 +454,7 @@ impl Script<'_> {
             let height = self.model.arm.tool_at(q).translation.vector.z;
             let (next, step) = self.above(q, height + 1e-3);
             let rate = |joint: usize| (next.0[joint] - q.0[joint]).abs() / step.max(1e-9);
-            std::array::from_fn::<f64, 6, _>(|joint| (rate(joint) * speed).min(self.cycle.joint_speed))
+            std::array::from_fn::<f64, 6, _>(|joint| (rate(joint) * speed).min(by.joint.0))
         };
         let (first, last) = (speeds(&above, up), speeds(&over, down));
         let middle = |j: usize| ramped_s((over.0[j] - above.0[j]).abs(), [first[j], last[j]], joint);
@@ -433,6 +504,15 @@ pub fn table(pace: &Pace, figures: &[SceneFigures]) -> String {
             scene.error_deg
         ));
         scene.faults.iter().for_each(|fault| text.push_str(&format!("  {fault}\n")));
+    }
+    for (what, apart) in [("mean of four", false), ("without desk", true)] {
+        let Means { cycle_s, vs_naive, vs_bound, idle, stops } = means(figures, apart);
+        text.push_str(&format!(
+            "{what:<14}{:>6}{cycle_s:>8.2}{:>105}{vs_naive:>8.2}{vs_bound:>8.2}{:>7.1}%{stops:>7.2}\n",
+            "",
+            "",
+            100.0 * idle
+        ));
     }
     text
 }

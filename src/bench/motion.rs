@@ -40,21 +40,23 @@ pub struct MotionCases {
     pub seed: u64,
 }
 
-/// What was measured. Fields that end in `_us` and `_ms` are means, `way_ms` is a median; the first six
-/// keys wait for the cycle's own measurement.
+/// What was measured. Fields that end in `_us` and `_ms` are means, `way_ms` is a median; the first are
+/// means over the demo's scenes ([`crate::bench::cycle`]), `None` where they were not measured.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct MotionFigures {
     /// Seconds of a pick-n-place at the limits of config/cell.yaml.
     pub cycle_s: Option<f64>,
-    /// The same at fast limits.
+    /// The same at fast limits, without the scene whose heaviest part is at the limit of its cup.
     pub cycle_fast_s: Option<f64>,
+    /// That scene's.
+    pub cycle_fast_heavy_s: Option<f64>,
     /// Against a naive script.
     pub cycle_vs_naive: Option<f64>,
     /// Against a lower bound.
     pub cycle_vs_bound: Option<f64>,
-    /// Share of a job during which the arm stands.
+    /// Share of it during which the arm rests, and neither for a picture nor for the vacuum.
     pub idle_fraction: Option<f64>,
-    /// Pictures for each move.
+    /// Stops for pictures of each, looks at the whole table not counted.
     pub pictures_per_move: Option<f64>,
     /// All branches of a pose of a nominal arm.
     pub ik_us: f64,

@@ -185,6 +185,11 @@ impl TimeBook {
         round.unwrap_or(&mut self.present).add(what, seconds);
     }
 
+    /// Where the time of the last pick-n-place went.
+    pub fn last_move(&self) -> Option<TimeSplit> {
+        self.done.moves.last().copied()
+    }
+
     /// The job is over: where its time went.
     pub fn close(&mut self) -> JobTimes {
         let TimeBook { mut done, present, .. } = std::mem::take(self);

@@ -438,3 +438,120 @@ fn looking_down(model: &Rig, [x, y, z]: [f64; 3], [turn, about_x, about_y]: [f64
     let tool = table_from_camera * flange_from_camera.inverse() * model.arm.flange_from_tool;
     model.arm.joints_in_work_posture(&tool, &model.arm.home)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::pick_n_place::tests::{cycle, home, model};
+    use cell_vision::cv;
+    use rand::{RngExt, SeedableRng};
+    use rearrange::geometry::pose::Pose2;
+
+    const TABLE: [f64; 2] = [0.5, 0.5];
+
+    fn sight() -> SightModel {
+        let camera = CameraModel {
+            serial: "test".into(),
+            width: 1280,
+            height: 720,
+            fx: 650.0,
+            fy: 652.0,
+            cx: 645.0,
+            cy: 356.0,
+            distortion: [-0.05, 0.06, 4e-4, -3e-4, -0.01],
+        };
+        let places =
+            [-0.045, 0.1667, 0.3333, 0.545].map(|at| [[at, -0.045], [at, 0.545], [-0.045, at], [0.545, at]]);
+        let references = (500..).zip(places.into_iter().flatten());
+        let references =
+            references.map(|(id, [x, y])| ReferenceMarker { id, size: 0.03, pose: Pose2::new(x, y, 0.0) });
+        let flange_from_camera = Isometry3::translation(0.0, -0.07, 0.03);
+        let own = OwnBody {
+            camera_from_tool: flange_from_camera.inverse() * Isometry3::translation(0.0, 0.0, 0.2),
+            radius_m: 0.07,
+            body_m: 0.05,
+            beyond_m: 0.02,
+        };
+        SightModel { camera, references: references.collect(), own: Some(own), views: Arc::default() }
+    }
+
+    fn mount() -> Mount {
+        Mount::Flange { flange_from_camera: Isometry3::translation(0.0, -0.07, 0.03) }
+    }
+
+    /// Whether a place shows in a picture from `q`, by OpenCV's lens and points along the line of sight.
+    fn really_shows(rig: &Rig, sight: &SightModel, q: &Joints, place: [f64; 3]) -> bool {
+        let camera_from_table = rig.camera_at(q).inverse();
+        let [[u, v]] = cv::project(&sight.camera, &camera_from_table, &[place]).unwrap()[..] else {
+            panic!("one pixel")
+        };
+        let in_camera = camera_from_table * Point3::from(place);
+        let own = sight.own.unwrap();
+        let tool_from_camera = own.camera_from_tool.inverse();
+        let hidden = (1..400).any(|k| {
+            let p = tool_from_camera * (in_camera * (f64::from(k) / 400.0));
+            p.z < 0.0 && p.x.hypot(p.y) < own.body_m
+        });
+        (0.0..1279.0).contains(&u) && (0.0..719.0).contains(&v) && !hidden
+    }
+
+    #[test]
+    fn a_chosen_pose_shows_all_of_the_region_and_enough_reference_markers() {
+        let (arm, cycle, mount, sight) = (model(0.5), cycle(), mount(), sight());
+        let look_poses = [home(&arm, 0.5)];
+        let rig = Rig { arm: &arm, mount: &mount, cycle: &cycle, look_poses: &look_poses, table: TABLE };
+        let views = Views::new(&rig, &sight);
+        assert!(views.len() > 100, "{}", views.len());
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let (mut once, mut twice) = (0, 0);
+        for case in 0..12 {
+            let mut place = || [random.random_range(0.05..0.45), random.random_range(0.05..0.45)];
+            let discs = [place(), place(), place()];
+            let mut region = Region::default();
+            discs.iter().for_each(|disc| region.join(&Region::disc(*disc, 0.05)));
+            let price = |way: &[Joints]| way.iter().map(|q| q.max_difference(&look_poses[0])).sum();
+            let poses = views.covering(&rig, &region, &price, &|_| true).expect("a table that can be seen");
+            match poses.len() {
+                1 => once += 1,
+                _ => twice += 1,
+            }
+            for disc in discs {
+                for k in 0..16 {
+                    let (sin, cos) = (TAU * f64::from(k) / 16.0).sin_cos();
+                    let at = [disc[0] + 0.05 * cos, disc[1] + 0.05 * sin];
+                    for height in [0.0, cycle.tallest] {
+                        let shown = |q: &Joints| really_shows(&rig, &sight, q, [at[0], at[1], height]);
+                        assert!(poses.iter().any(shown), "case {case}: {at:?}");
+                    }
+                }
+            }
+            for q in &poses {
+                let whole = |marker: &&ReferenceMarker| {
+                    corners_m(marker.size).iter().all(|corner| {
+                        let [x, y] = marker.pose.transform(*corner);
+                        really_shows(&rig, &sight, q, [x, y, 0.0])
+                    })
+                };
+                let count = sight.references.iter().filter(whole).count();
+                assert!(count >= REFERENCES, "case {case}: {count} reference markers");
+            }
+        }
+        assert!(once > 8 && once + twice == 12, "{once} by one pose");
+    }
+
+    #[test]
+    fn what_is_not_free_is_not_chosen_and_what_cannot_be_seen_has_no_pose() {
+        let (arm, cycle, mount, sight) = (model(0.5), cycle(), mount(), sight());
+        let look_poses = [home(&arm, 0.5)];
+        let rig = Rig { arm: &arm, mount: &mount, cycle: &cycle, look_poses: &look_poses, table: TABLE };
+        let views = Views::new(&rig, &sight);
+        let region = Region::disc([0.25, 0.25], 0.05);
+        assert!(views.covering(&rig, &region, &|_| 0.0, &|_| false).is_none());
+        let left = |q: &Joints| rig.camera_at(q).translation.x < 0.25;
+        let poses = views.covering(&rig, &region, &|_| 0.0, &left).unwrap();
+        assert!(poses.iter().all(left));
+        // A gripper that fills the picture hides everything.
+        let own = sight.own.map(|own| OwnBody { body_m: 1.0, ..own });
+        assert!(Views::new(&rig, &SightModel { own, ..sight }).is_empty());
+    }
+}

@@ -1,11 +1,12 @@
-//! `celld bench motion`: what kinematics, the swept check, reach and ways cost, and how right they are.
+//! `celld bench motion`: where the time of a pick-n-place goes; what kinematics, the swept check, reach and
+//! ways cost, and how right they are.
 //!
-//! In: how many poses, moves and starts. Out: a table, or one JSON object. Exit code 0; 1 when an accepted
-//! move meets something in the other model, or a pose is not found again.
+//! In: how many jobs, poses, moves and starts. Out: tables, or one JSON object. Exit code 0; 1 when a job
+//! was not done, an accepted move meets something in the other model, or a pose is not found again.
 
-use crate::bench::cycle::{self, FAST, USUAL, measure_pace};
+use crate::bench::cycle::{self, FAST, HEAVY_SCENE, Pace, SceneFigures, USUAL, means, measure_pace};
 use crate::bench::motion::Subject;
-use crate::bench::motion::{MotionCases, WAY_STEPS, measure, subject, table};
+use crate::bench::motion::{MotionCases, MotionFigures, WAY_STEPS, measure, subject, table};
 use crate::config::setup::{arm_model, cycle_parameters};
 use crate::demo::cell::{DemoChoice, cell_config};
 use crate::demo::task::requirements;
@@ -33,7 +34,7 @@ pub struct BenchMotionArgs {
     /// Jobs of each of the demo's scenes, at each of two limits, for the time of a pick-n-place
     #[arg(long, value_name = "N", default_value_t = 10)]
     jobs: u64,
-    /// Only these: the time of a pick-n-place
+    /// Measure the time of a pick-n-place only
     #[arg(long)]
     cycle: bool,
     /// Seed of all random choices
@@ -56,27 +57,52 @@ objects:
 
 /// Runs `celld bench motion`. Returns the exit code.
 pub fn run(args: &BenchMotionArgs) -> u8 {
-    if args.cycle {
-        for pace in [USUAL, FAST] {
-            print(&cycle::table(&pace, &measure_pace(&pace, args.jobs)));
-        }
-        return 0;
+    let paces = [USUAL, FAST].map(|pace| {
+        let figures = measure_pace(&pace, args.jobs);
+        complain(&format!("measured: {} jobs of each scene, limits {}", args.jobs, pace.name));
+        (pace, figures)
+    });
+    let failed = paces.iter().any(|(_, scenes)| scenes.iter().any(|scene| !scene.faults.is_empty()));
+    let mut figures = MotionFigures::default();
+    if !args.cycle {
+        let subject = match demo_subject(args.seed) {
+            Ok(subject) => subject,
+            Err(message) => {
+                complain(&message);
+                return 1;
+            }
+        };
+        let BenchMotionArgs { poses, moves, starts, seed, .. } = *args;
+        let cases = MotionCases { poses, moves, starts, roadmap_steps: 100 * WAY_STEPS, seed };
+        figures = measure(&subject, cases, &|what| complain(&format!("measured: {what}")));
     }
-    let subject = match demo_subject(args.seed) {
-        Ok(subject) => subject,
-        Err(message) => {
-            complain(&message);
-            return 1;
-        }
-    };
-    let BenchMotionArgs { poses, moves, starts, seed, .. } = *args;
-    let cases = MotionCases { poses, moves, starts, roadmap_steps: 100 * WAY_STEPS, seed };
-    let figures = measure(&subject, cases, &|what| complain(&format!("measured: {what}")));
+    if args.jobs > 0 {
+        cycles(&mut figures, &paces);
+    }
     match args.format.as_str() {
         "json" => print(&format!("{}\n", serde_json::json!(figures))),
-        _ => print(&table(&figures)),
+        _ => {
+            let paces = paces.iter().filter(|_| args.jobs > 0);
+            paces.for_each(|(pace, scenes)| print(&cycle::table(pace, scenes)));
+            if !args.cycle {
+                print(&table(&figures));
+            }
+        }
     }
-    u8::from(figures.accepted_but_meeting > 0 || figures.ik_missed > 0)
+    u8::from(failed || figures.accepted_but_meeting > 0 || figures.ik_missed > 0)
+}
+
+/// The means over the scenes, at both limits.
+fn cycles(figures: &mut MotionFigures, [usual, fast]: &[(Pace, Vec<SceneFigures>); 2]) {
+    let all = means(&usual.1, false);
+    figures.cycle_s = Some(all.cycle_s);
+    figures.cycle_vs_naive = Some(all.vs_naive);
+    figures.cycle_vs_bound = Some(all.vs_bound);
+    figures.idle_fraction = Some(all.idle);
+    figures.pictures_per_move = Some(all.stops);
+    figures.cycle_fast_s = Some(means(&fast.1, true).cycle_s);
+    let heavy = fast.1.iter().find(|scene| scene.scene == HEAVY_SCENE);
+    figures.cycle_fast_heavy_s = heavy.map(|scene| scene.cycle_s);
 }
 
 /// The demo's cell, made to measure for the table.
@@ -102,7 +128,7 @@ fn demo_subject(seed: u64) -> Result<Subject, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::motion::{MotionFigures, kinematics, moves, ways};
+    use crate::bench::motion::{kinematics, moves, ways};
 
     const CASES: MotionCases =
         MotionCases { poses: 400, moves: 150, starts: 20, roadmap_steps: 100, seed: 3 };

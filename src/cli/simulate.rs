@@ -5,6 +5,7 @@
 //! one was, or one did not; 2 bad input.
 
 mod args;
+mod hands;
 mod orders;
 mod storms;
 
@@ -37,6 +38,7 @@ pub fn run(args: &SimulateArgs) -> u8 {
     match args.faults.as_deref().and_then(Path::to_str) {
         Some("sweep") => return sweep(args),
         Some("random") => return storms::run(args),
+        Some("hands") => return hands::run(args),
         _ => {}
     }
     let faults = args.faults.as_deref().map_or(Ok(Vec::new()), faults_of);

@@ -11,6 +11,7 @@ use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::model::HeldBefore;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
 use crate::cell::supervisor::status::{Doing, Status};
+use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
 use crate::daemon::store::{Keeper, Orders};
 use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
@@ -28,7 +29,7 @@ use cell_values::time::{Duration, Timestamp};
 use rearrange::document::chain::chain;
 use rearrange::planning::plan::ActionKind;
 use rearrange::planning::solver::SolverKind;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 /// Why the state folder cannot be kept.
 #[derive(Debug, thiserror::Error)]
@@ -179,6 +180,7 @@ impl StateKeeper {
             moves: 0,
             lower_bound: None,
             seconds: 0.0,
+            times: BTreeMap::new(),
             objects: Vec::new(),
         };
         self.journal.finish(id, &result, unix_now_s())?;
@@ -293,12 +295,18 @@ fn result_of(report: &JobReport) -> JobResult {
         moves: u32::try_from(report.moves).unwrap_or(u32::MAX),
         lower_bound: report.lower_bound,
         seconds: report.seconds,
+        times: in_words(&report.times.total()),
         objects: report
             .objects
             .iter()
             .map(|object| ObjectResult::new(object.id.clone(), object.goal, object.measured))
             .collect(),
     }
+}
+
+/// Seconds by the word of their use, to a millisecond.
+fn in_words(split: &TimeSplit) -> BTreeMap<String, f64> {
+    split.iter().map(|(what, seconds)| (what.to_string(), (seconds * 1e3).round() / 1e3)).collect()
 }
 
 impl Keeper for StateKeeper {
@@ -361,6 +369,7 @@ impl Keeper for StateKeeper {
             paused: status.paused,
             job: status.job.clone(),
             holding: status.held.clone(),
+            last_move_s: status.last_move.as_ref().map(in_words).unwrap_or_default(),
             step: status.job.as_ref().map(|_| (number(status.moves), number(total))),
             awaiting_approval: status.job.iter().filter(|_| awaiting).cloned().collect(),
             waiting: self.journal.waiting().map_or(0, |count| number(count as usize)),

@@ -372,7 +372,16 @@ mod tests {
     fn status(job: &str) -> Status {
         let doing = crate::cell::supervisor::status::Doing::Idle;
         let job = Some(job.to_string());
-        Status { armed: false, paused: false, doing, job, held: None, moves: 0, remaining_moves: 0 }
+        Status {
+            armed: false,
+            paused: false,
+            doing,
+            job,
+            held: None,
+            moves: 0,
+            remaining_moves: 0,
+            last_move: None,
+        }
     }
 
     #[test]

@@ -55,8 +55,8 @@ const LIMITS: MotionLimits = MotionLimits {
     link_floor_m: 0.03,
     press_m: 5e-4,
     lift_height_m: 0.03,
-    approach_height_m: 0.04,
-    blend_m: 0.015,
+    approach_height_m: 0.03,
+    blend_m: 0.05,
 };
 
 /// What the demo may choose.

@@ -6,12 +6,14 @@
 use crate::calibration::fit::HandEye;
 use crate::cell::code::JobStatus;
 use crate::cell::supervisor::order::{JobReport, RouteAction};
+use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
 use crate::demo::cell::DemoChoice;
 use crate::demo::kept::Kept;
 use crate::report::plan_svg::plan_svg;
 use crate::report::run::{Drawing, Figures, MoveRow, ObjectRow, Picture, RunReport, deviation};
 use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
+use crate::report::times_svg::{TimeRow, times_svg};
 use cell_values::image::Image;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::{Action, ActionKind};
@@ -153,7 +155,27 @@ fn drawings(kept: &Kept, instance: &Instance) -> Vec<Drawing> {
     if let Some(svg) = first_plan_svg(kept, instance) {
         out.push(Drawing { caption: "The first plan: numbered moves".to_string(), svg });
     }
+    let svg = times_svg(&time_rows(kept));
+    if !svg.is_empty() {
+        let caption = "Where the time of each move went, the look before it included".to_string();
+        out.push(Drawing { caption, svg });
+    }
     out
+}
+
+/// Each pick-n-place, with its object, and all looks at the whole table together.
+fn time_rows(kept: &Kept) -> Vec<TimeRow> {
+    let Some(job) = &kept.report else { return Vec::new() };
+    let row = |label: String, split: &TimeSplit| TimeRow {
+        label,
+        parts: split.iter().map(|(what, seconds)| (what.as_str(), seconds)).collect(),
+    };
+    let mut whole = TimeSplit::default();
+    job.times.rounds.iter().for_each(|split| whole.add_all(split));
+    let object = |index: usize| kept.done.get(index).map_or("", |(step, _)| step.object.as_str());
+    let moves = job.times.moves.iter().enumerate();
+    let moves = moves.map(|(index, split)| row(format!("{} {}", index + 1, object(index)), split));
+    moves.chain(std::iter::once(row("whole table".to_string(), &whole))).collect()
 }
 
 /// The first plan on the table as it was measured then.

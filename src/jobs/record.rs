@@ -9,6 +9,7 @@ use rearrange::document::word::{UnknownWord, named};
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::Objective;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 use std::str::FromStr;
 
@@ -236,6 +237,9 @@ pub struct JobResult {
     pub lower_bound: Option<f64>,
     /// From start to end of the job, s.
     pub seconds: f64,
+    /// What they were used for, s, by the word of each use; empty where that is not known.
+    #[serde(default)]
+    pub times: BTreeMap<String, f64>,
     /// Objects with a goal, as the camera last saw them.
     pub objects: Vec<ObjectResult>,
 }
@@ -284,6 +288,8 @@ impl JobResult {
         line("moves", self.moves.to_string());
         line("lower_bound", number(self.lower_bound));
         line("seconds", number(Some(self.seconds)));
+        let times = self.times.iter().map(|(what, seconds)| format!("{what}: {}", number(Some(*seconds))));
+        line("times", format!("{{{}}}", times.collect::<Vec<_>>().join(", ")));
         if self.objects.is_empty() {
             line("objects", "[]".to_owned());
             return yaml;
@@ -345,6 +351,7 @@ mod tests {
             moves: 3,
             lower_bound: Some(2.0),
             seconds: 61.5,
+            times: BTreeMap::from([("travel".to_string(), 40.25), ("vacuum".to_string(), 1.5)]),
             objects: vec![
                 ObjectResult::new("mug", Some(goal), Some(measured)),
                 ObjectResult::new("cap", Some(goal), None),
@@ -360,6 +367,7 @@ mod tests {
         moves: 3
         lower_bound: 2
         seconds: 61.5
+        times: {travel: 40.25, vacuum: 1.5}
         objects:
           - {id: "mug", goal: [0.1, 0.2, 0], measured: [0.1, 0.2003, 0.01], error_mm: 0.3, error_deg: 0.573}
           - {id: "cap", goal: [0.1, 0.2, 0], measured: null, error_mm: null, error_deg: null}

@@ -5,6 +5,7 @@
 
 use cell_edge::files::{FileError, read_regular, write_atomic};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The daemon's own words about its state.
@@ -34,6 +35,9 @@ pub struct Status {
     pub step: Option<(u32, u32)>,
     /// What hangs on the gripper, may hang or fell.
     pub holding: Option<String>,
+    /// Where the time of the last pick-n-place of the active job went, s, by the word of each use.
+    #[serde(default)]
+    pub last_move_s: BTreeMap<String, f64>,
     /// Jobs whose plan waits for approval.
     pub awaiting_approval: Vec<String>,
     /// Jobs that wait for their turn.

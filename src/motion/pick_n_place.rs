@@ -107,6 +107,9 @@ const CANDIDATES: usize = 48;
 const WOUND_FROM_RAD: f64 = 0.75 * PI;
 const WOUND: f64 = 0.3;
 
+/// A transfer along a line turns the object by this much at most, rad.
+const LINE_TURN_RAD: f64 = 0.35;
+
 /// Of these a way round is searched for, where no candidate's straight moves are free.
 const SEARCHED: usize = 2;
 
@@ -314,8 +317,10 @@ fn carry_path(
         CheckedPath::new(model, &candidate.pick, &legs, &room)
     };
     let blended = |transfer: Segment| with_transfer(blend, vec![Leg::over(transfer, floor)]);
+    // A line is as slow as its turn: one that mostly turns is left for another yaw, or a way round.
+    let turns = wrap_angle(task.to.theta - task.from.theta).abs() > LINE_TURN_RAD;
     blended(joint(candidate.over_place, cycle, blend))
-        .or_else(|_| blended(linear(candidate.over_place, cycle, blend)))
+        .or_else(|fault| if turns { Err(fault) } else { blended(linear(candidate.over_place, cycle, blend)) })
         .or_else(|fault| {
             let ends = (&candidate.over_pick, &candidate.over_place);
             with_transfer(0.0, round(model, ends, cycle, &room, search).ok_or(fault)?)

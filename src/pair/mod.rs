@@ -9,6 +9,7 @@
 
 pub mod disk;
 pub mod eyes;
+pub mod hands;
 pub mod modbus;
 pub mod network;
 pub mod orders;

@@ -17,7 +17,7 @@ use crate::cell::supervisor::reason::STOP_ORDERED;
 use crate::cell::supervisor::status::Doing;
 use crate::pair::thin_arm::ThinModel;
 use std::collections::{BTreeMap, BTreeSet};
-use ur_sim::faults::{Fault, Order as FaultOrder, RobotFault};
+use ur_sim::faults::{Fault, Order as FaultOrder, RobotFault, WorldFault};
 use ur_sim::world::vacuum::VacuumMode;
 
 /// A rule, by a name that stays.
@@ -42,6 +42,9 @@ pub enum Rule {
     HeldUnwatched,
     /// The vacuum is switched on for a pick on a sight older than the last pick, place, stop or release.
     PickOnOldSight,
+    /// An object is gripped that is not where it was picked for, although a hand had moved it before the last
+    /// picture.
+    PickOfMoved,
     /// A record is reported to the machine as on disk, and it is not.
     AcknowledgedNotWritten,
     /// An answer says what is not so.
@@ -69,7 +72,7 @@ pub enum Rule {
 
 impl Rule {
     /// All of them.
-    pub const ALL: [Rule; 20] = [
+    pub const ALL: [Rule; 21] = [
         Rule::MotionWhileDisarmed,
         Rule::GripBeforeCommit,
         Rule::MotionOnStaleState,
@@ -79,6 +82,7 @@ impl Rule {
         Rule::VacuumOffAway,
         Rule::HeldUnwatched,
         Rule::PickOnOldSight,
+        Rule::PickOfMoved,
         Rule::AcknowledgedNotWritten,
         Rule::AnswerNotTrue,
         Rule::AnswerWithoutOrder,
@@ -159,6 +163,11 @@ pub struct Rules {
     held_since: Option<u64>,
     sight: u64,
     disturbed: u64,
+    /// When the frames of the last picture were exposed, and when hands moved which objects.
+    exposed_at: u64,
+    moved_by_hand: BTreeMap<String, u64>,
+    /// An object is being gripped.
+    gripping: bool,
     /// Another client's program may move the arm.
     stranger: bool,
     /// Since when a gate that a person cannot see past is closed, and which.
@@ -187,6 +196,11 @@ impl Rules {
     /// A fault is brought about.
     pub fn disturbed(&mut self, order: &FaultOrder) {
         self.stranger |= matches!(order.fault, Fault::Robot(RobotFault::ForeignScript(_)));
+        if let Fault::World(WorldFault::Nudge { object, .. } | WorldFault::Place { object, .. }) =
+            &order.fault
+        {
+            self.moved_by_hand.insert(object.clone(), self.frame);
+        }
     }
 
     /// An order was given.
@@ -225,11 +239,11 @@ impl Rules {
                 self.rtde_gone |= *link == Link::Rtde;
             }
             Event::Observed(_, Ok(_)) => self.sight = self.frame,
+            Event::Exposed(_) => self.exposed_at = self.frame,
             Event::Time
             | Event::Connected(_)
             | Event::Received(..)
             | Event::Registers(_)
-            | Event::Exposed(_)
             | Event::Looked(..)
             | Event::Observed(..)
             | Event::Pictured(..)

@@ -9,3 +9,4 @@ pub mod run;
 pub mod summary;
 pub mod table_svg;
 pub mod text;
+pub mod times_svg;

@@ -11,6 +11,7 @@ mod doctor;
 mod edit;
 mod faults;
 mod first_moves;
+mod looks;
 mod mutants;
 mod on_robot_program;
 mod plan_command;

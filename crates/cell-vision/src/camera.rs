@@ -285,6 +285,28 @@ impl CameraModel {
 mod tests {
     use super::*;
 
+    #[test]
+    fn a_point_shows_where_opencv_projects_it_and_nowhere_outside_of_the_picture() {
+        let camera = crate::testing::camera(1280, 720);
+        let mut shown = 0;
+        for k in 0..400 {
+            let (x, y) = (f64::from(k % 20) / 8.0 - 1.2, f64::from(k / 20) / 14.0 - 0.7);
+            let point = [0.5 * x, 0.5 * y, 0.5];
+            let there = crate::cv::project(&camera, &nalgebra::Isometry3::identity(), &[point]).unwrap()[0];
+            let inside = (0.0..1279.0).contains(&there[0]) && (0.0..719.0).contains(&there[1]);
+            match camera.pixel(point) {
+                Some(pixel) => {
+                    shown += 1;
+                    let off = (pixel[0] - there[0]).hypot(pixel[1] - there[1]);
+                    assert!(off < 1e-6, "{point:?}: {pixel:?}, OpenCV: {there:?}");
+                }
+                None => assert!(!inside, "{point:?} is at {there:?}"),
+            }
+        }
+        assert!(shown > 100, "{shown}");
+        assert_eq!(camera.pixel([0.0, 0.0, -0.5]), None);
+    }
+
     fn d405() -> CameraModel {
         CameraModel {
             serial: "123".into(),

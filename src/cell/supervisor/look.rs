@@ -84,7 +84,26 @@ impl Supervisor {
                 look.stage = LookStage::Moving;
                 self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
             }
+            Err(_) if look.region.is_none() && self.may_stick() => {
+                self.look_at_the_place(now, outside, out);
+            }
             Err(fault) => self.no_way_to_look(now, look.at, (&robot.q, &fault), out),
+        }
+    }
+
+    /// What was let go may hang on the cups, and is in the way of a look pose: first its place alone is looked
+    /// at, from where the arm can get to with it.
+    fn look_at_the_place(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let Some(robot) = outside.robot else { return };
+        self.seen = None;
+        match self.place_look(&robot.q) {
+            Some(plan) => self.go_to_look(now, outside, Look::begun(plan), out),
+            None => {
+                let target = self.model.look_poses.first().copied().unwrap_or(robot.q);
+                if let Err(fault) = self.transfer_to(&robot.q, target) {
+                    self.no_way_to_look(now, 0, (&robot.q, &fault), out);
+                }
+            }
         }
     }
 
@@ -307,6 +326,10 @@ impl Supervisor {
             return;
         }
         let whole = region.is_none();
+        if !whole && self.seen.is_none() {
+            // It showed what it had to: that nothing hangs on the cups. The table is looked at next.
+            return;
+        }
         let observation = match region {
             Some(region) => self.with_what_is_remembered(observation, &region),
             None => observation,

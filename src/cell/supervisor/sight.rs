@@ -81,12 +81,31 @@ impl Supervisor {
         }
         let region = self.region_for(next, object);
         let over_pick = self.over_pick(next, object);
-        let price = |poses: &[Joints]| self.price(from, poses, over_pick.as_ref());
+        let poses = self.poses_for(from, &region, over_pick.as_ref())?;
+        Some(LookPlan { poses, region: Some(region) })
+    }
+
+    /// What was let go has not been seen yet.
+    pub(crate) fn may_stick(&self) -> bool {
+        self.back.held.as_ref().is_some_and(|held| held.let_go)
+    }
+
+    /// A look at the place of what was let go.
+    pub(crate) fn place_look(&self, from: &Joints) -> Option<LookPlan> {
+        let held = self.back.held.as_ref()?;
+        let radius = self.model.object(&held.object)?.footprint.bounding_radius() + AROUND_M;
+        let region = Region::disc([held.to.x, held.to.y], radius);
+        let poses = self.poses_for(from, &region, None)?;
+        Some(LookPlan { poses, region: Some(region) })
+    }
+
+    /// The cheapest poses to see a region from, free with what may hang on the cups.
+    fn poses_for(&self, from: &Joints, region: &Region, then: Option<&Joints>) -> Option<Vec<Joints>> {
+        let price = |poses: &[Joints]| self.price(from, poses, then);
         let room = self.unseen_room();
         let sweep = RefCell::new(Sweep::new(&self.model.arm.bodies, &room));
         let free = |q: &Joints| sweep.borrow_mut().place(q, Zone::Over).is_ok();
-        let poses = self.model.views()?.covering(&self.model.rig(), &region, &price, &free)?;
-        Some(LookPlan { poses, region: Some(region) })
+        self.model.views()?.covering(&self.model.rig(), region, &price, &free)
     }
 
     /// What has to be seen before a pick-n-place.

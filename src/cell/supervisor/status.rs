@@ -7,6 +7,7 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::phase::Phase;
 use crate::cell::supervisor::round::Round;
+use crate::cell::times::TimeSplit;
 
 /// What is going on, for programs; [`Status::text`] says it in words.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,6 +61,8 @@ pub struct Status {
     pub moves: usize,
     /// Pick-n-places its present plan still has.
     pub remaining_moves: usize,
+    /// Where the time of the last one went.
+    pub last_move: Option<TimeSplit>,
 }
 
 impl Status {
@@ -97,6 +100,7 @@ impl Supervisor {
             job: job.map(|job| job.order.id.clone()),
             held: self.holding_words(),
             moves: job.map_or(0, |job| job.moves),
+            last_move: job.and_then(|_| self.times.last_move()),
             remaining_moves: job.and_then(|job| job.route.as_ref()).map_or(0, Vec::len),
         }
     }

@@ -579,4 +579,5 @@ mod arming;
 mod faults;
 mod foreign;
 mod lapse;
+mod sight;
 mod standing;

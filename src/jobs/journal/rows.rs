@@ -7,6 +7,7 @@ use crate::cell::code::{Code, JobStatus};
 use crate::jobs::record::{JobRecord, JobResult, ObjectResult, StepPhase, StepRecord};
 use cell_edge::files::FileIdentity;
 use rusqlite::Row;
+use std::collections::BTreeMap;
 
 /// The columns of a job, text not decoded yet.
 pub(super) struct JobRow {
@@ -68,6 +69,7 @@ pub(super) fn storable(result: &JobResult) -> JobResult {
     JobResult {
         seconds: finite(Some(result.seconds)).unwrap_or(0.0),
         lower_bound: finite(result.lower_bound),
+        times: result.times.iter().filter(|(_, s)| s.is_finite()).map(|(k, s)| (k.clone(), *s)).collect(),
         objects: objects.collect(),
         ..result.clone()
     }
@@ -104,6 +106,7 @@ pub(super) fn interrupted(
         moves: steps.iter().filter(|step| step.phase == StepPhase::Done).count() as u32,
         lower_bound: None,
         seconds: job.started_unix_s.map_or(0.0, |started| (unix_s - started).max(0.0)),
+        times: BTreeMap::new(),
         objects: Vec::new(),
     }
 }

@@ -103,6 +103,7 @@ fn result(id: &str, status: JobStatus) -> JobResult {
         moves: 0,
         lower_bound: Some(f64::NAN),
         seconds: f64::INFINITY,
+        times: Default::default(),
         objects: Vec::new(),
     }
 }

@@ -293,6 +293,7 @@ fn result(id: &str, status: JobStatus) -> JobResult {
         moves: 1,
         lower_bound: Some(1.0),
         seconds: 1.0,
+        times: Default::default(),
         objects: Vec::new(),
     }
 }

@@ -43,6 +43,10 @@ const TURN_RAD: f64 = 0.01;
 /// A leg between the objects goes aside by at most this much, m.
 const ASIDE_M: f64 = 1e-3;
 
+/// Where a line turns more than it travels, a radian counts as so many metres for its speed: assumed, nothing
+/// is published.
+const METRES_PER_RADIAN: f64 = 0.25;
+
 /// A line that has to be slower than this for the joints to follow is refused, m/s.
 const LEAST_SPEED: f64 = 0.01;
 
@@ -308,7 +312,7 @@ fn trace_linear(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Resu
     if near.max_difference(to) > 1e-3 {
         return Err(PathFault::Singular { which: "wrist" });
     }
-    let segment = slowed_on_line(model, &points, way.norm(), leg)?;
+    let segment = slowed_on_line(model, &points, way.norm().max(turn * METRES_PER_RADIAN), leg)?;
     Ok(Traced { points, segment })
 }
 

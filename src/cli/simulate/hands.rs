@@ -1,0 +1,46 @@
+//! `celld simulate --faults hands`: many jobs with a hand on the table between looks, on all cores.
+//!
+//! In: the first seed, how many jobs. Out: what must not be, and the command that repeats it.
+
+use super::args::SimulateArgs;
+use crate::pair::eyes::Eye;
+use crate::pair::hands::hands;
+use crate::pair::table::stage;
+use cell_edge::terminal::{complain, print};
+use indicatif::ProgressBar;
+use rayon::iter::{IntoParallelIterator, ParallelIterator};
+use std::time::Instant;
+
+/// Runs it; returns the exit code.
+pub(super) fn run(args: &SimulateArgs) -> u8 {
+    let bar = ProgressBar::new(args.jobs as u64);
+    let began = Instant::now();
+    let seeds = args.seed..args.seed.saturating_add(args.jobs as u64);
+    let ran: Result<Vec<usize>, String> = seeds
+        .into_par_iter()
+        .map(|seed| {
+            let faults = hands(&stage(seed, Eye::Corners)?, seed)?;
+            bar.inc(1);
+            if !faults.is_empty() {
+                let again = format!("repeat with: celld simulate --faults hands --jobs 1 --seed {seed}");
+                bar.suspend(|| print(&format!("seed {seed}\n    {}\n    {again}\n", faults.join("\n    "))));
+            }
+            Ok(faults.len())
+        })
+        .collect();
+    bar.finish_and_clear();
+    match ran {
+        Ok(ran) => {
+            let missed = ran.iter().filter(|count| **count > 0).count();
+            let (jobs, seconds) = (ran.len(), began.elapsed().as_secs_f64());
+            print(&format!(
+                "{jobs} jobs with a hand on the table, in {seconds:.0} s: {missed} with something that must not be\n"
+            ));
+            u8::from(missed > 0)
+        }
+        Err(message) => {
+            complain(&message);
+            2
+        }
+    }
+}
