@@ -21,6 +21,7 @@ pub mod rtde;
 mod rtde_client;
 mod rtde_process;
 pub mod runner;
+pub mod script;
 pub mod summary;
 pub mod table;
 pub mod targets;

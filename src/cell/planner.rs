@@ -15,6 +15,9 @@ use rearrange::planning::solver::{Control, solve};
 /// Plans that are tried where the arm cannot carry the first one out for a buffer that it chose.
 const TRIES: u32 = 4;
 
+/// A quicker order is searched for this long at most, s: the arm waits for it.
+const ORDERING_S: f64 = 0.5;
+
 /// One planning run. `over` ends each of its tries, which it gets the number of (from 0), and so does the
 /// work limit; `seconds` says how long the run has taken.
 pub fn answer(
@@ -36,9 +39,9 @@ pub fn answer(
             // What is left without the places that did not do is no proof of anything.
             return last.map_or_else(|| explained(answer, &stay), unreachable);
         };
-        let ordered = ordered(&request, &bad, actions);
+        let ordered = ordered(&request, &bad, actions, seconds);
         if let Some(ordered) = ordered.filter(|ordered| request.limits.carry_out(ordered).is_ok()) {
-            return with_actions(answer, ordered);
+            return with_actions(answer, ordered, seconds());
         }
         match request.limits.carry_out(actions) {
             Ok(()) => return answer,
@@ -68,17 +71,24 @@ fn unreachable(fault: OutOfReach) -> PlanAnswer {
 }
 
 /// The same pick-n-places in an order that takes less time; `None` where none is found.
-fn ordered(request: &PlanRequest, bad: &[(usize, Pose2)], actions: &[Action]) -> Option<Vec<Action>> {
+fn ordered(
+    request: &PlanRequest,
+    bad: &[(usize, Pose2)],
+    actions: &[Action],
+    now_s: &dyn Fn() -> f64,
+) -> Option<Vec<Action>> {
+    let began_s = now_s();
+    let over = || now_s() - began_s > ORDERING_S;
     let table = [request.instance.workspace.width, request.instance.workspace.height];
     let problem = Problem::new(&request.instance).ok()?.within(request.limits.reach(table, bad.to_vec()));
     let seconds = |actions: &[Action]| request.times.seconds(actions.iter().map(|a| (a.from, a.to)));
-    let ordered = quickest(&problem, actions.to_vec(), &seconds);
+    let ordered = quickest(&problem, actions.to_vec(), &seconds, &over);
     (ordered != actions).then_some(ordered)
 }
 
-fn with_actions(answer: PlanAnswer, actions: Vec<Action>) -> PlanAnswer {
+fn with_actions(answer: PlanAnswer, actions: Vec<Action>, seconds: f64) -> PlanAnswer {
     match answer {
-        PlanAnswer::Found { cost, lower_bound, seconds, .. } => {
+        PlanAnswer::Found { cost, lower_bound, .. } => {
             PlanAnswer::Found { actions, cost, lower_bound, seconds }
         }
         other => other,

@@ -2,7 +2,7 @@
 //!
 //! In: a problem, a plan for it, what a sequence of actions takes. Out: the plan with actions taken up
 //! earlier or later, as long as that saves time and the independent checker accepts it. Pure; bounded by a
-//! number of sequences that are priced.
+//! number of sequences that are priced, and by `over`.
 
 use rearrange::planning::check::CheckedPlan;
 use rearrange::planning::plan::Action;
@@ -15,16 +15,27 @@ const PRICED: usize = 2500;
 const GAIN_S: f64 = 0.01;
 
 /// The actions in the quickest order that is found by moving one or two neighbours at a time.
-pub fn quickest(problem: &Problem, actions: Vec<Action>, seconds: &dyn Fn(&[Action]) -> f64) -> Vec<Action> {
+pub fn quickest(
+    problem: &Problem,
+    actions: Vec<Action>,
+    seconds: &dyn Fn(&[Action]) -> f64,
+    over: &dyn Fn() -> bool,
+) -> Vec<Action> {
     let (mut best, mut best_s) = (actions.clone(), seconds(&actions));
     let mut priced = 1;
-    while priced < PRICED {
-        let mut tried: Vec<(f64, Vec<Action>)> =
-            neighbours(&best).take(PRICED - priced).map(|next| (seconds(&next), next)).collect();
+    while priced < PRICED && !over() {
+        let mut tried: Vec<(f64, Vec<Action>)> = neighbours(&best)
+            .take(PRICED - priced)
+            .take_while(|_| !over())
+            .map(|next| (seconds(&next), next))
+            .collect();
         priced += tried.len().max(1);
         tried.retain(|(taken, _)| *taken < best_s - GAIN_S);
         tried.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let accepted = tried.into_iter().find(|(_, next)| CheckedPlan::new(problem, next).is_ok());
+        let accepted = tried
+            .into_iter()
+            .take_while(|_| !over())
+            .find(|(_, next)| CheckedPlan::new(problem, next).is_ok());
         let Some((taken, next)) = accepted else { break };
         (best, best_s) = (next, taken);
     }
@@ -83,7 +94,8 @@ objects:
             Action { object: index, from, to, kind: ActionKind::Goal }
         };
         let given = vec![of(2), of(1), of(0)];
-        let found = quickest(&problem, given.clone(), &way);
+        let found = quickest(&problem, given.clone(), &way, &|| false);
+        assert_eq!(quickest(&problem, given.clone(), &way, &|| true), given, "no time");
         assert!(way(&found) < way(&given) - GAIN_S, "{found:?}");
         assert!(CheckedPlan::new(&problem, &found).is_ok());
         let order: Vec<usize> = found.iter().map(|action| action.object).collect();

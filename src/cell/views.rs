@@ -56,6 +56,9 @@ const REFINED: usize = 3;
 /// Pairs are tried among so many of the poses that show most.
 const PAIRED: usize = 40;
 
+/// So many pairs are priced at most: this is computed between two signs of life of the arm's program.
+const PAIRS: usize = 4000;
+
 /// What the camera on the wrist shows from where, for looks at parts of the table.
 #[derive(Clone, Debug)]
 pub struct SightModel {
@@ -236,7 +239,7 @@ impl Views {
             let seconds = self.poses.iter().filter(move |second| missed(&together(second)) == 0);
             seconds.flat_map(|second| [vec![first.q, second.q], vec![second.q, first.q]])
         });
-        cheapest(pairs, price, free).into_iter().next()
+        cheapest(pairs.take(PAIRS), price, free).into_iter().next()
     }
 
     /// Corners of these cells, on the table.
@@ -295,10 +298,10 @@ impl Search<'_> {
         for halving in 0..HALVINGS {
             let mut better = true;
             while std::mem::take(&mut better) {
-                for axis in 0..STEPS.len() {
+                for (axis, step) in STEPS.iter().enumerate() {
                     for side in [-1.0, 1.0] {
                         let mut next = aim;
-                        next.0[axis] += side * STEPS[axis] / f64::from(1 << halving);
+                        next.0[axis] += side * step / f64::from(1 << halving);
                         if let Some((worth, q)) = self.worth(&next).filter(|(worth, _)| *worth < price - 1e-3)
                         {
                             (aim, price, best, better) = (next, worth, q, true);

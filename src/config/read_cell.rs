@@ -72,9 +72,10 @@ pub const REFERENCE_TURN_DEG: f64 = 0.15;
 /// Pick-n-places after which the whole table is looked at again, unless the file says otherwise.
 pub const FULL_LOOK_EVERY: u32 = 20;
 
-/// How long the arm is at rest before a picture is taken, s, unless the file says otherwise: two states of
-/// the robot.
-pub const SETTLE_S: f64 = 0.016;
+/// How long the arm is at rest before a picture is taken, s, unless the file says otherwise: of a simulated
+/// arm, whose camera does not swing, two states of the robot.
+pub const SETTLE_S: f64 = 0.15;
+pub const SIMULATED_SETTLE_S: f64 = 0.016;
 
 /// Seconds without motion after which arming lapses, unless the file says otherwise.
 pub const ARM_LAPSE_S: f64 = 600.0;
@@ -137,6 +138,7 @@ fn parts(
         optional(d, fields, "calibration_box", None, |d, at| calibration::calibration_box(d, at).map(Some));
     let calibration = fields.required("calibration", d).and_then(|at| calibration::files(d, &at, folder));
     let (joint_range, limits) = fields.required("limits", d).map_or((None, None), |at| limits(d, &at));
+    let settle = if fields.optional("simulation").is_some() { SIMULATED_SETTLE_S } else { SETTLE_S };
     let refuse = ForeignRule::Refuse { depth_needed: false };
     CellParts {
         devices,
@@ -156,7 +158,7 @@ fn parts(
         calibration,
         joint_range,
         limits,
-        tolerances: fields.required("tolerances", d).and_then(|at| tolerances(d, &at)),
+        tolerances: fields.required("tolerances", d).and_then(|at| tolerances(d, &at, settle)),
         planner: fields.required("planner", d).and_then(|at| planner(d, &at)),
         approval: optional(d, fields, "approval", Approval::Always, |d, at| d.word(at)),
         arm_at_start: optional(d, fields, "arm_at_start", false, |d, at| d.boolean(at)),
@@ -355,7 +357,7 @@ fn joint_range(decoder: &mut Decoder, at: &At) -> Option<[(f64, f64); 6]> {
     range
 }
 
-fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
+fn tolerances(decoder: &mut Decoder, at: &At, settle_s: f64) -> Option<Tolerances> {
     let known = [
         "goal_position_m",
         "goal_angle_deg",
@@ -373,7 +375,7 @@ fn tolerances(decoder: &mut Decoder, at: &At) -> Option<Tolerances> {
     let every = optional(decoder, &fields, "full_look_every", FULL_LOOK_EVERY, |d, at| {
         d.integer(at, 1..=10_000).and_then(|count| u32::try_from(count).ok())
     });
-    let settle = optional(decoder, &fields, "settle_s", SETTLE_S, |d, at| d.number_in(at, 0.0..=5.0, "s"));
+    let settle = optional(decoder, &fields, "settle_s", settle_s, |d, at| d.number_in(at, 0.0..=5.0, "s"));
     let residual = required_positive(decoder, &fields, "reference_residual_m", 0.1, "m");
     let shift = optional(decoder, &fields, "reference_shift_m", REFERENCE_SHIFT_M, |d, at| {
         d.number_in(at, 1e-5..=0.1, "m")

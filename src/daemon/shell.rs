@@ -232,6 +232,9 @@ impl Shell {
 
     /// Makes a cell of the machine; `arm` arms it without a person: simulated cells only.
     pub fn commission(&mut self, model: CellModel, arm: bool) {
+        // Poses to look from take a part of a second to compute: now, and not while the arm's program waits
+        // for a sign of life.
+        model.views();
         let now = self.now();
         self.machine.handle(now, Event::Commission { model: Box::new(model), arm });
     }

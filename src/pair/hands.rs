@@ -1,9 +1,9 @@
 //! A hand on the table between looks (rows 18, 20, 28 and 29 of the fault table): is it noticed before the
 //! next pick that it concerns?
 //!
-//! In: a seed. Out: what must not be, in words. A job runs while at random moments an object is pushed, put
-//! elsewhere, lost from the cups, sticks to them, or the camera is bumped; the rules of the closed loop watch
-//! that nothing is picked where a picture since then would have shown that it is not.
+//! In: a seed. Out: what must not be, in words. A job runs while at random moments an object is pushed,
+//! put elsewhere, lost from the cups, sticks to them, or the camera is bumped; the rules of the closed
+//! loop watch that nothing is picked where a picture since then would have shown that it is not.
 
 use crate::cell::orders::Order;
 use crate::pair::run::{bring_up, true_poses};

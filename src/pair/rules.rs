@@ -42,8 +42,8 @@ pub enum Rule {
     HeldUnwatched,
     /// The vacuum is switched on for a pick on a sight older than the last pick, place, stop or release.
     PickOnOldSight,
-    /// An object is gripped that is not where it was picked for, although a hand had moved it before the last
-    /// picture.
+    /// An object is gripped that is not where it was picked for, although a hand had moved it before the
+    /// last picture.
     PickOfMoved,
     /// A record is reported to the machine as on disk, and it is not.
     AcknowledgedNotWritten,
@@ -138,6 +138,10 @@ pub struct Rules {
     played_at: Option<u64>,
     /// A pick-n-place is under way, by the journal.
     picking: bool,
+    /// One is written down, and neither over nor given up.
+    meant: bool,
+    /// The status says that one is under way.
+    works: bool,
     last_state: u64,
     /// The RTDE connection is gone since the last state; when states came again after that, and the last one
     /// before.
@@ -217,7 +221,7 @@ impl Rules {
         self.orders.clear();
         (self.stopped_at, self.lost) = (None, None);
         self.released_at = Some(self.frame).filter(|_| self.releases > 0).or(self.released_at);
-        (self.releases, self.picking) = (0, false);
+        (self.releases, self.picking, self.meant) = (0, false, false);
         self.restarted_at = Some(self.frame);
         self.disturbed = self.frame;
         self.last_read = self.frame;
@@ -292,12 +296,13 @@ impl Rules {
             Effect::Commit { number, record } => {
                 self.open.insert(*number, matches!(record, Record::Intent { .. }));
                 match record {
-                    Record::Intent { .. } => self.picking = true,
-                    Record::Withdrawn { .. } => self.picking = false,
+                    Record::Intent { .. } => self.meant = true,
+                    Record::Withdrawn { .. } => (self.picking, self.meant) = (false, false),
                     Record::Gripped { .. } | Record::Released { .. } | Record::LetGo => {
                         self.disturbed = frame
                     }
-                    Record::Done { .. } => (self.picking, self.disturbed) = (false, frame),
+                    // The way from the place is still to be finished.
+                    Record::Done { .. } => (self.meant, self.disturbed) = (false, frame),
                     Record::Ended(_) => {}
                 }
             }
@@ -310,7 +315,7 @@ impl Rules {
             Effect::Reply { number, reply } => self.check_reply(*number, reply, machine),
             Effect::End(_) => self.check_end(),
             Effect::Notify(News::Notice(notice)) if notice.text.starts_with(STOP_ORDERED) => {
-                (self.stopped_at, self.picking) = (Some(frame), false);
+                (self.stopped_at, self.picking, self.meant) = (Some(frame), false, false);
                 self.disturbed = frame;
             }
             Effect::Connect(_)

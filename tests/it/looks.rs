@@ -1,6 +1,6 @@
-//! Looks at parts of the table in the closed loop: nothing that a hand moved is picked where it was, the time
-//! of a job adds up, a slow disk costs nothing while the arm moves, and a scene is as quick as its bound
-//! allows.
+//! Looks at parts of the table in the closed loop: nothing that a hand moved is picked where it was, the
+//! time of a job adds up, a slow disk costs nothing while the arm moves, and a scene is as quick as its
+//! bound allows.
 
 use celld::bench::cycle::{CycleRun, FAST, USUAL, run};
 use celld::cell::code::Code;
@@ -30,8 +30,8 @@ fn nothing_is_picked_where_a_picture_since_a_hand_would_have_shown_that_it_is_no
 
 /// One job with a disk of this mood from its first look on.
 fn one_job(seed: u64, mood: Mood) -> Pair {
-    let stage = stage(seed, Eye::Corners).unwrap();
-    let mut pair = Pair::new(stage.clone(), Choice::of(seed)).unwrap();
+    let stage = stage(seed, Eye::Corners).expect("a stage");
+    let mut pair = Pair::new(stage.clone(), Choice::of(seed)).expect("a pair");
     assert!(bring_up(&mut pair));
     pair.order(Order::Arm);
     pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));

@@ -129,7 +129,8 @@ pub fn find(
     find_in(maps, known, ignored, limits, None)
 }
 
-/// The same in a part of the table; what is outside of it is neither foreign nor a hole.
+/// The same where only a part of the table has to be measured: outside of it nothing counts as a hole. What
+/// the maps show is foreign wherever it is.
 pub fn find_in(
     maps: &[&HeightMap],
     known: &[KnownBody],
@@ -165,10 +166,6 @@ pub fn find_in(
         }
     }
     let counts = |cell: usize| region.is_none_or(|region| region.contains(first.centre(cell)));
-    let counts: Vec<bool> = (0..cells).map(counts).collect();
-    for (tallest, _) in tallest.iter_mut().zip(&counts).filter(|(_, counts)| !**counts) {
-        *tallest = f32::NEG_INFINITY;
-    }
     let excess = closed(first, &tallest, &measured);
     let mut objects: Vec<ForeignObject> = first
         .groups(&excess)
@@ -178,8 +175,12 @@ pub fn find_in(
         .collect();
     objects.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
     // Known objects, their shadows and keep-outs are left out.
-    let bare = expected.surface_m.iter().zip(&counts);
-    let bare: Vec<bool> = bare.map(|(surface, counts)| *surface == 0.0 && *counts).collect();
+    let bare: Vec<bool> = expected
+        .surface_m
+        .iter()
+        .enumerate()
+        .map(|(cell, surface)| *surface == 0.0 && counts(cell))
+        .collect();
     let unmeasured = holes::unmeasured(&maps, &bare, &measured, known);
     let count = |cells: &[bool]| cells.iter().filter(|cell| **cell).count() as f64;
     let bare_measured =

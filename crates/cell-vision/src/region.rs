@@ -29,6 +29,11 @@ impl Region {
         }
     }
 
+    /// Middle and radius of each of its discs.
+    pub fn discs(&self) -> impl Iterator<Item = ([f64; 2], f64)> {
+        self.discs.iter().map(|disc| (disc.centre, disc.radius_m))
+    }
+
     /// No place is in it.
     pub fn is_empty(&self) -> bool {
         self.discs.is_empty()

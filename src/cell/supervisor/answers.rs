@@ -75,7 +75,7 @@ impl Supervisor {
             return "disarmed; the robot does not answer, so nothing is known of the arm: keep away from it";
         }
         match &self.phase {
-            Phase::Work(_) => {
+            Phase::Work(work) if work.then.is_none() => {
                 "disarmed; the pick-n-place under way is finished first, `celld abort` stops it now"
             }
             Phase::Ready
@@ -84,6 +84,7 @@ impl Supervisor {
             | Phase::Plan
             | Phase::Approve
             | Phase::Park
+            | Phase::Work(_)
             | Phase::Recover(_)
             | Phase::Visit(_) => match self.follows_a_path() {
                 true => "disarmed; the motion under way goes on to its next stop, `celld abort` stops it now",
@@ -164,6 +165,9 @@ impl Supervisor {
     /// What is still done before a pause.
     fn pausing(&self) -> &'static str {
         match &self.phase {
+            Phase::Work(work) if work.then.is_some() => {
+                "the arm goes on to where it looks from, then it rests; `celld abort` stops it now"
+            }
             Phase::Work(_) => "pauses after the present pick-n-place",
             Phase::Park => "the arm goes on to its park pose, then it rests",
             Phase::Look(_) if self.job.is_some() => {

@@ -19,7 +19,7 @@ use crate::cell::supervisor::look_plan::Sight;
 use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobOrder, JobReport, ObjectReport, RouteAction};
-use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Meant, Phase, Quiet, UntilItStands, Visit};
+use crate::cell::supervisor::phase::{JobRun, LookStage, Meant, Phase, Quiet, UntilItStands, Visit};
 use crate::cell::supervisor::reason::{Reason, say};
 use crate::cell::supervisor::round::Round;
 use crate::cell::times::TimeBook;
@@ -252,17 +252,11 @@ impl Supervisor {
     /// True while the phase lasts as long as the arm takes for a path.
     pub(crate) fn follows_a_path(&self) -> bool {
         match &self.phase {
-            Phase::Park
-            | Phase::Look(Look { stage: LookStage::Moving, .. })
-            | Phase::Visit(Visit::Moving) => true,
+            Phase::Park | Phase::Visit(Visit::Moving) => true,
+            Phase::Look(look) => matches!(look.stage, LookStage::Moving),
             Phase::Work(work) => work.stage.follows_a_path(),
             Phase::Recover(stage) => stage.follows_a_path(),
-            Phase::Ready
-            | Phase::BringUp(_)
-            | Phase::Look(_)
-            | Phase::Plan
-            | Phase::Approve
-            | Phase::Visit(_) => false,
+            Phase::Ready | Phase::BringUp(_) | Phase::Plan | Phase::Approve | Phase::Visit(_) => false,
         }
     }
 
@@ -421,6 +415,7 @@ impl Supervisor {
     /// Ends the active job, if there is one. It is over when its report is on disk.
     pub(crate) fn finish(&mut self, now: Timestamp, end: JobStatus, reason: Reason, out: &mut Vec<Action>) {
         self.waiting_for = None;
+        self.withdraw_meant(now, out);
         let Some(job) = self.job.take() else { return };
         // The next job may begin at once: no hint sends hands to an armed arm.
         let first = self.mode.armed() && end == JobStatus::Failed && reason.code.needs_hands();
@@ -454,7 +449,6 @@ impl Supervisor {
             times: self.times.close(),
             objects,
         };
-        self.meant = None;
         self.commit(now, Record::Ended(Box::new(report)), out);
     }
 }

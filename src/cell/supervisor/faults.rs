@@ -12,7 +12,7 @@ use crate::cell::supervisor::gates::motion_speed;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::cell::supervisor::mode::{EndFault, Mode};
-use crate::cell::supervisor::phase::{Look, LookStage, Phase};
+use crate::cell::supervisor::phase::{LookStage, Phase};
 use crate::cell::supervisor::reason::{Reason, STOP_ORDERED, alarm, say};
 use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
@@ -111,18 +111,17 @@ impl Supervisor {
     }
 
     fn on_deadline(&mut self, now: Timestamp, out: &mut Vec<Action>) {
-        if let Phase::Look(Look { fault: Some(fault), .. }) = &self.phase {
-            let fault = fault.clone();
-            return self.give_up_looking(now, &fault, out);
-        }
-        if matches!(self.phase, Phase::Look(Look { stage: LookStage::Capturing { .. }, .. })) {
-            let fault = CameraFault {
+        if let Phase::Look(look) = &self.phase {
+            let silent = || CameraFault {
                 code: Code::CameraUnplugged,
                 message: "the camera gave no picture in the time of a look".to_string(),
                 hint: "look at the camera's cable and power, submit again",
                 lasting: false,
             };
-            return self.give_up_looking(now, &fault, out);
+            let capturing = matches!(look.stage, LookStage::Capturing { .. });
+            if let Some(fault) = look.fault.clone().or_else(|| capturing.then(silent)) {
+                return self.give_up_looking(now, &fault, out);
+            }
         }
         let (code, message) = match &self.phase {
             Phase::Ready | Phase::Approve => return,

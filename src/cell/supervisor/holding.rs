@@ -137,6 +137,12 @@ impl Supervisor {
         true
     }
 
+    /// What was let go is not among what is seen.
+    pub(crate) fn let_go_unseen(&self, seen: &Observation) -> bool {
+        let held = self.back.held.as_ref().filter(|held| held.let_go);
+        held.is_some_and(|held| seen.objects.iter().all(|object| object.id != held.object))
+    }
+
     /// What was let go and is not on the table hangs on the cups: the job ends by its name. True if it does.
     pub(crate) fn sticks(&mut self, now: Timestamp, seen: &Observation, out: &mut Vec<Action>) -> bool {
         let Some(held) = self.back.held.as_mut().filter(|held| held.let_go) else { return false };

@@ -89,9 +89,9 @@ impl Supervisor {
         if held || self.round.is_some() || self.back.recovery.is_some() {
             return self.stop_all(now, JobStatus::Interrupted, Code::ArmingLapsed.because(why, ""), out);
         }
-        let goes_on = self.disarm_after_this_motion(outside, out);
+        let goes_on = self.disarm_after_this_motion(now, outside, out);
         let first = match (goes_on, &self.phase) {
-            (true, Phase::Work(_)) => {
+            (true, Phase::Work(work)) if work.then.is_none() => {
                 "; the pick-n-place under way is finished first, `celld abort` stops it now"
             }
             (true, _) => "; the motion under way goes on to its next stop, `celld abort` stops it now",

@@ -82,28 +82,21 @@ impl Supervisor {
             Ok(path) => {
                 out.push(Action::Robot(RobotCommand::Stream(path)));
                 look.stage = LookStage::Moving;
-                self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
+                self.enter(Phase::Look(Box::new(look)), self.model.tolerances.look_deadline);
             }
-            Err(_) if look.region.is_none() && self.may_stick() => {
-                self.look_at_the_place(now, outside, out);
+            // Taught poses are known to be reached.
+            Err(_) if look.region.is_some() && self.seen.is_some() => {
+                self.begin_whole_look(now, outside, out)
             }
-            Err(fault) => self.no_way_to_look(now, look.at, (&robot.q, &fault), out),
-        }
-    }
-
-    /// What was let go may hang on the cups, and is in the way of a look pose: first its place alone is looked
-    /// at, from where the arm can get to with it.
-    fn look_at_the_place(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let Some(robot) = outside.robot else { return };
-        self.seen = None;
-        match self.place_look(&robot.q) {
-            Some(plan) => self.go_to_look(now, outside, Look::begun(plan), out),
-            None => {
-                let target = self.model.look_poses.first().copied().unwrap_or(robot.q);
-                if let Err(fault) = self.transfer_to(&robot.q, target) {
-                    self.no_way_to_look(now, 0, (&robot.q, &fault), out);
+            Err(fault) => match self.place_look(&robot.q).filter(|_| look.region.is_none()) {
+                // What was let go may hang on the cups and be in the way: first its place alone is looked
+                // at, from where the arm can get to with it.
+                Some(plan) => {
+                    self.seen = None;
+                    self.go_to_look(now, outside, Look::begun(plan), out);
                 }
-            }
+                None => self.no_way_to_look(now, look.at, (&robot.q, &fault), out),
+            },
         }
     }
 
@@ -155,9 +148,8 @@ impl Supervisor {
 
     /// While settling: requests frames once the arm has been at rest long enough.
     pub(crate) fn watch_settling(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let Phase::Look(Look { stage: LookStage::Settling { still_since }, .. }) = &mut self.phase else {
-            return;
-        };
+        let Phase::Look(look) = &mut self.phase else { return };
+        let LookStage::Settling { still_since } = &mut look.stage else { return };
         let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
         if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
             *still_since = None;
@@ -168,7 +160,6 @@ impl Supervisor {
             return;
         }
         let table_from_camera = self.model.camera_at(&robot.q);
-        let Phase::Look(look) = &mut self.phase else { return };
         look.stage = LookStage::Capturing { q: robot.q };
         let first = look.views.is_empty() && look.awaited.is_empty();
         // One frame of the places that are looked at before every pick; the whole table more carefully.
@@ -202,7 +193,7 @@ impl Supervisor {
         if let Phase::Look(look) = std::mem::replace(&mut self.phase, Phase::Ready)
             && open
         {
-            self.go_to_look(now, outside, look, out);
+            self.go_to_look(now, outside, *look, out);
         }
     }
 
@@ -305,8 +296,11 @@ impl Supervisor {
         result: Result<Box<Observation>, String>,
         out: &mut Vec<Action>,
     ) {
-        let Phase::Look(Look { stage: LookStage::Observing, region, .. }) = &mut self.phase else { return };
-        let region = region.take();
+        let Phase::Look(look) = &mut self.phase else { return };
+        if !matches!(look.stage, LookStage::Observing) {
+            return;
+        }
+        let region = look.region.take();
         self.phase = Phase::Ready;
         let observation = match result {
             Ok(observation) => *observation,
@@ -322,10 +316,15 @@ impl Supervisor {
         if self.back.recovery.is_some() {
             return self.on_recovery_look(now, observation, out);
         }
+        let whole = region.is_none();
+        if !whole && self.seen.is_some() && self.let_go_unseen(&observation) {
+            // One picture from one side: the whole table is looked at before a person is sent to the cups.
+            self.seen = None;
+            return;
+        }
         if self.sticks(now, &observation, out) {
             return;
         }
-        let whole = region.is_none();
         if !whole && self.seen.is_none() {
             // It showed what it had to: that nothing hangs on the cups. The table is looked at next.
             return;

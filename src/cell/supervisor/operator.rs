@@ -189,7 +189,7 @@ impl Supervisor {
             self.stop_all(now, JobStatus::Interrupted, reason, out);
             return self.answer_when_it_stands(now, number, Then::Say);
         }
-        let goes_on = self.disarm_after_this_motion(outside, out);
+        let goes_on = self.disarm_after_this_motion(now, outside, out);
         if self.stopping(outside) {
             self.answer_when_it_stands(now, number, Then::Say);
         }
@@ -207,6 +207,7 @@ impl Supervisor {
     /// on which the arm has not set out. True while a motion under way is finished first.
     pub(crate) fn disarm_after_this_motion(
         &mut self,
+        now: Timestamp,
         outside: &DeviceSnapshot,
         out: &mut Vec<Action>,
     ) -> bool {
@@ -233,7 +234,8 @@ impl Supervisor {
         match &mut self.phase {
             Phase::Park if !begun => self.phase = Phase::Ready,
             Phase::BringUp(_) => self.phase = self.after_bring_up(),
-            Phase::Work(_) | Phase::Look(_) if !begun => self.phase = Phase::Ready,
+            Phase::Work(_) if !begun => self.not_begun(now, out),
+            Phase::Look(_) if !begun => self.phase = Phase::Ready,
             Phase::Look(look) => look.void = true,
             Phase::Ready
             | Phase::Plan

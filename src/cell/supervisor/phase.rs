@@ -24,7 +24,7 @@ pub(crate) enum Phase {
     /// Powering the arm and starting the on-robot program.
     BringUp(BringUp),
     /// Going round the look poses.
-    Look(Look),
+    Look(Box<Look>),
     /// Waiting for the planner.
     Plan,
     /// Waiting for a person.

@@ -142,6 +142,7 @@ impl Supervisor {
     }
 
     fn request_plan(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        self.withdraw_meant(now, out);
         let (Some(job), Some(seen)) = (&self.job, &self.seen) else { return };
         if job.replans > 0 && job.replans > self.model.tolerances.retries + job.moves as u32 {
             let message = format!("the table disagreed with the plan {} times", job.replans);

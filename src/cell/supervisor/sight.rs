@@ -2,11 +2,11 @@
 //! remembered of the rest.
 //!
 //! In: what was seen, what was disturbed since, the next pick-n-place. Out: a [`LookPlan`]; an observation
-//! of a part of the table put together with what was seen before. A pick-n-place disturbs what its tool,
-//! its object and a slip of it can reach round its two places. Before the next one all of that is seen
-//! again, and where the next one picks and places: between, a hand may have been there. The whole table is
-//! looked at when nothing is known of it, at the end of a job, when a look shows anything unexpected, and
-//! every so many pick-n-places.
+//! of a part of the table put together with what was seen before. A pick-n-place disturbs what its object
+//! and a slip of it can reach round its two places, and whatever reaches into that. Before the next one
+//! all of that is seen again, and where the next one picks and places: between, a hand may have been
+//! there. The whole table is looked at when nothing is known of it, at the end of a job, when a look shows
+//! anything unexpected, and every so many pick-n-places.
 
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::look_plan::{LookPlan, Sight};
@@ -19,14 +19,21 @@ use cell_values::units::Joints;
 use cell_vision::foreign::ForeignReport;
 use cell_vision::observe::Observation;
 use cell_vision::region::Region;
+use rearrange::geometry::collision::penetration;
+use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use std::cell::RefCell;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// How far round an object it, or what is beside it, may have slipped, m.
 const SLIP_M: f64 = 0.02;
 
 /// Room round an object that a look shows with it, m: it may lie so far from where it was seen.
 const AROUND_M: f64 = 0.015;
+
+/// Room round a marker that a look has to show where it was, m; one that is farther off is missing, and the
+/// whole table is looked at.
+const RIM_M: f64 = 0.001;
 
 /// What a stop for a picture costs besides the way, s.
 const STOP_S: f64 = 0.1;
@@ -85,14 +92,9 @@ impl Supervisor {
         Some(LookPlan { poses, region: Some(region) })
     }
 
-    /// What was let go has not been seen yet.
-    pub(crate) fn may_stick(&self) -> bool {
-        self.back.held.as_ref().is_some_and(|held| held.let_go)
-    }
-
-    /// A look at the place of what was let go.
+    /// A look at the place of what was let go, where that has not been seen yet.
     pub(crate) fn place_look(&self, from: &Joints) -> Option<LookPlan> {
-        let held = self.back.held.as_ref()?;
+        let held = self.back.held.as_ref().filter(|held| held.let_go)?;
         let radius = self.model.object(&held.object)?.footprint.bounding_radius() + AROUND_M;
         let region = Region::disc([held.to.x, held.to.y], radius);
         let poses = self.poses_for(from, &region, None)?;
@@ -115,7 +117,27 @@ impl Supervisor {
         for pose in [&next.from, &next.to] {
             region.join(&Region::disc([pose.x, pose.y], radius));
         }
+        for seen in self.seen.iter().flat_map(|seen| &seen.objects) {
+            if let Some(marker) =
+                self.model.object(&seen.id).and_then(|known| self.marker_disturbed(known, &seen.pose))
+            {
+                region.join(&marker);
+            }
+        }
         region
+    }
+
+    /// The place of an object's marker, where what was disturbed reaches into the object: it
+    /// may have been shifted or tipped.
+    fn marker_disturbed(&self, known: &CellObject, pose: &Pose2) -> Option<Region> {
+        let reaches = |(centre, radius): ([f64; 2], f64)| {
+            let disc = Footprint::Disc { radius };
+            penetration(&disc, &Pose2::new(centre[0], centre[1], 0.0), &known.footprint, pose) > 0.0
+        };
+        self.sight.disturbed.discs().any(reaches).then(|| {
+            let marker = pose.compose(&known.marker.offset);
+            Region::disc([marker.x, marker.y], known.marker.size * FRAC_1_SQRT_2 + RIM_M)
+        })
     }
 
     /// Joints over the next pick; `None` where it is out of reach, which is said later.
@@ -171,12 +193,12 @@ impl Supervisor {
     fn should_show(&self, id: &str, pose: &Pose2, region: &Region) -> bool {
         self.model.object(id).is_some_and(|known| {
             let marker = pose.compose(&known.marker.offset);
-            region.contains_disc([marker.x, marker.y], known.marker.size * std::f64::consts::FRAC_1_SQRT_2)
+            region.contains_disc([marker.x, marker.y], known.marker.size * FRAC_1_SQRT_2)
         })
     }
 }
 
-/// Things without a marker that were seen before outside of a region are still there.
+/// Things without a marker that were seen before and not all in a region are still there.
 fn with_foreign_elsewhere(
     now: Option<ForeignReport>,
     before: Option<&ForeignReport>,
@@ -184,6 +206,8 @@ fn with_foreign_elsewhere(
 ) -> Option<ForeignReport> {
     let mut report = now?;
     let elsewhere = before.iter().flat_map(|before| &before.objects);
-    report.objects.extend(elsewhere.filter(|object| !region.contains(object.centre)).cloned());
+    report
+        .objects
+        .extend(elsewhere.filter(|object| !object.outline.iter().all(|at| region.contains(*at))).cloned());
     Some(report)
 }

@@ -136,6 +136,13 @@ impl Supervisor {
         }
     }
 
+    /// A pick-n-place for which the arm has not set out is given up.
+    pub(crate) fn not_begun(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+        self.phase = Phase::Ready;
+        let step = self.job.as_ref().map_or(0, |job| job.moves);
+        self.commit(now, Record::Withdrawn { step }, out);
+    }
+
     /// The record with this number is on disk: what waited for it goes on.
     pub(crate) fn work_noted(
         &mut self,
@@ -158,7 +165,7 @@ impl Supervisor {
         let approved = self.job.as_ref().is_some_and(|job| job.approved);
         let (armed, observed) = (self.mode.armed(), self.is_seen());
         if let Err(closed) = gates::manipulate(armed, outside, self.nonce, observed, approved) {
-            self.phase = Phase::Ready;
+            self.not_begun(now, out);
             return self.wait(now, closed, out);
         }
         let Phase::Work(work) = &mut self.phase else { return };
@@ -226,11 +233,14 @@ impl Supervisor {
         }
         let Some(then) = work.then.take() else { return };
         self.left_the_place(now, out);
-        let look = Look { void: !self.mode.armed(), ..Look::begun(then) };
+        // A pause, a park pose that is waited for, an end of the job: the way is finished, and nothing
+        // follows.
+        let goes_on = self.mode.runs() && self.job.as_ref().is_some_and(|job| !job.cancel);
+        let look = Look { void: !goes_on, ..Look::begun(then) };
         if look.region.is_none() {
             self.times.begins_round();
         }
-        self.enter(Phase::Look(look), self.model.tolerances.look_deadline);
+        self.enter(Phase::Look(Box::new(look)), self.model.tolerances.look_deadline);
     }
 
     /// The arm is over the placed object again.
@@ -311,6 +321,8 @@ impl Supervisor {
         work.stage = WorkStage::Retreating;
         let (object, to, up) = (work.object.clone(), work.held.to, work.paths.retreat.clone());
         self.disturb(&object, &to);
+        self.back.table.retain(|(id, _)| *id != object);
+        self.back.table.push((object, to));
         let path = self.goes_on(outside).then(|| self.on_to_look(now, &up.start(), &up.end(), out)).flatten();
         out.push(Action::Robot(RobotCommand::Stream(path.unwrap_or(up))));
     }

@@ -43,8 +43,8 @@ const TURN_RAD: f64 = 0.01;
 /// A leg between the objects goes aside by at most this much, m.
 const ASIDE_M: f64 = 1e-3;
 
-/// Where a line turns more than it travels, a radian counts as so many metres for its speed: assumed, nothing
-/// is published.
+/// Where a line turns more than it travels, a radian counts as so many metres for its speed: assumed,
+/// nothing is published.
 const METRES_PER_RADIAN: f64 = 0.25;
 
 /// A line that has to be slower than this for the joints to follow is refused, m/s.

@@ -84,6 +84,10 @@ impl Rules {
         }
         self.still = if moves { 0 } else { self.still + 1 };
         let works = status.is_some_and(|status| matches!(status.doing, Doing::Working(..)));
+        if works && !std::mem::replace(&mut self.works, works) {
+            self.picking |= self.meant;
+        }
+        self.works = works;
         self.picking &= moves || works;
         self.local_since = if local { self.local_since.or(Some(frame)) } else { None };
         self.way_chosen &= !safe;
@@ -276,8 +280,8 @@ impl Rules {
         }
     }
 
-    /// Where the cups come down, the object is where it was picked for, unless a hand moved it after the last
-    /// picture.
+    /// Where the cups come down, the object is where it was picked for, unless a hand moved it after the
+    /// last picture.
     fn check_picked(&mut self, machine: &Machine, simulator: &Simulator) {
         let phase = machine.supervisor().map(|supervisor| &supervisor.phase);
         let Some(Phase::Work(work)) = phase.filter(|_| !self.moved_by_hand.is_empty()) else {

@@ -34,8 +34,8 @@ fn wrist_camera() -> SightModel {
     SightModel { camera, references, own: None, views: Arc::default() }
 }
 
-/// A cell with a camera on its wrist and three objects, `a` and `b` on their way, the whole table seen and the
-/// plan found: the arm sets out for `a`.
+/// A cell with a camera on its wrist and three objects, `a` and `b` on their way, the whole table seen and
+/// the plan found: the arm sets out for `a`.
 fn carried_out() -> Bench {
     let mut bench = Bench::new();
     let named = |id: &str, marker: u32| {
@@ -211,7 +211,12 @@ fn an_object_that_was_put_down_and_is_not_seen_is_not_remembered() {
     let mut bench = carried_out();
     until_looking(&mut bench);
     reach_and_picture(&mut bench);
-    let stuck = bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &[("b", AT_B), ("c", AT_C)])))));
+    // One picture is no proof: the whole table is looked at first.
+    let others = seen(&bench, &[("b", AT_B), ("c", AT_C)]);
+    let looks = bench.feed(Input::Observed(Ok(Box::new(others.clone()))));
+    assert_eq!((ended(&looks), streams(&looks)), (None, 1), "{looks:?}");
+    assert_eq!(partial(&reach_and_picture(&mut bench)), None);
+    let stuck = bench.feed(Input::Observed(Ok(Box::new(others))));
     assert_eq!(ended(&stuck), Some((JobStatus::Failed, "object_stuck:a".into())));
     assert_eq!(streams(&stuck), 0);
 }
@@ -312,4 +317,80 @@ fn a_picture_that_cannot_be_searched_ends_the_look_at_the_next_stop() {
     assert_eq!(ended(&on_the_way), None, "the arm moves");
     let stands = bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 2 }));
     assert_eq!(ended(&stands), Some((JobStatus::Failed, Code::DetectionFailed.as_str().into())));
+}
+
+#[test]
+fn what_reaches_into_what_was_disturbed_has_to_be_seen_again() {
+    // `c` lies beside the place of `a`: it may have been tipped when that was put down.
+    let mut bench = carried_out();
+    let beside = Pose2::new(GOAL_A.x + 0.085, GOAL_A.y, 0.0);
+    let seen_before = bench.cell.seen.as_mut().expect("the whole table is seen");
+    seen_before.objects.iter_mut().filter(|object| object.id == "c").for_each(|object| object.pose = beside);
+    until_looking(&mut bench);
+    reach_and_picture(&mut bench);
+    let looks = bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &[("a", GOAL_A), ("b", AT_B)])))));
+    assert_eq!(streams(&looks), 1, "{looks:?}");
+    assert_eq!(partial(&reach_and_picture(&mut bench)), None, "the whole table");
+}
+
+#[test]
+fn what_is_ordered_on_the_way_from_a_place_ends_it_where_the_arm_would_look() {
+    for (wanted, answered) in [
+        (Order::Pause, "the arm goes on to where it looks from, then it rests; `celld abort` stops it now"),
+        (
+            Order::Disarm,
+            "disarmed; the motion under way goes on to its next stop, `celld abort` stops it now",
+        ),
+    ] {
+        let mut bench = carried_out();
+        until_released(&mut bench);
+        bench.robot.qd = [0.4; 6];
+        let reply = answer(&bench.feed(order(wanted.clone()))).expect("an answer");
+        assert_eq!(reply.message, answered);
+        bench.feed(Input::Robot(RobotEvent::SegmentFinished { batch: 4, index: 0 }));
+        bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 4 }));
+        bench.robot.qd = [0.0; 6];
+        let rests = bench.ticks(200);
+        assert!(
+            !rests.iter().any(|action| matches!(action, Action::Capture { .. })),
+            "{wanted:?}: {rests:?}"
+        );
+        assert_eq!((streams(&rests), ended(&rests)), (0, None), "{wanted:?}");
+    }
+}
+
+#[test]
+fn what_is_meant_is_written_with_where_the_object_was_just_put() {
+    let mut bench = carried_out();
+    let table = until_released(&mut bench).into_iter().find_map(|action| match action {
+        Action::Commit { record: Record::Intent { table, .. }, .. } => Some(table),
+        _ => None,
+    });
+    let table = table.expect("an intent");
+    let at = |id: &str| table.iter().find(|(known, _)| known == id).map(|(_, pose)| *pose);
+    assert_eq!((at("a"), at("b")), (Some(GOAL_A), Some(AT_B)));
+}
+
+#[test]
+fn a_pick_that_is_not_begun_is_withdrawn() {
+    // Disarmed while the record is on its way to the disk.
+    let mut bench = carried_out();
+    until_looking(&mut bench);
+    reach_and_picture(&mut bench);
+    bench.cell.model.tolerances.expected_angle = 0.1;
+    bench.slow_disk = true;
+    let all = [("a", GOAL_A), ("b", Pose2::new(AT_B.x, AT_B.y, 0.03)), ("c", AT_C)];
+    let meant = bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &all)))));
+    assert_eq!(records(&meant), ["intent"]);
+    assert_eq!(records(&bench.feed(order(Order::Disarm))), ["withdrawn"]);
+    // The table is not as the plan expects: while a new plan is made, nothing is meant.
+    let mut bench = carried_out();
+    until_looking(&mut bench);
+    reach_and_picture(&mut bench);
+    let elsewhere = [("a", GOAL_A), ("b", Pose2::new(AT_B.x + 0.02, AT_B.y, 0.0)), ("c", AT_C)];
+    bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &elsewhere)))));
+    reach_and_picture(&mut bench);
+    let plans = bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &elsewhere)))));
+    assert!(plans.iter().any(|action| matches!(action, Action::Plan(_))), "{plans:?}");
+    assert_eq!(records(&plans), ["withdrawn"]);
 }
