@@ -158,7 +158,7 @@ fn parts_that_do_not_fit_are_reported() {
         reported.contains("no place on \"plank-1\"") && !reported.contains("no place on \"block\""),
         "{reported}"
     );
-    check("blend_m: 0.02 ", "blend_m: 0.05 ", "rounds the corner");
+    check("blend_m: 0.03 ", "blend_m: 0.05 ", "rounds the corner");
     check("    mass: 0.12\n", "", "has no mass (kg)");
     check("park_pose_deg: [-91.7", "park_pose_deg: [361", "joint 1 at 361.0 degrees is outside its range");
     let reported =
