@@ -283,8 +283,11 @@ fn of_a_part_of_the_table_only_the_part_has_to_be_measured() {
     right.into_iter().for_each(|cell| seen.heights_m[cell] = f32::NAN);
     let within = |region: &Region| find_in(&[&seen], &[], &[], &ForeignLimits::default(), Some(region));
     let left = within(&Region::disc([-0.1, 0.0], 0.06));
-    assert_eq!((left.objects.len(), left.largest_hole(), left.measured_share), (2, None, 1.0), "{left:?}");
+    assert_eq!((left.objects.len(), left.largest_hole()), (2, None), "{left:?}");
     let hole = within(&Region::disc([0.18, 0.1], 0.03));
     assert!(hole.objects.len() == 2 && hole.largest_hole().is_some(), "{hole:?}");
-    assert_eq!(find(&[&seen], &[], &[], &ForeignLimits::default()).objects.len(), 2, "all of it");
+    let all = find(&[&seen], &[], &[], &ForeignLimits::default());
+    assert_eq!(all.objects.len(), 2);
+    // A strip beside the block is hidden by it; what need not be measured does not count.
+    assert!(left.measured_share > 0.95 && left.measured_share > all.measured_share + 0.02, "{left:?}");
 }
