@@ -31,8 +31,8 @@ const SAMPLE_RAD: f64 = 0.02;
 const SAMPLE_M: f64 = 0.01;
 
 /// Between two of its points a curve goes aside by an eighth of its second difference, and by this share of
-/// it at most where that changes from point to point.
-const BULGE: f64 = 0.25;
+/// it at most where that changes from point to point, as it does where a line turns more than it travels.
+const BULGE: f64 = 0.375;
 
 /// Straight pieces along a corner.
 const CORNER_PIECES: usize = 8;
