@@ -63,10 +63,7 @@ fn the_seconds_of_a_job_add_up_and_a_slow_disk_costs_nothing_while_the_arm_moves
         };
         let (fine, slow) = (waited(&pair), waited(&slow));
         assert!((slow[0] - fine[0] - 0.29).abs() < 0.05, "seed {seed}: {slow:?}");
-        // And what follows a new plan: what was written before that is withdrawn.
-        let rounds = pair.reports()[0].times.rounds.len();
-        let waits = slow[1..].iter().filter(|seconds| **seconds > 0.02).count();
-        assert!(waits + 2 <= rounds.max(2), "seed {seed}: {slow:?} in {rounds} rounds");
+        assert!(slow[1..].iter().all(|seconds| *seconds < 0.02), "seed {seed}: {slow:?}");
     }
 }
 

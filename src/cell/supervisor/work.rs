@@ -16,8 +16,9 @@ use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::phase::{Look, Meant, Phase, Work, WorkStage};
 use crate::cell::supervisor::reason::{alarm, say};
-use crate::motion::path::CheckedPath;
-use crate::motion::pick_n_place::{PickNPlacePaths, leave, plan};
+use crate::motion::bodies::{Standing, Tabletop};
+use crate::motion::path::{CheckedPath, PathFault};
+use crate::motion::pick_n_place::{PickNPlace, PickNPlacePaths, leave, plan};
 use crate::motion::put_down::Grasp;
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;
@@ -58,7 +59,7 @@ impl Supervisor {
         }
         let table = self.tabletop(self.seen.as_ref(), &next.object);
         let task = object.pick_n_place(next.from, next.to);
-        let paths = match plan(&self.model.arm, &robot.q, &task, &self.cycle(), &table) {
+        let paths = match self.paths(&robot.q, &task, &table) {
             Ok(paths) => paths,
             Err(fault) => {
                 let message = format!("{} cannot be moved: {fault}", next.object);
@@ -75,6 +76,22 @@ impl Supervisor {
         if meant.on_disk {
             self.begin_approach(now, outside, out);
         }
+    }
+
+    /// The paths of a pick-n-place, its object gripped as was written down while the arm can do that: what
+    /// is written down then still holds, although the table is seen a little otherwise.
+    fn paths(
+        &self,
+        from: &Joints,
+        task: &PickNPlace,
+        table: &Tabletop,
+    ) -> Result<PickNPlacePaths, PathFault> {
+        let planned = |task: &PickNPlace| plan(&self.model.arm, from, task, &self.cycle(), table);
+        let meant = self.meant.as_ref().filter(|meant| meant.action.object == task.object);
+        let hangs = meant.and_then(|meant| meant.tool_from_object).filter(|_| task.grip_yaw.is_none());
+        let as_meant = hangs
+            .and_then(|hangs| planned(&PickNPlace { grip_yaw: Some(-hangs.theta), ..task.clone() }).ok());
+        as_meant.map_or_else(|| planned(task), Ok)
     }
 
     /// What will hang on the gripper.
@@ -367,11 +384,21 @@ impl Supervisor {
         let route = self.job.as_ref().and_then(|job| job.route.as_ref());
         let Some(next) = route.and_then(|route| route.first()).cloned() else { return };
         let Some(object) = self.model.object(&next.object) else { return };
-        let table = self.tabletop(self.seen.as_ref(), &next.object);
+        let mut table = self.tabletop(self.seen.as_ref(), &next.object);
+        // The look will show what was just put down; until then only its place is known.
+        table.standing.extend(self.just_put_down().filter(|placed| placed.name != next.object));
         let task = object.pick_n_place(next.from, next.to);
         let Ok(paths) = plan(&self.model.arm, view, &task, &self.cycle(), &table) else { return };
         let grasp = self.held(object, &next, &paths).grasp;
         self.meant = Some(self.mean(now, &next, grasp.as_ref(), out));
+    }
+
+    /// What the pick-n-place under way has put down, where it should be.
+    fn just_put_down(&self) -> Option<Standing> {
+        let Phase::Work(work) = &self.phase else { return None };
+        let known = self.model.object(&work.object)?;
+        let (name, footprint) = (known.id.clone(), known.footprint.clone());
+        Some(Standing { name, footprint, pose: work.held.to, height: known.height })
     }
 
     /// True while an object is gripped, held or let go.
