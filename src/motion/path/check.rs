@@ -31,8 +31,15 @@ const SAMPLE_RAD: f64 = 0.02;
 const SAMPLE_M: f64 = 0.01;
 
 /// Between two of its points a curve goes aside by an eighth of its second difference, and by this share of
-/// it at most where that changes from point to point, as it does where a line turns more than it travels.
-const BULGE: f64 = 0.375;
+/// it at most where that changes from point to point.
+const BULGE: f64 = 0.25;
+
+/// Points of a line are so near to each other that no joint's second difference is larger, rad: only then
+/// it changes little from point to point.
+const BENT_RAD: f64 = 0.01;
+
+/// Points of a line at most.
+const POINTS: usize = 500;
 
 /// Straight pieces along a corner.
 const CORNER_PIECES: usize = 8;
@@ -289,11 +296,32 @@ fn trace_linear(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Resu
     if leg.zone == Zone::Between && turn > TURN_RAD {
         return Err(PathFault::Turning { turn_deg: turn.to_degrees() });
     }
-    let samples = (way.norm() / SAMPLE_M + turn / 0.05).ceil().clamp(2.0, 500.0) as usize;
-    let mut points = Vec::with_capacity(samples + 1);
+    let mut samples = (way.norm() / SAMPLE_M + turn / 0.05).ceil().clamp(2.0, POINTS as f64) as usize;
+    let mut points = on_line(model, from, [&start, &end], samples, leg)?;
+    while bends(&points) > BENT_RAD && samples < POINTS {
+        samples = (2 * samples).min(POINTS);
+        points = on_line(model, from, [&start, &end], samples, leg)?;
+    }
+    // The controller follows the same branch: it has to arrive at the joints that were requested.
+    if points.last().is_none_or(|last| last.max_difference(to) > 1e-3) {
+        return Err(PathFault::Singular { which: "wrist" });
+    }
+    let segment = slowed_on_line(model, &points, way.norm().max(turn * METRES_PER_RADIAN), leg)?;
+    Ok(Traced { points, segment })
+}
+
+/// Joints at the ends of so many equal pieces of a line, each from the one before.
+fn on_line(
+    model: &ArmModel,
+    from: &Joints,
+    [start, end]: [&Isometry3<f64>; 2],
+    pieces: usize,
+    leg: &Leg,
+) -> Result<Vec<Joints>, PathFault> {
+    let mut points = Vec::with_capacity(pieces + 1);
     let mut near = *from;
-    for k in 0..=samples {
-        let share = k as f64 / samples as f64;
+    for k in 0..=pieces {
+        let share = k as f64 / pieces as f64;
         let rotation = start.rotation.try_slerp(&end.rotation, share, 1e-9).unwrap_or(end.rotation);
         let position = start.translation.vector.lerp(&end.translation.vector, share);
         let tool = Isometry3::from_parts(position.into(), rotation);
@@ -308,12 +336,15 @@ fn trace_linear(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Resu
         points.push(q);
         near = q;
     }
-    // The controller follows the same branch: it has to arrive at the joints that were requested.
-    if near.max_difference(to) > 1e-3 {
-        return Err(PathFault::Singular { which: "wrist" });
-    }
-    let segment = slowed_on_line(model, &points, way.norm().max(turn * METRES_PER_RADIAN), leg)?;
-    Ok(Traced { points, segment })
+    Ok(points)
+}
+
+/// The largest second difference of a joint, rad.
+fn bends(points: &[Joints]) -> f64 {
+    let second = |three: &[Joints], joint: usize| {
+        (three[0].0[joint] - 2.0 * three[1].0[joint] + three[2].0[joint]).abs()
+    };
+    points.windows(3).flat_map(|three| (0..6).map(move |joint| second(three, joint))).fold(0.0, f64::max)
 }
 
 /// A line at a speed and an acceleration at which every joint keeps its limits, and the vacuum its load.
@@ -386,7 +417,7 @@ mod tests {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
         let mut traced = 0;
         let mut largest: f64 = 0.0;
-        while traced < 150 {
+        while traced < 600 {
             let mut tool = || {
                 let (x, y) = (random.random_range(-0.5..1.0), random.random_range(-0.1..0.8));
                 let aside = Vector3::new(random.random_range(-0.6..0.6), random.random_range(-0.6..0.6), 0.0);
