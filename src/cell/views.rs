@@ -152,6 +152,11 @@ impl Views {
         self.poses.is_empty()
     }
 
+    /// Whether all of these points in the table frame, m, show from a camera, `table_from_camera`.
+    pub fn show(&self, camera: &Isometry3<f64>, points: &[Point3<f64>]) -> bool {
+        points.iter().all(|point| self.picture.shows(&camera.inverse_transform_point(point)))
+    }
+
     /// What is seen from `q`, if it shows enough reference markers.
     fn pose(&self, model: &Rig, q: Joints) -> Option<ViewPose> {
         let camera_from_table = model.camera_at(&q).inverse();

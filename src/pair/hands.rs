@@ -36,15 +36,17 @@ fn deed(rng: &mut ChaCha8Rng, objects: &[String]) -> String {
     }
 }
 
-/// A job with one to three deeds of a hand, and the job after it.
+/// A job with one to three deeds of a hand, and the job after it: what must not be, and the loop with its
+/// trace, where that is kept.
 ///
 /// # Errors
 /// The loop cannot be set up.
-pub fn hands(stage: &Stage, seed: u64) -> Result<Vec<String>, String> {
+pub fn hands(stage: &Stage, seed: u64, keep: bool) -> Result<(Vec<String>, Pair), String> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x6861_6e64);
-    let mut pair = Pair::new(stage.clone(), Choice::of(seed)).map_err(|error| error.to_string())?;
+    let choice = Choice { keep_trace: keep, ..Choice::of(seed) };
+    let mut pair = Pair::new(stage.clone(), choice).map_err(|error| error.to_string())?;
     if !bring_up(&mut pair) {
-        return Ok(vec!["the cell does not come up".to_string()]);
+        return Ok((vec!["the cell does not come up".to_string()], pair));
     }
     let objects: Vec<String> = stage.model.objects.iter().map(|object| object.id.clone()).collect();
     pair.order(Order::Arm);
@@ -67,5 +69,5 @@ pub fn hands(stage: &Stage, seed: u64) -> Result<Vec<String>, String> {
         faults.push("the job after it has not ended".to_string());
     }
     faults.extend(pair.breaches().iter().map(|breach| format!("{:?}: {}", breach.rule, breach.detail)));
-    Ok(faults)
+    Ok((faults, pair))
 }

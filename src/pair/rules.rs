@@ -16,7 +16,8 @@ use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::reason::STOP_ORDERED;
 use crate::cell::supervisor::status::Doing;
 use crate::pair::thin_arm::ThinModel;
-use std::collections::{BTreeMap, BTreeSet};
+use cell_values::units::Joints;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use ur_sim::faults::{Fault, Order as FaultOrder, RobotFault, WorldFault};
 use ur_sim::world::vacuum::VacuumMode;
 
@@ -42,8 +43,8 @@ pub enum Rule {
     HeldUnwatched,
     /// The vacuum is switched on for a pick on a sight older than the last pick, place, stop or release.
     PickOnOldSight,
-    /// An object is gripped that is not where it was picked for, although a hand had moved it before the
-    /// last picture.
+    /// An object is gripped that is not where it was picked for, although a hand had moved it before a picture
+    /// that shows where it is, or where it was.
     PickOfMoved,
     /// A record is reported to the machine as on disk, and it is not.
     AcknowledgedNotWritten,
@@ -167,8 +168,10 @@ pub struct Rules {
     held_since: Option<u64>,
     sight: u64,
     disturbed: u64,
-    /// When the frames of the last picture were exposed, and when hands moved which objects.
-    exposed_at: u64,
+    /// Frames of a picture have been exposed since the last controller frame; when the last ones were, and
+    /// the arm's joints then, oldest first; when hands moved which objects.
+    exposed: bool,
+    pictures: VecDeque<(u64, Joints)>,
     moved_by_hand: BTreeMap<String, u64>,
     /// An object is being gripped.
     gripping: bool,
@@ -243,7 +246,7 @@ impl Rules {
                 self.rtde_gone |= *link == Link::Rtde;
             }
             Event::Observed(_, Ok(_)) => self.sight = self.frame,
-            Event::Exposed(_) => self.exposed_at = self.frame,
+            Event::Exposed(_) => self.exposed = true,
             Event::Time
             | Event::Connected(_)
             | Event::Received(..)
@@ -426,3 +429,4 @@ impl Rules {
 }
 
 mod frame;
+mod picked;

@@ -21,7 +21,7 @@ fn nothing_is_picked_where_a_picture_since_a_hand_would_have_shown_that_it_is_no
     let wrong: Vec<String> = (0..24_u64)
         .into_par_iter()
         .flat_map_iter(|seed| {
-            let faults = hands(&stage(seed, Eye::Corners).unwrap(), seed).unwrap();
+            let (faults, _) = hands(&stage(seed, Eye::Corners).unwrap(), seed, false).unwrap();
             faults.into_iter().map(move |fault| format!("seed {seed}: {fault}"))
         })
         .collect();

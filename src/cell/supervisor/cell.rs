@@ -285,6 +285,7 @@ impl Supervisor {
             replans: 0,
             grip_failures: 0,
             look_failures: 0,
+            gone: None,
             absent_reported: false,
             last_seen: Vec::new(),
             cancel: false,

@@ -10,7 +10,7 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::judge::foreign_height;
-use crate::cell::supervisor::look_plan::LookPlan;
+use crate::cell::supervisor::look_plan::{LookPlan, Stop};
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase};
 use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::cell::supervisor::travel::NoTravel;
@@ -25,6 +25,9 @@ const STILL_RAD_S: f64 = 5e-4;
 /// And as not having moved during a frame below this joint difference, rad.
 const SAME_PLACE_RAD: f64 = 2e-4;
 
+/// What is said after the reason for another look, if the arm makes it now.
+pub(crate) const AGAIN: &str = "; the arm looks again now";
+
 impl Look {
     /// On the way to the first pose of a plan.
     pub(crate) fn begun(plan: LookPlan) -> Look {
@@ -36,6 +39,7 @@ impl Look {
             stage: LookStage::Moving,
             views: Vec::new(),
             awaited: VecDeque::new(),
+            stops: Vec::new(),
             fault: None,
             failed: None,
             void: false,
@@ -215,7 +219,11 @@ impl Supervisor {
         }
         let Phase::Look(look) = &mut self.phase else { return };
         match (look.awaited.pop_front(), result) {
-            (Some(true), Ok(views)) => look.views.extend(views),
+            (Some(true), Ok(views)) => {
+                let stop = views.first().map(|view| Stop { at: view.time, camera: view.table_from_camera });
+                look.stops.extend(stop);
+                look.views.extend(views);
+            }
             (Some(true), Err(fault)) => return self.no_detection(now, fault, out),
             (Some(false) | None, _) => {}
         }
@@ -300,7 +308,7 @@ impl Supervisor {
         if !matches!(look.stage, LookStage::Observing) {
             return;
         }
-        let region = look.region.take();
+        let (region, stops) = (look.region.take(), std::mem::take(&mut look.stops));
         self.phase = Phase::Ready;
         let observation = match result {
             Ok(observation) => *observation,
@@ -327,6 +335,10 @@ impl Supervisor {
         }
         if !whole && self.seen.is_none() {
             // It showed what it had to: that nothing hangs on the cups. The table is looked at next.
+            return;
+        }
+        if self.is_gone(&observation, &stops, out) {
+            self.seen = None;
             return;
         }
         let observation = match region {
@@ -375,7 +387,7 @@ impl Supervisor {
             return self.finish(now, JobStatus::Failed, doubt, out);
         }
         job.look_failures += 1;
-        let again = if goes_on && !job.cancel { "; the arm looks again now" } else { "" };
+        let again = if goes_on && !job.cancel { AGAIN } else { "" };
         say(out, format!("{}{again}", doubt.message));
     }
 }

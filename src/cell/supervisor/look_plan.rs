@@ -2,8 +2,10 @@
 //!
 //! Plain data; `sight` decides with it.
 
+use cell_values::time::Timestamp;
 use cell_values::units::Joints;
 use cell_vision::region::Region;
+use nalgebra::Isometry3;
 
 /// How much of what was seen holds.
 #[derive(Debug, Default)]
@@ -24,4 +26,13 @@ pub(crate) struct Sight {
 pub(crate) struct LookPlan {
     pub poses: Vec<Joints>,
     pub region: Option<Region>,
+}
+
+/// A stop of a look for its frames.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stop {
+    /// When the first frame was taken.
+    pub at: Timestamp,
+    /// `table_from_camera`.
+    pub camera: Isometry3<f64>,
 }

@@ -6,6 +6,7 @@ use crate::cell::device::gripper_types::Channels;
 use crate::cell::supervisor::back::{BackStage, Held};
 use crate::cell::supervisor::input::CameraFault;
 use crate::cell::supervisor::look_plan::LookPlan;
+use crate::cell::supervisor::look_plan::Stop;
 use crate::cell::supervisor::order::{JobOrder, RouteAction};
 use crate::motion::pick_n_place::PickNPlacePaths;
 use cell_values::time::Timestamp;
@@ -60,6 +61,8 @@ pub(crate) struct Look {
     pub views: Vec<View>,
     /// Pictures that are being searched, oldest first, and whether they count.
     pub awaited: VecDeque<bool>,
+    /// Where the frames that count were taken, oldest first.
+    pub stops: Vec<Stop>,
     /// Why there is no picture from here yet.
     pub fault: Option<CameraFault>,
     /// Why the look ends at the next stop.
@@ -182,6 +185,8 @@ pub(crate) struct JobRun {
     pub replans: u32,
     pub grip_failures: u32,
     pub look_failures: u32,
+    /// What the last look showed in one picture and not in a later one that shows its place.
+    pub gone: Option<String>,
     /// It was said which objects of the catalogue are not seen.
     pub absent_reported: bool,
     pub last_seen: Vec<(String, Pose2)>,

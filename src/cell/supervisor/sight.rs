@@ -9,16 +9,21 @@
 //! anything unexpected, and every so many pick-n-places.
 
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::look_plan::{LookPlan, Sight};
+use crate::cell::supervisor::input::Action;
+use crate::cell::supervisor::look::AGAIN;
+use crate::cell::supervisor::look_plan::{LookPlan, Sight, Stop};
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::RouteAction;
+use crate::cell::supervisor::reason::say;
 use crate::motion::bodies::sweep::{Sweep, Zone};
 use crate::motion::cycle_time::rest_to_rest;
 use crate::motion::pick_n_place::{tool_down, wound};
 use cell_values::units::Joints;
 use cell_vision::foreign::ForeignReport;
-use cell_vision::observe::Observation;
+use cell_vision::marker::corners_m;
+use cell_vision::observe::{ObjectEstimate, Observation};
 use cell_vision::region::Region;
+use nalgebra::Point3;
 use rearrange::geometry::collision::penetration;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
@@ -187,6 +192,34 @@ impl Supervisor {
         objects.sort_by_key(|object| place(&object.id));
         let foreign = with_foreign_elsewhere(now.foreign, before.foreign.as_ref(), region);
         Observation { objects, missing, foreign, ..now }
+    }
+
+    /// An object was in one picture and is not in a later one that shows its place: something took it away
+    /// between them, or is before it. The whole table is looked at once more; what is the same then is
+    /// believed, for what is before it stays there.
+    pub(crate) fn is_gone(&mut self, now: &Observation, stops: &[Stop], out: &mut Vec<Action>) -> bool {
+        let gone = now.objects.iter().find(|object| self.should_have_shown(object, stops));
+        let gone = gone.map(|object| object.id.clone());
+        let goes_on = self.mode.armed() && !self.mode.paused();
+        let Some(job) = &mut self.job else { return false };
+        let before = std::mem::replace(&mut job.gone, gone.clone());
+        let Some(id) = gone.filter(|id| before.as_ref() != Some(id)) else { return false };
+        let again = if goes_on && !job.cancel { AGAIN } else { "" };
+        say(out, format!("{id} is in one picture and not in a later one that shows its place{again}"));
+        true
+    }
+
+    /// A stop of a look that came after the last picture of an object shows the place of its marker.
+    fn should_have_shown(&self, object: &ObjectEstimate, stops: &[Stop]) -> bool {
+        let (Some(known), Some(views)) = (self.model.object(&object.id), self.model.views()) else {
+            return false;
+        };
+        let marker = object.pose.compose(&known.marker.offset);
+        let corners = corners_m(known.marker.size).map(|corner| {
+            let [x, y] = marker.transform(corner);
+            Point3::new(x, y, known.height)
+        });
+        stops.iter().any(|stop| stop.at > object.time && views.show(&stop.camera, &corners))
     }
 
     /// Whether a look at a region has to show an object's marker, with the object at `pose`.

@@ -280,19 +280,7 @@ impl Bench {
             assert!(settled.iter().any(|action| matches!(action, Action::Capture { .. })), "{settled:?}");
             self.feed(Input::Captured(Ok(Vec::new())));
         }
-        let estimate = ObjectEstimate {
-            id: "a".into(),
-            pose: self.at,
-            std_xy_m: 2e-4,
-            std_theta_rad: 1e-3,
-            views: 1,
-            rejected_views: 0,
-            tilt_rad: 0.0,
-            tilt_std_rad: 0.01,
-            height_error_m: 0.0,
-            height_std_m: 1e-3,
-            time: self.now,
-        };
+        let estimate = estimate("a", self.at, self.now);
         let reference = Some(self.reference.clone());
         let other = self.other.iter().map(|(id, pose)| ObjectEstimate {
             id: id.clone(),
@@ -312,6 +300,23 @@ impl Bench {
         let actions = vec![PlanAction { object: 0, from, to, kind: ActionKind::Goal }];
         let answer = PlanAnswer::Found { actions, cost: 1.0, lower_bound: 1.0, seconds: 0.01 };
         self.feed(Input::Planned(Box::new(answer)))
+    }
+}
+
+/// An object that lies flat and was seen in one picture.
+fn estimate(id: &str, pose: Pose2, time: Timestamp) -> ObjectEstimate {
+    ObjectEstimate {
+        id: id.to_string(),
+        pose,
+        std_xy_m: 2e-4,
+        std_theta_rad: 1e-3,
+        views: 1,
+        rejected_views: 0,
+        tilt_rad: 0.0,
+        tilt_std_rad: 0.01,
+        height_error_m: 0.0,
+        height_std_m: 1e-3,
+        time,
     }
 }
 

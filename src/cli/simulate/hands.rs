@@ -2,7 +2,7 @@
 //!
 //! In: the first seed, how many jobs. Out: what must not be, and the command that repeats it.
 
-use super::args::SimulateArgs;
+use super::args::{SimulateArgs, keep_trace};
 use crate::pair::eyes::Eye;
 use crate::pair::hands::hands;
 use crate::pair::table::stage;
@@ -19,7 +19,8 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
     let ran: Result<Vec<usize>, String> = seeds
         .into_par_iter()
         .map(|seed| {
-            let faults = hands(&stage(seed, Eye::Corners)?, seed)?;
+            let (faults, pair) = hands(&stage(seed, Eye::Corners)?, seed, args.trace.is_some())?;
+            keep_trace(args, &pair)?;
             bar.inc(1);
             if !faults.is_empty() {
                 let again = format!("repeat with: celld simulate --faults hands --jobs 1 --seed {seed}");

@@ -5,7 +5,6 @@
 //! and its age: most of them have a time after which celld has to have noticed.
 
 use crate::cell::machine::Machine;
-use crate::cell::supervisor::phase::{Phase, WorkStage};
 use crate::cell::supervisor::status::{Doing, Status};
 use crate::pair::rules::{KNOWN_FRAMES, Rule, Rules};
 use crate::pair::thin_arm::ThinModel;
@@ -52,12 +51,6 @@ const ANSWER_FRAMES: u64 = 5000;
 
 /// After this long celld has to know of local control: it polls the dashboard once a second.
 const LOCAL_FRAMES: u64 = 1000;
-
-/// A picture reaches celld so long after its exposure at most, with one frame on the way: 40 ms.
-const EXPOSED_FRAMES: u64 = 20;
-
-/// An object is picked so near to where it is, m.
-const PICKED_WITHIN_M: f64 = 0.005;
 
 /// Height over its place at which an object may be let go, m: press and noise.
 const PLACED_WITHIN_M: f64 = 0.004;
@@ -109,6 +102,7 @@ impl Rules {
         self.check_stopped(moves);
         self.check_vacuum(frame, simulator, machine.supervisor().is_none_or(|cell| !cell.mode().ending()));
         self.check_status(machine, status);
+        self.note_picture(simulator);
         self.check_picked(machine, simulator);
     }
 
@@ -277,31 +271,6 @@ impl Rules {
         }
         if self.sight <= self.disturbed {
             self.breach(Rule::PickOnOldSight, format!("{} frames", self.disturbed - self.sight));
-        }
-    }
-
-    /// Where the cups come down, the object is where it was picked for, unless a hand moved it after the
-    /// last picture.
-    fn check_picked(&mut self, machine: &Machine, simulator: &Simulator) {
-        let phase = machine.supervisor().map(|supervisor| &supervisor.phase);
-        let Some(Phase::Work(work)) = phase.filter(|_| !self.moved_by_hand.is_empty()) else {
-            self.gripping = false;
-            return;
-        };
-        let gripping = work.stage == WorkStage::Gripping;
-        if std::mem::replace(&mut self.gripping, gripping) || !gripping {
-            return;
-        }
-        let moved_at = self.moved_by_hand.get(&work.object).copied();
-        if moved_at.is_none_or(|at| at + EXPOSED_FRAMES > self.exposed_at) {
-            return;
-        }
-        let world = lock(&simulator.core().world);
-        let pose = world.objects().iter().find(|body| body.id == work.object).map(|body| body.pose());
-        drop(world);
-        let off = pose.map_or(f64::INFINITY, |pose| pose.distance(&work.from));
-        if off > PICKED_WITHIN_M {
-            self.breach(Rule::PickOfMoved, format!("{}: {:.0} mm off", work.object, off * 1e3));
         }
     }
 

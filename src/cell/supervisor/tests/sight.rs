@@ -5,7 +5,8 @@ use super::*;
 use crate::cell::device::gripper_types::GripperEvent;
 use crate::cell::views::SightModel;
 use cell_vision::camera::CameraModel;
-use cell_vision::observe::{PartialLook, ReferenceMarker};
+use cell_vision::observe::{PartialLook, ReferenceMarker, View};
+use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use std::sync::Arc;
 
 /// The goals of a job with two objects, and where `b` is.
@@ -34,16 +35,16 @@ fn wrist_camera() -> SightModel {
     SightModel { camera, references, own: None, views: Arc::default() }
 }
 
-/// A cell with a camera on its wrist and three objects, `a` and `b` on their way, the whole table seen and
-/// the plan found: the arm sets out for `a`.
-fn carried_out() -> Bench {
+/// A cell with a camera on its wrist and three objects, `a` and `b` to be moved: the arm sets out to look.
+fn about_to_look(look_poses: Vec<Joints>) -> Bench {
     let mut bench = Bench::new();
     let named = |id: &str, marker: u32| {
         let object = object();
         CellObject { id: id.into(), marker: MarkerSpec { id: marker, ..object.marker.clone() }, ..object }
     };
     let objects = vec![named("a", 0), named("b", 1), named("c", 2)];
-    bench.cell = Supervisor::new(CellModel { objects, sight: Some(wrist_camera()), ..model() }, 7);
+    bench.cell =
+        Supervisor::new(CellModel { objects, sight: Some(wrist_camera()), look_poses, ..model() }, 7);
     let order_of_two = JobOrder {
         id: "j".into(),
         goals: vec![("a".into(), GOAL_A), ("b".into(), GOAL_B)],
@@ -56,6 +57,12 @@ fn carried_out() -> Bench {
     bench.feed(Input::Job(Box::new(order_of_two)));
     bench.feed(order(Order::Arm));
     bench.ticks(20);
+    bench
+}
+
+/// The same with the whole table seen and the plan found: the arm sets out for `a`.
+fn carried_out() -> Bench {
+    let mut bench = about_to_look(vec![HOME]);
     reach_and_picture(&mut bench);
     bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &[("a", bench.at), ("b", AT_B), ("c", AT_C)])))));
     let action = |object, from, to| PlanAction { object, from, to, kind: ActionKind::Goal };
@@ -75,22 +82,9 @@ fn reach_and_picture(bench: &mut Bench) -> Vec<Action> {
 }
 
 fn seen(bench: &Bench, objects: &[(&str, Pose2)]) -> Observation {
-    let estimate = |(id, pose): &(&str, Pose2)| ObjectEstimate {
-        id: id.to_string(),
-        pose: *pose,
-        std_xy_m: 2e-4,
-        std_theta_rad: 1e-3,
-        views: 1,
-        rejected_views: 0,
-        tilt_rad: 0.0,
-        tilt_std_rad: 0.01,
-        height_error_m: 0.0,
-        height_std_m: 1e-3,
-        time: bench.now,
-    };
     let missing = ["a", "b", "c"].into_iter().filter(|id| !objects.iter().any(|(seen, _)| seen == id));
     Observation {
-        objects: objects.iter().map(estimate).collect(),
+        objects: objects.iter().map(|(id, pose)| estimate(id, *pose, bench.now)).collect(),
         missing: missing.map(str::to_string).collect(),
         reference: Some(bench.reference.clone()),
         ..Observation::default()
@@ -204,6 +198,37 @@ fn what_a_part_need_not_show_is_remembered_and_what_it_should_show_and_does_not_
     let again = reach_and_picture(&mut bench);
     assert_eq!(partial(&again), None, "of the whole table: {again:?}");
     assert!(again.iter().any(|action| matches!(action, Action::Observe { .. })));
+}
+
+/// A look from two stops, the second of which shows `a` or is far from it; `a` is in the first picture alone.
+fn seen_from_the_first_stop_alone(bench: &mut Bench, first: u32, shows: bool) -> Vec<Action> {
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let mut taken = Vec::new();
+    for (batch, y) in (first..).zip([0.25, if shows { 0.2 } else { 2.0 }]) {
+        bench.feed(Input::Robot(RobotEvent::PathFinished { batch }));
+        bench.ticks(10);
+        bench.feed(Input::Exposed);
+        let table_from_camera = Isometry3::from_parts(Translation3::new(0.25, y, 0.5), down);
+        taken.push(bench.now);
+        let view = View { table_from_camera, detections: Vec::new(), time: bench.now, heights: None };
+        bench.feed(Input::Captured(Ok(vec![view])));
+    }
+    let mut observed = seen(bench, &[("a", bench.at), ("b", AT_B), ("c", AT_C)]);
+    observed.objects[0].time = taken[0];
+    bench.feed(Input::Observed(Ok(Box::new(observed))))
+}
+
+#[test]
+fn what_is_not_in_a_later_picture_that_shows_its_place_is_looked_for_once_more() {
+    let plans = |actions: &[Action]| actions.iter().any(|action| matches!(action, Action::Plan(_)));
+    let mut bench = about_to_look(vec![HOME, HOME]);
+    assert!(plans(&seen_from_the_first_stop_alone(&mut bench, 1, false)));
+    let mut bench = about_to_look(vec![HOME, HOME]);
+    let looks = seen_from_the_first_stop_alone(&mut bench, 1, true);
+    assert!(!plans(&looks) && streams(&looks) == 1, "{looks:?}");
+    assert!(bench.cell.observation().is_none());
+    // What is before it stays there.
+    assert!(plans(&seen_from_the_first_stop_alone(&mut bench, 3, true)));
 }
 
 #[test]
