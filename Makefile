@@ -94,9 +94,12 @@ demo: setup
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
 
-# The whole cells over sockets (cell_*, robot_session) run by themselves, three at a time: most of their time
-# is real time that passes, but what computes beside them could hold a heartbeat up. Without nextest they run
-# one after the other.
+# The whole cells over sockets (cell_*, robot_session) run by themselves, four at a time: most of their time
+# is real time that passes, but what computes beside them could hold a heartbeat up, and what the build has
+# left to be written to the disk a commit. Without nextest they run one after the other.
+#
+# celld's own unit tests share one process: each process that links FFmpeg and GDAL by OpenCV takes a tenth
+# of a second to start.
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 
 test: setup
@@ -107,9 +110,12 @@ test: setup
 	cargo test --quiet --doc --workspace
 	@[ -d "$(DATA)" ] || echo "SKIPPED: tests on the public instances and camera recordings, no folder $(DATA) (set CELLD_DATA)"
 	@if cargo nextest --version >/dev/null 2>&1; then \
+	  cargo nextest run --workspace --no-run; \
+	  sync; \
 	  echo "cargo nextest run"; \
-	  cargo nextest run --workspace --profile cells --test-threads 3 -E '$(CELLS)'; \
-	  cargo nextest run --workspace -E 'not (test(/^third_party::/) | $(CELLS))'; \
+	  cargo nextest run --workspace --profile cells --test-threads 4 -E '$(CELLS)'; \
+	  cargo test --quiet -p celld --lib; \
+	  cargo nextest run --workspace -E 'not (test(/^third_party::/) | $(CELLS) | (package(celld) & kind(lib)))'; \
 	else \
 	  echo "cargo test"; \
 	  cargo test --workspace --all-targets -- --skip cell_ --skip robot_session:: --skip third_party::; \

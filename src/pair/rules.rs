@@ -43,8 +43,8 @@ pub enum Rule {
     HeldUnwatched,
     /// The vacuum is switched on for a pick on a sight older than the last pick, place, stop or release.
     PickOnOldSight,
-    /// An object is gripped that is not where it was picked for, although a hand had moved it before a picture
-    /// that shows where it is, or where it was.
+    /// An object is gripped that is not where it was picked for, although a hand had moved it before a
+    /// picture that shows where it is, or where it was.
     PickOfMoved,
     /// A record is reported to the machine as on disk, and it is not.
     AcknowledgedNotWritten,

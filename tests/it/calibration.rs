@@ -142,7 +142,7 @@ struct OnHand<'a> {
 
 impl OnHand<'_> {
     fn start<'a>(folder: &'a Path, address: &str) -> OnHand<'a> {
-        let (cell, sim_path) = configuration(folder, address, 2);
+        let (cell, sim_path) = configuration(folder, address, 4);
         let file = load_sim(&sim_path).expect("the simulation");
         let config = sim_config(&file, address.parse().expect("an address"), RobotPorts::REAL);
         let (dh, base_from_table) = (config.controller.dh, config.world.base_from_table);
@@ -386,7 +386,7 @@ const CARRIED_TO: [([f64; 3], [f64; 3]); 14] = [
 /// The configuration of a cell whose camera is fixed, taught to carry a board through its picture; and its
 /// simulation.
 fn standing_camera(folder: &Path, address: &str) -> (PathBuf, PathBuf) {
-    let (cell, sim) = configuration(folder, address, 2);
+    let (cell, sim) = configuration(folder, address, 4);
     let edit = |path: &Path, key: &str, next: &str, new: &str| {
         let text = std::fs::read_to_string(path).expect("text");
         let from = text.find(key).expect("the key");

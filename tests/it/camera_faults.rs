@@ -94,7 +94,7 @@ impl Desk<'_> {
 #[test]
 fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim) = configuration(folder.path(), ADDRESS, 1);
+    let (cell, sim) = configuration(folder.path(), ADDRESS, 2);
     copy_calibration(folder.path());
     let _simulator = start_sim(&sim);
     let daemon = start_daemon(folder.path(), &cell);

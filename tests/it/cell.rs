@@ -182,7 +182,7 @@ pub(crate) fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
 #[test]
 fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (cell, sim) = configuration(folder.path(), "127.7.1.2", 1);
+    let (cell, sim) = configuration(folder.path(), "127.7.1.2", 2);
     let _sim = start_sim(&sim);
     let cell_text = cell.display().to_string();
     let calibrated = celld(&["calibrate", "--config", &cell_text], folder.path());

@@ -1,9 +1,10 @@
-//! The rule about objects that a hand has moved: they are not gripped where they were, if a picture since then
-//! could show it.
+//! The rule about objects that a hand has moved: they are not gripped where they were, if a picture since
+//! then could show it.
 //!
 //! In: where the arm was at its pictures, the machine's pick, the world's truth. Out: breaches. A picture
-//! shows an object by its marker: all of it lies in the picture and not behind the gripper, at its true place or
-//! at the one that the pick rests on. A hand that comes after the last such picture cannot be noticed before the cups come down.
+//! shows an object by its marker: all of it lies in the picture and not behind the gripper, at its true
+//! place or at the one that the pick rests on. A hand that comes after the last such picture cannot be
+//! noticed before the cups come down.
 
 use crate::cell::machine::Machine;
 use crate::cell::supervisor::model::{CellModel, CellObject};
@@ -35,8 +36,8 @@ impl Rules {
         }
     }
 
-    /// Where the cups come down, the object is where it was picked for, unless a hand moved it after the last
-    /// picture that shows it.
+    /// Where the cups come down, the object is where it was picked for, unless a hand moved it after the
+    /// last picture that shows it.
     pub(super) fn check_picked(&mut self, machine: &Machine, simulator: &Simulator) {
         let Some(supervisor) = machine.supervisor().filter(|_| !self.moved_by_hand.is_empty()) else {
             return;
@@ -67,8 +68,8 @@ impl Rules {
     }
 }
 
-/// Whether a picture from `q` shows the marker of an object at `pose`, with the gripper where it is; true where
-/// the lens is not known.
+/// Whether a picture from `q` shows the marker of an object at `pose`, with the gripper where it is; true
+/// where the lens is not known.
 fn shows(model: &CellModel, object: &CellObject, pose: &Pose2, q: &Joints) -> bool {
     let marker = pose.compose(&object.marker.offset);
     let corners = corners_m(object.marker.size).map(|corner| {

@@ -200,7 +200,8 @@ fn what_a_part_need_not_show_is_remembered_and_what_it_should_show_and_does_not_
     assert!(again.iter().any(|action| matches!(action, Action::Observe { .. })));
 }
 
-/// A look from two stops, the second of which shows `a` or is far from it; `a` is in the first picture alone.
+/// A look from two stops, the second of which shows `a` or is far from it; `a` is in the first picture
+/// alone.
 fn seen_from_the_first_stop_alone(bench: &mut Bench, first: u32, shows: bool) -> Vec<Action> {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let mut taken = Vec::new();
