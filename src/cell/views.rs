@@ -30,8 +30,13 @@ const STEP_M: f64 = 0.07;
 /// How far beyond the table the camera may be, m.
 const BEYOND_M: f64 = 0.07;
 
-/// Heights of the camera, as shares of the highest from which a taught pose looks.
-const HEIGHTS: [f64; 6] = [1.2, 1.0, 0.85, 0.75, 0.65, 0.55];
+/// Heights of the camera, as shares of the highest from which a taught pose looks: from higher one picture
+/// shows what two do from there.
+const HEIGHTS: [f64; 7] = [1.5, 1.2, 1.0, 0.85, 0.75, 0.65, 0.55];
+
+/// Pixels that each of the eight modules of the smallest marker has at least, straight below. With three all
+/// of 240 rendered markers are detected, corners to 0.1 px (`cell_vision::detect`); with 2.6 not all.
+const MODULE_PX: f64 = 3.2;
 
 /// Turns of the camera about the vertical.
 const TURNS: usize = 12;
@@ -66,6 +71,8 @@ pub struct SightModel {
     pub camera: CameraModel,
     /// The surveyed reference markers.
     pub references: Vec<ReferenceMarker>,
+    /// Edge of the smallest marker's black square, m.
+    pub smallest_m: f64,
     /// The gripper in the picture.
     pub own: Option<OwnBody>,
     /// Poses to look from, computed when they are first needed; shared by all copies of a cell.
@@ -121,12 +128,12 @@ impl Views {
         let table = model.table;
         let cells = |length: f64| (length / CELL_M).ceil().clamp(1.0, 400.0) as usize;
         let (columns, rows) = (cells(table[0]), cells(table[1]));
-        let (heights, picture) = (heights(model), Picture::new(sight));
+        let (heights, picture) = (heights(model, sight), Picture::new(sight));
         let mut views = Views { table, columns, rows, heights, picture, poses: Vec::new() };
         let layer = model.cycle.tallest + 0.5 * model.cycle.air;
         let room = Room::new(&model.arm.bodies, &Tabletop { layer, standing: Vec::new() }, None);
         let mut sweep = Sweep::new(&model.arm.bodies, &room);
-        let computed = poses(model, table);
+        let computed = poses(model, table, heights);
         for q in model.look_poses.iter().copied().chain(computed) {
             if model.arm.outside_range(&q).is_none() && sweep.place(&q, Zone::Over).is_ok() {
                 views.poses.extend(views.pose(model, q));
@@ -410,22 +417,27 @@ fn meets_gripper(own: &OwnBody, ray: [f64; 2]) -> bool {
 }
 
 /// Lowest and highest place of the camera over the table, m.
-fn heights(model: &Rig) -> (f64, f64) {
-    let taught = model.look_poses.iter().map(|q| model.camera_at(q).translation.z);
-    let highest = taught.fold(0.0, f64::max);
-    let shares = HEIGHTS.map(|share| share * highest);
-    (shares.iter().copied().fold(f64::INFINITY, f64::min), shares.iter().copied().fold(0.0, f64::max))
+fn heights(model: &Rig, sight: &SightModel) -> (f64, f64) {
+    let taught = model.look_poses.iter().map(|q| model.camera_at(q).translation.z).fold(0.0, f64::max);
+    let large_enough = sight.camera.fx.min(sight.camera.fy) * sight.smallest_m / (8.0 * MODULE_PX);
+    let (least, most) = HEIGHTS.iter().fold((f64::INFINITY, 0.0_f64), |(least, most), share| {
+        (least.min(share * taught), most.max(share * taught))
+    });
+    // From the taught poses markers are detected, however small they are.
+    (least, most.min(large_enough.max(taught)))
 }
 
 /// Poses that look straight down on the table, in the posture of the work.
-fn poses(model: &Rig, table: [f64; 2]) -> Vec<Joints> {
-    let (_, highest) = heights(model);
+fn poses(model: &Rig, table: [f64; 2], (least, most): (f64, f64)) -> Vec<Joints> {
     let along = |length: f64| {
         let count = ((length + 2.0 * BEYOND_M) / STEP_M).ceil().clamp(1.0, 40.0) as usize;
         (0..=count).map(move |k| -BEYOND_M + (length + 2.0 * BEYOND_M) * k as f64 / count as f64)
     };
     let mut out = Vec::new();
-    for height in HEIGHTS.map(|share| share * highest / HEIGHTS[0]) {
+    let lowest = HEIGHTS.iter().copied().fold(f64::INFINITY, f64::min);
+    let mut levels = HEIGHTS.map(|share| (share * least / lowest).min(most)).to_vec();
+    levels.dedup();
+    for height in levels {
         for x in along(table[0]) {
             for y in along(table[1]) {
                 let turns = (0..TURNS).map(|k| TAU * k as f64 / TURNS as f64);
@@ -480,7 +492,8 @@ mod tests {
             body_m: 0.05,
             beyond_m: 0.02,
         };
-        SightModel { camera, references: references.collect(), own: Some(own), views: Arc::default() }
+        let (references, smallest_m, own) = (references.collect(), 0.03, Some(own));
+        SightModel { camera, references, smallest_m, own, views: Arc::default() }
     }
 
     fn mount() -> Mount {

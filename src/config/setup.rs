@@ -159,9 +159,17 @@ fn sight(config: &CellConfig, measured: &Measured) -> Option<SightModel> {
     by_depth.then(|| SightModel {
         camera: measured.camera.clone(),
         references: reference_markers(config),
+        smallest_m: smallest_marker(config),
         own: Some(own),
         views: Arc::default(),
     })
+}
+
+/// Edge of the smallest marker that looks have to find, m.
+fn smallest_marker(config: &CellConfig) -> f64 {
+    let objects = config.objects.iter().filter_map(|object| object.marker.as_ref()).map(|marker| marker.size);
+    let references = config.reference_markers.iter().map(|marker| marker.size_m);
+    objects.chain(references).fold(f64::INFINITY, f64::min)
 }
 
 /// The gripper as the camera on the wrist may see it.

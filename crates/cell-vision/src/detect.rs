@@ -383,6 +383,30 @@ mod tests {
         assert!(median < 0.05 && high < 0.1, "median {median}, p95 {high}");
     }
 
+    /// The cell looks from so high (`cell/views`) that a module of the smallest marker has 3.2 pixels.
+    #[test]
+    fn markers_of_three_pixels_a_module_are_all_found_with_corners_to_an_eighth_of_a_pixel() {
+        let camera = testing::camera(1280, 720);
+        let mut detector = Detector::new(DetectSettings::default()).unwrap();
+        let height = camera.fx * 0.025 / (8.0 * 3.0);
+        let mut errors = Vec::new();
+        for trial in 0..6 {
+            let prints = scene(12 * trial);
+            let at = testing::looking_down(0.0, 0.0, height, [0.1, -0.15], 0.3 * f64::from(trial));
+            let picture = testing::render(&camera, &at, &prints, USUAL, u64::from(trial));
+            let found = detector.detect(&picture).unwrap();
+            assert_eq!(found.len(), prints.len(), "trial {trial}");
+            for (detection, print) in found.iter().zip(&prints) {
+                for (a, b) in detection.corners.iter().zip(print.corners(&camera, &at)) {
+                    errors.push((a[0] - b[0]).hypot(a[1] - b[1]));
+                }
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        let high = errors[errors.len() * 95 / 100];
+        assert!(high < 0.125, "p95 {high}");
+    }
+
     #[test]
     fn corners_come_in_the_documented_order() {
         let camera = testing::camera(640, 480);

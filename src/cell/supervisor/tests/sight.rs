@@ -32,7 +32,7 @@ fn wrist_camera() -> SightModel {
     let marker =
         |(id, [x, y]): (u32, [f64; 2])| ReferenceMarker { id, size: 0.03, pose: Pose2::new(x, y, 0.0) };
     let references = (500..).zip(places).map(marker).collect();
-    SightModel { camera, references, own: None, views: Arc::default() }
+    SightModel { camera, references, smallest_m: 0.03, own: None, views: Arc::default() }
 }
 
 /// A cell with a camera on its wrist and three objects, `a` and `b` to be moved: the arm sets out to look.
