@@ -99,7 +99,9 @@ DATA := $(or $(CELLD_DATA),../shared/data)
 # left to be written to the disk a commit. Without nextest they run one after the other.
 #
 # celld's own unit tests share one process: each process that links FFmpeg and GDAL by OpenCV takes a tenth
-# of a second to start.
+# of a second to start. Those with the RealSense SDK do not: two of its pipelines that open in one process at
+# once corrupt its memory now and then (1 run in 25; celld has one).
+SDK := test(/realsense::tests::/)
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 
 test: setup
@@ -114,11 +116,12 @@ test: setup
 	  sync; \
 	  echo "cargo nextest run"; \
 	  cargo nextest run --workspace --profile cells --test-threads 4 -E '$(CELLS)'; \
-	  cargo test --quiet -p celld --lib; \
-	  cargo nextest run --workspace -E 'not (test(/^third_party::/) | $(CELLS) | (package(celld) & kind(lib)))'; \
+	  cargo test --quiet -p celld --lib -- --skip realsense::tests::; \
+	  cargo nextest run --workspace -E 'not (test(/^third_party::/) | $(CELLS) | (package(celld) & kind(lib) - $(SDK)))'; \
 	else \
 	  echo "cargo test"; \
-	  cargo test --workspace --all-targets -- --skip cell_ --skip robot_session:: --skip third_party::; \
+	  cargo test --workspace --all-targets -- --skip cell_ --skip robot_session:: --skip third_party:: --skip realsense::tests::; \
+	  cargo test --lib -- realsense::tests:: --test-threads=1; \
 	  cargo test --test it -- cell_ robot_session:: --test-threads=1; \
 	fi
 

@@ -167,9 +167,8 @@ fn sight(config: &CellConfig, measured: &Measured) -> Option<SightModel> {
 
 /// Edge of the smallest marker that looks have to find, m.
 fn smallest_marker(config: &CellConfig) -> f64 {
-    let objects = config.objects.iter().filter_map(|object| object.marker.as_ref()).map(|marker| marker.size);
-    let references = config.reference_markers.iter().map(|marker| marker.size_m);
-    objects.chain(references).fold(f64::INFINITY, f64::min)
+    let objects = config.objects.iter().filter_map(|object| Some(object.marker.as_ref()?.size));
+    objects.chain(config.reference_markers.iter().map(|marker| marker.size_m)).fold(f64::INFINITY, f64::min)
 }
 
 /// The gripper as the camera on the wrist may see it.
