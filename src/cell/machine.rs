@@ -17,8 +17,9 @@ use crate::cell::device::robot_types::{
 use crate::cell::event::{Arm, Effect, Event, News};
 use crate::cell::links::{Connections, Wish};
 use crate::cell::orders::Reply;
+use crate::cell::snapshot::snapshot;
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Record};
+use crate::cell::supervisor::input::{Action, Input, Record};
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::situation::LIKELY_OWNERS;
@@ -26,9 +27,6 @@ use crate::cell::supervisor::status::Status;
 use cell_values::time::{Duration, Timestamp};
 use std::collections::VecDeque;
 use ur_arm::kinematics::DhParameters;
-
-/// A vacuum read longer ago than this says nothing: idle channels are read ten times a second.
-const VACUUM_AGE: Duration = Duration::from_millis(500);
 
 /// How often the supervisor is given time while something is under way, and while nothing is.
 const TICK: Duration = Duration::from_millis(10);
@@ -235,7 +233,7 @@ impl Machine {
         self.step(now, Input::Tick);
         self.work_off(now);
         self.flush(now);
-        self.show();
+        self.show(now);
     }
 
     /// Everything the sessions report, in order.
@@ -311,18 +309,8 @@ impl Machine {
     /// One input through the supervisor; its actions are carried out in order.
     fn step(&mut self, now: Timestamp, input: Input) {
         let Some(supervisor) = &mut self.supervisor else { return self.step_without_cell(input) };
-        let outside = DeviceSnapshot {
-            link_down: Link::ALL.into_iter().find(|link| !self.connections.is_up(*link)),
-            link_lost: Link::ALL.into_iter().find(|link| self.connections.is_lost(*link)),
-            all_links_lost: Link::ALL.into_iter().all(|link| self.connections.is_lost(link)),
-            robot: self.robot.state(),
-            robot_fresh: self.robot.fresh(now),
-            program_settled: self.robot.program_settled(),
-            arm_settled: self.robot.arm_settled(),
-            gripper_holds: self.gripper.holding(),
-            gripper_answers: self.gripper_answers,
-            vacuum: self.gripper.reading().filter(|(at, _)| now.since(*at) <= VACUUM_AGE).map(|(_, v)| v),
-        };
+        let sessions = (&self.robot, &self.gripper, &self.connections);
+        let outside = snapshot(now, sessions, self.gripper_answers);
         let actions = supervisor.step(now, &outside, input);
         let mut refused = Vec::new();
         for action in actions {
@@ -454,10 +442,12 @@ impl Machine {
     }
 
     /// What has changed for people, and whether a job is wanted.
-    fn show(&mut self) {
+    fn show(&mut self, now: Timestamp) {
         self.report_identity();
         let Some(supervisor) = &self.supervisor else { return };
-        let status = supervisor.status();
+        let sessions = (&self.robot, &self.gripper, &self.connections);
+        let devices = supervisor.device_notes(&snapshot(now, sessions, self.gripper_answers));
+        let status = Status { devices, ..supervisor.status() };
         if self.notified.status.as_ref() != Some(&status) {
             self.effects.push_back(Effect::Notify(News::Status(status.clone())));
             self.notified.status = Some(status);

@@ -18,6 +18,7 @@ pub mod orders;
 pub mod plan_check;
 pub mod planner;
 pub mod quickest;
+mod snapshot;
 pub mod supervisor;
 pub mod times;
 pub mod views;

@@ -195,7 +195,7 @@ async fn daemon(
     ended
 }
 
-/// Sentences on stderr, and the recording.
+/// The recording; sentences go into the log (`daemon/shell`).
 struct Lines {
     recorder: Option<Recorder>,
 }
@@ -204,10 +204,6 @@ impl Observer for Lines {
     fn on(&mut self, now: Timestamp, scene: Scene) {
         if let Some(recorder) = &mut self.recorder {
             recorder.on(now, &scene);
-        }
-        if let Scene::Notice(notice) = scene {
-            let mark = if notice.alarm { "! " } else { "" };
-            complain(&format!("{:9.1} s  {mark}{}", now.as_secs_f64(), notice.text));
         }
     }
 }

@@ -86,7 +86,7 @@ pub enum ClientCommand {
     /// Say that what answers at the gripper's address is the gripper on this arm. Needed once for an
     /// address, before the first `arm`: no register of the device says what it is. Not needed in simulation.
     ConfirmGripper(StateArg),
-    /// What the cell is doing.
+    /// What the cell is doing; exit code 1 when no daemon runs.
     Status {
         #[command(flatten)]
         state: StateArg,
@@ -242,7 +242,7 @@ fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
     if format == Format::Json {
         let status = status.filter(|_| running);
         outln!("{}", serde_json::json!({"running": running, "status": status}));
-        return Ok(0);
+        return Ok(u8::from(!running));
     }
     match status {
         Some(status) if running => outln!("{}", status.text()),
@@ -255,7 +255,7 @@ fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
         ),
         None => outln!("no daemon runs on {}", state.root().display()),
     }
-    Ok(0)
+    Ok(u8::from(!running))
 }
 
 fn jobs(state: &StateFolder, last: u32, format: Format) -> Result<u8, ClientError> {

@@ -96,7 +96,8 @@ enum Bench {
 /// Parses the process's arguments and runs the subcommand.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    cell_edge::terminal::start_log();
+    // A daemon's log is its only voice.
+    cell_edge::terminal::start_log(if matches!(cli.command, Command::Run(_)) { "info" } else { "error" });
     let stop = Arc::new(AtomicBool::new(false));
     ExitCode::from(match cli.command {
         Command::Demo(args) => demo::run(&args, stop),

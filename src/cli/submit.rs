@@ -3,8 +3,8 @@
 //!
 //! In: a job file. Out: the job's id on stdout; the file in `incoming`, written whole and renamed. A goal
 //! file is read here and its poses go into what is handed in, so that it need not be where the daemon looks.
-//! Exit code 0 when handed in (with `--wait`: when done), 1 when the job did not succeed, 2 when it is
-//! wrong.
+//! While a daemon runs its verdict is waited for. Exit code 0 when handed in and not refused (with `--wait`:
+//! when done), 1 when the job did not succeed, 2 when it is wrong or refused.
 
 use crate::cell::code::JobStatus;
 use crate::cli::check::beside;
@@ -12,15 +12,20 @@ use crate::cli::client::{StateArg, complain};
 use crate::cli::task::outln;
 use crate::jobs::record::{JobRecord, JobState};
 use crate::jobs::state::StateFolder;
+use crate::jobs::status::{STARTING, Status};
 use crate::jobs::submit::{Found, Handed, hand_in, look, prepare};
 use cell_edge::clock::unix_now_s;
 use cell_parts::file::read_text;
 use clap::Args;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How often the journal is read for the state of the job.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// So long a running daemon is given to read the file: it watches it for half a second, and reads one
+/// after the other.
+const VERDICT_WITHIN: Duration = Duration::from_secs(10);
 
 /// Arguments of `celld submit`.
 #[derive(Args, Debug)]
@@ -52,9 +57,53 @@ pub fn submit(args: &SubmitArgs) -> u8 {
         Err(error) => complain(&error.into()),
         Ok(handed) => {
             outln!("{}", handed.id);
-            if args.wait { follow(&state, &handed) } else { 0 }
+            if args.wait { follow(&state, &handed) } else { verdict(&state, &handed) }
         }
     }
+}
+
+/// Waits until a daemon that runs has taken the job up or refused it; one that does not run finds it later.
+fn verdict(state: &StateFolder, handed: &Handed) -> u8 {
+    let begun = Instant::now();
+    loop {
+        let takes = state.is_taken().map(|taken| taken && !is_starting(state));
+        match takes {
+            Ok(true) => {}
+            Ok(false) => {
+                eprintln!("{}: no daemon takes jobs now; the next one reads it", handed.id);
+                return 0;
+            }
+            Err(error) => return complain(&error.into()),
+        }
+        match look(state, handed) {
+            Err(error) => return complain(&error.into()),
+            Ok(Found::Rejected(reason)) => return refused(&reason),
+            Ok(Found::Job(job)) => {
+                eprintln!("{}: {}", job.id, job.state);
+                return 0;
+            }
+            Ok(Found::Nothing) if begun.elapsed() > VERDICT_WITHIN => {
+                let seconds = VERDICT_WITHIN.as_secs();
+                eprintln!(
+                    "{}: not read within {seconds} s: others are before it, or the queue is full; see `celld \
+                     status`",
+                    handed.id
+                );
+                return 0;
+            }
+            Ok(Found::Nothing) => std::thread::sleep(LOOK_EVERY),
+        }
+    }
+}
+
+/// The daemon still waits for the robot, and reads no jobs.
+fn is_starting(state: &StateFolder) -> bool {
+    Status::read(&state.status()).ok().flatten().is_none_or(|status| status.state == STARTING)
+}
+
+fn refused(reason: &str) -> u8 {
+    outln!("rejected: {reason}");
+    2
 }
 
 /// Waits for the job's end.
@@ -69,10 +118,7 @@ fn follow(state: &StateFolder, handed: &Handed) -> u8 {
         match look(state, handed) {
             Err(error) => return complain(&error.into()),
             Ok(Found::Nothing) => {}
-            Ok(Found::Rejected(reason)) => {
-                outln!("rejected: {reason}");
-                return 2;
-            }
+            Ok(Found::Rejected(reason)) => return refused(&reason),
             Ok(Found::Job(job)) => {
                 if let JobState::Ended(status) = job.state {
                     return report_end(&job, status);

@@ -47,6 +47,23 @@ pub enum CameraDevice {
 }
 
 impl CameraDevice {
+    /// Where it is, for people.
+    pub fn address(&self) -> String {
+        match self {
+            CameraDevice::Simulator { host, port, .. } => format!("{host}:{port}"),
+            CameraDevice::Http { url, serial } => format!("{url}, serial {serial}"),
+            CameraDevice::RealSense(RealSenseSettings { file: Some(file), .. }) => file.display().to_string(),
+            CameraDevice::RealSense(RealSenseSettings { serial, .. }) => match serial {
+                Some(serial) => format!("RealSense {serial}"),
+                None => "the only RealSense connected".to_string(),
+            },
+            CameraDevice::Uvc(UvcSettings { device, serial, .. }) => {
+                format!("{}, serial {serial}", device.display())
+            }
+            CameraDevice::Folder { path } | CameraDevice::Video { path } => path.display().to_string(),
+        }
+    }
+
     /// True for what shows a table of the past.
     pub fn is_recording(&self) -> bool {
         match self {

@@ -10,9 +10,10 @@ use crate::cell::orders::{Approval, Order, Reply};
 use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::model::HeldBefore;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
-use crate::cell::supervisor::status::{Doing, Status};
+use crate::cell::supervisor::status::{DeviceNote, Doing, Status};
 use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
+use crate::config::setup::gripper_address;
 use crate::daemon::store::{Keeper, Orders};
 use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
 use crate::jobs::goal::read_goal_file;
@@ -229,6 +230,17 @@ impl StateKeeper {
         })
     }
 
+    /// A device with its address.
+    fn device(&self, DeviceNote { name, ready, message }: &DeviceNote) -> status::DeviceStatus {
+        let devices = &self.config.devices;
+        let address = match *name {
+            "robot" => devices.robot_host.clone(),
+            "gripper" => gripper_address(devices),
+            _ => devices.camera.address(),
+        };
+        status::DeviceStatus { name: name.to_string(), address, ready: *ready, message: message.clone() }
+    }
+
     /// The cell's policy is a floor, also for a job that was taken in under a laxer one.
     fn approval(&self, job: Option<Approval>) -> Approval {
         self.config.approval.max(job.unwrap_or(Approval::Never))
@@ -370,10 +382,18 @@ impl Keeper for StateKeeper {
             job: status.job.clone(),
             holding: status.held.clone(),
             last_move_s: status.last_move.as_ref().map(in_words).unwrap_or_default(),
-            step: status.job.as_ref().map(|_| (number(status.moves), number(total))),
+            step: status.job.as_ref().filter(|_| total > 0).map(|_| (number(status.moves), number(total))),
             awaiting_approval: status.job.iter().filter(|_| awaiting).cloned().collect(),
             waiting: self.journal.waiting().map_or(0, |count| number(count as usize)),
-            ..status::Status::default()
+            unread: self.spool.unread().map_or(0, number),
+            because: status.because.clone(),
+            hint: status.hint.clone(),
+            stopped: status.stopped.as_ref().map(|stop| status::Stopped {
+                code: stop.code.to_string(),
+                message: stop.message.clone(),
+                hint: stop.hint.clone(),
+            }),
+            devices: status.devices.iter().map(|device| self.device(device)).collect(),
         };
         if let Err(error) = file.write(&self.state.status()) {
             tracing::warn!(%error, "the status file could not be written");
@@ -441,6 +461,12 @@ impl Orders for StateOrders {
     fn reply(&mut self, number: u64, reply: &Reply) {
         let Some(index) = self.unanswered.iter().position(|(open, _)| *open == number) else { return };
         let Some((_, taken)) = self.unanswered.remove(index) else { return };
+        let (command, uid) = (&taken.command, taken.uid);
+        if reply.accepted {
+            tracing::info!(?command, uid, "ordered: {}", reply.message);
+        } else {
+            tracing::warn!(?command, uid, "order refused: {}", reply.message);
+        }
         if let Err(error) = self.inbox.reply(&taken, &self.remember(&taken, reply)) {
             tracing::warn!(%error, "a command could not be answered");
         }

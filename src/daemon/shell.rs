@@ -16,7 +16,7 @@ use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
-use crate::cell::supervisor::status::Status;
+use crate::cell::supervisor::status::{Doing, Status};
 use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Orders, Store};
@@ -143,6 +143,22 @@ pub struct Shell {
     planning: Option<Arc<AtomicBool>>,
     store: Option<Store>,
     outcome: Outcome,
+    at_work: AtWork,
+}
+
+/// What the cell works on, for the fields of the log.
+#[derive(Debug, Default)]
+struct AtWork {
+    job: Option<String>,
+    /// Of the plan, from 1.
+    step: Option<usize>,
+}
+
+impl AtWork {
+    fn of(status: &Status) -> AtWork {
+        let works = matches!(status.doing, Doing::Working(..));
+        AtWork { job: status.job.clone(), step: works.then_some(status.moves + 1) }
+    }
 }
 
 impl Shell {
@@ -166,6 +182,7 @@ impl Shell {
             planning: None,
             store: None,
             outcome: Outcome::default(),
+            at_work: AtWork::default(),
         })
     }
 
@@ -421,15 +438,17 @@ impl Shell {
         match news {
             News::Identified(arm) => self.outcome.arm = Some(arm),
             News::Notice(notice) => {
+                let (job, step) = (self.at_work.job.as_deref(), self.at_work.step);
                 if notice.alarm {
-                    tracing::warn!("{}", notice.text);
+                    tracing::warn!(job, step, "{}", notice.text);
                 } else {
-                    tracing::info!("{}", notice.text);
+                    tracing::info!(job, step, "{}", notice.text);
                 }
                 observer.on(now, Scene::Notice(&notice));
             }
             News::Status(status) => {
                 observer.on(now, Scene::Status(&status));
+                self.at_work = AtWork::of(&status);
                 if let Some(store) = &self.store {
                     store.status(status);
                 }

@@ -67,6 +67,10 @@ impl Orders for NoOrders {
 const EVERY: Duration = Duration::from_millis(200);
 const ORDERS_EVERY: Duration = Duration::from_millis(50);
 
+/// A status that does not change is published again after so long, by the wall's clock: its age shows that
+/// the daemon lives, and job files come and go meanwhile.
+const STATUS_EVERY: std::time::Duration = std::time::Duration::from_secs(1);
+
 /// A thread that has not come round for so long is taken for stuck in the disk, by the wall's clock.
 const SILENT_AFTER: std::time::Duration = std::time::Duration::from_secs(15);
 
@@ -209,8 +213,8 @@ struct Keeping {
 impl Keeping {
     /// Until no requester is left; what is left is written first.
     fn run(mut self, asked: &Receiver<Request>) {
-        let (mut wanted, mut status) = (false, None);
-        let mut looked = Instant::now();
+        let (mut wanted, mut status, mut last) = (false, None, None::<Status>);
+        let (mut looked, mut published) = (Instant::now(), Instant::now());
         loop {
             self.beat.now();
             let every = self.clock.wall(EVERY);
@@ -225,14 +229,14 @@ impl Keeping {
                 Ok(Request::Cancel(number, id)) => self.cancel(number, id),
                 Ok(Request::Status(new)) => status = Some(new),
                 Err(RecvTimeoutError::Timeout) => {
-                    if let Some(status) = status.take() {
-                        self.keeper.status(&status);
+                    if status.is_some() || published.elapsed() >= STATUS_EVERY {
+                        last = status.take().or(last);
+                        last.iter().for_each(|status| self.keeper.status(status));
+                        published = Instant::now();
                     }
                 }
                 Err(RecvTimeoutError::Disconnected) => {
-                    if let Some(status) = status.take() {
-                        self.keeper.status(&status);
-                    }
+                    status.iter().for_each(|status| self.keeper.status(status));
                     return;
                 }
             }
@@ -381,6 +385,10 @@ mod tests {
             moves: 0,
             remaining_moves: 0,
             last_move: None,
+            because: None,
+            hint: String::new(),
+            stopped: None,
+            devices: Vec::new(),
         }
     }
 

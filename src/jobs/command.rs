@@ -10,6 +10,7 @@
 use crate::cell::orders::{Reply, WayBack};
 use cell_edge::files::{FileError, create_folder, read_regular, remove, rename_new, write_atomic};
 use serde::{Deserialize, Serialize};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// Longest file that is read as a command.
@@ -139,6 +140,8 @@ impl Command {
 pub struct Taken {
     /// What is requested.
     pub command: Command,
+    /// Who gave it: the system's number of the owner of its file.
+    pub uid: Option<u32>,
     reply: PathBuf,
 }
 
@@ -172,6 +175,7 @@ impl Inbox {
     pub fn take(&mut self, boot_s: f64) -> Result<Vec<Taken>, FileError> {
         let mut taken = Vec::new();
         for path in list(&self.folder)?.into_iter().filter(|path| is_command(path)).take(MAX_AT_ONCE) {
+            let uid = std::fs::symlink_metadata(&path).ok().map(|file| file.uid());
             let envelope = read_regular(&path, MAX_BYTES)
                 .ok()
                 .and_then(|(text, _)| serde_json::from_str::<Envelope>(&text).ok());
@@ -187,7 +191,7 @@ impl Inbox {
                         why
                     }
                     None => {
-                        taken.push(Taken { command: envelope.command, reply });
+                        taken.push(Taken { command: envelope.command, uid, reply });
                         continue;
                     }
                 },

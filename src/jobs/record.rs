@@ -5,6 +5,7 @@
 
 use crate::cell::code::JobStatus;
 use crate::cell::orders::Approval;
+use crate::jobs::utc;
 use rearrange::document::word::{UnknownWord, named};
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::Objective;
@@ -242,6 +243,16 @@ pub struct JobResult {
     pub times: BTreeMap<String, f64>,
     /// Objects with a goal, as the camera last saw them.
     pub objects: Vec<ObjectResult>,
+}
+
+impl JobRecord {
+    /// When the job came, began and ended, as lines of `result.yaml`.
+    pub fn times_yaml(&self) -> String {
+        let time = |at: Option<f64>| at.map_or("null".to_owned(), |at| quoted(&utc::text(at)));
+        let JobRecord { claimed_unix_s, started_unix_s, ended_unix_s, .. } = self;
+        let (claimed, started) = (time(Some(*claimed_unix_s)), time(*started_unix_s));
+        format!("claimed: {claimed}\nstarted: {started}\nended: {}\n", time(*ended_unix_s))
+    }
 }
 
 /// One object of a result.

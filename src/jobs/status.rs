@@ -27,6 +27,12 @@ pub struct Status {
     pub hint: String,
     /// Motion is allowed.
     pub armed: bool,
+    /// Why the table is looked at again.
+    #[serde(default)]
+    pub because: Option<String>,
+    /// The stop that is still to be left.
+    #[serde(default)]
+    pub stopped: Option<Stopped>,
     /// Stopped between steps on the operator's order.
     pub paused: bool,
     /// The active job.
@@ -42,8 +48,22 @@ pub struct Status {
     pub awaiting_approval: Vec<String>,
     /// Jobs that wait for their turn.
     pub waiting: u32,
+    /// Files in `incoming` that have not been read yet: a full queue, or they are still being written.
+    #[serde(default)]
+    pub unread: u32,
     /// Robot, gripper, camera and what each is doing.
     pub devices: Vec<DeviceStatus>,
+}
+
+/// A stop that is still to be left.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Stopped {
+    /// For programs: a result code.
+    pub code: String,
+    /// One sentence.
+    pub message: String,
+    /// What to do about it.
+    pub hint: String,
 }
 
 /// One device.
@@ -99,6 +119,12 @@ impl Status {
             if self.paused { ", paused" } else { "" },
             self.message
         )];
+        if let Some(because) = &self.because {
+            lines.push(format!("  looks again: {because}"));
+        }
+        if let Some(Stopped { code, message, .. }) = &self.stopped {
+            lines.push(format!("  stopped: {message} ({code})"));
+        }
         if !self.hint.is_empty() {
             lines.push(format!("  to do: {}", self.hint));
         }
@@ -112,7 +138,11 @@ impl Status {
         for id in &self.awaiting_approval {
             lines.push(format!("  waits for `celld approve {id}`"));
         }
-        lines.push(format!("  {} waiting", self.waiting));
+        let unread = match self.unread {
+            0 => String::new(),
+            files => format!(", {files} in incoming not read yet"),
+        };
+        lines.push(format!("  {} waiting{unread}", self.waiting));
         for device in &self.devices {
             let word = if device.ready { "ready" } else { "NOT READY" };
             lines.push(format!("  {} at {}: {word}, {}", device.name, device.address, device.message));
@@ -124,6 +154,70 @@ impl Status {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cell::code::JobStatus;
+    use crate::jobs::record::{JobRecord, JobResult, JobSpec, JobState};
+    use std::collections::BTreeSet;
+
+    /// The keys of a table of docs/files.md, in the section of this name.
+    fn keys_of(section: &str) -> BTreeSet<String> {
+        let page = include_str!("../../docs/files.md");
+        let start = page.find(&format!("\n## {section}\n")).expect("the section");
+        let body = &page[start + 4..];
+        let body = &body[..body.find("\n## ").unwrap_or(body.len())];
+        let rows = body.lines().filter_map(|line| line.strip_prefix("| `")?.split(" | ").next());
+        rows.flat_map(|cell| cell.split('`').step_by(2).filter(|key| !key.is_empty() && *key != ", "))
+            .map(str::to_string)
+            .collect()
+    }
+
+    #[test]
+    fn the_page_names_every_key_of_status_and_result_and_no_other() {
+        let status = serde_json::to_value(Status::default()).unwrap();
+        let keys = status.as_object().unwrap().keys().cloned().collect::<BTreeSet<_>>();
+        assert_eq!(keys_of("status.json"), keys);
+
+        let result = JobResult {
+            id: "a".into(),
+            status: JobStatus::Done,
+            code: "done".into(),
+            message: String::new(),
+            hint: String::new(),
+            moves: 1,
+            lower_bound: None,
+            seconds: 1.0,
+            times: BTreeMap::new(),
+            objects: Vec::new(),
+        };
+        let job = JobRecord {
+            sequence: 1,
+            id: "a".into(),
+            name: "a.yaml".into(),
+            sha256: String::new(),
+            text: String::new(),
+            spec: JobSpec {
+                id: None,
+                goal: Vec::new(),
+                objective: None,
+                solver: None,
+                time_limit_s: None,
+                seed: None,
+                priority: 0,
+                not_before_unix_s: None,
+                approval: None,
+                rerun: false,
+            },
+            state: JobState::Ended(JobStatus::Done),
+            approved: None,
+            claimed_unix_s: 0.0,
+            started_unix_s: None,
+            ended_unix_s: Some(60.0),
+            result: None,
+        };
+        let text = result.to_yaml() + &job.times_yaml();
+        assert!(text.ends_with("started: null\nended: \"1970-01-01T00:01:00Z\"\n"), "{text}");
+        let keys = text.lines().filter_map(|line| line.split_once(':')).map(|(key, _)| key.to_string());
+        assert_eq!(keys_of("result.yaml"), keys.collect::<BTreeSet<_>>());
+    }
 
     #[test]
     fn a_status_reads_back_and_speaks() {

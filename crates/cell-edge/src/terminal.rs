@@ -4,7 +4,7 @@
 //! be read or a value cannot be used.
 
 use crate::files::read_named;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::ops::RangeInclusive;
 use std::path::Path;
 
@@ -42,9 +42,21 @@ pub fn within(text: &str, range: RangeInclusive<f64>, unit: &str) -> Result<f64,
     }
 }
 
-/// Logs go to stderr; `CELLD_LOG` chooses what (`info`, `celld::daemon=debug`, ...).
-pub fn start_log() {
-    let filter = tracing_subscriber::EnvFilter::try_from_env("CELLD_LOG")
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("error"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+/// Logs go to stderr, each line with its date; `CELLD_LOG` chooses what (`warn`, `celld::daemon=debug`, ...)
+/// in place of `usual`. A `CELLD_LOG` that cannot be read counts as none, and that is reported.
+pub fn start_log(usual: &str) {
+    let wanted = std::env::var("CELLD_LOG").ok().filter(|wanted| !wanted.is_empty());
+    let read = wanted.as_deref().map(tracing_subscriber::EnvFilter::try_new);
+    let (filter, fault) = match read {
+        Some(Ok(filter)) => (filter, None),
+        Some(Err(error)) => (tracing_subscriber::EnvFilter::new(usual), Some(error)),
+        None => (tracing_subscriber::EnvFilter::new(usual), None),
+    };
+    // A file and a service manager's journal get no colours.
+    let ansi = std::io::stderr().is_terminal();
+    let lines = tracing_subscriber::fmt().with_env_filter(filter).with_target(false).with_ansi(ansi);
+    lines.with_writer(std::io::stderr).init();
+    if let Some(error) = fault {
+        complain(&format!("CELLD_LOG cannot be read ({error}); logging {usual}"));
+    }
 }

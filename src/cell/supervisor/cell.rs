@@ -53,6 +53,8 @@ pub struct Supervisor {
     pub(crate) foreign_height: f64,
     /// A look near the limits of drift was reported since the cell was armed.
     pub(crate) drift_reported: bool,
+    /// What came of the last picture that was wanted.
+    pub(crate) camera: Option<Result<(), String>>,
     /// Since when the arm has been held in the middle of a motion.
     pub(crate) held_since: Option<Timestamp>,
     /// Nonce of the program uploaded last.
@@ -103,6 +105,7 @@ impl Supervisor {
             times: TimeBook::default(),
             foreign_height: 0.0,
             drift_reported: false,
+            camera: None,
             held_since: None,
             nonce: None,
             next_nonce: nonce_seed,
@@ -285,6 +288,7 @@ impl Supervisor {
             replans: 0,
             grip_failures: 0,
             look_failures: 0,
+            doubt: None,
             gone: None,
             absent_reported: false,
             last_seen: Vec::new(),

@@ -174,6 +174,7 @@ impl Supervisor {
 
     /// The frames of this pose are exposed: the arm may go on.
     pub(crate) fn on_exposed(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        self.camera = Some(Ok(()));
         let Phase::Look(look) = &mut self.phase else { return };
         let LookStage::Capturing { q } = &look.stage else { return };
         let moved = outside.robot.is_none_or(|robot| robot.q.max_difference(q) > SAME_PLACE_RAD);
@@ -264,6 +265,7 @@ impl Supervisor {
         if !matches!(look.stage, LookStage::Capturing { .. }) {
             return;
         }
+        self.camera = Some(Err(fault.message.clone()));
         if self.job.as_ref().is_some_and(|job| job.cancel) {
             // This picture is not awaited any more.
             self.phase = Phase::Ready;
@@ -366,7 +368,7 @@ impl Supervisor {
         }
         match fault {
             None => {
-                job.look_failures = 0;
+                (job.look_failures, job.doubt) = (0, None);
                 report_absent(job, &observation, out);
                 self.seen = Some(observation);
                 self.seen_at = now;
@@ -387,6 +389,7 @@ impl Supervisor {
             return self.finish(now, JobStatus::Failed, doubt, out);
         }
         job.look_failures += 1;
+        job.doubt = Some(doubt.message.clone());
         let again = if goes_on && !job.cancel { AGAIN } else { "" };
         say(out, format!("{}{again}", doubt.message));
     }

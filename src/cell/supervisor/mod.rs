@@ -5,14 +5,15 @@
 //! the disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve,
 //! pick, verify, place, look again; `bring_up`, `look`, `sight`, `route`, `travel`, `judge`, `work`,
 //! `visits`, `operator`, `answers`, `standing`, `lapse`, `identity`, `holding`, `faults`, `trouble`,
-//! `recovery`, `free_place`, `situation`, `paused` and `time_book` hold its parts. No clock, no socket:
-//! time and the devices' last word come in with every call, so that every stop, fault and late answer can
-//! be played through in a test.
+//! `recovery`, `free_place`, `situation`, `paused`, `device_notes` and `time_book` hold its parts. No
+//! clock, no socket: time and the devices' last word come in with every call, so that every stop, fault
+//! and late answer can be played through in a test.
 
 mod answers;
 mod back;
 mod bring_up;
 pub mod cell;
+mod device_notes;
 mod faults;
 mod free_place;
 pub mod gates;

@@ -185,6 +185,8 @@ pub(crate) struct JobRun {
     pub replans: u32,
     pub grip_failures: u32,
     pub look_failures: u32,
+    /// Why what was seen could not be acted upon.
+    pub doubt: Option<String>,
     /// What the last look showed in one picture and not in a later one that shows its place.
     pub gone: Option<String>,
     /// It was said which objects of the catalogue are not seen.

@@ -6,6 +6,7 @@ use crate::cell::code::Code;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::phase::Phase;
+use crate::cell::supervisor::reason::Reason;
 use crate::cell::supervisor::round::Round;
 use crate::cell::times::TimeSplit;
 
@@ -63,6 +64,36 @@ pub struct Status {
     pub remaining_moves: usize,
     /// Where the time of the last one went.
     pub last_move: Option<TimeSplit>,
+    /// Why the table is looked at again: what a person sees there, such as a thing without a marker.
+    pub because: Option<String>,
+    /// What a person is to do; empty where nothing is.
+    pub hint: String,
+    /// The stop that is still to be left, and why it came.
+    pub stopped: Option<StopNote>,
+    /// Robot, gripper, camera.
+    pub devices: Vec<DeviceNote>,
+}
+
+/// A stop that is still to be left.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StopNote {
+    /// For programs.
+    pub code: Code,
+    /// One sentence.
+    pub message: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+/// How a device is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceNote {
+    /// "robot", "gripper" or "camera".
+    pub name: &'static str,
+    /// It answers and may be used.
+    pub ready: bool,
+    /// One sentence.
+    pub message: String,
 }
 
 impl Status {
@@ -102,6 +133,42 @@ impl Supervisor {
             moves: job.map_or(0, |job| job.moves),
             last_move: job.and_then(|_| self.times.last_move()),
             remaining_moves: job.and_then(|job| job.route.as_ref()).map_or(0, Vec::len),
+            because: job.and_then(|job| job.doubt.clone()),
+            hint: self.hint(),
+            stopped: self.back.last_stop.as_ref().map(|stop| {
+                let Reason { code, message, hint, .. } = stop.reason.clone();
+                StopNote { code, message, hint }
+            }),
+            devices: Vec::new(),
+        }
+    }
+
+    /// What a person is to do now.
+    fn hint(&self) -> String {
+        let stopped = self.back.last_stop.as_ref().filter(|_| !self.mode.armed());
+        match (&self.phase, &self.waiting_for, &self.job) {
+            (Phase::Approve, _, Some(job)) => {
+                let id = &job.order.id;
+                format!("look at the plan, then `celld approve {id}` or `celld reject {id}`")
+            }
+            (Phase::Look(look), ..) => look.fault.as_ref().map_or("", |fault| fault.hint).to_string(),
+            (Phase::Ready, Some(reason), Some(_)) if stopped.is_none() => reason.hint().to_string(),
+            (Phase::Ready, ..) if self.mode.ending() => String::new(),
+            (Phase::Ready, ..) => match stopped {
+                Some(stop) => stop.reason.hint.clone(),
+                None if self.mode.armed() && self.mode.paused() => "`celld resume` goes on".to_string(),
+                None => self.locked().map_or("", |closed| closed.hint()).to_string(),
+            },
+            (
+                Phase::Approve
+                | Phase::BringUp(_)
+                | Phase::Plan
+                | Phase::Work(_)
+                | Phase::Park
+                | Phase::Recover(_)
+                | Phase::Visit(_),
+                ..,
+            ) => String::new(),
         }
     }
 

@@ -123,7 +123,7 @@ impl Spool {
             self.point()?;
         }
         if let Some(result) = &job.result {
-            write_atomic(&folder.join("result.yaml"), result.to_yaml().as_bytes())?;
+            write_atomic(&folder.join("result.yaml"), (result.to_yaml() + &job.times_yaml()).as_bytes())?;
         }
         Ok(())
     }

@@ -76,6 +76,14 @@ impl Spool {
         Ok(entries)
     }
 
+    /// How many files of `incoming` are neither claimed nor refused yet.
+    ///
+    /// # Errors
+    /// The folder cannot be listed.
+    pub fn unread(&self) -> Result<usize, SpoolError> {
+        self.entries().map(|entries| entries.len())
+    }
+
     fn trouble(&mut self, entry: &Entry, error: &FileError) -> Option<SpoolEvent> {
         let cause = std::error::Error::source(error).map(|cause| format!(": {cause}")).unwrap_or_default();
         let first = self.troubled.insert(entry.name.clone());

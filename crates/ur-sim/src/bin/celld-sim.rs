@@ -15,6 +15,6 @@ struct Cli {
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    cell_edge::terminal::start_log();
+    cell_edge::terminal::start_log("error");
     ExitCode::from(command::run(&cli.args))
 }
