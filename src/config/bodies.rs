@@ -75,7 +75,7 @@ fn cuboid(d: &mut Decoder, at: &At) -> Option<NamedShape> {
 
 fn cuboid_of(d: &mut Decoder, fields: &Fields) -> Option<Shape> {
     let size = fields.required("size", d).and_then(|at| {
-        let size = d.numbers::<3>(&at)?;
+        let size = d.numbers_in::<3>(&at, -100.0..=100.0, "m")?;
         if size.iter().all(|edge| *edge > 0.0 && *edge <= LONGEST_M) {
             return Some(size);
         }
@@ -104,7 +104,7 @@ fn cylinder_of(d: &mut Decoder, fields: &Fields) -> Option<Shape> {
 fn plane(d: &mut Decoder, at: &At) -> Option<NamedShape> {
     let fields = d.map(at, &["name", "point", "normal"])?;
     let name = name(d, &fields);
-    let point = fields.required("point", d).and_then(|at| d.numbers::<3>(&at));
+    let point = fields.required("point", d).and_then(|at| d.numbers_in::<3>(&at, -100.0..=100.0, "m"));
     let normal = fields.required("normal", d).and_then(|at| {
         let normal = d.numbers::<3>(&at)?;
         if normal.iter().map(|part| part * part).sum::<f64>() > 1e-6 {

@@ -84,8 +84,10 @@ pub(super) fn calibration_box(decoder: &mut Decoder, at: &At) -> Option<Calibrat
         CalibrationBox::around(places.map(|place| [place.x, place.y, place.z]))
     } else {
         let fields = decoder.map(at, &["low", "high"])?;
-        let low = fields.required("low", decoder).and_then(|at| decoder.numbers::<3>(&at));
-        let high = fields.required("high", decoder).and_then(|at| decoder.numbers::<3>(&at));
+        let low =
+            fields.required("low", decoder).and_then(|at| decoder.numbers_in::<3>(&at, -100.0..=100.0, "m"));
+        let high =
+            fields.required("high", decoder).and_then(|at| decoder.numbers_in::<3>(&at, -100.0..=100.0, "m"));
         Some(CalibrationBox { low_m: low?, high_m: high? })
     };
     let large = |found: &CalibrationBox| {

@@ -257,6 +257,9 @@ fn object_file(text: &str, source: &str) -> (Catalogue, Diagnostics) {
     };
     let mut decoder = Decoder::new(source);
     let found = decoder.map(&At::top(&node), &["version", "objects"]).and_then(|fields| {
+        if let Some(version) = fields.optional("version") {
+            decoder.integer(&version, 1..=1);
+        }
         let at = fields.required("objects", &mut decoder)?;
         Some(object_list(&mut decoder, &at))
     });

@@ -257,6 +257,18 @@ fn a_camera_that_stands_is_compared_with_the_empty_table_from_one_look_pose() {
 }
 
 #[test]
+fn places_that_no_cell_has_are_out_of_range() {
+    let from = CELL.find("centre_of_gravity_m: [").expect("the key") + "centre_of_gravity_m: [".len();
+    let to = from + CELL[from..].find(',').expect("three numbers");
+    let text = format!("{}-1e308{}", &CELL[..from], &CELL[to..]);
+    let reported = cell(&text).unwrap_err();
+    assert_eq!(reported.0.len(), 1, "{reported}");
+    assert!(reported.to_string().contains("out of range") && reported.to_string().contains("-1 and 1 m"));
+    let text = replace_once(CELL, "low: [-0.40, 0.12, 0.25]", "low: [-0.40, 1e9, 0.25]");
+    assert!(cell(&text).unwrap_err().to_string().contains("out of range"));
+}
+
+#[test]
 fn a_box_may_be_taught_by_its_corners() {
     let corners = "{corners_deg: [[-121.6, -128.7, 116.1, -77.4, -90, -31.6], [-77.4, -70.1, 64.8, -55.1, -109.6, 40.8], \
                    [-91.7, -91.7, 108.9, -108.9, -90, 0]]}";

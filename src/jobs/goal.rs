@@ -142,10 +142,13 @@ pub fn parse_goal_file(
     let entries = if node.get("workspace").is_some() {
         decode_instance_goals(&mut decoder, &top)
     } else {
-        let fields = decoder.map(&top, &["version", "objects"]);
-        fields
-            .and_then(|fields| fields.required("objects", &mut decoder))
-            .and_then(|at| decode_goal(&mut decoder, &at))
+        decoder.map(&top, &["version", "objects"]).and_then(|fields| {
+            if let Some(version) = fields.optional("version") {
+                decoder.integer(&version, 1..=1);
+            }
+            let objects = fields.required("objects", &mut decoder);
+            objects.and_then(|at| decode_goal(&mut decoder, &at))
+        })
     };
     if let (Some(entries), Some(context)) = (&entries, context) {
         check_goal(&mut decoder, entries, context);
@@ -283,6 +286,21 @@ mod tests {
             Ok(entries) => format!("{} fine", entries.len()),
             Err(complaints) => complaints.to_string(),
         }
+    }
+
+    #[test]
+    fn a_version_that_is_none_and_a_place_beyond_the_world_are_reported() {
+        let goal = "version: 1\nobjects:\n  - {id: plank-1, pose: [0.1, 0.1, 0]}\n";
+        assert_eq!(complaints(goal), "1 fine");
+        for (version, wanted) in [("x", "version"), ("2", "version"), ("-1e308", "version")] {
+            let reported = complaints(&replace_once(goal, "version: 1", &format!("version: {version}")));
+            assert!(
+                reported.starts_with("goal.yaml:1:10: version: ") && reported.contains(wanted),
+                "{reported}"
+            );
+        }
+        let far = complaints(&replace_once(goal, "[0.1, 0.1, 0]", "[0.1, -1e308, 0]"));
+        assert!(far.contains("goal.yaml:3:31") && far.contains("out of range"), "{far}");
     }
 
     #[test]

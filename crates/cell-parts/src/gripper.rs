@@ -68,7 +68,9 @@ pub fn gripper(decoder: &mut Decoder, at: &At) -> Option<GripperConfig> {
     });
     let vacuum_min = required_number(decoder, &fields, "vacuum_min", 0.05..=0.8, "of an atmosphere");
     let mass_kg = required_positive(decoder, &fields, "mass_kg", 5.0, "kg");
-    let centre = fields.required("centre_of_gravity_m", decoder).and_then(|at| decoder.numbers::<3>(&at));
+    let centre = fields
+        .required("centre_of_gravity_m", decoder)
+        .and_then(|at| decoder.numbers_in::<3>(&at, -1.0..=1.0, "m"));
     let cups = cups?;
     if cups.is_empty() {
         decoder.complain_at(at, "no cups are given", "add at least one to `cups`");

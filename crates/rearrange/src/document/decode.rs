@@ -302,8 +302,18 @@ impl Decoder {
         None
     }
 
-    /// Exactly `N` numbers.
+    /// Exactly `N` numbers: places, angles, pixels. None of these is larger than a million.
     pub fn numbers<const N: usize>(&mut self, at: &At) -> Option<[f64; N]> {
+        self.numbers_in(at, -1e6..=1e6, "")
+    }
+
+    /// Exactly `N` numbers, each in this range.
+    pub fn numbers_in<const N: usize>(
+        &mut self,
+        at: &At,
+        range: RangeInclusive<f64>,
+        unit: &str,
+    ) -> Option<[f64; N]> {
         let items = self.sequence(at)?;
         if items.len() != N {
             self.complain_at(at, format!("{} values, {N} are wanted", items.len()), "");
@@ -311,7 +321,7 @@ impl Decoder {
         }
         let mut out = [Some(0.0); N];
         for (slot, item) in out.iter_mut().zip(&items) {
-            *slot = self.number(item);
+            *slot = self.number_in(item, range.clone(), unit);
         }
         let mut numbers = [0.0; N];
         for (number, slot) in numbers.iter_mut().zip(out) {
