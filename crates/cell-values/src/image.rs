@@ -11,10 +11,14 @@ pub mod tag36h11;
 
 pub use tag36h11::tag36h11_bitmap;
 
+use std::borrow::Cow;
 use std::io::Cursor;
 
 /// Longest edge of a picture accepted from outside, pixels: more is a broken header, not a camera.
 pub const MAX_EDGE: u32 = 16_384;
+
+/// Bytes of a decoded picture at most: 32 million pixels of three.
+const MAX_DECODED_BYTES: u64 = 96 << 20;
 
 /// A colour picture, 8 bits per channel, rows from the top, no padding.
 #[derive(Clone, PartialEq, Eq)]
@@ -83,6 +87,31 @@ pub enum ImageError {
     Encode(#[source] image::ImageError),
 }
 
+/// The first bytes of every PNG file, and of a chunk: length and kind before its data, a checksum behind.
+const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
+const CHUNK: usize = 12;
+
+/// The bytes of a PNG file without what is no pixel: colour profiles and texts are packed, and a few of their
+/// bytes may unpack to hundreds of megabytes before the size of the picture is looked at. Other bytes, and a
+/// file that is cut short, come back as they are: the decoder has its word for them.
+fn pixels_alone(bytes: &[u8]) -> Cow<'_, [u8]> {
+    let Some(mut rest) = bytes.strip_prefix(PNG) else { return Cow::Borrowed(bytes) };
+    let mut kept = PNG.to_vec();
+    while let Some([a, b, c, d, kind @ ..]) = rest.first_chunk::<8>() {
+        let length = u32::from_be_bytes([*a, *b, *c, *d]) as usize;
+        let Some((chunk, next)) = length.checked_add(CHUNK).and_then(|end| rest.split_at_checked(end)) else {
+            break;
+        };
+        // Chunks without which there is no picture have a capital letter first.
+        if kind[0].is_ascii_uppercase() {
+            kept.extend_from_slice(chunk);
+        }
+        rest = next;
+    }
+    kept.extend_from_slice(rest);
+    Cow::Owned(kept)
+}
+
 impl Image {
     /// A picture of one colour.
     ///
@@ -114,13 +143,14 @@ impl Image {
     /// The picture in whatever kind of pixels the file has.
     fn decode_any(bytes: &[u8]) -> Result<image::DynamicImage, ImageError> {
         let failed = |source| ImageError::Decode { bytes: bytes.len(), source };
-        let mut reader = image::ImageReader::new(Cursor::new(bytes))
+        let pixels = pixels_alone(bytes);
+        let mut reader = image::ImageReader::new(Cursor::new(&*pixels))
             .with_guessed_format()
             .map_err(|error| failed(image::ImageError::IoError(error)))?;
         let mut limits = image::Limits::default();
         limits.max_image_width = Some(MAX_EDGE);
         limits.max_image_height = Some(MAX_EDGE);
-        limits.max_alloc = Some(256 << 20);
+        limits.max_alloc = Some(MAX_DECODED_BYTES);
         reader.limits(limits);
         reader.decode().map_err(failed)
     }
@@ -255,6 +285,47 @@ mod tests {
         assert!(matches!(Image::decode(b"hello"), Err(ImageError::Decode { .. })));
         assert!(matches!(Image::from_rgb(2, 2, vec![0; 11]), Err(ImageError::Length { needed: 12, .. })));
         assert!(matches!(GrayImage::from_data(0, 2, vec![]), Err(ImageError::Size { .. })));
+    }
+
+    #[test]
+    fn what_is_packed_into_a_png_besides_its_pixels_is_not_unpacked() {
+        let picture = Image::filled(40, 30, [200, 10, 90]);
+        let plain = picture.encode_png().unwrap();
+        let chunk = |kind: &[u8; 4], data: &[u8]| {
+            let length = u32::try_from(data.len()).unwrap().to_be_bytes();
+            [&length, kind.as_slice(), data, &[0; 4]].concat()
+        };
+        // Behind the header, whose chunk has 13 bytes.
+        let (head, tail) = plain.split_at(PNG.len() + CHUNK + 13);
+        let extras = [chunk(b"iCCP", b"profile\0\0packed"), chunk(b"zTXt", &[7; 300])].concat();
+        let with_extras = [head, &extras, tail].concat();
+        assert_eq!(&*pixels_alone(&with_extras), plain.as_slice());
+        assert_eq!(Image::decode(&with_extras).unwrap(), picture);
+        // A length that leads nowhere, and a file that is cut, are the decoder's.
+        for cut in [&with_extras[..head.len() + 20], &[PNG, &[0xff; 40]].concat()] {
+            assert_eq!(&*pixels_alone(cut), cut);
+            assert!(Image::decode(cut).is_err());
+        }
+    }
+
+    /// The checksum of a PNG chunk.
+    fn checksum(bytes: &[u8]) -> u32 {
+        let step = |sum: u32| if sum & 1 == 1 { (sum >> 1) ^ 0xedb8_8320 } else { sum >> 1 };
+        !bytes.iter().fold(!0, |sum, byte| (0..8).fold(sum ^ u32::from(*byte), |sum, _| step(sum)))
+    }
+
+    #[test]
+    fn a_picture_larger_than_any_camera_s_is_refused_by_its_size() {
+        let mut bytes = Image::filled(4, 4, [0; 3]).encode_png().unwrap();
+        let header = PNG.len() + 4..PNG.len() + 4 + 4 + 13;
+        let size = header.start + 4..header.start + 12;
+        bytes[size].copy_from_slice(&[0, 0, 0x2e, 0xe0, 0, 0, 0x2e, 0xe0]);
+        let sum = checksum(&bytes[header.clone()]).to_be_bytes();
+        bytes[header.end..header.end + 4].copy_from_slice(&sum);
+        let refused = Image::decode(&bytes);
+        let Err(ImageError::Decode { source: image::ImageError::Limits(_), .. }) = refused else {
+            panic!("{:?}", refused.map(|picture| picture.rgb.len()))
+        };
     }
 
     #[test]
