@@ -4,6 +4,7 @@
 //! be read or a value cannot be used.
 
 use crate::files::read_named;
+use std::borrow::Cow;
 use std::io::{IsTerminal, Write};
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -20,15 +21,28 @@ pub fn read_text(path: &Path) -> Result<String, String> {
         .map_err(|error| format!("{}: cannot be read: {}", path.display(), error.reason()))
 }
 
-/// Writes results to standard output. A reader that has gone away is no error of ours.
+/// Writes results to standard output, to a terminal without what it would obey. A reader that has gone
+/// away is no error of ours.
 pub fn print(text: &str) {
     let mut out = std::io::stdout().lock();
+    let text = if out.is_terminal() { harmless(text) } else { Cow::Borrowed(text) };
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }
 
-/// Writes complaints and progress to standard error.
+/// Writes complaints and progress to standard error, without what a terminal would obey.
 pub fn complain(text: &str) {
-    let _ = writeln!(std::io::stderr().lock(), "{text}");
+    let _ = writeln!(std::io::stderr().lock(), "{}", harmless(text));
+}
+
+/// The text with its control characters escaped, line ends and tabs apart: names of files and words from
+/// them may hold any.
+fn harmless(text: &str) -> Cow<'_, str> {
+    let obeyed = |c: char| c.is_control() && c != '\n' && c != '\t';
+    if !text.contains(obeyed) {
+        return Cow::Borrowed(text);
+    }
+    let escaped = |c: char| if obeyed(c) { c.escape_default().to_string() } else { c.to_string() };
+    Cow::Owned(text.chars().map(escaped).collect())
 }
 
 /// A number in a range; `unit` is for the message.
@@ -58,5 +72,16 @@ pub fn start_log(usual: &str) {
     lines.with_writer(std::io::stderr).init();
     if let Some(error) = fault {
         complain(&format!("CELLD_LOG cannot be read ({error}); logging {usual}"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::harmless;
+
+    #[test]
+    fn a_terminal_gets_nothing_to_obey() {
+        assert_eq!(harmless("two\n\tlines, ö"), "two\n\tlines, ö");
+        assert_eq!(harmless("a\x1b[2J\u{9b}b\r"), "a\\u{1b}[2J\\u{9b}b\\r");
     }
 }

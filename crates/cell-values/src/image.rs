@@ -91,9 +91,9 @@ pub enum ImageError {
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 const CHUNK: usize = 12;
 
-/// The bytes of a PNG file without what is no pixel: colour profiles and texts are packed, and a few of their
-/// bytes may unpack to hundreds of megabytes before the size of the picture is looked at. Other bytes, and a
-/// file that is cut short, come back as they are: the decoder has its word for them.
+/// The bytes of a PNG file without what is no pixel: colour profiles and texts are packed, and a few of
+/// their bytes may unpack to hundreds of megabytes before the size of the picture is looked at. Other
+/// bytes, and a file that is cut short, come back as they are: the decoder has its word for them.
 fn pixels_alone(bytes: &[u8]) -> Cow<'_, [u8]> {
     let Some(mut rest) = bytes.strip_prefix(PNG) else { return Cow::Borrowed(bytes) };
     let mut kept = PNG.to_vec();

@@ -3,7 +3,7 @@
 //! In: places and words from the reader of the text. Out: complaints as one line each, `file:line:column`
 //! first.
 
-use std::fmt;
+use std::fmt::{self, Write as _};
 
 /// A place in a text; both count from 1, columns in characters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Default)]
@@ -31,12 +31,26 @@ pub struct Diagnostic {
 
 impl fmt::Display for Diagnostic {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:{}:{}: ", self.source, self.at.line, self.at.column)?;
+        write!(f, "{}:{}:{}: ", OneLine(&self.source), self.at.line, self.at.column)?;
         if !self.path.is_empty() {
-            write!(f, "{}: ", self.path)?;
+            write!(f, "{}: ", OneLine(&self.path))?;
         }
-        f.write_str(&self.message)?;
-        if self.help.is_empty() { Ok(()) } else { write!(f, "; {}", self.help) }
+        OneLine(&self.message).fmt(f)?;
+        if self.help.is_empty() { Ok(()) } else { write!(f, "; {}", OneLine(&self.help)) }
+    }
+}
+
+/// A text from a file as one line that a terminal shows and does not obey: control characters, and those
+/// that change the direction of what follows, are escaped.
+struct OneLine<'a>(&'a str);
+
+impl fmt::Display for OneLine<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let turns = |c: char| matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+        self.0.chars().try_for_each(|c| match c.is_control() || turns(c) {
+            true => write!(f, "{}", c.escape_default()),
+            false => f.write_char(c),
+        })
     }
 }
 
@@ -55,3 +69,21 @@ impl fmt::Display for Diagnostics {
 }
 
 impl std::error::Error for Diagnostics {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_file_holds_is_shown_and_not_obeyed() {
+        let at = Location { line: 2, column: 1 };
+        let text = |text: &str| text.to_string();
+        let source = text("a\x1b[2J.yaml");
+        let (path, message) = (text("b\x1b[31m\u{9b}"), text("\"x\ny\u{202e}\u{7}\" is unknown"));
+        let complaint = Diagnostic { source, at, path, message, help: text("like ö") };
+        assert_eq!(
+            complaint.to_string(),
+            r#"a\u{1b}[2J.yaml:2:1: b\u{1b}[31m\u{9b}: "x\ny\u{202e}\u{7}" is unknown; like ö"#
+        );
+    }
+}
