@@ -179,10 +179,12 @@ pub(crate) fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
         .find_map(|month| std::fs::read_to_string(month.path().join(job).join("result.yaml")).ok())
 }
 
+/// No cell knows a lod.
+const BAD: &str = "version: 1\ngoal:\n  objects:\n    - {id: lod, pose: [0, 0, 0]}\n";
+
 /// What the daemon refuses, `submit` answers; both stand in the log at its usual level, with their date.
 fn refuses_at_once_and_in_its_log(folder: &Path) {
-    let job = "version: 1\ngoal:\n  objects:\n    - {id: lod, pose: [0, 0, 0]}\n";
-    std::fs::write(folder.join("bad2.yaml"), job).expect("written");
+    std::fs::write(folder.join("bad2.yaml"), format!("{BAD}seed: 2\n")).expect("written");
     let refused = celld(&["submit", "bad2.yaml"], folder);
     assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
     assert!(text(&refused.stdout).contains("rejected: "), "{}", text(&refused.stdout));
@@ -192,6 +194,14 @@ fn refuses_at_once_and_in_its_log(folder: &Path) {
         let line = log.lines().find(|line| line.contains(said));
         let line = line.unwrap_or_else(|| panic!("{said} is not in the log:\n{log}"));
         assert!(line.starts_with("20") && line[10..].starts_with('T'), "no date: {line}");
+    }
+}
+
+/// While a job waits for a person to arm the cell.
+fn says_what_to_do_and_how_each_device_is(status: &str) {
+    assert!(status.contains("to do: `celld arm` once the cell is clear"), "{status}");
+    for device in ["robot at 127.7.1.2: ", "gripper at 127.7.1.2:5020, unit 65: ready", "camera at "] {
+        assert!(status.contains(device), "{device}: {status}");
     }
 }
 
@@ -210,11 +220,7 @@ fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     let job = |id: &str, x: f64| {
         format!("version: 1\nid: {id}\ngoal:\n  objects:\n    - {{id: lid, pose: [{x}, 0.38, 0]}}\n")
     };
-    std::fs::write(
-        incoming.join("bad.yaml"),
-        "version: 1\ngoal:\n  objects:\n    - {id: lod, pose: [0, 0, 0]}\n",
-    )
-    .expect("written");
+    std::fs::write(incoming.join("bad.yaml"), BAD).expect("written");
     let reason = state.join("jobs/rejected/bad.yaml.reason.yaml");
     wait_until("the bad job is rejected", || reason.is_file());
     assert!(std::fs::read_to_string(&reason).expect("text").contains("did you mean \\\"lid\\\""));
@@ -224,10 +230,7 @@ fn cell_works_on_job_files_as_two_processes_and_ctrl_c_names_the_job() {
     wait_until("the job is taken up", || state.join("jobs/active/one").is_dir());
     let status = || text(&celld(&["status"], folder.path()).stdout);
     wait_until("the job waits for a person", || status().contains("the cell is disarmed"));
-    assert!(status().contains("to do: `celld arm` once the cell is clear"), "{}", status());
-    for device in ["robot at 127.7.1.2: ", "gripper at 127.7.1.2:5020, unit 65: ready", "camera at "] {
-        assert!(status().contains(device), "{device}: {}", status());
-    }
+    says_what_to_do_and_how_each_device_is(&status());
     assert_eq!(program_state("127.7.1.2"), "STOPPED", "not even the program is started");
     wait_until("the cell is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));
     wait_until("the job is done", || result_of(&state, "done", "one").is_some());
