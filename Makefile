@@ -131,7 +131,7 @@ test-clients: clients
 	@if cargo nextest --version >/dev/null 2>&1; then \
 	  cargo nextest run -E 'test(/^third_party::/) | test(/realsense::tests::/)'; \
 	else \
-	  cargo test --test it -- third_party::; cargo test --lib -- realsense::tests::; \
+	  cargo test --test it -- third_party::; cargo test --lib -- realsense::tests:: --test-threads=1; \
 	fi
 
 bench: setup

@@ -44,6 +44,6 @@ pub(super) enum ClientError {
 
 /// The error with its causes on stderr; exit code 1.
 pub(super) fn complain(error: &ClientError) -> u8 {
-    eprintln!("{}", chain(error));
+    cell_edge::terminal::complain(&chain(error));
     1
 }

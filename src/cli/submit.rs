@@ -48,7 +48,7 @@ pub fn submit(args: &SubmitArgs) -> u8 {
     let (job, text) = match prepared {
         Ok(prepared) => prepared,
         Err(message) => {
-            eprintln!("{message}");
+            cell_edge::terminal::complain(&message);
             return 2;
         }
     };
@@ -70,7 +70,7 @@ fn verdict(state: &StateFolder, handed: &Handed) -> u8 {
         match takes {
             Ok(true) => {}
             Ok(false) => {
-                eprintln!("{}: no daemon takes jobs now; the next one reads it", handed.id);
+                eprintln!("{}: no daemon takes jobs yet; it is read by the first that does", handed.id);
                 return 0;
             }
             Err(error) => return complain(&error.into()),

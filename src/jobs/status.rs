@@ -3,7 +3,7 @@
 //! In and out: [`Status`] as JSON. The daemon writes the file whole on every change and every few seconds;
 //! whether it is alive says the lock, not this file.
 
-use cell_edge::files::{FileError, read_regular, write_atomic};
+use cell_edge::files::{FileError, read_regular, write_whole};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,7 +23,7 @@ pub struct Status {
     pub state: String,
     /// One sentence for the operator.
     pub message: String,
-    /// What to do; empty when there is nothing to do.
+    /// What to do; empty when nothing is known.
     pub hint: String,
     /// Motion is allowed.
     pub armed: bool,
@@ -37,7 +37,7 @@ pub struct Status {
     pub paused: bool,
     /// The active job.
     pub job: Option<String>,
-    /// The step under way, from 1, and how many the plan has.
+    /// Pick-n-places made, and how many the present plan has in all.
     pub step: Option<(u32, u32)>,
     /// What hangs on the gripper, may hang or fell.
     pub holding: Option<String>,
@@ -95,7 +95,7 @@ impl Status {
     /// The system refuses to write the file.
     pub fn write(&self, path: &Path) -> Result<(), FileError> {
         let text = serde_json::to_string_pretty(self).expect("a status has string keys only");
-        write_atomic(path, text.as_bytes())
+        write_whole(path, text.as_bytes())
     }
 
     /// Reads the file; `None` when there is none or it is of another version.

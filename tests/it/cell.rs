@@ -182,7 +182,7 @@ pub(crate) fn result_of(state: &Path, end: &str, job: &str) -> Option<String> {
 /// No cell knows a lod.
 const BAD: &str = "version: 1\ngoal:\n  objects:\n    - {id: lod, pose: [0, 0, 0]}\n";
 
-/// What the daemon refuses, `submit` answers; both stand in the log at its usual level, with their date.
+/// What the daemon refuses, `submit` answers; both are in the log at its usual level, with their date.
 fn refuses_at_once_and_in_its_log(folder: &Path) {
     std::fs::write(folder.join("bad2.yaml"), format!("{BAD}seed: 2\n")).expect("written");
     let refused = celld(&["submit", "bad2.yaml"], folder);

@@ -193,6 +193,22 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     sync_folder(parent(path))
 }
 
+/// The same without a sync: whole at any time, and after a power cut perhaps an old one or none. For what is
+/// written so often that a sync each time would wear the disk and hold others up.
+///
+/// # Errors
+/// The system refuses to write or to rename ([`FileError::Io`]).
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    let temporary = temporary_name(path);
+    let written = std::fs::write(&temporary, bytes).map_err(|e| FileError::io("write", &temporary, e));
+    let result = written
+        .and_then(|()| std::fs::rename(&temporary, path).map_err(|e| FileError::io("rename to", path, e)));
+    if result.is_err() {
+        let _ = std::fs::remove_file(&temporary);
+    }
+    result
+}
+
 /// A hidden name beside `path`, of this process.
 pub fn temporary_name(path: &Path) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();

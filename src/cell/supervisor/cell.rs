@@ -289,7 +289,7 @@ impl Supervisor {
             grip_failures: 0,
             look_failures: 0,
             doubt: None,
-            gone: None,
+            gone: Vec::new(),
             absent_reported: false,
             last_seen: Vec::new(),
             cancel: false,

@@ -20,7 +20,7 @@ impl Supervisor {
         let (ready, message) = match &self.camera {
             None => (true, "no picture was wanted yet".to_string()),
             Some(Ok(())) => (true, "gave a picture when one was wanted last".to_string()),
-            Some(Err(fault)) => (false, fault.clone()),
+            Some(Err(fault)) => (false, format!("at the last picture: {fault}")),
         };
         DeviceNote { name: "camera", ready, message }
     }

@@ -25,9 +25,6 @@ const STILL_RAD_S: f64 = 5e-4;
 /// And as not having moved during a frame below this joint difference, rad.
 const SAME_PLACE_RAD: f64 = 2e-4;
 
-/// What is said after the reason for another look, if the arm makes it now.
-pub(crate) const AGAIN: &str = "; the arm looks again now";
-
 impl Look {
     /// On the way to the first pose of a plan.
     pub(crate) fn begun(plan: LookPlan) -> Look {
@@ -293,6 +290,7 @@ impl Supervisor {
     pub(crate) fn give_up_looking(&mut self, now: Timestamp, fault: &CameraFault, out: &mut Vec<Action>) {
         self.phase = Phase::Ready;
         self.seen = None;
+        self.camera = Some(Err(fault.message.clone()));
         if self.back.recovery.is_some() {
             return self.end_recovery(Err(format!("{}; {}", fault.message, fault.hint)), out);
         }
@@ -339,9 +337,9 @@ impl Supervisor {
             // It showed what it had to: that nothing hangs on the cups. The table is looked at next.
             return;
         }
-        if self.is_gone(&observation, &stops, out) {
+        if let Some(doubt) = self.gone(&observation, &stops) {
             self.seen = None;
-            return;
+            return self.look_again(now, doubt, out);
         }
         let observation = match region {
             Some(region) => self.with_what_is_remembered(observation, &region),
@@ -390,7 +388,7 @@ impl Supervisor {
         }
         job.look_failures += 1;
         job.doubt = Some(doubt.message.clone());
-        let again = if goes_on && !job.cancel { AGAIN } else { "" };
+        let again = if goes_on && !job.cancel { "; the arm looks again now" } else { "" };
         say(out, format!("{}{again}", doubt.message));
     }
 }

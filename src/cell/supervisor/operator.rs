@@ -151,6 +151,7 @@ impl Supervisor {
         (self.back.fell, self.back.last_stop, self.back.error) = (None, None, None);
         self.back.weak = None;
         self.seen = None;
+        self.job.iter_mut().for_each(|job| job.gone.clear());
         self.foreign_height = 0.0;
         self.drift_reported = false;
         if matches!(self.phase, Phase::Plan) {

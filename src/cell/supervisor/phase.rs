@@ -187,8 +187,8 @@ pub(crate) struct JobRun {
     pub look_failures: u32,
     /// Why what was seen could not be acted upon.
     pub doubt: Option<String>,
-    /// What the last look showed in one picture and not in a later one that shows its place.
-    pub gone: Option<String>,
+    /// What the last look showed in one picture and not in a later one that shows its place, and where.
+    pub gone: Vec<(String, Pose2)>,
     /// It was said which objects of the catalogue are not seen.
     pub absent_reported: bool,
     pub last_seen: Vec<(String, Pose2)>,

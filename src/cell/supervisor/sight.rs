@@ -8,13 +8,12 @@
 //! there. The whole table is looked at when nothing is known of it, at the end of a job, when a look shows
 //! anything unexpected, and every so many pick-n-places.
 
+use crate::cell::code::Code;
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::input::Action;
-use crate::cell::supervisor::look::AGAIN;
 use crate::cell::supervisor::look_plan::{LookPlan, Sight, Stop};
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::RouteAction;
-use crate::cell::supervisor::reason::say;
+use crate::cell::supervisor::reason::Reason;
 use crate::motion::bodies::sweep::{Sweep, Zone};
 use crate::motion::cycle_time::rest_to_rest;
 use crate::motion::pick_n_place::{tool_down, wound};
@@ -39,6 +38,9 @@ const AROUND_M: f64 = 0.015;
 /// Room round a marker that a look has to show where it was, m; one that is farther off is missing, and the
 /// whole table is looked at.
 const RIM_M: f64 = 0.001;
+
+/// Two looks agree about a place to this, m.
+const SAME_PLACE_M: f64 = 2e-3;
 
 /// What a stop for a picture costs besides the way, s.
 const STOP_S: f64 = 0.1;
@@ -194,19 +196,25 @@ impl Supervisor {
         Observation { objects, missing, foreign, ..now }
     }
 
-    /// An object was in one picture and is not in a later one that shows its place: something took it away
-    /// between them, or is before it. The whole table is looked at once more; what is the same then is
-    /// believed, for what is before it stays there.
-    pub(crate) fn is_gone(&mut self, now: &Observation, stops: &[Stop], out: &mut Vec<Action>) -> bool {
-        let gone = now.objects.iter().find(|object| self.should_have_shown(object, stops));
-        let gone = gone.map(|object| object.id.clone());
-        let goes_on = self.mode.armed() && !self.mode.paused();
-        let Some(job) = &mut self.job else { return false };
-        let before = std::mem::replace(&mut job.gone, gone.clone());
-        let Some(id) = gone.filter(|id| before.as_ref() != Some(id)) else { return false };
-        let again = if goes_on && !job.cancel { AGAIN } else { "" };
-        say(out, format!("{id} is in one picture and not in a later one that shows its place{again}"));
-        true
+    /// What is in one picture and not in a later one that shows its place: something took it away between
+    /// them, or is before it. `None` where there is nothing of that kind, and where the look before has
+    /// shown the same at the same places: what is before it stays there.
+    pub(crate) fn gone(&mut self, now: &Observation, stops: &[Stop]) -> Option<Reason> {
+        let gone = now.objects.iter().filter(|object| self.should_have_shown(object, stops));
+        let gone: Vec<(String, Pose2)> = gone.map(|object| (object.id.clone(), object.pose)).collect();
+        let job = self.job.as_mut()?;
+        let before = std::mem::take(&mut job.gone);
+        let known = |(id, pose): &(String, Pose2)| {
+            before.iter().any(|(other, at)| other == id && at.distance(pose) < SAME_PLACE_M)
+        };
+        if gone.iter().all(known) {
+            return None;
+        }
+        let (id, _) = gone.first()?;
+        let message = format!("{id} is in one picture and not in a later one that shows its place");
+        let reason = Code::ObjectUncertain.because(message, "see that nothing moves on the table").of(id);
+        job.gone = gone;
+        Some(reason)
     }
 
     /// A stop of a look that came after the last picture of an object shows the place of its marker.

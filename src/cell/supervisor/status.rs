@@ -133,7 +133,7 @@ impl Supervisor {
             moves: job.map_or(0, |job| job.moves),
             last_move: job.and_then(|_| self.times.last_move()),
             remaining_moves: job.and_then(|job| job.route.as_ref()).map_or(0, Vec::len),
-            because: job.and_then(|job| job.doubt.clone()),
+            because: job.and_then(|job| job.doubt.clone()).filter(|_| matches!(self.phase, Phase::Look(_))),
             hint: self.hint(),
             stopped: self.back.last_stop.as_ref().map(|stop| {
                 let Reason { code, message, hint, .. } = stop.reason.clone();
@@ -146,29 +146,40 @@ impl Supervisor {
     /// What a person is to do now.
     fn hint(&self) -> String {
         let stopped = self.back.last_stop.as_ref().filter(|_| !self.mode.armed());
-        match (&self.phase, &self.waiting_for, &self.job) {
-            (Phase::Approve, _, Some(job)) => {
+        match &self.phase {
+            Phase::Approve => self.job.as_ref().map_or_else(String::new, |job| {
                 let id = &job.order.id;
                 format!("look at the plan, then `celld approve {id}` or `celld reject {id}`")
+            }),
+            Phase::Look(look) => {
+                look.fault.as_ref().map_or_else(String::new, |fault| self.hands_off_first(fault.hint))
             }
-            (Phase::Look(look), ..) => look.fault.as_ref().map_or("", |fault| fault.hint).to_string(),
-            (Phase::Ready, Some(reason), Some(_)) if stopped.is_none() => reason.hint().to_string(),
-            (Phase::Ready, ..) if self.mode.ending() => String::new(),
-            (Phase::Ready, ..) => match stopped {
-                Some(stop) => stop.reason.hint.clone(),
-                None if self.mode.armed() && self.mode.paused() => "`celld resume` goes on".to_string(),
-                None => self.locked().map_or("", |closed| closed.hint()).to_string(),
+            Phase::Ready if self.mode.ending() => String::new(),
+            Phase::Ready if !self.stands || !self.arm_settled => "wait until the arm is at rest".to_string(),
+            Phase::Ready if self.back.recovery.is_some() => String::new(),
+            Phase::Ready => match (self.locked(), stopped, &self.waiting_for) {
+                (Some(closed), ..) => closed.hint().to_string(),
+                (None, Some(stop), _) => stop.reason.hint.clone(),
+                (None, None, Some(reason)) => self.hands_off_first(reason.hint()),
+                (None, None, None) if self.mode.armed() && self.mode.paused() => {
+                    "`celld resume` goes on".to_string()
+                }
+                (None, None, None) => String::new(),
             },
-            (
-                Phase::Approve
-                | Phase::BringUp(_)
-                | Phase::Plan
-                | Phase::Work(_)
-                | Phase::Park
-                | Phase::Recover(_)
-                | Phase::Visit(_),
-                ..,
-            ) => String::new(),
+            Phase::BringUp(_)
+            | Phase::Plan
+            | Phase::Work(_)
+            | Phase::Park
+            | Phase::Recover(_)
+            | Phase::Visit(_) => String::new(),
+        }
+    }
+
+    /// An armed cell goes on by itself as soon as it can: nobody is sent to it before it is disarmed.
+    fn hands_off_first(&self, hint: &str) -> String {
+        match self.mode.armed() && !hint.is_empty() {
+            true => format!("`celld disarm` before going to it; {hint}"),
+            false => hint.to_string(),
         }
     }
 

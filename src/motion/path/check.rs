@@ -302,6 +302,9 @@ fn trace_linear(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Resu
         samples = (2 * samples).min(POINTS);
         points = on_line(model, from, [&start, &end], samples, leg)?;
     }
+    if bends(&points) > BENT_RAD {
+        return Err(PathFault::Singular { which: "wrist" });
+    }
     // The controller follows the same branch: it has to arrive at the joints that were requested.
     if points.last().is_none_or(|last| last.max_difference(to) > 1e-3) {
         return Err(PathFault::Singular { which: "wrist" });

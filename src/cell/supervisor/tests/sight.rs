@@ -3,6 +3,8 @@
 
 use super::*;
 use crate::cell::device::gripper_types::GripperEvent;
+use crate::cell::supervisor::input::CameraFault;
+use crate::cell::supervisor::status::Doing;
 use crate::cell::views::SightModel;
 use cell_vision::camera::CameraModel;
 use cell_vision::observe::{PartialLook, ReferenceMarker, View};
@@ -202,7 +204,7 @@ fn what_a_part_need_not_show_is_remembered_and_what_it_should_show_and_does_not_
 
 /// A look from two stops, the second of which shows `a` or is far from it; `a` is in the first picture
 /// alone.
-fn seen_from_the_first_stop_alone(bench: &mut Bench, first: u32, shows: bool) -> Vec<Action> {
+fn seen_from_the_first_stop_alone(bench: &mut Bench, first: u32, shows: bool, gone: usize) -> Vec<Action> {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let mut taken = Vec::new();
     for (batch, y) in (first..).zip([0.25, if shows { 0.2 } else { 2.0 }]) {
@@ -215,7 +217,7 @@ fn seen_from_the_first_stop_alone(bench: &mut Bench, first: u32, shows: bool) ->
         bench.feed(Input::Captured(Ok(vec![view])));
     }
     let mut observed = seen(bench, &[("a", bench.at), ("b", AT_B), ("c", AT_C)]);
-    observed.objects[0].time = taken[0];
+    observed.objects[..gone].iter_mut().for_each(|object| object.time = taken[0]);
     bench.feed(Input::Observed(Ok(Box::new(observed))))
 }
 
@@ -223,13 +225,43 @@ fn seen_from_the_first_stop_alone(bench: &mut Bench, first: u32, shows: bool) ->
 fn what_is_not_in_a_later_picture_that_shows_its_place_is_looked_for_once_more() {
     let plans = |actions: &[Action]| actions.iter().any(|action| matches!(action, Action::Plan(_)));
     let mut bench = about_to_look(vec![HOME, HOME]);
-    assert!(plans(&seen_from_the_first_stop_alone(&mut bench, 1, false)));
+    assert!(plans(&seen_from_the_first_stop_alone(&mut bench, 1, false, 1)));
     let mut bench = about_to_look(vec![HOME, HOME]);
-    let looks = seen_from_the_first_stop_alone(&mut bench, 1, true);
+    let looks = seen_from_the_first_stop_alone(&mut bench, 1, true, 1);
     assert!(!plans(&looks) && streams(&looks) == 1, "{looks:?}");
     assert!(bench.cell.observation().is_none());
     // What is before it stays there.
-    assert!(plans(&seen_from_the_first_stop_alone(&mut bench, 3, true)));
+    assert!(plans(&seen_from_the_first_stop_alone(&mut bench, 3, true, 1)));
+}
+
+#[test]
+fn what_a_second_object_does_is_not_covered_by_the_first_and_looks_end() {
+    let mut bench = about_to_look(vec![HOME, HOME]);
+    seen_from_the_first_stop_alone(&mut bench, 1, true, 1);
+    let because = bench.cell.status().because.expect("why it looks again");
+    assert!(because.contains("a is in one picture"), "{because}");
+    // `a` is before the second stop for good; now `b` is gone too.
+    let over = seen_from_the_first_stop_alone(&mut bench, 3, true, 2);
+    assert_eq!(ended(&over), Some((JobStatus::Failed, "object_uncertain:a".into())), "{over:?}");
+}
+
+#[test]
+fn no_hint_sends_a_person_to_an_armed_arm() {
+    let mut bench = about_to_look(vec![HOME]);
+    bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+    bench.ticks(10);
+    let fault = CameraFault {
+        code: Code::CameraDark,
+        message: "the picture is dark".into(),
+        hint: "uncover the lens",
+        lasting: false,
+    };
+    bench.feed(Input::Captured(Err(fault)));
+    assert_eq!(bench.cell.status().hint, "`celld disarm` before going to it; uncover the lens");
+    bench.feed(order(Order::Abort));
+    let status = bench.cell.status();
+    assert_eq!((status.doing, status.hint.as_str()), (Doing::Stopping, "wait until the arm is at rest"));
+    assert_eq!(status.stopped.map(|stop| stop.code), Some(Code::Aborted));
 }
 
 #[test]
@@ -333,7 +365,7 @@ fn a_picture_that_cannot_be_searched_ends_the_look_at_the_next_stop() {
     bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
     bench.ticks(10);
     bench.feed(Input::Exposed);
-    let fault = crate::cell::supervisor::input::CameraFault {
+    let fault = CameraFault {
         code: Code::DetectionFailed,
         message: "the marker detector failed".into(),
         hint: "start the daemon again",
