@@ -36,7 +36,8 @@ pub enum Format {
 /// Commands to the cell.
 #[derive(Subcommand, Debug)]
 pub enum ClientCommand {
-    /// Hand in a job; works with the daemon off.
+    /// Hand in a job; works with the daemon off. While one runs, its verdict is waited for: 2 when it
+    /// refuses the job.
     Submit(SubmitArgs),
     /// List jobs, newest first.
     Jobs {

@@ -292,12 +292,9 @@ mod tests {
     fn a_version_that_is_none_and_a_place_beyond_the_world_are_reported() {
         let goal = "version: 1\nobjects:\n  - {id: plank-1, pose: [0.1, 0.1, 0]}\n";
         assert_eq!(complaints(goal), "1 fine");
-        for (version, wanted) in [("x", "version"), ("2", "version"), ("-1e308", "version")] {
+        for version in ["x", "2", "-1e308"] {
             let reported = complaints(&replace_once(goal, "version: 1", &format!("version: {version}")));
-            assert!(
-                reported.starts_with("goal.yaml:1:10: version: ") && reported.contains(wanted),
-                "{reported}"
-            );
+            assert!(reported.starts_with("goal.yaml:1:10: version: "), "{reported}");
         }
         let far = complaints(&replace_once(goal, "[0.1, 0.1, 0]", "[0.1, -1e308, 0]"));
         assert!(far.contains("goal.yaml:3:31") && far.contains("out of range"), "{far}");

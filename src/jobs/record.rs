@@ -24,7 +24,7 @@ pub struct GoalPose {
 }
 
 /// A job after all checks: the goal resolved, everything else as the file said.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
 pub struct JobSpec {
     /// The file's own id.
     pub id: Option<String>,

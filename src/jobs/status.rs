@@ -1,6 +1,6 @@
 //! What the daemon says about itself in `STATE/status.json`, for `celld status` and other programs.
 //!
-//! In and out: [`Status`] as JSON. The daemon writes the file whole on every change and every few seconds;
+//! In and out: [`Status`] as JSON. The daemon writes the file whole on every change and every second;
 //! whether it is alive says the lock, not this file.
 
 use cell_edge::files::{FileError, read_regular, write_whole};
@@ -194,18 +194,7 @@ mod tests {
             name: "a.yaml".into(),
             sha256: String::new(),
             text: String::new(),
-            spec: JobSpec {
-                id: None,
-                goal: Vec::new(),
-                objective: None,
-                solver: None,
-                time_limit_s: None,
-                seed: None,
-                priority: 0,
-                not_before_unix_s: None,
-                approval: None,
-                rerun: false,
-            },
+            spec: JobSpec::default(),
             state: JobState::Ended(JobStatus::Done),
             approved: None,
             claimed_unix_s: 0.0,

@@ -183,13 +183,7 @@ fn text(path: &Path, bytes: Vec<u8>) -> Result<String, FileError> {
 /// The system refuses to create, write, rename or sync the file ([`FileError::Io`]). Until the rename has
 /// succeeded, the old file stays as it was.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    let temporary = temporary_name(path);
-    let result = write_synced(&temporary, bytes)
-        .and_then(|()| std::fs::rename(&temporary, path).map_err(|e| FileError::io("rename to", path, e)));
-    if result.is_err() {
-        let _ = std::fs::remove_file(&temporary);
-    }
-    result?;
+    replace(path, |temporary| write_synced(temporary, bytes))?;
     sync_folder(parent(path))
 }
 
@@ -199,9 +193,15 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 /// # Errors
 /// The system refuses to write or to rename ([`FileError::Io`]).
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    replace(path, |temporary| {
+        std::fs::write(temporary, bytes).map_err(|e| FileError::io("write", temporary, e))
+    })
+}
+
+/// Puts what `write` makes in the place of `path`; nothing is left of what fails.
+fn replace(path: &Path, write: impl FnOnce(&Path) -> Result<(), FileError>) -> Result<(), FileError> {
     let temporary = temporary_name(path);
-    let written = std::fs::write(&temporary, bytes).map_err(|e| FileError::io("write", &temporary, e));
-    let result = written
+    let result = write(&temporary)
         .and_then(|()| std::fs::rename(&temporary, path).map_err(|e| FileError::io("rename to", path, e)));
     if result.is_err() {
         let _ = std::fs::remove_file(&temporary);
@@ -326,12 +326,17 @@ mod tests {
 
     #[test]
     fn atomic_write_replaces_and_leaves_no_temporary_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("status.json");
-        write_atomic(&path, b"one").unwrap();
-        write_atomic(&path, b"two").unwrap();
-        assert_eq!(std::fs::read(&path).unwrap(), b"two");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+        for write in [write_atomic, write_whole] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("status.json");
+            write(&path, b"one").unwrap();
+            write(&path, b"two").unwrap();
+            assert_eq!(std::fs::read(&path).unwrap(), b"two");
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+            // A folder cannot be replaced; what was written beside it is gone.
+            assert!(write(folder.path(), b"three").is_err());
+            assert!(!temporary_name(folder.path()).exists());
+        }
     }
 
     #[test]

@@ -18,7 +18,7 @@ impl Supervisor {
 
     fn camera_note(&self) -> DeviceNote {
         let (ready, message) = match &self.camera {
-            None => (true, "no picture was wanted yet".to_string()),
+            None => (false, "not known: no picture was wanted yet".to_string()),
             Some(Ok(())) => (true, "gave a picture when one was wanted last".to_string()),
             Some(Err(fault)) => (false, format!("at the last picture: {fault}")),
         };

@@ -9,18 +9,7 @@ use rearrange::geometry::pose::Pose2;
 const NOW: f64 = 1_795_248_000.0;
 
 fn spec(priority: i64, not_before_unix_s: Option<f64>, rerun: bool) -> JobSpec {
-    JobSpec {
-        id: None,
-        goal: Vec::new(),
-        objective: None,
-        solver: None,
-        time_limit_s: None,
-        seed: None,
-        priority,
-        not_before_unix_s,
-        approval: None,
-        rerun,
-    }
+    JobSpec { priority, not_before_unix_s, rerun, ..JobSpec::default() }
 }
 
 fn claim(journal: &mut Journal, id: &str, sha256: &str, spec: &JobSpec) -> Claim {

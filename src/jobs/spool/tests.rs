@@ -26,15 +26,7 @@ fn read(text: &str, _name: &str) -> Result<JobSpec, Refusal> {
     }
     Ok(JobSpec {
         id: text.lines().find_map(|line| line.strip_prefix("id ")).map(str::to_owned),
-        goal: Vec::new(),
-        objective: None,
-        solver: None,
-        time_limit_s: None,
-        seed: None,
-        priority: 0,
-        not_before_unix_s: None,
-        approval: None,
-        rerun: false,
+        ..JobSpec::default()
     })
 }
 
