@@ -276,6 +276,8 @@ fn order_of(instance: &Instance, seed: u64) -> JobOrder {
         time_limit: Duration::from_secs(2),
         seed,
         approval: Approval::Never,
+        rule: None,
+        agreed: Vec::new(),
     }
 }
 

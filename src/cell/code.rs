@@ -100,6 +100,7 @@ pub enum Code {
     ObjectStuck,
     GripperUnreachable,
     Infeasible,
+    NoArrangement,
     BadStart,
     NoPlan,
     SolverUnfit,
@@ -215,7 +216,7 @@ impl Code {
 }
 
 /// Places, words and meanings, in the order of the enum.
-const TABLE: [(Code, Place, &str, &str); 83] = [
+const TABLE: [(Code, Place, &str, &str); 84] = [
     (Code::Done, Place::Result, "done", "every object is at its goal, and the camera shows it"),
     (Code::Cancelled, Place::Result, "cancelled", "a person cancelled the job"),
     (Code::PlanRejected, Place::Result, "plan_rejected", "a person rejected the plan"),
@@ -318,6 +319,12 @@ const TABLE: [(Code, Place, &str, &str); 83] = [
     ),
     (Code::GripperUnreachable, Place::Result, "gripper_unreachable", "the gripper stopped answering"),
     (Code::Infeasible, Place::Result, "infeasible", "it is proved that there is no plan"),
+    (
+        Code::NoArrangement,
+        Place::Result,
+        "no_arrangement",
+        "no arrangement was found that follows the goal's rule on the table as it is",
+    ),
     (Code::BadStart, Place::Result, "bad_start", "the measured table is no valid start"),
     (Code::NoPlan, Place::Result, "no_plan", "no plan was found in time"),
     (Code::SolverUnfit, Place::Result, "solver_unfit", "the chosen solver does not solve this kind of job"),

@@ -141,7 +141,7 @@ fn check_as(kind: Kind, path: &Path, text: &str, source: &str, with: With) -> Re
         Kind::Job => {
             let read_goal = |name: &str| read_text(&beside(path, name));
             let approval = with.cell.map_or(Approval::Never, |cell| cell.approval);
-            let context = JobContext { goal, approval, read_goal: &read_goal };
+            let context = JobContext { goal, approval, read_goal: &read_goal, found: None };
             read_job(text, source, &context).map(drop).map_err(reported)
         }
         Kind::Goal => parse_goal_file(text, source, goal.as_ref()).map(drop).map_err(reported),

@@ -7,19 +7,29 @@ use crate::jobs::state::{StateError, StateFolder};
 use cell_edge::files::FileError;
 use clap::Args;
 use rearrange::document::chain::chain;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Where the daemon is found.
 #[derive(Args, Clone, Debug)]
 pub struct StateArg {
-    /// The state folder.
-    #[arg(long, default_value = "./state")]
-    pub state: PathBuf,
+    /// The state folder; default: ./state where there is one, else /var/lib/celld.
+    #[arg(long, value_name = "DIR")]
+    pub state: Option<PathBuf>,
 }
+
+/// The state folder of a cell that is not installed, below the present folder.
+const HERE: &str = "./state";
+
+/// The state folder of the installed service.
+const INSTALLED: &str = "/var/lib/celld";
 
 impl StateArg {
     pub(super) fn folder(&self) -> StateFolder {
-        StateFolder::new(&self.state)
+        let fallback = || {
+            let installed = !Path::new(HERE).exists() && Path::new(INSTALLED).exists();
+            PathBuf::from(if installed { INSTALLED } else { HERE })
+        };
+        StateFolder::new(self.state.clone().unwrap_or_else(fallback))
     }
 }
 

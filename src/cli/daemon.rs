@@ -11,10 +11,12 @@ use crate::config::empty::compare_with_empty;
 use crate::config::load::load_cell;
 use crate::config::setup::{cell_model, cell_objects, gripper_address, machine_parameters, scene};
 use crate::daemon::cameras;
-use crate::daemon::keeper::{StateKeeper, StateOrders};
+use crate::daemon::keeper::StateKeeper;
+use crate::daemon::last_picture::LastPicture;
 use crate::daemon::recorder::{self, Recorder};
 use crate::daemon::shell::{Observer, Scene, Shell};
 use crate::daemon::sockets::Addresses;
+use crate::daemon::state_orders::StateOrders;
 use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::doctor::files::blocked_poses;
 use crate::io::camera::monitored::MonitoredCamera;
@@ -67,7 +69,8 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
             return 1;
         }
     };
-    with_runtime(stop, |stop| daemon(config, calibration, state, stop))
+    let config_file = args.config.clone();
+    with_runtime(stop, |stop| daemon(config, config_file, calibration, state, stop))
 }
 
 /// Old pictures must not move a real arm.
@@ -139,6 +142,7 @@ pub(super) fn open_camera(config: &CellConfig, lens: Option<CameraModel>) -> Res
 
 async fn daemon(
     config: CellConfig,
+    config_file: PathBuf,
     calibration: CalibrationSet,
     state: StateFolder,
     stop: Arc<AtomicBool>,
@@ -185,9 +189,11 @@ async fn daemon(
         diagnostic_images: Some(diagnostic_images),
     });
     shell.commission(model, config.arm_at_start);
-    shell.keep_in(Box::new(keeper), Box::new(orders));
+    let pictures = LastPicture::default();
+    shell.keep_in(Box::new(keeper.with(pictures.clone(), &config_file)), Box::new(orders));
     complain("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
-    let mut lines = Lines { recorder: config.recording.as_ref().map(recorder::start).transpose()? };
+    let recorder = config.recording.as_ref().map(recorder::start).transpose()?;
+    let mut lines = Lines { recorder, pictures };
     let ended = shell.run(&mut lines, &stop).await.map_err(|error| error.to_string());
     if let Some(fault) = lines.recorder.as_mut().and_then(Recorder::close) {
         complain(&format!("recording: {fault}"));
@@ -195,13 +201,17 @@ async fn daemon(
     ended
 }
 
-/// The recording; sentences go into the log (`daemon/shell`).
+/// The recording and the last picture; sentences go into the log (`daemon/shell`).
 struct Lines {
     recorder: Option<Recorder>,
+    pictures: LastPicture,
 }
 
 impl Observer for Lines {
     fn on(&mut self, now: Timestamp, scene: Scene) {
+        if let Scene::Displayed(displayed) = &scene {
+            self.pictures.keep(displayed);
+        }
         if let Some(recorder) = &mut self.recorder {
             recorder.on(now, &scene);
         }

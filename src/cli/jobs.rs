@@ -5,15 +5,14 @@
 
 use crate::cell::orders::{Reply, WayBack};
 use crate::cli::client::{ClientError, StateArg, complain};
+use crate::cli::history::{self, JobsArgs, ReportArgs, WhyArgs};
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
+use crate::cli::watch::WatchArgs;
 use crate::jobs::command::{Command, Given, ReleaseChannel, Sent};
-use crate::jobs::journal::Journal;
-use crate::jobs::record::{JobRecord, quoted};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{STARTING, Status};
 use crate::jobs::utc;
-use crate::report::text::{columns, or_dash};
 use cell_edge::clock::{boot_now_s, unix_now_s};
 use clap::{Args, Subcommand, ValueEnum};
 use std::time::{Duration, Instant};
@@ -40,16 +39,13 @@ pub enum ClientCommand {
     /// refuses the job.
     Submit(SubmitArgs),
     /// List jobs, newest first.
-    Jobs {
-        #[command(flatten)]
-        state: StateArg,
-        /// How many.
-        #[arg(long, default_value_t = 20)]
-        last: u32,
-        /// Table or JSON.
-        #[arg(long, value_enum, default_value_t = Format::Text)]
-        format: Format,
-    },
+    Jobs(JobsArgs),
+    /// Why a job ended as it did: its story from the records. Also of a file that was refused.
+    Why(WhyArgs),
+    /// A job as one HTML page: what was found, planned and done, pictures, errors.
+    Report(ReportArgs),
+    /// What the cell does, a line at every change, until Ctrl-C.
+    Watch(WatchArgs),
     /// Allow motion. Refused, with what is missing, unless every link is up, the safety mode normal or
     /// reduced, remote control on and the gripper empty; an arm that is off is powered at once.
     Arm(StateArg),
@@ -167,7 +163,9 @@ pub enum ChannelArg {
 pub fn run(command: ClientCommand) -> u8 {
     let reported = match command {
         ClientCommand::Submit(args) => return submit(&args),
-        ClientCommand::Jobs { state, last, format } => jobs(&state.folder(), last, format),
+        ClientCommand::Jobs(args) => return history::code(history::jobs(&args)),
+        ClientCommand::Why(args) => return history::code(history::why(&args)),
+        ClientCommand::Report(args) => return history::code(history::report(&args)),
         ClientCommand::Status { state, format } => status(&state.folder(), format),
         other => {
             let (state, command) = to_send(other);
@@ -201,9 +199,12 @@ fn to_send(command: ClientCommand) -> (StateFolder, Command) {
             (state.folder(), Command::Release { channel })
         }
         ClientCommand::Recover(args) => (args.state.folder(), Command::Recover { how: args.how.way_back() }),
-        ClientCommand::Submit(_) | ClientCommand::Jobs { .. } | ClientCommand::Status { .. } => {
-            unreachable!("these are not sent")
-        }
+        ClientCommand::Submit(_)
+        | ClientCommand::Jobs(_)
+        | ClientCommand::Why(_)
+        | ClientCommand::Report(_)
+        | ClientCommand::Watch(_)
+        | ClientCommand::Status { .. } => unreachable!("these are not sent"),
     }
 }
 
@@ -257,44 +258,6 @@ fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
         None => outln!("no daemon runs on {}", state.root().display()),
     }
     Ok(u8::from(!running))
-}
-
-fn jobs(state: &StateFolder, last: u32, format: Format) -> Result<u8, ClientError> {
-    let records = if state.journal().exists() {
-        Journal::open_to_read(&state.journal())?.latest(last)?
-    } else {
-        Vec::new()
-    };
-    match format {
-        Format::Json => outln!("[{}]", records.iter().map(job_json).collect::<Vec<_>>().join(",\n ")),
-        Format::Text if records.is_empty() => outln!("no jobs in {}", state.root().display()),
-        Format::Text => {
-            let rows: Vec<_> = records.iter().map(job_row).collect();
-            outln!("{}", columns(&["job", "state", "claimed", "moves", "code"], &rows));
-        }
-    }
-    Ok(0)
-}
-
-fn job_row(job: &JobRecord) -> Vec<String> {
-    let result = job.result.as_ref();
-    vec![
-        job.id.clone(),
-        job.state.to_string(),
-        utc::text(job.claimed_unix_s),
-        or_dash(result, |result| result.moves.to_string()),
-        or_dash(result, |result| result.code.clone()),
-    ]
-}
-
-fn job_json(job: &JobRecord) -> String {
-    let result = serde_json::to_string(&job.result).unwrap_or_else(|_| "null".to_owned());
-    format!(
-        "{{\"id\": {}, \"state\": {}, \"claimed_unix_s\": {}, \"result\": {result}}}",
-        quoted(&job.id),
-        quoted(job.state.as_str()),
-        job.claimed_unix_s
-    )
 }
 
 #[cfg(test)]

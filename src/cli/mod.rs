@@ -19,6 +19,7 @@ pub mod demo;
 pub mod detect;
 pub mod doctor;
 pub mod generate;
+pub mod history;
 pub mod interrupt;
 pub mod jobs;
 pub mod markers;
@@ -28,6 +29,7 @@ pub mod submit;
 pub mod task;
 mod values;
 pub mod verify;
+pub mod watch;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -125,6 +127,7 @@ pub fn main() -> ExitCode {
         Command::Bench(Bench::Rtde(args)) => bench_rtde::run(&args),
         Command::Bench(Bench::Motion(args)) => bench_motion::run(&args),
         Command::Bench(Bench::Loop(args)) => bench_loop::run(&args),
+        Command::Client(jobs::ClientCommand::Watch(args)) => watch::run(&args, &stop),
         Command::Client(command) => jobs::run(command),
     })
 }

@@ -162,7 +162,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let job = folder.path().join("job.yaml");
         std::fs::write(&job, "version: 1\n").unwrap();
-        let state = StateArg { state: folder.path().join("state") };
+        let state = StateArg { state: Some(folder.path().join("state")) };
         assert_eq!(submit(&SubmitArgs { job: job.clone(), wait: false, state: state.clone() }), 2);
         assert!(!state.folder().incoming().exists());
         std::fs::write(&job, "version: 1\ngoal: {file: goal.yaml}\n").unwrap();
@@ -180,7 +180,7 @@ mod tests {
         std::fs::write(state.incoming().join("bad.yaml"), "version: 1\n").unwrap();
         let mut spool = Spool::open(state.root(), SpoolSettings::STANDARD).unwrap();
         let mut journal = Journal::open(&state.journal()).unwrap();
-        let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_goal };
+        let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_goal, found: None };
         let read = |text: &str, name: &str| read_for_spool(text, name, &context);
         spool.scan(&mut journal, &read, Timestamp::ZERO, NOW).unwrap();
         spool.scan(&mut journal, &read, Timestamp::from_secs_f64(1.0), NOW).unwrap();

@@ -95,6 +95,7 @@ impl CellConfig {
             objects: &self.objects,
             width_m: self.workspace.width_m,
             height_m: self.workspace.height_m,
+            clearance_m: self.workspace.clearance_m,
             keep_out: obstacles,
             overlap_tolerance_m: CellConfig::goal_overlap_tolerance_m(),
         }

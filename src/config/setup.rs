@@ -317,6 +317,7 @@ fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, S
     }
     Ok(CellObject {
         id: object.id.clone(),
+        group: object.group.clone(),
         footprint: object.footprint.clone(),
         impedance: object.impedance,
         height: object.height.ok_or_else(|| lacks("height"))?,

@@ -5,32 +5,35 @@
 //! [`crate::daemon::store`] requests; what is committed is on disk when the call returns.
 
 use crate::cell::code::{Code, JobStatus};
-use crate::cell::device::gripper_types::Channels;
-use crate::cell::orders::{Approval, Order, Reply};
+use crate::cell::orders::{Approval, Reply};
 use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::model::HeldBefore;
 use crate::cell::supervisor::order::{JobOrder, JobReport};
-use crate::cell::supervisor::status::{DeviceNote, Doing, Status};
+use crate::cell::supervisor::status::{DeviceNote, Status};
 use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
 use crate::config::setup::gripper_address;
-use crate::daemon::store::{Keeper, Orders};
-use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
+use crate::daemon::last_picture::LastPicture;
+use crate::daemon::plan_files;
+use crate::daemon::store::Keeper;
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
 use crate::jobs::record::{
-    JobRecord, JobResult, JobState, ObjectResult, StepIntent, StepKind, StepPhase, StepRecord,
+    GoalPose, JobRecord, JobResult, JobState, ObjectResult, PlanRecord, StepIntent, StepKind, StepPhase,
+    StepRecord,
 };
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status;
-use cell_edge::clock::{boot_now_s, unix_now_s};
+use cell_edge::clock::unix_now_s;
+use cell_edge::files::write_whole;
 use cell_values::time::{Duration, Timestamp};
 use rearrange::document::chain::chain;
 use rearrange::planning::plan::ActionKind;
 use rearrange::planning::solver::SolverKind;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
+use std::path::Path;
 
 /// Why the state folder cannot be kept.
 #[derive(Debug, thiserror::Error)]
@@ -56,6 +59,14 @@ pub struct StateKeeper {
     started_unix_s: f64,
     /// The active job and its open step.
     active: Option<(String, Option<u32>)>,
+    /// What the camera showed last.
+    pictures: LastPicture,
+    /// The file that the configuration came from.
+    config_file: String,
+    /// What is planned for it.
+    plan: Option<PlanRecord>,
+    /// The plan is not in the job's folder yet.
+    undrawn: bool,
     notices: Vec<String>,
     held_before: Option<HeldBefore>,
 }
@@ -81,7 +92,10 @@ impl StateKeeper {
                 }
             });
         }
-        let mut spool = Spool::open(state.root(), SpoolSettings { at_once: 1, ..SpoolSettings::STANDARD })?;
+        let mut spool = Spool::open(
+            state.root(),
+            SpoolSettings { at_once: 1, entries_at_once: 200, ..SpoolSettings::STANDARD },
+        )?;
         spool.reconcile_at_start(&mut journal)?;
         let started_unix_s = now;
         // The word of a grip may not have reached the disk before the end.
@@ -101,9 +115,19 @@ impl StateKeeper {
             daemon,
             started_unix_s,
             active: None,
+            pictures: LastPicture::default(),
+            config_file: String::new(),
+            plan: None,
+            undrawn: false,
             notices,
             held_before,
         })
+    }
+
+    /// With pictures for the folders of jobs, and the name of the configuration for whoever reads the status.
+    pub fn with(self, pictures: LastPicture, config_file: &Path) -> StateKeeper {
+        let file = std::path::absolute(config_file).unwrap_or_else(|_| config_file.to_path_buf());
+        StateKeeper { pictures, config_file: file.display().to_string(), ..self }
     }
 
     /// What was gripped and not let go when an earlier celld ended.
@@ -132,16 +156,43 @@ impl StateKeeper {
         let folder = config.goal_folder.clone();
         let obstacles = config.obstacles();
         let read_goal = move |name: &str| read_goal_file(&folder, name);
+        // The journal itself is at work in the scan.
+        let path = self.state.journal();
+        let found = move |id: &str| found_by(&path, id);
         let context = JobContext {
             goal: Some(config.goal_context(&obstacles)),
             approval: config.approval,
             read_goal: &read_goal,
+            found: Some(&found),
         };
         let read = |text: &str, name: &str| read_for_spool(text, name, &context);
         self.spool.scan(&mut self.journal, &read, now, unix_now_s()).unwrap_or_else(|error| {
             tracing::error!(%error, "job folders");
             Vec::new()
         })
+    }
+
+    /// Puts what is planned into the active job's folder; a disk that does not take it keeps nothing back.
+    fn draw_plan(&mut self) {
+        if !std::mem::take(&mut self.undrawn) {
+            return;
+        }
+        let (Some((id, _)), Some(plan)) = (&self.active, &self.plan) else { return };
+        let Ok(Some(folder)) = self.spool.folder_now(&self.journal, id) else { return };
+        if let Err(error) = plan_files::write(&folder, id, plan, &self.config) {
+            tracing::warn!(id, %error, "the plan could not be written into the job's folder");
+        }
+        if !plan.preview {
+            self.leave_picture(&folder.join("plan.jpg"));
+        }
+    }
+
+    /// A picture is no reason to hold anything up.
+    fn leave_picture(&self, path: &Path) {
+        let Some(jpeg) = self.pictures.jpeg() else { return };
+        if let Err(error) = write_whole(path, &jpeg) {
+            tracing::warn!(%error, "a picture could not be written into the job's folder");
+        }
     }
 
     fn is_active(&self, id: &str) -> bool {
@@ -196,6 +247,7 @@ impl StateKeeper {
             self.journal.start(&job.id, unix_now_s())?;
             match self.order(&job) {
                 Ok(order) => {
+                    self.plan.clone_from(&job.plan);
                     self.active = Some((job.id, None));
                     self.reconcile();
                     return Ok(Some(order));
@@ -221,7 +273,15 @@ impl StateKeeper {
         let seconds = spec.time_limit_s.unwrap_or(planner.time_limit_s);
         Ok(JobOrder {
             id: job.id.clone(),
-            goals: spec.goal.iter().map(|goal| (goal.id.clone(), goal.pose)).collect(),
+            goals: job
+                .resolved
+                .as_ref()
+                .unwrap_or(&spec.goal)
+                .iter()
+                .map(|g| (g.id.clone(), g.pose))
+                .collect(),
+            rule: spec.rule.clone(),
+            agreed: job.agreed().iter().map(plan_files::action_of).collect(),
             objective: spec.objective.unwrap_or(planner.objective),
             solver,
             time_limit: Duration::from_secs_f64(seconds.clamp(0.001, 86_400.0)),
@@ -249,7 +309,11 @@ impl StateKeeper {
     fn write(&mut self, record: &Record) -> Result<(), JournalError> {
         if let Record::Ended(report) = record {
             self.journal.finish(&report.id, &result_of(report), unix_now_s())?;
-            self.active = None;
+            self.draw_plan();
+            if let Ok(Some(folder)) = self.spool.folder_now(&self.journal, &report.id) {
+                self.leave_picture(&folder.join("end.jpg"));
+            }
+            (self.active, self.plan) = (None, None);
             self.reconcile();
             return Ok(());
         }
@@ -259,6 +323,17 @@ impl StateKeeper {
         }
         let Some((id, open)) = &mut self.active else { return Ok(()) };
         match (record, *open) {
+            (Record::Found { objects, goals }, _) => {
+                self.journal.found(id, &plan_files::poses(objects), &plan_files::poses(goals))
+            }
+            (Record::Planned(note), _) => {
+                let plan = plan_files::record_of(note, now);
+                self.journal.planned(id, &plan)?;
+                self.plan = Some(plan);
+                self.undrawn = true;
+                Ok(())
+            }
+            (Record::Approved, _) => self.journal.approve(id),
             (Record::Intent { object, from, to, kind, tool_from_object, table, .. }, previous) => {
                 // A grip that failed left its step open; it is over once the next one is meant.
                 if let Some(step) = previous {
@@ -294,6 +369,16 @@ impl StateKeeper {
             | (Record::LetGo | Record::Ended(_), _) => Ok(()),
         }
     }
+}
+
+/// Where the objects lay when the job `id` first looked.
+fn found_by(journal: &Path, id: &str) -> Result<Vec<GoalPose>, String> {
+    let job = Journal::open_to_read(journal).and_then(|journal| journal.job(id)).map_err(|e| chain(&e))?;
+    let job = job.ok_or_else(|| format!("no job {id:?} is known"))?;
+    if job.found.is_empty() {
+        return Err(format!("what job {id:?} found on the table is not known: it has not looked"));
+    }
+    Ok(job.found)
 }
 
 /// A report as the journal keeps it.
@@ -345,7 +430,12 @@ impl Keeper for StateKeeper {
             }
         }
         self.reconcile();
+        self.draw_plan();
         cancelled
+    }
+
+    fn has_more(&self) -> bool {
+        self.spool.has_more()
     }
 
     fn claim(&mut self) -> Option<JobOrder> {
@@ -369,7 +459,6 @@ impl Keeper for StateKeeper {
     fn status(&mut self, status: &Status) {
         let total = status.moves + status.remaining_moves;
         let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
-        let awaiting = status.doing == Doing::AwaitingApproval;
         let file = status::Status {
             daemon: self.daemon.clone(),
             pid: std::process::id(),
@@ -383,7 +472,9 @@ impl Keeper for StateKeeper {
             holding: status.held.clone(),
             last_move_s: status.last_move.as_ref().map(in_words).unwrap_or_default(),
             step: status.job.as_ref().filter(|_| total > 0).map(|_| (number(status.moves), number(total))),
-            awaiting_approval: status.job.iter().filter(|_| awaiting).cloned().collect(),
+            awaiting_approval: status.job.iter().filter(|_| status.awaits_approval).cloned().collect(),
+            plan: self.plan.clone(),
+            config: self.config_file.clone(),
             waiting: self.journal.waiting().map_or(0, |count| number(count as usize)),
             unread: self.spool.unread().map_or(0, number),
             because: status.because.clone(),
@@ -398,100 +489,5 @@ impl Keeper for StateKeeper {
         if let Err(error) = file.write(&self.state.status()) {
             tracing::warn!(%error, "the status file could not be written");
         }
-    }
-}
-
-/// Most orders whose answers are still to come; older ones are forgotten.
-const UNANSWERED_MAX: usize = 64;
-
-/// Operators' commands in the state folder.
-pub struct StateOrders {
-    inbox: Inbox,
-    state: StateFolder,
-    /// The gripper's address, as it is remembered.
-    gripper: String,
-    last: u64,
-    unanswered: VecDeque<(u64, Taken)>,
-}
-
-impl StateOrders {
-    /// Opens the command folder and clears what was left for an earlier daemon; `gripper` is the address at
-    /// which a person may confirm the gripper.
-    ///
-    /// # Errors
-    /// The folder cannot be used.
-    pub fn open(state: &StateFolder, daemon: String, gripper: String) -> Result<StateOrders, KeeperError> {
-        let inbox = Inbox::open(&state.commands(), daemon)?;
-        Ok(StateOrders { inbox, state: state.clone(), gripper, last: 0, unanswered: VecDeque::new() })
-    }
-
-    /// What a person has confirmed is remembered before it is answered; the answer says where it cannot be.
-    fn remember(&self, taken: &Taken, reply: &Reply) -> Reply {
-        if !reply.accepted || taken.command != Command::ConfirmGripper {
-            return reply.clone();
-        }
-        match self.state.confirm_gripper(&self.gripper, unix_now_s()) {
-            Ok(()) => reply.clone(),
-            Err(error) => {
-                let fault = chain(&error);
-                Reply::accept(format!("{}; not remembered for the next start: {fault}", reply.message))
-            }
-        }
-    }
-}
-
-impl Orders for StateOrders {
-    fn take(&mut self) -> Vec<(u64, Order)> {
-        let taken = self.inbox.take(boot_now_s()).unwrap_or_else(|error| {
-            tracing::error!(%error, "command folder");
-            Vec::new()
-        });
-        let mut orders = Vec::with_capacity(taken.len());
-        for taken in taken {
-            self.last += 1;
-            orders.push((self.last, order_of(&taken.command)));
-            self.unanswered.push_back((self.last, taken));
-            if self.unanswered.len() > UNANSWERED_MAX {
-                self.unanswered.pop_front();
-            }
-        }
-        orders
-    }
-
-    fn reply(&mut self, number: u64, reply: &Reply) {
-        let Some(index) = self.unanswered.iter().position(|(open, _)| *open == number) else { return };
-        let Some((_, taken)) = self.unanswered.remove(index) else { return };
-        let (command, uid) = (&taken.command, taken.uid);
-        if reply.accepted {
-            tracing::info!(?command, uid, "ordered: {}", reply.message);
-        } else {
-            tracing::warn!(?command, uid, "order refused: {}", reply.message);
-        }
-        if let Err(error) = self.inbox.reply(&taken, &self.remember(&taken, reply)) {
-            tracing::warn!(%error, "a command could not be answered");
-        }
-    }
-}
-
-/// A command file as the machine knows it.
-fn order_of(command: &Command) -> Order {
-    match command {
-        Command::Arm => Order::Arm,
-        Command::Disarm => Order::Disarm,
-        Command::Approve { id } => Order::Approve(id.clone()),
-        Command::Reject { id } => Order::Reject(id.clone()),
-        Command::Cancel { id } => Order::Cancel(id.clone()),
-        Command::Pause => Order::Pause,
-        Command::Resume => Order::Resume,
-        Command::Step => Order::Step,
-        Command::Abort => Order::Abort,
-        Command::Park => Order::Park,
-        Command::Release { channel } => Order::Release(match channel {
-            Some(ReleaseChannel::A) => Channels::A,
-            Some(ReleaseChannel::B) => Channels::B,
-            None => Channels::Both,
-        }),
-        Command::Recover { how } => Order::Recover(*how),
-        Command::ConfirmGripper => Order::ConfirmGripper,
     }
 }

@@ -30,8 +30,13 @@ pub trait Keeper: Send + 'static {
     /// The cause; nothing moves on after it.
     fn commit(&mut self, record: &Record) -> Result<(), String>;
 
-    /// Takes in job files; the ids of active jobs that are to be cancelled.
+    /// Takes in job files, a few at a time; the ids of active jobs that are to be cancelled.
     fn look_after(&mut self, now: Timestamp) -> Vec<String>;
+
+    /// There are more job files: the next look after them need not wait.
+    fn has_more(&self) -> bool {
+        false
+    }
 
     /// Claims the next job, if one is ready.
     fn claim(&mut self) -> Option<JobOrder>;
@@ -219,7 +224,9 @@ impl Keeping {
             self.beat.now();
             let every = self.clock.wall(EVERY);
             // The status comes last: no caller waits for it.
-            let patience = if status.is_some() { std::time::Duration::ZERO } else { every };
+            let more = self.keeper.has_more();
+            let at_once = status.is_some() || more;
+            let patience = if at_once { std::time::Duration::ZERO } else { every };
             match asked.recv_timeout(patience) {
                 Ok(Request::Commit(number, record)) => {
                     let result = self.keeper.commit(&record);
@@ -240,7 +247,7 @@ impl Keeping {
                     return;
                 }
             }
-            if looked.elapsed() >= every || wanted {
+            if looked.elapsed() >= every || wanted || more {
                 looked = Instant::now();
                 for id in self.keeper.look_after(self.clock.now()) {
                     self.send_event(Event::Order(UNASKED, Order::Cancel(id)));
@@ -381,6 +388,7 @@ mod tests {
             paused: false,
             doing,
             job,
+            awaits_approval: false,
             held: None,
             moves: 0,
             remaining_moves: 0,

@@ -31,6 +31,8 @@ pub struct GoalContext<'a> {
     pub width_m: f64,
     /// Table extent along y, m.
     pub height_m: f64,
+    /// Gap between objects at new places, m.
+    pub clearance_m: f64,
     /// Places that stay free.
     pub keep_out: &'a [KeepOut],
     /// Overlap that a measured goal may have, m (three standard deviations of the measurement).
@@ -279,6 +281,7 @@ mod tests {
             objects: &objects,
             width_m: 0.5,
             height_m: 0.5,
+            clearance_m: 0.002,
             keep_out: &keep_out,
             overlap_tolerance_m: 0.0005,
         };

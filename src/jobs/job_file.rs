@@ -1,13 +1,14 @@
 //! Job files: text to [`JobSpec`], with every complaint at once.
 //!
 //! In: the text of a job file, the cell's catalogue and table, a reader for goal files. Out: the job with
-//! its goal resolved to poses, so that nothing outside the journal is needed later; or all complaints with
+//! its goal as poses or as a rule, so that nothing outside the journal is needed later; or all complaints with
 //! line and column. A goal that overlaps itself, leaves the table or names an unknown object is a complaint
 //! here: such a job is rejected, it does not fail later.
 
 use crate::cell::code::Code;
 use crate::cell::orders::Approval;
-use crate::jobs::goal::{GoalContext, GoalEntry, check_goal, decode_goal, parse_goal_file, stays_below};
+use crate::jobs::goal::GoalContext;
+use crate::jobs::goal_source::{UNUSED, WantedGoal, decode_goal_source};
 use crate::jobs::record::{GoalPose, JobSpec, quoted};
 use crate::jobs::spool::{Refusal, RefusalDetail, is_plain_name};
 use crate::jobs::utc;
@@ -15,6 +16,7 @@ use rearrange::document::decode::{At, Decoder, Fields};
 use rearrange::document::{Diagnostic, Diagnostics, Location, parse};
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::solver::SolverKind;
+use rearrange::tabletop::rule::{GoalRule, Members};
 use std::fmt::Write as _;
 
 /// Keys of a job file.
@@ -38,6 +40,9 @@ const MAX_TIME_LIMIT_S: f64 = 86_400.0;
 /// Text of a goal file, by the path as the job writes it; `Err` says why it cannot be had.
 pub type ReadGoal<'a> = dyn Fn(&str) -> Result<String, String> + 'a;
 
+/// Where the objects lay when the named job first looked; `Err` says why that is not known.
+pub type FoundBy<'a> = dyn Fn(&str) -> Result<Vec<GoalPose>, String> + 'a;
+
 /// What a job is checked against.
 #[derive(Clone, Copy)]
 pub struct JobContext<'a> {
@@ -47,6 +52,8 @@ pub struct JobContext<'a> {
     pub approval: Approval,
     /// Finds goal files.
     pub read_goal: &'a ReadGoal<'a>,
+    /// Finds what another job found; absent where the journal is not at hand.
+    pub found: Option<&'a FoundBy<'a>>,
 }
 
 /// Reads and checks a job file.
@@ -71,9 +78,6 @@ pub fn read_job(text: &str, source: &str, context: &JobContext) -> Result<JobSpe
     }
 }
 
-/// Marks a job that has no complaint of its own but whose goal file has.
-const UNUSED: &str = "the goal file has complaints";
-
 fn decode_job(
     decoder: &mut Decoder,
     fields: &Fields,
@@ -96,9 +100,12 @@ fn decode_job(
     let not_before = fields.optional("not_before").and_then(|at| decode_time(decoder, &at));
     let approval = fields.optional("approval").and_then(|at| decode_approval(decoder, &at, context.approval));
     let rerun = fields.optional("rerun").and_then(|at| decoder.boolean(&at));
+    let WantedGoal { poses, rule, restore } = goal?;
     Some(JobSpec {
         id,
-        goal: goal?,
+        goal: poses,
+        rule,
+        restore,
         objective,
         solver: solver.map(|solver| solver.to_string()),
         time_limit_s,
@@ -137,71 +144,6 @@ fn decode_approval(decoder: &mut Decoder, at: &At, floor: Approval) -> Option<Ap
         return None;
     }
     Some(approval)
-}
-
-/// `{file: ...}` or `{objects: [...]}`.
-fn decode_goal_source(
-    decoder: &mut Decoder,
-    at: &At,
-    context: &JobContext,
-    goal_complaints: &mut Diagnostics,
-) -> Option<Vec<GoalPose>> {
-    let fields = decoder.map(at, &["file", "objects"])?;
-    match (fields.optional("file"), fields.optional("objects")) {
-        (None, Some(objects)) => {
-            let entries = decode_goal(decoder, &objects)?;
-            if let Some(goal) = &context.goal {
-                check_goal(decoder, &entries, goal);
-            }
-            Some(poses(entries))
-        }
-        (Some(file), None) => {
-            let path = decoder.text(&file)?;
-            if !stays_below(&path) {
-                let help = "name a file in the goal folder or below it: no leading /, no ..";
-                decoder.complain_at(&file, format!("{path:?} leads out of the goal folder"), help);
-                return None;
-            }
-            match goal_of_file(&path, context) {
-                Ok(goal) => Some(goal),
-                Err(GoalFault::Unreadable(reason)) => {
-                    let help = "name a file relative to the goal folder (here: the job file's own)";
-                    let help =
-                        if context.goal.is_some() { "name a file of the cell's goal_folder" } else { help };
-                    decoder.complain_at(&file, format!("{path}: {reason}"), help);
-                    None
-                }
-                Err(GoalFault::Diagnostics(complaints)) => {
-                    goal_complaints.0.extend(complaints.0);
-                    decoder.complain_at(&file, UNUSED, "");
-                    None
-                }
-            }
-        }
-        (Some(_), Some(second)) => {
-            decoder.complain(second.key_at, &second.path, "beside \"file\"", "remove one of the two");
-            None
-        }
-        (None, None) => {
-            decoder.complain_at(at, "neither \"file\" nor \"objects\" is given", "add one of the two");
-            None
-        }
-    }
-}
-
-enum GoalFault {
-    Unreadable(String),
-    Diagnostics(Diagnostics),
-}
-
-fn goal_of_file(path: &str, context: &JobContext) -> Result<Vec<GoalPose>, GoalFault> {
-    let text = (context.read_goal)(path).map_err(GoalFault::Unreadable)?;
-    let entries = parse_goal_file(&text, path, context.goal.as_ref()).map_err(GoalFault::Diagnostics)?;
-    Ok(poses(entries))
-}
-
-fn poses(entries: Vec<GoalEntry>) -> Vec<GoalPose> {
-    entries.into_iter().filter_map(GoalEntry::into_goal).collect()
 }
 
 /// [`read_job`] in the words of the spool.
@@ -270,9 +212,39 @@ pub fn job_yaml(job: &JobSpec) -> String {
     line("not_before", job.not_before_unix_s.map(|time| quoted(&utc::text(time))));
     line("approval", job.approval.map(|approval| approval.to_string()));
     line("rerun", job.rerun.then(|| "true".to_owned()));
-    yaml.push_str("goal:\n");
-    yaml.push_str(&goal_yaml(job.goal.iter().map(|goal| (goal.id.as_str(), goal.pose)), "  "));
+    match (&job.rule, &job.restore) {
+        (Some(rule), _) => line("goal", Some(rule_yaml(rule))),
+        (None, Some(restore)) => line("goal", Some(format!("{{restore: {}}}", quoted(restore)))),
+        (None, None) => {
+            yaml.push_str("goal:\n");
+            yaml.push_str(&goal_yaml(job.goal.iter().map(|goal| (goal.id.as_str(), goal.pose)), "  "));
+        }
+    }
     yaml
+}
+
+/// A rule in flow style; JSON's strings and numbers are YAML's.
+fn rule_yaml(rule: &GoalRule) -> String {
+    let json = |value: serde_json::Value| value.to_string();
+    let members = |members: &Members| match members {
+        Members::Objects(ids) => format!("objects: {}", json(ids.as_slice().into())),
+        Members::Group(group) => format!("group: {}", quoted(group)),
+    };
+    match rule {
+        GoalRule::Region { members: who, polygon } => {
+            let points: Vec<_> = polygon.iter().map(|[x, y]| format!("[{x}, {y}]")).collect();
+            format!("{{region: {{{}, polygon: [{}]}}}}", members(who), points.join(", "))
+        }
+        GoalRule::Grid { members: who, origin, pitch, columns, theta } => format!(
+            "{{grid: {{{}, origin: [{}, {}], pitch: [{}, {}], columns: {columns}, theta: {theta}}}}}",
+            members(who),
+            origin[0],
+            origin[1],
+            pitch[0],
+            pitch[1]
+        ),
+        GoalRule::Swap(a, b) => format!("{{swap: [{}, {}]}}", quoted(a), quoted(b)),
+    }
 }
 
 /// `objects: [...]` of a goal, one line each; also the content of a goal file.

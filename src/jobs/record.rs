@@ -9,6 +9,7 @@ use crate::jobs::utc;
 use rearrange::document::word::{UnknownWord, named};
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::Objective;
+use rearrange::tabletop::rule::GoalRule;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
@@ -28,8 +29,14 @@ pub struct GoalPose {
 pub struct JobSpec {
     /// The file's own id.
     pub id: Option<String>,
-    /// Objects not named may end anywhere.
+    /// Objects not named may end anywhere. Empty where a rule gives the poses.
     pub goal: Vec<GoalPose>,
+    /// How the poses follow from what is seen first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rule: Option<GoalRule>,
+    /// The job whose first sight is wanted back, in a file that has not been read by a daemon yet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub restore: Option<String>,
     /// Absent: the cell's.
     pub objective: Option<Objective>,
     /// Absent: the cell's. A word, since a journal may come from a celld with other solvers.
@@ -112,8 +119,14 @@ pub struct JobRecord {
     pub spec: JobSpec,
     /// Its state.
     pub state: JobState,
-    /// What was approved (the caller's name for a plan), if anything was.
+    /// What a person approved: the plan as JSON. Journals of earlier versions have other words there.
     pub approved: Option<String>,
+    /// Where the objects lay at its first look; empty before that.
+    pub found: Vec<GoalPose>,
+    /// The goals that it has since then.
+    pub resolved: Option<Vec<GoalPose>>,
+    /// What was planned last.
+    pub plan: Option<PlanRecord>,
     /// s since 1970.
     pub claimed_unix_s: f64,
     /// s since 1970; set while active and after.
@@ -217,6 +230,8 @@ pub struct StepRecord {
     pub intent: StepIntent,
     /// How far it got.
     pub phase: StepPhase,
+    /// When it got there, s since 1970.
+    pub changed_unix_s: f64,
 }
 
 /// The content of `result.yaml`.
@@ -245,7 +260,83 @@ pub struct JobResult {
     pub objects: Vec<ObjectResult>,
 }
 
+/// A plan as it was made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlanRecord {
+    /// All of it, in order.
+    pub steps: Vec<PlanStep>,
+    /// In the job's objective.
+    pub lower_bound: Option<f64>,
+    /// What it will take, s.
+    pub seconds: Option<f64>,
+    /// Where the objects lay that it starts from.
+    pub table: Vec<GoalPose>,
+    /// From an older sight, for people to look at; never carried out.
+    pub preview: bool,
+    /// Age of that sight when the plan was made, s.
+    pub sight_age_s: f64,
+    /// When it was made, s since 1970.
+    pub unix_s: f64,
+}
+
+impl PlanRecord {
+    /// Pick-n-places to a place that is no goal.
+    pub fn buffers(&self) -> usize {
+        self.steps.iter().filter(|step| step.kind == StepKind::Buffer).count()
+    }
+
+    /// What it comes to, in one line.
+    pub fn summary(&self) -> String {
+        let mut text = format!("{} pick-n-places", self.steps.len());
+        let buffers = self.buffers();
+        if buffers > 0 {
+            let _ = write!(text, ", {buffers} of them to a temporary place");
+        }
+        if let Some(bound) = self.lower_bound {
+            let _ = write!(text, ", lower bound {bound}");
+        }
+        if let Some(seconds) = self.seconds {
+            let _ = write!(text, ", about {seconds:.0} s");
+        }
+        if self.preview {
+            let _ = write!(text, "; a preview, the table was seen {:.0} s before", self.sight_age_s);
+        }
+        text
+    }
+
+    /// Its moves, numbered, a line each: object, from, to; mm and degrees.
+    pub fn moves(&self) -> Vec<String> {
+        let place = |pose: &Pose2| {
+            let degrees = pose.theta.to_degrees();
+            format!("({:.0}, {:.0} mm, {degrees:.0} deg)", pose.x * 1e3, pose.y * 1e3)
+        };
+        let line = |(k, step): (usize, &PlanStep)| {
+            let what = if step.kind == StepKind::Goal { "its goal" } else { "a temporary place" };
+            format!("{}. {} {} -> {} {what}", k + 1, step.object, place(&step.from), place(&step.to))
+        };
+        self.steps.iter().enumerate().map(line).collect()
+    }
+}
+
+/// One pick-n-place of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlanStep {
+    /// Object of the catalogue.
+    pub object: String,
+    /// Where it is gripped, table frame.
+    pub from: Pose2,
+    /// Where it is put.
+    pub to: Pose2,
+    /// What the place is.
+    pub kind: StepKind,
+}
+
 impl JobRecord {
+    /// The plan that a person approved; empty where none was.
+    pub fn agreed(&self) -> Vec<PlanStep> {
+        self.approved.as_deref().and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
+    }
+
     /// When the job came, began and ended, as lines of `result.yaml`.
     pub fn times_yaml(&self) -> String {
         let time = |at: Option<f64>| at.map_or("null".to_owned(), |at| quoted(&utc::text(at)));

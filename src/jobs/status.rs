@@ -3,6 +3,7 @@
 //! In and out: [`Status`] as JSON. The daemon writes the file whole on every change and every second;
 //! whether it is alive says the lock, not this file.
 
+use crate::jobs::record::PlanRecord;
 use cell_edge::files::{FileError, read_regular, write_whole};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -15,6 +16,9 @@ pub struct Status {
     pub daemon: String,
     /// Process id.
     pub pid: u32,
+    /// The file of its configuration; empty while it waits for the robot.
+    #[serde(default)]
+    pub config: String,
     /// s since 1970.
     pub started_unix_s: f64,
     /// s since 1970.
@@ -44,6 +48,9 @@ pub struct Status {
     /// Where the time of the last pick-n-place of the active job went, s, by the word of each use.
     #[serde(default)]
     pub last_move_s: BTreeMap<String, f64>,
+    /// What is planned for the active job.
+    #[serde(default)]
+    pub plan: Option<PlanRecord>,
     /// Jobs whose plan waits for approval.
     pub awaiting_approval: Vec<String>,
     /// Jobs that wait for their turn.
@@ -132,6 +139,12 @@ impl Status {
             let step = self.step.map(|(step, of)| format!(", step {step} of {of}")).unwrap_or_default();
             lines.push(format!("  job {job}{step}"));
         }
+        if let Some(plan) = &self.plan {
+            lines.push(format!("  plan: {}", plan.summary()));
+            if !self.awaiting_approval.is_empty() {
+                lines.extend(plan.moves().iter().map(|line| format!("    {line}")));
+            }
+        }
         if let Some(holding) = &self.holding {
             lines.push(format!("  gripper: {holding}"));
         }
@@ -197,6 +210,9 @@ mod tests {
             spec: JobSpec::default(),
             state: JobState::Ended(JobStatus::Done),
             approved: None,
+            found: Vec::new(),
+            resolved: None,
+            plan: None,
             claimed_unix_s: 0.0,
             started_unix_s: None,
             ended_unix_s: Some(60.0),

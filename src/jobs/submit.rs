@@ -21,7 +21,7 @@ use std::path::Path;
 /// # Errors
 /// Every complaint about the job and its goal file.
 pub fn prepare(text: &str, source: &str, read_goal: &ReadGoal) -> Result<(JobSpec, String), String> {
-    let context = JobContext { goal: None, approval: Approval::Never, read_goal };
+    let context = JobContext { goal: None, approval: Approval::Never, read_goal, found: None };
     let job = read_job(text, source, &context).map_err(|complaints| complaints.to_string())?;
     let names_a_file =
         parse(text, source).is_ok_and(|node| node.get("goal").is_some_and(|goal| goal.get("file").is_some()));
@@ -132,7 +132,7 @@ mod tests {
         let handed = hand_in(&state, Path::new("tidy up.yaml"), &job, &text, NOW).unwrap();
         let mut spool = Spool::open(state.root(), SpoolSettings::STANDARD).unwrap();
         let mut journal = Journal::open(&state.journal()).unwrap();
-        let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_goal };
+        let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_goal, found: None };
         let read = |text: &str, name: &str| read_for_spool(text, name, &context);
         spool.scan(&mut journal, &read, Timestamp::ZERO, NOW + 5.0).unwrap();
         let later = Timestamp::from_secs_f64(1.0);

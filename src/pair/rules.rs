@@ -306,7 +306,7 @@ impl Rules {
                     }
                     // The way from the place is still to be finished.
                     Record::Done { .. } => (self.meant, self.disturbed) = (false, frame),
-                    Record::Ended(_) => {}
+                    Record::Found { .. } | Record::Planned(_) | Record::Approved | Record::Ended(_) => {}
                 }
             }
             Effect::Send(Link::Dashboard, bytes) => self.check_line(bytes, machine),

@@ -75,11 +75,29 @@ impl Store {
         self.held_before = gripped_last(durable);
         let since = durable.get(self.recovered..).unwrap_or_default();
         self.recovered = durable.len();
-        let Some(job) = self.active.take() else { return };
-        match since.last() {
+        let Some(mut job) = self.active.take() else { return };
+        // What the journal keeps of the job for its next beginning.
+        let mut planned = Vec::new();
+        for record in since {
+            match record {
+                Record::Found { goals, .. } => job.goals.clone_from(goals),
+                Record::Planned(plan) => planned.clone_from(&plan.actions),
+                Record::Approved => job.agreed.clone_from(&planned),
+                _ => {}
+            }
+        }
+        match since.iter().rev().find(|record| is_of_a_step(record)) {
             // Its report had reached the disk, and had reached no reader.
             Some(Record::Ended(report)) if report.id == job.id => self.reports.push((**report).clone()),
-            Some(Record::Ended(_) | Record::LetGo | Record::Done { .. } | Record::Withdrawn { .. })
+            Some(
+                Record::Ended(_)
+                | Record::LetGo
+                | Record::Done { .. }
+                | Record::Withdrawn { .. }
+                | Record::Found { .. }
+                | Record::Planned(_)
+                | Record::Approved,
+            )
             | None => {
                 self.waiting.push_front(job);
             }
@@ -118,10 +136,16 @@ impl Store {
     }
 }
 
+/// False for what is written down of a job beside its steps and its end.
+fn is_of_a_step(record: &Record) -> bool {
+    !matches!(record, Record::Found { .. } | Record::Planned(_) | Record::Approved)
+}
+
 /// The object of the last step, if that was not let go: gripped, or meant to be, for the word of the grip
 /// may not have reached the disk.
 fn gripped_last(durable: &[Record]) -> Option<HeldBefore> {
-    let mut steps = durable.iter().rev().filter(|record| !matches!(record, Record::Ended(_)));
+    let steps = durable.iter().rev().filter(|record| is_of_a_step(record));
+    let mut steps = steps.filter(|record| !matches!(record, Record::Ended(_)));
     let last = steps.next()?;
     let intent = if matches!(last, Record::Gripped { .. }) { steps.next()? } else { last };
     let Record::Intent { object, to, tool_from_object, table, .. } = intent else { return None };

@@ -50,6 +50,8 @@ pub fn job(model: &CellModel, at: &[(String, Pose2)], seed: u64, number: usize) 
         time_limit: Duration::from_secs(2),
         seed,
         approval: Approval::Never,
+        rule: None,
+        agreed: Vec::new(),
     }
 }
 

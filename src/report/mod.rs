@@ -5,6 +5,7 @@ pub mod html;
 pub mod plan_svg;
 pub mod prints;
 pub mod raster;
+pub mod route_svg;
 pub mod run;
 pub mod summary;
 pub mod table_svg;

@@ -85,6 +85,8 @@ fn submit(pair: &mut Pair, id: &str, [x, y]: [f64; 2]) {
         time_limit: Duration::from_secs(2),
         seed: 1,
         approval: Approval::Never,
+        rule: None,
+        agreed: Vec::new(),
     });
 }
 

@@ -24,9 +24,14 @@ pub fn read_text(path: &Path) -> Result<String, String> {
 /// Writes results to standard output, to a terminal without what it would obey. A reader that has gone
 /// away is no error of ours.
 pub fn print(text: &str) {
+    let _ = prints(text);
+}
+
+/// The same; false when there is no reader any more, for whoever would go on for ever.
+pub fn prints(text: &str) -> bool {
     let mut out = std::io::stdout().lock();
     let text = if out.is_terminal() { harmless(text) } else { Cow::Borrowed(text) };
-    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+    out.write_all(text.as_bytes()).and_then(|()| out.flush()).is_ok()
 }
 
 /// Writes complaints and progress to standard error, without what a terminal would obey.

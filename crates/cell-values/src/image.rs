@@ -164,6 +164,20 @@ impl Image {
         encode_png(&self.rgb, self.width, self.height, image::ExtendedColorType::Rgb8)
     }
 
+    /// The picture as the bytes of a JPEG file of this quality, 1 to 100.
+    ///
+    /// # Errors
+    /// As [`Image::encode_png`].
+    pub fn encode_jpeg(&self, quality: u8) -> Result<Vec<u8>, ImageError> {
+        check_length(self.width, self.height, 3, self.rgb.len())?;
+        let mut bytes = Vec::new();
+        let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, quality);
+        encoder
+            .encode(&self.rgb, self.width, self.height, image::ExtendedColorType::Rgb8)
+            .map_err(ImageError::Encode)?;
+        Ok(bytes)
+    }
+
     /// Colour at column `x`, row `y`; `None` outside.
     pub fn pixel(&self, x: u32, y: u32) -> Option<[u8; 3]> {
         let start = self.offset(x, y)?;

@@ -20,6 +20,7 @@ use crate::cell::supervisor::mode::Mode;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobOrder, JobReport, ObjectReport, RouteAction};
 use crate::cell::supervisor::phase::{JobRun, LookStage, Meant, Phase, Quiet, UntilItStands, Visit};
+use crate::cell::supervisor::preview::Glance;
 use crate::cell::supervisor::reason::{Reason, say};
 use crate::cell::supervisor::round::Round;
 use crate::cell::times::TimeBook;
@@ -43,7 +44,9 @@ pub struct Supervisor {
     pub(crate) seen: Option<Seen>,
     /// When the look behind `seen` was over.
     pub(crate) seen_at: Timestamp,
-    /// How much of it holds.
+    /// The last sight of the whole table, for previews.
+    pub(crate) glance: Option<Glance>,
+    /// How much of `seen` holds.
     pub(crate) sight: Sight,
     /// The pick-n-place that was written down and has not begun.
     pub(crate) meant: Option<Meant>,
@@ -100,6 +103,7 @@ impl Supervisor {
             round: None,
             seen: None,
             seen_at: Timestamp::ZERO,
+            glance: None,
             sight: Sight::default(),
             meant: None,
             times: TimeBook::default(),
@@ -270,7 +274,11 @@ impl Supervisor {
     }
 
     fn on_job(&mut self, now: Timestamp, order: JobOrder, out: &mut Vec<Action>) {
-        say(out, format!("job {} taken up: {} goals", order.id, order.goals.len()));
+        let wanted = match (&order.rule, order.goals.len()) {
+            (Some(_), 0) => "its goal follows from what is seen".to_string(),
+            (_, goals) => format!("{goals} goals"),
+        };
+        say(out, format!("job {} taken up: {wanted}", order.id));
         self.waiting_since = now;
         // What was seen for another job was not judged for this one.
         self.seen = None;
@@ -278,6 +286,8 @@ impl Supervisor {
         self.times = TimeBook::default();
         self.job = Some(JobRun {
             order,
+            settled: false,
+            preview: None,
             started: now,
             route: None,
             approved: false,
@@ -316,6 +326,7 @@ impl Supervisor {
             self.waiting_for = None;
             return;
         }
+        self.begin_preview(now, out);
         // To park is an order of its own, which a pause does not hold back.
         if self.job.is_some() && self.mode.paused() && !self.mode.parks() {
             // The pause is the reason now, whatever was waited for before.

@@ -6,7 +6,7 @@ use crate::cell::device::robot_types::{Link, RobotCommand, RobotEvent, RobotStat
 use crate::cell::orders::{Order, Reply};
 use crate::cell::plan_check::{OutOfReach, PlanLimits};
 use crate::cell::supervisor::mode::EndFault;
-use crate::cell::supervisor::order::{JobOrder, JobReport};
+use crate::cell::supervisor::order::{JobOrder, JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::motion::cycle_time::CycleTimes;
 use cell_values::time::Duration;
@@ -144,9 +144,37 @@ pub struct PlanRequest {
     pub limits: PlanLimits,
 }
 
+/// A plan with what a person needs to judge it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlanNote {
+    /// All of it, in order.
+    pub actions: Vec<RouteAction>,
+    /// In the job's objective.
+    pub lower_bound: f64,
+    /// What it will take, s, looks between its moves included.
+    pub seconds: f64,
+    /// Where the objects lie that it starts from.
+    pub table: Vec<(String, Pose2)>,
+    /// From an older sight: never carried out, to be looked at only.
+    pub preview: bool,
+    /// Age of that sight when the plan was made, s.
+    pub sight_age_s: f64,
+}
+
 /// What is written into the journal of the active job before the cell goes on.
 #[derive(Clone, Debug)]
 pub enum Record {
+    /// What the job's first look showed, and the goals that it has from then on.
+    Found {
+        /// Objects by name, where they lie.
+        objects: Vec<(String, Pose2)>,
+        /// Wanted pose of each object that has one.
+        goals: Vec<(String, Pose2)>,
+    },
+    /// What is planned for the table as it was seen last.
+    Planned(Box<PlanNote>),
+    /// A person has approved what was planned last.
+    Approved,
     /// The arm is about to move `object`.
     Intent {
         /// Running number of the pick-n-place in this job.

@@ -17,6 +17,7 @@ use rearrange::geometry::collision::penetration;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::KeepOut;
+use rearrange::tabletop::rule::GoalRule;
 
 /// Share of the table in which depth has to be measured for a look to say that nothing foreign is there.
 const MEASURED_SHARE: f64 = 0.9;
@@ -149,8 +150,9 @@ impl Supervisor {
             return Some(Code::MarkerTwice.because(message, "").of(&duplicate.id));
         }
         let seen = |id: &str| observation.objects.iter().find(|object| object.id == id);
-        let needed = job.order.goals.iter().map(|(id, _)| id).chain(job.last_seen.iter().map(|(id, _)| id));
-        for id in needed {
+        let goals = job.order.goals.iter().map(|(id, _)| id.as_str());
+        let named = job.order.rule.iter().flat_map(GoalRule::named);
+        for id in goals.chain(named).chain(job.last_seen.iter().map(|(id, _)| id.as_str())) {
             if let Some(suspicious) = observation.suspicious.iter().find(|suspicious| suspicious.id == *id) {
                 let message = format!("{id} does not lie flat on the table: {}", suspicious.reason);
                 return Some(Code::ObjectTilted.because(message, "").of(id));

@@ -12,6 +12,7 @@ use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::judge::foreign_height;
 use crate::cell::supervisor::look_plan::{LookPlan, Stop};
 use crate::cell::supervisor::phase::{JobRun, Look, LookStage, Phase};
+use crate::cell::supervisor::preview::Glance;
 use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::cell::supervisor::travel::NoTravel;
 use cell_values::time::Timestamp;
@@ -368,6 +369,9 @@ impl Supervisor {
             None => {
                 (job.look_failures, job.doubt) = (0, None);
                 report_absent(job, &observation, out);
+                if whole {
+                    self.glance = Some(Glance { seen: observation.clone(), at: now });
+                }
                 self.seen = Some(observation);
                 self.seen_at = now;
                 self.looked(whole);

@@ -4,7 +4,7 @@
 //! in and what it requests. `mode`: whether and how the cell may move. `ledger`: records on their way to
 //! the disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve,
 //! pick, verify, place, look again; `bring_up`, `look`, `sight`, `route`, `travel`, `judge`, `work`,
-//! `visits`, `operator`, `answers`, `standing`, `lapse`, `identity`, `holding`, `faults`, `trouble`,
+//! `visits`, `wanted`, `preview`, `operator`, `answers`, `standing`, `lapse`, `identity`, `holding`, `faults`, `trouble`,
 //! `recovery`, `free_place`, `situation`, `paused`, `device_notes` and `time_book` hold its parts. No
 //! clock, no socket: time and the devices' last word come in with every call, so that every stop, fault
 //! and late answer can be played through in a test.
@@ -31,6 +31,7 @@ mod operator;
 pub mod order;
 mod paused;
 pub(crate) mod phase;
+mod preview;
 pub(crate) mod reason;
 mod recovery;
 pub mod round;
@@ -45,6 +46,7 @@ mod time_book;
 mod travel;
 mod trouble;
 mod visits;
+mod wanted;
 mod work;
 
 #[cfg(test)]

@@ -21,6 +21,8 @@ use rearrange::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 pub struct CellObject {
     /// Name, as in jobs.
     pub id: String,
+    /// Its group: members are interchangeable in rules.
+    pub group: Option<String>,
     /// Shape on the table.
     pub footprint: Footprint,
     /// Cost of one move under TI; default: footprint area.

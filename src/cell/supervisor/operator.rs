@@ -5,12 +5,13 @@
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::device::gripper_types::{Channels, GripperCommand, GripperEvent};
-use crate::cell::orders::{Order, Reply};
+use crate::cell::orders::{Approval, Order, Reply};
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::{GateClosed, motion_speed};
-use crate::cell::supervisor::input::{Action, DeviceSnapshot};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot, Record};
 use crate::cell::supervisor::mode::{Mode, Pace};
 use crate::cell::supervisor::phase::{Phase, Then, WorkStage};
+use crate::cell::supervisor::preview::Preview;
 use crate::cell::supervisor::reason::say;
 use cell_values::time::Timestamp;
 use ur_wire::enumerations::RobotMode;
@@ -154,6 +155,7 @@ impl Supervisor {
         self.job.iter_mut().for_each(|job| job.gone.clear());
         self.foreign_height = 0.0;
         self.drift_reported = false;
+        self.preview_over();
         if matches!(self.phase, Phase::Plan) {
             self.phase = Phase::Ready;
         }
@@ -260,14 +262,22 @@ impl Supervisor {
         if self.job.as_ref().is_none_or(|job| job.order.id != id) {
             return Some(self.not_active(id));
         }
-        if !matches!(self.phase, Phase::Approve) {
+        let preview = self.preview_waits();
+        if !preview && !matches!(self.phase, Phase::Approve) {
             return Some(Reply::refuse(format!("job {id} does not wait for approval")));
         }
-        if let Some(job) = &mut self.job {
-            job.approved = approved;
+        if let Some(job) = self.job.as_mut().filter(|_| approved) {
+            // A preview is no plan that may be carried out: the one that is made after the look is compared.
+            job.approved = !preview || job.order.approval == Approval::Job;
+            job.order.agreed = match (&job.preview, &job.route) {
+                (Some(Preview::Made(route)), _) if preview => route.clone(),
+                (_, route) => route.clone().unwrap_or_default(),
+            };
         }
         self.phase = Phase::Ready;
-        if !approved {
+        if approved {
+            self.commit(now, Record::Approved, out);
+        } else {
             self.finish(
                 now,
                 JobStatus::Cancelled,

@@ -10,14 +10,17 @@ use cell_values::time::Duration;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::Objective;
 use rearrange::planning::solver::SolverKind;
+use rearrange::tabletop::rule::GoalRule;
 
 /// Work to do: bring the named objects to their goals; the others may end anywhere.
 #[derive(Clone, Debug)]
 pub struct JobOrder {
     /// Name of the job.
     pub id: String,
-    /// Wanted pose of each named object, table frame.
+    /// Wanted pose of each named object, table frame; empty where `rule` is still to give them.
     pub goals: Vec<(String, Pose2)>,
+    /// How they follow from what is seen first. Poses that it gave before a restart are in `goals`.
+    pub rule: Option<GoalRule>,
     /// What the plan minimises.
     pub objective: Objective,
     /// Solver.
@@ -28,6 +31,8 @@ pub struct JobOrder {
     pub seed: u64,
     /// Which plans a person has to approve before anything is picked.
     pub approval: Approval,
+    /// The plan that a person approved before celld was started anew; empty where there is none.
+    pub agreed: Vec<RouteAction>,
 }
 
 /// One remaining pick-n-place of a job's route.

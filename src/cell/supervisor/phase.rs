@@ -8,6 +8,7 @@ use crate::cell::supervisor::input::CameraFault;
 use crate::cell::supervisor::look_plan::LookPlan;
 use crate::cell::supervisor::look_plan::Stop;
 use crate::cell::supervisor::order::{JobOrder, RouteAction};
+use crate::cell::supervisor::preview::Preview;
 use crate::motion::pick_n_place::PickNPlacePaths;
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;
@@ -174,6 +175,10 @@ pub(crate) struct UntilItStands {
 #[derive(Debug)]
 pub(crate) struct JobRun {
     pub order: JobOrder,
+    /// Its goals are known, and what it found is written down.
+    pub settled: bool,
+    /// What a person may look at before the cell is armed.
+    pub preview: Option<Preview>,
     pub started: Timestamp,
     /// What remains to be done; `None` before planning or when the table disagreed.
     pub route: Option<Vec<RouteAction>>,

@@ -7,11 +7,12 @@
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::orders::Approval;
 use crate::cell::supervisor::cell::Supervisor;
-use crate::cell::supervisor::input::{Action, DeviceSnapshot, PlanAnswer, PlanRequest};
+use crate::cell::supervisor::input::{Action, DeviceSnapshot, PlanAnswer, PlanRequest, Record};
 use crate::cell::supervisor::model::CellObject;
-use crate::cell::supervisor::order::RouteAction;
+use crate::cell::supervisor::order::{JobOrder, RouteAction};
 use crate::cell::supervisor::phase::{JobRun, Phase};
-use crate::cell::supervisor::reason::{alarm, say};
+use crate::cell::supervisor::preview::Glance;
+use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::motion::cycle_time::CycleTimes;
 use cell_values::time::Timestamp;
 use cell_vision::observe::Observation;
@@ -30,6 +31,12 @@ const CLEARANCE_SHARE: f64 = 0.3;
 const OVERLAP_STDS: f64 = 3.0;
 const LEAST_OVERLAP_M: f64 = 5e-4;
 
+/// What touches is measured as overlapping by the errors of two objects, m.
+pub(crate) fn overlap_tolerance(seen: &Observation) -> f64 {
+    let worst_std = seen.objects.iter().map(|estimate| estimate.std_xy_m).fold(0.0, f64::max);
+    (OVERLAP_STDS * std::f64::consts::SQRT_2 * worst_std).max(LEAST_OVERLAP_M)
+}
+
 impl Supervisor {
     /// The table is known: done, go on with the route, or plan.
     pub(crate) fn compare_and_continue(
@@ -38,6 +45,9 @@ impl Supervisor {
         outside: &DeviceSnapshot,
         out: &mut Vec<Action>,
     ) {
+        if !self.settle_goals(now, out) {
+            return;
+        }
         let (Some(job), Some(seen)) = (&self.job, &self.seen) else { return };
         let there = |(id, goal): &(String, Pose2)| {
             seen.objects.iter().any(|object| object.id == *id && self.model.at_goal(&object.pose, goal))
@@ -63,7 +73,7 @@ impl Supervisor {
     /// The rest of the route on the table as it was seen, if the checker still accepts it.
     fn checked_remainder(&self, job: &JobRun, seen: &Observation) -> Option<Vec<RouteAction>> {
         let mut route = job.route.clone().filter(|route| !route.is_empty())?;
-        let instance = self.instance(job, seen, self.model.clearance * CLEARANCE_SHARE);
+        let instance = self.instance(&job.order.goals, seen, self.model.clearance * CLEARANCE_SHARE);
         let problem = Problem::new(&instance).ok()?;
         let mut at: Vec<(String, Pose2)> =
             seen.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();
@@ -89,31 +99,24 @@ impl Supervisor {
     /// An object that counts as being at its goal is given its present pose as goal: it need not move, and
     /// it must not be nudged for the sake of a tenth of a millimetre. Unless it is then in the goal of
     /// another one: there the millimetre counts, for the other would be put down onto it.
-    fn instance(&self, job: &JobRun, seen: &Observation, clearance: f64) -> Instance {
-        let worst_std = seen.objects.iter().map(|estimate| estimate.std_xy_m).fold(0.0, f64::max);
-        // What touches is measured as overlapping by the errors of two objects.
-        let overlap_tolerance = (OVERLAP_STDS * std::f64::consts::SQRT_2 * worst_std).max(LEAST_OVERLAP_M);
+    fn instance(&self, goals: &[(String, Pose2)], seen: &Observation, clearance: f64) -> Instance {
+        let overlap_tolerance = overlap_tolerance(seen);
         let mut objects = Vec::with_capacity(seen.objects.len());
         for estimate in &seen.objects {
             let Some(object) = self.model.object(&estimate.id) else { continue };
-            let wanted = job.order.goals.iter().find(|(id, _)| *id == estimate.id).map(|(_, goal)| *goal);
+            let wanted = goals.iter().find(|(id, _)| *id == estimate.id).map(|(_, goal)| *goal);
             let goal = wanted.map(|goal| {
                 let stays = self.model.at_goal(&estimate.pose, &goal)
-                    && !self.stands_in_a_goal(job, object, &estimate.pose, overlap_tolerance);
+                    && !self.stands_in_a_goal(goals, object, &estimate.pose, overlap_tolerance);
                 if stays { estimate.pose } else { goal }
             });
             objects.push(ObjectSpec {
-                id: object.id.clone(),
-                footprint: object.footprint.clone(),
                 impedance: object.impedance,
                 start: Some(estimate.pose),
                 goal,
-                fixed: false,
-                group: None,
                 height: Some(object.height),
                 mass: Some(object.mass),
-                marker: None,
-                grippable: None,
+                ..ObjectSpec::new(&object.id, object.footprint.clone())
             });
         }
         Instance {
@@ -126,14 +129,20 @@ impl Supervisor {
     }
 
     /// True when the object at `pose` reaches into another object's goal by more than `tolerance`, m.
-    fn stands_in_a_goal(&self, job: &JobRun, object: &CellObject, pose: &Pose2, tolerance: f64) -> bool {
-        let others = job.order.goals.iter().filter(|(id, _)| *id != object.id);
+    fn stands_in_a_goal(
+        &self,
+        goals: &[(String, Pose2)],
+        object: &CellObject,
+        pose: &Pose2,
+        tolerance: f64,
+    ) -> bool {
+        let others = goals.iter().filter(|(id, _)| *id != object.id);
         let mut others = others.filter_map(|(id, goal)| self.model.object(id).map(|known| (known, goal)));
         others.any(|(known, goal)| penetration(&object.footprint, pose, &known.footprint, goal) > tolerance)
     }
 
     /// What the arm takes for pick-n-places, looks between them included.
-    fn cycle_times(&self) -> CycleTimes {
+    pub(crate) fn cycle_times(&self) -> CycleTimes {
         let times = CycleTimes::new(&self.model.arm, &self.cycle(), self.model.after_a_look());
         match self.model.views() {
             Some(views) => times.looking(views.tool_heights(&self.model.arm)),
@@ -150,16 +159,7 @@ impl Supervisor {
             self.finish(now, JobStatus::Failed, Code::TableDisturbed.because(message, hint), out);
             return;
         }
-        let instance = self.instance(job, seen, self.model.clearance);
-        let request = PlanRequest {
-            instance,
-            objective: job.order.objective,
-            solver: job.order.solver,
-            seed: job.order.seed.wrapping_add(u64::from(job.replans)),
-            time_limit: job.order.time_limit,
-            times: self.cycle_times(),
-            limits: self.plan_limits(seen),
-        };
+        let request = self.plan_request(&job.order, job.replans, &job.order.goals, seen);
         let limit = request.time_limit + self.model.tolerances.plan_grace;
         if job.route.is_some() {
             say(out, "the table is not as the plan expects; planning again");
@@ -168,22 +168,50 @@ impl Supervisor {
         self.enter(Phase::Plan, limit);
     }
 
+    /// The problem of a job on the table as it was seen.
+    pub(crate) fn plan_request(
+        &self,
+        order: &JobOrder,
+        replans: u32,
+        goals: &[(String, Pose2)],
+        seen: &Observation,
+    ) -> PlanRequest {
+        PlanRequest {
+            instance: self.instance(goals, seen, self.model.clearance),
+            objective: order.objective,
+            solver: order.solver,
+            seed: order.seed.wrapping_add(u64::from(replans)),
+            time_limit: order.time_limit,
+            times: self.cycle_times(),
+            limits: self.plan_limits(seen),
+        }
+    }
+
+    /// The actions of an answer by the names of what they move.
+    pub(crate) fn route_of(&self, actions: &[PlanAction], seen: &Observation) -> Option<Vec<RouteAction>> {
+        let route = actions.iter().map(|action| {
+            let to_goal = action.kind == ActionKind::Goal;
+            let object = self.listed(seen, action.object)?;
+            Some(RouteAction { object, from: action.from, to: action.to, to_goal })
+        });
+        route.collect()
+    }
+
     pub(crate) fn on_planned(&mut self, now: Timestamp, answer: PlanAnswer, out: &mut Vec<Action>) {
         if !matches!(self.phase, Phase::Plan) {
-            return;
+            return self.on_preview(now, &answer, out);
         }
         self.phase = Phase::Ready;
         let PlanAnswer::Found { actions, lower_bound, seconds, .. } = answer else {
-            return self.on_no_plan(now, &answer, out);
+            let reason = why_no_plan(&answer);
+            return self.finish(now, JobStatus::Failed, reason, out);
         };
-        let route = actions.iter().map(|action| {
-            let to_goal = action.kind == ActionKind::Goal;
-            let object = self.listed(action.object)?;
-            Some(RouteAction { object, from: action.from, to: action.to, to_goal })
-        });
         // Who disarmed the cell meanwhile may have changed the table: after arming it is looked at and
         // planned for anew, and no person is shown this plan.
-        let Some(route) = route.collect::<Option<Vec<RouteAction>>>() else { return };
+        let Some(seen) = self.seen.clone() else { return };
+        let Some(route) = self.route_of(&actions, &seen) else { return };
+        let sight = Glance { seen, at: self.seen_at };
+        let note = self.plan_note(&route, lower_bound, &sight, None);
         let Some(job) = &mut self.job else { return };
         let buffers = route.iter().filter(|action| !action.to_goal).count();
         say(
@@ -199,49 +227,48 @@ impl Supervisor {
             job.planning_seconds = seconds;
         }
         job.replans += 1;
-        job.route = Some(route);
         job.approved = match job.order.approval {
             Approval::Never => true,
-            Approval::Job => job.approved,
-            Approval::Always => false,
+            Approval::Job => job.approved || !job.order.agreed.is_empty(),
+            Approval::Always => self.model.is_rest_of(&route, &job.order.agreed),
         };
+        job.route = Some(route);
+        self.commit(now, Record::Planned(Box::new(note)), out);
+        let Some(job) = &self.job else { return };
         if !job.approved {
             alarm(out, format!("job {}: the plan waits for approval", job.order.id));
             self.phase = Phase::Approve;
         }
     }
+}
 
-    fn on_no_plan(&mut self, now: Timestamp, answer: &PlanAnswer, out: &mut Vec<Action>) {
-        let reason = match answer {
-            PlanAnswer::Infeasible(witness) => {
-                Code::Infeasible.because(format!("there is no plan: {witness}"), "change the goal")
-            }
-            PlanAnswer::Refused(cause) => {
-                let message = format!("the measured table is no valid start: {cause}");
-                Code::BadStart.because(
-                    message,
-                    "move what is named apart, or onto the table, by hand; then submit again",
-                )
-            }
-            PlanAnswer::Unsolvable(cause) => {
-                Code::SolverUnfit.because(cause.clone(), "choose another solver or objective in the job")
-            }
-            PlanAnswer::OutOfReach(fault) => {
-                let hint = match fault.buffer {
-                    None => fault.remedy,
-                    Some(_) => {
-                        "there is too little room to put things aside within reach: clear the table a \
+/// Why a search came to no plan, and what a person can do.
+pub(crate) fn why_no_plan(answer: &PlanAnswer) -> Reason {
+    match answer {
+        PlanAnswer::Infeasible(witness) => {
+            Code::Infeasible.because(format!("there is no plan: {witness}"), "change the goal")
+        }
+        PlanAnswer::Refused(cause) => {
+            let message = format!("the measured table is no valid start: {cause}");
+            Code::BadStart
+                .because(message, "move what is named apart, or onto the table, by hand; then submit again")
+        }
+        PlanAnswer::Unsolvable(cause) => {
+            Code::SolverUnfit.because(cause.clone(), "choose another solver or objective in the job")
+        }
+        PlanAnswer::OutOfReach(fault) => {
+            let hint = match fault.buffer {
+                None => fault.remedy,
+                Some(_) => {
+                    "there is too little room to put things aside within reach: clear the table a \
                          little, or give the job a longer time_limit_s"
-                    }
-                };
-                Code::Unreachable.because(fault.message.clone(), hint).of(fault.name.clone())
-            }
-            PlanAnswer::Timeout | PlanAnswer::Found { .. } => {
-                let hint =
-                    "give the job a longer time_limit_s; or `celld disarm`, then clear the table a little";
-                Code::NoPlan.because("no plan was found in time", hint)
-            }
-        };
-        self.finish(now, JobStatus::Failed, reason, out);
+                }
+            };
+            Code::Unreachable.because(fault.message.clone(), hint).of(fault.name.clone())
+        }
+        PlanAnswer::Timeout | PlanAnswer::Found { .. } => {
+            let hint = "give the job a longer time_limit_s; or `celld disarm`, then clear the table a little";
+            Code::NoPlan.because("no plan was found in time", hint)
+        }
     }
 }

@@ -62,6 +62,7 @@ impl Supervisor {
     /// The tool comes down on an object, or goes down with it: what is there may have moved since it was
     /// seen, and the object itself is somewhere else until it is seen again.
     pub(crate) fn disturb(&mut self, object: &str, pose: &Pose2) {
+        self.glance = None;
         let Some(known) = self.model.object(object) else { return };
         let reach = known.footprint.bounding_radius() + SLIP_M;
         self.sight.disturbed.join(&Region::disc([pose.x, pose.y], reach));

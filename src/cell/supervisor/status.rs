@@ -56,6 +56,8 @@ pub struct Status {
     pub doing: Doing,
     /// The active job.
     pub job: Option<String>,
+    /// Its plan, or a preview of it, waits for a person.
+    pub awaits_approval: bool,
     /// What hangs on the gripper, may hang or fell, in a few words.
     pub held: Option<String>,
     /// Pick-n-places carried out in it.
@@ -129,6 +131,7 @@ impl Supervisor {
             paused: self.mode.paused(),
             doing: self.doing(),
             job: job.map(|job| job.order.id.clone()),
+            awaits_approval: matches!(self.phase, Phase::Approve) || self.preview_waits(),
             held: self.holding_words(),
             moves: job.map_or(0, |job| job.moves),
             last_move: job.and_then(|_| self.times.last_move()),
@@ -157,6 +160,13 @@ impl Supervisor {
             Phase::Ready if self.mode.ending() => String::new(),
             Phase::Ready if !self.stands || !self.arm_settled => "wait until the arm is at rest".to_string(),
             Phase::Ready if self.back.recovery.is_some() => String::new(),
+            Phase::Ready if self.preview_waits() && stopped.is_none() && self.locked().is_none() => {
+                let id = self.job.as_ref().map_or("", |job| &job.order.id);
+                format!(
+                    "`celld arm` once the cell is clear; the preview of the plan can be approved before: `celld \
+                     approve {id}`"
+                )
+            }
             Phase::Ready => match (self.locked(), stopped, &self.waiting_for) {
                 (Some(closed), ..) => closed.hint().to_string(),
                 (None, Some(stop), _) => stop.reason.hint.clone(),

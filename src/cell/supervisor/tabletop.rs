@@ -57,10 +57,8 @@ impl Supervisor {
     }
 
     /// Name of the object with this index in a plan request: those known of the seen ones, in their order.
-    /// `None` once the table is not known any more.
-    pub(crate) fn listed(&self, index: usize) -> Option<String> {
-        let seen = self.seen.iter().flat_map(|seen| &seen.objects);
-        let mut known = seen.filter(|object| self.model.object(&object.id).is_some());
+    pub(crate) fn listed(&self, seen: &Observation, index: usize) -> Option<String> {
+        let mut known = seen.objects.iter().filter(|object| self.model.object(&object.id).is_some());
         known.nth(index).map(|object| object.id.clone())
     }
 

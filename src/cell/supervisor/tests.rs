@@ -36,6 +36,7 @@ fn object() -> CellObject {
     let marker = MarkerSpec { family: "tag36h11".into(), id: 0, size: 0.03, offset: Pose2::default() };
     CellObject {
         id: "a".into(),
+        group: None,
         footprint: Footprint::rectangle(0.06, 0.06).expect("valid"),
         impedance: None,
         height: 0.02,
@@ -261,13 +262,15 @@ impl Bench {
             time_limit: Duration::from_secs(1),
             seed: 0,
             approval,
+            rule: None,
+            agreed: Vec::new(),
         })))
     }
 
     /// Arms and goes as far as the plan request.
     fn until_planning(&mut self) -> Vec<Action> {
-        self.feed(order(Order::Arm));
-        let started = self.ticks(20);
+        let mut started = self.feed(order(Order::Arm));
+        started.extend(self.ticks(20));
         assert!(streams(&started) == 1, "the look begins: {started:?}");
         self.look()
     }
@@ -572,8 +575,9 @@ fn a_plan_approved_late_waits_for_a_new_look() {
     bench.plan();
     bench.now += Duration::from_secs(31);
     let actions = bench.feed(order(Order::Approve("j".into())));
-    let journalled =
-        |actions: &[Action]| actions.iter().any(|action| matches!(action, Action::Commit { .. }));
+    let journalled = |all: &[Action]| {
+        all.iter().any(|a| matches!(a, Action::Commit { record: Record::Intent { .. }, .. }))
+    };
     assert!(!journalled(&actions), "nothing is picked on an old observation: {actions:?}");
     assert_eq!(streams(&actions), 1, "the arm goes to look");
     let actions = bench.look();
@@ -584,5 +588,6 @@ mod arming;
 mod faults;
 mod foreign;
 mod lapse;
+mod preview;
 mod sight;
 mod standing;

@@ -187,6 +187,8 @@ fn order(instance: &Instance, choice: &DemoChoice) -> JobOrder {
         time_limit: Duration::from_secs_f64(choice.time_limit_s),
         seed: choice.seed,
         approval: Approval::Never,
+        rule: None,
+        agreed: Vec::new(),
     }
 }
 

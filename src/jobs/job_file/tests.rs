@@ -1,6 +1,7 @@
 //! Job files as people write them: whole, wrong in every key, torn, and with goals that cannot be.
 
 use super::*;
+use crate::jobs::goal::stays_below;
 use proptest::prelude::*;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::planning::plan::Objective;
@@ -15,7 +16,11 @@ fn no_file(path: &str) -> Result<String, String> {
 }
 
 fn read(text: &str) -> Result<JobSpec, Diagnostics> {
-    read_job(text, "job.yaml", &JobContext { goal: None, approval: Approval::Job, read_goal: &no_file })
+    read_job(
+        text,
+        "job.yaml",
+        &JobContext { goal: None, approval: Approval::Job, read_goal: &no_file, found: None },
+    )
 }
 
 #[track_caller]
@@ -46,6 +51,8 @@ fn every_key_is_read() {
         JobSpec {
             id: Some("tidy-42".into()),
             goal: vec![GoalPose { id: "mug".into(), pose }],
+            rule: None,
+            restore: None,
             objective: Some(Objective::Ti),
             solver: Some("erbm".into()),
             time_limit_s: Some(2.5),
@@ -76,7 +83,7 @@ fn each_fault_is_named_where_it_is() {
     check_complaint("goal: {file: goal.yaml}\n", "key \"version\" is missing");
     check_complaint("version: 2\ngoal: {file: goal.yaml}\n", "1:10: version: 2 is out of range");
     check_complaint("version: 1\n", "key \"goal\" is missing");
-    check_complaint("version: 1\ngoal: {}\n", "neither \"file\" nor \"objects\"");
+    check_complaint("version: 1\ngoal: {}\n", "none of \"file\", \"objects\", \"region\"");
     check_complaint("version: 1\ngoal: {objects: []}\n", "goal.objects: 0 objects");
     let with = |line: &str| format!("version: 1\ngoal: {{file: goal.yaml}}\n{line}\n");
     check_complaint(&with("objctive: pp"), "3:1: objctive: unknown key; did you mean \"objective\"?");
@@ -98,7 +105,7 @@ fn each_fault_is_named_where_it_is() {
 #[test]
 fn a_goal_file_outside_the_goal_folder_is_not_even_asked_for() {
     let asked = |path: &str| -> Result<String, String> { panic!("{path} was read") };
-    let context = JobContext { goal: None, approval: Approval::Job, read_goal: &asked };
+    let context = JobContext { goal: None, approval: Approval::Job, read_goal: &asked, found: None };
     for path in ["/dev/zero", "../goal.yaml", "below/../../goal.yaml", ".", "''"] {
         let text = format!("version: 1\ngoal: {{file: {path}}}\nseed: x\n");
         let reported = read_job(&text, "job.yaml", &context).unwrap_err().to_string();
@@ -119,10 +126,11 @@ fn a_job_is_judged_whole_although_one_pose_is_wrong() {
         objects: &objects,
         width_m: 0.5,
         height_m: 0.5,
+        clearance_m: 0.002,
         keep_out: &[],
         overlap_tolerance_m: 0.001,
     };
-    let context = JobContext { goal: Some(goal), approval: Approval::Job, read_goal: &no_file };
+    let context = JobContext { goal: Some(goal), approval: Approval::Job, read_goal: &no_file, found: None };
     let text = "version: 1
 goal:
   objects:
@@ -146,7 +154,7 @@ goal:
 
 #[test]
 fn a_torn_file_is_distinguished_from_a_wrong_one() {
-    let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file };
+    let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file, found: None };
     let refuse = |text: &str| read_for_spool(text, "job.yaml", &context).unwrap_err();
     for torn in ["", "  \n", "version: 1\ngoal: {objects: [{id: mug, pose: [0.1,", "version: 1\ngoal: {obj"] {
         assert!(refuse(torn).incomplete, "{torn:?}");
@@ -159,7 +167,7 @@ fn a_torn_file_is_distinguished_from_a_wrong_one() {
 proptest! {
     #[test]
     fn no_text_panics(text in "[ -~\\n]{0,200}") {
-        let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file };
+        let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file, found: None };
         let _ = read_for_spool(&text, "job.yaml", &context);
     }
 
@@ -169,7 +177,7 @@ proptest! {
         if change < text.len() && text.is_char_boundary(change) {
             text.insert(change, char::from(byte));
         }
-        let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file };
+        let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file, found: None };
         let _ = read_for_spool(&text, "job.yaml", &context);
     }
 }

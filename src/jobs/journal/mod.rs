@@ -12,17 +12,26 @@ mod steps;
 #[cfg(test)]
 mod tests;
 
+use crate::jobs::history::JobFilter;
 use crate::jobs::journal::claim::free_id;
-use crate::jobs::journal::rows::{JOB_COLUMNS, JobRow, encode, interrupted, job_row, source_text, storable};
-use crate::jobs::record::{JobRecord, JobResult, JobState, StepRecord};
+use crate::jobs::journal::rows::{JobRow, encode, interrupted, job_columns, job_row, source_text, storable};
+use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobState, PlanRecord, StepRecord};
 use rusqlite::{Connection, OpenFlags, Transaction, params};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub use crate::jobs::journal::claim::{Claim, NewJob};
 
-/// Number in `PRAGMA user_version`; a database of another number is refused, not converted.
-const SCHEMA_VERSION: i64 = 1;
+/// Number in `PRAGMA user_version`. Older databases are brought up to it when the daemon opens them; one of a
+/// larger number is refused.
+const SCHEMA_VERSION: i64 = 2;
+
+/// What makes a database of version k + 1 out of one of version k, for k from 1.
+const MIGRATIONS: [&str; 1] = ["
+ALTER TABLE jobs ADD COLUMN found TEXT;
+ALTER TABLE jobs ADD COLUMN resolved TEXT;
+ALTER TABLE jobs ADD COLUMN plan TEXT;
+"];
 
 const SCHEMA: &str = "
 CREATE TABLE jobs (
@@ -43,7 +52,10 @@ CREATE TABLE jobs (
   result        TEXT,
   source        TEXT,
   folder        TEXT,
-  placed_as     TEXT
+  placed_as     TEXT,
+  found         TEXT,
+  resolved      TEXT,
+  plan          TEXT
 );
 CREATE UNIQUE INDEX one_active ON jobs (state) WHERE state = 'active';
 CREATE INDEX jobs_state ON jobs (state);
@@ -83,10 +95,10 @@ pub enum JournalError {
         #[source]
         source: rusqlite::Error,
     },
-    /// Written by another version of celld.
+    /// Written by a later version of celld.
     #[error(
-        "journal {path} has schema version {found}, this celld knows {SCHEMA_VERSION}; use the celld that \
-         wrote it, or start with a new state folder"
+        "journal {path} has schema version {found}, this celld knows up to {SCHEMA_VERSION}; use the celld \
+         that wrote it, or start with a new state folder"
     )]
     Version {
         /// The file.
@@ -173,14 +185,17 @@ pub struct Rejection {
 pub struct Journal {
     database: Connection,
     path: PathBuf,
+    /// Of the database; less than [`SCHEMA_VERSION`] in a reader of one that no daemon has opened since.
+    version: i64,
 }
 
 impl Journal {
-    /// Opens or creates the database.
+    /// Opens or creates the database; one of an earlier version is brought up to this one, in one
+    /// transaction.
     ///
     /// # Errors
-    /// SQLite cannot open, create or read the file ([`JournalError::Database`]), or the file has another
-    /// schema version ([`JournalError::Version`]).
+    /// SQLite cannot open, create or read the file ([`JournalError::Database`]), or the file is of a later
+    /// version ([`JournalError::Version`]).
     pub fn open(path: &Path) -> Result<Journal, JournalError> {
         let fail = |source| JournalError::Database { path: path.to_owned(), source };
         let database = Connection::open(path).map_err(fail)?;
@@ -188,10 +203,11 @@ impl Journal {
         database
             .execute_batch("PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON;")
             .map_err(fail)?;
-        let mut journal = Journal { database, path: path.to_owned() };
-        match journal.version()? {
+        let mut journal = Journal { database, path: path.to_owned(), version: SCHEMA_VERSION };
+        match journal.read_version()? {
             0 => journal.create()?,
             SCHEMA_VERSION => {}
+            older @ 1..SCHEMA_VERSION => journal.migrate(older)?,
             found => return Err(JournalError::Version { path: path.to_owned(), found }),
         }
         Ok(journal)
@@ -200,28 +216,39 @@ impl Journal {
     /// Opens an existing database to read it beside a running daemon.
     ///
     /// # Errors
-    /// The file is absent or SQLite cannot open it ([`JournalError::Database`]), or it has another schema
-    /// version ([`JournalError::Version`]).
+    /// The file is absent or SQLite cannot open it ([`JournalError::Database`]), or it is of a later version
+    /// ([`JournalError::Version`]).
     pub fn open_to_read(path: &Path) -> Result<Journal, JournalError> {
         let fail = |source| JournalError::Database { path: path.to_owned(), source };
         // Not read-only: a reader of a WAL database may have to create its shared-memory file.
         let database = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE).map_err(fail)?;
         database.busy_timeout(Duration::from_secs(5)).map_err(fail)?;
         database.execute_batch("PRAGMA query_only=ON;").map_err(fail)?;
-        let journal = Journal { database, path: path.to_owned() };
-        match journal.version()? {
-            SCHEMA_VERSION => Ok(journal),
+        let mut journal = Journal { database, path: path.to_owned(), version: SCHEMA_VERSION };
+        match journal.read_version()? {
+            version @ 1..=SCHEMA_VERSION => {
+                journal.version = version;
+                Ok(journal)
+            }
             found => Err(JournalError::Version { path: path.to_owned(), found }),
         }
     }
 
-    fn version(&self) -> Result<i64, JournalError> {
+    fn read_version(&self) -> Result<i64, JournalError> {
         self.database.query_row("PRAGMA user_version", [], |row| row.get(0)).map_err(|e| self.fail(e))
     }
 
     fn create(&mut self) -> Result<(), JournalError> {
         self.transact(|transaction| {
             transaction.execute_batch(SCHEMA)?;
+            transaction.execute_batch(&format!("PRAGMA user_version={SCHEMA_VERSION}"))
+        })
+    }
+
+    fn migrate(&mut self, from: i64) -> Result<(), JournalError> {
+        let first = usize::try_from(from - 1).unwrap_or(0);
+        self.transact(|transaction| {
+            MIGRATIONS.iter().skip(first).try_for_each(|step| transaction.execute_batch(step))?;
             transaction.execute_batch(&format!("PRAGMA user_version={SCHEMA_VERSION}"))
         })
     }
@@ -316,6 +343,23 @@ impl Journal {
         self.select("ORDER BY sequence DESC LIMIT ?1", params![limit])
     }
 
+    /// Jobs that a person looks for, newest first, at most `limit`.
+    ///
+    /// # Errors
+    /// As [`Journal::active`].
+    pub fn search(&self, filter: &JobFilter, limit: u32) -> Result<Vec<JobRecord>, JournalError> {
+        let goals = if self.version < 2 { "'[]'" } else { "coalesce(resolved, '[]')" };
+        let clause = format!(
+            "WHERE (NOT ?1 OR state IN ('failed','interrupted')) AND claimed >= ?2 AND (?3 IS NULL
+               OR EXISTS (SELECT 1 FROM steps WHERE job = sequence AND json_extract(intent, '$.object') = ?3)
+               OR EXISTS (SELECT 1 FROM json_each(spec, '$.goal') AS g WHERE json_extract(g.value, '$.id') = ?3)
+               OR EXISTS (SELECT 1 FROM json_each({goals}) AS g WHERE json_extract(g.value, '$.id') = ?3))
+             ORDER BY sequence DESC LIMIT ?4"
+        );
+        let since = filter.since_unix_s.unwrap_or(f64::MIN);
+        self.select(&clause, params![filter.failed, since, filter.object, limit])
+    }
+
     /// Makes a waiting job the active one.
     ///
     /// # Errors
@@ -338,14 +382,34 @@ impl Journal {
         self.change(id, "put it back into the queue", update, params![id])
     }
 
-    /// Notes that a person approved `what` (the caller's name for a plan).
+    /// Notes what a job's first look showed, and the goals it has since; of a second look nothing.
+    ///
+    /// # Errors
+    /// As [`Journal::approve`].
+    pub fn found(&mut self, id: &str, objects: &[GoalPose], goals: &[GoalPose]) -> Result<(), JournalError> {
+        let update = "UPDATE jobs SET found = coalesce(found, ?2), resolved = coalesce(resolved, ?3)
+                      WHERE id = ?1 AND state IN ('waiting','active')";
+        self.change(id, "note what it found", update, params![id, encode(&objects), encode(&goals)])
+    }
+
+    /// Notes what is planned; an earlier plan of the job is forgotten.
+    ///
+    /// # Errors
+    /// As [`Journal::approve`].
+    pub fn planned(&mut self, id: &str, plan: &PlanRecord) -> Result<(), JournalError> {
+        let update = "UPDATE jobs SET plan = ?2 WHERE id = ?1 AND state IN ('waiting','active')";
+        self.change(id, "note its plan", update, params![id, encode(plan)])
+    }
+
+    /// Notes that a person approved what is planned; it holds after a restart.
     ///
     /// # Errors
     /// No job has this id ([`JournalError::UnknownJob`]), it has ended ([`JournalError::WrongState`]), or as
     /// [`Journal::active`].
-    pub fn approve(&mut self, id: &str, what: &str) -> Result<(), JournalError> {
-        let update = "UPDATE jobs SET approved = ?2 WHERE id = ?1 AND state IN ('waiting','active')";
-        self.change(id, "approve it", update, params![id, what])
+    pub fn approve(&mut self, id: &str) -> Result<(), JournalError> {
+        let update = "UPDATE jobs SET approved = json_extract(plan, '$.steps')
+                      WHERE id = ?1 AND state IN ('waiting','active')";
+        self.change(id, "approve it", update, params![id])
     }
 
     /// Ends a job. Folders follow with the next `Spool::reconcile`.
@@ -403,7 +467,7 @@ impl Journal {
     }
 
     fn select(&self, clause: &str, values: &[&dyn rusqlite::ToSql]) -> Result<Vec<JobRecord>, JournalError> {
-        let select = format!("SELECT {JOB_COLUMNS} FROM jobs {clause}");
+        let select = format!("SELECT {} FROM jobs {clause}", job_columns(self.version));
         let mut statement = self.database.prepare(&select).map_err(|e| self.fail(e))?;
         let rows = statement
             .query_map(values, job_row)
@@ -424,6 +488,9 @@ impl Journal {
             spec: self.decode("jobs.spec", &row.spec)?,
             state,
             approved: row.approved,
+            found: row.found.map_or(Ok(Vec::new()), |text| self.decode("jobs.found", &text))?,
+            resolved: row.resolved.map(|text| self.decode("jobs.resolved", &text)).transpose()?,
+            plan: row.plan.map(|text| self.decode("jobs.plan", &text)).transpose()?,
             claimed_unix_s: row.claimed,
             started_unix_s: row.started,
             ended_unix_s: row.ended,

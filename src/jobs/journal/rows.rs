@@ -23,11 +23,17 @@ pub(super) struct JobRow {
     pub started: Option<f64>,
     pub ended: Option<f64>,
     pub result: Option<String>,
+    pub found: Option<String>,
+    pub resolved: Option<String>,
+    pub plan: Option<String>,
 }
 
-/// Columns in the order of [`JobRow`].
-pub(super) const JOB_COLUMNS: &str =
-    "sequence, id, name, sha256, text, spec, state, approved, claimed, started, ended, result";
+/// Columns in the order of [`JobRow`], of a database of this version; one of version 1 lacks some.
+pub(super) fn job_columns(version: i64) -> String {
+    let first = "sequence, id, name, sha256, text, spec, state, approved, claimed, started, ended, result";
+    let second = if version < 2 { "NULL, NULL, NULL" } else { "found, resolved, plan" };
+    format!("{first}, {second}")
+}
 
 pub(super) fn job_row(row: &Row) -> Result<JobRow, rusqlite::Error> {
     Ok(JobRow {
@@ -43,6 +49,9 @@ pub(super) fn job_row(row: &Row) -> Result<JobRow, rusqlite::Error> {
         started: row.get(9)?,
         ended: row.get(10)?,
         result: row.get(11)?,
+        found: row.get(12)?,
+        resolved: row.get(13)?,
+        plan: row.get(14)?,
     })
 }
 

@@ -6,7 +6,7 @@
 use crate::jobs::journal::rows::encode;
 use crate::jobs::journal::{Journal, JournalError};
 use crate::jobs::record::{JobState, StepIntent, StepPhase, StepRecord};
-use rusqlite::{OptionalExtension, params};
+use rusqlite::{OptionalExtension, Row, params};
 
 impl Journal {
     /// Writes down a step before its first byte of motion leaves the PC, and returns its number.
@@ -95,16 +95,14 @@ impl Journal {
     /// As [`Journal::active`].
     pub fn steps(&self, id: &str) -> Result<Vec<StepRecord>, JournalError> {
         let select =
-            "SELECT step, intent, phase FROM steps WHERE job = (SELECT sequence FROM jobs WHERE id = ?1)
+            "SELECT step, intent, phase, changed FROM steps WHERE job = (SELECT sequence FROM jobs WHERE id = ?1)
                       ORDER BY step";
         let mut statement = self.database.prepare(select).map_err(|e| self.fail(e))?;
         let rows = statement
-            .query_map([id], |row| {
-                Ok((row.get::<_, u32>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?))
-            })
+            .query_map([id], |row| step_row(row))
             .and_then(Iterator::collect::<Result<Vec<_>, _>>)
             .map_err(|e| self.fail(e))?;
-        rows.into_iter().map(|(step, intent, phase)| self.step_record(step, &intent, &phase)).collect()
+        rows.into_iter().map(|row| self.step_record(row)).collect()
     }
 
     /// The step that was begun last, of whatever job: where it was gripped and not let go, its object may
@@ -113,18 +111,29 @@ impl Journal {
     /// # Errors
     /// SQLite fails ([`JournalError::Database`]), or the row is damaged ([`JournalError::Damaged`]).
     pub fn last_step(&self) -> Result<Option<StepRecord>, JournalError> {
-        let select = "SELECT step, intent, phase FROM steps ORDER BY rowid DESC LIMIT 1";
-        let row = self.database.query_row(select, [], |row| {
-            Ok((row.get::<_, u32>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?))
-        });
+        let select = "SELECT step, intent, phase, changed FROM steps ORDER BY rowid DESC LIMIT 1";
+        let row = self.database.query_row(select, [], |row| step_row(row));
         match row.optional().map_err(|e| self.fail(e))? {
-            Some((step, intent, phase)) => self.step_record(step, &intent, &phase).map(Some),
+            Some(row) => self.step_record(row).map(Some),
             None => Ok(None),
         }
     }
 
-    fn step_record(&self, step: u32, intent: &str, phase: &str) -> Result<StepRecord, JournalError> {
-        let phase = phase.parse::<StepPhase>().map_err(|_| self.damaged("steps.phase", phase))?;
-        Ok(StepRecord { step, intent: self.decode("steps.intent", intent)?, phase })
+    fn step_record(&self, row: StepRow) -> Result<StepRecord, JournalError> {
+        let StepRow { step, intent, phase, changed_unix_s } = row;
+        let phase = phase.parse::<StepPhase>().map_err(|_| self.damaged("steps.phase", &phase))?;
+        Ok(StepRecord { step, intent: self.decode("steps.intent", &intent)?, phase, changed_unix_s })
     }
+}
+
+/// The columns of a step, text not decoded yet.
+struct StepRow {
+    step: u32,
+    intent: String,
+    phase: String,
+    changed_unix_s: f64,
+}
+
+fn step_row(row: &Row) -> Result<StepRow, rusqlite::Error> {
+    Ok(StepRow { step: row.get(0)?, intent: row.get(1)?, phase: row.get(2)?, changed_unix_s: row.get(3)? })
 }

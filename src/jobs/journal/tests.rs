@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::cell::code::JobStatus;
-use crate::jobs::record::{JobSpec, StepIntent, StepKind, StepPhase};
+use crate::jobs::record::{GoalPose, JobSpec, PlanRecord, PlanStep, StepIntent, StepKind, StepPhase};
 use cell_edge::files::FileIdentity;
 use rearrange::geometry::pose::Pose2;
 
@@ -189,6 +189,103 @@ fn after_a_crash_only_a_job_at_rest_goes_on() {
         },
         "waiting",
     );
+}
+
+#[test]
+fn what_is_found_planned_and_approved_is_there_after_a_restart() {
+    let (_folder, path) = folder();
+    let mut journal = Journal::open(&path).unwrap();
+    claim(&mut journal, "a", "1", &spec(0, None, false));
+    journal.start("a", NOW).unwrap();
+    let pose = |x: f64| vec![GoalPose { id: "mug".into(), pose: Pose2::new(x, 0.2, 0.3) }];
+    journal.found("a", &pose(0.1), &pose(0.4)).unwrap();
+    journal.found("a", &pose(0.8), &pose(0.9)).unwrap();
+    assert_eq!(journal.job("a").unwrap().unwrap().agreed(), [], "nothing is planned yet");
+    let step = PlanStep {
+        object: "mug".into(),
+        from: Pose2::new(0.1, 0.2, 0.3),
+        to: Pose2::new(0.4, 0.2, 0.3),
+        kind: StepKind::Buffer,
+    };
+    let plan = PlanRecord {
+        steps: vec![step.clone()],
+        lower_bound: None,
+        seconds: Some(8.5),
+        table: pose(0.1),
+        preview: true,
+        sight_age_s: 40.0,
+        unix_s: NOW,
+    };
+    journal.planned("a", &plan).unwrap();
+    journal.approve("a").unwrap();
+    journal.planned("a", &PlanRecord { steps: Vec::new(), ..plan.clone() }).unwrap();
+    drop(journal);
+    let job = Journal::open_to_read(&path).unwrap().job("a").unwrap().unwrap();
+    assert_eq!(
+        (job.found.clone(), job.resolved.clone()),
+        (pose(0.1), Some(pose(0.4))),
+        "the first look counts"
+    );
+    assert_eq!(job.agreed(), [step], "what was approved, not what was planned later");
+    assert_eq!(job.plan.map(|plan| plan.steps.len()), Some(0));
+}
+
+#[test]
+fn jobs_are_found_by_their_end_their_time_and_their_objects() {
+    let (_folder, path) = folder();
+    let mut journal = Journal::open(&path).unwrap();
+    let goal = vec![GoalPose { id: "cap".into(), pose: Pose2::default() }];
+    let with_cap = JobSpec { goal, ..JobSpec::default() };
+    for (id, spec) in [("a", &spec(0, None, false)), ("b", &with_cap), ("c", &spec(0, None, false))] {
+        claim(&mut journal, id, id, spec);
+        journal.start(id, NOW).unwrap();
+        if id == "a" {
+            journal.step_intent("a", &intent(), NOW).unwrap();
+        }
+        if id == "c" {
+            journal.found("c", &[], &with_cap.goal).unwrap();
+        }
+        let end = if id == "b" { JobStatus::Failed } else { JobStatus::Done };
+        journal.finish(id, &result(id, end), NOW).unwrap();
+    }
+    let found = |filter: JobFilter| -> Vec<String> {
+        journal.search(&filter, 10).unwrap().into_iter().map(|job| job.id).collect()
+    };
+    assert_eq!(found(JobFilter::default()), ["c", "b", "a"]);
+    assert_eq!(found(JobFilter { failed: true, ..JobFilter::default() }), ["b"]);
+    assert_eq!(found(JobFilter { since_unix_s: Some(NOW), ..JobFilter::default() }).len(), 3);
+    assert_eq!(found(JobFilter { since_unix_s: Some(NOW + 1.0), ..JobFilter::default() }).len(), 0);
+    let of = |object: &str| found(JobFilter { object: Some(object.into()), ..JobFilter::default() });
+    assert_eq!((of("mug"), of("cap")), (vec!["a".to_string()], vec!["c".to_string(), "b".to_string()]));
+}
+
+#[test]
+fn a_database_of_version_1_is_read_as_it_is_and_brought_up_by_the_daemon() {
+    let (_folder, path) = folder();
+    let fixture = include_str!("version-1.sql");
+    rusqlite::Connection::open(&path).unwrap().execute_batch(fixture).unwrap();
+    let check = |journal: &Journal| {
+        let jobs = journal.latest(10).unwrap();
+        let ids: Vec<_> = jobs.iter().map(|job| (job.id.as_str(), job.state.as_str())).collect();
+        assert_eq!(ids, [("waits", "waiting"), ("tidy", "done")]);
+        assert_eq!(jobs[1].result.as_ref().map(|result| result.moves), Some(1));
+        assert_eq!(jobs[1].agreed(), [], "version 1 has another word there");
+        assert_eq!(journal.steps("tidy").unwrap().len(), 1);
+        assert_eq!(
+            journal
+                .search(&JobFilter { object: Some("mug".into()), ..JobFilter::default() }, 9)
+                .unwrap()
+                .len(),
+            2
+        );
+    };
+    check(&Journal::open_to_read(&path).unwrap());
+    let mut journal = Journal::open(&path).unwrap();
+    check(&journal);
+    journal.start("waits", NOW).unwrap();
+    journal.found("waits", &[], &[]).unwrap();
+    drop(journal);
+    assert_eq!(Journal::open(&path).unwrap().read_version().unwrap(), SCHEMA_VERSION);
 }
 
 #[test]

@@ -21,7 +21,7 @@ use crate::jobs::record::{JobSpec, quoted};
 use crate::jobs::utc;
 use cell_edge::files::{FileError, create_folder};
 use cell_values::time::{Duration, Timestamp};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt::Write as _;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -66,6 +66,8 @@ pub struct SpoolSettings {
     pub max_bytes: u64,
     /// Files taken in or refused in one look: each costs several syncs of the disk.
     pub at_once: usize,
+    /// Entries looked at in one call, most of which only wait for their settle time.
+    pub entries_at_once: usize,
     /// With so many jobs waiting, further files stay in `incoming`.
     pub queue_limit: u32,
 }
@@ -77,6 +79,7 @@ impl SpoolSettings {
         incomplete: Duration::from_secs(2),
         max_bytes: 256 * 1024,
         at_once: usize::MAX,
+        entries_at_once: usize::MAX,
         queue_limit: 64,
     };
 }
@@ -214,6 +217,11 @@ pub struct Spool {
     watched: BTreeMap<String, Watched>,
     troubled: BTreeSet<String>,
     full: bool,
+    /// What is still to be considered of the last listing of `incoming`.
+    listing: VecDeque<scan::Entry>,
+    listed: Timestamp,
+    /// Considered last.
+    last_name: String,
     #[cfg(test)]
     crash_after: std::cell::Cell<Option<u32>>,
 }
@@ -235,6 +243,9 @@ impl Spool {
             watched: BTreeMap::new(),
             troubled: BTreeSet::new(),
             full: false,
+            listing: VecDeque::new(),
+            listed: Timestamp::ZERO,
+            last_name: String::new(),
             #[cfg(test)]
             crash_after: std::cell::Cell::new(None),
         };

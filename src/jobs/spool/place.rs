@@ -62,6 +62,14 @@ impl Spool {
         Ok(job.map(|job| self.jobs.join(wanted_folder(&job))))
     }
 
+    /// The folder in which the files of a job are now.
+    ///
+    /// # Errors
+    /// As [`Spool::folder_of`].
+    pub fn folder_now(&self, journal: &Journal, id: &str) -> Result<Option<PathBuf>, SpoolError> {
+        Ok(journal.folder_of(id)?.map(|folder| self.jobs.join(folder)))
+    }
+
     pub(super) fn place_new(
         &mut self,
         journal: &mut Journal,

@@ -9,14 +9,24 @@ use crate::jobs::journal::{Claim, Journal, NewJob};
 use crate::jobs::spool::names::{id_of_file, is_plain_name, is_unfinished_name, plain_name};
 use crate::jobs::spool::{ReadJob, Refusal, Spool, SpoolError, SpoolEvent, Watched};
 use cell_edge::files::{FileError, FileIdentity, Unfit, identify, read_regular, remove};
-use cell_values::time::Timestamp;
+use cell_values::time::{Duration, Timestamp};
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 
 /// An entry of `incoming`. `name` is for people and records; `path` may hold bytes that are not text.
+#[derive(Debug)]
 pub(super) struct Entry {
     pub name: String,
     pub path: PathBuf,
+}
+
+/// A round through `incoming` that lasts longer begins anew: a cancellation must not wait for ten thousand
+/// files.
+const RELIST: Duration = Duration::from_secs(1);
+
+/// Cancellations are no jobs, and need no room.
+fn is_cancel(entry: &Entry) -> bool {
+    entry.name.ends_with(".cancel")
 }
 
 /// Time and reader, passed down together.
@@ -27,8 +37,9 @@ struct Round<'a> {
 }
 
 impl Spool {
-    /// Looks into `incoming` once. To be called at start, every few seconds, and when something hints at
-    /// news.
+    /// Looks into `incoming`: at as many entries as the settings allow for one call, going on where the last
+    /// one ended. To be called at start, every few seconds, when something hints at news, and again at once
+    /// while [`Spool::has_more`].
     ///
     /// `now` is the daemon's clock and counts the settle time; `unix_s` dates names and records.
     ///
@@ -41,23 +52,53 @@ impl Spool {
         now: Timestamp,
         unix_s: f64,
     ) -> Result<Vec<SpoolEvent>, SpoolError> {
-        let entries = self.entries()?;
-        self.watched.retain(|name, _| entries.iter().any(|entry| entry.name == *name));
-        self.troubled.retain(|name| entries.iter().any(|entry| entry.name == *name));
+        if self.listing.is_empty() || now.since(self.listed) >= RELIST {
+            self.list(now)?;
+        }
+        let full = self.full && journal.waiting()? >= self.settings.queue_limit;
         let round = Round { read, now, unix_s };
         let mut events = Vec::new();
-        for entry in &entries {
+        for _ in 0..self.settings.entries_at_once {
             if events.len() >= self.settings.at_once {
                 break;
             }
-            match self.consider(journal, entry, &round) {
+            let Some(entry) = self.listing.pop_front() else { break };
+            self.last_name.clone_from(&entry.name);
+            if full && !is_cancel(&entry) {
+                // Nothing is read before there is room.
+                self.listing.clear();
+                break;
+            }
+            match self.consider(journal, &entry, &round) {
                 Ok(event) => events.extend(event),
                 Err(SpoolError::Files(error)) if error.is_absent() => {}
-                Err(SpoolError::Files(error)) => events.extend(self.trouble(entry, &error)),
+                Err(SpoolError::Files(error)) => events.extend(self.trouble(&entry, &error)),
                 Err(error) => return Err(error),
             }
         }
         Ok(events)
+    }
+
+    /// True while the last look into `incoming` has not come to its end.
+    pub fn has_more(&self) -> bool {
+        !self.listing.is_empty()
+    }
+
+    /// Lists `incoming` anew: cancellations first, then what comes after the entry that was considered last,
+    /// so that many files that stay keep no other from its turn.
+    fn list(&mut self, now: Timestamp) -> Result<(), SpoolError> {
+        let mut entries = self.entries()?;
+        let is_there = |name: &String| entries.binary_search_by(|entry| entry.name.cmp(name)).is_ok();
+        self.watched.retain(|name, _| is_there(name));
+        self.troubled.retain(|name| is_there(name));
+        let next = match self.listing.is_empty() {
+            true => 0,
+            false => entries.partition_point(|entry| entry.name <= self.last_name),
+        };
+        entries.rotate_left(next);
+        entries.sort_by_key(|entry| !is_cancel(entry));
+        (self.listing, self.listed) = (entries.into(), now);
+        Ok(())
     }
 
     /// Entries of `incoming` that are not left alone, by name.
@@ -102,6 +143,9 @@ impl Spool {
             // A folder changes its size and time with its content and is still the same one.
             identity = FileIdentity { size: 0, modified_ns: 0, ..identity };
         }
+        if regular && !self.has_settled(&entry.name, identity, round.now) {
+            return Ok(None);
+        }
         if let Some(id) = journal.claim_of(&identity)? {
             self.place_new(journal, &id, &entry.path)?;
             return Ok(None);
@@ -115,10 +159,7 @@ impl Spool {
         if !regular {
             return self.refuse_unfit(journal, entry, &identity, Unfit::NotRegular, round).map(Some);
         }
-        if self.has_settled(&entry.name, identity, round.now) {
-            return self.take(journal, entry, identity, round);
-        }
-        Ok(None)
+        self.take(journal, entry, identity, round)
     }
 
     /// Starts watching a new or changed file; true once it has not changed for the settle time.

@@ -437,3 +437,51 @@ fn a_clock_that_jumps_changes_neither_that_ids_differ_nor_the_order_of_jobs() {
         bench.journal.finish(id, &result(id, JobStatus::Done), NOW - YEAR_S).unwrap();
     }
 }
+
+/// Very many files at once: those that are wrong are refused one by one, the others wait for room, and a
+/// cancellation waits for none of them.
+#[test]
+fn many_files_are_all_accounted_for_a_few_at_a_time() {
+    const FILES: usize = 2000;
+    let mut bench = Bench::new();
+    (bench.spool.settings.at_once, bench.spool.settings.entries_at_once) = (1, 200);
+    let good = |k: usize| k.is_multiple_of(20);
+    for k in 0..FILES {
+        let text = if good(k) { format!("goal\nid job-{k:05}") } else { "gaol".to_string() };
+        bench.drop_file(&format!("job-{k:05}.yaml"), &text);
+    }
+    let (mut claimed, mut refused, mut full, mut cancelled_after) = (Vec::new(), 0, 0, None);
+    let mut ms = 0;
+    while claimed.len() + refused < FILES {
+        assert!(ms < 10_000_000, "{} claimed, {refused} refused", claimed.len());
+        ms += if bench.spool.has_more() { 1 } else { 200 };
+        let events = bench.scan(ms);
+        assert!(events.len() <= 1, "{events:?}");
+        for event in events {
+            match event {
+                SpoolEvent::Claimed { id, .. } => claimed.push(id),
+                SpoolEvent::Rejected { .. } => refused += 1,
+                SpoolEvent::Cancel { id } => cancelled_after = Some((id, refused)),
+                SpoolEvent::Full { .. } => full += 1,
+                SpoolEvent::Trouble { .. } => panic!("{event:?}"),
+            }
+            if claimed.len() + refused == 100 {
+                bench.drop_file("zz.cancel", "");
+            }
+        }
+        // The cell works a job off whenever nothing more can be taken in.
+        if bench.journal.waiting().unwrap() >= bench.spool.settings.queue_limit && !bench.spool.has_more() {
+            let id = bench.journal.next_ready(NOW).unwrap().unwrap().id;
+            bench.journal.start(&id, NOW).unwrap();
+            bench.journal.finish(&id, &result(&id, JobStatus::Done), NOW).unwrap();
+        }
+    }
+    let expected: Vec<_> = (0..FILES).filter(|k| good(*k)).map(|k| format!("job-{k:05}")).collect();
+    assert_eq!(claimed, expected, "in the order of their names");
+    assert_eq!(refused, FILES - expected.len());
+    assert!(full >= 1, "that the queue is full is reported");
+    let (id, after) = cancelled_after.expect("the cancellation was read");
+    assert!(id == "zz" && after < 1900, "it waited for {after} files");
+    let left: Vec<_> = bench.files().into_iter().filter(|file| file.starts_with("incoming")).collect();
+    assert_eq!(left, Vec::<String>::new());
+}

@@ -55,6 +55,8 @@ fn about_to_look(look_poses: Vec<Joints>) -> Bench {
         time_limit: Duration::from_secs(1),
         seed: 0,
         approval: Approval::Never,
+        rule: None,
+        agreed: Vec::new(),
     };
     bench.feed(Input::Job(Box::new(order_of_two)));
     bench.feed(order(Order::Arm));
@@ -113,6 +115,9 @@ fn until_looking(bench: &mut Bench) {
 
 fn records(actions: &[Action]) -> Vec<&'static str> {
     let name = |record: &Record| match record {
+        Record::Found { .. } => "found",
+        Record::Planned(_) => "planned",
+        Record::Approved => "approved",
         Record::Intent { .. } => "intent",
         Record::Gripped { .. } => "gripped",
         Record::Released { .. } => "released",

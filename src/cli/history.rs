@@ -1,0 +1,317 @@
+//! What has happened to jobs: `celld jobs`, `celld why`, `celld report`.
+//!
+//! In: the state folder; for a report also the configuration, which has the shapes of the objects. Out: a
+//! table, a story, an HTML page. No daemon is needed, and a running one is not disturbed.
+
+use crate::cell::code::JobStatus;
+use crate::cli::client::{ClientError, StateArg, complain};
+use crate::cli::jobs::Format;
+use crate::cli::task::outln;
+use crate::config::cell::CellConfig;
+use crate::config::load::load_cell;
+use crate::daemon::plan_files;
+use crate::jobs::history::{JobFilter, since, story};
+use crate::jobs::journal::Journal;
+use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord, quoted};
+use crate::jobs::state::StateFolder;
+use crate::jobs::status::Status;
+use crate::jobs::utc;
+use crate::report::html::html;
+use crate::report::run::{Drawing, Figures, LogRow, MoveRow, ObjectRow, Picture, RunReport};
+use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
+use crate::report::text::{columns, or_dash};
+use cell_edge::clock::unix_now_s;
+use cell_edge::files::write_whole;
+use clap::Args;
+use rearrange::geometry::pose::Pose2;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `celld jobs`.
+#[derive(Args, Debug)]
+pub struct JobsArgs {
+    #[command(flatten)]
+    state: StateArg,
+    /// How many.
+    #[arg(long, default_value_t = 20)]
+    last: u32,
+    /// Only those that failed or were interrupted.
+    #[arg(long)]
+    failed: bool,
+    /// Only those since then: 90s, 30m, 12h, 2d, 1w ago, or a date (2026-11-21, 2026-11-21T08:00:00Z; UTC).
+    #[arg(long, value_name = "WHEN")]
+    since: Option<String>,
+    /// Only those that had to do with this object.
+    #[arg(long, value_name = "ID")]
+    object: Option<String>,
+    /// Table or JSON.
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
+
+/// Arguments of `celld why`.
+#[derive(Args, Debug)]
+pub struct WhyArgs {
+    /// The job, or the file in which it came.
+    job: String,
+    #[command(flatten)]
+    state: StateArg,
+}
+
+/// Arguments of `celld report`.
+#[derive(Args, Debug)]
+pub struct ReportArgs {
+    /// The job.
+    job: String,
+    #[command(flatten)]
+    state: StateArg,
+    /// The cell's configuration, for the shapes of the objects; default: that of the daemon that ran last.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Where the page is written; default: JOB.html.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+}
+
+/// `celld jobs`
+pub(super) fn jobs(args: &JobsArgs) -> Result<u8, ClientError> {
+    let since_unix_s = match args.since.as_deref().map(|text| (text, since(text, unix_now_s()))) {
+        Some((text, None)) => {
+            eprintln!("--since {text}: write 90s, 30m, 12h, 2d or 1w, or a date such as 2026-11-21");
+            return Ok(2);
+        }
+        Some((_, time)) => time,
+        None => None,
+    };
+    let filter = JobFilter { failed: args.failed, since_unix_s, object: args.object.clone() };
+    let records = match journal(&args.state.folder())? {
+        Some(journal) => journal.search(&filter, args.last)?,
+        None => Vec::new(),
+    };
+    match args.format {
+        Format::Json => outln!("[{}]", records.iter().map(job_json).collect::<Vec<_>>().join(",\n ")),
+        Format::Text if records.is_empty() && filter == JobFilter::default() => {
+            outln!("no jobs in {}", args.state.folder().root().display());
+        }
+        Format::Text if records.is_empty() => outln!("no such jobs"),
+        Format::Text => {
+            let rows: Vec<_> = records.iter().map(job_row).collect();
+            outln!("{}", columns(&["job", "state", "claimed", "moves", "code"], &rows));
+        }
+    }
+    Ok(0)
+}
+
+/// The journal to read; `None` before the first daemon has run.
+fn journal(state: &StateFolder) -> Result<Option<Journal>, ClientError> {
+    let path = state.journal();
+    Ok(if path.exists() { Some(Journal::open_to_read(&path)?) } else { None })
+}
+
+fn job_row(job: &JobRecord) -> Vec<String> {
+    let result = job.result.as_ref();
+    vec![
+        job.id.clone(),
+        job.state.to_string(),
+        utc::text(job.claimed_unix_s),
+        or_dash(result, |result| result.moves.to_string()),
+        or_dash(result, |result| result.code.clone()),
+    ]
+}
+
+fn job_json(job: &JobRecord) -> String {
+    let json = |value: Result<String, serde_json::Error>| value.unwrap_or_else(|_| "null".to_owned());
+    format!(
+        "{{\"id\": {}, \"state\": {}, \"claimed_unix_s\": {}, \"plan\": {}, \"result\": {}}}",
+        quoted(&job.id),
+        quoted(job.state.as_str()),
+        job.claimed_unix_s,
+        json(serde_json::to_string(&job.plan)),
+        json(serde_json::to_string(&job.result))
+    )
+}
+
+/// `celld why`
+pub(super) fn why(args: &WhyArgs) -> Result<u8, ClientError> {
+    let state = args.state.folder();
+    let Some(journal) = journal(&state)? else { return Ok(unknown(&args.job)) };
+    let job = match journal.job(&args.job)? {
+        Some(job) => Some(job),
+        None => journal.job_of_file(&args.job)?,
+    };
+    if let Some(job) = job {
+        cell_edge::terminal::print(&story(&job, &journal.steps(&job.id)?));
+        return Ok(0);
+    }
+    let stem = |name: &str| format!("{name}.yaml");
+    let rejected = match journal.rejection_of_name(&args.job)? {
+        Some(rejection) => Some(rejection),
+        None => journal.rejection_of_name(&stem(&args.job))?,
+    };
+    let Some(rejection) = rejected else { return Ok(unknown(&args.job)) };
+    outln!("{} was refused ({})\n\n{}", rejection.name, rejection.code, rejection.reason.trim_end());
+    Ok(0)
+}
+
+fn unknown(job: &str) -> u8 {
+    eprintln!("no job and no refused file {job:?} is known; `celld jobs` lists the jobs");
+    1
+}
+
+/// `celld report`
+pub(super) fn report(args: &ReportArgs) -> Result<u8, ClientError> {
+    let state = args.state.folder();
+    let Some(journal) = journal(&state)? else { return Ok(unknown(&args.job)) };
+    let Some(job) = journal.job(&args.job)? else { return Ok(unknown(&args.job)) };
+    let last = Status::read(&state.status())?.map(|status| status.config).filter(|path| !path.is_empty());
+    let config = args.config.clone().or(last.map(PathBuf::from));
+    let Some(config) = config else {
+        eprintln!("name the cell's configuration with --config: it has the shapes of the objects");
+        return Ok(2);
+    };
+    let cell = match load_cell(&config) {
+        Ok(cell) => cell,
+        Err(error) => {
+            outln!("{error}");
+            return Ok(2);
+        }
+    };
+    let folder = journal.folder_of(&job.id)?.map(|folder| state.root().join("jobs").join(folder));
+    let page = html(&page_of(&job, &journal.steps(&job.id)?, &cell, folder.as_deref()));
+    let out = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.html", job.id)));
+    write_whole(&out, page.as_bytes())?;
+    outln!("{}", out.display());
+    Ok(0)
+}
+
+/// What is known of a job, as the page has it.
+fn page_of(job: &JobRecord, steps: &[StepRecord], cell: &CellConfig, folder: Option<&Path>) -> RunReport {
+    let result = job.result.as_ref();
+    let hint = |hint: &str| if hint.is_empty() { String::new() } else { format!("; to do: {hint}") };
+    let done = steps.iter().filter(|step| step.phase == StepPhase::Done);
+    RunReport {
+        title: job.id.clone(),
+        reached: job.state == JobState::Ended(JobStatus::Done),
+        headline: match result {
+            Some(result) => format!("{} ({}){}", result.message, result.code, hint(&result.hint)),
+            None => format!("the job is {}", job.state),
+        },
+        figures: Figures {
+            objects: job.found.len(),
+            moves: result.map_or(0, |result| result.moves as usize),
+            buffers: done.filter(|step| step.intent.kind == StepKind::Buffer).count(),
+            lower_bound: result.and_then(|result| result.lower_bound),
+            cycle_s: result.map(|result| result.seconds),
+            tolerance_mm: cell.tolerances.goal_position_m * 1e3,
+            tolerance_deg: cell.tolerances.goal_angle_rad.to_degrees(),
+            ..Figures::default()
+        },
+        moves: moves(steps, job.started_unix_s),
+        objects: result.map(objects).unwrap_or_default(),
+        pictures: folder.map(pictures).unwrap_or_default(),
+        drawings: drawings(job, cell),
+        log: log(job, steps),
+        settings: settings(job),
+    }
+}
+
+fn objects(result: &crate::jobs::record::JobResult) -> Vec<ObjectRow> {
+    let row = |object: &crate::jobs::record::ObjectResult| ObjectRow {
+        id: object.id.clone(),
+        goal: object.goal,
+        measured: object.measured,
+        truth: None,
+    };
+    result.objects.iter().map(row).collect()
+}
+
+fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
+    let mut before = started_unix_s;
+    let done = steps.iter().filter(|step| step.phase == StepPhase::Done);
+    done.map(|step| {
+        let seconds = before.map(|before| step.changed_unix_s - before);
+        before = Some(step.changed_unix_s);
+        let intent = &step.intent;
+        let buffer = intent.kind == StepKind::Buffer;
+        MoveRow {
+            object: intent.object.clone(),
+            buffer,
+            from: intent.from,
+            to: intent.to,
+            seconds,
+            vacuum: None,
+        }
+    })
+    .collect()
+}
+
+/// The pictures that the daemon has left in the job's folder.
+fn pictures(folder: &Path) -> Vec<Picture> {
+    let named = [("plan.jpg", "When the plan was made"), ("end.jpg", "At the end")];
+    let read = |(name, caption): (&str, &str)| {
+        let bytes = std::fs::read(folder.join(name)).ok()?;
+        Some(Picture { caption: caption.to_string(), media_type: "image/jpeg", bytes })
+    };
+    named.into_iter().filter_map(read).collect()
+}
+
+fn drawings(job: &JobRecord, cell: &CellConfig) -> Vec<Drawing> {
+    let pose = |list: &[GoalPose], id: &str| list.iter().find(|at| at.id == id).map(|at| at.pose);
+    let goals = job.resolved.as_ref().unwrap_or(&job.spec.goal);
+    let measured = |id: &str| -> Option<Pose2> {
+        job.result.as_ref()?.objects.iter().find(|object| object.id == id)?.measured
+    };
+    let title = "Found, wanted and last seen";
+    let drawn = cell.objects.iter().map(|object| DrawnObject {
+        id: &object.id,
+        footprint: &object.footprint,
+        start: pose(&job.found, &object.id).or(object.start.filter(|_| object.fixed)),
+        goal: pose(goals, &object.id),
+        measured: measured(&object.id),
+    });
+    let known = |object: &DrawnObject| object.start.or(object.goal).or(object.measured).is_some();
+    let table = TableDrawing {
+        title,
+        width_m: cell.workspace.width_m,
+        height_m: cell.workspace.height_m,
+        keep_out: cell.workspace.keep_out.iter().map(|region| (&region.footprint, region.pose)).collect(),
+        objects: drawn.filter(known).collect(),
+    };
+    let plan = job.plan.as_ref().and_then(|plan| {
+        let caption = format!("The last plan: {}", plan.summary());
+        Some(Drawing { svg: plan_files::drawing(plan, cell, &caption)?, caption })
+    });
+    let table = Drawing { caption: title.to_string(), svg: table_svg(&table) };
+    std::iter::once(table).chain(plan).collect()
+}
+
+/// The story, a line each.
+fn log(job: &JobRecord, steps: &[StepRecord]) -> Vec<LogRow> {
+    let story = story(job, steps);
+    let lines = story.lines().filter(|line| line.contains("Z  "));
+    let row = |line: &str| {
+        let (time, text) = line.split_once("Z  ")?;
+        let seconds = utc::parse(&format!("{time}Z"))? - job.claimed_unix_s;
+        Some(LogRow { seconds, level: "info", text: text.to_string() })
+    };
+    lines.filter_map(row).collect()
+}
+
+fn settings(job: &JobRecord) -> Vec<(String, String)> {
+    let pair = |key: &str, value: String| (key.to_string(), value);
+    let time = |at: Option<f64>| at.map_or_else(|| "-".to_string(), utc::text);
+    let mut settings = vec![
+        pair("file", job.name.clone()),
+        pair("sha256", job.sha256.clone()),
+        pair("claimed", time(Some(job.claimed_unix_s))),
+        pair("ended", time(job.ended_unix_s)),
+    ];
+    for (what, seconds) in job.result.iter().flat_map(|result| &result.times) {
+        settings.push(pair(what, format!("{seconds:.1} s")));
+    }
+    settings
+}
+
+/// A command of this file, and its exit code.
+pub(super) fn code(result: Result<u8, ClientError>) -> u8 {
+    result.unwrap_or_else(|error| complain(&error))
+}

@@ -1,0 +1,109 @@
+//! Operators' commands in the state folder as the machine's orders, and the answers back.
+//!
+//! In: command files of the daemon's own name, answers. Out: numbered orders, each once; answers in the log with
+//! the user who ordered. What a person has confirmed is remembered before it is answered.
+
+use crate::cell::device::gripper_types::Channels;
+use crate::cell::orders::{Order, Reply};
+use crate::daemon::keeper::KeeperError;
+use crate::daemon::store::Orders;
+use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
+use crate::jobs::state::StateFolder;
+use cell_edge::clock::{boot_now_s, unix_now_s};
+use rearrange::document::chain::chain;
+use std::collections::VecDeque;
+
+/// Most orders whose answers are still to come; older ones are forgotten.
+const UNANSWERED_MAX: usize = 64;
+
+/// Operators' commands in the state folder.
+pub struct StateOrders {
+    inbox: Inbox,
+    state: StateFolder,
+    /// The gripper's address, as it is remembered.
+    gripper: String,
+    last: u64,
+    unanswered: VecDeque<(u64, Taken)>,
+}
+
+impl StateOrders {
+    /// Opens the command folder and clears what was left for an earlier daemon; `gripper` is the address at
+    /// which a person may confirm the gripper.
+    ///
+    /// # Errors
+    /// The folder cannot be used.
+    pub fn open(state: &StateFolder, daemon: String, gripper: String) -> Result<StateOrders, KeeperError> {
+        let inbox = Inbox::open(&state.commands(), daemon)?;
+        Ok(StateOrders { inbox, state: state.clone(), gripper, last: 0, unanswered: VecDeque::new() })
+    }
+
+    /// What a person has confirmed is remembered before it is answered; the answer says where it cannot be.
+    fn remember(&self, taken: &Taken, reply: &Reply) -> Reply {
+        if !reply.accepted || taken.command != Command::ConfirmGripper {
+            return reply.clone();
+        }
+        match self.state.confirm_gripper(&self.gripper, unix_now_s()) {
+            Ok(()) => reply.clone(),
+            Err(error) => {
+                let fault = chain(&error);
+                Reply::accept(format!("{}; not remembered for the next start: {fault}", reply.message))
+            }
+        }
+    }
+}
+
+impl Orders for StateOrders {
+    fn take(&mut self) -> Vec<(u64, Order)> {
+        let taken = self.inbox.take(boot_now_s()).unwrap_or_else(|error| {
+            tracing::error!(%error, "command folder");
+            Vec::new()
+        });
+        let mut orders = Vec::with_capacity(taken.len());
+        for taken in taken {
+            self.last += 1;
+            orders.push((self.last, order_of(&taken.command)));
+            self.unanswered.push_back((self.last, taken));
+            if self.unanswered.len() > UNANSWERED_MAX {
+                self.unanswered.pop_front();
+            }
+        }
+        orders
+    }
+
+    fn reply(&mut self, number: u64, reply: &Reply) {
+        let Some(index) = self.unanswered.iter().position(|(open, _)| *open == number) else { return };
+        let Some((_, taken)) = self.unanswered.remove(index) else { return };
+        let (command, uid) = (&taken.command, taken.uid);
+        if reply.accepted {
+            tracing::info!(?command, uid, "ordered: {}", reply.message);
+        } else {
+            tracing::warn!(?command, uid, "order refused: {}", reply.message);
+        }
+        if let Err(error) = self.inbox.reply(&taken, &self.remember(&taken, reply)) {
+            tracing::warn!(%error, "a command could not be answered");
+        }
+    }
+}
+
+/// A command file as the machine knows it.
+fn order_of(command: &Command) -> Order {
+    match command {
+        Command::Arm => Order::Arm,
+        Command::Disarm => Order::Disarm,
+        Command::Approve { id } => Order::Approve(id.clone()),
+        Command::Reject { id } => Order::Reject(id.clone()),
+        Command::Cancel { id } => Order::Cancel(id.clone()),
+        Command::Pause => Order::Pause,
+        Command::Resume => Order::Resume,
+        Command::Step => Order::Step,
+        Command::Abort => Order::Abort,
+        Command::Park => Order::Park,
+        Command::Release { channel } => Order::Release(match channel {
+            Some(ReleaseChannel::A) => Channels::A,
+            Some(ReleaseChannel::B) => Channels::B,
+            None => Channels::Both,
+        }),
+        Command::Recover { how } => Order::Recover(*how),
+        Command::ConfirmGripper => Order::ConfirmGripper,
+    }
+}

@@ -1,0 +1,124 @@
+//! What has changed between two states of the daemon, a line each: for `celld watch`.
+//!
+//! In: the status before and now. Out: sentences, the most important first; none where nothing that a person
+//! follows has changed. Pure.
+
+use crate::jobs::status::{DeviceStatus, Status, Stopped};
+
+/// The lines that are new in `now`.
+pub fn changes(before: &Status, now: &Status) -> Vec<String> {
+    let mut lines = Vec::new();
+    if now.daemon != before.daemon {
+        lines.push(format!("celld {} has started", now.daemon));
+    }
+    if now.armed != before.armed {
+        lines.push(if now.armed { "ARMED: the arm may move" } else { "disarmed" }.to_string());
+    }
+    if let Some(Stopped { code, message, .. }) =
+        now.stopped.as_ref().filter(|_| now.stopped != before.stopped)
+    {
+        lines.push(format!("stopped: {message} ({code})"));
+    }
+    if now.job != before.job {
+        match (&before.job, &now.job) {
+            (_, Some(job)) => lines.push(format!("job {job} is taken up")),
+            (Some(job), None) => lines.push(format!("job {job} has ended: `celld why {job}`")),
+            (None, None) => {}
+        }
+    }
+    if let Some(plan) = now.plan.as_ref().filter(|plan| before.plan.as_ref() != Some(plan)) {
+        lines.push(format!("planned: {}", plan.summary()));
+    }
+    for id in now.awaiting_approval.iter().filter(|id| !before.awaiting_approval.contains(id)) {
+        lines.push(format!("waits for `celld approve {id}` or `celld reject {id}`"));
+    }
+    if (&now.state, &now.message) != (&before.state, &before.message) || now.step != before.step {
+        let step = now.step.filter(|_| now.job.is_some());
+        let step = step.map(|(step, of)| format!(" ({step} of {of} moves made)")).unwrap_or_default();
+        lines.push(format!("{}{step}", now.message));
+    }
+    if let Some(because) = now.because.as_ref().filter(|_| now.because != before.because) {
+        lines.push(format!("looks again: {because}"));
+    }
+    if now.holding != before.holding {
+        let nothing = "nothing is held".to_string();
+        lines.push(format!("gripper: {}", now.holding.as_ref().unwrap_or(&nothing)));
+    }
+    if (now.waiting, now.unread) != (before.waiting, before.unread) {
+        lines.push(format!("{} jobs wait, {} files are not read yet", now.waiting, now.unread));
+    }
+    lines.extend(devices(before, now));
+    if now.hint != before.hint && !now.hint.is_empty() {
+        lines.push(format!("to do: {}", now.hint));
+    }
+    lines
+}
+
+/// Devices that are ready now and were not, or the other way round.
+fn devices(before: &Status, now: &Status) -> Vec<String> {
+    let was = |name: &str| before.devices.iter().find(|device| device.name == name).map(|d| d.ready);
+    let changed = now.devices.iter().filter(|device| was(&device.name) != Some(device.ready));
+    let words = |DeviceStatus { name, address, ready, message }: &DeviceStatus| {
+        format!("{name} at {address}: {}, {message}", if *ready { "ready" } else { "NOT READY" })
+    };
+    changed.map(words).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_changes_is_said() {
+        let idle =
+            Status { daemon: "d1".into(), state: "idle".into(), message: "idle".into(), ..Status::default() };
+        assert_eq!(changes(&idle, &Status { written_unix_s: 5.0, ..idle.clone() }), Vec::<String>::new());
+        let working = Status {
+            state: "working".into(),
+            message: "carrying mug".into(),
+            armed: true,
+            job: Some("tidy".into()),
+            step: Some((2, 7)),
+            holding: Some("mug hangs on it".into()),
+            waiting: 3,
+            ..idle.clone()
+        };
+        assert_eq!(
+            changes(&idle, &working),
+            [
+                "ARMED: the arm may move",
+                "job tidy is taken up",
+                "carrying mug (2 of 7 moves made)",
+                "gripper: mug hangs on it",
+                "3 jobs wait, 0 files are not read yet",
+            ]
+        );
+        let device = |ready| DeviceStatus {
+            name: "gripper".into(),
+            address: "10.0.0.3:502".into(),
+            ready,
+            message: "answers".into(),
+        };
+        let stop =
+            Stopped { code: "aborted".into(), message: "a person stopped it".into(), hint: String::new() };
+        let with = Status { devices: vec![device(true)], ..working.clone() };
+        let stopped = Status {
+            armed: false,
+            stopped: Some(stop),
+            job: None,
+            devices: vec![device(false)],
+            hint: "`celld recover`".into(),
+            ..with.clone()
+        };
+        assert_eq!(
+            changes(&with, &stopped),
+            [
+                "disarmed",
+                "stopped: a person stopped it (aborted)",
+                "job tidy has ended: `celld why tidy`",
+                "gripper at 10.0.0.3:502: NOT READY, answers",
+                "to do: `celld recover`",
+            ]
+        );
+    }
+}

@@ -1,0 +1,206 @@
+//! Which jobs are wanted, and the story of one: what came in, what was found, planned, done, and how it ended.
+//!
+//! In: a filter as a person writes it; a job's record and its steps. Out: the clause for the database; lines of
+//! text with dates. Pure.
+
+use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord};
+use crate::jobs::utc;
+use std::fmt::Write as _;
+
+/// Jobs that are wanted.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JobFilter {
+    /// Only those that failed or were interrupted.
+    pub failed: bool,
+    /// Only those claimed at or after this time, s since 1970.
+    pub since_unix_s: Option<f64>,
+    /// Only those that had to do with this object: a goal of it, or a step.
+    pub object: Option<String>,
+}
+
+/// A time as a person writes it: so long before `now` (`90s`, `30m`, `12h`, `2d`, `1w`), or a date in UTC.
+pub fn since(text: &str, now_unix_s: f64) -> Option<f64> {
+    let units = [('s', 1.0), ('m', 60.0), ('h', 3600.0), ('d', 86_400.0), ('w', 604_800.0)];
+    let ago = units.iter().find_map(|(unit, seconds)| {
+        let count: u32 = text.strip_suffix(*unit)?.parse().ok()?;
+        Some(now_unix_s - f64::from(count) * seconds)
+    });
+    ago.or_else(|| utc::parse(text)).or_else(|| utc::parse(&format!("{text}T00:00:00Z")))
+}
+
+/// The story of a job.
+pub fn story(job: &JobRecord, steps: &[StepRecord]) -> String {
+    let mut text = head(job);
+    let mut at = |unix_s: Option<f64>, what: String| {
+        let time = unix_s.map_or_else(|| " ".repeat(20), utc::text);
+        let _ = writeln!(text, "{time}  {what}");
+    };
+    let priority = match job.spec.priority {
+        0 => String::new(),
+        other => format!(", priority {other}"),
+    };
+    at(Some(job.claimed_unix_s), format!("taken up from {}{priority}", job.name));
+    if let Some(started) = job.started_unix_s {
+        at(Some(started), "begun".to_string());
+    }
+    if !job.found.is_empty() {
+        let goals = job.resolved.as_ref().map_or(0, Vec::len);
+        at(None, format!("found {} objects on the table, {goals} of them with a goal", job.found.len()));
+    }
+    if let Some(plan) = &job.plan {
+        at(Some(plan.unix_s), format!("planned: {}", plan.summary()));
+        if job.approved.is_some() {
+            at(None, "a person approved a plan".to_string());
+        }
+    }
+    for step in steps {
+        at(Some(step.changed_unix_s), format!("{}. {}", step.step, step_words(step)));
+    }
+    if let Some(result) = &job.result {
+        let used: Vec<_> = result.times.iter().map(|(what, s)| format!("{what} {s:.1}")).collect();
+        let used = if used.is_empty() { String::new() } else { format!(" (s: {})", used.join(", ")) };
+        at(job.ended_unix_s, format!("{} after {:.1} s{used}", result.status, result.seconds));
+    }
+    text.push_str(&objects(job));
+    text
+}
+
+/// What matters first: how it ended and what to do.
+fn head(job: &JobRecord) -> String {
+    let mut text = match &job.result {
+        Some(result) => format!("{}: {} ({})\n{}\n", job.id, job.state, result.code, result.message),
+        None => format!("{}: {}\n", job.id, job.state),
+    };
+    let hint = job.result.as_ref().map_or("", |result| result.hint.as_str());
+    let hint = match job.state {
+        JobState::Active => "`celld status` says what the cell does now",
+        JobState::Waiting => "`celld status` says what it waits for",
+        JobState::Ended(_) => hint,
+    };
+    if !hint.is_empty() {
+        let _ = writeln!(text, "to do: {hint}");
+    }
+    text.push('\n');
+    text
+}
+
+fn step_words(StepRecord { intent, phase, .. }: &StepRecord) -> String {
+    let to = match intent.kind {
+        StepKind::Goal => "its goal",
+        StepKind::Buffer => "a temporary place",
+    };
+    let far = match phase {
+        StepPhase::Done => format!("moved to {to}"),
+        StepPhase::Intent => format!("was to be moved to {to}: begun, how far is not known"),
+        StepPhase::Gripped => format!("was gripped, on its way to {to}"),
+        StepPhase::Released => format!("was let go at {to}"),
+        StepPhase::Abandoned => format!("was to be moved to {to}; given up"),
+    };
+    format!("{} {far}", intent.object)
+}
+
+/// How far each object is from its goal; of a job without a result, what is wanted.
+fn objects(job: &JobRecord) -> String {
+    let mut text = String::new();
+    let Some(result) = job.result.as_ref().filter(|result| !result.objects.is_empty()) else {
+        for GoalPose { id, pose } in job.resolved.as_ref().unwrap_or(&job.spec.goal) {
+            let _ = writeln!(text, "  {id} is wanted at [{:.4}, {:.4}, {:.4}]", pose.x, pose.y, pose.theta);
+        }
+        return text;
+    };
+    text.push('\n');
+    for object in &result.objects {
+        let state = match (object.error_mm, object.error_deg) {
+            (Some(mm), Some(deg)) => format!("{mm:.1} mm and {deg:.1} degrees from its goal, as seen last"),
+            _ => "not seen".to_string(),
+        };
+        let _ = writeln!(text, "  {}: {state}", object.id);
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cell::code::JobStatus;
+    use crate::jobs::record::{JobResult, JobSpec, ObjectResult, PlanRecord, StepIntent};
+    use rearrange::geometry::pose::Pose2;
+
+    const NOW: f64 = 1_795_248_000.0;
+
+    #[test]
+    fn a_time_is_a_span_or_a_date() {
+        assert_eq!(since("2d", NOW), Some(NOW - 172_800.0));
+        assert_eq!(since("90s", NOW), Some(NOW - 90.0));
+        assert_eq!(since("2026-11-21T08:00:00Z", NOW), Some(NOW));
+        assert_eq!(since("2026-11-21", NOW), Some(NOW - 8.0 * 3600.0));
+        for wrong in ["", "d", "-2d", "2y", "tomorrow", "1.5h"] {
+            assert_eq!(since(wrong, NOW), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_story_says_first_how_it_ended_and_what_to_do() {
+        let pose = Pose2::new(0.1, 0.2, 0.0);
+        let goal = GoalPose { id: "mug".into(), pose };
+        let job = JobRecord {
+            sequence: 1,
+            id: "tidy".into(),
+            name: "tidy.yaml".into(),
+            sha256: String::new(),
+            text: String::new(),
+            spec: JobSpec { goal: vec![goal.clone()], ..JobSpec::default() },
+            state: JobState::Ended(JobStatus::Failed),
+            approved: None,
+            found: vec![goal.clone()],
+            resolved: Some(vec![goal.clone()]),
+            plan: Some(PlanRecord {
+                steps: Vec::new(),
+                lower_bound: Some(1.0),
+                seconds: Some(8.0),
+                table: vec![goal],
+                preview: false,
+                sight_age_s: 0.0,
+                unix_s: NOW + 9.0,
+            }),
+            claimed_unix_s: NOW,
+            started_unix_s: Some(NOW + 1.0),
+            ended_unix_s: Some(NOW + 30.0),
+            result: Some(JobResult {
+                id: "tidy".into(),
+                status: JobStatus::Failed,
+                code: "vacuum_lost".into(),
+                message: "mug was lost".into(),
+                hint: "see where it lies".into(),
+                moves: 0,
+                lower_bound: Some(1.0),
+                seconds: 29.0,
+                times: [("travel".to_string(), 12.0)].into(),
+                objects: vec![ObjectResult::new("mug", Some(pose), None)],
+            }),
+        };
+        let intent = StepIntent {
+            object: "mug".into(),
+            from: pose,
+            to: pose,
+            kind: StepKind::Goal,
+            tool_from_object: None,
+            table: Vec::new(),
+        };
+        let steps = [StepRecord { step: 1, intent, phase: StepPhase::Gripped, changed_unix_s: NOW + 20.0 }];
+        insta::assert_snapshot!(story(&job, &steps), @r"
+        tidy: failed (vacuum_lost)
+        mug was lost
+        to do: see where it lies
+
+        2026-11-21T08:00:00Z  taken up from tidy.yaml
+        2026-11-21T08:00:01Z  begun
+                              found 1 objects on the table, 1 of them with a goal
+        2026-11-21T08:00:09Z  planned: 0 pick-n-places, lower bound 1, about 8 s
+        2026-11-21T08:00:20Z  1. mug was gripped, on its way to its goal
+        2026-11-21T08:00:30Z  failed after 29.0 s (s: travel 12.0)
+
+          mug: not seen
+        ");
+    }
+}
