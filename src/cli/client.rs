@@ -5,9 +5,18 @@
 use crate::jobs::journal::JournalError;
 use crate::jobs::state::{StateError, StateFolder};
 use cell_edge::files::FileError;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
+
+/// Output for people or programs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For people.
+    Text,
+    /// For programs.
+    Json,
+}
 
 /// Where the daemon is found.
 #[derive(Args, Clone, Debug)]

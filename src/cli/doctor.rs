@@ -4,8 +4,8 @@
 //! is missing, 1 something is, 2 the configuration cannot be read. Nothing moves and nothing is written to a
 //! device.
 
+use crate::cli::client::Format;
 use crate::cli::client::StateArg;
-use crate::cli::jobs::Format;
 use crate::config::load::load_cell;
 use crate::doctor::probe::examine;
 use cell_edge::terminal::{complain, print};

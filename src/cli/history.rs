@@ -4,8 +4,7 @@
 //! table, a story, an HTML page. No daemon is needed, and a running one is not disturbed.
 
 use crate::cell::code::JobStatus;
-use crate::cli::client::{ClientError, StateArg, complain};
-use crate::cli::jobs::Format;
+use crate::cli::client::{ClientError, Format, StateArg, complain};
 use crate::cli::task::outln;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;

@@ -4,7 +4,7 @@
 //! with the daemon off; every other command is refused then, and never stored for a later daemon.
 
 use crate::cell::orders::{Reply, WayBack};
-use crate::cli::client::{ClientError, StateArg, complain};
+use crate::cli::client::{ClientError, Format, StateArg, complain};
 use crate::cli::history::{self, JobsArgs, ReportArgs, WhyArgs};
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
@@ -22,15 +22,6 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 
 /// How often the answer is looked for.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-
-/// Output for people or programs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Format {
-    /// For people.
-    Text,
-    /// For programs.
-    Json,
-}
 
 /// Commands to the cell.
 #[derive(Subcommand, Debug)]

@@ -124,7 +124,8 @@ impl StateKeeper {
         })
     }
 
-    /// With pictures for the folders of jobs, and the name of the configuration for whoever reads the status.
+    /// With pictures for the folders of jobs, and the name of the configuration for whoever reads the
+    /// status.
     pub fn with(self, pictures: LastPicture, config_file: &Path) -> StateKeeper {
         let file = std::path::absolute(config_file).unwrap_or_else(|_| config_file.to_path_buf());
         StateKeeper { pictures, config_file: file.display().to_string(), ..self }

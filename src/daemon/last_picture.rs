@@ -12,9 +12,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Of JPEG: markers stay legible, a picture takes some 100 KB.
 const QUALITY: u8 = 85;
 
+/// A picture and the markers that were found in it.
+type Found = (Image, Vec<Detection>);
+
 /// The last picture. See the module.
 #[derive(Clone, Default)]
-pub struct LastPicture(Arc<Mutex<Option<(Image, Vec<Detection>)>>>);
+pub struct LastPicture(Arc<Mutex<Option<Found>>>);
 
 impl LastPicture {
     /// Keeps a picture; whatever else is shown is passed over.

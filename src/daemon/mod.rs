@@ -3,7 +3,9 @@
 //! `shell`: the loop between machine and world; `messages`: what it receives. `sockets`: TCP to the
 //! controller and Modbus to the gripper. `workers`: perception and planning on threads of their own;
 //! `cameras`: the camera that the configuration names. `store`: the state folder on threads of its own;
-//! `keeper`: what is kept there; `last_picture`: what the camera showed; `plan_files`: plans for people; `state_orders`: operators' commands; `recorder`: a run into one file. Nothing here depends on whether the peer
+//! `keeper`: what is kept there; `last_picture`: what the camera showed; `plan_files`: plans for people;
+//! `state_orders`: operators' commands; `recorder`: a run into one file. Nothing here depends on whether the
+//! peer
 //! is a robot or the simulator.
 
 pub mod cameras;

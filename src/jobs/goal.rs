@@ -4,6 +4,7 @@
 //! complaints at those places; what decoded is judged although other parts did not. A goal file holds
 //! `objects: [{id, pose}]`, or is an instance whose goals count.
 
+use crate::cell::orders::Approval;
 use crate::jobs::record::GoalPose;
 use cell_edge::files::read_regular;
 use rearrange::document::decode::{At, Decoder, Fields, suggestion};
@@ -37,6 +38,25 @@ pub struct GoalContext<'a> {
     pub keep_out: &'a [KeepOut],
     /// Overlap that a measured goal may have, m (three standard deviations of the measurement).
     pub overlap_tolerance_m: f64,
+}
+
+/// Text of a goal file, by the path as the job writes it; `Err` says why it cannot be had.
+pub type ReadGoal<'a> = dyn Fn(&str) -> Result<String, String> + 'a;
+
+/// Where the objects lay when the named job first looked; `Err` says why that is not known.
+pub type FoundBy<'a> = dyn Fn(&str) -> Result<Vec<GoalPose>, String> + 'a;
+
+/// What a job is checked against.
+#[derive(Clone, Copy)]
+pub struct JobContext<'a> {
+    /// Catalogue and table; absent where they are not known (`celld check`, `celld submit`).
+    pub goal: Option<GoalContext<'a>>,
+    /// Least approval; a job may only be stricter.
+    pub approval: Approval,
+    /// Finds goal files.
+    pub read_goal: &'a ReadGoal<'a>,
+    /// Finds what another job found; absent where the journal is not at hand.
+    pub found: Option<&'a FoundBy<'a>>,
 }
 
 /// A wanted pose and where it was written. What is absent was complained about.

@@ -1,12 +1,14 @@
 //! The `goal` of a job file: poses, a file with poses, or a rule.
 //!
-//! In: the located value and what it is checked against. Out: a [`WantedGoal`], or complaints at the places in
+//! In: the located value and what it is checked against. Out: a [`WantedGoal`], or complaints at the places
+//! in
 //! the job file, and those about a goal file apart. A rule is checked as far as that needs no look at the
 //! table; its poses are worked out after the job's first look (`rearrange::tabletop::rule`). `restore` needs
 //! none: where the objects of the other job lay is in the journal.
 
-use crate::jobs::goal::{GoalContext, GoalEntry, check_goal, decode_goal, parse_goal_file, stays_below};
-use crate::jobs::job_file::JobContext;
+use crate::jobs::goal::{
+    GoalContext, GoalEntry, JobContext, check_goal, decode_goal, parse_goal_file, stays_below,
+};
 use crate::jobs::record::GoalPose;
 use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, Fields};

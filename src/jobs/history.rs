@@ -1,6 +1,8 @@
-//! Which jobs are wanted, and the story of one: what came in, what was found, planned, done, and how it ended.
+//! Which jobs are wanted, and the story of one: what came in, what was found, planned, done, and how it
+//! ended.
 //!
-//! In: a filter as a person writes it; a job's record and its steps. Out: the clause for the database; lines of
+//! In: a filter as a person writes it; a job's record and its steps. Out: the clause for the database; lines
+//! of
 //! text with dates. Pure.
 
 use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord};

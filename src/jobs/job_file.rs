@@ -1,15 +1,16 @@
 //! Job files: text to [`JobSpec`], with every complaint at once.
 //!
 //! In: the text of a job file, the cell's catalogue and table, a reader for goal files. Out: the job with
-//! its goal as poses or as a rule, so that nothing outside the journal is needed later; or all complaints with
+//! its goal as poses or as a rule, so that nothing outside the journal is needed later; or all complaints
+//! with
 //! line and column. A goal that overlaps itself, leaves the table or names an unknown object is a complaint
 //! here: such a job is rejected, it does not fail later.
 
 use crate::cell::code::Code;
 use crate::cell::orders::Approval;
-use crate::jobs::goal::GoalContext;
+pub use crate::jobs::goal::{JobContext, ReadGoal};
 use crate::jobs::goal_source::{UNUSED, WantedGoal, decode_goal_source};
-use crate::jobs::record::{GoalPose, JobSpec, quoted};
+use crate::jobs::record::{JobSpec, quoted};
 use crate::jobs::spool::{Refusal, RefusalDetail, is_plain_name};
 use crate::jobs::utc;
 use rearrange::document::decode::{At, Decoder, Fields};
@@ -36,25 +37,6 @@ const KEYS: [&str; 11] = [
 
 /// Longest planning budget a job may request, s.
 const MAX_TIME_LIMIT_S: f64 = 86_400.0;
-
-/// Text of a goal file, by the path as the job writes it; `Err` says why it cannot be had.
-pub type ReadGoal<'a> = dyn Fn(&str) -> Result<String, String> + 'a;
-
-/// Where the objects lay when the named job first looked; `Err` says why that is not known.
-pub type FoundBy<'a> = dyn Fn(&str) -> Result<Vec<GoalPose>, String> + 'a;
-
-/// What a job is checked against.
-#[derive(Clone, Copy)]
-pub struct JobContext<'a> {
-    /// Catalogue and table; absent where they are not known (`celld check`, `celld submit`).
-    pub goal: Option<GoalContext<'a>>,
-    /// Least approval; a job may only be stricter.
-    pub approval: Approval,
-    /// Finds goal files.
-    pub read_goal: &'a ReadGoal<'a>,
-    /// Finds what another job found; absent where the journal is not at hand.
-    pub found: Option<&'a FoundBy<'a>>,
-}
 
 /// Reads and checks a job file.
 ///

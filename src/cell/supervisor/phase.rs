@@ -8,11 +8,10 @@ use crate::cell::supervisor::input::CameraFault;
 use crate::cell::supervisor::look_plan::LookPlan;
 use crate::cell::supervisor::look_plan::Stop;
 use crate::cell::supervisor::order::{JobOrder, RouteAction};
-use crate::cell::supervisor::preview::Preview;
 use crate::motion::pick_n_place::PickNPlacePaths;
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;
-use cell_vision::observe::View;
+use cell_vision::observe::{Observation, View};
 use cell_vision::region::Region;
 use rearrange::geometry::pose::Pose2;
 use std::collections::VecDeque;
@@ -169,6 +168,24 @@ pub(crate) struct UntilItStands {
     pub number: u64,
     pub since: Timestamp,
     pub then: Then,
+}
+
+/// The last sight of the whole table that nothing has disturbed since.
+#[derive(Clone, Debug)]
+pub(crate) struct Glance {
+    pub seen: Observation,
+    pub at: Timestamp,
+}
+
+/// How far the preview of a job is.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Preview {
+    /// The planner works on it.
+    Asked,
+    /// A person may look at it.
+    Made(Vec<RouteAction>),
+    /// It cannot be had.
+    Never,
 }
 
 /// The job being carried out.

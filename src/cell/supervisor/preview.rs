@@ -1,38 +1,22 @@
 //! Plans for people: what is planned, with all that a person needs to judge it, and previews of it.
 //!
-//! In: a job of a disarmed cell, the last sight of the whole table. Out: a plan that is shown and never carried
+//! In: a job of a disarmed cell, the last sight of the whole table. Out: a plan that is shown and never
+//! carried
 //! out. It can be approved before and without arming; once armed, the cell looks, plans for what it sees and
 //! asks again where a move differs (`wanted`). What was seen counts for a preview until the arm picks
-//! something; that a person has moved something since cannot be known, which is why the age of the sight goes
+//! something; that a person has moved something since cannot be known, which is why the age of the sight
+//! goes
 //! with it.
 
 use crate::cell::orders::Approval;
-use crate::cell::supervisor::cell::{Seen, Supervisor};
+use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, PlanAnswer, PlanNote, PlanRequest, Record};
 use crate::cell::supervisor::order::RouteAction;
-use crate::cell::supervisor::phase::{JobRun, Phase};
+use crate::cell::supervisor::phase::{Glance, JobRun, Phase, Preview};
 use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::cell::supervisor::route::why_no_plan;
 use cell_values::time::Timestamp;
 use rearrange::geometry::pose::Pose2;
-
-/// The last sight of the whole table that nothing has disturbed since.
-#[derive(Clone, Debug)]
-pub(crate) struct Glance {
-    pub seen: Seen,
-    pub at: Timestamp,
-}
-
-/// How far the preview of a job is.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Preview {
-    /// The planner works on it.
-    Asked,
-    /// A person may look at it.
-    Made(Vec<RouteAction>),
-    /// It cannot be had.
-    Never,
-}
 
 impl Supervisor {
     /// Plans for a job of a disarmed cell on what was seen last, once.

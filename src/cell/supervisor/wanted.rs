@@ -1,7 +1,10 @@
-//! What a job wants, once its first look has shown the table: poses from its rule, and a word of what it found.
+//! What a job wants, once its first look has shown the table: poses from its rule, and a word of what it
+//! found.
 //!
-//! In: the job's goals or rule, the table as it was seen. Out: goals that hold for the rest of the job, written
-//! down before anything moves: after a restart a swap must not be turned back. And whether a plan is one that
+//! In: the job's goals or rule, the table as it was seen. Out: goals that hold for the rest of the job,
+//! written
+//! down before anything moves: after a restart a swap must not be turned back. And whether a plan is one
+//! that
 //! a person has agreed to.
 
 use crate::cell::code::{Code, JobStatus};
@@ -109,7 +112,8 @@ fn reason_of(fault: &RuleFault) -> Reason {
 }
 
 impl CellModel {
-    /// True when `route` is what is left of a plan that a person `agreed` to: the same objects in the same order
+    /// True when `route` is what is left of a plan that a person `agreed` to: the same objects in the same
+    /// order
     /// from and to the same places, as near as a running plan may be off.
     pub(crate) fn is_rest_of(&self, route: &[RouteAction], agreed: &[RouteAction]) -> bool {
         let Some(skipped) = agreed.len().checked_sub(route.len()) else { return false };

@@ -1,7 +1,8 @@
 //! Job files as people write them: whole, wrong in every key, torn, and with goals that cannot be.
 
 use super::*;
-use crate::jobs::goal::stays_below;
+use crate::jobs::goal::{GoalContext, stays_below};
+use crate::jobs::record::GoalPose;
 use proptest::prelude::*;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::planning::plan::Objective;

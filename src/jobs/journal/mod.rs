@@ -22,7 +22,8 @@ use std::time::Duration;
 
 pub use crate::jobs::journal::claim::{Claim, NewJob};
 
-/// Number in `PRAGMA user_version`. Older databases are brought up to it when the daemon opens them; one of a
+/// Number in `PRAGMA user_version`. Older databases are brought up to it when the daemon opens them; one of
+/// a
 /// larger number is refused.
 const SCHEMA_VERSION: i64 = 2;
 

@@ -99,7 +99,7 @@ impl Journal {
                       ORDER BY step";
         let mut statement = self.database.prepare(select).map_err(|e| self.fail(e))?;
         let rows = statement
-            .query_map([id], |row| step_row(row))
+            .query_map([id], step_row)
             .and_then(Iterator::collect::<Result<Vec<_>, _>>)
             .map_err(|e| self.fail(e))?;
         rows.into_iter().map(|row| self.step_record(row)).collect()
@@ -112,7 +112,7 @@ impl Journal {
     /// SQLite fails ([`JournalError::Database`]), or the row is damaged ([`JournalError::Damaged`]).
     pub fn last_step(&self) -> Result<Option<StepRecord>, JournalError> {
         let select = "SELECT step, intent, phase, changed FROM steps ORDER BY rowid DESC LIMIT 1";
-        let row = self.database.query_row(select, [], |row| step_row(row));
+        let row = self.database.query_row(select, [], step_row);
         match row.optional().map_err(|e| self.fail(e))? {
             Some(row) => self.step_record(row).map(Some),
             None => Ok(None),
