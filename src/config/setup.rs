@@ -110,10 +110,10 @@ pub fn cell_model(config: &CellConfig, measured: &Measured) -> Result<CellModel,
 }
 
 fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) -> CellModel {
+    let (robot, gripper) = (config.devices.robot_host.clone(), gripper_address(&config.devices));
     let tolerances = &config.tolerances;
-    let devices = &config.devices;
     CellModel {
-        addresses: DeviceAddresses { robot: devices.robot_host.clone(), gripper: gripper_address(devices) },
+        addresses: DeviceAddresses { robot, gripper },
         gripper_confirmed: config.simulation.is_some(),
         held_before: None,
         arm: arm_model(config, measured.dh, measured.base_from_table),
@@ -305,13 +305,12 @@ pub fn cell_objects(config: &CellConfig) -> Result<Vec<CellObject>, SetupError> 
 
 fn cell_object(config: &CellConfig, object: &ObjectSpec) -> Result<CellObject, SetupError> {
     let lacks = |what| SetupError::Lacks { id: object.id.clone(), what };
-    let grip: Grip =
-        place_for_cups(&object.footprint, object.grippable.as_ref(), &cups(config), CUP_MARGIN_M)
-            .ok_or_else(|| SetupError::NoGrip { id: object.id.clone() })?;
+    let grip = place_for_cups(&object.footprint, object.grippable.as_ref(), &cups(config), CUP_MARGIN_M);
+    let grip: Grip = grip.ok_or_else(|| SetupError::NoGrip { id: object.id.clone() })?;
     let mass_kg = object.mass.ok_or_else(|| lacks("mass"))?;
     let (suction, off) = (suction(&config.gripper), off_centre(&object.footprint, &grip));
-    let acceleration = config.limits.tool_acceleration.min(LEAST_ACCELERATION);
-    let (needed_n, held_n) = (suction.needed_n(mass_kg, off, acceleration), suction.force_n);
+    let least = config.limits.tool_acceleration.min(LEAST_ACCELERATION);
+    let (needed_n, held_n) = (suction.needed_n(mass_kg, off, least), suction.force_n);
     if held_n < needed_n {
         return Err(SetupError::TooHeavy { id: object.id.clone(), mass_kg, needed_n, held_n });
     }

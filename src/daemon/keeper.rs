@@ -14,7 +14,7 @@ use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
 use crate::config::setup::gripper_address;
 use crate::daemon::last_picture::LastPicture;
-use crate::daemon::plan_files;
+use crate::daemon::plan_files::{self, poses};
 use crate::daemon::store::Keeper;
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
@@ -324,15 +324,11 @@ impl StateKeeper {
         }
         let Some((id, open)) = &mut self.active else { return Ok(()) };
         match (record, *open) {
-            (Record::Found { objects, goals }, _) => {
-                self.journal.found(id, &plan_files::poses(objects), &plan_files::poses(goals))
-            }
+            (Record::Found { objects: o, goals: g }, _) => self.journal.found(id, &poses(o), &poses(g)),
             (Record::Planned(note), _) => {
                 let plan = plan_files::record_of(note, now);
-                self.journal.planned(id, &plan)?;
-                self.plan = Some(plan);
                 self.undrawn = true;
-                Ok(())
+                self.journal.planned(id, self.plan.insert(plan))
             }
             (Record::Approved, _) => self.journal.approve(id),
             (Record::Intent { object, from, to, kind, tool_from_object, table, .. }, previous) => {
@@ -344,8 +340,7 @@ impl StateKeeper {
                     ActionKind::Goal => StepKind::Goal,
                     ActionKind::Buffer => StepKind::Buffer,
                 };
-                let (object, tool_from_object) = (object.clone(), *tool_from_object);
-                let table = table.clone();
+                let (object, tool_from_object, table) = (object.clone(), *tool_from_object, table.clone());
                 let intent = StepIntent { object, from: *from, to: *to, kind, tool_from_object, table };
                 *open = Some(self.journal.step_intent(id, &intent, now)?);
                 Ok(())

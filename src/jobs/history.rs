@@ -141,6 +141,19 @@ mod tests {
         }
     }
 
+    /// A step that was cut off with the mug on the cups.
+    fn gripped(pose: Pose2) -> StepRecord {
+        let intent = StepIntent {
+            object: "mug".into(),
+            from: pose,
+            to: pose,
+            kind: StepKind::Goal,
+            tool_from_object: None,
+            table: Vec::new(),
+        };
+        StepRecord { step: 1, intent, phase: StepPhase::Gripped, changed_unix_s: NOW + 20.0 }
+    }
+
     #[test]
     fn the_story_says_first_how_it_ended_and_what_to_do() {
         let pose = Pose2::new(0.1, 0.2, 0.0);
@@ -181,15 +194,7 @@ mod tests {
                 objects: vec![ObjectResult::new("mug", Some(pose), None)],
             }),
         };
-        let intent = StepIntent {
-            object: "mug".into(),
-            from: pose,
-            to: pose,
-            kind: StepKind::Goal,
-            tool_from_object: None,
-            table: Vec::new(),
-        };
-        let steps = [StepRecord { step: 1, intent, phase: StepPhase::Gripped, changed_unix_s: NOW + 20.0 }];
+        let steps = [gripped(pose)];
         insta::assert_snapshot!(story(&job, &steps), @r"
         tidy: failed (vacuum_lost)
         mug was lost
