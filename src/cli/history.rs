@@ -314,3 +314,88 @@ fn settings(job: &JobRecord) -> Vec<(String, String)> {
 pub(super) fn code(result: Result<u8, ClientError>) -> u8 {
     result.unwrap_or_else(|error| complain(&error))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::journal::NewJob;
+    use crate::jobs::record::{JobResult, JobSpec, ObjectResult, PlanRecord, PlanStep};
+    use cell_edge::files::FileIdentity;
+
+    fn state_of(folder: &Path) -> StateArg {
+        StateArg { state: Some(folder.to_path_buf()) }
+    }
+
+    /// A journal with one job that was carried out in the example's cell.
+    fn with_a_job(folder: &Path) -> StateArg {
+        let state = state_of(folder);
+        let mut journal = Journal::open(&state.folder().journal()).unwrap();
+        let goal = GoalPose { id: "plank-1".into(), pose: Pose2::new(0.25, 0.4, 0.0) };
+        let spec = JobSpec { goal: vec![goal.clone()], ..JobSpec::default() };
+        let source = FileIdentity { device: 1, inode: 2, size: 3, modified_ns: 4 };
+        let job = NewJob { id: "tidy", name: "tidy.yaml", sha256: "00", text: "", spec: &spec, source };
+        journal.claim(&job, 1.7e9).unwrap();
+        journal.start("tidy", 1.7e9).unwrap();
+        let at = GoalPose { pose: Pose2::new(0.1, 0.1, 0.0), ..goal.clone() };
+        journal.found("tidy", std::slice::from_ref(&at), std::slice::from_ref(&goal)).unwrap();
+        let step = PlanStep { object: "plank-1".into(), from: at.pose, to: goal.pose, kind: StepKind::Goal };
+        let plan = PlanRecord {
+            steps: vec![step],
+            lower_bound: Some(1.0),
+            seconds: Some(8.0),
+            table: vec![at],
+            preview: false,
+            sight_age_s: 0.0,
+            unix_s: 1.7e9,
+        };
+        journal.planned("tidy", &plan).unwrap();
+        let result = JobResult {
+            id: "tidy".into(),
+            status: JobStatus::Failed,
+            code: "vacuum_lost".into(),
+            message: "plank-1 was lost".into(),
+            hint: "see where it lies".into(),
+            moves: 0,
+            lower_bound: Some(1.0),
+            seconds: 9.0,
+            times: Default::default(),
+            objects: vec![ObjectResult::new("plank-1", Some(goal.pose), None)],
+        };
+        journal.finish("tidy", &result, 1.7e9 + 9.0).unwrap();
+        state
+    }
+
+    #[test]
+    fn a_job_s_page_has_its_reason_its_plan_and_its_table() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = with_a_job(folder.path());
+        let out = folder.path().join("page.html");
+        let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml");
+        let args = |job: &str, config: Option<PathBuf>| ReportArgs {
+            job: job.into(),
+            state: state.clone(),
+            config,
+            out: Some(out.clone()),
+        };
+        assert_eq!(report(&args("tidy", Some(config.clone()))).unwrap(), 0);
+        let page = std::fs::read_to_string(&out).unwrap();
+        for wanted in
+            ["plank-1 was lost (vacuum_lost)", "see where it lies", "marker-end", "goal not reached"]
+        {
+            assert!(page.contains(wanted), "{wanted}");
+        }
+        assert_eq!(report(&args("other", Some(config))).unwrap(), 1);
+        assert_eq!(report(&args("tidy", None)).unwrap(), 2, "no daemon has said where its configuration is");
+    }
+
+    #[test]
+    fn a_job_is_found_by_its_id_and_by_its_file_and_what_is_unknown_is_exit_1() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = with_a_job(folder.path());
+        let ask = |job: &str| why(&WhyArgs { job: job.into(), state: state.clone() }).unwrap();
+        assert_eq!((ask("tidy"), ask("tidy.yaml"), ask("other")), (0, 0, 1));
+        let empty = tempfile::tempdir().unwrap();
+        let nothing = WhyArgs { job: "tidy".into(), state: state_of(empty.path()) };
+        assert_eq!(why(&nothing).unwrap(), 1);
+    }
+}

@@ -248,6 +248,7 @@ impl StateKeeper {
             self.journal.start(&job.id, unix_now_s())?;
             match self.order(&job) {
                 Ok(order) => {
+                    self.pictures.forget();
                     self.plan.clone_from(&job.plan);
                     self.active = Some((job.id, None));
                     self.reconcile();

@@ -28,10 +28,33 @@ impl LastPicture {
         }
     }
 
+    /// A job begins: what was seen before is none of it.
+    pub fn forget(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
     /// The bytes of a JPEG file; `None` before there is a picture.
     pub fn jpeg(&self) -> Option<Vec<u8>> {
         let (mut image, found) = self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()?;
         draw_detections(&mut image, &found);
         image.encode_jpeg(QUALITY).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_gets_no_picture_of_the_one_before() {
+        let last = LastPicture::default();
+        assert_eq!(last.jpeg(), None);
+        let image = Image::filled(64, 48, [200, 30, 10]);
+        last.keep(&Displayed::Picture { image, views: Vec::new() });
+        let shown = Image::decode(&last.jpeg().expect("a picture")).expect("a JPEG file");
+        assert_eq!((shown.width, shown.height), (64, 48));
+        assert!(shown.pixel(30, 20).is_some_and(|[red, _, blue]| red > 180 && blue < 40));
+        last.forget();
+        assert_eq!(last.jpeg(), None);
     }
 }

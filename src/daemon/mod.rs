@@ -5,8 +5,7 @@
 //! `cameras`: the camera that the configuration names. `store`: the state folder on threads of its own;
 //! `keeper`: what is kept there; `last_picture`: what the camera showed; `plan_files`: plans for people;
 //! `state_orders`: operators' commands; `recorder`: a run into one file. Nothing here depends on whether the
-//! peer
-//! is a robot or the simulator.
+//! peer is a robot or the simulator.
 
 pub mod cameras;
 pub mod keeper;

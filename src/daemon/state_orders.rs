@@ -1,8 +1,7 @@
 //! Operators' commands in the state folder as the machine's orders, and the answers back.
 //!
 //! In: command files of the daemon's own name, answers. Out: numbered orders, each once; answers in the log
-//! with
-//! the user who ordered. What a person has confirmed is remembered before it is answered.
+//! with the user who ordered. What a person has confirmed is remembered before it is answered.
 
 use crate::cell::device::gripper_types::Channels;
 use crate::cell::orders::{Order, Reply};

@@ -2,8 +2,7 @@
 //! ended.
 //!
 //! In: a filter as a person writes it; a job's record and its steps. Out: the clause for the database; lines
-//! of
-//! text with dates. Pure.
+//! of text with dates. Pure.
 
 use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord};
 use crate::jobs::utc;

@@ -2,9 +2,8 @@
 //!
 //! In: the text of a job file, the cell's catalogue and table, a reader for goal files. Out: the job with
 //! its goal as poses or as a rule, so that nothing outside the journal is needed later; or all complaints
-//! with
-//! line and column. A goal that overlaps itself, leaves the table or names an unknown object is a complaint
-//! here: such a job is rejected, it does not fail later.
+//! with line and column. A goal that overlaps itself, leaves the table or names an unknown object is a
+//! complaint here: such a job is rejected, it does not fail later.
 
 use crate::cell::code::Code;
 use crate::cell::orders::Approval;

@@ -1,14 +1,13 @@
 //! What the cell does next: a pure state machine from inputs to actions.
 //!
-//! `model`: what it knows of the cell. `order`: a job as it sees it, and its result. `input`: what comes
-//! in and what it requests. `mode`: whether and how the cell may move. `ledger`: records on their way to
-//! the disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve,
-//! pick, verify, place, look again; `bring_up`, `look`, `sight`, `route`, `travel`, `judge`, `work`,
-//! `visits`, `wanted`, `preview`, `operator`, `answers`, `standing`, `lapse`, `identity`, `holding`,
-//! `faults`, `trouble`,
-//! `recovery`, `free_place`, `situation`, `paused`, `device_notes` and `time_book` hold its parts. No
-//! clock, no socket: time and the devices' last word come in with every call, so that every stop, fault
-//! and late answer can be played through in a test.
+//! `model`: what it knows of the cell. `order`: a job as it sees it, and its result. `input`: what comes in
+//! and what it requests. `mode`: whether and how the cell may move. `ledger`: records on their way to the
+//! disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve, pick,
+//! verify, place, look again; `bring_up`, `look`, `sight`, `route`, `travel`, `judge`, `work`, `visits`,
+//! `wanted`, `preview`, `operator`, `answers`, `standing`, `lapse`, `identity`, `holding`, `faults`,
+//! `trouble`, `recovery`, `free_place`, `situation`, `paused`, `device_notes` and `time_book` hold its
+//! parts. No clock, no socket: time and the devices' last word come in with every call, so that every stop,
+//! fault and late answer can be played through in a test.
 
 mod answers;
 mod back;

@@ -1,12 +1,10 @@
 //! Plans for people: what is planned, with all that a person needs to judge it, and previews of it.
 //!
 //! In: a job of a disarmed cell, the last sight of the whole table. Out: a plan that is shown and never
-//! carried
-//! out. It can be approved before and without arming; once armed, the cell looks, plans for what it sees and
-//! asks again where a move differs (`wanted`). What was seen counts for a preview until the arm picks
-//! something; that a person has moved something since cannot be known, which is why the age of the sight
-//! goes
-//! with it.
+//! carried out. It can be approved before and without arming; once armed, the cell looks, plans for what it
+//! sees and asks again where a move differs (`wanted`). What was seen counts for a preview until the arm
+//! picks something; that a person has moved something since cannot be known, which is why the age of the
+//! sight goes with it.
 
 use crate::cell::orders::Approval;
 use crate::cell::supervisor::cell::Supervisor;
@@ -15,7 +13,8 @@ use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::phase::{Glance, JobRun, Phase, Preview};
 use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::cell::supervisor::route::why_no_plan;
-use cell_values::time::Timestamp;
+use cell_values::time::{Duration, Timestamp};
+use cell_vision::observe::Observation;
 use rearrange::geometry::pose::Pose2;
 
 impl Supervisor {
@@ -57,7 +56,8 @@ impl Supervisor {
         let found = match answer {
             PlanAnswer::Found { actions, lower_bound, .. } => {
                 let route = self.route_of(actions, &glance.seen);
-                route.map(|route| (self.plan_note(&route, *lower_bound, glance, Some(now)), route))
+                let age = now.since(glance.at);
+                route.map(|route| (self.plan_note(&route, *lower_bound, &glance.seen, Some(age)), route))
             }
             PlanAnswer::Infeasible(_)
             | PlanAnswer::Timeout
@@ -100,13 +100,13 @@ impl Supervisor {
         }
     }
 
-    /// A plan with what a person needs to judge it; `made` for a preview, when it was made.
+    /// A plan with what a person needs to judge it; for a preview with the age of what was seen.
     pub(crate) fn plan_note(
         &self,
         route: &[RouteAction],
         lower_bound: f64,
-        Glance { seen, at }: &Glance,
-        made: Option<Timestamp>,
+        seen: &Observation,
+        preview_of: Option<Duration>,
     ) -> PlanNote {
         let moves = route.iter().map(|action| (action.from, action.to));
         let table: Vec<(String, Pose2)> = seen.objects.iter().map(|o| (o.id.clone(), o.pose)).collect();
@@ -115,8 +115,8 @@ impl Supervisor {
             lower_bound,
             seconds: self.cycle_times().seconds(moves),
             table,
-            preview: made.is_some(),
-            sight_age_s: made.map_or(0.0, |made| made.since(*at).as_secs_f64()),
+            preview: preview_of.is_some(),
+            sight_age_s: preview_of.map_or(0.0, |age| age.as_secs_f64()),
         }
     }
 }

@@ -10,7 +10,6 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, PlanAnswer, PlanRequest, Record};
 use crate::cell::supervisor::model::CellObject;
 use crate::cell::supervisor::order::{JobOrder, RouteAction};
-use crate::cell::supervisor::phase::Glance;
 use crate::cell::supervisor::phase::{JobRun, Phase};
 use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::motion::cycle_time::CycleTimes;
@@ -208,10 +207,9 @@ impl Supervisor {
         };
         // Who disarmed the cell meanwhile may have changed the table: after arming it is looked at and
         // planned for anew, and no person is shown this plan.
-        let Some(seen) = self.seen.clone() else { return };
-        let Some(route) = self.route_of(&actions, &seen) else { return };
-        let sight = Glance { seen, at: self.seen_at };
-        let note = self.plan_note(&route, lower_bound, &sight, None);
+        let Some(seen) = &self.seen else { return };
+        let Some(route) = self.route_of(&actions, seen) else { return };
+        let note = self.plan_note(&route, lower_bound, seen, None);
         let Some(job) = &mut self.job else { return };
         let buffers = route.iter().filter(|action| !action.to_goal).count();
         say(

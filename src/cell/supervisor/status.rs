@@ -160,7 +160,12 @@ impl Supervisor {
             Phase::Ready if self.mode.ending() => String::new(),
             Phase::Ready if !self.stands || !self.arm_settled => "wait until the arm is at rest".to_string(),
             Phase::Ready if self.back.recovery.is_some() => String::new(),
-            Phase::Ready if self.preview_waits() && stopped.is_none() && self.locked().is_none() => {
+            // Where more than the arming is missing, that comes first.
+            Phase::Ready
+                if self.preview_waits()
+                    && stopped.is_none()
+                    && self.waiting_for == Some(GateClosed::Disarmed) =>
+            {
                 let id = self.job.as_ref().map_or("", |job| &job.order.id);
                 format!(
                     "`celld arm` once the cell is clear; the preview of the plan can be approved before: `celld \

@@ -2,10 +2,8 @@
 //! found.
 //!
 //! In: the job's goals or rule, the table as it was seen. Out: goals that hold for the rest of the job,
-//! written
-//! down before anything moves: after a restart a swap must not be turned back. And whether a plan is one
-//! that
-//! a person has agreed to.
+//! written down before anything moves: after a restart a swap must not be turned back. And whether a plan is
+//! one that a person has agreed to.
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::supervisor::cell::Supervisor;
@@ -113,8 +111,7 @@ fn reason_of(fault: &RuleFault) -> Reason {
 
 impl CellModel {
     /// True when `route` is what is left of a plan that a person `agreed` to: the same objects in the same
-    /// order
-    /// from and to the same places, as near as a running plan may be off.
+    /// order from and to the same places, as near as a running plan may be off.
     pub(crate) fn is_rest_of(&self, route: &[RouteAction], agreed: &[RouteAction]) -> bool {
         let Some(skipped) = agreed.len().checked_sub(route.len()) else { return false };
         let near = |a: &Pose2, b: &Pose2| {

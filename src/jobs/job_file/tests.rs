@@ -153,6 +153,99 @@ goal:
     }
 }
 
+/// A cell with three planks of one group, a fixed base and a table of half a metre.
+fn in_a_cell(goal: &str) -> Result<JobSpec, Diagnostics> {
+    let spec = |id: &str| ObjectSpec {
+        group: Some("planks".into()),
+        fixed: id == "base",
+        ..ObjectSpec::new(id, Footprint::rectangle(0.1, 0.04).unwrap())
+    };
+    let objects = ["a", "b", "c", "base"].map(spec);
+    let found = |id: &str| match id {
+        "monday" => Ok(["a", "base", "gone"]
+            .map(|id| GoalPose { id: id.into(), pose: Pose2::new(0.2, 0.2, 0.0) })
+            .to_vec()),
+        _ => Err(format!("no job {id:?} is known")),
+    };
+    let goal_context = GoalContext {
+        objects: &objects,
+        width_m: 0.5,
+        height_m: 0.5,
+        clearance_m: 0.002,
+        keep_out: &[],
+        overlap_tolerance_m: 0.001,
+    };
+    let context = JobContext {
+        goal: Some(goal_context),
+        approval: Approval::Job,
+        read_goal: &no_file,
+        found: Some(&found),
+    };
+    read_job(&format!("version: 1\ngoal: {goal}\n"), "job.yaml", &context)
+}
+
+#[test]
+fn goals_by_rule_are_read_and_written_alike() {
+    for goal in [
+        "{region: {objects: [a, b], polygon: [[0.1, 0.1], [0.4, 0.1], [0.4, 0.4]]}}",
+        "{region: {group: planks, polygon: [[0.1, 0.1], [0.4, 0.1], [0.4, 0.4], [0.1, 0.4]]}}",
+        "{grid: {objects: [c, a], origin: [0.1, 0.1], pitch: [0.2, 0.1], columns: 2, theta_deg: 90}}",
+        "{grid: {group: planks, origin: [0.1, 0.1], pitch: [0.2, 0.1], columns: 2}}",
+        "{swap: [a, b]}",
+    ] {
+        let job = in_a_cell(goal).unwrap_or_else(|fault| panic!("{goal}: {fault}"));
+        assert!(job.goal.is_empty() && job.rule.is_some(), "{goal}: {job:?}");
+        assert_eq!(read(&job_yaml(&job)).unwrap(), job, "{}", job_yaml(&job));
+    }
+    let restored = in_a_cell("{restore: monday}").unwrap();
+    assert_eq!(restored.goal, [GoalPose { id: "a".into(), pose: Pose2::new(0.2, 0.2, 0.0) }]);
+    let unread = read("version: 1\ngoal: {restore: monday}\n").unwrap();
+    assert_eq!(unread.restore.as_deref(), Some("monday"), "the daemon looks it up");
+    assert_eq!(read(&job_yaml(&unread)).unwrap(), unread);
+}
+
+#[test]
+fn a_rule_that_no_table_can_follow_is_refused_where_it_is() {
+    let square = "[[0.1, 0.1], [0.4, 0.1], [0.4, 0.4], [0.1, 0.4]]";
+    let region = |rest: &str| format!("{{region: {{{rest}}}}}");
+    for (goal, wanted) in [
+        (
+            region("objects: [a], polygon: [[0, 0], [0.6, 0], [0, 0.4]]"),
+            "the corner [0.6, 0] is off the table",
+        ),
+        (
+            region("objects: [a], polygon: [[0, 0], [0.05, 0], [0, 0.05]]"),
+            "no place was found inside the region",
+        ),
+        (region(&format!("objects: [a, a], polygon: {square}")), "\"a\" is named twice"),
+        (
+            region(&format!("objects: [x], polygon: {square}")),
+            "object \"x\" is unknown; the catalogue has: a",
+        ),
+        (region(&format!("objects: [base], polygon: {square}")), "object \"base\" is fixed"),
+        (region(&format!("group: nuts, polygon: {square}")), "no object that moves is of group \"nuts\""),
+        (region(&format!("group: planks, objects: [a], polygon: {square}")), "beside \"objects\""),
+        (region(&format!("polygon: {square}")), "neither \"objects\" nor \"group\" is given"),
+        (region("objects: [a]"), "key \"polygon\" is missing"),
+        ("{swap: [a]}".into(), "1 objects, 2 change places"),
+        ("{swap: [a, a]}".into(), "cannot change places with itself"),
+        ("{restore: never}".into(), "no job \"never\" is known"),
+        ("{restore: monday, swap: [a, b]}".into(), "beside \"swap\""),
+        (
+            "{grid: {objects: [a, b], origin: [0.1, 0.1], pitch: [0.05, 0.1], columns: 2}}".into(),
+            "the goals of \"b\" and \"a\" (line 2) overlap by 50.00 mm",
+        ),
+        (
+            "{grid: {objects: [a, b], origin: [0.1, 0.1], pitch: [0.4, 0.1], columns: 2}}".into(),
+            "the goal of \"b\" reaches 50.00 mm over the table's edge",
+        ),
+        ("{grid: {objects: [a], origin: [0.1, 0.1], pitch: [1, 1], columns: 0}}".into(), "0 is out of range"),
+    ] {
+        let reported = in_a_cell(&goal).expect_err(&goal).to_string();
+        assert!(reported.starts_with("job.yaml:2:") && reported.contains(wanted), "{goal}: {reported}");
+    }
+}
+
 #[test]
 fn a_torn_file_is_distinguished_from_a_wrong_one() {
     let context = JobContext { goal: None, approval: Approval::Never, read_goal: &no_file, found: None };

@@ -23,8 +23,7 @@ use std::time::Duration;
 pub use crate::jobs::journal::claim::{Claim, NewJob};
 
 /// Number in `PRAGMA user_version`. Older databases are brought up to it when the daemon opens them; one of
-/// a
-/// larger number is refused.
+/// a larger number is refused.
 const SCHEMA_VERSION: i64 = 2;
 
 /// What makes a database of version k + 1 out of one of version k, for k from 1.

@@ -4,8 +4,7 @@
 //! complaints at once, by way of their `parts`; `arrangement`: whether things can lie where a file puts
 //! them. `rule`: goals in other words than poses. `public_data`: the importers. `write`: instances back to
 //! YAML and JSON. `scenes`: the demo's named tasks. `fit`: any task made ready for a cell, by what has
-//! `room`
-//! on an object's top.
+//! `room` on an object's top.
 
 pub mod arrangement;
 pub mod decode;

@@ -1,11 +1,9 @@
 //! Goals in other words than poses: a region, a grid, two objects that change places.
 //!
 //! In: a [`GoalRule`], the objects with where they lie now (as far as that is known), the table, a seed.
-//! Out:
-//! a pose for each object that the rule names, or why there is none. An object that satisfies the rule where
-//! it lies stays there: the fewest moves begin with goals that need none. The search in a region is random
-//! and
-//! proves nothing; the same seed gives the same poses. Pure.
+//! Out: a pose for each object that the rule names, or why there is none. An object that satisfies the rule
+//! where it lies stays there: the fewest moves begin with goals that need none. The search in a region is
+//! random and proves nothing; the same seed gives the same poses. Pure.
 
 use crate::geometry::collision::{Placed, inside, penetration};
 use crate::geometry::footprint::Footprint;
@@ -138,8 +136,7 @@ impl GoalRule {
     }
 
     /// A pose for each member. Poses of a grid are not compared with the table: that is the caller's check
-    /// of
-    /// any goal.
+    /// of any goal.
     ///
     /// # Errors
     /// As [`GoalRule::members`]; for a region no place that was found, for a swap an object that was not
@@ -194,8 +191,7 @@ impl RuleTable<'_> {
     }
 
     /// Poses inside `polygon`. The first half of the attempts also keeps away from where other objects lie;
-    /// the
-    /// last quarter moves members that are inside already.
+    /// the last quarter moves members that are inside already.
     fn in_region(
         &self,
         members: &[&ObjectSpec],
