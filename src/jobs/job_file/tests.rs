@@ -233,7 +233,7 @@ fn a_rule_that_no_table_can_follow_is_refused_where_it_is() {
         ("{restore: monday, swap: [a, b]}".into(), "beside \"swap\""),
         (
             "{grid: {objects: [a, b], origin: [0.1, 0.1], pitch: [0.05, 0.1], columns: 2}}".into(),
-            "the goals of \"b\" and \"a\" (line 2) overlap by 50.00 mm",
+            "the goals of \"b\" and \"a\" (line 2) overlap by 40.00 mm",
         ),
         (
             "{grid: {objects: [a, b], origin: [0.1, 0.1], pitch: [0.4, 0.1], columns: 2}}".into(),
