@@ -307,8 +307,10 @@ impl PlanRecord {
     /// Its moves, numbered, a line each: object, from, to; mm and degrees.
     pub fn moves(&self) -> Vec<String> {
         let place = |pose: &Pose2| {
-            let degrees = pose.theta.to_degrees();
-            format!("({:.0}, {:.0} mm, {degrees:.0} deg)", pose.x * 1e3, pose.y * 1e3)
+            // Nought has no sign for people.
+            let whole = |value: f64| value.round() + 0.0;
+            let (x, y, degrees) = (whole(pose.x * 1e3), whole(pose.y * 1e3), whole(pose.theta.to_degrees()));
+            format!("({x}, {y} mm, {degrees} deg)")
         };
         let line = |(k, step): (usize, &PlanStep)| {
             let what = if step.kind == StepKind::Goal { "its goal" } else { "a temporary place" };
@@ -474,6 +476,37 @@ mod tests {
           - {id: "mug", goal: [0.1, 0.2, 0], measured: [0.1, 0.2003, 0.01], error_mm: 0.3, error_deg: 0.573}
           - {id: "cap", goal: [0.1, 0.2, 0], measured: null, error_mm: null, error_deg: null}
         "#);
+    }
+
+    #[test]
+    fn a_plan_is_legible_and_counts_its_buffers() {
+        let step = |kind, theta| PlanStep {
+            object: "mug".into(),
+            from: Pose2::new(0.1, 0.2, theta),
+            to: Pose2::new(0.3004, -1e-5, 0.0),
+            kind,
+        };
+        let plan = PlanRecord {
+            steps: vec![step(StepKind::Buffer, -1e-4), step(StepKind::Goal, 1.57)],
+            lower_bound: Some(2.0),
+            seconds: Some(15.6),
+            table: Vec::new(),
+            preview: true,
+            sight_age_s: 40.4,
+            unix_s: 0.0,
+        };
+        assert_eq!(
+            plan.summary(),
+            "2 pick-n-places, 1 of them to a temporary place, lower bound 2, about 16 s; a preview, the table \
+             was seen 40 s before"
+        );
+        assert_eq!(
+            plan.moves(),
+            [
+                "1. mug (100, 200 mm, 0 deg) -> (300, 0 mm, 0 deg) a temporary place",
+                "2. mug (100, 200 mm, 90 deg) -> (300, 0 mm, 0 deg) its goal",
+            ]
+        );
     }
 
     #[test]
