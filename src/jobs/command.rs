@@ -8,7 +8,7 @@
 //! most once.
 
 use crate::cell::orders::{Reply, WayBack};
-use cell_edge::files::{FileError, create_folder, read_regular, remove, rename_new, write_atomic};
+use cell_edge::files::{FileError, create_folder, read_regular, remove, write_atomic, write_new};
 use serde::{Deserialize, Serialize};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -231,17 +231,10 @@ impl Sent {
         let envelope = Envelope { daemon: daemon.to_owned(), boot_s: given.boot_s, command: command.clone() };
         let text = serde_json::to_string(&envelope).expect("commands have string keys only");
         let pid = std::process::id();
-        let hidden = folder.join(format!(".{pid}.tmp"));
-        write_atomic(&hidden, text.as_bytes())?;
-        let mut number = 0_u32;
-        loop {
-            let path = folder.join(format!("{:020}-{pid}-{number:03}.command", (given.unix_s * 1e6) as u64));
-            match rename_new(&hidden, &path) {
-                Err(error) if error.is_present() && number < 999 => number += 1,
-                Err(error) => return Err(error),
-                Ok(()) => return Ok(Sent { reply: path.with_extension("reply"), command: path }),
-            }
-        }
+        let micros = (given.unix_s * 1e6) as u64;
+        let names = (0..1000).map(|number| format!("{micros:020}-{pid}-{number:03}.command"));
+        let path = folder.join(write_new(folder, names, text.as_bytes())?);
+        Ok(Sent { reply: path.with_extension("reply"), command: path })
     }
 
     /// The answer, once it is there; it is removed.

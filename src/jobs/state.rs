@@ -4,7 +4,9 @@
 //! one. The lock is the kernel's and ends with the process, however it ends: there is no stale lock.
 
 use crate::jobs::utc;
-use cell_edge::files::{FileError, FileLock, create_folder, read_regular, write_atomic};
+use cell_edge::files::{
+    FileError, FileLock, create_folder, create_group_folder, read_regular, remove_drafts, write_atomic,
+};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -103,9 +105,14 @@ impl StateFolder {
     /// [`StateError::Taken`] while another daemon holds it.
     pub fn take(&self) -> Result<FileLock, StateError> {
         create_folder(&self.root)?;
-        create_folder(&self.commands())?;
+        create_group_folder(&self.root, &self.commands())?;
+        create_folder(&self.root.join("jobs"))?;
+        create_group_folder(&self.root, &self.incoming())?;
         let note = format!("{}\n", std::process::id());
-        FileLock::take(&self.lock_file(), &note)?.ok_or_else(|| StateError::Taken { path: self.root.clone() })
+        let taken = || StateError::Taken { path: self.root.clone() };
+        let lock = FileLock::take(&self.lock_file(), &note)?.ok_or_else(taken)?;
+        remove_drafts(&self.root)?;
+        Ok(lock)
     }
 
     /// True while a daemon holds the folder.

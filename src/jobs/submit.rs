@@ -11,7 +11,7 @@ use crate::jobs::record::{JobRecord, JobSpec};
 use crate::jobs::spool::id_of_file;
 use crate::jobs::state::StateFolder;
 use crate::jobs::utc;
-use cell_edge::files::{FileError, create_folder, remove, rename_new, temporary_name, write_atomic};
+use cell_edge::files::{FileError, create_folder, write_new};
 use rearrange::document::parse;
 use sha2::{Digest, Sha256};
 use std::path::Path;
@@ -56,23 +56,13 @@ pub fn hand_in(
     let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
     let stem: String = stem.chars().map(plain).take(30).collect();
     let base = format!("{}-{stem}-{hash}", utc::compact(unix_s));
-    let hidden = temporary_name(&state.incoming().join(&base));
-    write_atomic(&hidden, text.as_bytes())?;
-    let mut number = 1_u32;
-    loop {
-        let name = if number == 1 { format!("{base}.yaml") } else { format!("{base}.{number}.yaml") };
-        match rename_new(&hidden, &state.incoming().join(&name)) {
-            Ok(()) => {
-                let id = job.id.clone().unwrap_or_else(|| id_of_file(&name, &hash, unix_s));
-                return Ok(Handed { id, name });
-            }
-            Err(error) if error.is_present() && number < 1000 => number += 1,
-            Err(error) => {
-                remove(&hidden)?;
-                return Err(error);
-            }
-        }
-    }
+    let names = (1..1000).map(|number| match number {
+        1 => format!("{base}.yaml"),
+        _ => format!("{base}.{number}.yaml"),
+    });
+    let name = write_new(&state.incoming(), names, text.as_bytes())?;
+    let id = job.id.clone().unwrap_or_else(|| id_of_file(&name, &hash, unix_s));
+    Ok(Handed { id, name })
 }
 
 /// What has become of a job that was handed in.

@@ -6,10 +6,26 @@
 //! file.
 
 use rustix::fs::{CWD, OFlags, RenameFlags};
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, OpenOptions, Permissions, TryLockError};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
+
+/// How the name of a file ends that is still being written.
+const DRAFT_SUFFIX: &str = ".tmp";
+
+/// Mode of a file that is written for its folder's group.
+const FOR_THE_GROUP: u32 = 0o640;
+
+/// What a folder passes its group on with.
+const SETGID: u32 = 0o2000;
+
+/// Mode of a folder into which a group writes.
+const GROUP_FOLDER: u32 = 0o2770;
+
+/// Mode of every other file, from which the umask takes.
+const BEFORE_UMASK: u32 = 0o666;
 
 /// Why a file was not read, written or moved.
 #[derive(Debug, thiserror::Error)]
@@ -183,7 +199,9 @@ fn text(path: &Path, bytes: Vec<u8>) -> Result<String, FileError> {
 /// The system refuses to create, write, rename or sync the file ([`FileError::Io`]). Until the rename has
 /// succeeded, the old file stays as it was.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    replace(path, |temporary| write_synced(temporary, bytes))?;
+    let draft = draft(path, bytes)?;
+    draft.as_file().sync_all().map_err(|e| FileError::io("sync", path, e))?;
+    replace(path, draft)?;
     sync_folder(parent(path))
 }
 
@@ -193,32 +211,71 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 /// # Errors
 /// The system refuses to write or to rename ([`FileError::Io`]).
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    replace(path, |temporary| {
-        std::fs::write(temporary, bytes).map_err(|e| FileError::io("write", temporary, e))
-    })
+    replace(path, draft(path, bytes)?)
 }
 
-/// Puts what `write` makes in the place of `path`; nothing is left of what fails.
-fn replace(path: &Path, write: impl FnOnce(&Path) -> Result<(), FileError>) -> Result<(), FileError> {
-    let temporary = temporary_name(path);
-    let result = write(&temporary)
-        .and_then(|()| std::fs::rename(&temporary, path).map_err(|e| FileError::io("rename to", path, e)));
-    if result.is_err() {
-        let _ = std::fs::remove_file(&temporary);
+/// Writes `bytes` durably under the first of `names` in `folder` that is free, and returns that name. What
+/// is written is readable by the folder's group, whatever the umask: it is for a daemon of another user.
+///
+/// # Errors
+/// None of `names` is free, or the system refuses to create, write, rename or sync the file
+/// ([`FileError::Io`]).
+pub fn write_new(
+    folder: &Path,
+    names: impl Iterator<Item = String>,
+    bytes: &[u8],
+) -> Result<String, FileError> {
+    let draft = draft(&folder.join("new"), bytes)?;
+    let file = draft.as_file();
+    file.set_permissions(Permissions::from_mode(FOR_THE_GROUP))
+        .and_then(|()| file.sync_all())
+        .map_err(|e| FileError::io("write", draft.path(), e))?;
+    let mut refused = None;
+    for name in names {
+        match rename_new(draft.path(), &folder.join(&name)) {
+            Ok(()) => return Ok(name),
+            Err(error) if error.is_present() => refused = Some(error),
+            Err(error) => return Err(error),
+        }
     }
-    result
+    let none = || FileError::io("name", folder, io::ErrorKind::InvalidInput.into());
+    Err(refused.unwrap_or_else(none))
 }
 
-/// A hidden name beside `path`, of this process.
-pub fn temporary_name(path: &Path) -> PathBuf {
+/// A hidden file beside `path` with `bytes` in it, removed when it is dropped. Its name cannot be foreseen
+/// and it is created exclusively: who may write in the same folder cannot lay a link in its way.
+fn draft(path: &Path, bytes: &[u8]) -> Result<NamedTempFile, FileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    parent(path).join(format!(".{name}.{}.tmp", std::process::id()))
+    let mut draft = tempfile::Builder::new()
+        .prefix(&format!(".{name}."))
+        .suffix(DRAFT_SUFFIX)
+        .permissions(Permissions::from_mode(BEFORE_UMASK))
+        .tempfile_in(parent(path))
+        .map_err(|e| FileError::io("create", path, e))?;
+    draft.write_all(bytes).map_err(|e| FileError::io("write", path, e))?;
+    Ok(draft)
 }
 
-fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-    let mut file = File::create(path).map_err(|e| FileError::io("create", path, e))?;
-    file.write_all(bytes).map_err(|e| FileError::io("write", path, e))?;
-    file.sync_all().map_err(|e| FileError::io("sync", path, e))
+/// Puts a draft in the place of `path`; nothing is left of one that cannot be.
+fn replace(path: &Path, draft: NamedTempFile) -> Result<(), FileError> {
+    draft.persist(path).map(drop).map_err(|e| FileError::io("rename to", path, e.error))
+}
+
+/// Removes drafts that a process left in `folder` when it was killed; only for a folder in which nothing
+/// else writes now.
+///
+/// # Errors
+/// The folder cannot be listed, or a draft cannot be removed ([`FileError::Io`]).
+pub fn remove_drafts(folder: &Path) -> Result<(), FileError> {
+    let fail = |e| FileError::io("list", folder, e);
+    for entry in std::fs::read_dir(folder).map_err(fail)? {
+        let entry = entry.map_err(fail)?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if name.starts_with('.') && name.ends_with(DRAFT_SUFFIX) && !entry.path().is_dir() {
+            std::fs::remove_file(entry.path()).map_err(|e| FileError::io("remove", &entry.path(), e))?;
+        }
+    }
+    Ok(())
 }
 
 /// Renames `from` to `to` durably; fails if `to` exists. Both must be on one file system.
@@ -245,6 +302,24 @@ pub fn remove(path: &Path) -> Result<(), FileError> {
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(FileError::io("remove", path, e)),
         _ => sync_folder(parent(path)),
     }
+}
+
+/// Creates a folder into which the group of `root` may write, where `root` is shared with a group (has the
+/// setgid bit, as the packaged state folder has); elsewhere as [`create_folder`]. A folder that is there
+/// with another mode gets this one, where it is this user's.
+///
+/// # Errors
+/// As [`create_folder`]; the mode cannot be set ([`FileError::Io`]).
+pub fn create_group_folder(root: &Path, path: &Path) -> Result<(), FileError> {
+    create_folder(path)?;
+    let look = |path: &Path| path.metadata().map_err(|e| FileError::io("look at", path, e));
+    let (root, folder) = (look(root)?, look(path)?);
+    let own = folder.uid() == rustix::process::geteuid().as_raw();
+    if root.mode() & SETGID == 0 || !own || folder.mode() & 0o7777 == GROUP_FOLDER {
+        return Ok(());
+    }
+    std::fs::set_permissions(path, Permissions::from_mode(GROUP_FOLDER))
+        .map_err(|e| FileError::io("set the mode of", path, e))
 }
 
 /// Creates a folder with its parents, durably as far as its own entry goes.
@@ -299,10 +374,12 @@ impl FileLock {
     /// # Errors
     /// The file is present, but the system refuses to open it or to try the lock ([`FileError::Io`]).
     pub fn is_held(path: &Path) -> Result<bool, FileError> {
-        if !path.exists() {
-            return Ok(false);
-        }
-        match open_lock(path)?.try_lock_shared() {
+        // Only to read: who may see the state need not be able to change it.
+        let file = match File::open(path) {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(false),
+            other => other.map_err(|e| FileError::io("open", path, e))?,
+        };
+        match file.try_lock_shared() {
             Ok(()) => Ok(false),
             Err(TryLockError::WouldBlock) => Ok(true),
             Err(TryLockError::Error(e)) => Err(FileError::io("lock", path, e)),
@@ -316,6 +393,7 @@ fn open_lock(path: &Path) -> Result<File, FileError> {
         .write(true)
         .create(true)
         .truncate(false)
+        .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
         .open(path)
         .map_err(|e| FileError::io("open", path, e))
 }
@@ -335,8 +413,67 @@ mod tests {
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
             // A folder cannot be replaced; what was written beside it is gone.
             assert!(write(folder.path(), b"three").is_err());
-            assert!(!temporary_name(folder.path()).exists());
+            let beside = std::fs::read_dir(folder.path().parent().unwrap()).unwrap();
+            let own = format!(".{}.", folder.path().file_name().unwrap().to_string_lossy());
+            let mut left = beside
+                .filter(|entry| entry.as_ref().unwrap().file_name().to_string_lossy().starts_with(&own));
+            assert!(left.next().is_none());
         }
+    }
+
+    #[test]
+    fn a_link_under_the_name_of_a_file_is_replaced_and_never_followed() {
+        for write in [write_atomic, write_whole] {
+            let folder = tempfile::tempdir().unwrap();
+            let (path, other) = (folder.path().join("status.json"), folder.path().join("other"));
+            std::fs::write(&other, "kept").unwrap();
+            std::os::unix::fs::symlink(&other, &path).unwrap();
+            // The name of earlier versions, which could be foreseen.
+            let foreseen = folder.path().join(format!(".status.json.{}.tmp", std::process::id()));
+            std::os::unix::fs::symlink(&other, foreseen).unwrap();
+            write(&path, b"new").unwrap();
+            assert_eq!(std::fs::read_to_string(&other).unwrap(), "kept");
+            assert!(!path.symlink_metadata().unwrap().is_symlink());
+        }
+    }
+
+    #[test]
+    fn a_new_file_takes_the_first_free_name_and_is_readable_by_its_group() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = || (1..=2).map(|number| format!("job.{number}"));
+        assert_eq!(write_new(folder.path(), names(), b"one").unwrap(), "job.1");
+        assert_eq!(write_new(folder.path(), names(), b"two").unwrap(), "job.2");
+        assert!(write_new(folder.path(), names(), b"three").unwrap_err().is_present());
+        assert!(write_new(folder.path(), std::iter::empty(), b"four").is_err());
+        assert_eq!(std::fs::read(folder.path().join("job.1")).unwrap(), b"one");
+        let mode = folder.path().join("job.2").metadata().unwrap().mode();
+        assert_eq!(mode & 0o777, FOR_THE_GROUP);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn drafts_of_the_killed_are_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        for name in [".status.json.x1.tmp", "a.tmp", ".hidden"] {
+            std::fs::write(path(name), "x").unwrap();
+        }
+        std::fs::create_dir(path(".folder.tmp")).unwrap();
+        remove_drafts(folder.path()).unwrap();
+        assert!(!path(".status.json.x1.tmp").exists());
+        assert!(path("a.tmp").exists() && path(".hidden").exists() && path(".folder.tmp").exists());
+    }
+
+    #[test]
+    fn a_folder_is_shared_with_a_group_where_its_root_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let mode = |path: &Path| path.metadata().unwrap().mode() & 0o7777;
+        let alone = folder.path().join("alone");
+        create_group_folder(folder.path(), &alone).unwrap();
+        assert_eq!(mode(&alone) & (SETGID | 0o020), 0);
+        std::fs::set_permissions(folder.path(), Permissions::from_mode(0o2750)).unwrap();
+        create_group_folder(folder.path(), &alone).unwrap();
+        assert_eq!(mode(&alone), GROUP_FOLDER);
     }
 
     #[test]
