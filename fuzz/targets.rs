@@ -117,7 +117,7 @@ pub fn rtde(data: &[u8]) {
         !simulator.core().robot.controller().core.registers.claimed("input_int_register_24"),
         "a claim has outlived its client"
     );
-    receive!(RtdeSession::new(500.0), data, |_: &mut RtdeSession, _| {});
+    receive!(RtdeSession::new(500.0, 1), data, |_: &mut RtdeSession, _| {});
 }
 
 /// A client of ours reads what the simulator sends, whatever the request was.

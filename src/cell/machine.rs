@@ -12,7 +12,7 @@ use crate::cell::device::gripper_types::{GripperEvent, GripperParameters};
 use crate::cell::device::program::TemplateError;
 use crate::cell::device::robot::{DROPPED, Robot};
 use crate::cell::device::robot_types::{
-    KnownRobot, Link, RobotCommand, RobotEvent, RobotIdentity, RobotParameters, RobotState,
+    InputsTaken, KnownRobot, Link, RobotCommand, RobotEvent, RobotIdentity, RobotParameters, RobotState,
 };
 use crate::cell::event::{Arm, Effect, Event, News};
 use crate::cell::links::{Connections, Wish};
@@ -22,7 +22,6 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::input::{Action, Input, Record};
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::RouteAction;
-use crate::cell::supervisor::situation::LIKELY_OWNERS;
 use crate::cell::supervisor::status::Status;
 use cell_values::time::{Duration, Timestamp};
 use std::collections::VecDeque;
@@ -68,7 +67,7 @@ struct Identity {
     kinematics: Option<(DhParameters, String)>,
     robot: KnownRobot,
     /// Inputs that another client holds, since RTDE was asked for last.
-    taken: Vec<String>,
+    taken: Option<InputsTaken>,
     reported: bool,
 }
 
@@ -169,12 +168,9 @@ impl Machine {
     pub fn missing(&self) -> Vec<String> {
         let identity = &self.identity;
         let mut lines = self.connections.why_down();
-        if !identity.taken.is_empty() {
+        if let Some(taken) = &identity.taken {
             lines.retain(|line| !line.starts_with(&Link::Rtde.to_string()));
-            lines.push(format!(
-                "another client of the controller holds {}: {LIKELY_OWNERS}",
-                identity.taken.join(", ")
-            ));
+            lines.push(taken.to_string());
         }
         if lines.is_empty() && !identity.reported {
             lines.push("the controller answers, and has not yet said which arm it moves".to_string());
@@ -270,8 +266,8 @@ impl Machine {
                 identity.robot.identity = Some(RobotIdentity { model, serial, version });
             }
             RobotEvent::SafetyChecksum { checksum } => identity.robot.safety_checksum = Some(*checksum),
-            RobotEvent::InputInUse { names, .. } => identity.taken.clone_from(names),
-            RobotEvent::RtdeReady => identity.taken.clear(),
+            RobotEvent::InputInUse { taken, .. } => identity.taken = Some(taken.clone()),
+            RobotEvent::RtdeReady => identity.taken = None,
             RobotEvent::RtdeLost
             | RobotEvent::RemoteControl { .. }
             | RobotEvent::ProgramRunning { .. }

@@ -133,7 +133,9 @@ async fn end_requested() {
 pub(super) fn open_shell(config: &CellConfig, seed: u64) -> Result<Shell, String> {
     let addresses = Addresses::of(&config.devices)?;
     let clock = Clock::new(config.simulation.map_or(1.0, |simulation| simulation.clock_factor));
-    Shell::open(&addresses, clock, machine_parameters(config, seed)).map_err(|error| chain(&error))
+    let mut parameters = machine_parameters(config, seed);
+    parameters.robot.process = std::process::id();
+    Shell::open(&addresses, clock, parameters).map_err(|error| chain(&error))
 }
 
 pub(super) fn open_camera(config: &CellConfig, lens: Option<CameraModel>) -> Result<MonitoredCamera, String> {

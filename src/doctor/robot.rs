@@ -3,7 +3,7 @@
 //!
 //! In: [`RobotFacts`]. Out: lines. Pure.
 
-use crate::cell::device::robot_types::{Link, RobotState};
+use crate::cell::device::robot_types::{InputsTaken, Link, RobotState};
 use crate::cell::supervisor::safety_words::{mode_words, safety_remedy, safety_words};
 use crate::doctor::{Area, Line};
 use cell_values::time::Duration;
@@ -57,7 +57,7 @@ pub struct DashboardFacts {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RtdeFacts {
     /// Input registers that another client holds.
-    pub taken: Vec<String>,
+    pub taken: Option<InputsTaken>,
     /// The last state.
     pub state: Option<RobotState>,
     /// Packages that came while watched.
@@ -225,18 +225,18 @@ impl RobotFacts {
 
     /// Who holds the input registers.
     fn claim(&self, rtde: &RtdeFacts) -> Line {
-        match (rtde.taken.as_slice(), self.daemon) {
-            ([], _) => ok("registers", "the input registers that celld writes are free"),
+        match (&rtde.taken, self.daemon) {
+            (None, _) => ok("registers", "the input registers that celld writes are free"),
             (_, true) => note(
                 "registers",
                 "celld itself holds them: it runs on this state folder",
                 "end it to see more; `celld status` says what it does",
             ),
-            (taken, false) => problem(
+            (Some(taken), false) => problem(
                 "registers",
-                format!("held by another RTDE client or a field bus: {}", taken.join(", ")),
-                "end it: another celld or driver on any computer, or EtherNet/IP and PROFINET in the \
-                 installation; a client that has crashed holds them for some seconds more",
+                taken.to_string(),
+                "end it, on whichever computer it runs, or EtherNet/IP and PROFINET in the installation; a \
+                 client that has crashed holds them for some seconds more",
             ),
         }
     }

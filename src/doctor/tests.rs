@@ -5,6 +5,7 @@ use super::computer::ComputerFacts;
 use super::gripper::{Confirmed, GripperFacts};
 use super::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
 use super::*;
+use crate::cell::device::robot_types::InputsTaken;
 use cell_values::time::Duration;
 use cell_vision::observe::reference::{DriftLimits, ReferenceCheck, ReferenceError};
 use ur_arm::kinematics::DhParameters;
@@ -132,10 +133,10 @@ fn each_fault_of_the_controller_has_one_line() {
         (Problem, "arm", "pendant", |f| dashboard(f).robot_mode = Some(RobotMode::Booting)),
         (Note, "dashboard", "800 ms", |f| dashboard(f).slowest = Duration::from_millis(800)),
         (Problem, "registers", "input_int_register_24", |f| {
-            rtde(f).taken = vec!["input_int_register_24".into()];
+            rtde(f).taken = Some(taken());
         }),
         (Note, "registers", "celld itself", |f| {
-            rtde(f).taken = vec!["input_int_register_24".into()];
+            rtde(f).taken = Some(taken());
             f.daemon = true;
         }),
         (Note, "RTDE", "says: careful", |f| rtde(f).messages = vec!["careful".into()]),
@@ -237,4 +238,8 @@ fn a_program_reads_the_same() {
         (&json["lines"][0]["area"], &json["lines"][1]["verdict"]),
         (&"files".into(), &"problem".into())
     );
+}
+
+fn taken() -> InputsTaken {
+    InputsTaken { names: vec!["input_int_register_24".into()], celld: None }
 }

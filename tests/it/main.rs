@@ -14,6 +14,7 @@ mod first_moves;
 mod looks;
 mod mutants;
 mod on_robot_program;
+mod one_robot;
 mod plan_command;
 mod program_protocol;
 mod public_bounds;

@@ -15,6 +15,8 @@ pub const OPCODE: u8 = 25;
 pub const OPTIONS: u8 = 26;
 /// In int: changes at least every 20 ms while celld lives.
 pub const HEARTBEAT: u8 = 27;
+/// In int: the process that writes the others, see [`mark_of`].
+pub const OWNER: u8 = 28;
 /// In double: first of six arguments.
 pub const ARGUMENTS: u8 = 24;
 /// In double: speed, rad/s or m/s.
@@ -37,6 +39,21 @@ pub const HEARTBEAT_ECHO: u8 = 28;
 
 /// Commands the on-robot program holds besides the one it is carrying out.
 pub const QUEUE_DEPTH: i32 = 8;
+
+/// What distinguishes the mark of a celld from any number of another client.
+const SIGNATURE: i32 = 0x4C << 24;
+const PROCESS_BITS: i32 = 0x00FF_FFFF;
+
+/// The mark of a celld in [`OWNER`]: a signature, and the number of its process (Linux gives no more than
+/// 22 bits).
+pub fn mark_of(process: u32) -> i32 {
+    SIGNATURE | (process.cast_signed() & PROCESS_BITS)
+}
+
+/// The process of the celld that left this mark; `None` for any other number.
+pub fn process_of(mark: i32) -> Option<u32> {
+    (mark & !PROCESS_BITS == SIGNATURE).then_some((mark & PROCESS_BITS).cast_unsigned())
+}
 
 /// What a command requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -176,6 +193,16 @@ mod tests {
     }
 
     #[test]
+    fn a_mark_names_its_process_and_no_other_number_does() {
+        for process in [1, 4711, (1 << 22) - 1] {
+            assert_eq!(process_of(mark_of(process)), Some(process));
+        }
+        for other in [0, 1, -1, i32::MAX, i32::MIN, 4711] {
+            assert_eq!(process_of(other), None, "{other}");
+        }
+    }
+
+    #[test]
     fn the_register_map_for_people_says_the_same() {
         let row = |direction: &str, kind: &str, number: u8, name: &str| {
             let start = format!("| {direction} | {kind} {number} | {name} |");
@@ -185,6 +212,7 @@ mod tests {
         row("in", "int", OPCODE, "opcode");
         row("in", "int", OPTIONS, "options");
         row("in", "int", HEARTBEAT, "heartbeat");
+        row("in", "int", OWNER, "owner");
         row("in", "double", SPEED, "speed");
         row("in", "double", ACCELERATION, "acceleration");
         row("in", "double", BLEND, "blend");

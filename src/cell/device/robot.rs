@@ -93,7 +93,7 @@ impl Robot {
     pub fn new(parameters: RobotParameters) -> Result<Robot, TemplateError> {
         Ok(Robot {
             template: ProgramTemplate::new(&parameters.program_text, parameters.watchdog_frames)?,
-            rtde: RtdeSession::new(parameters.frequency_hz),
+            rtde: RtdeSession::new(parameters.frequency_hz, parameters.process),
             dashboard: DashboardSession::default(),
             primary: PrimarySession::default(),
             program: Program::Absent,

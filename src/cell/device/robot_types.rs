@@ -81,13 +81,41 @@ pub struct RobotParameters {
     pub watchdog_frames: u32,
     /// Packages per second from the controller: 500, or 125 where the PC or the network is slow.
     pub frequency_hz: f64,
+    /// The number of this process, for another celld that finds the robot taken.
+    pub process: u32,
 }
 
 impl RobotParameters {
     /// celld's own program at the controller's full rate.
     pub fn full_rate() -> RobotParameters {
         let program_text = PROGRAM_TEXT.to_string();
-        RobotParameters { program_text, watchdog_frames: WATCHDOG_FRAMES, frequency_hz: 500.0 }
+        RobotParameters { program_text, watchdog_frames: WATCHDOG_FRAMES, frequency_hz: 500.0, process: 0 }
+    }
+}
+
+/// RTDE inputs that celld needs and another client of the controller holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct InputsTaken {
+    /// Exact names.
+    pub names: Vec<String>,
+    /// The process of the celld that left its mark in the registers.
+    pub celld: Option<u32>,
+}
+
+impl std::fmt::Display for InputsTaken {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let names = self.names.join(", ");
+        match self.celld {
+            Some(process) => write!(
+                f,
+                "another celld drives this robot (process {process} of its computer) and holds {names}"
+            ),
+            None => write!(
+                f,
+                "another client of the controller holds {names}: probably EtherNet/IP or PROFINET, the \
+                 OnRobot URCap, or another RTDE client"
+            ),
+        }
     }
 }
 
@@ -395,8 +423,8 @@ pub enum RobotEvent {
     },
     /// A register is taken by another client or a field bus; celld tries again a few times.
     InputInUse {
-        /// Exact names.
-        names: Vec<String>,
+        /// Which, and by whom.
+        taken: InputsTaken,
         /// Tries so far.
         attempt: u32,
     },

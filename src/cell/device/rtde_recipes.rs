@@ -16,6 +16,8 @@ use ur_wire::rtde_variables::Register;
 pub(super) const HEARTBEAT: usize = 0;
 /// Input recipe of the command with its arguments.
 pub(super) const COMMAND: usize = 1;
+/// Input recipe of the mark of who writes: the last.
+pub(super) const OWNER: usize = 2;
 
 /// Bit of `robot_status_bits`: the freedrive button is pressed (reference: ur-interfaces, 1.8).
 const TEACH_BUTTON: u32 = 1 << 2;
@@ -83,11 +85,13 @@ pub(super) fn agree(id: u8, names: &[String], offers: &[Offer]) -> Result<Recipe
 pub(super) fn input_names(index: usize) -> Vec<String> {
     match index {
         HEARTBEAT => vec![Register::InputInt(registers::HEARTBEAT).name()],
-        _ => CommandRegisters::names(),
+        COMMAND => CommandRegisters::names(),
+        _ => vec![Register::InputInt(registers::OWNER).name()],
     }
 }
 
-/// Fields of the output recipe, in the order `state_of` reads them.
+/// Fields of the output recipe, in the order `state_of` reads them; after them the mark of who writes the
+/// inputs.
 pub fn output_names() -> Vec<String> {
     let fixed = [
         "timestamp",
@@ -112,7 +116,16 @@ pub fn output_names() -> Vec<String> {
         registers::HEARTBEAT_ECHO,
     ];
     let registers = registers.map(|number| Register::OutputInt(number).name());
-    fixed.into_iter().map(String::from).chain(registers).collect()
+    let mark = Register::InputInt(registers::OWNER).name();
+    fixed.into_iter().map(String::from).chain(registers).chain([mark]).collect()
+}
+
+/// The celld that left its mark in the inputs, if one did, of the values of one package.
+pub(super) fn owner_of(values: &[Value]) -> Option<u32> {
+    match values.last() {
+        Some(Value::Int32(mark)) => registers::process_of(*mark),
+        _ => None,
+    }
 }
 
 /// The state of one package; `None` if the fields are not those of [`output_names`].
@@ -137,6 +150,7 @@ pub(super) fn state_of(now: Timestamp, values: &[Value]) -> Option<RobotState> {
         Int32(finished),
         Int32(status),
         Int32(heartbeat_echo),
+        Int32(_),
     ] = values
     else {
         return None;

@@ -1,17 +1,18 @@
 //! RTDE session: handshake, state in, registers out.
 //!
 //! In: bytes of TCP 30004, command registers, heartbeats, the time. Out: bytes, [`RtdeEvent`]s, the latest
-//! [`RobotState`]. The inputs are two small recipes, so that a refusal names few registers: the heartbeat,
-//! and the command with its arguments (one package, hence one controller frame).
+//! [`RobotState`]. The inputs are small recipes, so that a refusal names few registers: the heartbeat, the
+//! command with its arguments (one package, hence one controller frame), and the mark of this process. Where
+//! they are taken, the state is read for a moment without them: the mark of another celld is in it.
 //!
 //! Anything malformed, a NaN included, is a fault that drops the link: after it nothing on it can be
 //! trusted.
 
 use crate::cell::device::outbox::Outbox;
-use crate::cell::device::registers::CommandRegisters;
-use crate::cell::device::robot_types::RobotState;
+use crate::cell::device::registers::{CommandRegisters, mark_of};
+use crate::cell::device::robot_types::{InputsTaken, RobotState};
 use crate::cell::device::rtde_recipes::{
-    COMMAND, HEARTBEAT, Refusal, agree, input_names, output_names, state_of,
+    COMMAND, HEARTBEAT, OWNER, Refusal, agree, input_names, output_names, owner_of, state_of,
 };
 use cell_values::time::{Duration, Timestamp};
 use ur_wire::rtde::{Reply, Request, Splitter, Version};
@@ -24,6 +25,8 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 const SILENT_AFTER: Duration = Duration::from_millis(2500);
 /// A dead predecessor may still hold the registers: wait, then try again.
 const IN_USE_RETRY: Duration = Duration::from_secs(5);
+/// How long the registers are read for the mark of another celld.
+const LOOK_FOR_OWNER: Duration = Duration::from_millis(500);
 /// Tries before the link is dropped.
 const IN_USE_TRIES: u32 = 4;
 /// While it boots the controller restarts its RTDE service once; before this time nothing is trusted.
@@ -38,8 +41,8 @@ pub enum RtdeEvent {
     Ready,
     /// Registers are taken; `attempt` counts the tries.
     InUse {
-        /// Exact names.
-        names: Vec<String>,
+        /// Which, and by whom.
+        taken: InputsTaken,
         /// Tries so far.
         attempt: u32,
     },
@@ -53,18 +56,51 @@ pub enum RtdeEvent {
 
 enum Step {
     Down,
-    AskedVersion { deadline: Timestamp },
-    AskedController { deadline: Timestamp },
-    AskedOutputs { deadline: Timestamp },
-    AskedInputs { index: usize, deadline: Timestamp, attempt: u32 },
-    WaitingForInputs { index: usize, retry_at: Timestamp, attempt: u32 },
-    AskedStart { deadline: Timestamp },
-    Streaming { last_package: Timestamp, packages: u32, settled: bool },
+    AskedVersion {
+        deadline: Timestamp,
+    },
+    AskedController {
+        deadline: Timestamp,
+    },
+    AskedOutputs {
+        deadline: Timestamp,
+    },
+    AskedInputs {
+        index: usize,
+        deadline: Timestamp,
+        attempt: u32,
+    },
+    /// The registers are taken, and read for the mark of their owner.
+    LookingForOwner {
+        index: usize,
+        names: Vec<String>,
+        since: Timestamp,
+        attempt: u32,
+    },
+    WaitingForInputs {
+        index: usize,
+        retry_at: Timestamp,
+        attempt: u32,
+    },
+    AskedPause {
+        index: usize,
+        deadline: Timestamp,
+        attempt: u32,
+    },
+    AskedStart {
+        deadline: Timestamp,
+    },
+    Streaming {
+        last_package: Timestamp,
+        packages: u32,
+        settled: bool,
+    },
 }
 
 /// The session. See the module.
 pub struct RtdeSession {
     frequency_hz: f64,
+    process: u32,
     version: Version,
     step: Step,
     splitter: Splitter,
@@ -75,10 +111,11 @@ pub struct RtdeSession {
 }
 
 impl RtdeSession {
-    /// `frequency_hz` packages per second.
-    pub fn new(frequency_hz: f64) -> RtdeSession {
+    /// `frequency_hz` packages per second; `process` is the number that another celld reads.
+    pub fn new(frequency_hz: f64, process: u32) -> RtdeSession {
         RtdeSession {
             frequency_hz,
+            process,
             version: Version::V1,
             step: Step::Down,
             splitter: Splitter::default(),
@@ -141,14 +178,21 @@ impl RtdeSession {
             | Step::AskedController { deadline }
             | Step::AskedOutputs { deadline }
             | Step::AskedInputs { deadline, .. }
+            | Step::AskedPause { deadline, .. }
             | Step::AskedStart { deadline } => {
                 if now >= deadline {
                     self.silent(format!("no answer to {} within 2 s", self.waiting_for()));
                 }
             }
+            Step::LookingForOwner { since, .. } => {
+                if now >= since + LOOK_FOR_OWNER {
+                    self.owner_found(None);
+                }
+            }
             Step::WaitingForInputs { index, retry_at, attempt } => {
                 if now >= retry_at {
-                    self.ask_inputs(now, index, attempt);
+                    self.ask(&Request::Pause);
+                    self.step = Step::AskedPause { index, deadline: now + ANSWER_WITHIN, attempt };
                 }
             }
             Step::Streaming { last_package, .. } => {
@@ -167,7 +211,9 @@ impl RtdeSession {
             | Step::AskedController { deadline }
             | Step::AskedOutputs { deadline }
             | Step::AskedInputs { deadline, .. }
+            | Step::AskedPause { deadline, .. }
             | Step::AskedStart { deadline } => Some((deadline, "RTDE handshake")),
+            Step::LookingForOwner { since, .. } => Some((since + LOOK_FOR_OWNER, "RTDE owner of registers")),
             Step::WaitingForInputs { retry_at, .. } => Some((retry_at, "RTDE registers in use")),
             Step::Streaming { last_package, .. } => Some((last_package + SILENT_AFTER, "RTDE silence")),
         }
@@ -238,6 +284,8 @@ impl RtdeSession {
             Step::AskedOutputs { .. } => "the output set-up",
             Step::AskedInputs { .. } | Step::WaitingForInputs { .. } => "the input set-up",
             Step::AskedStart { .. } => "the start request",
+            Step::AskedPause { .. } => "the pause request",
+            Step::LookingForOwner { .. } => "the owner of the registers",
             Step::Down | Step::Streaming { .. } => "nothing",
         }
     }
@@ -282,6 +330,14 @@ impl RtdeSession {
                 self.fault("the controller refuses to start".into())
             }
             (Reply::Data { recipe, payload }, Step::Streaming { .. }) => self.data(now, recipe, &payload),
+            (
+                reply,
+                Step::LookingForOwner { .. } | Step::WaitingForInputs { .. } | Step::AskedPause { .. },
+            ) => {
+                self.while_taken(now, reply);
+            }
+            // On its way when the stream was paused.
+            (Reply::Data { .. }, Step::AskedInputs { attempt: 2.., .. }) => {}
             (unexpected, _) => {
                 let kind = reply_name(&unexpected);
                 self.fault(format!("unexpected {kind} while waiting for {}", self.waiting_for()));
@@ -308,11 +364,39 @@ impl RtdeSession {
         self.step = Step::AskedInputs { index, deadline: now + ANSWER_WITHIN, attempt };
     }
 
+    /// The stream runs without inputs, to read who holds them.
+    fn while_taken(&mut self, now: Timestamp, reply: Reply) {
+        match (reply, &self.step) {
+            (Reply::Data { payload, .. }, Step::LookingForOwner { .. }) => {
+                let values = self.outputs.decode(&payload, Leftover::Refuse);
+                if let Some(process) = values.ok().and_then(|values| owner_of(&values)) {
+                    self.owner_found(Some(process));
+                }
+            }
+            (Reply::Pause(_), &Step::AskedPause { index, attempt, .. }) => {
+                self.ask_inputs(now, index, attempt);
+            }
+            // A controller that does not start shows no owner; that is no fault.
+            (Reply::Start(_) | Reply::Data { .. }, _) => {}
+            (unexpected, _) => {
+                let kind = reply_name(&unexpected);
+                self.fault(format!("unexpected {kind} while waiting for {}", self.waiting_for()));
+            }
+        }
+    }
+
+    fn owner_found(&mut self, celld: Option<u32>) {
+        let step = std::mem::replace(&mut self.step, Step::Down);
+        let Step::LookingForOwner { index, names, since, attempt } = step else { return };
+        self.outbox.report(RtdeEvent::InUse { taken: InputsTaken { names, celld }, attempt });
+        self.step = Step::WaitingForInputs { index, retry_at: since + IN_USE_RETRY, attempt: attempt + 1 };
+    }
+
     fn inputs_offered(&mut self, now: Timestamp, index: usize, attempt: u32, recipe: u8, offers: &[Offer]) {
         match agree(recipe, &input_names(index), offers) {
             Ok(recipe) => {
                 self.inputs.push(recipe);
-                if index == COMMAND {
+                if index == OWNER {
                     self.ask(&Request::Start);
                     self.step = Step::AskedStart { deadline: now + ANSWER_WITHIN };
                 } else {
@@ -320,9 +404,8 @@ impl RtdeSession {
                 }
             }
             Err(Refusal::InUse(names)) if attempt < IN_USE_TRIES => {
-                self.outbox.report(RtdeEvent::InUse { names, attempt });
-                let retry_at = now + IN_USE_RETRY;
-                self.step = Step::WaitingForInputs { index, retry_at, attempt: attempt + 1 };
+                self.ask(&Request::Start);
+                self.step = Step::LookingForOwner { index, names, since: now, attempt };
             }
             Err(refusal) => self.fault(refusal.text("input")),
         }
@@ -364,6 +447,7 @@ impl RtdeSession {
             if !*settled && (settled_by_time || enough) {
                 *settled = true;
                 self.outbox.report(RtdeEvent::Ready);
+                self.write(OWNER, &[Value::Int32(mark_of(self.process))]);
             }
         }
     }

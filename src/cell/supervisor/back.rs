@@ -2,6 +2,7 @@
 //!
 //! Plain data; the transitions are in `recovery`, the sentences in `situation`.
 
+use crate::cell::device::robot_types::InputsTaken;
 use crate::cell::orders::WayBack;
 use crate::cell::supervisor::reason::Reason;
 use crate::motion::path::CheckedPath;
@@ -52,7 +53,7 @@ pub(crate) struct Back {
     /// The controller's last error: code and argument.
     pub error: Option<(i32, i32)>,
     /// Inputs that another client of the controller holds.
-    pub registers_taken: Vec<String>,
+    pub registers_taken: Option<InputsTaken>,
     /// Where objects were seen last.
     pub table: Vec<(String, Pose2)>,
 }

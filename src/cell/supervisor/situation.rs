@@ -21,10 +21,6 @@ const WAYS: [(WayBack, &str); 4] = [
     (WayBack::Retreat, "--retreat"),
 ];
 
-/// Who holds RTDE inputs that celld needs.
-pub const LIKELY_OWNERS: &str =
-    "probably EtherNet/IP or PROFINET, the OnRobot URCap, or a second celld or RTDE client";
-
 impl Supervisor {
     /// Keeps what `celld recover` shows later.
     pub(crate) fn note_for_the_way_back(&mut self, now: Timestamp, event: &RobotEvent) {
@@ -34,8 +30,8 @@ impl Supervisor {
             }
             RobotEvent::Safety { .. } => self.back.protective_since = None,
             RobotEvent::ErrorCode { code, argument, .. } => self.back.error = Some((*code, *argument)),
-            RobotEvent::InputInUse { names, .. } => self.back.registers_taken.clone_from(names),
-            RobotEvent::RtdeReady => self.back.registers_taken.clear(),
+            RobotEvent::InputInUse { taken, .. } => self.back.registers_taken = Some(taken.clone()),
+            RobotEvent::RtdeReady => self.back.registers_taken = None,
             RobotEvent::RtdeLost
             | RobotEvent::Identity { .. }
             | RobotEvent::Kinematics { .. }
@@ -93,9 +89,7 @@ impl Supervisor {
 
     /// Inputs that celld needs and another client of the controller holds, and who that may be.
     pub(crate) fn registers_taken(&self) -> Option<String> {
-        let names = &self.back.registers_taken;
-        (!names.is_empty())
-            .then(|| format!("another client of the controller holds {}: {LIKELY_OWNERS}", names.join(", ")))
+        self.back.registers_taken.as_ref().map(ToString::to_string)
     }
 
     fn what_happened(&self, now: Timestamp) -> String {

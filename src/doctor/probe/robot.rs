@@ -193,7 +193,7 @@ fn primary(host: &str, clock: &Clock) -> Result<PrimaryFacts, LinkFault> {
 }
 
 fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
-    let mut line = Line::connect(host, Link::Rtde, clock, RtdeSession::new(RTDE_HZ))?;
+    let mut line = Line::connect(host, Link::Rtde, clock, RtdeSession::new(RTDE_HZ, std::process::id()))?;
     let (mut facts, mut buffer) = (RtdeFacts::default(), [0; 64 * 1024]);
     let mut watch = Watch::default();
     while watch.since.is_none_or(|since| clock.now().since(since) < WATCHED) {
@@ -203,8 +203,8 @@ fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
                 RtdeEvent::Ready => {}
                 // Another try would wait 5 s for a client that has crashed; the line says that there may be
                 // one.
-                RtdeEvent::InUse { names, .. } => {
-                    facts.taken = names;
+                RtdeEvent::InUse { taken, .. } => {
+                    facts.taken = Some(taken);
                     return Ok(facts);
                 }
                 RtdeEvent::Message(text) => facts.messages.push(text),

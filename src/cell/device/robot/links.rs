@@ -44,7 +44,7 @@ impl Robot {
     fn rtde_event(&mut self, now: Timestamp, event: RtdeEvent) {
         match event {
             RtdeEvent::Ready => self.report(RobotEvent::RtdeReady),
-            RtdeEvent::InUse { names, attempt } => self.report(RobotEvent::InputInUse { names, attempt }),
+            RtdeEvent::InUse { taken, attempt } => self.report(RobotEvent::InputInUse { taken, attempt }),
             RtdeEvent::Message(text) => self.report(RobotEvent::Message { text }),
             RtdeEvent::Silent(detail) => {
                 self.report(RobotEvent::LinkSilent { link: Link::Rtde, detail });

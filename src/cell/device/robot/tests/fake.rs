@@ -211,7 +211,10 @@ impl Fake {
                 self.streaming = true;
                 Reply::Start(true)
             }
-            Request::Pause => Reply::Pause(true),
+            Request::Pause => {
+                self.streaming = false;
+                Reply::Pause(true)
+            }
             Request::Data { recipe, payload } => return self.inputs_written(now, recipe, &payload),
         };
         let bytes = reply.encode(self.version);

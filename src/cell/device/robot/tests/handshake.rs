@@ -1,9 +1,12 @@
 //! Links: handshakes, refusals, slicing, losses, malformed and unknown values.
 
 use super::{Rig, path};
+use crate::cell::device::registers::{self, mark_of};
 use crate::cell::device::robot::tests::HOME;
-use crate::cell::device::robot_types::{Link, Refused, RobotCommand, RobotEvent};
+use crate::cell::device::robot_types::{InputsTaken, Link, Refused, RobotCommand, RobotEvent};
 use ur_wire::enumerations::{RobotMode, SafetyMode};
+use ur_wire::rtde_values::Value;
+use ur_wire::rtde_variables::Register;
 
 #[test]
 fn all_links_come_up_and_identify_the_robot() {
@@ -71,13 +74,32 @@ fn registers_in_use_are_named_and_asked_for_again() {
     rig.fake.in_use = vec!["input_int_register_25".into(), "input_double_register_30".into()];
     rig.connect_all();
     rig.run_ms(100);
-    let names = rig.fake.in_use.clone();
-    assert!(rig.saw(&RobotEvent::InputInUse { names, attempt: 1 }), "{:?}", rig.events);
-    rig.run_ms(4000);
+    let taken = InputsTaken { names: rig.fake.in_use.clone(), celld: None };
+    assert!(!rig.saw(&RobotEvent::InputInUse { taken: taken.clone(), attempt: 1 }), "no owner yet");
+    rig.run_ms(500);
+    assert!(rig.saw(&RobotEvent::InputInUse { taken, attempt: 1 }), "{:?}", rig.events);
+    rig.run_ms(3500);
     rig.fake.in_use.clear();
     assert!(!rig.saw(&RobotEvent::RtdeReady));
     rig.run_ms(1500);
     assert!(rig.saw(&RobotEvent::RtdeReady));
+}
+
+#[test]
+fn the_celld_that_holds_the_registers_is_named_by_its_mark() {
+    let mut rig = Rig::new();
+    rig.fake.in_use = vec!["input_int_register_27".into()];
+    rig.fake.registers.insert(Register::InputInt(registers::OWNER), Value::Int32(mark_of(4711)));
+    rig.connect_all();
+    rig.run_ms(100);
+    let taken = InputsTaken { names: rig.fake.in_use.clone(), celld: Some(4711) };
+    assert!(taken.to_string().contains("another celld drives this robot (process 4711"), "{taken}");
+    assert!(rig.saw(&RobotEvent::InputInUse { taken, attempt: 1 }), "{:?}", rig.events);
+    rig.fake.in_use.clear();
+    rig.run_ms(6000);
+    assert!(rig.saw(&RobotEvent::RtdeReady));
+    let mark = rig.fake.registers.get(&Register::InputInt(registers::OWNER)).cloned();
+    assert_eq!(mark, Some(Value::Int32(mark_of(0))), "the mark of this one is there now");
 }
 
 #[test]
