@@ -5,18 +5,20 @@
 //! folder is 1.
 
 use crate::calibration::files::set::CalibrationSet;
+use crate::cell::event::Arm;
 use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
 use crate::config::load::load_cell;
-use crate::config::setup::{cell_model, cell_objects, gripper_address, machine_parameters, scene};
+use crate::config::setup::{Measured, cell_model, cell_objects, gripper_address, machine_parameters, scene};
 use crate::daemon::cameras;
-use crate::daemon::keeper::StateKeeper;
+use crate::daemon::keeper::{Identities, StateKeeper};
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::recorder::{self, Recorder};
-use crate::daemon::shell::{Observer, Scene, Shell};
+use crate::daemon::shell::{Observer, Scene, Shell, StartError};
 use crate::daemon::sockets::Addresses;
 use crate::daemon::state_orders::StateOrders;
+use crate::daemon::watchdog::{Beats, Watchdog};
 use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::doctor::files::blocked_poses;
 use crate::io::camera::monitored::MonitoredCamera;
@@ -34,6 +36,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::signal::unix::{SignalKind, signal};
+
+/// When a name without an address is looked up again.
+const NAMES_AGAIN: std::time::Duration = std::time::Duration::from_secs(2);
 
 /// `celld run`
 #[derive(Args, Clone, Debug)]
@@ -142,6 +147,34 @@ pub(super) fn open_camera(config: &CellConfig, lens: Option<CameraModel>) -> Res
     cameras::open_camera(&config.devices, lens).map_err(|error| chain(&error))
 }
 
+/// Says what is waited for, where everyone looks: status file, log, service manager.
+fn waits_for(keeper: &StateKeeper, watchdog: &Watchdog, message: &str) {
+    keeper.waits_for(message);
+    watchdog.words(message);
+}
+
+/// The same shell once all devices' names have addresses: a network may come up after this computer.
+async fn shell_when_named(
+    config: &CellConfig,
+    seed: u64,
+    stop: &AtomicBool,
+    say: &mut dyn FnMut(&str),
+) -> Result<Shell, String> {
+    let mut said = String::new();
+    loop {
+        match Addresses::of(&config.devices) {
+            Ok(_) => return open_shell(config, seed),
+            Err(_) if stop.load(Ordering::Relaxed) => return Err(StartError::Stopped.to_string()),
+            Err(fault) if fault != said => {
+                say(&fault);
+                said = fault;
+            }
+            Err(_) => {}
+        }
+        tokio::time::sleep(NAMES_AGAIN).await;
+    }
+}
+
 async fn daemon(
     config: CellConfig,
     config_file: PathBuf,
@@ -150,69 +183,93 @@ async fn daemon(
     stop: Arc<AtomicBool>,
 ) -> Result<(), String> {
     let seed = (unix_now_s() * 1e3) as u64;
-    let mut shell = open_shell(&config, seed)?;
+    let (beats, stopped) = (Beats::default(), || stop.load(Ordering::Relaxed));
+    let watchdog = Watchdog::start(beats.clone());
     let (diagnostic_images, name) = (state.root().to_path_buf(), format!("celld-{seed}"));
     let gripper = gripper_address(&config.devices);
     let confirmed = state.gripper_confirmed(&gripper);
     let orders = StateOrders::open(&state, name.clone(), gripper).map_err(|error| chain(&error))?;
     let mut keeper = StateKeeper::open(config.clone(), state, name).map_err(|error| chain(&error))?;
     for notice in keeper.notices() {
-        complain(&notice);
+        tracing::warn!("{notice}");
     }
-    let stopped = || stop.load(Ordering::Relaxed);
     let waiting = format!("waiting for the robot at {}", config.devices.robot_host);
-    keeper.waits_for(&waiting);
+    waits_for(&keeper, &watchdog, &waiting);
+    watchdog.ready();
     let mut say = |missing: &str| {
         let message = format!("{waiting}: {missing}");
-        keeper.waits_for(&message);
-        complain(&message);
+        waits_for(&keeper, &watchdog, &message);
+        tracing::warn!("{message}");
     };
+    let mut shell = shell_when_named(&config, seed, &stop, &mut say).await?.watched(beats);
     let arm = shell.wait_for_robot(&stopped, &mut say).await.map_err(|error| chain(&error))?;
-    keeper.waits_for("the robot answers; the camera is opened and the table's pictures are read");
+    waits_for(
+        &keeper,
+        &watchdog,
+        "the robot answers; the camera is opened and the table's pictures are read",
+    );
     let measured = measured(&config, &calibration, &arm)?;
     let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     model.gripper_confirmed |= confirmed;
-    model.held_before = keeper.held_before();
+    (model.held_before, model.cut_off) = (keeper.held_before(), keeper.cut_off());
+    let identities = Identities {
+        robot: format!("serial {}", arm.serial),
+        camera: format!("serial {}", measured.camera.serial),
+    };
     for pose in blocked_poses(&config, &model) {
-        complain(&format!("taught pose {pose}; the arm will not go there"));
+        tracing::warn!("taught pose {pose}; the arm will not go there");
     }
-    let camera = cameras::open_when_there(&config.devices, &measured.camera);
-    let (camera, away) = camera.map_err(|error| chain(&error))?;
-    if let Some(error) = away {
-        complain(&format!("{}; looks wait for it ({})", chain(&error), error.kind().hint()));
-    }
-    let mut scene = scene(&config, &measured).map_err(|error| chain(&error))?;
-    compare_with_empty(scene.foreign.as_mut(), &config, &measured, &arm)?;
-    let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
-    let sight = Sight::Cell(Box::new(perception));
-    shell.see_with(PerceptionSetup {
-        camera: Box::new(camera),
-        sight,
-        diagnostic_images: Some(diagnostic_images),
-    });
+    shell.see_with(perception_setup(&config, &measured, &arm, diagnostic_images)?);
     shell.commission(model, config.arm_at_start);
     let pictures = LastPicture::default();
-    shell.keep_in(Box::new(keeper.with(pictures.clone(), &config_file)), Box::new(orders));
-    complain("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
+    let keeper = keeper.with(pictures.clone(), &config_file, identities, shell.heard());
+    shell.keep_in(Box::new(keeper), Box::new(orders));
+    tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     let recorder = config.recording.as_ref().map(recorder::start).transpose()?;
-    let mut lines = Lines { recorder, pictures };
+    let mut lines = Lines { recorder, pictures, watchdog };
     let ended = shell.run(&mut lines, &stop).await.map_err(|error| error.to_string());
+    lines.watchdog.stopping();
     if let Some(fault) = lines.recorder.as_mut().and_then(Recorder::close) {
-        complain(&format!("recording: {fault}"));
+        tracing::warn!("recording: {fault}");
     }
     ended
 }
 
-/// The recording and the last picture; sentences go into the log (`daemon/shell`).
+/// Camera and perception; a camera that is away is said, and waited for.
+fn perception_setup(
+    config: &CellConfig,
+    measured: &Measured,
+    arm: &Arm,
+    diagnostic_images: PathBuf,
+) -> Result<PerceptionSetup, String> {
+    let camera = cameras::open_when_there(&config.devices, &measured.camera);
+    let (camera, away) = camera.map_err(|error| chain(&error))?;
+    if let Some(error) = away {
+        tracing::warn!("{}; looks wait for it ({})", chain(&error), error.kind().hint());
+    }
+    let mut scene = scene(config, measured).map_err(|error| chain(&error))?;
+    compare_with_empty(scene.foreign.as_mut(), config, measured, arm)?;
+    let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
+    let sight = Sight::Cell(Box::new(perception));
+    Ok(PerceptionSetup { camera: Box::new(camera), sight, diagnostic_images: Some(diagnostic_images) })
+}
+
+/// The recording, the last picture, the line for the service manager; sentences go into the log (`daemon/shell`).
 struct Lines {
     recorder: Option<Recorder>,
     pictures: LastPicture,
+    watchdog: Watchdog,
 }
 
 impl Observer for Lines {
     fn on(&mut self, now: Timestamp, scene: Scene) {
         if let Scene::Displayed(displayed) = &scene {
             self.pictures.keep(displayed);
+        }
+        if let Scene::Status(status) = &scene {
+            let armed = if status.armed { "armed" } else { "disarmed" };
+            let job = status.job.as_ref().map(|job| format!(", job {job}")).unwrap_or_default();
+            self.watchdog.words(&format!("{}{job} ({armed})", status.text()));
         }
         if let Some(recorder) = &mut self.recorder {
             recorder.on(now, &scene);

@@ -27,6 +27,7 @@ pub mod plan;
 pub mod simulate;
 pub mod submit;
 pub mod task;
+pub mod unit;
 mod values;
 pub mod verify;
 pub mod watch;
@@ -50,6 +51,8 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Run the daemon: job files in, a tidy table out
     Run(daemon::RunArgs),
+    /// The address filter of a cell, as a drop-in for systemd
+    Unit(unit::UnitArgs),
     /// What is missing between this computer and a moving robot, on one page
     Doctor(doctor::DoctorArgs),
     /// Simulated UR5e, VGC10 and camera behind the real protocols
@@ -104,6 +107,7 @@ pub fn main() -> ExitCode {
     ExitCode::from(match cli.command {
         Command::Demo(args) => demo::run(&args, stop),
         Command::Run(args) => daemon::run(&args, stop),
+        Command::Unit(args) => unit::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Sim(args) => ur_sim::command::run(&args),
         Command::Simulate(args) => simulate::run(&args),

@@ -11,6 +11,7 @@ use crate::cell::supervisor::model::ForeignRule;
 use crate::config::bodies::Equipment;
 pub use crate::config::camera::CameraDevice;
 use crate::jobs::goal::GoalContext;
+use crate::jobs::journal::old::HistoryLimits;
 use crate::motion::slow::CalibrationBox;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;
@@ -71,6 +72,8 @@ pub struct CellConfig {
     pub simulation: Option<SimulationConfig>,
     /// Present when runs are recorded.
     pub recording: Option<RecordingConfig>,
+    /// How much of the history is kept.
+    pub history: HistoryLimits,
     /// Folder against which relative `goal.file` paths of jobs resolve.
     pub goal_folder: PathBuf,
     /// Markers in view that belong to nothing on the table.
@@ -227,4 +230,8 @@ pub struct RecordingConfig {
     pub folder: PathBuf,
     /// Pictures too, not only numbers.
     pub pictures: bool,
+    /// What all recordings together may take; the oldest go first.
+    pub budget_bytes: u64,
+    /// What is left free on their disk.
+    pub reserve_bytes: u64,
 }

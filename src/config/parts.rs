@@ -12,6 +12,7 @@ use crate::config::cell::{
     CalibrationFiles, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig,
     Tolerances, WorkspaceConfig,
 };
+use crate::jobs::journal::old::HistoryLimits;
 use crate::motion::slow::CalibrationBox;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;
@@ -51,6 +52,7 @@ pub(super) struct CellParts {
     /// `Some(None)` when the key is absent.
     pub simulation: Option<Option<SimulationConfig>>,
     pub recording: Option<Option<RecordingConfig>>,
+    pub history: Option<HistoryLimits>,
     pub goal_folder: Option<PathBuf>,
     pub ignore_markers: Option<Vec<u32>>,
     pub foreign: Option<ForeignRule>,
@@ -96,6 +98,7 @@ impl CellParts {
             arm_lapse_s: self.arm_lapse_s?,
             simulation: self.simulation?,
             recording: self.recording?,
+            history: self.history?,
             goal_folder: self.goal_folder?,
             ignore_markers: self.ignore_markers?,
             foreign: self.foreign?,

@@ -15,6 +15,7 @@ use crate::config::cell::{
 };
 use crate::config::check::check_cell;
 use crate::config::parts::{CellParts, TableParts};
+use crate::jobs::journal::old::HistoryLimits;
 use cell_parts::fields::{
     each, host, joints_deg, list, optional, path, port, required_each, required_number, required_positive,
     transform,
@@ -57,6 +58,7 @@ pub const CELL_KEYS: &[&str] = &[
     "arm_lapse_s",
     "simulation",
     "recording",
+    "history",
     "goal_folder",
     "ignore_markers",
     "foreign",
@@ -168,6 +170,7 @@ fn parts(
         ignore_markers: optional(d, fields, "ignore_markers", Vec::new(), |d, at| list(d, at, marker_number)),
         foreign: optional(d, fields, "foreign", refuse, foreign),
         equipment: optional(d, fields, "cell", Equipment::default(), equipment),
+        history: optional(d, fields, "history", HistoryLimits::YEAR, history),
         goal_folder: optional(d, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder)),
     }
 }
@@ -435,9 +438,31 @@ fn simulation(decoder: &mut Decoder, at: &At) -> Option<SimulationConfig> {
     Some(SimulationConfig { clock_factor })
 }
 
+/// A size on the disk, in 10^9 bytes.
+fn gigabytes(decoder: &mut Decoder, fields: &Fields, key: &'static str, usual: f64) -> Option<u64> {
+    let read = |decoder: &mut Decoder, at: &At| decoder.number_in(at, 0.01..=1e6, "GB");
+    optional(decoder, fields, key, usual, read).map(|size: f64| (size * 1e9) as u64)
+}
+
+fn history(decoder: &mut Decoder, at: &At) -> Option<HistoryLimits> {
+    let fields = decoder.map(at, &["days", "jobs"])?;
+    let read = |decoder: &mut Decoder, at: &At| decoder.number_in(at, 1.0..=36_500.0, "days");
+    let days = optional(decoder, &fields, "days", HistoryLimits::YEAR.days, read);
+    let read = |decoder: &mut Decoder, at: &At| decoder.integer(at, 10..=10_000_000);
+    let jobs = optional(decoder, &fields, "jobs", i64::from(HistoryLimits::YEAR.jobs), read);
+    Some(HistoryLimits { days: days?, jobs: u32::try_from(jobs?).ok()?, ..HistoryLimits::YEAR })
+}
+
 fn recording(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<RecordingConfig> {
-    let fields = decoder.map(at, &["folder", "pictures"])?;
+    let fields = decoder.map(at, &["folder", "pictures", "budget_gb", "reserve_gb"])?;
     let target = fields.required("folder", decoder).and_then(|at| path(decoder, &at, folder));
     let pictures = optional(decoder, &fields, "pictures", true, |decoder, at| decoder.boolean(at));
-    Some(RecordingConfig { folder: target?, pictures: pictures? })
+    let budget_bytes = gigabytes(decoder, &fields, "budget_gb", 20.0);
+    let reserve_bytes = gigabytes(decoder, &fields, "reserve_gb", 1.0);
+    Some(RecordingConfig {
+        folder: target?,
+        pictures: pictures?,
+        budget_bytes: budget_bytes?,
+        reserve_bytes: reserve_bytes?,
+    })
 }

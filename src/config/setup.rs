@@ -116,6 +116,7 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
         addresses: DeviceAddresses { robot, gripper },
         gripper_confirmed: config.simulation.is_some(),
         held_before: None,
+        cut_off: None,
         arm: arm_model(config, measured.dh, measured.base_from_table),
         cycle: cycle_parameters(config),
         mount: measured.mount,

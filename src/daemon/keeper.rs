@@ -4,15 +4,18 @@
 //! In: a state folder whose lock this process holds, and the configuration. Out: what
 //! [`crate::daemon::store`] requests; what is committed is on disk when the call returns.
 
+mod status_file;
+
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::orders::{Approval, Reply};
 use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::model::HeldBefore;
+use crate::cell::supervisor::model::{CutOff, HeldBefore};
 use crate::cell::supervisor::order::{JobOrder, JobReport};
-use crate::cell::supervisor::status::{DeviceNote, Status};
+use crate::cell::supervisor::status::Status;
 use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
-use crate::config::setup::gripper_address;
+use crate::daemon::disk::Disk;
+use crate::daemon::heard::Heard;
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::plan_files::{self, poses};
 use crate::daemon::store::Keeper;
@@ -69,7 +72,25 @@ pub struct StateKeeper {
     undrawn: bool,
     notices: Vec<String>,
     held_before: Option<HeldBefore>,
+    cut_off: Option<CutOff>,
+    identities: Identities,
+    heard: Heard,
+    disk: Disk,
+    /// When the history was brought within its limits last.
+    pruned: Option<Timestamp>,
 }
+
+/// Which devices the cell works with, in words for the status.
+#[derive(Clone, Debug, Default)]
+pub struct Identities {
+    /// Model, serial number, software.
+    pub robot: String,
+    /// Serial number.
+    pub camera: String,
+}
+
+/// When the history is looked through again once it is within its limits.
+const PRUNE_EVERY: Duration = Duration::from_secs(3600);
 
 impl StateKeeper {
     /// Opens journal and folders, and decides about jobs that an earlier daemon left unfinished. `daemon` is
@@ -80,24 +101,17 @@ impl StateKeeper {
     pub fn open(config: CellConfig, state: StateFolder, daemon: String) -> Result<StateKeeper, KeeperError> {
         let now = unix_now_s();
         let mut journal = Journal::open(&state.journal())?;
-        let mut notices = Vec::new();
+        let (mut notices, mut cut_off) = (Vec::new(), None);
         for recovered in journal.recover(now)? {
-            notices.push(match recovered {
-                Recovered::Requeued { id } => {
-                    format!("job {id} was not begun before the last end; it waits again")
-                }
-                Recovered::Interrupted { id, step } => {
-                    let (step, object) = (step.step, &step.intent.object);
-                    format!("job {id} was cut off in step {step} ({object}); see its result")
-                }
-            });
+            notices.push(recovered.to_string());
+            cut_off = cut_off.or_else(|| cut_off_by(&recovered));
         }
         let mut spool = Spool::open(
             state.root(),
             SpoolSettings { at_once: 1, entries_at_once: 200, ..SpoolSettings::STANDARD },
         )?;
         spool.reconcile_at_start(&mut journal)?;
-        let started_unix_s = now;
+        let (started_unix_s, disk) = (now, Disk::of(state.root()));
         // The word of a grip may not have reached the disk before the end.
         let may_hang = |step: &StepRecord| matches!(step.phase, StepPhase::Gripped | StepPhase::Intent);
         let gripped = journal.last_step()?.filter(may_hang);
@@ -121,14 +135,45 @@ impl StateKeeper {
             undrawn: false,
             notices,
             held_before,
+            cut_off,
+            identities: Identities::default(),
+            heard: Heard::default(),
+            disk,
+            pruned: None,
         })
     }
 
-    /// With pictures for the folders of jobs, and the name of the configuration for whoever reads the
-    /// status.
-    pub fn with(self, pictures: LastPicture, config_file: &Path) -> StateKeeper {
+    /// With pictures for the folders of jobs, and for whoever reads the status: the name of the
+    /// configuration, which devices there are and when they were heard.
+    pub fn with(
+        self,
+        pictures: LastPicture,
+        config_file: &Path,
+        identities: Identities,
+        heard: Heard,
+    ) -> StateKeeper {
         let file = std::path::absolute(config_file).unwrap_or_else(|_| config_file.to_path_buf());
-        StateKeeper { pictures, config_file: file.display().to_string(), ..self }
+        StateKeeper { pictures, config_file: file.display().to_string(), identities, heard, ..self }
+    }
+
+    /// The job that was cut off when an earlier celld ended.
+    pub fn cut_off(&self) -> Option<CutOff> {
+        self.cut_off.clone()
+    }
+
+    /// Brings the history within its limits, a few jobs at a time while nothing is carried out.
+    fn prune(&mut self, now: Timestamp) {
+        if self.active.is_some() || self.pruned.is_some_and(|at| now.since(at) < PRUNE_EVERY) {
+            return;
+        }
+        match self.spool.remove_old(&mut self.journal, &self.config.history, unix_now_s()) {
+            Ok(0) => self.pruned = Some(now),
+            Ok(count) => tracing::info!(count, "old jobs and refusals were removed from the history"),
+            Err(error) => {
+                self.pruned = Some(now);
+                tracing::warn!(%error, "the history could not be brought within its limits");
+            }
+        }
     }
 
     /// What was gripped and not let go when an earlier celld ended.
@@ -190,7 +235,7 @@ impl StateKeeper {
 
     /// A picture is no reason to hold anything up.
     fn leave_picture(&self, path: &Path) {
-        let Some(jpeg) = self.pictures.jpeg() else { return };
+        let Some(jpeg) = self.pictures.jpeg().filter(|_| self.disk.takes_pictures()) else { return };
         if let Err(error) = write_whole(path, &jpeg) {
             tracing::warn!(%error, "a picture could not be written into the job's folder");
         }
@@ -211,9 +256,18 @@ impl StateKeeper {
         if !self.journal.job(id)?.is_some_and(|job| job.state == JobState::Waiting) {
             return Ok(false);
         }
-        let message = "the operator cancelled the job before it began".to_string();
+        let message = match self.moves_of(id)? {
+            0 => "the operator cancelled the job before it began".to_string(),
+            moves => format!("the operator cancelled the job before it went on; it had made {moves} moves"),
+        };
         self.end_unbegun(id, JobStatus::Cancelled, Code::Cancelled, message, String::new())?;
         Ok(true)
+    }
+
+    /// Pick-n-places that a job has made: one that went on after a restart may have made some before.
+    fn moves_of(&self, id: &str) -> Result<u32, JournalError> {
+        let done = |step: &&StepRecord| step.phase == StepPhase::Done;
+        Ok(self.journal.steps(id)?.iter().filter(done).count() as u32)
     }
 
     fn end_unbegun(
@@ -230,7 +284,7 @@ impl StateKeeper {
             code: code.to_string(),
             message,
             hint,
-            moves: 0,
+            moves: self.moves_of(id)?,
             lower_bound: None,
             seconds: 0.0,
             times: BTreeMap::new(),
@@ -290,17 +344,6 @@ impl StateKeeper {
             seed: spec.seed.unwrap_or(planner.seed),
             approval: self.approval(spec.approval),
         })
-    }
-
-    /// A device with its address.
-    fn device(&self, DeviceNote { name, ready, message }: &DeviceNote) -> status::DeviceStatus {
-        let devices = &self.config.devices;
-        let address = match *name {
-            "robot" => devices.robot_host.clone(),
-            "gripper" => gripper_address(devices),
-            _ => devices.camera.address(),
-        };
-        status::DeviceStatus { name: name.to_string(), address, ready: *ready, message: message.clone() }
     }
 
     /// The cell's policy is a floor, also for a job that was taken in under a laxer one.
@@ -368,6 +411,16 @@ impl StateKeeper {
     }
 }
 
+/// What a person has to know of a job that ended in the middle of a step.
+fn cut_off_by(recovered: &Recovered) -> Option<CutOff> {
+    let Recovered::Interrupted { step, .. } = recovered else { return None };
+    Some(CutOff {
+        object: step.intent.object.clone(),
+        carrying: step.phase == StepPhase::Gripped,
+        message: recovered.to_string(),
+    })
+}
+
 /// Where the objects lay when the job `id` first looked.
 fn found_by(journal: &Path, id: &str) -> Result<Vec<GoalPose>, String> {
     let job = Journal::open_to_read(journal).and_then(|journal| journal.job(id)).map_err(|e| chain(&e))?;
@@ -428,6 +481,7 @@ impl Keeper for StateKeeper {
         }
         self.reconcile();
         self.draw_plan();
+        self.prune(now);
         cancelled
     }
 
@@ -436,7 +490,7 @@ impl Keeper for StateKeeper {
     }
 
     fn claim(&mut self) -> Option<JobOrder> {
-        if self.active.is_some() {
+        if self.active.is_some() || self.disk.low().is_some() {
             return None;
         }
         self.next_job().unwrap_or_else(|error| {
@@ -454,37 +508,6 @@ impl Keeper for StateKeeper {
     }
 
     fn status(&mut self, status: &Status) {
-        let total = status.moves + status.remaining_moves;
-        let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
-        let file = status::Status {
-            daemon: self.daemon.clone(),
-            pid: std::process::id(),
-            started_unix_s: self.started_unix_s,
-            written_unix_s: unix_now_s(),
-            state: if status.job.is_some() { "working" } else { "idle" }.to_string(),
-            message: status.text(),
-            armed: status.armed,
-            paused: status.paused,
-            job: status.job.clone(),
-            holding: status.held.clone(),
-            last_move_s: status.last_move.as_ref().map(in_words).unwrap_or_default(),
-            step: status.job.as_ref().filter(|_| total > 0).map(|_| (number(status.moves), number(total))),
-            awaiting_approval: status.job.iter().filter(|_| status.awaits_approval).cloned().collect(),
-            plan: self.plan.clone(),
-            config: self.config_file.clone(),
-            waiting: self.journal.waiting().map_or(0, |count| number(count as usize)),
-            unread: self.spool.unread().map_or(0, number),
-            because: status.because.clone(),
-            hint: status.hint.clone(),
-            stopped: status.stopped.as_ref().map(|stop| status::Stopped {
-                code: stop.code.to_string(),
-                message: stop.message.clone(),
-                hint: stop.hint.clone(),
-            }),
-            devices: status.devices.iter().map(|device| self.device(device)).collect(),
-        };
-        if let Err(error) = file.write(&self.state.status()) {
-            tracing::warn!(%error, "the status file could not be written");
-        }
+        self.write_status(status);
     }
 }

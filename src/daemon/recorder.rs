@@ -1,24 +1,28 @@
-//! The recording of a run: the daemon's events into one MCAP file.
+//! The recording of a run: the daemon's events into MCAP files.
 //!
-//! In: events as they happen. Out: the file, and at the end what went wrong with it, if anything did. A
-//! recording that fails never stops a run, and never silently: the first fault is kept. Pictures are turned
-//! into PNG on a thread of their own, for it takes tens of milliseconds in which the robot would get no
-//! message from us.
+//! In: events as they happen. Out: the files, and at the end what went wrong with them, if anything did. A
+//! recording that fails never stops a run, and never silently: the first fault is kept, and logged. All
+//! writing and encoding is on a thread of its own: a slow disk must not keep the robot waiting for a message
+//! from us.
 
 use crate::config::cell::RecordingConfig;
 use crate::daemon::messages::Displayed;
+use crate::daemon::recordings_folder::RecordingsFolder;
 use crate::daemon::shell::Scene;
-use crate::io::recording::{PictureFormat, RecordedObject, Recording, RecordingError, Severity};
-use crate::jobs::utc;
+use crate::io::recording::{PictureFormat, RecordedObject, Recording, Severity};
 use cell_edge::clock::unix_now_s;
 use cell_edge::priority;
 use cell_values::image::Image;
 use cell_values::time::{Duration, Timestamp};
+use cell_values::units::Joints;
 use cell_vision::observe::Observation;
-use serde_json::json;
-use std::path::Path;
-use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
-use std::thread::JoinHandle;
+use rearrange::document::chain::chain;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Instant;
 
 /// How often joint states are recorded, in the cell's time.
 const JOINTS_EVERY: Duration = Duration::from_millis(40);
@@ -26,142 +30,262 @@ const JOINTS_EVERY: Duration = Duration::from_millis(40);
 /// Pictures that may wait for the encoder: 90 MB at most.
 const WAITING_PICTURES: usize = 32;
 
-/// A picture with the time it was taken, before and after encoding.
-type Picture = (Timestamp, Image);
-type EncodedPicture = (Timestamp, Vec<u8>);
+/// Entries that may wait for the disk: minutes of joint states.
+const WAITING_ENTRIES: usize = 4096;
 
-/// The thread that encodes.
-struct Encoder {
-    pictures: SyncSender<Picture>,
-    encoded: Receiver<EncodedPicture>,
-    thread: JoinHandle<()>,
+/// How often the length of the file and the space on the disk are looked at.
+const LOOK_EVERY: std::time::Duration = std::time::Duration::from_secs(5);
+
+/// When a recording that failed is tried again.
+const AGAIN_AFTER: std::time::Duration = std::time::Duration::from_secs(60);
+
+/// How long the end of a run waits for what is left to be written.
+const CLOSE_WITHIN: std::time::Duration = std::time::Duration::from_secs(20);
+
+/// Something to be written, with its time.
+enum Entry {
+    Log(Severity, String),
+    Picture(Image),
+    Arrangement(Vec<RecordedObject>),
+    Plan(Value),
+    Joints(Joints, [f64; 6]),
 }
 
-/// A new file in the recording folder, named by the time.
-///
-/// # Errors
-/// A folder or file that cannot be made: the operator who requests a recording wants to know before, not
-/// after.
-pub fn start(config: &RecordingConfig) -> Result<Recorder, String> {
-    std::fs::create_dir_all(&config.folder)
-        .map_err(|error| format!("{}: {error}", config.folder.display()))?;
-    let name = format!("run-{}.mcap", utc::text(unix_now_s()).replace(':', ""));
-    let recorder = Recorder::create(&config.folder.join(name), config.pictures);
-    match recorder.fault() {
-        Some(fault) => Err(format!("recording: {fault}")),
-        None => Ok(recorder),
-    }
-}
-
-/// Writes a run down.
+/// The loop's end of a recording.
 pub struct Recorder {
-    recording: Option<Recording>,
-    encoder: Option<Encoder>,
+    entries: Option<SyncSender<(Timestamp, Entry)>>,
+    ended: Receiver<Option<String>>,
+    pictures: Option<Arc<AtomicUsize>>,
     last_joints: Timestamp,
     dropped: usize,
     fault: Option<String>,
 }
 
+/// New files in the recording folder, named by the time.
+///
+/// # Errors
+/// A folder or file that cannot be made: the operator who requests a recording wants to know before, not
+/// after. A disk without room is none: it is logged, and recorded again once there is room.
+pub fn start(config: &RecordingConfig) -> Result<Recorder, String> {
+    let folder = RecordingsFolder::open(config)?;
+    let mut tape = Tape::new(Some(folder));
+    tape.open_next();
+    match tape.fault.take() {
+        Some(fault) if tape.tries_again.is_none() => Err(format!("recording: {fault}")),
+        _ => Ok(Recorder::of(tape, config.pictures)),
+    }
+}
+
 impl Recorder {
-    /// Creates the file; `pictures`: also what the camera saw. A file that cannot be created is the first
-    /// fault.
+    /// Creates the one file; `pictures`: also what the camera saw. A file that cannot be created is the
+    /// first fault.
     pub fn create(path: &Path, pictures: bool) -> Recorder {
-        let (recording, fault) = match Recording::create(path, unix_now_s()) {
-            Ok(recording) => (Some(recording), None),
-            Err(error) => (None, Some(rearrange::document::chain::chain(&error))),
-        };
-        Recorder {
-            recording,
-            encoder: pictures.then(encoder),
-            last_joints: Timestamp::ZERO,
-            dropped: 0,
-            fault,
-        }
+        let mut tape = Tape::new(None);
+        tape.open(path.to_path_buf());
+        Recorder::of(tape, pictures)
     }
 
-    /// What is wrong with the recording so far.
+    fn of(mut tape: Tape, pictures: bool) -> Recorder {
+        let (entries, waiting) = sync_channel(WAITING_ENTRIES);
+        let (ends, ended) = sync_channel(1);
+        let count = pictures.then(Arc::<AtomicUsize>::default);
+        let (taken, fault) = (count.clone(), tape.fault.clone());
+        std::thread::spawn(move || {
+            priority::lower();
+            tape.run(&waiting, taken.as_deref());
+            // Nobody may be left to whom it matters.
+            let _ = ends.send(tape.close());
+        });
+        let last_joints = Timestamp::ZERO;
+        Recorder { entries: Some(entries), ended, pictures: count, last_joints, dropped: 0, fault }
+    }
+
+    /// What is wrong with the recording from the start.
     pub fn fault(&self) -> Option<&str> {
         self.fault.as_deref()
     }
 
     /// Takes one event in.
     pub fn on(&mut self, now: Timestamp, scene: &Scene) {
-        self.write_encoded();
         match scene {
             Scene::Notice(notice) => {
                 let severity = if notice.alarm { Severity::Warning } else { Severity::Info };
-                self.write(|recording| recording.log(now, severity, "cell", &notice.text));
+                self.put(now, Entry::Log(severity, notice.text.clone()));
             }
             Scene::Displayed(Displayed::Picture { image, .. } | Displayed::Sample { image, .. }) => {
-                self.picture(now, image)
+                self.picture(now, image);
             }
             Scene::Displayed(Displayed::Observed(observation)) => {
-                let objects = recorded(observation);
-                self.write(|recording| recording.arrangement(now, "camera", &objects));
+                self.put(now, Entry::Arrangement(recorded(observation)));
             }
             Scene::Route(route) => {
                 let steps: Vec<_> = route
                     .iter()
                     .map(|s| json!({"object": s.object, "from": s.from, "to": s.to, "goal": s.to_goal}))
                     .collect();
-                self.write(|recording| recording.plan(now, &json!({ "actions": steps })));
+                self.put(now, Entry::Plan(json!({ "actions": steps })));
             }
             Scene::Robot(state) if now.since(self.last_joints) >= JOINTS_EVERY => {
                 self.last_joints = now;
-                self.write(|recording| recording.joints(now, &state.q, &state.qd));
+                self.put(now, Entry::Joints(state.q, state.qd));
             }
             Scene::Ended(report) => {
                 let text = format!("job {} ended: {}: {}", report.id, report.code_text(), report.message);
-                self.write(|recording| recording.log(now, Severity::Info, "cell", &text));
+                self.put(now, Entry::Log(Severity::Info, text));
             }
             Scene::Robot(_) | Scene::Status(_) => {}
         }
     }
 
-    /// Waits for pictures still being encoded, ends the file, and says what went wrong with it.
+    /// Waits for what is still to be written, ends the file, and says what went wrong.
     pub fn close(&mut self) -> Option<String> {
-        if let Some(Encoder { pictures, encoded, thread }) = self.encoder.take() {
-            drop(pictures);
-            for (taken, png) in encoded {
-                self.write(|recording| recording.picture(taken, PictureFormat::Png, &png));
-            }
-            // A panic in it was printed when it happened.
-            let _ = thread.join();
-        }
-        if let Some(Err(error)) = self.recording.take().map(Recording::finish) {
-            self.keep_fault(&error);
-        }
-        if self.dropped > 0 && self.fault.is_none() {
-            self.fault = Some(format!("{} pictures came faster than they could be encoded", self.dropped));
-        }
-        self.fault.take()
+        self.entries = None;
+        let fault = match self.ended.recv_timeout(CLOSE_WITHIN) {
+            Ok(fault) => fault,
+            Err(_) => Some("the disk did not take the end of the recording".to_string()),
+        };
+        let dropped = (self.dropped > 0)
+            .then(|| format!("{} entries came faster than they could be written", self.dropped));
+        fault.or(dropped)
     }
 
     fn picture(&mut self, now: Timestamp, image: &Image) {
-        let Some(encoder) = &self.encoder else { return };
-        if encoder.pictures.try_send((now, image.clone())).is_err() {
+        let Some(waiting) = &self.pictures else { return };
+        if waiting.load(Ordering::Relaxed) >= WAITING_PICTURES {
             self.dropped += 1;
+        } else {
+            waiting.fetch_add(1, Ordering::Relaxed);
+            self.put(now, Entry::Picture(image.clone()));
         }
     }
 
-    fn write_encoded(&mut self) {
-        while let Some((taken, png)) =
-            self.encoder.as_ref().and_then(|encoder| encoder.encoded.try_recv().ok())
-        {
-            self.write(|recording| recording.picture(taken, PictureFormat::Png, &png));
+    fn put(&mut self, now: Timestamp, entry: Entry) {
+        let sent = self.entries.as_ref().is_some_and(|entries| entries.try_send((now, entry)).is_ok());
+        self.dropped += usize::from(!sent);
+    }
+}
+
+/// The writing end: one file at a time.
+struct Tape {
+    folder: Option<RecordingsFolder>,
+    /// Calendar time of the run's beginning, for every file of it.
+    epoch_unix_s: f64,
+    file: Option<(PathBuf, Recording)>,
+    looked: Instant,
+    /// When a recording that failed is tried again.
+    tries_again: Option<Instant>,
+    /// The first fault.
+    fault: Option<String>,
+}
+
+impl Tape {
+    fn new(folder: Option<RecordingsFolder>) -> Tape {
+        let (epoch_unix_s, looked) = (unix_now_s(), Instant::now());
+        Tape { folder, epoch_unix_s, file: None, looked, tries_again: None, fault: None }
+    }
+
+    /// Until no more can come.
+    fn run(&mut self, waiting: &Receiver<(Timestamp, Entry)>, pictures: Option<&AtomicUsize>) {
+        loop {
+            match waiting.recv_timeout(LOOK_EVERY) {
+                Ok((now, entry)) => {
+                    let is_picture = matches!(entry, Entry::Picture(_));
+                    self.write(now, entry);
+                    if let Some(pictures) = pictures.filter(|_| is_picture) {
+                        pictures.fetch_sub(1, Ordering::Relaxed);
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            if self.looked.elapsed() >= LOOK_EVERY {
+                self.looked = Instant::now();
+                self.look_at_the_disk();
+            }
         }
     }
 
-    /// Writes; the first failure ends the recording.
-    fn write(&mut self, write: impl FnOnce(&mut Recording) -> Result<(), RecordingError>) {
-        if let Some(Err(error)) = self.recording.as_mut().map(write) {
-            self.recording = None;
-            self.keep_fault(&error);
+    /// Writes; the first failure ends the file.
+    fn write(&mut self, now: Timestamp, entry: Entry) {
+        let Some((_, recording)) = &mut self.file else { return };
+        let written = match entry {
+            Entry::Log(severity, text) => recording.log(now, severity, "cell", &text),
+            Entry::Arrangement(objects) => recording.arrangement(now, "camera", &objects),
+            Entry::Plan(plan) => recording.plan(now, &plan),
+            Entry::Joints(q, qd) => recording.joints(now, &q, &qd),
+            // A picture that cannot be encoded is a fault of this program, and no reason to end a recording.
+            Entry::Picture(image) => match image.encode_png() {
+                Ok(png) => recording.picture(now, PictureFormat::Png, &png),
+                Err(_) => Ok(()),
+            },
+        };
+        if let Err(error) = written {
+            self.file = None;
+            self.failed(chain(&error));
         }
     }
 
-    fn keep_fault(&mut self, error: &RecordingError) {
-        self.fault.get_or_insert_with(|| rearrange::document::chain::chain(error));
+    /// A file that has become long is followed by the next one; where there is no room, there is none.
+    fn look_at_the_disk(&mut self) {
+        let Some(folder) = &self.folder else { return };
+        match &self.file {
+            Some((path, _)) => match folder.make_room(Some(path)) {
+                Err(fault) => {
+                    self.finish();
+                    self.failed(fault);
+                }
+                Ok(()) if folder.is_full(path) => {
+                    self.finish();
+                    self.open_next();
+                }
+                Ok(()) => {}
+            },
+            None if self.tries_again.is_some_and(|at| Instant::now() >= at) => self.open_next(),
+            None => {}
+        }
+    }
+
+    fn open_next(&mut self) {
+        let Some(folder) = &self.folder else { return };
+        match folder.make_room(None) {
+            Ok(()) => {
+                let path = folder.next(unix_now_s());
+                self.open(path);
+            }
+            Err(fault) => self.failed(fault),
+        }
+    }
+
+    fn open(&mut self, path: PathBuf) {
+        match Recording::create(&path, self.epoch_unix_s) {
+            Ok(recording) => {
+                if self.tries_again.take().is_some() {
+                    tracing::info!("recording again, into {}", path.display());
+                }
+                self.file = Some((path, recording));
+            }
+            Err(error) => {
+                self.fault.get_or_insert_with(|| chain(&error));
+            }
+        }
+    }
+
+    fn finish(&mut self) {
+        if let Some(Err(error)) = self.file.take().map(|(_, recording)| recording.finish()) {
+            self.failed(chain(&error));
+        }
+    }
+
+    fn failed(&mut self, fault: String) {
+        if self.tries_again.replace(Instant::now() + AGAIN_AFTER).is_none() {
+            tracing::warn!("nothing is recorded until there is room: {fault}");
+        }
+        self.fault.get_or_insert(fault);
+    }
+
+    fn close(&mut self) -> Option<String> {
+        self.finish();
+        self.fault.take()
     }
 }
 
@@ -175,23 +299,6 @@ fn recorded(observation: &Observation) -> Vec<RecordedObject> {
         std_theta_rad: o.std_theta_rad,
     };
     observation.objects.iter().map(object).collect()
-}
-
-/// Starts the thread that turns pictures into PNG; it ends when no more can come.
-fn encoder() -> Encoder {
-    let (pictures, waiting) = sync_channel::<Picture>(WAITING_PICTURES);
-    let (encoded_in, encoded) = channel();
-    let thread = std::thread::spawn(move || {
-        priority::lower();
-        for (taken, picture) in waiting {
-            // A picture that cannot be encoded is a fault of this program, and no reason to stop an arm.
-            let Ok(png) = picture.encode_png() else { continue };
-            if encoded_in.send((taken, png)).is_err() {
-                return;
-            }
-        }
-    });
-    Encoder { pictures, encoded, thread }
 }
 
 #[cfg(test)]

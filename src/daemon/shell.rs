@@ -17,9 +17,11 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::{Doing, Status};
+use crate::daemon::heard::{Device, Heard};
 use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Orders, Store};
+use crate::daemon::watchdog::{Beat, Beats};
 use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_eyes, spawn_plan};
 use cell_edge::clock::Clock;
 use cell_values::time::Timestamp;
@@ -116,6 +118,17 @@ impl Said {
     }
 }
 
+/// A turn of the loop takes milliseconds.
+const EVERY_TURN_WITHIN: std::time::Duration = std::time::Duration::from_secs(5);
+
+/// The pictures of one request: each has its own limit below this, and the camera is started anew between
+/// them.
+const SEES_WITHIN: std::time::Duration = std::time::Duration::from_secs(180);
+
+/// How many times its limit planning may take: each plan that the arm cannot carry out is followed by
+/// another one.
+const PLANS_WITHIN: u32 = 10;
+
 /// An observer that shows nothing.
 struct NoObserver;
 
@@ -144,6 +157,11 @@ pub struct Shell {
     store: Option<Store>,
     outcome: Outcome,
     at_work: AtWork,
+    beats: Beats,
+    beat: Beat,
+    heard: Heard,
+    /// When robot and gripper last answered, in the cell's time.
+    answered: [Option<Timestamp>; 2],
 }
 
 /// What the cell works on, for the fields of the log.
@@ -172,6 +190,8 @@ impl Shell {
         parameters: MachineParameters,
     ) -> Result<Shell, crate::cell::device::program::TemplateError> {
         let (messages_in, messages) = mpsc::channel(QUEUE);
+        let beats = Beats::default();
+        let beat = beats.task("the loop", EVERY_TURN_WITHIN);
         Ok(Shell {
             machine: Machine::new(parameters)?,
             sockets: Sockets::new(addresses, clock.clone(), messages_in.clone()),
@@ -183,7 +203,35 @@ impl Shell {
             store: None,
             outcome: Outcome::default(),
             at_work: AtWork::default(),
+            beats,
+            beat,
+            heard: Heard::default(),
+            answered: [None; 2],
         })
+    }
+
+    /// When each device was heard last.
+    pub fn heard(&self) -> Heard {
+        self.heard.clone()
+    }
+
+    /// Marks the devices that have answered since the last turn.
+    fn mark_answers(&mut self) {
+        let robot = self.machine.robot_state().map(|state| state.received);
+        let gripper = self.machine.vacuum().map(|(at, _)| at);
+        let devices = [Device::Robot, Device::Gripper];
+        for ((device, at), before) in devices.into_iter().zip([robot, gripper]).zip(&mut self.answered) {
+            if at.is_some() && at != *before {
+                *before = at;
+                self.heard.now(device);
+            }
+        }
+    }
+
+    /// The same, its tasks among `beats`.
+    pub fn watched(self, beats: Beats) -> Shell {
+        let beat = beats.task("the loop", EVERY_TURN_WITHIN);
+        Shell { beats, beat, ..self }
     }
 
     /// The cell's time.
@@ -258,12 +306,14 @@ impl Shell {
 
     /// From now on this is what the cell sees with.
     pub fn see_with(&mut self, eyes: PerceptionSetup) {
-        self.eyes = Some(spawn_eyes(eyes, self.clock.clone(), self.messages_in.clone()));
+        let beat = self.beats.task("the camera", SEES_WITHIN);
+        self.eyes = Some(spawn_eyes(eyes, self.clock.clone(), self.messages_in.clone(), beat));
     }
 
     /// From now on jobs and orders come from here, and what is done is written here.
     pub fn keep_in(&mut self, keeper: Box<dyn Keeper>, orders: Box<dyn Orders>) {
-        self.store = Some(Store::open(keeper, orders, self.clock.clone(), self.messages_in.clone()));
+        let (clock, events) = (self.clock.clone(), self.messages_in.clone());
+        self.store = Some(Store::open(keeper, orders, clock, events, &self.beats));
     }
 
     /// Carries out a calibration round. The arm is at rest afterwards, and the program has ended, or was
@@ -353,6 +403,7 @@ impl Shell {
 
     /// Waits for the first thing to happen, takes in everything that has, and carries out what comes of it.
     async fn turn(&mut self, observer: &mut dyn Observer) {
+        self.beat.now();
         let wait = self.machine.next_wake().since(self.clock.now());
         let first = tokio::select! {
             first = self.messages.recv() => first,
@@ -383,13 +434,20 @@ impl Shell {
             self.clock.received(state.controller_time_s);
             observer.on(now, Scene::Robot(state));
         }
+        self.mark_answers();
+        self.beat.rests();
     }
 
     fn take(&mut self, message: Message, observer: &mut dyn Observer, events: &mut Vec<Event>) {
         match message {
             Message::Event(event) => events.push(event),
             Message::Made(made) => events.extend(self.sockets.made(made)),
-            Message::Displayed(displayed) => observer.on(self.clock.now(), Scene::Displayed(&displayed)),
+            Message::Displayed(displayed) => {
+                if matches!(displayed, Displayed::Picture { .. } | Displayed::Sample { .. }) {
+                    self.heard.now(Device::Camera);
+                }
+                observer.on(self.clock.now(), Scene::Displayed(&displayed));
+            }
         }
     }
 
@@ -411,7 +469,9 @@ impl Shell {
             Effect::Plan { number, request } => {
                 let stop = Arc::new(AtomicBool::new(false));
                 self.planning = Some(stop.clone());
-                spawn_plan(number, *request, stop, self.messages_in.clone());
+                let beat =
+                    self.beats.task("the planner", request.time_limit * PLANS_WITHIN + EVERY_TURN_WITHIN);
+                spawn_plan(number, *request, stop, self.messages_in.clone(), beat);
             }
             Effect::CancelPlan => self.cancel_plan(),
             Effect::Commit { number, record } => match &self.store {

@@ -13,11 +13,12 @@ use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::order::JobOrder;
 use crate::cell::supervisor::status::Status;
 use crate::daemon::messages::Message;
+use crate::daemon::watchdog::{Beat, Beats};
 use cell_edge::clock::Clock;
 use cell_values::time::{Duration, Timestamp};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Instant;
 use tokio::sync::mpsc;
@@ -89,23 +90,6 @@ enum Request {
     Status(Status),
 }
 
-/// When each thread came round last, and whether it runs.
-struct Beat(Mutex<Instant>);
-
-impl Beat {
-    fn new() -> Arc<Beat> {
-        Arc::new(Beat(Mutex::new(Instant::now())))
-    }
-
-    fn now(&self) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
-    }
-
-    fn silent(&self) -> bool {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).elapsed() > SILENT_AFTER
-    }
-}
-
 /// The shell's end of the state folder.
 pub struct Store {
     requests: Option<Sender<Request>>,
@@ -122,10 +106,12 @@ impl Store {
         orders: Box<dyn Orders>,
         clock: Clock,
         events: mpsc::Sender<Message>,
+        beats: &Beats,
     ) -> Store {
         let (requests, asked) = channel();
         let (replies, answers) = channel();
-        let (keeping, ordering) = (Beat::new(), Beat::new());
+        let [keeping, ordering] =
+            ["the journal", "the intake of orders"].map(|task| Arc::new(beats.task(task, SILENT_AFTER)));
         let cancels = requests.clone();
         let keep = {
             let (beat, clock, events, answers) =
@@ -175,7 +161,7 @@ impl Store {
     /// Once: a thread that is stuck or has panicked.
     pub fn fault(&mut self) -> Option<EndFault> {
         let panicked = self.threads.iter().any(|(_, thread)| thread.is_finished());
-        let silent = self.threads.iter().any(|(beat, _)| beat.silent());
+        let silent = self.threads.iter().any(|(beat, _)| beat.is_late());
         if self.lost || !(panicked || silent) {
             return None;
         }
@@ -244,6 +230,7 @@ impl Keeping {
                 }
                 Err(RecvTimeoutError::Disconnected) => {
                     status.iter().for_each(|status| self.keeper.status(status));
+                    self.beat.rests();
                     return;
                 }
             }
@@ -301,7 +288,7 @@ fn take_orders(
                 other => events.blocking_send(Message::Event(Event::Order(number, other))).is_ok(),
             };
             if !sent {
-                return;
+                return beat.rests();
             }
         }
         let until = Instant::now() + clock.wall(ORDERS_EVERY);
@@ -310,11 +297,12 @@ fn take_orders(
             match answers.recv_timeout(left) {
                 Ok((number, reply)) => orders.reply(number, &reply),
                 Err(RecvTimeoutError::Timeout) => break,
-                Err(RecvTimeoutError::Disconnected) => return,
+                Err(RecvTimeoutError::Disconnected) => return beat.rests(),
             }
         }
     }
     answers.try_iter().for_each(|(number, reply)| orders.reply(number, &reply));
+    beat.rests();
 }
 
 #[cfg(test)]
@@ -408,7 +396,8 @@ mod tests {
         let taken = Arc::new(AtomicBool::new(false));
         let keeper = Slow { lines: Arc::clone(&lines), sign: Some(waiting), taken: Arc::clone(&taken) };
         let orders = Three { given: false, taken, answers: Arc::clone(&answers) };
-        let store = Store::open(Box::new(keeper), Box::new(orders), Clock::new(1.0), sender);
+        let store =
+            Store::open(Box::new(keeper), Box::new(orders), Clock::new(1.0), sender, &Beats::default());
         store.commit(7, Record::Done { step: 4 });
         for job in ["one", "two", "three"] {
             store.status(status(job));
@@ -439,7 +428,8 @@ mod tests {
         let (_sign, waiting) = channel();
         let (sender, _events) = mpsc::channel(64);
         let keeper = Slow { lines: Arc::default(), sign: Some(waiting), taken: Arc::default() };
-        let store = Store::open(Box::new(keeper), Box::new(NoOrders), Clock::new(1.0), sender);
+        let store =
+            Store::open(Box::new(keeper), Box::new(NoOrders), Clock::new(1.0), sender, &Beats::default());
         store.commit(1, Record::Done { step: 7 });
         assert!(!runtime().block_on(store.close(std::time::Duration::ZERO)));
     }
@@ -463,7 +453,8 @@ mod tests {
             fn status(&mut self, _status: &Status) {}
         }
         let (sender, _events) = mpsc::channel(64);
-        let mut store = Store::open(Box::new(Broken), Box::new(NoOrders), Clock::new(1.0), sender);
+        let mut store =
+            Store::open(Box::new(Broken), Box::new(NoOrders), Clock::new(1.0), sender, &Beats::default());
         store.commit(1, Record::Done { step: 1 });
         let since = Instant::now();
         let fault = loop {

@@ -11,6 +11,7 @@ use crate::cell::planner::answer;
 use crate::cell::supervisor::input::{CameraFault, PlanRequest};
 use crate::daemon::cameras::fault_of;
 use crate::daemon::messages::{Displayed, Message};
+use crate::daemon::watchdog::Beat;
 use crate::io::camera::{CameraSource, Frame};
 use crate::perception::diagnostic_images::{self, SHOTS_MAX, Shot};
 use crate::perception::{Perception, PerceptionError, Picture};
@@ -76,13 +77,16 @@ pub fn spawn_eyes(
     eyes: PerceptionSetup,
     clock: Clock,
     messages: mpsc::Sender<Message>,
+    beat: Beat,
 ) -> mpsc::Sender<(u64, SeeRequest)> {
     let (requests_in, mut requests) = mpsc::channel(4);
     std::thread::spawn(move || {
         priority::lower();
         let mut seeing = Seeing { eyes, clock, messages, shots: Vec::new() };
         while let Some((number, request)) = requests.blocking_recv() {
+            beat.now();
             let event = seeing.answer(number, request);
+            beat.rests();
             if seeing.messages.blocking_send(Message::Event(event)).is_err() {
                 return;
             }
@@ -276,8 +280,15 @@ fn write_diagnostic_images(pictures: Result<Vec<Vec<u8>>, String>, folder: &Path
 }
 
 /// Starts one planning run; `stop` ends it early with the best plan so far.
-pub fn spawn_plan(number: u64, request: PlanRequest, stop: Arc<AtomicBool>, messages: mpsc::Sender<Message>) {
+pub fn spawn_plan(
+    number: u64,
+    request: PlanRequest,
+    stop: Arc<AtomicBool>,
+    messages: mpsc::Sender<Message>,
+    beat: Beat,
+) {
     std::thread::spawn(move || {
+        beat.now();
         priority::lower();
         // Planning is work of this computer, so its budget is real time even when the cell's time is scaled.
         let started = Instant::now();
@@ -286,6 +297,7 @@ pub fn spawn_plan(number: u64, request: PlanRequest, stop: Arc<AtomicBool>, mess
             stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit * (attempt + 1)
         };
         let answer = answer(&request, None, &over, &|| started.elapsed().as_secs_f64());
+        beat.rests();
         let _ = messages.blocking_send(Message::Event(Event::Planned(number, Box::new(answer))));
     });
 }

@@ -19,6 +19,7 @@ use crate::config::setup::arm_model;
 use crate::demo::teach::{
     BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
 };
+use crate::jobs::journal::old::HistoryLimits;
 use cell_parts::gripper::{CupChannel, CupConfig, GripperConfig};
 use cell_parts::reference::ReferenceMarkerConfig;
 use cell_values::image::quality::PictureLimits;
@@ -118,6 +119,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         approval: Approval::Never,
         arm_at_start: true,
         arm_lapse_s: ARM_LAPSE_S,
+        history: HistoryLimits::YEAR,
         simulation: Some(SimulationConfig { clock_factor: choice.time_factor }),
         recording: None,
         goal_folder: out.to_path_buf(),

@@ -137,8 +137,13 @@ impl Recording {
     /// The file cannot be created ([`RecordingError::Create`]), or its header cannot be written
     /// ([`RecordingError::Write`]).
     pub fn create(path: &Path, epoch_unix_s: f64) -> Result<Recording, RecordingError> {
-        let file =
-            File::create(path).map_err(|source| RecordingError::Create { path: path.to_owned(), source })?;
+        let fail = |source| RecordingError::Create { path: path.to_owned(), source };
+        // A link under this name is replaced, never followed.
+        match std::fs::remove_file(path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(fail(error)),
+            _ => {}
+        }
+        let file = File::create_new(path).map_err(fail)?;
         let options = mcap::WriteOptions::new()
             .compression(Some(mcap::Compression::Zstd))
             // One thread: a pool of its own would compete with the planner for no gain at these rates.

@@ -58,7 +58,7 @@ pub fn changes(before: &Status, now: &Status) -> Vec<String> {
 fn devices(before: &Status, now: &Status) -> Vec<String> {
     let was = |name: &str| before.devices.iter().find(|device| device.name == name).map(|d| d.ready);
     let changed = now.devices.iter().filter(|device| was(&device.name) != Some(device.ready));
-    let words = |DeviceStatus { name, address, ready, message }: &DeviceStatus| {
+    let words = |DeviceStatus { name, address, ready, message, .. }: &DeviceStatus| {
         format!("{name} at {address}: {}, {message}", if *ready { "ready" } else { "NOT READY" })
     };
     changed.map(words).collect()
@@ -98,6 +98,7 @@ mod tests {
             address: "10.0.0.3:502".into(),
             ready,
             message: "answers".into(),
+            ..DeviceStatus::default()
         };
         let stop =
             Stopped { code: "aborted".into(), message: "a person stopped it".into(), hint: String::new() };

@@ -80,14 +80,40 @@ pub struct DeviceStatus {
     pub name: String,
     /// Where it is.
     pub address: String,
+    /// Which one it is; empty where that is not known.
+    #[serde(default)]
+    pub identity: String,
     /// It answers and may be used.
     pub ready: bool,
+    /// How long ago it answered last (the camera: gave a picture), s; none since the start.
+    #[serde(default)]
+    pub age_s: Option<f64>,
     /// One sentence.
     pub message: String,
 }
 
 /// The state of a daemon that waits for the robot and takes no orders yet.
 pub const STARTING: &str = "starting";
+
+/// Up to this age an answer is one of now: the loop asks more often.
+const FRESH_S: f64 = 2.0;
+
+impl DeviceStatus {
+    /// One line.
+    fn text(&self) -> String {
+        let word = if self.ready { "ready" } else { "NOT READY" };
+        let identity = match self.identity.is_empty() {
+            true => String::new(),
+            false => format!(" ({})", self.identity),
+        };
+        // Pictures are wanted now and then; the words say what came of the last one.
+        let age = match self.age_s {
+            Some(age) if age > FRESH_S => format!(", last heard {age:.0} s ago"),
+            _ => String::new(),
+        };
+        format!("{} at {}: {word}, {}{age}{identity}", self.name, self.address, self.message)
+    }
+}
 
 impl Status {
     /// A daemon that is not ready for orders, and what it waits for.
@@ -157,8 +183,7 @@ impl Status {
         };
         lines.push(format!("  {} waiting{unread}", self.waiting));
         for device in &self.devices {
-            let word = if device.ready { "ready" } else { "NOT READY" };
-            lines.push(format!("  {} at {}: {word}, {}", device.name, device.address, device.message));
+            lines.push(format!("  {}", device.text()));
         }
         lines.join("\n")
     }
@@ -238,7 +263,9 @@ mod tests {
             devices: vec![DeviceStatus {
                 name: "gripper".into(),
                 address: "127.0.0.2:5020".into(),
+                identity: "confirmed by a person".into(),
                 ready: false,
+                age_s: Some(7.04),
                 message: "no answer for 300 ms".into(),
             }],
             ..Status::default()
@@ -249,7 +276,7 @@ mod tests {
         executing (armed): 
           job tidy, step 2 of 7
           0 waiting
-          gripper at 127.0.0.2:5020: NOT READY, no answer for 300 ms
+          gripper at 127.0.0.2:5020: NOT READY, no answer for 300 ms, last heard 7 s ago (confirmed by a person)
         ");
         std::fs::write(&path, "{").unwrap();
         assert_eq!(Status::read(&path).unwrap(), None);

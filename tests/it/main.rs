@@ -24,4 +24,5 @@ mod sights;
 mod sim_config;
 mod slow_disk;
 mod third_party;
+mod watchdog;
 mod ways_back;

@@ -339,6 +339,15 @@ pub fn sync_folder(path: &Path) -> Result<(), FileError> {
     File::open(path).and_then(|folder| folder.sync_all()).map_err(|e| FileError::io("sync folder", path, e))
 }
 
+/// What a file of this user may still take on the disk of `path`, bytes.
+///
+/// # Errors
+/// The system does not say ([`FileError::Io`]).
+pub fn free_bytes(path: &Path) -> Result<u64, FileError> {
+    let disk = rustix::fs::statvfs(path).map_err(|e| FileError::io("look at the disk of", path, e.into()))?;
+    Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
 fn parent(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,

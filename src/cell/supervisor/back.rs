@@ -2,8 +2,10 @@
 //!
 //! Plain data; the transitions are in `recovery`, the sentences in `situation`.
 
+use crate::cell::code::Code;
 use crate::cell::device::robot_types::InputsTaken;
 use crate::cell::orders::WayBack;
+use crate::cell::supervisor::model::CutOff;
 use crate::cell::supervisor::reason::Reason;
 use crate::motion::path::CheckedPath;
 use crate::motion::put_down::Grasp;
@@ -31,6 +33,24 @@ pub(crate) struct Held {
 pub(crate) struct LastStop {
     pub at: Timestamp,
     pub reason: Reason,
+}
+
+impl LastStop {
+    /// The end of an earlier celld is a stop like any other: it is left by a person who has looked.
+    pub fn of(CutOff { object, carrying, message }: CutOff) -> LastStop {
+        let again = "submit the job again with `rerun: true`";
+        let (code, hint) = match carrying {
+            true => (
+                Code::InterruptedCarrying,
+                format!("{object} may hang on the cups: `celld recover` shows the ways back; then {again}"),
+            ),
+            false => (
+                Code::Interrupted,
+                format!("look at the cell, `celld recover` shows how it is; then `celld arm` and {again}"),
+            ),
+        };
+        LastStop { at: Timestamp::ZERO, reason: code.because(message, hint).of(object) }
+    }
 }
 
 /// What the ways back need to know.

@@ -11,7 +11,7 @@ use crate::cell::device::gripper_types::{Channels, GripperEvent};
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::{KnownRobot, RobotCommand, RobotEvent};
 use crate::cell::orders::Order;
-use crate::cell::supervisor::back::Back;
+use crate::cell::supervisor::back::{Back, LastStop};
 use crate::cell::supervisor::gates::{self, GateClosed, motion_speed};
 use crate::cell::supervisor::input::{Action, DeviceSnapshot, Input, Record};
 use crate::cell::supervisor::ledger::Ledger;
@@ -91,7 +91,8 @@ pub struct Supervisor {
 
 impl Supervisor {
     /// A disarmed cell without a job. `nonce_seed` must differ from run to run.
-    pub fn new(model: CellModel, nonce_seed: u64) -> Supervisor {
+    pub fn new(mut model: CellModel, nonce_seed: u64) -> Supervisor {
+        let last_stop = model.cut_off.take().map(LastStop::of);
         Supervisor {
             model,
             robot: KnownRobot::default(),
@@ -119,7 +120,7 @@ impl Supervisor {
             release_orders: Vec::new(),
             until_it_stands: Vec::new(),
             stands: true,
-            back: Back::default(),
+            back: Back { last_stop, ..Back::default() },
             arm_settled: true,
             quiet: None,
             arms_when_open: false,

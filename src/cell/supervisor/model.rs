@@ -126,6 +126,17 @@ pub struct GripSettings {
     pub tool_centre: Vector3<f64>,
 }
 
+/// A job that was cut off in the middle of a pick-n-place when an earlier celld ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CutOff {
+    /// What was to be moved.
+    pub object: String,
+    /// It was gripped, and not let go.
+    pub carrying: bool,
+    /// One sentence.
+    pub message: String,
+}
+
 /// An object that was gripped when an earlier celld ended.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeldBefore {
@@ -158,6 +169,8 @@ pub struct CellModel {
     pub gripper_confirmed: bool,
     /// What an earlier celld had gripped and not let go; it hangs there where there is vacuum.
     pub held_before: Option<HeldBefore>,
+    /// The job that was cut off when an earlier celld ended: a stop that is still to be left.
+    pub cut_off: Option<CutOff>,
     /// Arm, table pose and limits.
     pub arm: ArmModel,
     /// Heights and speeds of a cycle; `tallest` covers every object of the catalogue.

@@ -73,6 +73,7 @@ fn model() -> CellModel {
         addresses: DeviceAddresses { robot: "10.0.0.2".into(), gripper: "10.0.0.3:502, unit 65".into() },
         gripper_confirmed: true,
         held_before: None,
+        cut_off: None,
         arm: ArmModel {
             dh: DhParameters::UR5E,
             base_from_table: Isometry3::translation(-0.25, 0.18, 0.0),

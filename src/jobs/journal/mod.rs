@@ -6,6 +6,7 @@
 //! a file in `incoming` that is not known here is new.
 
 mod claim;
+pub mod old;
 pub(in crate::jobs) mod places;
 pub(in crate::jobs) mod rows;
 mod steps;
@@ -15,8 +16,8 @@ mod tests;
 use crate::jobs::history::JobFilter;
 use crate::jobs::journal::claim::free_id;
 use crate::jobs::journal::rows::{JobRow, encode, interrupted, job_columns, job_row, source_text, storable};
-use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobState, PlanRecord, StepRecord};
-use rusqlite::{Connection, OpenFlags, Transaction, params};
+use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobState, PlanRecord, StepPhase, StepRecord};
+use rusqlite::{Connection, ErrorCode, OpenFlags, Transaction, params};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -151,6 +152,8 @@ pub enum Recovered {
     Requeued {
         /// The job.
         id: String,
+        /// Pick-n-places it has made.
+        moves: usize,
     },
     /// A step was open: how far it got is not known. The job ended as `interrupted`.
     Interrupted {
@@ -159,6 +162,25 @@ pub enum Recovered {
         /// The open step.
         step: StepRecord,
     },
+}
+
+impl std::fmt::Display for Recovered {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Recovered::Requeued { id, moves: 0 } => {
+                write!(f, "job {id} had moved nothing when celld last ended; it waits again")
+            }
+            Recovered::Requeued { id, moves } => write!(
+                f,
+                "job {id} had made {moves} moves when celld last ended, none was under way; it waits again, \
+                 looks and plans anew"
+            ),
+            Recovered::Interrupted { id, step } => {
+                let (step, object) = (step.step, &step.intent.object);
+                write!(f, "job {id} was cut off in step {step} ({object}) when celld last ended")
+            }
+        }
+    }
 }
 
 /// A refused file.
@@ -178,6 +200,27 @@ pub struct Rejection {
     pub moves: bool,
     /// The very file in `incoming`.
     pub source: String,
+}
+
+/// The database's file with this behind its name.
+fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    PathBuf::from(name)
+}
+
+/// SQLite's name for a database that no process changes (`sqlite.org/uri.html`).
+fn unchanging(path: &Path) -> PathBuf {
+    use std::os::unix::ffi::OsStrExt;
+    let mut name = String::from("file:");
+    for &byte in path.as_os_str().as_bytes() {
+        match byte {
+            b'/' | b'.' | b'-' | b'_' => name.push(char::from(byte)),
+            byte if byte.is_ascii_alphanumeric() => name.push(char::from(byte)),
+            byte => name.push_str(&format!("%{byte:02x}")),
+        }
+    }
+    PathBuf::from(name + "?immutable=1")
 }
 
 /// The open database.
@@ -219,9 +262,28 @@ impl Journal {
     /// The file is absent or SQLite cannot open it ([`JournalError::Database`]), or it is of a later version
     /// ([`JournalError::Version`]).
     pub fn open_to_read(path: &Path) -> Result<Journal, JournalError> {
-        let fail = |source| JournalError::Database { path: path.to_owned(), source };
         // Not read-only: a reader of a WAL database may have to create its shared-memory file.
-        let database = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE).map_err(fail)?;
+        let first = Journal::read_as(path, path, OpenFlags::SQLITE_OPEN_READ_WRITE);
+        let at_rest = || !beside(path, "-wal").exists() && path.exists();
+        match first {
+            // Who may read the folder and not write into it cannot create that file. A database without a
+            // log is at rest, and then it can be read as one that does not change.
+            Err(JournalError::Database { source, .. })
+                if matches!(
+                    source.sqlite_error_code(),
+                    Some(ErrorCode::CannotOpen | ErrorCode::ReadOnly)
+                ) && at_rest() =>
+            {
+                let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI;
+                Journal::read_as(path, &unchanging(path), flags)
+            }
+            other => other,
+        }
+    }
+
+    fn read_as(path: &Path, name: &Path, flags: OpenFlags) -> Result<Journal, JournalError> {
+        let fail = |source| JournalError::Database { path: path.to_owned(), source };
+        let database = Connection::open_with_flags(name, flags).map_err(fail)?;
         database.busy_timeout(Duration::from_secs(5)).map_err(fail)?;
         database.execute_batch("PRAGMA query_only=ON;").map_err(fail)?;
         let mut journal = Journal { database, path: path.to_owned(), version: SCHEMA_VERSION };
@@ -454,7 +516,8 @@ impl Journal {
             match steps.iter().find(|step| step.phase.is_open()) {
                 None => {
                     self.requeue(&job.id)?;
-                    recovered.push(Recovered::Requeued { id: job.id });
+                    let moves = steps.iter().filter(|step| step.phase == StepPhase::Done).count();
+                    recovered.push(Recovered::Requeued { id: job.id, moves });
                 }
                 Some(open) => {
                     let result = interrupted(&job, &steps, open, unix_s);

@@ -305,3 +305,16 @@ fn a_reader_sees_jobs_beside_the_daemon_and_changes_nothing() {
     assert_eq!(reader.latest(10).unwrap().len(), 1);
     assert!(reader.start("a", NOW).is_err());
 }
+
+#[test]
+fn a_journal_at_rest_is_read_as_one_that_does_not_change() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a folder with % and ?.sqlite");
+    let mut journal = Journal::open(&path).unwrap();
+    claim(&mut journal, "a", "00", &spec(0, None, false));
+    drop(journal);
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI;
+    let reader = Journal::read_as(&path, &unchanging(&path), flags).unwrap();
+    assert_eq!(reader.latest(10).unwrap().len(), 1);
+    assert!(!beside(&path, "-shm").exists(), "nothing was created for it");
+}

@@ -10,6 +10,7 @@
 //! second name are never opened and stay where they are; nothing is ever overwritten.
 
 mod names;
+mod old;
 mod place;
 mod scan;
 #[cfg(test)]

@@ -114,20 +114,19 @@ impl Spool {
     }
 
     /// Makes `folder` hold the job's file, and its result once it ended. The result comes before any rename
-    /// into `done` or `failed`, so that an ended job is never seen without one.
+    /// into `done` or `failed`, so that an ended job is never seen without one. The file is written anew and
+    /// not moved: one that belongs to whoever dropped it could be changed by them later.
     fn fill(&self, folder: &Path, job: &JobRecord, source: Option<&Path>) -> Result<(), SpoolError> {
         create_folder(folder)?;
         self.point()?;
         let file = folder.join("job.yaml");
-        if let Some(source) = source {
-            match rename_new(source, &file) {
-                Err(error) if error.is_present() => cell_edge::files::remove(source)?,
-                other => other?,
-            }
+        let is_whole = std::fs::read(&file).ok().as_deref() == Some(job.text.as_bytes());
+        if source.is_some() || !is_whole {
+            write_atomic(&file, job.text.as_bytes())?;
             self.point()?;
         }
-        if std::fs::read(&file).ok().as_deref() != Some(job.text.as_bytes()) {
-            write_atomic(&file, job.text.as_bytes())?;
+        if let Some(source) = source {
+            cell_edge::files::remove(source)?;
             self.point()?;
         }
         if let Some(result) = &job.result {

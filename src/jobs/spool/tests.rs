@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::cell::code::JobStatus;
+use crate::jobs::journal::old::HistoryLimits;
 use crate::jobs::journal::{Journal, Recovered};
 use crate::jobs::record::{JobResult, JobState, StepIntent, StepKind};
 use rearrange::geometry::pose::Pose2;
@@ -484,4 +485,69 @@ fn many_files_are_all_accounted_for_a_few_at_a_time() {
     assert!(id == "zz" && after < 1900, "it waited for {after} files");
     let left: Vec<_> = bench.files().into_iter().filter(|file| file.starts_with("incoming")).collect();
     assert_eq!(left, Vec::<String>::new());
+}
+
+/// Ends a job with a step, `days` before now.
+fn end_a_job(bench: &mut Bench, id: &str, days: f64, at_ms: u64) {
+    let ended = NOW - days * 86_400.0;
+    bench.drop_file(&format!("{id}.yaml"), &format!("goal {id}\nid {id}"));
+    bench.scan(at_ms);
+    bench.scan(at_ms + 500);
+    bench.journal.start(id, ended).unwrap();
+    let intent = StepIntent {
+        object: "mug".into(),
+        from: Pose2::default(),
+        to: Pose2::default(),
+        kind: StepKind::Goal,
+        tool_from_object: None,
+        table: Vec::new(),
+    };
+    let step = bench.journal.step_intent(id, &intent, ended).unwrap();
+    bench.journal.step_gripped(id, step, ended).unwrap();
+    bench.journal.step_released(id, step, ended).unwrap();
+    bench.journal.step_done(id, step, ended).unwrap();
+    bench.journal.finish(id, &result(id, JobStatus::Done), ended).unwrap();
+    bench.spool.reconcile(&mut bench.journal).unwrap();
+}
+
+#[test]
+fn the_history_is_kept_within_its_limits_with_its_files_and_a_crash_in_between_is_made_good() {
+    let mut bench = Bench::new();
+    for (id, days, at_ms) in [("a", 40.0, 0), ("b", 20.0, 10_000), ("c", 10.0, 20_000), ("d", 50.0, 30_000)] {
+        end_a_job(&mut bench, id, days, at_ms);
+    }
+    bench.drop_file("wrong.yaml", "gaol");
+    bench.scan(40_000);
+    bench.scan(40_500);
+    let ids = |bench: &Bench| -> Vec<String> {
+        bench.journal.latest(10).unwrap().into_iter().map(|job| job.id).collect()
+    };
+    let mut limits = HistoryLimits { days: 365.0, jobs: 10, always: 0 };
+    let remove = |bench: &mut Bench, limits: &HistoryLimits, unix_s: f64| {
+        bench.spool.remove_old(&mut bench.journal, limits, unix_s)
+    };
+    assert_eq!(remove(&mut bench, &limits, NOW).unwrap(), 0, "everything is within them");
+    // By age; the job of the last step stays, however old: it says what may hang on the gripper.
+    limits.days = 30.0;
+    limits.always = 4;
+    assert_eq!(remove(&mut bench, &limits, NOW + 1e9).unwrap(), 0, "the calendar alone empties nothing");
+    limits.always = 0;
+    bench.spool.crash_after.set(Some(0));
+    assert!(remove(&mut bench, &limits, NOW).is_err());
+    bench.spool.crash_after.set(None);
+    assert!(ids(&bench).contains(&"a".to_string()), "its files are gone, its row is found again");
+    assert_eq!(remove(&mut bench, &limits, NOW).unwrap(), 1);
+    assert_eq!(ids(&bench).len(), 3);
+    // By number: the newest two, of which one is the last.
+    limits = HistoryLimits { days: 365.0, jobs: 2, always: 0 };
+    assert_eq!(remove(&mut bench, &limits, NOW).unwrap(), 1);
+    assert!(ids(&bench).iter().all(|id| id == "c" || id == "d"), "{:?}", ids(&bench));
+    let files = bench.files();
+    assert!(files.iter().all(|file| !file.contains("/a/") && !file.contains("/b/")), "{files:?}");
+    assert!(files.iter().any(|file| file.contains("/d/result.yaml")), "{files:?}");
+    assert!(files.iter().any(|file| file.ends_with("wrong.yaml.reason.yaml")), "{files:?}");
+    // Refusals too.
+    assert!(remove(&mut bench, &limits, NOW + 366.0 * 86_400.0).unwrap() >= 1);
+    assert!(bench.files().iter().all(|file| !file.contains("wrong.yaml")), "{:?}", bench.files());
+    assert!(bench.journal.last_step().unwrap().is_some());
 }

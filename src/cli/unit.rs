@@ -1,0 +1,139 @@
+//! `celld unit`: the address filter of a cell as a drop-in for systemd.
+//!
+//! In: the cell's configuration. Out: on standard output, a `[Service]` section that lets the daemon reach
+//! the devices it names and nothing else; exit code 2 for a configuration that cannot be read, 1 for a host
+//! without an address. The robot's protocols know no passwords: what must not be reached from elsewhere must
+//! not be reachable through the cell's computer either. systemd filters by number, so names are looked up
+//! here, and a complaint says that the filter keeps the daemon from looking them up again.
+
+use crate::config::cell::{CameraDevice, Devices};
+use crate::config::load::load_cell;
+use cell_edge::terminal::{complain, print};
+use clap::Args;
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::net::{IpAddr, ToSocketAddrs};
+use std::path::{Path, PathBuf};
+
+/// `celld unit`
+#[derive(Args, Clone, Debug)]
+pub struct UnitArgs {
+    /// The cell's configuration
+    #[arg(long, default_value = "config/cell.yaml", value_name = "FILE")]
+    config: PathBuf,
+}
+
+/// Prints the drop-in and returns the exit code.
+pub fn run(args: &UnitArgs) -> u8 {
+    let devices = match load_cell(&args.config) {
+        Ok(config) => config.devices,
+        Err(error) => {
+            complain(&error.to_string());
+            return 2;
+        }
+    };
+    let found: Result<Vec<(String, Vec<IpAddr>)>, String> =
+        hosts(&devices).into_iter().map(|host| addresses(&host).map(|found| (host, found))).collect();
+    match found {
+        Ok(found) => {
+            for (host, _) in found.iter().filter(|(host, _)| host.parse::<IpAddr>().is_err()) {
+                complain(&format!(
+                    "{host} is a name: behind this filter celld reaches no name server, so write its address \
+                     into the configuration, or allow the name server too"
+                ));
+            }
+            print(&drop_in(&args.config, &found));
+            0
+        }
+        Err(fault) => {
+            complain(&fault);
+            1
+        }
+    }
+}
+
+/// Hosts that the daemon connects to, each once.
+fn hosts(devices: &Devices) -> BTreeSet<String> {
+    let mut hosts = BTreeSet::from([devices.robot_host.clone(), devices.gripper_host.clone()]);
+    match &devices.camera {
+        CameraDevice::Simulator { host, .. } => hosts.extend([host.clone()]),
+        CameraDevice::Http { url, .. } => hosts.extend(host_of(url)),
+        CameraDevice::RealSense(_)
+        | CameraDevice::Uvc(_)
+        | CameraDevice::Folder { .. }
+        | CameraDevice::Video { .. } => {}
+    }
+    hosts
+}
+
+/// The host of an address like `http://user@host:80/path`.
+fn host_of(url: &str) -> Option<String> {
+    let authority = url.split_once("://").map_or(url, |(_, rest)| rest).split(['/', '?', '#']).next()?;
+    let host = authority.rsplit_once('@').map_or(authority, |(_, host)| host);
+    let host = match host.strip_prefix('[') {
+        Some(six) => six.split(']').next()?,
+        None => host.split(':').next()?,
+    };
+    (!host.is_empty()).then(|| host.to_string())
+}
+
+fn addresses(host: &str) -> Result<Vec<IpAddr>, String> {
+    let found = (host, 0).to_socket_addrs().map_err(|error| format!("{host}: {error}"))?;
+    let found: BTreeSet<IpAddr> = found.map(|address| address.ip()).collect();
+    if found.is_empty() { Err(format!("{host}: no address")) } else { Ok(found.into_iter().collect()) }
+}
+
+fn drop_in(config: &Path, found: &[(String, Vec<IpAddr>)]) -> String {
+    let mut text = format!(
+        "# The devices of {}, by `celld unit`. Write it again when they change.\n[Service]\nIPAddressDeny=any\n\
+         IPAddressAllow=localhost\n",
+        config.display()
+    );
+    for (host, addresses) in found {
+        for address in addresses {
+            // Writing into a text does not fail.
+            let _ = writeln!(text, "# {host}\nIPAddressAllow={address}");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_host_of_a_picture_s_address_is_found() {
+        for (url, host) in [
+            ("http://10.0.0.5:8080/shot?x=@1", Some("10.0.0.5")),
+            ("http://user:secret@camera.local/a", Some("camera.local")),
+            ("http://[fe80::1]:80/", Some("fe80::1")),
+            ("http:///a", None),
+        ] {
+            assert_eq!(host_of(url).as_deref(), host, "{url}");
+        }
+    }
+
+    #[test]
+    fn every_device_is_let_through_and_nothing_else() {
+        let found = [("10.0.0.2", "10.0.0.2"), ("gripper", "10.0.0.3")];
+        let found = found.map(|(host, address)| (host.to_string(), vec![address.parse().unwrap()]));
+        insta::assert_snapshot!(drop_in(Path::new("/etc/celld/cell.yaml"), &found), @r"
+        # The devices of /etc/celld/cell.yaml, by `celld unit`. Write it again when they change.
+        [Service]
+        IPAddressDeny=any
+        IPAddressAllow=localhost
+        # 10.0.0.2
+        IPAddressAllow=10.0.0.2
+        # gripper
+        IPAddressAllow=10.0.0.3
+        ");
+    }
+
+    #[test]
+    fn the_example_cell_names_its_devices_once() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let cell = load_cell(&root.join("config/cell.yaml")).unwrap();
+        assert_eq!(hosts(&cell.devices).into_iter().collect::<Vec<_>>(), ["127.0.0.2"]);
+    }
+}

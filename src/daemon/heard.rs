@@ -1,0 +1,54 @@
+//! When each device was heard last, by the wall's clock.
+//!
+//! In: marks of the loop, for each answer of a device. Out: ages, for the status file. Apart from the
+//! supervisor's status, whose words change only when a device does.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+/// Which device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Device {
+    /// A state package of the controller.
+    Robot,
+    /// A reading of the vacuum.
+    Gripper,
+    /// A picture.
+    Camera,
+}
+
+/// Shared between the loop, which marks, and the keeper, which reads.
+#[derive(Clone, Debug, Default)]
+pub struct Heard(Arc<Mutex<[Option<Instant>; 3]>>);
+
+impl Heard {
+    /// The device has answered now.
+    pub fn now(&self, device: Device) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)[device as usize] = Some(Instant::now());
+    }
+
+    /// How long ago a device of this name answered, s, to a tenth; `None`: not since the start.
+    pub fn age_s(&self, name: &str) -> Option<f64> {
+        let device = match name {
+            "robot" => Device::Robot,
+            "gripper" => Device::Gripper,
+            "camera" => Device::Camera,
+            _ => return None,
+        };
+        let heard = self.0.lock().unwrap_or_else(PoisonError::into_inner)[device as usize];
+        heard.map(|at| (at.elapsed().as_secs_f64() * 10.0).round() / 10.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_device_has_an_age_of_its_own_once_it_was_heard() {
+        let heard = Heard::default();
+        heard.now(Device::Gripper);
+        assert!(heard.age_s("gripper").is_some_and(|age| age < 600.0));
+        assert_eq!((heard.age_s("robot"), heard.age_s("camera"), heard.age_s("arm")), (None, None, None));
+    }
+}

@@ -1,0 +1,78 @@
+//! The status file out of what the supervisor says and what the state folder knows.
+//!
+//! In: the supervisor's status, journal, spool, what the devices last said. Out: `status.json`, whole, with
+//! the time. The supervisor's words change when the cell does; ages and queues are of the moment of writing.
+
+use super::StateKeeper;
+use crate::cell::supervisor::status::{DeviceNote, Status};
+use crate::config::setup::gripper_address;
+use crate::jobs::status;
+use cell_edge::clock::unix_now_s;
+
+impl StateKeeper {
+    /// Writes the status; a disk that does not take it is logged.
+    pub(super) fn write_status(&self, status: &Status) {
+        if let Err(error) = self.status_file(status).write(&self.state.status()) {
+            tracing::warn!(%error, "the status file could not be written");
+        }
+    }
+
+    fn status_file(&self, status: &Status) -> status::Status {
+        let total = status.moves + status.remaining_moves;
+        let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+        let disk = self.disk.low().filter(|_| status.job.is_none());
+        let hint = match &disk {
+            Some(_) if status.hint.is_empty() => "make room on that disk; then jobs go on by themselves",
+            _ => &status.hint,
+        };
+        let message = match &disk {
+            Some(low) => format!("{}; no job is begun: {low}", status.text()),
+            None => status.text(),
+        };
+        status::Status {
+            daemon: self.daemon.clone(),
+            pid: std::process::id(),
+            started_unix_s: self.started_unix_s,
+            written_unix_s: unix_now_s(),
+            state: if status.job.is_some() { "working" } else { "idle" }.to_string(),
+            message,
+            armed: status.armed,
+            paused: status.paused,
+            job: status.job.clone(),
+            holding: status.held.clone(),
+            last_move_s: status.last_move.as_ref().map(super::in_words).unwrap_or_default(),
+            step: status.job.as_ref().filter(|_| total > 0).map(|_| (number(status.moves), number(total))),
+            awaiting_approval: status.job.iter().filter(|_| status.awaits_approval).cloned().collect(),
+            plan: self.plan.clone(),
+            config: self.config_file.clone(),
+            waiting: self.journal.waiting().map_or(0, |count| number(count as usize)),
+            unread: self.spool.unread().map_or(0, number),
+            because: status.because.clone(),
+            hint: hint.to_string(),
+            stopped: status.stopped.as_ref().map(|stop| status::Stopped {
+                code: stop.code.to_string(),
+                message: stop.message.clone(),
+                hint: stop.hint.clone(),
+            }),
+            devices: status.devices.iter().map(|device| self.device(device)).collect(),
+        }
+    }
+
+    /// A device with its address, which one it is, and how long ago it was heard.
+    fn device(&self, DeviceNote { name, ready, message }: &DeviceNote) -> status::DeviceStatus {
+        let devices = &self.config.devices;
+        let (address, identity) = match *name {
+            "robot" => (devices.robot_host.clone(), self.identities.robot.clone()),
+            "gripper" => {
+                let address = gripper_address(devices);
+                let confirmed = self.state.gripper_confirmed(&address);
+                let identity = if confirmed { "confirmed by a person" } else { "" };
+                (address, identity.to_string())
+            }
+            _ => (devices.camera.address(), self.identities.camera.clone()),
+        };
+        let age_s = self.heard.age_s(name);
+        let (name, message) = (name.to_string(), message.clone());
+        status::DeviceStatus { name, address, identity, ready: *ready, age_s, message }
+    }
+}

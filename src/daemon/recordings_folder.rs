@@ -1,0 +1,162 @@
+//! The folder of recordings: within its budget, and never the cause of a full disk.
+//!
+//! In: the configuration's budget and reserve, the files in the folder, the space left on the disk. Out:
+//! which old recordings go, whether there is room to record at all, names of new files. A cell that records
+//! for months must not end because of its own recordings: the journal needs the disk more.
+
+use crate::config::cell::RecordingConfig;
+use crate::jobs::utc;
+use std::path::{Path, PathBuf};
+
+/// A file is followed by the next one when it has this share of the budget: what is removed to make room is
+/// then a small part of what is kept.
+const PARTS: u64 = 8;
+
+/// A recording in the folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Kept {
+    name: String,
+    bytes: u64,
+}
+
+/// The folder and its limits.
+#[derive(Clone, Debug)]
+pub struct RecordingsFolder {
+    folder: PathBuf,
+    budget: u64,
+    reserve: u64,
+}
+
+impl RecordingsFolder {
+    /// The folder of the configuration, created where needed.
+    ///
+    /// # Errors
+    /// It cannot be created, with the path.
+    pub fn open(config: &RecordingConfig) -> Result<RecordingsFolder, String> {
+        std::fs::create_dir_all(&config.folder)
+            .map_err(|error| format!("{}: {error}", config.folder.display()))?;
+        let RecordingConfig { folder, budget_bytes, reserve_bytes, .. } = config.clone();
+        Ok(RecordingsFolder { folder, budget: budget_bytes, reserve: reserve_bytes })
+    }
+
+    /// True for a file that has become long enough.
+    pub fn is_full(&self, file: &Path) -> bool {
+        std::fs::metadata(file).is_ok_and(|meta| meta.len() > self.budget / PARTS)
+    }
+
+    /// A name that no file has, by the time.
+    pub fn next(&self, unix_s: f64) -> PathBuf {
+        let stem = format!("run-{}", utc::text(unix_s).replace(':', ""));
+        let names = std::iter::once(format!("{stem}.mcap"));
+        let mut names = names.chain((2..).map(|number| format!("{stem}-{number}.mcap")));
+        let free = names.find(|name| !self.folder.join(name).exists());
+        self.folder.join(free.unwrap_or_default())
+    }
+
+    /// Removes old recordings until budget and reserve are kept; `current` stays.
+    ///
+    /// # Errors
+    /// There is no room for a recording, or it cannot be found out, in one sentence.
+    pub fn make_room(&self, current: Option<&Path>) -> Result<(), String> {
+        let fail = |error: std::io::Error| format!("{}: {error}", self.folder.display());
+        let free = cell_edge::files::free_bytes(&self.folder).map_err(|error| error.to_string())?;
+        let kept = self.kept().map_err(fail)?;
+        let current = current.and_then(|path| path.file_name()).map(|name| name.to_string_lossy());
+        for name in surplus(&kept, current.as_deref(), self.budget, self.reserve.saturating_sub(free)) {
+            let path = self.folder.join(&name);
+            std::fs::remove_file(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+            tracing::info!("recording {name} was removed to keep the budget and the disk's reserve");
+        }
+        let free = cell_edge::files::free_bytes(&self.folder).map_err(|error| error.to_string())?;
+        if free < self.reserve {
+            return Err(format!(
+                "{} MB are left on the disk of {}, {} MB are kept free",
+                free >> 20,
+                self.folder.display(),
+                self.reserve >> 20
+            ));
+        }
+        Ok(())
+    }
+
+    /// Recordings by name, which is by age.
+    fn kept(&self) -> std::io::Result<Vec<Kept>> {
+        let mut kept = Vec::new();
+        for entry in std::fs::read_dir(&self.folder)? {
+            let entry = entry?;
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let meta = entry.metadata()?;
+            if name.starts_with("run-") && name.ends_with(".mcap") && meta.is_file() {
+                kept.push(Kept { name, bytes: meta.len() });
+            }
+        }
+        kept.sort_by(|a, b| a.name.cmp(&b.name));
+        Ok(kept)
+    }
+}
+
+/// Names of the oldest recordings without which the others keep `budget` and at least `wanted` bytes come
+/// free.
+fn surplus(kept: &[Kept], current: Option<&str>, budget: u64, wanted: u64) -> Vec<String> {
+    let mut total: u64 = kept.iter().map(|file| file.bytes).sum();
+    let mut freed = 0;
+    let mut names = Vec::new();
+    for file in kept.iter().filter(|file| current != Some(file.name.as_str())) {
+        if total <= budget && freed >= wanted {
+            break;
+        }
+        total -= file.bytes;
+        freed += file.bytes;
+        names.push(file.name.clone());
+    }
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kept() -> Vec<Kept> {
+        ["run-1.mcap", "run-2.mcap", "run-3.mcap"].map(|name| Kept { name: name.into(), bytes: 100 }).to_vec()
+    }
+
+    #[test]
+    fn the_oldest_go_until_the_budget_and_the_reserve_are_kept() {
+        let names = |budget, wanted, current| surplus(&kept(), current, budget, wanted);
+        assert_eq!(names(300, 0, None), [""; 0]);
+        assert_eq!(names(299, 0, None), ["run-1.mcap"]);
+        assert_eq!(names(100, 0, None), ["run-1.mcap", "run-2.mcap"]);
+        assert_eq!(names(1000, 101, None), ["run-1.mcap", "run-2.mcap"]);
+        assert_eq!(names(0, 0, Some("run-3.mcap")), ["run-1.mcap", "run-2.mcap"], "what is written stays");
+    }
+
+    fn folder(of: &Path, budget: u64, reserve: u64) -> RecordingsFolder {
+        RecordingsFolder { folder: of.to_path_buf(), budget, reserve }
+    }
+
+    #[test]
+    fn only_recordings_are_removed_and_a_full_disk_is_named() {
+        let folder_on_disk = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder_on_disk.path().join(name);
+        for name in ["run-1.mcap", "run-2.mcap", "notes.txt", "mine.mcap"] {
+            std::fs::write(path(name), [0; 100]).unwrap();
+        }
+        folder(folder_on_disk.path(), 150, 0).make_room(None).unwrap();
+        assert!(!path("run-1.mcap").exists() && path("run-2.mcap").exists());
+        assert!(path("notes.txt").exists() && path("mine.mcap").exists());
+        let fault = folder(folder_on_disk.path(), 150, u64::MAX).make_room(None).unwrap_err();
+        assert!(fault.contains("MB are left on the disk"), "{fault}");
+        assert!(!path("run-2.mcap").exists() && path("mine.mcap").exists());
+    }
+
+    #[test]
+    fn names_are_never_used_twice() {
+        let on_disk = tempfile::tempdir().unwrap();
+        let folder = folder(on_disk.path(), 1, 0);
+        let first = folder.next(0.0);
+        std::fs::write(&first, [0; 2]).unwrap();
+        let second = folder.next(0.0);
+        assert!(first != second && first < second.with_extension("z"), "{second:?}");
+        assert!(folder.is_full(&first) && !folder.is_full(&second));
+    }
+}

@@ -1,0 +1,285 @@
+//! Whether every task of the daemon gets on, and what the service manager is sent of it.
+//!
+//! In: beats. A task is working since its last beat, or rests because nothing is asked of it. Out: which
+//! tasks have not answered in their time, in the log; the messages of `sd_notify(3)` to the socket that
+//! `NOTIFY_SOCKET` names: READY, STATUS, WATCHDOG as long as every task answers, STOPPING. A daemon whose
+//! loop hangs still has a process, a lock and perhaps a thread that says it lives: only what all tasks say
+//! together may keep the service manager from starting it anew.
+
+use sd_notify::NotifyState;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// How often the beats are looked at, at the least: a third of the watchdog's time, and this.
+const EVERY: Duration = Duration::from_secs(1);
+
+/// What a task is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// Nothing is asked of it.
+    Rests,
+    /// It works; the next beat is due within this time.
+    Works { since: Instant, within: Duration },
+    /// It ended in the middle of its work.
+    Died,
+    /// It ended while it rested.
+    Ended,
+}
+
+#[derive(Debug)]
+struct Slot {
+    name: &'static str,
+    state: Mutex<State>,
+}
+
+impl Slot {
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A task that is watched; one that is dropped while it works has died, and is late from then on.
+#[derive(Debug)]
+pub struct Beat {
+    slot: Arc<Slot>,
+    within: Duration,
+}
+
+impl Beat {
+    /// The task gets on; it says so again within its time, or rests.
+    pub fn now(&self) {
+        self.at(Instant::now());
+    }
+
+    fn at(&self, now: Instant) {
+        *self.slot.state() = State::Works { since: now, within: self.within };
+    }
+
+    /// Nothing is asked of the task.
+    pub fn rests(&self) {
+        *self.slot.state() = State::Rests;
+    }
+
+    /// It has not answered in its time.
+    pub fn is_late(&self) -> bool {
+        late(&self.slot, Instant::now()).is_some()
+    }
+}
+
+impl Drop for Beat {
+    fn drop(&mut self) {
+        let mut state = self.slot.state();
+        *state = if *state == State::Rests { State::Ended } else { State::Died };
+    }
+}
+
+/// A task that does not answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Late {
+    /// Its name.
+    pub task: &'static str,
+    /// For how long; `None`: it has died.
+    pub silent: Option<Duration>,
+}
+
+impl std::fmt::Display for Late {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.silent {
+            Some(silent) => write!(f, "{} has not answered for {} s", self.task, silent.as_secs()),
+            None => write!(f, "{} has ended in the middle of its work", self.task),
+        }
+    }
+}
+
+fn late(slot: &Slot, now: Instant) -> Option<Late> {
+    let silent = match *slot.state() {
+        State::Rests | State::Ended => return None,
+        State::Works { since, within } => Some(now.duration_since(since)).filter(|silent| *silent > within),
+        State::Died => return Some(Late { task: slot.name, silent: None }),
+    };
+    silent.map(|_| Late { task: slot.name, silent })
+}
+
+/// All tasks of a daemon.
+#[derive(Clone, Debug, Default)]
+pub struct Beats(Arc<Mutex<Vec<Arc<Slot>>>>);
+
+impl Beats {
+    /// A task that answers within this time while it works; it rests until its first beat.
+    pub fn task(&self, name: &'static str, within: Duration) -> Beat {
+        let slot = Arc::new(Slot { name, state: Mutex::new(State::Rests) });
+        self.slots().push(Arc::clone(&slot));
+        Beat { slot, within }
+    }
+
+    /// The tasks that do not answer.
+    pub fn late(&self, now: Instant) -> Vec<Late> {
+        let mut slots = self.slots();
+        slots.retain(|slot| *slot.state() != State::Ended);
+        slots.iter().filter_map(|slot| late(slot, now)).collect()
+    }
+
+    fn slots(&self) -> MutexGuard<'_, Vec<Arc<Slot>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The thread that looks at the beats and sends to the service manager; it ends when this is dropped.
+#[derive(Debug)]
+pub struct Watchdog {
+    words: Arc<Mutex<String>>,
+    ends: Arc<AtomicBool>,
+}
+
+impl Watchdog {
+    /// Starts it. Without a service manager, tasks that do not answer are logged all the same.
+    pub fn start(beats: Beats) -> Watchdog {
+        let watchdog = Watchdog { words: Arc::default(), ends: Arc::default() };
+        let (words, ends) = (Arc::clone(&watchdog.words), Arc::clone(&watchdog.ends));
+        let wanted = sd_notify::watchdog_enabled();
+        let every = wanted.map_or(EVERY, |within| EVERY.min(within / 3));
+        std::thread::spawn(move || {
+            let mut feeder = Feeder { feeds: wanted.is_some(), ..Feeder::default() };
+            while !ends.load(Ordering::Relaxed) {
+                let words = words.lock().unwrap_or_else(PoisonError::into_inner).clone();
+                feeder.turn(&beats.late(Instant::now()), &words).iter().for_each(Said::carry_out);
+                std::thread::sleep(every);
+            }
+        });
+        watchdog
+    }
+
+    /// Jobs are taken in from now on, and orders as soon as the robot is there.
+    pub fn ready(&self) {
+        send(NotifyState::Ready);
+    }
+
+    /// What the cell does, in one line.
+    pub fn words(&self, words: &str) {
+        let mut kept = self.words.lock().unwrap_or_else(PoisonError::into_inner);
+        if *kept != words {
+            words.clone_into(&mut kept);
+        }
+    }
+
+    /// The daemon ends.
+    pub fn stopping(&self) {
+        send(NotifyState::Stopping);
+    }
+}
+
+impl Drop for Watchdog {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Relaxed);
+    }
+}
+
+/// What comes of a look at the beats.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Said {
+    /// To the service manager: all is well.
+    Feed,
+    /// To the service manager: what the cell does.
+    Words(String),
+    /// To the log.
+    Late(String),
+    /// To the log.
+    Answers(&'static str),
+}
+
+impl Said {
+    fn carry_out(&self) {
+        match self {
+            Said::Feed => send(NotifyState::Watchdog),
+            Said::Words(words) => send(NotifyState::Status(words)),
+            Said::Late(late) => tracing::error!("{late}; the watchdog gets no sign of life"),
+            Said::Answers(task) => tracing::warn!("{task} answers again"),
+        }
+    }
+}
+
+/// Without a service manager there is no socket, and nothing is sent; one that is not there any more is no
+/// reason to end.
+fn send(state: NotifyState) {
+    if let Err(error) = sd_notify::notify(&[state]) {
+        tracing::debug!(%error, "the service manager could not be told");
+    }
+}
+
+/// What was said last.
+#[derive(Debug, Default)]
+struct Feeder {
+    /// The service manager waits for signs of life.
+    feeds: bool,
+    late: Vec<&'static str>,
+    words: String,
+}
+
+impl Feeder {
+    fn turn(&mut self, late: &[Late], words: &str) -> Vec<Said> {
+        let mut said = Vec::new();
+        let now: Vec<&'static str> = late.iter().map(|late| late.task).collect();
+        let new = late.iter().filter(|late| !self.late.contains(&late.task));
+        said.extend(new.map(|late| Said::Late(late.to_string())));
+        let over = self.late.iter().filter(|task| !now.contains(task));
+        said.extend(over.map(|task| Said::Answers(task)));
+        if late.is_empty() && self.feeds {
+            said.push(Said::Feed);
+        }
+        if words != self.words {
+            words.clone_into(&mut self.words);
+            said.push(Said::Words(words.to_string()));
+        }
+        self.late = now;
+        said
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: Duration = Duration::from_secs(1);
+
+    #[test]
+    fn a_task_is_late_while_it_works_and_not_while_it_rests() {
+        let (beats, start) = (Beats::default(), Instant::now());
+        let task = beats.task("journal", 3 * SECOND);
+        assert_eq!(beats.late(start + 100 * SECOND), [], "it has not begun");
+        task.at(start);
+        assert_eq!(beats.late(start + 3 * SECOND), []);
+        let silent = Some(4 * SECOND);
+        assert_eq!(beats.late(start + 4 * SECOND), [Late { task: "journal", silent }]);
+        task.at(start + 4 * SECOND);
+        assert_eq!(beats.late(start + 5 * SECOND), []);
+        task.rests();
+        assert_eq!(beats.late(start + 100 * SECOND), []);
+    }
+
+    #[test]
+    fn a_task_that_ends_at_work_has_died_and_one_that_ends_at_rest_is_forgotten() {
+        let beats = Beats::default();
+        let planner = beats.task("planner", SECOND);
+        let worker = beats.task("camera", SECOND);
+        planner.now();
+        planner.rests();
+        worker.now();
+        drop((planner, worker));
+        assert_eq!(beats.late(Instant::now()), [Late { task: "camera", silent: None }]);
+        assert_eq!(beats.slots().len(), 1);
+    }
+
+    #[test]
+    fn the_watchdog_is_fed_only_while_every_task_answers_and_each_change_is_said_once() {
+        let mut feeder = Feeder { feeds: true, ..Feeder::default() };
+        let late = Late { task: "the loop", silent: Some(6 * SECOND) };
+        assert_eq!(feeder.turn(&[], "idle"), [Said::Feed, Said::Words("idle".into())]);
+        assert_eq!(feeder.turn(&[], "idle"), [Said::Feed]);
+        assert_eq!(feeder.turn(&[late], "idle"), [Said::Late("the loop has not answered for 6 s".into())]);
+        assert_eq!(feeder.turn(&[late], "idle"), []);
+        assert_eq!(feeder.turn(&[], "idle"), [Said::Answers("the loop"), Said::Feed]);
+        let mut alone = Feeder::default();
+        assert_eq!(alone.turn(&[], ""), [], "nobody waits for signs of life");
+    }
+}

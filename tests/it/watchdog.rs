@@ -1,0 +1,112 @@
+//! The service manager's view of the daemon, on a socket of this test's own: it is told when the daemon is
+//! ready and what it does, gets signs of life while every task answers, and none while one hangs.
+//!
+//! A library put before libc's holds one call of the loop up for as long as a file is there: the process
+//! runs on, its other threads too, only the loop does not.
+
+use crate::cell::{CELLD, LOG, configuration, copy_calibration, start_daemon_with, start_sim, wait_until};
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::{Arc, Mutex};
+
+/// Before libc: what is sent to the controller waits while a file is there.
+const HANGS: &str = r#"
+#define _GNU_SOURCE
+#include <arpa/inet.h>
+#include <stdlib.h>
+#include <sys/socket.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+static int to_controller(int socket) {
+    struct sockaddr_in peer;
+    socklen_t size = sizeof peer;
+    return getpeername(socket, (struct sockaddr *)&peer, &size) == 0 && peer.sin_family == AF_INET
+        && ntohs(peer.sin_port) >= 29999 && ntohs(peer.sin_port) <= 30004;
+}
+
+ssize_t send(int socket, const void *bytes, size_t size, int flags) {
+    while (to_controller(socket) && access(getenv("HANGS_WHILE"), F_OK) == 0) usleep(1000);
+    return syscall(SYS_sendto, socket, bytes, size, flags, NULL, 0);
+}
+"#;
+
+fn hanging(folder: &Path) -> PathBuf {
+    let (source, library) = (folder.join("hangs.c"), folder.join("hangs.so"));
+    std::fs::write(&source, HANGS).expect("written");
+    let built = Command::new("cc").args(["-shared", "-fPIC", "-o"]).arg(&library).arg(&source).status();
+    assert!(built.expect("a C compiler").success());
+    library
+}
+
+/// What was sent to the service manager so far.
+#[derive(Clone)]
+struct Manager(Arc<Mutex<Vec<String>>>);
+
+impl Manager {
+    fn at(path: &Path) -> Manager {
+        let socket = UnixDatagram::bind(path).expect("a socket");
+        let manager = Manager(Arc::default());
+        let messages = Arc::clone(&manager.0);
+        std::thread::spawn(move || {
+            let mut buffer = [0; 4096];
+            while let Ok(size) = socket.recv(&mut buffer) {
+                let text = String::from_utf8_lossy(&buffer[..size]).into_owned();
+                messages.lock().expect("unpoisoned").extend(text.lines().map(str::to_string));
+            }
+        });
+        manager
+    }
+
+    fn count(&self, message: &str) -> usize {
+        self.0.lock().expect("unpoisoned").iter().filter(|line| line.starts_with(message)).count()
+    }
+
+    fn waits_for(&self, message: &str) {
+        let before = self.count(message);
+        wait_until(message, || self.count(message) > before);
+    }
+}
+
+#[test]
+fn cell_feeds_the_watchdog_only_while_every_task_answers() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (cell, sim) = configuration(folder.path(), "127.7.6.10", 1);
+    copy_calibration(folder.path());
+    let (socket, hangs) = (folder.path().join("notify"), folder.path().join("hang"));
+    let manager = Manager::at(&socket);
+    let library = hanging(folder.path());
+    let environment = [
+        ("NOTIFY_SOCKET", socket.as_path()),
+        ("WATCHDOG_USEC", Path::new("600000")),
+        ("LD_PRELOAD", library.as_path()),
+        ("HANGS_WHILE", hangs.as_path()),
+    ];
+    let daemon = start_daemon_with(folder.path(), &cell, &environment);
+    // The robot is not even there, and the daemon is well: it waits.
+    wait_until("it is ready", || manager.count("READY=1") == 1);
+    wait_until("it says what it waits for", || manager.count("STATUS=waiting for the robot") > 0);
+    manager.waits_for("WATCHDOG=1");
+
+    let _sim = start_sim(&sim);
+    wait_until("it says what it does", || manager.count("STATUS=idle (disarmed)") > 0);
+    manager.waits_for("WATCHDOG=1");
+
+    std::fs::write(&hangs, "").expect("written");
+    let log = || std::fs::read_to_string(folder.path().join(LOG)).expect("what the daemon says");
+    wait_until("the loop is missed", || log().contains("the loop has not answered for"));
+    // What was on its way when the loop was found late; then nothing, however long it takes.
+    let fed = manager.count("WATCHDOG=1");
+    let alive =
+        Command::new(CELLD).arg("status").current_dir(folder.path()).output().expect("the binary runs");
+    assert_eq!(alive.status.code(), Some(0), "the process and its lock are there all the while");
+    assert_eq!(manager.count("WATCHDOG=1"), fed, "no sign of life while the loop hangs");
+
+    std::fs::remove_file(&hangs).expect("removed");
+    wait_until("the loop answers", || log().contains("the loop answers again"));
+    manager.waits_for("WATCHDOG=1");
+    let ended = Command::new("sh").args(["-c", &format!("kill -TERM {}", daemon.0.id())]).status();
+    assert!(ended.expect("sh").success());
+    wait_until("it says that it ends", || manager.count("STOPPING=1") == 1);
+}
