@@ -5,6 +5,7 @@
 //! one was, or one did not; 2 bad input.
 
 mod args;
+mod cuts;
 mod hands;
 mod orders;
 mod storms;
@@ -39,6 +40,7 @@ pub fn run(args: &SimulateArgs) -> u8 {
         Some("sweep") => return sweep(args),
         Some("random") => return storms::run(args),
         Some("hands") => return hands::run(args),
+        Some("cuts") => return cuts::run(args),
         _ => {}
     }
     let faults = args.faults.as_deref().map_or(Ok(Vec::new()), faults_of);

@@ -7,6 +7,7 @@
 //! takes time (network, disk, planner, detector, exposure) takes it from a seed. The daemon drives the same
 //! machine over real sockets (`daemon::shell`).
 
+pub mod cuts;
 pub mod disk;
 pub mod eyes;
 pub mod hands;

@@ -93,6 +93,16 @@ pub fn storm(stage: &Stage, seed: u64, strikes: &[Strike], keep: bool) -> Result
         pair.run_until(left.max(0.0), |_| false);
         bring_about(&mut pair, &strike.row);
     }
+    let ends_work = strikes.iter().any(|strike| strike.row.ends_work);
+    Ok((rest_of(&mut pair, stage, seed, !ends_work, aftermath), pair))
+}
+
+/// What becomes of the job that is under way, and of the one after it; with `goes_on`, that one has to end.
+pub(super) fn aftermath(pair: &mut Pair, stage: &Stage, seed: u64, goes_on: bool) -> Aftermath {
+    rest_of(pair, stage, seed, goes_on, Aftermath::default())
+}
+
+fn rest_of(pair: &mut Pair, stage: &Stage, seed: u64, goes_on: bool, mut aftermath: Aftermath) -> Aftermath {
     let mut waits_since = None;
     let over = pair.run_until(END_WITHIN_S, |pair| {
         let goes_on = pair.status().is_some_and(|status| status.armed && !status.paused);
@@ -104,15 +114,15 @@ pub fn storm(stage: &Stage, seed: u64, strikes: &[Strike], keep: bool) -> Result
         let doing = pair.status().map(|status| status.text()).unwrap_or_default();
         aftermath.faults.push(format!("the job neither ended nor waits for a person: {doing}"));
     }
-    aftermath.next = after(&mut pair, stage, seed);
-    if aftermath.next.is_none() && !strikes.iter().any(|strike| strike.row.ends_work) {
+    aftermath.next = after(pair, stage, seed);
+    if aftermath.next.is_none() && goes_on {
         let doing = pair.status().map(|status| status.text()).unwrap_or_default();
         aftermath.faults.push(format!("the job after it has not ended: {doing}"));
     }
     for breach in pair.breaches() {
         aftermath.faults.push(format!("{:?} was broken: {}", breach.rule, breach.detail));
     }
-    Ok((aftermath, pair))
+    aftermath
 }
 
 /// The numbers of the fewest of these faults with which something still is as it must not be.

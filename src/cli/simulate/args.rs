@@ -16,8 +16,8 @@ pub struct SimulateArgs {
     pub(super) jobs: usize,
     /// A fault file, as for `celld sim`; or `sweep`: every fault in every phase of a pick-n-place; or
     /// `random`: one to three faults in every job, each job of the next seed; `hands`: the same with hands
-    /// that push objects, and the camera, between looks
-    #[arg(long, value_name = "FILE|sweep|random|hands")]
+    /// that push objects, and the camera, between looks; `cuts`: power cuts after every effect of every job
+    #[arg(long, value_name = "FILE|sweep|random|hands|cuts")]
     pub(super) faults: Option<PathBuf>,
     /// Every order of the operator in every state of the cell: the answer is held against what happens
     #[arg(long, conflicts_with_all = ["faults", "trace"])]

@@ -1,0 +1,73 @@
+//! `celld simulate --faults cuts`: the daemon is gone after every single effect of many jobs, on all cores.
+//!
+//! In: the first seed, how many jobs, and for a repetition after which of the effects. Out: what must not
+//! be, and the command that repeats it.
+
+use super::args::{SimulateArgs, keep_trace};
+use crate::pair::cuts::{cut, moments};
+use crate::pair::eyes::Eye;
+use crate::pair::table::stage;
+use cell_edge::terminal::{complain, print};
+use indicatif::ProgressBar;
+use rayon::iter::{IntoParallelIterator, ParallelIterator};
+use std::time::Instant;
+
+/// Runs it; returns the exit code.
+pub(super) fn run(args: &SimulateArgs) -> u8 {
+    let began = Instant::now();
+    let cases = match all_cases(args) {
+        Ok(cases) => cases,
+        Err(message) => {
+            complain(&message);
+            return 2;
+        }
+    };
+    let bar = ProgressBar::new(cases.len() as u64);
+    let ran: Result<Vec<bool>, String> = cases
+        .into_par_iter()
+        .map(|(seed, moment)| {
+            let sound = one(args, seed, moment, &bar);
+            bar.inc(1);
+            sound
+        })
+        .collect();
+    bar.finish_and_clear();
+    match ran {
+        Ok(ran) => {
+            let wrong = ran.iter().filter(|sound| !**sound).count();
+            let (cuts, seconds) = (ran.len(), began.elapsed().as_secs_f64());
+            print(&format!(
+                "{cuts} power cuts in {} jobs, in {seconds:.0} s: {wrong} with something that must not be\n",
+                args.jobs
+            ));
+            u8::from(wrong > 0)
+        }
+        Err(message) => {
+            complain(&message);
+            2
+        }
+    }
+}
+
+/// Every moment of every job, or the one that was chosen.
+fn all_cases(args: &SimulateArgs) -> Result<Vec<(u64, usize)>, String> {
+    let only = args.only.as_deref().map(|only| only.parse::<usize>().map_err(|_| only.to_string()));
+    let only = only.transpose().map_err(|only| format!("--only {only}: give the number of an effect"))?;
+    let seeds = args.seed..args.seed.saturating_add(args.jobs as u64);
+    let counts: Result<Vec<(u64, usize)>, String> =
+        seeds.into_par_iter().map(|seed| Ok((seed, moments(&stage(seed, Eye::Corners)?, seed)?))).collect();
+    let cases = counts?.into_iter().flat_map(|(seed, count)| (0..count).map(move |moment| (seed, moment)));
+    Ok(cases.filter(|(_, moment)| only.is_none_or(|only| only == *moment)).collect())
+}
+
+fn one(args: &SimulateArgs, seed: u64, moment: usize, bar: &ProgressBar) -> Result<bool, String> {
+    let (found, pair) = cut(&stage(seed, Eye::Corners)?, seed, moment, args.trace.is_some())?;
+    keep_trace(args, &pair)?;
+    if !found.faults.is_empty() {
+        let again =
+            format!("repeat with: celld simulate --faults cuts --jobs 1 --seed {seed} --only {moment}");
+        let faults = found.faults.join("\n    ");
+        bar.suspend(|| print(&format!("seed {seed}, after effect {moment}\n    {faults}\n    {again}\n")));
+    }
+    Ok(found.faults.is_empty())
+}
