@@ -35,7 +35,16 @@ FUZZ_FLAGS := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
               -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
               -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing
 
+# `make install`, `make deb`. PREFIX other than /usr: /usr/local; systemd and udev read both. BINARIES: where
+# built ones are; named on the command line, nothing is built.
+DESTDIR ?=
+PREFIX ?= /usr
+BINARIES ?= $(BUILD)/release
+VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
+DEB_PACKAGES := dpkg-dev binutils
+
 .PHONY: help setup clients demo test test-clients bench figures fuzz fuzz-corpus
+.PHONY: release install uninstall deb test-deb
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
@@ -44,6 +53,9 @@ help:
 	@echo "make figures                        small versions of the paper's six figures in ./out/figures"
 	@echo "make fuzz [SECONDS=600]              fuzz each protocol for so long (fuzz/README.md)"
 	@echo "make bench                          nanoseconds of the collision kernel by pair of shapes"
+	@echo "make release, make install          the binaries; celld as a service of this computer (docs/operation.md)"
+	@echo "make deb                            the same as a Debian package in $(BUILD)"
+	@echo "make test-deb                       install, update and remove that package in a copy of this system (root)"
 	@echo "make setup                          install what the build needs (Debian 12), nothing else"
 
 # Installs those of $(1) that are missing; what apt says goes to a log.
@@ -163,3 +175,91 @@ fuzz-corpus:
 	  (cd target/fuzz/corpus/$$target && tar --sort=name --mtime=@0 --owner=0 --group=0 --numeric-owner --mode=644 \
 	    -cf - -- *) | gzip -9n > fuzz/corpus/$$target.tar.gz; \
 	done
+
+# Unless the binaries come from elsewhere.
+release: $(if $(filter file,$(origin BINARIES)),setup)
+	@$(if $(filter file,$(origin BINARIES)),cargo build --release $(FEATURES))
+
+# Where each file goes, below $(DESTDIR). What names a path below /usr names one below $(PREFIX) then.
+SHARE = $(PREFIX)/share/celld
+DOC = $(PREFIX)/share/doc/celld
+HELPERS := set-up address-filter
+EXAMPLES := cell.yaml sim.yaml calibration/sim/camera.yaml calibration/sim/hand_eye.yaml calibration/sim/table.yaml
+PAGES = README.md ARCHITECTURE.md LICENSE-APACHE LICENSE-MIT config/README.md calibration/README.md \
+        $(wildcard docs/*.md hardware/*.md hardware/*/*.md)
+INSTALLED = $(PREFIX)/bin/celld $(PREFIX)/bin/celld-sim \
+            $(addprefix $(PREFIX)/lib/celld/,$(HELPERS)) \
+            $(PREFIX)/lib/systemd/system/celld.service \
+            $(PREFIX)/lib/sysusers.d/celld.conf $(PREFIX)/lib/tmpfiles.d/celld.conf \
+            $(PREFIX)/lib/udev/rules.d/60-celld-camera.rules
+UNITS := hardware/systemd
+
+# As it is in the repository, with the paths of this installation: mode, from, to.
+define placed
+sed -e 's#/usr/\(bin\|lib\|share\)/\(celld\|doc/celld\)#$(PREFIX)/\1/\2#g' $(2) \
+  | install -D -m $(1) /dev/stdin $(DESTDIR)$(3)
+endef
+
+# The example configuration, from $(1), for the place where it is installed.
+define example
+sed -e 's#\.\./calibration/#calibration/#g' -e 's#\.\./recordings#/var/lib/celld/recordings#g' \
+  -e 's#check config/cell.yaml#check /etc/celld/cell.yaml#' $(1)
+endef
+
+# Makes account, folders and the first configuration as well, where it installs into the running system. What
+# is in /etc/celld stays as it is; nothing is started. Builds nothing, for root has no cargo: `make release`
+# comes first.
+install:
+	@for binary in celld celld-sim; do [ -x $(BINARIES)/$$binary ] \
+	  || { echo "install: no $(BINARIES)/$$binary; first: make release" >&2; exit 1; }; done
+	install -D -m 0755 $(BINARIES)/celld $(DESTDIR)$(PREFIX)/bin/celld
+	install -D -m 0755 $(BINARIES)/celld-sim $(DESTDIR)$(PREFIX)/bin/celld-sim
+	$(foreach helper,$(HELPERS),$(call placed,0755,$(UNITS)/$(helper),$(PREFIX)/lib/celld/$(helper));)
+	$(call placed,0644,$(UNITS)/celld.service,$(PREFIX)/lib/systemd/system/celld.service)
+	$(call placed,0644,$(UNITS)/celld.sysusers,$(PREFIX)/lib/sysusers.d/celld.conf)
+	$(call placed,0644,$(UNITS)/celld.tmpfiles,$(PREFIX)/lib/tmpfiles.d/celld.conf)
+	$(call placed,0644,$(UNITS)/60-celld-camera.rules,$(PREFIX)/lib/udev/rules.d/60-celld-camera.rules)
+	[ -e $(DESTDIR)/etc/celld/environment ] \
+	  || install -D -m 0644 $(UNITS)/environment $(DESTDIR)/etc/celld/environment
+	$(call example,config/cell.yaml) | install -D -m 0644 /dev/stdin $(DESTDIR)$(SHARE)/examples/cell.yaml
+	install -D -m 0644 config/sim.yaml $(DESTDIR)$(SHARE)/examples/sim.yaml
+	$(foreach file,$(filter calibration/%,$(EXAMPLES)),install -D -m 0644 $(file) $(DESTDIR)$(SHARE)/examples/$(file);)
+	$(foreach page,$(PAGES),install -D -m 0644 $(page) $(DESTDIR)$(DOC)/$(page);)
+	@if [ -z "$(DESTDIR)" ] && [ "$$(id -u)" -eq 0 ]; then \
+	  $(PREFIX)/lib/celld/set-up; \
+	  $(PREFIX)/lib/celld/address-filter write || true; \
+	  if [ -d /run/systemd/system ]; then systemctl daemon-reload; fi; \
+	  echo "install: how to go on is in $(DOC)/docs/operation.md"; \
+	fi
+
+# Configuration and state stay.
+uninstall:
+	@if [ -z "$(DESTDIR)" ] && [ -d /run/systemd/system ]; then systemctl --quiet disable --now celld || true; fi
+	rm -f $(addprefix $(DESTDIR),$(INSTALLED))
+	rm -rf $(DESTDIR)$(SHARE) $(DESTDIR)$(DOC)
+	rmdir --ignore-fail-on-non-empty $(DESTDIR)$(PREFIX)/lib/celld
+	@if [ -z "$(DESTDIR)" ] && [ -d /run/systemd/system ]; then systemctl daemon-reload; fi
+
+# No debhelper: there is one binary package of files that `make install` places. The libraries it needs are
+# read out of the binaries. Made anew of the same commit and binaries, it is the same file.
+STAGE := $(BUILD)/deb
+deb: release
+	@$(call install,$(DEB_PACKAGES))
+	@umask 022; rm -rf $(STAGE); mkdir -p $(STAGE)/root/DEBIAN $(STAGE)/debian
+	@$(MAKE) --no-print-directory --silent install DESTDIR=$(STAGE)/root PREFIX=/usr BINARIES=$(BINARIES)
+	@umask 022; cd $(STAGE)/root; strip --strip-debug usr/bin/celld usr/bin/celld-sim; \
+	install -m 0644 $(CURDIR)/hardware/debian/copyright usr/share/doc/celld/copyright; \
+	find usr etc -type f -print0 | sort -z | xargs -0 md5sum >DEBIAN/md5sums; \
+	install -m 0644 $(CURDIR)/hardware/debian/conffiles DEBIAN; \
+	install -m 0755 $(addprefix $(CURDIR)/hardware/debian/,postinst prerm postrm) DEBIAN; \
+	printf 'Source: celld\n\nPackage: celld\nArchitecture: any\n' >../debian/control; \
+	needed=$$(cd .. && dpkg-shlibdeps -O root/usr/bin/celld root/usr/bin/celld-sim 2>shlibdeps.log) \
+	  || { cat ../shlibdeps.log >&2; exit 1; }; \
+	size=$$(du -sk usr etc | awk '{ sum += $$1 } END { print sum }'); \
+	sed -e "s/@VERSION@/$(VERSION)/" -e "s/@ARCHITECTURE@/$$(dpkg --print-architecture)/" -e "s/@SIZE@/$$size/" \
+	  -e "s/@DEPENDS@/$${needed#shlibs:Depends=}/" $(CURDIR)/hardware/debian/control.in >DEBIAN/control; \
+	export SOURCE_DATE_EPOCH=$$(git -C $(CURDIR) log -1 --format=%ct 2>/dev/null || date +%s); \
+	dpkg-deb --root-owner-group --build . $(BUILD)
+
+test-deb: deb
+	tests/package.sh $(BUILD)/celld_$(VERSION)_$$(dpkg --print-architecture).deb $(VERSION)
