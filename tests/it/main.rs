@@ -15,6 +15,7 @@ mod looks;
 mod mutants;
 mod on_robot_program;
 mod one_robot;
+mod packaging;
 mod plan_command;
 mod program_protocol;
 mod public_bounds;
