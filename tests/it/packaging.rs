@@ -125,8 +125,8 @@ fn the_unit_has_what_the_daemon_rests_on() {
 #[test]
 fn a_camera_stays_within_reach() {
     let service = service();
-    // Each hides cameras, or replaces the list of devices by one without them; the last two forbid a priority
-    // and make every user in the log nobody.
+    // The first two hide cameras, or replace the list of devices by one without them; the others forbid a
+    // priority, and leave users in the log without their numbers.
     for trap in ["PrivateDevices", "ProtectClock", "RestrictRealtime", "PrivateUsers"] {
         assert!(!service.iter().any(|(key, _)| *key == trap), "{trap}");
     }
