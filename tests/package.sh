@@ -8,6 +8,7 @@
 set -euo pipefail
 
 ADDRESS=127.88.3.1
+FILTER=/etc/systemd/system/celld.service.d/address-filter.conf
 
 outside() {
   if [ "$(id -u)" -ne 0 ]; then
@@ -95,6 +96,7 @@ installed() {
   holds "the simulator" quietly celld-sim --help
   holds "the first configuration is sound" quietly celld check /etc/celld/cell.yaml
   holds "the examples are sound" quietly celld check /usr/share/celld/examples/{cell,sim}.yaml
+  holds "the address filter is that of the configuration" /usr/lib/celld/address-filter check
   # What set-up makes is what systemd-sysusers and systemd-tmpfiles would make.
   if command -v systemd-tmpfiles >/dev/null; then
     stat -c '%a %U:%G %n' /var/lib/celld /var/lib/celld/* /var/lib/celld/jobs/* >/tmp/before
@@ -123,6 +125,10 @@ shared() {
 # The daemon as the unit starts it, against the simulator.
 running() {
   sed -i "s/127\.0\.0\.2/$ADDRESS/" /etc/celld/cell.yaml
+  holds "an address that changed is noticed" not /usr/lib/celld/address-filter check
+  holds "and let in" /usr/lib/celld/address-filter write
+  holds "by number" says "IPAddressAllow=$ADDRESS" "$FILTER"
+  holds "as it should be" /usr/lib/celld/address-filter check
   sed "s/127\.0\.0\.2/$ADDRESS/" /usr/share/celld/examples/sim.yaml >/tmp/sim.yaml
   celld sim --config /tmp/sim.yaml >/tmp/sim.log 2>&1 &
   (cd /var/lib/celld && umask 0027 && exec setpriv --reuid=celld --regid=celld --init-groups \
@@ -156,6 +162,7 @@ removed() {
   holds "removed, the configuration stays" test -e /etc/celld/cell.yaml
   dpkg --purge celld >/tmp/purge.log 2>&1
   holds "purged, it is gone" test ! -e /etc/celld
+  holds "and so is the address filter" test ! -e "$FILTER"
   holds "the journal stays" test -e /var/lib/celld/history.sqlite
   holds "and is named" says "/var/lib/celld stays" /tmp/purge.log
   holds "installed again" install_it
