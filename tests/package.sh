@@ -24,8 +24,8 @@ outside() {
 }
 
 layered() {
-  local top
   top=$(mktemp -d)
+  trap 'cd /; umount -R --lazy "$top" 2>/dev/null || true; rmdir "$top"' EXIT
   mount -t tmpfs -o mode=755 tmpfs "$top"
   mkdir "$top/upper" "$top/work" "$top/root"
   mount -t overlay overlay -o "lowerdir=/,upperdir=$top/upper,workdir=$top/work" "$top/root"
@@ -36,12 +36,7 @@ layered() {
   mount -t tmpfs -o mode=1777 tmpfs tmp
   cp "$1" tmp/celld.deb
   cp "$0" tmp/package.sh
-  trap 'rmdir "$top" 2>/dev/null || true' EXIT
-  local code=0
-  chroot . /bin/bash /tmp/package.sh inside "$2" || code=$?
-  cd /
-  umount -R --lazy "$top"
-  exit "$code"
+  chroot . /bin/bash /tmp/package.sh inside "$2"
 }
 
 holds() {
