@@ -221,7 +221,7 @@ async fn daemon(
     }
     shell.see_with(perception_setup(&config, &measured, &arm, diagnostic_images)?);
     shell.commission(model, config.arm_at_start);
-    let pictures = LastPicture::default();
+    let pictures = LastPicture::new(Some(measured.camera.clone()));
     let keeper = keeper.with(pictures.clone(), &config_file, identities, shell.heard());
     shell.keep_in(Box::new(keeper), Box::new(orders));
     tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
@@ -254,7 +254,8 @@ fn perception_setup(
     Ok(PerceptionSetup { camera: Box::new(camera), sight, diagnostic_images: Some(diagnostic_images) })
 }
 
-/// The recording, the last picture, the line for the service manager; sentences go into the log (`daemon/shell`).
+/// The recording, the last picture, the line for the service manager; sentences go into the log
+/// (`daemon/shell`).
 struct Lines {
     recorder: Option<Recorder>,
     pictures: LastPicture,

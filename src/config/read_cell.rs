@@ -141,7 +141,6 @@ fn parts(
     let calibration = fields.required("calibration", d).and_then(|at| calibration::files(d, &at, folder));
     let (joint_range, limits) = fields.required("limits", d).map_or((None, None), |at| limits(d, &at));
     let settle = if fields.optional("simulation").is_some() { SIMULATED_SETTLE_S } else { SETTLE_S };
-    let refuse = ForeignRule::Refuse { depth_needed: false };
     CellParts {
         devices,
         table,
@@ -168,12 +167,15 @@ fn parts(
         simulation: optional(d, fields, "simulation", None, |d, at| simulation(d, at).map(Some)),
         recording: optional(d, fields, "recording", None, |d, at| recording(d, at, folder).map(Some)),
         ignore_markers: optional(d, fields, "ignore_markers", Vec::new(), |d, at| list(d, at, marker_number)),
-        foreign: optional(d, fields, "foreign", refuse, foreign),
+        foreign: optional(d, fields, "foreign", REFUSE, foreign),
         equipment: optional(d, fields, "cell", Equipment::default(), equipment),
         history: optional(d, fields, "history", HistoryLimits::YEAR, history),
         goal_folder: optional(d, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder)),
     }
 }
+
+/// What is done about foreign things unless the configuration says otherwise.
+const REFUSE: ForeignRule = ForeignRule::Refuse { depth_needed: false };
 
 fn arm_lapse(decoder: &mut Decoder, at: &At) -> Option<f64> {
     decoder.number_in(at, 10.0..=86_400.0, "s")

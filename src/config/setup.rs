@@ -416,9 +416,7 @@ pub fn scene(config: &CellConfig, measured: &Measured) -> Result<Scene, HeightMa
             Some(ForeignSearch::new(&camera, inventory(config, own), ForeignLimits::default())?)
         }
     };
-    let (reference, limits) = (reference_markers(config), ObserveLimits::default());
-    let drift = drift_limits(config);
-    Ok(Scene { camera, objects, reference, limits, foreign, drift })
+    Ok(Scene { objects, ..movable_scene(config, camera, foreign) })
 }
 
 /// What perception looks for in a picture of the table alone: what can move; `foreign` where there is depth.

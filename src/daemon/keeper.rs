@@ -4,6 +4,7 @@
 //! In: a state folder whose lock this process holds, and the configuration. Out: what
 //! [`crate::daemon::store`] requests; what is committed is on disk when the call returns.
 
+mod drawn;
 mod status_file;
 
 use crate::cell::code::{Code, JobStatus};
@@ -30,7 +31,6 @@ use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status;
 use cell_edge::clock::unix_now_s;
-use cell_edge::files::write_whole;
 use cell_values::time::{Duration, Timestamp};
 use rearrange::document::chain::chain;
 use rearrange::planning::plan::ActionKind;
@@ -129,7 +129,7 @@ impl StateKeeper {
             daemon,
             started_unix_s,
             active: None,
-            pictures: LastPicture::default(),
+            pictures: LastPicture::new(None),
             config_file: String::new(),
             plan: None,
             undrawn: false,
@@ -218,29 +218,6 @@ impl StateKeeper {
         })
     }
 
-    /// Puts what is planned into the active job's folder; a disk that does not take it keeps nothing back.
-    fn draw_plan(&mut self) {
-        if !std::mem::take(&mut self.undrawn) {
-            return;
-        }
-        let (Some((id, _)), Some(plan)) = (&self.active, &self.plan) else { return };
-        let Ok(Some(folder)) = self.spool.folder_now(&self.journal, id) else { return };
-        if let Err(error) = plan_files::write(&folder, id, plan, &self.config) {
-            tracing::warn!(id, %error, "the plan could not be written into the job's folder");
-        }
-        if !plan.preview {
-            self.leave_picture(&folder.join("plan.jpg"));
-        }
-    }
-
-    /// A picture is no reason to hold anything up.
-    fn leave_picture(&self, path: &Path) {
-        let Some(jpeg) = self.pictures.jpeg().filter(|_| self.disk.takes_pictures()) else { return };
-        if let Err(error) = write_whole(path, &jpeg) {
-            tracing::warn!(%error, "a picture could not be written into the job's folder");
-        }
-    }
-
     fn is_active(&self, id: &str) -> bool {
         self.active.as_ref().is_some_and(|(active, _)| active == id)
     }
@@ -302,7 +279,7 @@ impl StateKeeper {
             self.journal.start(&job.id, unix_now_s())?;
             match self.order(&job) {
                 Ok(order) => {
-                    self.pictures.forget();
+                    self.pictures.job_begins();
                     self.plan.clone_from(&job.plan);
                     self.active = Some((job.id, None));
                     self.reconcile();
@@ -356,7 +333,7 @@ impl StateKeeper {
             self.journal.finish(&report.id, &result_of(report), unix_now_s())?;
             self.draw_plan();
             if let Ok(Some(folder)) = self.spool.folder_now(&self.journal, &report.id) {
-                self.leave_picture(&folder.join("end.jpg"));
+                self.leave_picture(self.pictures.of_job(&[]), &folder.join("end.jpg"));
             }
             (self.active, self.plan) = (None, None);
             self.reconcile();

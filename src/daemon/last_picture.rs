@@ -1,42 +1,80 @@
 //! The picture that the camera gave last, for the folders of jobs.
 //!
-//! In: pictures from the loop, as they are shown. Out: the last of them as JPEG with the markers that were
-//! found in it, on the thread that keeps the folders: encoding takes longer than the loop may stop.
+//! In: pictures from the loop, as they are shown, the lens, moves of a plan. Out: the last picture as JPEG
+//! with the markers that were found in it and the moves drawn over it, on the thread that keeps the folders:
+//! encoding takes longer than the loop may stop.
 
 use crate::daemon::messages::Displayed;
 use cell_values::image::Image;
 use cell_vision::annotate::draw_detections;
+use cell_vision::annotate::moves::{DrawnMove, draw_moves};
+use cell_vision::camera::CameraModel;
 use cell_vision::detect::Detection;
+use nalgebra::Isometry3;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Of JPEG: markers stay legible, a picture takes some 100 KB.
 const QUALITY: u8 = 85;
 
-/// A picture and the markers that were found in it.
-type Found = (Image, Vec<Detection>);
+/// A picture, what was found in it and where it was taken from.
+#[derive(Clone)]
+struct Kept {
+    image: Image,
+    found: Vec<Detection>,
+    table_from_camera: Option<Isometry3<f64>>,
+    /// Taken for the job under way.
+    of_this_job: bool,
+}
 
 /// The last picture. See the module.
-#[derive(Clone, Default)]
-pub struct LastPicture(Arc<Mutex<Option<Found>>>);
+#[derive(Clone)]
+pub struct LastPicture {
+    kept: Arc<Mutex<Option<Kept>>>,
+    lens: Option<CameraModel>,
+}
 
 impl LastPicture {
+    /// No picture yet; without a lens nothing can be drawn at its place on the table.
+    pub fn new(lens: Option<CameraModel>) -> LastPicture {
+        LastPicture { kept: Arc::default(), lens }
+    }
+
     /// Keeps a picture; whatever else is shown is passed over.
     pub fn keep(&self, displayed: &Displayed) {
         if let Displayed::Picture { image, views } = displayed {
             let found = views.iter().flat_map(|view| view.detections.iter().cloned()).collect();
-            *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some((image.clone(), found));
+            let table_from_camera = views.last().map(|view| view.table_from_camera);
+            let kept = Kept { image: image.clone(), found, table_from_camera, of_this_job: true };
+            *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some(kept);
         }
     }
 
     /// A job begins: what was seen before is none of it.
-    pub fn forget(&self) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    pub fn job_begins(&self) {
+        if let Some(kept) = &mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner) {
+            kept.of_this_job = false;
+        }
     }
 
-    /// The bytes of a JPEG file; `None` before there is a picture.
-    pub fn jpeg(&self) -> Option<Vec<u8>> {
-        let (mut image, found) = self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()?;
+    /// The bytes of a JPEG file; `None` before the job has a picture.
+    pub fn of_job(&self, moves: &[DrawnMove]) -> Option<Vec<u8>> {
+        self.drawn(moves, |kept| kept.of_this_job)
+    }
+
+    /// The same of the last picture there is, for a preview.
+    pub fn of_any(&self, moves: &[DrawnMove]) -> Option<Vec<u8>> {
+        self.drawn(moves, |_| true)
+    }
+
+    fn drawn(&self, moves: &[DrawnMove], wanted: impl FnOnce(&Kept) -> bool) -> Option<Vec<u8>> {
+        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone().filter(wanted)?;
+        let Kept { mut image, found, table_from_camera, .. } = kept;
         draw_detections(&mut image, &found);
+        if let (Some(lens), Some(from)) = (&self.lens, table_from_camera)
+            && let Err(error) = draw_moves(&mut image, moves, lens, &from)
+        {
+            tracing::warn!(%error, "the moves could not be drawn on the picture");
+        }
         image.encode_jpeg(QUALITY).ok()
     }
 }
@@ -46,15 +84,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_job_gets_no_picture_of_the_one_before() {
-        let last = LastPicture::default();
-        assert_eq!(last.jpeg(), None);
+    fn a_job_gets_no_picture_of_the_one_before_and_a_preview_does() {
+        let last = LastPicture::new(None);
+        assert_eq!((last.of_job(&[]), last.of_any(&[])), (None, None));
         let image = Image::filled(64, 48, [200, 30, 10]);
         last.keep(&Displayed::Picture { image, views: Vec::new() });
-        let shown = Image::decode(&last.jpeg().expect("a picture")).expect("a JPEG file");
+        let shown = Image::decode(&last.of_job(&[]).expect("a picture")).expect("a JPEG file");
         assert_eq!((shown.width, shown.height), (64, 48));
         assert!(shown.pixel(30, 20).is_some_and(|[red, _, blue]| red > 180 && blue < 40));
-        last.forget();
-        assert_eq!(last.jpeg(), None);
+        last.job_begins();
+        assert!(last.of_job(&[]).is_none() && last.of_any(&[]).is_some());
     }
 }

@@ -10,10 +10,14 @@ use crate::jobs::record::{GoalPose, PlanRecord, PlanStep, StepKind};
 use crate::jobs::utc;
 use crate::report::route_svg::{DrawnMove, DrawnPlan};
 use cell_edge::files::{FileError, write_whole};
+use cell_vision::annotate::moves;
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::Workspace;
 use serde_json::json;
 use std::path::Path;
+
+/// Corners of a curve as it is drawn, at the least.
+const OUTLINE_CORNERS: usize = 32;
 
 /// Poses by name as the journal has them.
 pub fn poses(pairs: &[(String, Pose2)]) -> Vec<GoalPose> {
@@ -42,6 +46,22 @@ pub fn record_of(note: &PlanNote, unix_s: f64) -> PlanRecord {
 pub fn action_of(step: &PlanStep) -> RouteAction {
     let PlanStep { object, from, to, kind } = step;
     RouteAction { object: object.clone(), from: *from, to: *to, to_goal: *kind == StepKind::Goal }
+}
+
+/// The moves of a plan with the outlines of their objects, for the picture; objects that the cell no longer
+/// knows are left out.
+pub fn drawn_moves(plan: &PlanRecord, cell: &CellConfig) -> Vec<moves::DrawnMove> {
+    let drawn = |(index, step): (usize, &PlanStep)| {
+        let object = cell.objects.iter().find(|object| object.id == step.object)?;
+        Some(moves::DrawnMove {
+            number: index + 1,
+            from: step.from,
+            to: step.to,
+            height_m: object.height.unwrap_or(0.0),
+            outline: object.footprint.outline(OUTLINE_CORNERS),
+        })
+    };
+    plan.steps.iter().enumerate().filter_map(drawn).collect()
 }
 
 /// Writes `plan.json` and `plan.svg` into a job's folder.

@@ -48,7 +48,8 @@ impl RecordingsFolder {
     pub fn next(&self, unix_s: f64) -> PathBuf {
         let stem = format!("run-{}", utc::text(unix_s).replace(':', ""));
         let names = std::iter::once(format!("{stem}.mcap"));
-        let mut names = names.chain((2..).map(|number| format!("{stem}-{number}.mcap")));
+        // An underscore comes after a dot: the order of names stays that of age.
+        let mut names = names.chain((2..).map(|number| format!("{stem}_{number:03}.mcap")));
         let free = names.find(|name| !self.folder.join(name).exists());
         self.folder.join(free.unwrap_or_default())
     }
@@ -156,7 +157,7 @@ mod tests {
         let first = folder.next(0.0);
         std::fs::write(&first, [0; 2]).unwrap();
         let second = folder.next(0.0);
-        assert!(first != second && first < second.with_extension("z"), "{second:?}");
+        assert!(first < second, "{second:?}");
         assert!(folder.is_full(&first) && !folder.is_full(&second));
     }
 }

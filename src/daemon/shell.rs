@@ -7,6 +7,8 @@
 //! `celld demo` and `celld calibrate` are composed from the same calls: [`Shell::open`],
 //! [`Shell::identify`], [`Shell::commission`], [`Shell::round`], [`Shell::run`].
 
+mod start;
+
 use crate::calibration::visit::{Samples, Stop};
 use crate::cell::device::robot_types::RobotState;
 use crate::cell::event::{Arm, Effect, Event, News};
@@ -88,35 +90,12 @@ pub enum StartError {
 /// Things that may wait for the loop: at 50 readings a second, seconds' worth.
 const QUEUE: usize = 256;
 
-/// For the controller to say which arm it moves.
-const IDENTIFY_WITHIN: Duration = Duration::from_secs(30);
-
-/// For the first word about a robot that is awaited, and for the same word again.
-const SPEAK_AFTER: Duration = Duration::from_secs(3);
-const SPEAK_AGAIN: Duration = Duration::from_secs(60);
-
 /// For the program to end after a round.
 const END_WITHIN: Duration = Duration::from_secs(10);
 
 /// How long the state folder may take to write what is left at the end.
 const CLOSE_WITHIN: Duration = Duration::from_secs(15);
 const CLOSE_SILENT_WITHIN: Duration = Duration::from_secs(1);
-
-/// What was said last of a robot that is awaited.
-#[derive(Default)]
-struct Said {
-    last: Option<(Timestamp, String)>,
-}
-
-impl Said {
-    fn line(&mut self, now: Timestamp, missing: &str, say: &mut dyn FnMut(&str)) {
-        let same = |(at, text): &(Timestamp, String)| text == missing && now.since(*at) < SPEAK_AGAIN;
-        if !self.last.as_ref().is_some_and(same) {
-            say(missing);
-            self.last = Some((now, missing.to_string()));
-        }
-    }
-}
 
 /// A turn of the loop takes milliseconds.
 const EVERY_TURN_WITHIN: std::time::Duration = std::time::Duration::from_secs(5);
@@ -249,47 +228,6 @@ impl Shell {
         self.machine.missing()
     }
 
-    /// Waits until the controller has said which arm it moves.
-    ///
-    /// # Errors
-    /// It has not within 30 s, or `stop` was raised.
-    pub async fn identify(&mut self, stop: &dyn Fn() -> bool) -> Result<Arm, StartError> {
-        let began = self.now();
-        loop {
-            self.turn(&mut NoObserver).await;
-            if let Some(arm) = self.outcome.arm.take() {
-                return Ok(arm);
-            }
-            self.guard(began, IDENTIFY_WITHIN, "the robot did not answer on all its ports", stop)?;
-        }
-    }
-
-    /// Waits as long as it takes until the controller has said which arm it moves, and says what is missing
-    /// when that changes, and again every minute.
-    ///
-    /// # Errors
-    /// `stop` was raised.
-    pub async fn wait_for_robot(
-        &mut self,
-        stop: &dyn Fn() -> bool,
-        say: &mut dyn FnMut(&str),
-    ) -> Result<Arm, StartError> {
-        let (began, mut said) = (self.now(), Said::default());
-        loop {
-            self.turn(&mut NoObserver).await;
-            if let Some(arm) = self.outcome.arm.take() {
-                return Ok(arm);
-            }
-            if stop() {
-                return Err(StartError::Stopped);
-            }
-            // A robot that is there answers within this time.
-            if self.now().since(began) >= SPEAK_AFTER {
-                said.line(self.now(), &self.machine.missing().join("; "), say);
-            }
-        }
-    }
-
     /// One turn for a caller that only watches the robot.
     pub async fn listen(&mut self) {
         self.turn(&mut NoObserver).await;
@@ -381,24 +319,6 @@ impl Shell {
                 _ = self.messages.recv() => {}
             }
         }
-    }
-
-    fn guard(
-        &self,
-        since: Timestamp,
-        within: Duration,
-        what: &str,
-        stop: &dyn Fn() -> bool,
-    ) -> Result<(), StartError> {
-        if stop() {
-            return Err(StartError::Stopped);
-        }
-        if self.now().since(since) <= within {
-            return Ok(());
-        }
-        let links = self.machine.missing();
-        let links = if links.is_empty() { "all links are up".to_string() } else { links.join("; ") };
-        Err(StartError::Deadline { what: what.to_string(), seconds: within.as_secs(), links })
     }
 
     /// Waits for the first thing to happen, takes in everything that has, and carries out what comes of it.

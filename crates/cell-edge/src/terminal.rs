@@ -81,7 +81,8 @@ fn names(stream: &str, device: u64, inode: u64) -> bool {
     stream.split_once(':').is_some_and(|(d, i)| d.parse() == Ok(device) && i.parse() == Ok(inode))
 }
 
-/// Logs go to stderr, each line with its date, or into systemd's journal where stderr does; `CELLD_LOG` chooses what (`warn`, `celld::daemon=debug`, ...)
+/// Logs go to stderr, each line with its date, or into systemd's journal where stderr does; `CELLD_LOG`
+/// chooses what (`warn`, `celld::daemon=debug`, ...)
 /// in place of `usual`. A `CELLD_LOG` that cannot be read counts as none, and that is reported.
 pub fn start_log(usual: &str) {
     let wanted = std::env::var("CELLD_LOG").ok().filter(|wanted| !wanted.is_empty());

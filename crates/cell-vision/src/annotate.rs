@@ -6,6 +6,7 @@
 //! not cover its object shows a wrong calibration at once. Pure; a small line and letter rasteriser of its
 //! own (`raster`).
 
+pub mod moves;
 pub mod raster;
 
 use crate::camera::CameraModel;
