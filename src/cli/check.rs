@@ -10,7 +10,7 @@ use crate::cell::orders::Approval;
 use crate::cli::task::outln;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::jobs::goal::parse_goal_file;
+use crate::jobs::goal::{find_goal_file, parse_goal_file};
 use crate::jobs::job_file::{JobContext, read_job};
 use cell_parts::file::read_text;
 use clap::{Args, ValueEnum};
@@ -139,7 +139,8 @@ fn check_as(kind: Kind, path: &Path, text: &str, source: &str, with: With) -> Re
         Kind::Sim => load_sim(path).map(drop).map_err(|error| error.to_string()),
         Kind::Calibration => check_calibration(text, source),
         Kind::Job => {
-            let read_goal = |name: &str| read_text(&beside(path, name));
+            let goals = with.cell.map(|cell| cell.goal_folder.as_path());
+            let read_goal = |name: &str| find_goal_file(&folder_of(path), goals, name);
             let approval = with.cell.map_or(Approval::Never, |cell| cell.approval);
             let context = JobContext { goal, approval, read_goal: &read_goal, found: None };
             read_job(text, source, &context).map(drop).map_err(reported)
@@ -178,9 +179,9 @@ fn check_calibration(text: &str, source: &str) -> Result<(), String> {
     }
 }
 
-/// `name` relative to the folder of `path`.
-pub fn beside(path: &Path, name: &str) -> PathBuf {
-    path.parent().unwrap_or(Path::new("")).join(name)
+/// The folder of a file.
+pub fn folder_of(path: &Path) -> PathBuf {
+    path.parent().unwrap_or(Path::new("")).to_path_buf()
 }
 
 /// The `shapes` folder beside the `instances` folder that holds `path`, as in the public data.

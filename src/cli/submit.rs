@@ -7,9 +7,11 @@
 //! when done), 1 when the job did not succeed, 2 when it is wrong or refused.
 
 use crate::cell::code::JobStatus;
-use crate::cli::check::beside;
+use crate::cli::check::folder_of;
 use crate::cli::client::{StateArg, complain};
 use crate::cli::task::outln;
+use crate::config::load::load_cell;
+use crate::jobs::goal::find_goal_file;
 use crate::jobs::record::{JobRecord, JobState};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{STARTING, Status};
@@ -17,7 +19,7 @@ use crate::jobs::submit::{Found, Handed, hand_in, look, prepare};
 use cell_edge::clock::unix_now_s;
 use cell_parts::file::read_text;
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// How often the journal is read for the state of the job.
@@ -35,6 +37,9 @@ pub struct SubmitArgs {
     /// Wait until the job has ended, and exit with 1 unless it is done.
     #[arg(long)]
     wait: bool,
+    /// The cell whose goal folder `goal: {file: ...}` may name [default: that of the daemon's configuration]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
     #[command(flatten)]
     state: StateArg,
 }
@@ -43,7 +48,15 @@ pub struct SubmitArgs {
 pub fn submit(args: &SubmitArgs) -> u8 {
     let source = args.job.display().to_string();
     let read = read_text(&args.job).map_err(|reason| format!("{source}: {reason}"));
-    let read_goal = |name: &str| read_text(&beside(&args.job, name));
+    let state = args.state.folder();
+    let goals = match goal_folder(args.config.as_deref(), &state) {
+        Ok(goals) => goals,
+        Err(message) => {
+            cell_edge::terminal::complain(&message);
+            return 2;
+        }
+    };
+    let read_goal = |name: &str| find_goal_file(&folder_of(&args.job), goals.as_deref(), name);
     let prepared = read.and_then(|text| prepare(&text, &source, &read_goal));
     let (job, text) = match prepared {
         Ok(prepared) => prepared,
@@ -52,7 +65,6 @@ pub fn submit(args: &SubmitArgs) -> u8 {
             return 2;
         }
     };
-    let state = args.state.folder();
     match hand_in(&state, &args.job, &job, &text, unix_now_s()) {
         Err(error) => complain(&error.into()),
         Ok(handed) => {
@@ -60,6 +72,17 @@ pub fn submit(args: &SubmitArgs) -> u8 {
             if args.wait { follow(&state, &handed) } else { verdict(&state, &handed) }
         }
     }
+}
+
+/// The goal folder of the cell: of the configuration that was named, else of the one that the daemon on this
+/// state folder had last; `None` where no cell is known.
+fn goal_folder(config: Option<&Path>, state: &StateFolder) -> Result<Option<PathBuf>, String> {
+    if let Some(config) = config {
+        return load_cell(config).map(|cell| Some(cell.goal_folder)).map_err(|error| error.to_string());
+    }
+    let status = Status::read(&state.status()).ok().flatten();
+    let config = status.map(|status| status.config).filter(|config| !config.is_empty());
+    Ok(config.and_then(|config| load_cell(Path::new(&config)).ok()).map(|cell| cell.goal_folder))
 }
 
 /// Waits until a daemon that runs has taken the job up or refused it; one that does not run finds it later.
@@ -163,12 +186,18 @@ mod tests {
         let job = folder.path().join("job.yaml");
         std::fs::write(&job, "version: 1\n").unwrap();
         let state = StateArg { state: Some(folder.path().join("state")) };
-        assert_eq!(submit(&SubmitArgs { job: job.clone(), wait: false, state: state.clone() }), 2);
+        assert_eq!(
+            submit(&SubmitArgs { job: job.clone(), wait: false, config: None, state: state.clone() }),
+            2
+        );
         assert!(!state.folder().incoming().exists());
         std::fs::write(&job, "version: 1\ngoal: {file: goal.yaml}\n").unwrap();
-        assert_eq!(submit(&SubmitArgs { job: job.clone(), wait: false, state: state.clone() }), 2);
+        assert_eq!(
+            submit(&SubmitArgs { job: job.clone(), wait: false, config: None, state: state.clone() }),
+            2
+        );
         std::fs::write(folder.path().join("goal.yaml"), "objects:\n  - {id: a, pose: [0, 0, 0]}\n").unwrap();
-        assert_eq!(submit(&SubmitArgs { job, wait: false, state: state.clone() }), 0);
+        assert_eq!(submit(&SubmitArgs { job, wait: false, config: None, state: state.clone() }), 0);
         assert_eq!(std::fs::read_dir(state.folder().incoming()).unwrap().count(), 1);
     }
 

@@ -136,6 +136,40 @@ pub fn read_goal_file(folder: &Path, name: &str) -> Result<String, String> {
     read_regular(&folder.join(name), MAX_FILE_BYTES).map(|(text, _)| text).map_err(|error| error.reason())
 }
 
+/// Text of the goal file `name` as commands find it: beside the job's file, or in the cell's goal folder
+/// where one is known, which is where the daemon looks for jobs that are dropped into `incoming`. One rule
+/// for all: of two files that differ, none is taken.
+///
+/// # Errors
+/// Why it cannot be had.
+pub fn find_goal_file(beside: &Path, goal_folder: Option<&Path>, name: &str) -> Result<String, String> {
+    let folder = goal_folder.filter(|folder| !is_same(folder, beside));
+    let found = [Some(beside), folder].map(|folder| folder.map(|folder| read_goal_file(folder, name)));
+    match found {
+        [Some(Ok(one)), Some(Ok(other))] if one != other => Err(format!(
+            "it lies beside the job ({}) and in the goal folder ({}), and the two differ; give one another name",
+            beside.join(name).display(),
+            folder.unwrap_or(beside).join(name).display()
+        )),
+        [Some(Ok(text)), _] | [_, Some(Ok(text))] => Ok(text),
+        [Some(Err(near)), Some(Err(far))] => {
+            let folder = folder.unwrap_or(beside).display();
+            Err(format!("beside the job: {near}; in the goal folder {folder}: {far}"))
+        }
+        [Some(Err(reason)), None] | [None, Some(Err(reason))] => Err(reason),
+        [None, None] => Err("no folder is known".to_owned()),
+    }
+}
+
+/// Both name the same folder.
+fn is_same(one: &Path, other: &Path) -> bool {
+    let real = |path: &Path| match path.as_os_str().is_empty() {
+        true => Path::new(".").canonicalize(),
+        false => path.canonicalize(),
+    };
+    matches!((real(one), real(other)), (Ok(one), Ok(other)) if one == other)
+}
+
 /// True for a path that leads to a file in the folder it is joined to, or below it.
 pub(crate) fn stays_below(path: &str) -> bool {
     let mut named = false;
@@ -395,6 +429,29 @@ mod tests {
             twice.contains("3:5: objects[1]: object \"plank-1\" has a goal already, at line 2"),
             "{twice}"
         );
+    }
+
+    #[test]
+    fn a_goal_lies_beside_its_job_or_in_the_goal_folder_and_two_that_differ_are_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let (near, far) = (folder.path().join("jobs"), folder.path().join("goals"));
+        for path in [&near, &far] {
+            std::fs::create_dir(path).unwrap();
+        }
+        let find = |name: &str| find_goal_file(&near, Some(&far), name);
+        std::fs::write(near.join("near.yaml"), "near").unwrap();
+        std::fs::write(far.join("far.yaml"), "far").unwrap();
+        assert_eq!((find("near.yaml").as_deref(), find("far.yaml").as_deref()), (Ok("near"), Ok("far")));
+        let absent = find("none.yaml").unwrap_err();
+        assert!(absent.contains("beside the job: ") && absent.contains("goals"), "{absent}");
+        for (text, taken) in [("same", true), ("other", false)] {
+            std::fs::write(near.join("both.yaml"), "same").unwrap();
+            std::fs::write(far.join("both.yaml"), text).unwrap();
+            assert_eq!(find("both.yaml").is_ok(), taken, "{:?}", find("both.yaml"));
+        }
+        assert!(find("both.yaml").unwrap_err().contains("the two differ"));
+        assert_eq!(find_goal_file(&near, None, "near.yaml").as_deref(), Ok("near"));
+        assert_eq!(find_goal_file(&near, Some(&near), "near.yaml").as_deref(), Ok("near"));
     }
 
     #[test]

@@ -108,7 +108,9 @@ fn decode_file(
         Err(reason) => {
             let help = match context.goal.is_some() {
                 true => "name a file of the cell's goal_folder",
-                false => "name a file relative to the goal folder (here: the job file's own)",
+                false => {
+                    "name a file beside the job or in the cell's goal_folder (`--config` names the cell)"
+                }
             };
             decoder.complain_at(at, format!("{path}: {reason}"), help);
             return None;

@@ -1,7 +1,24 @@
 //! Two daemons, each with a state folder of its own, on one robot: the second finds the mark of the first in
-//! the robot's registers, says who is there, and neither arms nor disturbs it.
+//! the robot's registers, says who is there, and neither arms nor disturbs it. `celld watch` prints what the
+//! first does meanwhile.
 
-use crate::cell::{LOG, celld, configuration, copy_calibration, start_daemon, start_sim, text, wait_until};
+use crate::cell::{
+    CELLD, LOG, Running, celld, configuration, copy_calibration, start_daemon, start_sim, text, wait_until,
+};
+use std::path::Path;
+use std::process::Command;
+
+/// `celld watch` on the daemon of this folder.
+fn watch(folder: &Path) -> Running {
+    let lines = std::fs::File::create(folder.join("watched.txt")).expect("a file");
+    Running(
+        Command::new(CELLD).arg("watch").current_dir(folder).stdout(lines).spawn().expect("the binary runs"),
+    )
+}
+
+fn watched(folder: &Path) -> String {
+    std::fs::read_to_string(folder.join("watched.txt")).expect("its lines")
+}
 
 #[test]
 fn cell_second_daemon_on_one_robot_names_the_first_and_leaves_it_alone() {
@@ -10,6 +27,7 @@ fn cell_second_daemon_on_one_robot_names_the_first_and_leaves_it_alone() {
     copy_calibration(folder.path());
     let _sim = start_sim(&sim);
     let first = start_daemon(folder.path(), &cell);
+    let _watch = watch(folder.path());
     wait_until("the first is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));
 
     let other = folder.path().join("other");
@@ -29,6 +47,10 @@ fn cell_second_daemon_on_one_robot_names_the_first_and_leaves_it_alone() {
     wait_until("the first works on", || done().is_some());
 
     drop(first);
+    wait_until("who watches sees its end", || watched(folder.path()).contains("the daemon has ended"));
+    for change in ["ARMED: the arm may move", "job one is taken up", "job one has ended"] {
+        assert!(watched(folder.path()).contains(change), "{change}: {}", watched(folder.path()));
+    }
     // The cell of the second is complete once the registers are free: it takes orders then.
     wait_until("the second takes over once the first is gone", || {
         status().contains("robot at 127.7.6.9: ready")
