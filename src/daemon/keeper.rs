@@ -330,7 +330,8 @@ impl StateKeeper {
 
     fn write(&mut self, record: &Record) -> Result<(), JournalError> {
         if let Record::Ended(report) = record {
-            self.journal.finish(&report.id, &result_of(report), unix_now_s())?;
+            let now = unix_now_s();
+            self.journal.finish(&report.id, &result_of(report, now), now)?;
             self.draw_plan();
             if let Ok(Some(folder)) = self.spool.folder_now(&self.journal, &report.id) {
                 self.leave_picture(self.pictures.of_job(&[]), &folder.join("end.jpg"));
@@ -409,7 +410,7 @@ fn found_by(journal: &Path, id: &str) -> Result<Vec<GoalPose>, String> {
 }
 
 /// A report as the journal keeps it.
-fn result_of(report: &JobReport) -> JobResult {
+fn result_of(report: &JobReport, unix_s: f64) -> JobResult {
     JobResult {
         id: report.id.clone(),
         status: report.end,
@@ -423,7 +424,10 @@ fn result_of(report: &JobReport) -> JobResult {
         objects: report
             .objects
             .iter()
-            .map(|object| ObjectResult::new(object.id.clone(), object.goal, object.measured))
+            .map(|object| {
+                let measured = object.measured.map(|(pose, age)| (pose, unix_s - age.as_secs_f64()));
+                ObjectResult::new(object.id.clone(), object.goal, measured)
+            })
             .collect(),
     }
 }

@@ -355,8 +355,11 @@ pub struct ObjectResult {
     pub id: String,
     /// Wanted pose.
     pub goal: Option<Pose2>,
-    /// Last measured pose.
+    /// Last measured pose; none where it was gripped since.
     pub measured: Option<Pose2>,
+    /// When it was measured, s since 1970.
+    #[serde(default)]
+    pub measured_unix_s: Option<f64>,
     /// Distance between the two, mm.
     pub error_mm: Option<f64>,
     /// Angle between the two, degrees.
@@ -364,13 +367,15 @@ pub struct ObjectResult {
 }
 
 impl ObjectResult {
-    /// Compares a wanted with a measured pose.
-    pub fn new(id: impl Into<String>, goal: Option<Pose2>, measured: Option<Pose2>) -> ObjectResult {
+    /// Compares a wanted with a measured pose; with it, when it was measured, s since 1970.
+    pub fn new(id: impl Into<String>, goal: Option<Pose2>, measured: Option<(Pose2, f64)>) -> ObjectResult {
+        let (measured, measured_unix_s) = measured.unzip();
         let both = goal.zip(measured);
         ObjectResult {
             id: id.into(),
             goal,
             measured,
+            measured_unix_s,
             error_mm: both.map(|(goal, measured)| goal.distance(&measured) * 1e3),
             error_deg: both.map(|(goal, measured)| goal.angle_difference(&measured).to_degrees()),
         }
@@ -402,10 +407,11 @@ impl JobResult {
         for object in &self.objects {
             let _ = writeln!(
                 yaml,
-                "  - {{id: {}, goal: {}, measured: {}, error_mm: {}, error_deg: {}}}",
+                "  - {{id: {}, goal: {}, measured: {}, at: {}, error_mm: {}, error_deg: {}}}",
                 quoted(&object.id),
                 pose(object.goal),
                 pose(object.measured),
+                object.measured_unix_s.map_or("null".to_owned(), |at| quoted(&utc::text(at))),
                 number(object.error_mm.map(rounded)),
                 number(object.error_deg.map(rounded))
             );
@@ -457,7 +463,7 @@ mod tests {
             seconds: 61.5,
             times: BTreeMap::from([("travel".to_string(), 40.25), ("vacuum".to_string(), 1.5)]),
             objects: vec![
-                ObjectResult::new("mug", Some(goal), Some(measured)),
+                ObjectResult::new("mug", Some(goal), Some((measured, 1_795_248_000.0))),
                 ObjectResult::new("cap", Some(goal), None),
             ],
         };
@@ -473,8 +479,8 @@ mod tests {
         seconds: 61.5
         times: {travel: 40.25, vacuum: 1.5}
         objects:
-          - {id: "mug", goal: [0.1, 0.2, 0], measured: [0.1, 0.2003, 0.01], error_mm: 0.3, error_deg: 0.573}
-          - {id: "cap", goal: [0.1, 0.2, 0], measured: null, error_mm: null, error_deg: null}
+          - {id: "mug", goal: [0.1, 0.2, 0], measured: [0.1, 0.2003, 0.01], at: "2026-11-21T08:00:00Z", error_mm: 0.3, error_deg: 0.573}
+          - {id: "cap", goal: [0.1, 0.2, 0], measured: null, at: null, error_mm: null, error_deg: null}
         "#);
     }
 

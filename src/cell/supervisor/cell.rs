@@ -443,10 +443,10 @@ impl Supervisor {
             .order
             .goals
             .iter()
-            .map(|(id, goal)| ObjectReport {
-                id: id.clone(),
-                goal: Some(*goal),
-                measured: job.last_seen.iter().find(|(seen, _)| seen == id).map(|(_, pose)| *pose),
+            .map(|(id, goal)| {
+                let seen = job.last_seen.iter().find(|seen| seen.id == *id && !seen.moved);
+                let measured = seen.map(|seen| (seen.pose, now.since(seen.at)));
+                ObjectReport { id: id.clone(), goal: Some(*goal), measured }
             })
             .collect();
         say(out, format!("job {}: {}", job.order.id, reason.message));

@@ -107,6 +107,12 @@ impl Supervisor {
         self.back.held = Some(held);
     }
 
+    /// What is gripped is not any more where it was seen last.
+    pub(crate) fn note_moved(&mut self, object: &str) {
+        let seen = self.job.iter_mut().flat_map(|job| &mut job.last_seen);
+        seen.filter(|seen| seen.id == object).for_each(|seen| seen.moved = true);
+    }
+
     /// Writes down that what was gripped last is gone from the cups; nothing waits for it.
     fn note_let_go(&mut self, out: &mut Vec<Action>) {
         self.commit(self.clock(), Record::LetGo, out);

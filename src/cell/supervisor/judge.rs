@@ -152,7 +152,7 @@ impl Supervisor {
         let seen = |id: &str| observation.objects.iter().find(|object| object.id == id);
         let goals = job.order.goals.iter().map(|(id, _)| id.as_str());
         let named = job.order.rule.iter().flat_map(GoalRule::named);
-        for id in goals.chain(named).chain(job.last_seen.iter().map(|(id, _)| id.as_str())) {
+        for id in goals.chain(named).chain(job.last_seen.iter().map(|seen| seen.id.as_str())) {
             if let Some(suspicious) = observation.suspicious.iter().find(|suspicious| suspicious.id == *id) {
                 let message = format!("{id} does not lie flat on the table: {}", suspicious.reason);
                 return Some(Code::ObjectTilted.because(message, "").of(id));

@@ -11,7 +11,7 @@ use crate::cell::supervisor::gates;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::judge::foreign_height;
 use crate::cell::supervisor::look_plan::{LookPlan, Stop};
-use crate::cell::supervisor::phase::{Glance, JobRun, Look, LookStage, Phase};
+use crate::cell::supervisor::phase::{Glance, JobRun, LastSeen, Look, LookStage, Phase};
 use crate::cell::supervisor::reason::{Reason, alarm, say};
 use crate::cell::supervisor::travel::NoTravel;
 use cell_values::time::Timestamp;
@@ -361,8 +361,9 @@ impl Supervisor {
         }
         let Some(job) = &mut self.job else { return };
         for object in &observation.objects {
-            job.last_seen.retain(|(id, _)| *id != object.id);
-            job.last_seen.push((object.id.clone(), object.pose));
+            job.last_seen.retain(|seen| seen.id != object.id);
+            let (id, pose, at) = (object.id.clone(), object.pose, object.time);
+            job.last_seen.push(LastSeen { id, pose, at, moved: false });
         }
         match fault {
             None => {

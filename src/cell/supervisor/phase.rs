@@ -213,8 +213,18 @@ pub(crate) struct JobRun {
     pub gone: Vec<(String, Pose2)>,
     /// It was said which objects of the catalogue are not seen.
     pub absent_reported: bool,
-    pub last_seen: Vec<(String, Pose2)>,
+    pub last_seen: Vec<LastSeen>,
     pub cancel: bool,
+}
+
+/// Where the camera saw an object last.
+#[derive(Clone, Debug)]
+pub(crate) struct LastSeen {
+    pub id: String,
+    pub pose: Pose2,
+    pub at: Timestamp,
+    /// It was gripped since: it is not there any more.
+    pub moved: bool,
 }
 
 impl WorkStage {

@@ -298,6 +298,8 @@ impl Supervisor {
             (WorkStage::Gripping, GripperEvent::Gripped { .. }) => {
                 work.stage = WorkStage::Carrying { segments: work.paths.carry.segments().len() };
                 let (mass, carry) = (work.held.mass, work.paths.carry.clone());
+                let object = work.object.clone();
+                self.note_moved(&object);
                 self.commit(now, Record::Gripped { step }, out);
                 self.set_payload(mass, out);
                 out.push(Action::Robot(RobotCommand::Stream(carry)));

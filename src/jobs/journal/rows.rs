@@ -72,6 +72,7 @@ pub(super) fn storable(result: &JobResult) -> JobResult {
         id: object.id.clone(),
         goal: object.goal.filter(|pose| pose.is_finite()),
         measured: object.measured.filter(|pose| pose.is_finite()),
+        measured_unix_s: finite(object.measured_unix_s),
         error_mm: finite(object.error_mm),
         error_deg: finite(object.error_deg),
     });

@@ -2,8 +2,10 @@
 
 use super::faults::{said, working};
 use super::*;
+use crate::cell::code::Code;
 use crate::cell::device::gripper_types::GripperEvent;
-use crate::cell::supervisor::model::HeldBefore;
+use crate::cell::orders::WayBack;
+use crate::cell::supervisor::model::{CutOff, HeldBefore};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::motion::pick_n_place::tool_down;
 use rearrange::geometry::collision::penetration;
@@ -510,4 +512,45 @@ fn a_place_out_of_reach_ends_the_job_with_what_to_do_about_it() {
     assert_eq!((report.code_text(), report.object.as_deref()), ("unreachable".into(), Some("a")));
     assert!(report.hint.contains("without being stretched out"), "{report:?}");
     assert_eq!(streams(&all), 0);
+}
+
+#[test]
+fn a_job_that_was_cut_off_is_a_stop_that_is_left_like_any_other() {
+    for (carrying, code, way) in
+        [(true, Code::InterruptedCarrying, "shows the ways back"), (false, Code::Interrupted, "`celld arm`")]
+    {
+        let message = "job j was cut off in step 2 (a) when celld last ended".to_string();
+        let cut_off = Some(CutOff { object: "a".into(), carrying, message });
+        let mut bench = Bench::new();
+        bench.cell = Supervisor::new(CellModel { cut_off, ..model() }, 7);
+        bench.ticks(3);
+        let status = bench.cell.status();
+        let stopped = status.stopped.expect("a stop that is still to be left");
+        assert_eq!((stopped.code, stopped.hint.contains(way)), (code, true), "{stopped:?}");
+        assert!(status.hint.contains("celld recover"), "{}", status.hint);
+        let all = bench.feed(order(Order::Recover(WayBack::Show)));
+        let said = answer(&all).expect("an answer").message;
+        assert!(said.contains("job j was cut off in step 2"), "{said}");
+    }
+}
+
+#[test]
+fn where_an_object_was_before_it_was_gripped_is_no_result() {
+    for gripped in [false, true] {
+        let mut bench = working();
+        bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+        if gripped {
+            bench.vacuum = [0.6, 0.6];
+            bench.feed(Input::Gripper(GripperEvent::Gripped { vacuum: 0.6 }));
+        }
+        let all = bench.feed(order(Order::Abort));
+        let measured = all.iter().find_map(|action| match action {
+            Action::Commit { record: Record::Ended(report), .. } => Some(report.objects[0].measured),
+            _ => None,
+        });
+        let (pose, age) =
+            (measured.expect("the job has ended").map(|m| m.0), measured.flatten().map(|m| m.1));
+        assert_eq!(pose, (!gripped).then_some(bench.at), "{all:?}");
+        assert!(gripped || age.is_some_and(|age| age > Duration::ZERO), "{age:?}");
+    }
 }
