@@ -193,6 +193,10 @@ pub struct Tolerances {
     pub observation_age_s: f64,
     /// The whole table is looked at again after so many pick-n-places.
     pub full_look_every: u32,
+    /// How often a failed grip, an incomplete look or a disturbed table is tried again.
+    pub retries: u32,
+    /// How often a job outlives a lost object or a missed heartbeat.
+    pub stop_retries: u32,
     /// How long the arm is at rest before a picture is taken, s.
     pub settle_s: f64,
     /// Largest mean residual of the reference markers in a look, m.

@@ -74,6 +74,9 @@ pub const REFERENCE_TURN_DEG: f64 = 0.15;
 /// Pick-n-places after which the whole table is looked at again, unless the file says otherwise.
 pub const FULL_LOOK_EVERY: u32 = 20;
 
+/// How often something is tried again unless the configuration says otherwise.
+pub const RETRIES: u32 = 2;
+
 /// How long the arm is at rest before a picture is taken, s, unless the file says otherwise: of a simulated
 /// arm, whose camera does not swing, two states of the robot.
 pub const SETTLE_S: f64 = 0.15;
@@ -371,6 +374,8 @@ fn tolerances(decoder: &mut Decoder, at: &At, settle_s: f64) -> Option<Tolerance
         "goal_angle_deg",
         "observation_age_s",
         "full_look_every",
+        "retries",
+        "retries_after_stop",
         "settle_s",
         "reference_residual_m",
         "reference_shift_m",
@@ -383,6 +388,9 @@ fn tolerances(decoder: &mut Decoder, at: &At, settle_s: f64) -> Option<Tolerance
     let every = optional(decoder, &fields, "full_look_every", FULL_LOOK_EVERY, |d, at| {
         d.integer(at, 1..=10_000).and_then(|count| u32::try_from(count).ok())
     });
+    let count = |decoder: &mut Decoder, at: &At| decoder.integer(at, 0..=100).map(|count| count as u32);
+    let retries = optional(decoder, &fields, "retries", RETRIES, count);
+    let after_stop = optional(decoder, &fields, "retries_after_stop", 0, count);
     let settle = optional(decoder, &fields, "settle_s", settle_s, |d, at| d.number_in(at, 0.0..=5.0, "s"));
     let residual = required_positive(decoder, &fields, "reference_residual_m", 0.1, "m");
     let shift = optional(decoder, &fields, "reference_shift_m", REFERENCE_SHIFT_M, |d, at| {
@@ -396,6 +404,8 @@ fn tolerances(decoder: &mut Decoder, at: &At, settle_s: f64) -> Option<Tolerance
         goal_angle_rad: rad_from_deg(angle?),
         observation_age_s: age?,
         full_look_every: every?,
+        retries: retries?,
+        stop_retries: after_stop?,
         settle_s: settle?,
         reference_residual_m: residual?,
         reference_shift_m: shift?,

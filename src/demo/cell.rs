@@ -13,7 +13,7 @@ use crate::config::cell::{
     Tolerances, WorkspaceConfig,
 };
 use crate::config::read_cell::{
-    ARM_LAPSE_S, FULL_LOOK_EVERY, REFERENCE_SHIFT_M, REFERENCE_TURN_DEG, SIMULATED_SETTLE_S,
+    ARM_LAPSE_S, FULL_LOOK_EVERY, REFERENCE_SHIFT_M, REFERENCE_TURN_DEG, RETRIES, SIMULATED_SETTLE_S,
 };
 use crate::config::setup::arm_model;
 use crate::demo::teach::{
@@ -178,6 +178,8 @@ fn tolerances() -> Tolerances {
         goal_angle_rad: 0.7f64.to_radians(),
         observation_age_s: 60.0,
         full_look_every: FULL_LOOK_EVERY,
+        retries: RETRIES,
+        stop_retries: 0,
         settle_s: SIMULATED_SETTLE_S,
         reference_residual_m: 0.001,
         reference_shift_m: REFERENCE_SHIFT_M,

@@ -376,3 +376,42 @@ fn what_is_lost_on_a_way_back_ends_it() {
         assert_eq!(pair.breaches(), [], "{words}");
     }
 }
+
+/// The vacuum is gone in the middle of a carry. A job that may outlive it is not ended: once a person has
+/// seen to the cups and armed the cell, it looks, plans anew and is done. One that may not is ended.
+#[test]
+fn a_job_outlives_a_lost_object_as_often_as_the_configuration_lets_it() {
+    for (retries, seed) in [(0, 1), (1, 1), (1, 2), (1, 5)] {
+        let mut stage = stage(seed, Eye::Corners).expect("a cell");
+        stage.model.tolerances.stop_retries = retries;
+        let mut pair = Pair::new(stage.clone(), Choice::of(seed)).expect("a cell");
+        assert!(bring_up(&mut pair));
+        pair.order(Order::Arm);
+        pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
+        let carries = |pair: &Pair| pair.status().is_some_and(|now| now.text().starts_with("carrying"));
+        assert!(pair.run_until(90.0, carries), "seed {seed}");
+        fault(&mut pair, r#"{"do": "vacuum.drop"}"#);
+        let disarmed = |pair: &Pair| pair.status().is_some_and(|status| !status.armed);
+        assert!(pair.run_until(10.0, disarmed), "seed {seed}");
+        pair.run_until(5.0, |_| false);
+        assert_eq!(pair.reports().len(), 1 - retries as usize, "seed {seed}");
+        let status = pair.status().expect("a status");
+        assert!(status.stopped.is_some() && pair.simulator().core().robot.controller().core.mover.stands());
+        if retries == 0 {
+            assert_eq!(pair.reports()[0].code.as_str(), "vacuum_lost");
+            continue;
+        }
+        assert!(
+            status.hint.contains("celld recover") && status.hint.contains("goes on then"),
+            "{}",
+            status.hint
+        );
+        assert!(answer(&mut pair, Order::Release(Channels::Both)).accepted, "seed {seed}");
+        let armed = answer(&mut pair, Order::Arm);
+        assert!(armed.accepted, "seed {seed}: {armed:?}");
+        assert!(pair.run_until(300.0, |pair| !pair.reports().is_empty()), "seed {seed}");
+        let report = &pair.reports()[0];
+        assert_eq!(report.code.as_str(), "done", "seed {seed}: {}", report.message);
+        assert_eq!(pair.breaches(), [], "seed {seed}");
+    }
+}

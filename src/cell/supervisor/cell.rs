@@ -298,6 +298,7 @@ impl Supervisor {
             replans: 0,
             grip_failures: 0,
             look_failures: 0,
+            stops: 0,
             doubt: None,
             gone: Vec::new(),
             absent_reported: false,

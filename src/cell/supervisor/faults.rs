@@ -191,7 +191,10 @@ impl Supervisor {
         self.note_for_the_way_back(now, &event);
         let Some(reason) = self.fault_of(outside, event) else { return };
         if self.moving() || matches!(self.phase, Phase::BringUp(_)) {
-            self.stop_all(now, JobStatus::Interrupted, reason, out);
+            match reason.code {
+                Code::HeartbeatLost => self.stop_and_keep_the_job(now, JobStatus::Interrupted, reason, out),
+                _ => self.stop_all(now, JobStatus::Interrupted, reason, out),
+            }
         } else {
             self.stand_down(now, reason, out);
         }
@@ -274,17 +277,45 @@ impl Supervisor {
         Reason { hint, ..reason }
     }
 
-    /// Stops the arm, keeps the vacuum, ends the job, disarms.
-    pub(crate) fn stop_all(&mut self, now: Timestamp, end: JobStatus, reason: Reason, out: &mut Vec<Action>) {
+    fn stop_and_disarm(&mut self, out: &mut Vec<Action>) {
         self.stop_robot(out);
         self.phase = Phase::Ready;
         self.seen = None;
         self.mode.disarm();
         self.arms_when_open = false;
+    }
+
+    /// Stops the arm, keeps the vacuum, ends the job, disarms.
+    pub(crate) fn stop_all(&mut self, now: Timestamp, end: JobStatus, reason: Reason, out: &mut Vec<Action>) {
+        self.stop_and_disarm(out);
         let reason = self.with_a_hint(reason);
         alarm(out, format!("{STOP_ORDERED}: {}; {}", reason.message, reason.hint));
         self.end_what_moves(now, &reason, out);
         self.finish(now, end, reason, out);
+    }
+
+    /// The same for what a job may outlive: it stays, and goes on with a new look and a new plan once a
+    /// person has armed the cell, so often as the configuration lets it. The arm does not go on by itself.
+    pub(crate) fn stop_and_keep_the_job(
+        &mut self,
+        now: Timestamp,
+        end: JobStatus,
+        reason: Reason,
+        out: &mut Vec<Action>,
+    ) {
+        let limit = self.model.tolerances.stop_retries;
+        let Some(job) = self.job.as_mut().filter(|job| job.stops < limit && !job.cancel) else {
+            return self.stop_all(now, end, reason, out);
+        };
+        job.stops += 1;
+        let (id, stops) = (job.order.id.clone(), job.stops);
+        self.stop_and_disarm(out);
+        self.withdraw_meant(now, out);
+        let Reason { hint, .. } = self.with_a_hint(reason.clone());
+        let hint = format!("{}; job {id} goes on then", hint.replace(" and submit again", ""));
+        let reason = Reason { hint, ..reason };
+        alarm(out, format!("{STOP_ORDERED}: {}; {} (stop {stops} of {limit})", reason.message, reason.hint));
+        self.end_what_moves(now, &reason, out);
     }
 
     /// A round or a way back ends with a stop, which is remembered for `celld recover`.

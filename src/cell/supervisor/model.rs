@@ -80,6 +80,9 @@ pub struct Tolerances {
     pub measurement_std: f64,
     /// How often a failed grip, an incomplete look or a disturbed table is tried again before the job fails.
     pub retries: u32,
+    /// How often a job goes on after a lost object or a missed heartbeat, once a person has armed the cell,
+    /// before such a stop ends it.
+    pub stop_retries: u32,
     /// How long the arm has to be at rest before a frame counts.
     pub settle: Duration,
     /// Deadline of one look pose: motion, settling and frames together.

@@ -207,6 +207,8 @@ pub(crate) struct JobRun {
     pub replans: u32,
     pub grip_failures: u32,
     pub look_failures: u32,
+    /// Stops that it has outlived.
+    pub stops: u32,
     /// Why what was seen could not be acted upon.
     pub doubt: Option<String>,
     /// What the last look showed in one picture and not in a later one that shows its place, and where.

@@ -60,6 +60,7 @@ fn tolerances() -> Tolerances {
         reference_seen: 3,
         measurement_std: 1e-3,
         retries: 1,
+        stop_retries: 0,
         settle: Duration::from_millis(100),
         look_deadline: Duration::from_secs(20),
         phase_deadline: Duration::from_secs(20),

@@ -325,7 +325,7 @@ impl Supervisor {
                 let hint = "see where it lies, or whether it still hangs: `celld recover` says what the \
                             gripper reads";
                 let reason = Code::VacuumLost.because(message, hint).of(&work.object);
-                return self.stop_all(now, JobStatus::Failed, reason, out);
+                return self.stop_and_keep_the_job(now, JobStatus::Failed, reason, out);
             }
             // Readings and repeated answers change nothing; a phase that waits in vain runs into its
             // deadline.
