@@ -239,7 +239,9 @@ fn said(folder: &Path) -> String {
 fn cell_daemon_killed_anywhere_in_a_job_loses_and_repeats_nothing() {
     let kills: u32 = std::env::var("CELLD_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(2);
     let cell = Cell::new("127.7.6.11");
-    let (calls, time) = cell.kill(0, When::Call(0)).expect("no kill: the job is done");
+    let undisturbed = cell.kill(0, When::Call(0));
+    let first = cell.folder.path().join("kill-0");
+    let (calls, time) = undisturbed.unwrap_or_else(|| panic!("not killed, and gone: {}", said(&first)));
     assert!(calls > 30, "{calls} calls on the state folder");
     let mut number = 0;
     for share in (0..kills).map(|k| f64::from(2 * k + 1) / f64::from(2 * kills)) {
