@@ -40,6 +40,9 @@ use tokio::signal::unix::{SignalKind, signal};
 /// When a name without an address is looked up again.
 const NAMES_AGAIN: std::time::Duration = std::time::Duration::from_secs(2);
 
+/// From the robot's first answer to the first turn: the camera is opened, the empty table's pictures are read.
+const START_WITHIN: std::time::Duration = std::time::Duration::from_secs(120);
+
 /// `celld run`
 #[derive(Args, Clone, Debug)]
 pub struct RunArgs {
@@ -201,13 +204,15 @@ async fn daemon(
         waits_for(&keeper, &watchdog, &message);
         tracing::warn!("{message}");
     };
-    let mut shell = shell_when_named(&config, seed, &stop, &mut say).await?.watched(beats);
+    let mut shell = shell_when_named(&config, seed, &stop, &mut say).await?.watched(beats.clone());
+    let starting = beats.task("the start", START_WITHIN);
     let arm = shell.wait_for_robot(&stopped, &mut say).await.map_err(|error| chain(&error))?;
     waits_for(
         &keeper,
         &watchdog,
         "the robot answers; the camera is opened and the table's pictures are read",
     );
+    starting.now();
     let measured = measured(&config, &calibration, &arm)?;
     let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     model.gripper_confirmed |= confirmed;
@@ -222,9 +227,10 @@ async fn daemon(
     shell.see_with(perception_setup(&config, &measured, &arm, diagnostic_images)?);
     shell.commission(model, config.arm_at_start);
     let pictures = LastPicture::new(Some(measured.camera.clone()));
-    let keeper = keeper.with(pictures.clone(), &config_file, identities, shell.heard());
+    let keeper = keeper.with(pictures.clone(), &config_file, identities, shell.last_answers());
     shell.keep_in(Box::new(keeper), Box::new(orders));
     tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
+    starting.rests();
     let recorder = config.recording.as_ref().map(recorder::start).transpose()?;
     let mut lines = Lines { recorder, pictures, watchdog };
     let ended = shell.run(&mut lines, &stop).await.map_err(|error| error.to_string());

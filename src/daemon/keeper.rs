@@ -16,7 +16,7 @@ use crate::cell::supervisor::status::Status;
 use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
 use crate::daemon::disk::Disk;
-use crate::daemon::heard::Heard;
+use crate::daemon::last_answers::LastAnswers;
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::plan_files::{self, poses};
 use crate::daemon::store::Keeper;
@@ -74,7 +74,7 @@ pub struct StateKeeper {
     held_before: Option<HeldBefore>,
     cut_off: Option<CutOff>,
     identities: Identities,
-    heard: Heard,
+    last_answers: LastAnswers,
     disk: Disk,
     /// When the history was brought within its limits last.
     pruned: Option<Timestamp>,
@@ -83,7 +83,7 @@ pub struct StateKeeper {
 /// Which devices the cell works with, in words for the status.
 #[derive(Clone, Debug, Default)]
 pub struct Identities {
-    /// Model, serial number, software.
+    /// Serial number.
     pub robot: String,
     /// Serial number.
     pub camera: String,
@@ -106,6 +106,11 @@ impl StateKeeper {
             notices.push(recovered.to_string());
             cut_off = cut_off.or_else(|| cut_off_by(&recovered));
         }
+        // An earlier start may have found it, and ended before a person saw it.
+        let cut_off = match cut_off {
+            Some(cut_off) => Some(cut_off),
+            None => journal.cut_off_before()?.as_ref().and_then(cut_off_by),
+        };
         let mut spool = Spool::open(
             state.root(),
             SpoolSettings { at_once: 1, entries_at_once: 200, ..SpoolSettings::STANDARD },
@@ -137,23 +142,23 @@ impl StateKeeper {
             held_before,
             cut_off,
             identities: Identities::default(),
-            heard: Heard::default(),
+            last_answers: LastAnswers::default(),
             disk,
             pruned: None,
         })
     }
 
     /// With pictures for the folders of jobs, and for whoever reads the status: the name of the
-    /// configuration, which devices there are and when they were heard.
+    /// configuration, which devices there are and when they answered.
     pub fn with(
         self,
         pictures: LastPicture,
         config_file: &Path,
         identities: Identities,
-        heard: Heard,
+        last_answers: LastAnswers,
     ) -> StateKeeper {
         let file = std::path::absolute(config_file).unwrap_or_else(|_| config_file.to_path_buf());
-        StateKeeper { pictures, config_file: file.display().to_string(), identities, heard, ..self }
+        StateKeeper { pictures, config_file: file.display().to_string(), identities, last_answers, ..self }
     }
 
     /// The job that was cut off when an earlier celld ended.
@@ -328,6 +333,17 @@ impl StateKeeper {
         self.config.approval.max(job.unwrap_or(Approval::Never))
     }
 
+    /// What was let go by hand while its job goes on has closed the job's step.
+    fn forget_a_closed_step(&mut self) -> Result<(), JournalError> {
+        if let Some((id, open)) = &mut self.active {
+            let still = |step: &StepRecord| Some(step.step) == *open && step.phase.is_open();
+            if !self.journal.steps(id)?.iter().any(still) {
+                *open = None;
+            }
+        }
+        Ok(())
+    }
+
     fn write(&mut self, record: &Record) -> Result<(), JournalError> {
         if let Record::Ended(report) = record {
             let now = unix_now_s();
@@ -342,7 +358,8 @@ impl StateKeeper {
         }
         let now = unix_now_s();
         if let Record::LetGo = record {
-            return self.journal.let_go(now);
+            self.journal.let_go(now)?;
+            return self.forget_a_closed_step();
         }
         let Some((id, open)) = &mut self.active else { return Ok(()) };
         match (record, *open) {
@@ -446,18 +463,18 @@ impl Keeper for StateKeeper {
         let mut cancelled = Vec::new();
         for event in self.scan(now) {
             match event {
-                SpoolEvent::Claimed { id, name } => tracing::info!(id, name, "job accepted"),
-                SpoolEvent::Rejected { name, code, message, reason } => {
-                    tracing::warn!(name, %code, message, reason = %reason.display(), "job rejected");
+                SpoolEvent::Claimed { id, name } => tracing::info!(job = id, name, "job accepted"),
+                SpoolEvent::Rejected { name, code, message: why, reason } => {
+                    tracing::warn!(name, %code, why, reason = %reason.display(), "job rejected");
                 }
                 SpoolEvent::Cancel { id } if self.is_active(&id) => cancelled.push(id),
                 SpoolEvent::Cancel { id } => match self.end_waiting(&id) {
-                    Ok(true) => tracing::info!(id, "waiting job cancelled"),
-                    Ok(false) => tracing::warn!(id, "there is no such job to cancel"),
-                    Err(error) => tracing::error!(id, %error, "job could not be cancelled"),
+                    Ok(true) => tracing::info!(job = id, "waiting job cancelled"),
+                    Ok(false) => tracing::warn!(job = id, "there is no such job to cancel"),
+                    Err(error) => tracing::error!(job = id, %error, "job could not be cancelled"),
                 },
                 SpoolEvent::Full { name } => tracing::warn!(name, "the queue is full"),
-                SpoolEvent::Trouble { name, message } => tracing::warn!(name, message, "job file"),
+                SpoolEvent::Trouble { name, message } => tracing::warn!(name, why = message, "job file"),
             }
         }
         self.reconcile();
@@ -490,5 +507,82 @@ impl Keeper for StateKeeper {
 
     fn status(&mut self, status: &Status) {
         self.write_status(status);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load::load_cell;
+    use rearrange::geometry::pose::Pose2;
+
+    /// What is held when a job is stopped and kept is taken off by hand: the job's step is closed by that,
+    /// and the next one can be opened.
+    #[test]
+    fn a_job_goes_on_after_what_it_held_was_let_go_by_hand() {
+        let config = load_cell(&Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        let _lock = state.take().unwrap();
+        let mut keeper = StateKeeper::open(config, state.clone(), "d1".into()).unwrap();
+        let job = "version: 1\nid: tidy\ngoal:\n  objects:\n    - {id: lid, pose: [0.3, 0.38, 0]}\n";
+        std::fs::write(state.incoming().join("tidy.yaml"), job).unwrap();
+        for ms in [0, 600] {
+            keeper.look_after(Timestamp::ZERO + Duration::from_millis(ms));
+        }
+        assert_eq!(keeper.claim().map(|job| job.id).as_deref(), Some("tidy"));
+        let intent = Record::Intent {
+            step: 0,
+            object: "lid".into(),
+            from: Pose2::default(),
+            to: Pose2::default(),
+            kind: ActionKind::Goal,
+            tool_from_object: None,
+            table: Vec::new(),
+        };
+        for gripped in [false, true, false] {
+            keeper.commit(&intent).unwrap();
+            if gripped {
+                keeper.commit(&Record::Gripped { step: 0 }).unwrap();
+            }
+            keeper.commit(&Record::LetGo).unwrap();
+        }
+        keeper.commit(&intent).unwrap();
+        keeper.commit(&Record::Done { step: 0 }).unwrap();
+        let phases: Vec<_> = keeper.journal.steps("tidy").unwrap().iter().map(|step| step.phase).collect();
+        assert_eq!(phases.last(), Some(&StepPhase::Done), "{phases:?}");
+        assert!(phases[..3].iter().all(|phase| *phase == StepPhase::Abandoned), "{phases:?}");
+    }
+
+    /// The word of a job that was cut off is there at every start until something else was done.
+    #[test]
+    fn a_job_that_was_cut_off_is_named_at_every_start_until_a_step_follows() {
+        let config = load_cell(&Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        let _lock = state.take().unwrap();
+        let open = || StateKeeper::open(config.clone(), state.clone(), "d1".into()).unwrap();
+        let mut first = open();
+        assert_eq!(first.cut_off(), None);
+        let job = "version: 1\nid: tidy\ngoal:\n  objects:\n    - {id: lid, pose: [0.3, 0.38, 0]}\n";
+        std::fs::write(state.incoming().join("tidy.yaml"), job).unwrap();
+        for ms in [0, 600] {
+            first.look_after(Timestamp::ZERO + Duration::from_millis(ms));
+        }
+        first.claim().expect("a job");
+        let (from, to, kind) = (Pose2::default(), Pose2::default(), ActionKind::Goal);
+        let (object, table) = ("lid".to_string(), Vec::new());
+        first
+            .commit(&Record::Intent { step: 0, object, from, to, kind, tool_from_object: None, table })
+            .unwrap();
+        first.commit(&Record::Gripped { step: 0 }).unwrap();
+        drop(first);
+        for start in 2..4 {
+            let next = open();
+            let cut_off = next.cut_off().unwrap_or_else(|| panic!("start {start}"));
+            assert!(cut_off.carrying && cut_off.object == "lid", "{cut_off:?}");
+        }
+        open().commit(&Record::LetGo).unwrap();
+        assert_eq!(open().cut_off(), None, "it was taken off by hand");
     }
 }

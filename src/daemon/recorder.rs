@@ -40,7 +40,7 @@ const LOOK_EVERY: std::time::Duration = std::time::Duration::from_secs(5);
 const AGAIN_AFTER: std::time::Duration = std::time::Duration::from_secs(60);
 
 /// How long the end of a run waits for what is left to be written.
-const CLOSE_WITHIN: std::time::Duration = std::time::Duration::from_secs(20);
+const CLOSE_WITHIN: std::time::Duration = std::time::Duration::from_secs(10);
 
 /// Something to be written, with its time.
 enum Entry {
@@ -93,7 +93,7 @@ impl Recorder {
         std::thread::spawn(move || {
             priority::lower();
             tape.run(&waiting, taken.as_deref());
-            // Nobody may be left to whom it matters.
+            // There may be no reader any more.
             let _ = ends.send(tape.close());
         });
         let last_joints = Timestamp::ZERO;
@@ -242,6 +242,9 @@ impl Tape {
             },
             None if self.tries_again.is_some_and(|at| Instant::now() >= at) => self.open_next(),
             None => {}
+        }
+        if self.file.is_none() && self.tries_again.is_none() {
+            self.failed(self.fault.clone().unwrap_or_default());
         }
     }
 

@@ -7,6 +7,7 @@
 use crate::config::cell::RecordingConfig;
 use crate::jobs::utc;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 /// A file is followed by the next one when it has this share of the budget: what is removed to make room is
 /// then a small part of what is kept.
@@ -17,6 +18,8 @@ const PARTS: u64 = 8;
 struct Kept {
     name: String,
     bytes: u64,
+    /// Written last.
+    changed: Option<SystemTime>,
 }
 
 /// The folder and its limits.
@@ -39,9 +42,9 @@ impl RecordingsFolder {
         Ok(RecordingsFolder { folder, budget: budget_bytes, reserve: reserve_bytes })
     }
 
-    /// True for a file that has become long enough.
+    /// True for a file that has become long enough, and for one that is not there any more.
     pub fn is_full(&self, file: &Path) -> bool {
-        std::fs::metadata(file).is_ok_and(|meta| meta.len() > self.budget / PARTS)
+        std::fs::metadata(file).map_or(true, |meta| meta.len() > self.budget / PARTS)
     }
 
     /// A name that no file has, by the time.
@@ -65,8 +68,11 @@ impl RecordingsFolder {
         let current = current.and_then(|path| path.file_name()).map(|name| name.to_string_lossy());
         for name in surplus(&kept, current.as_deref(), self.budget, self.reserve.saturating_sub(free)) {
             let path = self.folder.join(&name);
-            std::fs::remove_file(&path).map_err(|error| format!("{}: {error}", path.display()))?;
-            tracing::info!("recording {name} was removed to keep the budget and the disk's reserve");
+            match std::fs::remove_file(&path) {
+                Ok(()) => tracing::info!("recording {name} was removed, for the budget and the reserve"),
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+                Err(error) => tracing::warn!("{}: {error}", path.display()),
+            }
         }
         let free = cell_edge::files::free_bytes(&self.folder).map_err(|error| error.to_string())?;
         if free < self.reserve {
@@ -80,20 +86,29 @@ impl RecordingsFolder {
         Ok(())
     }
 
-    /// Recordings by name, which is by age.
+    /// Recordings by age; what has a name that celld does not give is no recording of its own.
     fn kept(&self) -> std::io::Result<Vec<Kept>> {
         let mut kept = Vec::new();
         for entry in std::fs::read_dir(&self.folder)? {
             let entry = entry?;
             let name = entry.file_name().to_string_lossy().into_owned();
-            let meta = entry.metadata()?;
-            if name.starts_with("run-") && name.ends_with(".mcap") && meta.is_file() {
-                kept.push(Kept { name, bytes: meta.len() });
-            }
+            // What has gone since it was listed needs no room.
+            let Some(meta) = entry.metadata().ok().filter(|meta| meta.is_file() && is_own(&name)) else {
+                continue;
+            };
+            kept.push(Kept { name, bytes: meta.len(), changed: meta.modified().ok() });
         }
-        kept.sort_by(|a, b| a.name.cmp(&b.name));
+        kept.sort_by(|a, b| (a.changed, &a.name).cmp(&(b.changed, &b.name)));
         Ok(kept)
     }
+}
+
+/// A name as [`RecordingsFolder::next`] gives it.
+fn is_own(name: &str) -> bool {
+    let stem = name.strip_prefix("run-").and_then(|name| name.strip_suffix(".mcap"));
+    stem.is_some_and(|stem| {
+        stem.len() >= 18 && stem.chars().all(|c| c.is_ascii_digit() || matches!(c, '-' | 'T' | 'Z' | '_'))
+    })
 }
 
 /// Names of the oldest recordings without which the others keep `budget` and at least `wanted` bytes come
@@ -118,7 +133,9 @@ mod tests {
     use super::*;
 
     fn kept() -> Vec<Kept> {
-        ["run-1.mcap", "run-2.mcap", "run-3.mcap"].map(|name| Kept { name: name.into(), bytes: 100 }).to_vec()
+        ["run-1.mcap", "run-2.mcap", "run-3.mcap"]
+            .map(|name| Kept { name: name.into(), bytes: 100, changed: None })
+            .to_vec()
     }
 
     #[test]
@@ -139,15 +156,19 @@ mod tests {
     fn only_recordings_are_removed_and_a_full_disk_is_named() {
         let folder_on_disk = tempfile::tempdir().unwrap();
         let path = |name: &str| folder_on_disk.path().join(name);
-        for name in ["run-1.mcap", "run-2.mcap", "notes.txt", "mine.mcap"] {
+        let [first, second] = ["run-2026-11-21T080000Z.mcap", "run-2026-11-21T080000Z_002.mcap"];
+        for name in [first, second, "notes.txt", "run-before-crash.mcap"] {
             std::fs::write(path(name), [0; 100]).unwrap();
         }
+        // The calendar in the names is not the age: the one that was written first goes first.
+        let at = SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1);
+        std::fs::File::options().append(true).open(path(second)).unwrap().set_modified(at).unwrap();
         folder(folder_on_disk.path(), 150, 0).make_room(None).unwrap();
-        assert!(!path("run-1.mcap").exists() && path("run-2.mcap").exists());
-        assert!(path("notes.txt").exists() && path("mine.mcap").exists());
+        assert!(!path(second).exists() && path(first).exists());
+        assert!(path("notes.txt").exists() && path("run-before-crash.mcap").exists());
         let fault = folder(folder_on_disk.path(), 150, u64::MAX).make_room(None).unwrap_err();
         assert!(fault.contains("MB are left on the disk"), "{fault}");
-        assert!(!path("run-2.mcap").exists() && path("mine.mcap").exists());
+        assert!(!path(first).exists() && path("run-before-crash.mcap").exists());
     }
 
     #[test]

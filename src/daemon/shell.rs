@@ -19,7 +19,7 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::{Doing, Status};
-use crate::daemon::heard::{Device, Heard};
+use crate::daemon::last_answers::{Device, LastAnswers};
 use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Orders, Store};
@@ -105,8 +105,9 @@ const EVERY_TURN_WITHIN: std::time::Duration = std::time::Duration::from_secs(5)
 const SEES_WITHIN: std::time::Duration = std::time::Duration::from_secs(180);
 
 /// How many times its limit planning may take: each plan that the arm cannot carry out is followed by
-/// another one.
-const PLANS_WITHIN: u32 = 10;
+/// another one; and what it may take beside that. The supervisor gives up waiting as late.
+const PLANS_WITHIN: u32 = 4;
+const PLANS_BESIDE: std::time::Duration = std::time::Duration::from_secs(600);
 
 /// An observer that shows nothing.
 struct NoObserver;
@@ -138,7 +139,7 @@ pub struct Shell {
     at_work: AtWork,
     beats: Beats,
     beat: Beat,
-    heard: Heard,
+    last_answers: LastAnswers,
     /// When robot and gripper last answered, in the cell's time.
     answered: [Option<Timestamp>; 2],
 }
@@ -184,14 +185,14 @@ impl Shell {
             at_work: AtWork::default(),
             beats,
             beat,
-            heard: Heard::default(),
+            last_answers: LastAnswers::default(),
             answered: [None; 2],
         })
     }
 
-    /// When each device was heard last.
-    pub fn heard(&self) -> Heard {
-        self.heard.clone()
+    /// When each device answered last.
+    pub fn last_answers(&self) -> LastAnswers {
+        self.last_answers.clone()
     }
 
     /// Marks the devices that have answered since the last turn.
@@ -202,7 +203,7 @@ impl Shell {
         for ((device, at), before) in devices.into_iter().zip([robot, gripper]).zip(&mut self.answered) {
             if at.is_some() && at != *before {
                 *before = at;
-                self.heard.now(device);
+                self.last_answers.now(device);
             }
         }
     }
@@ -364,7 +365,7 @@ impl Shell {
             Message::Made(made) => events.extend(self.sockets.made(made)),
             Message::Displayed(displayed) => {
                 if matches!(displayed, Displayed::Picture { .. } | Displayed::Sample { .. }) {
-                    self.heard.now(Device::Camera);
+                    self.last_answers.now(Device::Camera);
                 }
                 observer.on(self.clock.now(), Scene::Displayed(&displayed));
             }
@@ -389,8 +390,7 @@ impl Shell {
             Effect::Plan { number, request } => {
                 let stop = Arc::new(AtomicBool::new(false));
                 self.planning = Some(stop.clone());
-                let beat =
-                    self.beats.task("the planner", request.time_limit * PLANS_WITHIN + EVERY_TURN_WITHIN);
+                let beat = self.beats.task("the planner", request.time_limit * PLANS_WITHIN + PLANS_BESIDE);
                 spawn_plan(number, *request, stop, self.messages_in.clone(), beat);
             }
             Effect::CancelPlan => self.cancel_plan(),

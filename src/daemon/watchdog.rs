@@ -3,8 +3,7 @@
 //! In: beats. A task is working since its last beat, or rests because nothing is asked of it. Out: which
 //! tasks have not answered in their time, in the log; the messages of `sd_notify(3)` to the socket that
 //! `NOTIFY_SOCKET` names: READY, STATUS, WATCHDOG as long as every task answers, STOPPING. A daemon whose
-//! loop hangs still has a process, a lock and perhaps a thread that says it lives: only what all tasks say
-//! together may keep the service manager from starting it anew.
+//! loop hangs still has a process, a lock and perhaps a thread that gets on: only all tasks together may keep the service manager from starting it anew.
 
 use sd_notify::NotifyState;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -47,7 +46,7 @@ pub struct Beat {
 }
 
 impl Beat {
-    /// The task gets on; it says so again within its time, or rests.
+    /// The task gets on; the next beat follows within its time, or it rests.
     pub fn now(&self) {
         self.at(Instant::now());
     }
@@ -143,7 +142,7 @@ impl Watchdog {
             let mut feeder = Feeder { feeds: wanted.is_some(), ..Feeder::default() };
             while !ends.load(Ordering::Relaxed) {
                 let words = words.lock().unwrap_or_else(PoisonError::into_inner).clone();
-                feeder.turn(&beats.late(Instant::now()), &words).iter().for_each(Said::carry_out);
+                feeder.turn(&beats.late(Instant::now()), &words).iter().for_each(Outcome::carry_out);
                 std::thread::sleep(every);
             }
         });
@@ -177,7 +176,7 @@ impl Drop for Watchdog {
 
 /// What comes of a look at the beats.
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Said {
+enum Outcome {
     /// To the service manager: all is well.
     Feed,
     /// To the service manager: what the cell does.
@@ -188,13 +187,13 @@ enum Said {
     Answers(&'static str),
 }
 
-impl Said {
+impl Outcome {
     fn carry_out(&self) {
         match self {
-            Said::Feed => send(NotifyState::Watchdog),
-            Said::Words(words) => send(NotifyState::Status(words)),
-            Said::Late(late) => tracing::error!("{late}; the watchdog gets no sign of life"),
-            Said::Answers(task) => tracing::warn!("{task} answers again"),
+            Outcome::Feed => send(NotifyState::Watchdog),
+            Outcome::Words(words) => send(NotifyState::Status(words)),
+            Outcome::Late(late) => tracing::error!("{late}; the watchdog gets no sign of life"),
+            Outcome::Answers(task) => tracing::warn!("{task} answers again"),
         }
     }
 }
@@ -203,11 +202,11 @@ impl Said {
 /// reason to end.
 fn send(state: NotifyState) {
     if let Err(error) = sd_notify::notify(&[state]) {
-        tracing::debug!(%error, "the service manager could not be told");
+        tracing::debug!(%error, "the service manager was not reached");
     }
 }
 
-/// What was said last.
+/// What came of the last look.
 #[derive(Debug, Default)]
 struct Feeder {
     /// The service manager waits for signs of life.
@@ -217,19 +216,19 @@ struct Feeder {
 }
 
 impl Feeder {
-    fn turn(&mut self, late: &[Late], words: &str) -> Vec<Said> {
+    fn turn(&mut self, late: &[Late], words: &str) -> Vec<Outcome> {
         let mut said = Vec::new();
         let now: Vec<&'static str> = late.iter().map(|late| late.task).collect();
         let new = late.iter().filter(|late| !self.late.contains(&late.task));
-        said.extend(new.map(|late| Said::Late(late.to_string())));
+        said.extend(new.map(|late| Outcome::Late(late.to_string())));
         let over = self.late.iter().filter(|task| !now.contains(task));
-        said.extend(over.map(|task| Said::Answers(task)));
+        said.extend(over.map(|task| Outcome::Answers(task)));
         if late.is_empty() && self.feeds {
-            said.push(Said::Feed);
+            said.push(Outcome::Feed);
         }
         if words != self.words {
             words.clone_into(&mut self.words);
-            said.push(Said::Words(words.to_string()));
+            said.push(Outcome::Words(words.to_string()));
         }
         self.late = now;
         said
@@ -274,12 +273,12 @@ mod tests {
     fn the_watchdog_is_fed_only_while_every_task_answers_and_each_change_is_said_once() {
         let mut feeder = Feeder { feeds: true, ..Feeder::default() };
         let late = Late { task: "the loop", silent: Some(6 * SECOND) };
-        assert_eq!(feeder.turn(&[], "idle"), [Said::Feed, Said::Words("idle".into())]);
-        assert_eq!(feeder.turn(&[], "idle"), [Said::Feed]);
-        assert_eq!(feeder.turn(&[late], "idle"), [Said::Late("the loop has not answered for 6 s".into())]);
+        assert_eq!(feeder.turn(&[], "idle"), [Outcome::Feed, Outcome::Words("idle".into())]);
+        assert_eq!(feeder.turn(&[], "idle"), [Outcome::Feed]);
+        assert_eq!(feeder.turn(&[late], "idle"), [Outcome::Late("the loop has not answered for 6 s".into())]);
         assert_eq!(feeder.turn(&[late], "idle"), []);
-        assert_eq!(feeder.turn(&[], "idle"), [Said::Answers("the loop"), Said::Feed]);
+        assert_eq!(feeder.turn(&[], "idle"), [Outcome::Answers("the loop"), Outcome::Feed]);
         let mut alone = Feeder::default();
-        assert_eq!(alone.turn(&[], ""), [], "nobody waits for signs of life");
+        assert_eq!(alone.turn(&[], ""), [], "no service manager waits for signs of life");
     }
 }

@@ -9,6 +9,10 @@ use cell_edge::files::{
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// A draft of this age in a folder that people write into was left by a process that is gone.
+const LEFT_FOR: Duration = Duration::from_secs(3600);
 
 /// Paths below one state folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -111,7 +115,10 @@ impl StateFolder {
         let note = format!("{}\n", std::process::id());
         let taken = || StateError::Taken { path: self.root.clone() };
         let lock = FileLock::take(&self.lock_file(), &note)?.ok_or_else(taken)?;
-        remove_drafts(&self.root)?;
+        remove_drafts(&self.root, Duration::ZERO)?;
+        for folder in [self.commands(), self.incoming()] {
+            remove_drafts(&folder, LEFT_FOR)?;
+        }
         Ok(lock)
     }
 

@@ -108,7 +108,7 @@ impl DeviceStatus {
         };
         // Pictures are wanted now and then; the words say what came of the last one.
         let age = match self.age_s {
-            Some(age) if age > FRESH_S => format!(", last heard {age:.0} s ago"),
+            Some(age) if age > FRESH_S => format!(", last answer {age:.0} s ago"),
             _ => String::new(),
         };
         format!("{} at {}: {word}, {}{age}{identity}", self.name, self.address, self.message)
@@ -276,7 +276,7 @@ mod tests {
         executing (armed): 
           job tidy, step 2 of 7
           0 waiting
-          gripper at 127.0.0.2:5020: NOT READY, no answer for 300 ms, last heard 7 s ago (confirmed by a person)
+          gripper at 127.0.0.2:5020: NOT READY, no answer for 300 ms, last answer 7 s ago (confirmed by a person)
         ");
         std::fs::write(&path, "{").unwrap();
         assert_eq!(Status::read(&path).unwrap(), None);

@@ -58,8 +58,8 @@ impl Adapter for Counter {
 /// Effects after which something differs.
 fn is_moment(effect: &Effect) -> bool {
     match effect {
-        // A data package of the first input recipe: a sign of life.
-        Effect::Send(Link::Rtde, bytes) => bytes.get(2..4) != Some(&[b'U', 1]),
+        // Data packages of the first and the last input recipe: signs of life.
+        Effect::Send(Link::Rtde, bytes) => !matches!(bytes.get(2..4), Some([b'U', 1 | 3])),
         Effect::Registers(request) => !matches!(request, ModbusRequest::Read { .. }),
         _ => true,
     }
@@ -86,7 +86,9 @@ pub fn moments(stage: &Stage, seed: u64) -> Result<usize, String> {
 /// The loop cannot be set up.
 pub fn cut(stage: &Stage, seed: u64, moment: usize, keep: bool) -> Result<(Aftermath, Pair), String> {
     let (mut pair, counting) = begun(stage, seed, Some(moment), keep)?;
-    pair.run_until(JOB_WITHIN_S, |_| counting.get() == Counting::Gone);
+    if !pair.run_until(JOB_WITHIN_S, |_| counting.get() == Counting::Gone) {
+        return Err(format!("the job of seed {seed} has no effect {moment}"));
+    }
     counting.set(Counting::Off);
     pair.restart(Loss::PowerCut).map_err(|error| error.to_string())?;
     let known = pair.store().active().is_some() || pair.store().waiting() > 0 || !pair.reports().is_empty();
@@ -96,7 +98,7 @@ pub fn cut(stage: &Stage, seed: u64, moment: usize, keep: bool) -> Result<(After
         found.faults.push("the job is lost".to_string());
     }
     if armed_again {
-        found.faults.push("the cell is armed after a restart, and nobody armed it".to_string());
+        found.faults.push("the cell is armed after a restart, and no person armed it".to_string());
     }
     let id = pair.reports().first().map(|report| report.id.clone());
     let ends = pair.reports().iter().filter(|report| Some(&report.id) == id.as_ref()).count();

@@ -1,5 +1,5 @@
-//! SIGKILL to the real daemon in the middle of a job, while the simulated robot runs on: after every call
-//! that changes the disk, and at any time. Nothing is lost, nothing is done twice, nothing moves by itself.
+//! SIGKILL to the real daemon in the middle of a job, while the simulated robot runs on: after writes, syncs,
+//! renames and removals in the state folder, and at any time. Nothing is lost, nothing is done twice, nothing moves by itself.
 //!
 //! In: `CELLD_KILLS=N` makes N kills of either kind instead of a few, spread over a job's calls and time. A
 //! library put before libc's counts the calls on files of the state folder and kills the process after one
@@ -169,8 +169,8 @@ impl Cell {
         let now = status();
         assert_eq!(now["status"]["armed"], false, "{when:?}: {now:#}");
         if handed {
-            let places = places_of(&state, "tidy");
-            assert_eq!(places.len(), 1, "{when:?}: the job is in {places:?}: {}", said(folder));
+            // A file is in two places while it is brought into its folder.
+            wait_until("the job is in one place", || places_of(&state, "tidy").len() == 1);
         } else {
             std::fs::write(state.join("jobs/incoming/tidy.yaml"), job).expect("written");
         }
@@ -194,7 +194,7 @@ impl Cell {
             let (end, result) = ended("again").expect("a result");
             assert_eq!(end, "done", "{when:?}: {result}\n{}", said(folder));
         }
-        assert_eq!(places_of(&state, "tidy").len(), 1, "{when:?}: {:?}", places_of(&state, "tidy"));
+        wait_until("the job is in one place", || places_of(&state, "tidy").len() == 1);
     }
 }
 
@@ -243,11 +243,11 @@ fn cell_daemon_killed_anywhere_in_a_job_loses_and_repeats_nothing() {
     let first = cell.folder.path().join("kill-0");
     let (calls, time) = undisturbed.unwrap_or_else(|| panic!("not killed, and gone: {}", said(&first)));
     assert!(calls > 30, "{calls} calls on the state folder");
-    let mut number = 0;
+    let (mut number, mut killed) = (0, 0);
     for share in (0..kills).map(|k| f64::from(2 * k + 1) / f64::from(2 * kills)) {
         for when in [When::Call((share * f64::from(calls)) as u32 + 1), When::After(time.mul_f64(share))] {
             number += 1;
-            cell.kill(number, when);
+            killed += u32::from(cell.kill(number, when).is_none());
             if kills > 10 {
                 eprintln!(
                     "{number} of {}: {when:?} of {calls} calls, {:.1} s",
@@ -257,4 +257,6 @@ fn cell_daemon_killed_anywhere_in_a_job_loses_and_repeats_nothing() {
             }
         }
     }
+    // The last moments of a job may be over before the kill comes.
+    assert!(4 * killed as usize >= 3 * number, "{killed} of {number} were killed");
 }

@@ -10,6 +10,7 @@ use std::fs::{File, OpenOptions, Permissions, TryLockError};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 use tempfile::NamedTempFile;
 
 /// How the name of a file ends that is still being written.
@@ -214,8 +215,9 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     replace(path, draft(path, bytes)?)
 }
 
-/// Writes `bytes` durably under the first of `names` in `folder` that is free, and returns that name. What
-/// is written is readable by the folder's group, whatever the umask: it is for a daemon of another user.
+/// Writes `bytes` durably under the first of `names` in `folder` that is free, and returns that name. In
+/// a folder that is shared with a group, what is written is readable by it, whatever the umask: it is for a
+/// daemon of another user.
 ///
 /// # Errors
 /// None of `names` is free, or the system refuses to create, write, rename or sync the file
@@ -226,10 +228,11 @@ pub fn write_new(
     bytes: &[u8],
 ) -> Result<String, FileError> {
     let draft = draft(&folder.join("new"), bytes)?;
-    let file = draft.as_file();
-    file.set_permissions(Permissions::from_mode(FOR_THE_GROUP))
-        .and_then(|()| file.sync_all())
-        .map_err(|e| FileError::io("write", draft.path(), e))?;
+    let (file, fail) = (draft.as_file(), |e| FileError::io("write", draft.path(), e));
+    if folder.metadata().map_err(fail)?.mode() & SETGID != 0 {
+        file.set_permissions(Permissions::from_mode(FOR_THE_GROUP)).map_err(fail)?;
+    }
+    file.sync_all().map_err(fail)?;
     let mut refused = None;
     for name in names {
         match rename_new(draft.path(), &folder.join(&name)) {
@@ -261,17 +264,20 @@ fn replace(path: &Path, draft: NamedTempFile) -> Result<(), FileError> {
     draft.persist(path).map(drop).map_err(|e| FileError::io("rename to", path, e.error))
 }
 
-/// Removes drafts that a process left in `folder` when it was killed; only for a folder in which nothing
-/// else writes now.
+/// Removes drafts that processes left in `folder` when they were killed: those that are older than this, so
+/// that none goes which is being written.
 ///
 /// # Errors
 /// The folder cannot be listed, or a draft cannot be removed ([`FileError::Io`]).
-pub fn remove_drafts(folder: &Path) -> Result<(), FileError> {
+pub fn remove_drafts(folder: &Path, older_than: Duration) -> Result<(), FileError> {
     let fail = |e| FileError::io("list", folder, e);
     for entry in std::fs::read_dir(folder).map_err(fail)? {
         let entry = entry.map_err(fail)?;
         let name = entry.file_name().to_string_lossy().into_owned();
-        if name.starts_with('.') && name.ends_with(DRAFT_SUFFIX) && !entry.path().is_dir() {
+        let written = entry.metadata().and_then(|meta| meta.modified()).ok();
+        let age = written.and_then(|written| written.elapsed().ok()).unwrap_or_default();
+        let is_draft = name.starts_with('.') && name.ends_with(DRAFT_SUFFIX) && age >= older_than;
+        if is_draft && !entry.path().is_dir() {
             std::fs::remove_file(entry.path()).map_err(|e| FileError::io("remove", &entry.path(), e))?;
         }
     }
@@ -456,8 +462,11 @@ mod tests {
         assert!(write_new(folder.path(), std::iter::empty(), b"four").is_err());
         assert_eq!(std::fs::read(folder.path().join("job.1")).unwrap(), b"one");
         let mode = folder.path().join("job.2").metadata().unwrap().mode();
-        assert_eq!(mode & 0o777, FOR_THE_GROUP);
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+        assert_ne!(mode & 0o400, 0);
+        std::fs::set_permissions(folder.path(), Permissions::from_mode(0o2770)).unwrap();
+        let shared = write_new(folder.path(), ["job.3".to_string()].into_iter(), b"three").unwrap();
+        assert_eq!(folder.path().join(shared).metadata().unwrap().mode() & 0o777, FOR_THE_GROUP);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3);
     }
 
     #[test]
@@ -468,7 +477,9 @@ mod tests {
             std::fs::write(path(name), "x").unwrap();
         }
         std::fs::create_dir(path(".folder.tmp")).unwrap();
-        remove_drafts(folder.path()).unwrap();
+        remove_drafts(folder.path(), Duration::from_secs(3600)).unwrap();
+        assert!(path(".status.json.x1.tmp").exists(), "it may be being written");
+        remove_drafts(folder.path(), Duration::ZERO).unwrap();
         assert!(!path(".status.json.x1.tmp").exists());
         assert!(path("a.tmp").exists() && path(".hidden").exists() && path(".folder.tmp").exists());
     }

@@ -42,17 +42,20 @@ pub const QUEUE_DEPTH: i32 = 8;
 
 /// What distinguishes the mark of a celld from any number of another client.
 const SIGNATURE: i32 = 0x4C << 24;
-const PROCESS_BITS: i32 = 0x00FF_FFFF;
+const TURN: i32 = 1 << 23;
+const PROCESS_BITS: i32 = TURN - 1;
 
-/// The mark of a celld in [`OWNER`]: a signature, and the number of its process (Linux gives no more than
-/// 22 bits).
-pub fn mark_of(process: u32) -> i32 {
-    SIGNATURE | (process.cast_signed() & PROCESS_BITS)
+/// The mark of a celld in [`OWNER`]: a signature, a bit that changes while it is connected, and the number of
+/// its process (Linux gives no more than 22 bits).
+pub fn mark_of(process: u32, turn: bool) -> i32 {
+    SIGNATURE | if turn { TURN } else { 0 } | (process.cast_signed() & PROCESS_BITS)
 }
 
-/// The process of the celld that left this mark; `None` for any other number.
-pub fn process_of(mark: i32) -> Option<u32> {
-    (mark & !PROCESS_BITS == SIGNATURE).then_some((mark & PROCESS_BITS).cast_unsigned())
+/// The process of the celld whose marks these are, one after the other; `None` for any other numbers, and
+/// for a mark that does not change: who left it is gone.
+pub fn process_of(before: i32, now: i32) -> Option<u32> {
+    let signed = |mark: i32| mark & !(PROCESS_BITS | TURN) == SIGNATURE;
+    (signed(now) && before ^ now == TURN).then_some((now & PROCESS_BITS).cast_unsigned())
 }
 
 /// What a command requests.
@@ -195,10 +198,13 @@ mod tests {
     #[test]
     fn a_mark_names_its_process_and_no_other_number_does() {
         for process in [1, 4711, (1 << 22) - 1] {
-            assert_eq!(process_of(mark_of(process)), Some(process));
+            let [one, other] = [false, true].map(|turn| mark_of(process, turn));
+            assert_eq!([process_of(one, other), process_of(other, one)], [Some(process); 2]);
+            assert_eq!(process_of(one, one), None, "who left it is gone");
+            assert_eq!(process_of(one, mark_of(process + 1, true)), None);
         }
         for other in [0, 1, -1, i32::MAX, i32::MIN, 4711] {
-            assert_eq!(process_of(other), None, "{other}");
+            assert_eq!(process_of(other, other ^ TURN), None, "{other}");
         }
     }
 

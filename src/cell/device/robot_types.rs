@@ -89,7 +89,7 @@ impl RobotParameters {
     /// celld's own program at the controller's full rate.
     pub fn full_rate() -> RobotParameters {
         let program_text = PROGRAM_TEXT.to_string();
-        RobotParameters { program_text, watchdog_frames: WATCHDOG_FRAMES, frequency_hz: 500.0, process: 0 }
+        RobotParameters { program_text, watchdog_frames: WATCHDOG_FRAMES, frequency_hz: 500.0, process: 1 }
     }
 }
 
@@ -98,7 +98,7 @@ impl RobotParameters {
 pub struct InputsTaken {
     /// Exact names.
     pub names: Vec<String>,
-    /// The process of the celld that left its mark in the registers.
+    /// The process of the celld whose mark in the registers changes.
     pub celld: Option<u32>,
 }
 

@@ -120,10 +120,10 @@ pub fn output_names() -> Vec<String> {
     fixed.into_iter().map(String::from).chain(registers).chain([mark]).collect()
 }
 
-/// The celld that left its mark in the inputs, if one did, of the values of one package.
-pub(super) fn owner_of(values: &[Value]) -> Option<u32> {
+/// The mark in the inputs, of the values of one package.
+pub(super) fn mark_in(values: &[Value]) -> Option<i32> {
     match values.last() {
-        Some(Value::Int32(mark)) => registers::process_of(*mark),
+        Some(Value::Int32(mark)) => Some(*mark),
         _ => None,
     }
 }

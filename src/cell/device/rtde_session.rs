@@ -9,10 +9,10 @@
 //! trusted.
 
 use crate::cell::device::outbox::Outbox;
-use crate::cell::device::registers::{CommandRegisters, mark_of};
+use crate::cell::device::registers::{CommandRegisters, mark_of, process_of};
 use crate::cell::device::robot_types::{InputsTaken, RobotState};
 use crate::cell::device::rtde_recipes::{
-    COMMAND, HEARTBEAT, OWNER, Refusal, agree, input_names, output_names, owner_of, state_of,
+    COMMAND, HEARTBEAT, OWNER, Refusal, agree, input_names, mark_in, output_names, state_of,
 };
 use cell_values::time::{Duration, Timestamp};
 use ur_wire::rtde::{Reply, Request, Splitter, Version};
@@ -27,6 +27,10 @@ const SILENT_AFTER: Duration = Duration::from_millis(2500);
 const IN_USE_RETRY: Duration = Duration::from_secs(5);
 /// How long the registers are read for the mark of another celld.
 const LOOK_FOR_OWNER: Duration = Duration::from_millis(500);
+/// How often a session writes its mark.
+const MARK_EVERY: Duration = Duration::from_millis(150);
+/// The process of a session that leaves no mark: one that only looks.
+pub const NO_MARK: u32 = 0;
 /// Tries before the link is dropped.
 const IN_USE_TRIES: u32 = 4;
 /// While it boots the controller restarts its RTDE service once; before this time nothing is trusted.
@@ -76,6 +80,8 @@ enum Step {
         names: Vec<String>,
         since: Timestamp,
         attempt: u32,
+        /// Read last.
+        mark: Option<i32>,
     },
     WaitingForInputs {
         index: usize,
@@ -101,6 +107,8 @@ enum Step {
 pub struct RtdeSession {
     frequency_hz: f64,
     process: u32,
+    /// When the mark was written last, and with which turn.
+    marked: Option<(Timestamp, bool)>,
     version: Version,
     step: Step,
     splitter: Splitter,
@@ -111,11 +119,13 @@ pub struct RtdeSession {
 }
 
 impl RtdeSession {
-    /// `frequency_hz` packages per second; `process` is the number that another celld reads.
+    /// `frequency_hz` packages per second; `process` is the number that another celld reads
+    /// ([`NO_MARK`]: none).
     pub fn new(frequency_hz: f64, process: u32) -> RtdeSession {
         RtdeSession {
             frequency_hz,
             process,
+            marked: None,
             version: Version::V1,
             step: Step::Down,
             splitter: Splitter::default(),
@@ -132,7 +142,7 @@ impl RtdeSession {
         self.splitter = Splitter::default();
         self.version = Version::V1;
         self.inputs.clear();
-        self.latest = None;
+        (self.latest, self.marked) = (None, None);
         self.ask(&Request::ProtocolVersion(2));
         self.step = Step::AskedVersion { deadline: now + ANSWER_WITHIN };
     }
@@ -258,6 +268,17 @@ impl RtdeSession {
         }
     }
 
+    /// Writes the mark anew now and then, so that it shows a celld which is connected.
+    fn write_mark(&mut self, now: Timestamp) {
+        let due = self.marked.is_none_or(|(at, _)| now.since(at) >= MARK_EVERY);
+        if self.process == NO_MARK || !self.ready() || !due {
+            return;
+        }
+        let turn = !self.marked.is_some_and(|(_, turn)| turn);
+        self.marked = Some((now, turn));
+        self.write(OWNER, &[Value::Int32(mark_of(self.process, turn))]);
+    }
+
     fn ask(&mut self, request: &Request) {
         self.outbox.send(request.encode(self.version));
     }
@@ -367,12 +388,7 @@ impl RtdeSession {
     /// The stream runs without inputs, to read who holds them.
     fn while_taken(&mut self, now: Timestamp, reply: Reply) {
         match (reply, &self.step) {
-            (Reply::Data { payload, .. }, Step::LookingForOwner { .. }) => {
-                let values = self.outputs.decode(&payload, Leftover::Refuse);
-                if let Some(process) = values.ok().and_then(|values| owner_of(&values)) {
-                    self.owner_found(Some(process));
-                }
-            }
+            (Reply::Data { payload, .. }, Step::LookingForOwner { .. }) => self.note_mark(&payload),
             (Reply::Pause(_), &Step::AskedPause { index, attempt, .. }) => {
                 self.ask_inputs(now, index, attempt);
             }
@@ -385,9 +401,19 @@ impl RtdeSession {
         }
     }
 
+    /// A mark that changes is that of a celld which is connected.
+    fn note_mark(&mut self, payload: &[u8]) {
+        let values = self.outputs.decode(payload, Leftover::Refuse);
+        let Some(now) = values.ok().and_then(|values| mark_in(&values)) else { return };
+        let Step::LookingForOwner { mark, .. } = &mut self.step else { return };
+        if let Some(process) = mark.replace(now).and_then(|before| process_of(before, now)) {
+            self.owner_found(Some(process));
+        }
+    }
+
     fn owner_found(&mut self, celld: Option<u32>) {
         let step = std::mem::replace(&mut self.step, Step::Down);
-        let Step::LookingForOwner { index, names, since, attempt } = step else { return };
+        let Step::LookingForOwner { index, names, since, attempt, .. } = step else { return };
         self.outbox.report(RtdeEvent::InUse { taken: InputsTaken { names, celld }, attempt });
         self.step = Step::WaitingForInputs { index, retry_at: since + IN_USE_RETRY, attempt: attempt + 1 };
     }
@@ -405,7 +431,7 @@ impl RtdeSession {
             }
             Err(Refusal::InUse(names)) if attempt < IN_USE_TRIES => {
                 self.ask(&Request::Start);
-                self.step = Step::LookingForOwner { index, names, since: now, attempt };
+                self.step = Step::LookingForOwner { index, names, since: now, attempt, mark: None };
             }
             Err(refusal) => self.fault(refusal.text("input")),
         }
@@ -447,8 +473,8 @@ impl RtdeSession {
             if !*settled && (settled_by_time || enough) {
                 *settled = true;
                 self.outbox.report(RtdeEvent::Ready);
-                self.write(OWNER, &[Value::Int32(mark_of(self.process))]);
             }
+            self.write_mark(now);
         }
     }
 }

@@ -31,7 +31,8 @@ pub(crate) struct Held {
 /// A stop that was not left yet.
 #[derive(Clone, Debug)]
 pub(crate) struct LastStop {
-    pub at: Timestamp,
+    /// `None`: before this celld was started.
+    pub at: Option<Timestamp>,
     pub reason: Reason,
 }
 
@@ -49,7 +50,7 @@ impl LastStop {
                 format!("look at the cell, `celld recover` shows how it is; then `celld arm` and {again}"),
             ),
         };
-        LastStop { at: Timestamp::ZERO, reason: code.because(message, hint).of(object) }
+        LastStop { at: None, reason: code.because(message, hint).of(object) }
     }
 }
 

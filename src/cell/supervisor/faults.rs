@@ -190,13 +190,13 @@ impl Supervisor {
         }
         self.note_for_the_way_back(now, &event);
         let Some(reason) = self.fault_of(outside, event) else { return };
-        if self.moving() || matches!(self.phase, Phase::BringUp(_)) {
-            match reason.code {
-                Code::HeartbeatLost => self.stop_and_keep_the_job(now, JobStatus::Interrupted, reason, out),
-                _ => self.stop_all(now, JobStatus::Interrupted, reason, out),
+        let moves = self.moving() || matches!(self.phase, Phase::BringUp(_));
+        match reason.code {
+            Code::HeartbeatLost if moves || self.mode.armed() => {
+                self.stop_and_keep_the_job(now, JobStatus::Interrupted, reason, out);
             }
-        } else {
-            self.stand_down(now, reason, out);
+            _ if moves => self.stop_all(now, JobStatus::Interrupted, reason, out),
+            _ => self.stand_down(now, reason, out),
         }
     }
 
@@ -209,9 +209,9 @@ impl Supervisor {
         if !self.mode.armed() && !locked {
             self.end_recovery(Err(reason.message.clone()), out);
             // What follows a stop at once is its consequence; what comes later is another.
-            let follows = |stop: &LastStop| now.since(stop.at) < SAME_STOP;
+            let follows = |stop: &LastStop| stop.at.is_some_and(|at| now.since(at) < SAME_STOP);
             if !self.back.last_stop.as_ref().is_some_and(follows) {
-                self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
+                self.back.last_stop = Some(LastStop { at: Some(now), reason: reason.clone() });
             }
             return say(out, reason.message);
         }
@@ -312,7 +312,9 @@ impl Supervisor {
         self.stop_and_disarm(out);
         self.withdraw_meant(now, out);
         let Reason { hint, .. } = self.with_a_hint(reason.clone());
-        let hint = format!("{}; job {id} goes on then", hint.replace(" and submit again", ""));
+        let hint = hint.replace("then `celld arm` and submit again", "");
+        let first = hint.trim_end_matches([' ', ';']);
+        let hint = format!("{first}; `celld arm` has job {id} look, plan anew and go on");
         let reason = Reason { hint, ..reason };
         alarm(out, format!("{STOP_ORDERED}: {}; {} (stop {stops} of {limit})", reason.message, reason.hint));
         self.end_what_moves(now, &reason, out);
@@ -320,7 +322,7 @@ impl Supervisor {
 
     /// A round or a way back ends with a stop, which is remembered for `celld recover`.
     fn end_what_moves(&mut self, now: Timestamp, reason: &Reason, out: &mut Vec<Action>) {
-        self.back.last_stop = Some(LastStop { at: now, reason: reason.clone() });
+        self.back.last_stop = Some(LastStop { at: Some(now), reason: reason.clone() });
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
         self.end_recovery(Err(reason.message.clone()), out);
     }

@@ -96,8 +96,11 @@ impl Supervisor {
         match &self.back.last_stop {
             None => "what happened: no stop that is still to be left".to_string(),
             Some(stop) => {
-                let (code, seconds) = (stop.reason.code, now.since(stop.at).as_secs());
-                format!("what happened: {} ({code}), {seconds} s ago", stop.reason.message)
+                let when = match stop.at {
+                    Some(at) => format!("{} s ago", now.since(at).as_secs()),
+                    None => "before this start".to_string(),
+                };
+                format!("what happened: {} ({}), {when}", stop.reason.message, stop.reason.code)
             }
         }
     }

@@ -57,7 +57,11 @@ fn all_cases(args: &SimulateArgs) -> Result<Vec<(u64, usize)>, String> {
     let counts: Result<Vec<(u64, usize)>, String> =
         seeds.into_par_iter().map(|seed| Ok((seed, moments(&stage(seed, Eye::Corners)?, seed)?))).collect();
     let cases = counts?.into_iter().flat_map(|(seed, count)| (0..count).map(move |moment| (seed, moment)));
-    Ok(cases.filter(|(_, moment)| only.is_none_or(|only| only == *moment)).collect())
+    let cases: Vec<_> = cases.filter(|(_, moment)| only.is_none_or(|only| only == *moment)).collect();
+    match (cases.is_empty(), only) {
+        (true, Some(only)) => Err(format!("--only {only}: no job of these seeds has so many effects")),
+        _ => Ok(cases),
+    }
 }
 
 fn one(args: &SimulateArgs, seed: u64, moment: usize, bar: &ProgressBar) -> Result<bool, String> {

@@ -58,7 +58,7 @@ impl StateKeeper {
         }
     }
 
-    /// A device with its address, which one it is, and how long ago it was heard.
+    /// A device with its address, which one it is, and how long ago it answered.
     fn device(&self, DeviceNote { name, ready, message }: &DeviceNote) -> status::DeviceStatus {
         let devices = &self.config.devices;
         let (address, identity) = match *name {
@@ -71,7 +71,7 @@ impl StateKeeper {
             }
             _ => (devices.camera.address(), self.identities.camera.clone()),
         };
-        let age_s = self.heard.age_s(name);
+        let age_s = self.last_answers.age_s(name);
         let (name, message) = (name.to_string(), message.clone());
         status::DeviceStatus { name, address, identity, ready: *ready, age_s, message }
     }

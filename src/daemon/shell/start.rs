@@ -1,7 +1,7 @@
 //! The wait for the robot: until the controller has said which arm it moves.
 //!
 //! In: turns of the loop. Out: the arm, or why it did not become known; sentences about what is missing, at
-//! once when that changes and again every minute: start-up speaks from its first seconds, and a robot that
+//! once when that changes and again every minute: nothing is silent for long, and a robot that
 //! is switched on an hour later is waited for.
 
 use super::{NoObserver, Shell, StartError};

@@ -5,7 +5,7 @@
 use crate::cell::device::dashboard_session::{DashboardEvent, DashboardSession};
 use crate::cell::device::primary_session::{PrimaryEvent, PrimarySession};
 use crate::cell::device::robot_types::Link;
-use crate::cell::device::rtde_session::{RtdeEvent, RtdeSession};
+use crate::cell::device::rtde_session::{NO_MARK, RtdeEvent, RtdeSession};
 use crate::config::cell::CellConfig;
 use crate::config::setup::RTDE_HZ;
 use crate::doctor::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
@@ -193,7 +193,7 @@ fn primary(host: &str, clock: &Clock) -> Result<PrimaryFacts, LinkFault> {
 }
 
 fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
-    let mut line = Line::connect(host, Link::Rtde, clock, RtdeSession::new(RTDE_HZ, std::process::id()))?;
+    let mut line = Line::connect(host, Link::Rtde, clock, RtdeSession::new(RTDE_HZ, NO_MARK))?;
     let (mut facts, mut buffer) = (RtdeFacts::default(), [0; 64 * 1024]);
     let mut watch = Watch::default();
     while watch.since.is_none_or(|since| clock.now().since(since) < WATCHED) {

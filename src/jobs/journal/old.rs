@@ -25,7 +25,7 @@ impl HistoryLimits {
 }
 
 /// Rows that are looked at in one call: each takes a few files with it, and the arm's records must not wait.
-const AT_ONCE: u32 = 20;
+const AT_ONCE: u32 = 2;
 
 const SECONDS_A_DAY: f64 = 86_400.0;
 

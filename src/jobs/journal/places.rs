@@ -59,6 +59,13 @@ impl Journal {
         row.map(Option::flatten).map_err(|e| self.fail(e))
     }
 
+    /// Identity text of the file in `incoming` that a job was claimed from, while that may still be there.
+    pub(in crate::jobs) fn source_of(&self, id: &str) -> Result<Option<String>, JournalError> {
+        let select = "SELECT source FROM jobs WHERE id = ?1";
+        let row = self.database.query_row(select, [id], |row| row.get(0)).optional();
+        row.map(Option::flatten).map_err(|e| self.fail(e))
+    }
+
     /// Notes that a job's files are in `folder`, as its state wants, and no longer in `incoming`.
     pub(in crate::jobs) fn set_place(&mut self, job: &JobRecord, folder: &str) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET folder = ?2, placed_as = ?3, source = NULL WHERE id = ?1";

@@ -3,8 +3,9 @@
 //! In: intents and phases. Out: numbered steps. At most one step of a job is open; the database's own index
 //! holds that too.
 
+use crate::cell::code::Code;
 use crate::jobs::journal::rows::encode;
-use crate::jobs::journal::{Journal, JournalError};
+use crate::jobs::journal::{Journal, JournalError, Recovered};
 use crate::jobs::record::{JobState, StepIntent, StepPhase, StepRecord};
 use rusqlite::{OptionalExtension, Row, params};
 
@@ -87,6 +88,23 @@ impl Journal {
             return Ok(());
         }
         Err(JournalError::WrongStep { id: id.to_owned(), step, action: to.as_str() })
+    }
+
+    /// The job whose step was the last one of all, where it was cut off in it and nothing was let go since.
+    ///
+    /// # Errors
+    /// As [`Journal::active`].
+    pub fn cut_off_before(&self) -> Result<Option<Recovered>, JournalError> {
+        let select = "SELECT id FROM jobs WHERE state = 'interrupted'
+                      AND sequence = (SELECT job FROM steps ORDER BY rowid DESC LIMIT 1)";
+        let id: Option<String> =
+            self.database.query_row(select, [], |row| row.get(0)).optional().map_err(|e| self.fail(e))?;
+        let (Some(id), Some(step)) = (id, self.last_step()?) else { return Ok(None) };
+        let result = self.job(&id)?.and_then(|job| job.result);
+        let codes = [Code::Interrupted, Code::InterruptedCarrying].map(|code| code.to_string());
+        let cut_off = result.is_some_and(|result| codes.contains(&result.code));
+        let open = matches!(step.phase, StepPhase::Intent | StepPhase::Gripped);
+        Ok((cut_off && open).then_some(Recovered::Interrupted { id, step }))
     }
 
     /// All steps of a job, in order.

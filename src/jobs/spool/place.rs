@@ -78,7 +78,8 @@ impl Spool {
     ) -> Result<(), SpoolError> {
         let Some(job) = journal.job(id)? else { return Ok(()) };
         let target = self.jobs.join(wanted_folder(&job));
-        self.fill(&target, &job, Some(path))?;
+        let known = journal.source_of(id)?.unwrap_or_default();
+        self.fill(&target, &job, Some((path, &known)))?;
         Ok(journal.set_place(&job, &wanted_folder(&job))?)
     }
 
@@ -86,19 +87,21 @@ impl Spool {
         let wanted = wanted_folder(&placed.job);
         let target = self.jobs.join(&wanted);
         let present = self.present_folder(placed, &target);
+        let known = placed.source.as_deref().unwrap_or_default();
         let source = match &placed.source {
             Some(source) => self.find_incoming(source)?,
             None => None,
         };
+        let source = source.as_deref().map(|path| (path, known));
         if let Some(present) = present.filter(|_| !target.exists()) {
-            self.fill(&present, &placed.job, source.as_deref())?;
+            self.fill(&present, &placed.job, source)?;
             self.point()?;
             if let Some(month) = target.parent() {
                 create_folder(month)?;
             }
             rename_new(&present, &target)?;
         } else {
-            self.fill(&target, &placed.job, source.as_deref())?;
+            self.fill(&target, &placed.job, source)?;
         }
         self.point()?;
         Ok(journal.set_place(&placed.job, &wanted)?)
@@ -116,7 +119,7 @@ impl Spool {
     /// Makes `folder` hold the job's file, and its result once it ended. The result comes before any rename
     /// into `done` or `failed`, so that an ended job is never seen without one. The file is written anew and
     /// not moved: one that belongs to whoever dropped it could be changed by them later.
-    fn fill(&self, folder: &Path, job: &JobRecord, source: Option<&Path>) -> Result<(), SpoolError> {
+    fn fill(&self, folder: &Path, job: &JobRecord, source: Option<(&Path, &str)>) -> Result<(), SpoolError> {
         create_folder(folder)?;
         self.point()?;
         let file = folder.join("job.yaml");
@@ -125,8 +128,12 @@ impl Spool {
             write_atomic(&file, job.text.as_bytes())?;
             self.point()?;
         }
-        if let Some(source) = source {
-            cell_edge::files::remove(source)?;
+        // Another file may have come under that name meanwhile: it is not the one that was read.
+        let is_it = |(path, known): &(&Path, &str)| {
+            identify(path).is_ok_and(|(identity, _)| source_text(&identity) == *known)
+        };
+        if let Some((path, _)) = source.filter(is_it) {
+            cell_edge::files::remove(path)?;
             self.point()?;
         }
         if let Some(result) = &job.result {

@@ -89,8 +89,15 @@ fn registers_in_use_are_named_and_asked_for_again() {
 fn the_celld_that_holds_the_registers_is_named_by_its_mark() {
     let mut rig = Rig::new();
     rig.fake.in_use = vec!["input_int_register_27".into()];
-    rig.fake.registers.insert(Register::InputInt(registers::OWNER), Value::Int32(mark_of(4711)));
+    let mark = |rig: &mut Rig, turn| {
+        let value = Value::Int32(mark_of(4711, turn));
+        rig.fake.registers.insert(Register::InputInt(registers::OWNER), value);
+    };
+    mark(&mut rig, false);
     rig.connect_all();
+    rig.run_ms(100);
+    assert!(rig.events.iter().all(|event| !matches!(event, RobotEvent::InputInUse { .. })), "not yet");
+    mark(&mut rig, true);
     rig.run_ms(100);
     let taken = InputsTaken { names: rig.fake.in_use.clone(), celld: Some(4711) };
     assert!(taken.to_string().contains("another celld drives this robot (process 4711"), "{taken}");
@@ -98,8 +105,14 @@ fn the_celld_that_holds_the_registers_is_named_by_its_mark() {
     rig.fake.in_use.clear();
     rig.run_ms(6000);
     assert!(rig.saw(&RobotEvent::RtdeReady));
-    let mark = rig.fake.registers.get(&Register::InputInt(registers::OWNER)).cloned();
-    assert_eq!(mark, Some(Value::Int32(mark_of(0))), "the mark of this one is there now");
+    let marks: Vec<_> = (0..2)
+        .map(|_| {
+            rig.run_ms(160);
+            rig.fake.registers.get(&Register::InputInt(registers::OWNER)).cloned()
+        })
+        .collect();
+    let own = [false, true].map(|turn| Some(Value::Int32(mark_of(1, turn))));
+    assert!(marks[0] != marks[1] && marks.iter().all(|mark| own.contains(mark)), "{marks:?}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! When each device was heard last, by the wall's clock.
+//! When each device answered last, by the wall's clock.
 //!
 //! In: marks of the loop, for each answer of a device. Out: ages, for the status file. Apart from the
 //! supervisor's status, whose words change only when a device does.
@@ -19,9 +19,9 @@ pub enum Device {
 
 /// Shared between the loop, which marks, and the keeper, which reads.
 #[derive(Clone, Debug, Default)]
-pub struct Heard(Arc<Mutex<[Option<Instant>; 3]>>);
+pub struct LastAnswers(Arc<Mutex<[Option<Instant>; 3]>>);
 
-impl Heard {
+impl LastAnswers {
     /// The device has answered now.
     pub fn now(&self, device: Device) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)[device as usize] = Some(Instant::now());
@@ -35,8 +35,8 @@ impl Heard {
             "camera" => Device::Camera,
             _ => return None,
         };
-        let heard = self.0.lock().unwrap_or_else(PoisonError::into_inner)[device as usize];
-        heard.map(|at| (at.elapsed().as_secs_f64() * 10.0).round() / 10.0)
+        let answered = self.0.lock().unwrap_or_else(PoisonError::into_inner)[device as usize];
+        answered.map(|at| (at.elapsed().as_secs_f64() * 10.0).round() / 10.0)
     }
 }
 
@@ -45,10 +45,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_device_has_an_age_of_its_own_once_it_was_heard() {
-        let heard = Heard::default();
-        heard.now(Device::Gripper);
-        assert!(heard.age_s("gripper").is_some_and(|age| age < 600.0));
-        assert_eq!((heard.age_s("robot"), heard.age_s("camera"), heard.age_s("arm")), (None, None, None));
+    fn each_device_has_an_age_of_its_own_once_it_has_answered() {
+        let answered = LastAnswers::default();
+        answered.now(Device::Gripper);
+        assert!(answered.age_s("gripper").is_some_and(|age| age < 600.0));
+        assert_eq!(
+            (answered.age_s("robot"), answered.age_s("camera"), answered.age_s("arm")),
+            (None, None, None)
+        );
     }
 }
