@@ -40,7 +40,8 @@ use tokio::signal::unix::{SignalKind, signal};
 /// When a name without an address is looked up again.
 const NAMES_AGAIN: std::time::Duration = std::time::Duration::from_secs(2);
 
-/// From the robot's first answer to the first turn: the camera is opened, the empty table's pictures are read.
+/// From the robot's first answer to the first turn: the camera is opened, the empty table's pictures are
+/// read.
 const START_WITHIN: std::time::Duration = std::time::Duration::from_secs(120);
 
 /// `celld run`
@@ -217,17 +218,14 @@ async fn daemon(
     let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     model.gripper_confirmed |= confirmed;
     (model.held_before, model.cut_off) = (keeper.held_before(), keeper.cut_off());
-    let identities = Identities {
-        robot: format!("serial {}", arm.serial),
-        camera: format!("serial {}", measured.camera.serial),
-    };
     for pose in blocked_poses(&config, &model) {
         tracing::warn!("taught pose {pose}; the arm will not go there");
     }
     shell.see_with(perception_setup(&config, &measured, &arm, diagnostic_images)?);
     shell.commission(model, config.arm_at_start);
     let pictures = LastPicture::new(Some(measured.camera.clone()));
-    let keeper = keeper.with(pictures.clone(), &config_file, identities, shell.last_answers());
+    let keeper =
+        keeper.with(pictures.clone(), &config_file, identities(&arm, &measured), shell.last_answers());
     shell.keep_in(Box::new(keeper), Box::new(orders));
     tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     starting.rests();
@@ -239,6 +237,13 @@ async fn daemon(
         tracing::warn!("recording: {fault}");
     }
     ended
+}
+
+fn identities(arm: &Arm, measured: &Measured) -> Identities {
+    Identities {
+        robot: format!("serial {}", arm.serial),
+        camera: format!("serial {}", measured.camera.serial),
+    }
 }
 
 /// Camera and perception; a camera that is away is said, and waited for.

@@ -6,6 +6,7 @@
 
 mod drawn;
 mod status_file;
+mod unfinished;
 
 use crate::cell::code::{Code, JobStatus};
 use crate::cell::orders::{Approval, Reply};
@@ -22,7 +23,7 @@ use crate::daemon::plan_files::{self, poses};
 use crate::daemon::store::Keeper;
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
-use crate::jobs::journal::{Journal, JournalError, Recovered};
+use crate::jobs::journal::{Journal, JournalError};
 use crate::jobs::record::{
     GoalPose, JobRecord, JobResult, JobState, ObjectResult, PlanRecord, StepIntent, StepKind, StepPhase,
     StepRecord,
@@ -37,6 +38,7 @@ use rearrange::planning::plan::ActionKind;
 use rearrange::planning::solver::SolverKind;
 use std::collections::BTreeMap;
 use std::path::Path;
+use unfinished::{held_before, unfinished};
 
 /// Why the state folder cannot be kept.
 #[derive(Debug, thiserror::Error)]
@@ -101,31 +103,14 @@ impl StateKeeper {
     pub fn open(config: CellConfig, state: StateFolder, daemon: String) -> Result<StateKeeper, KeeperError> {
         let now = unix_now_s();
         let mut journal = Journal::open(&state.journal())?;
-        let (mut notices, mut cut_off) = (Vec::new(), None);
-        for recovered in journal.recover(now)? {
-            notices.push(recovered.to_string());
-            cut_off = cut_off.or_else(|| cut_off_by(&recovered));
-        }
-        // An earlier start may have found it, and ended before a person saw it.
-        let cut_off = match cut_off {
-            Some(cut_off) => Some(cut_off),
-            None => journal.cut_off_before()?.as_ref().and_then(cut_off_by),
-        };
+        let (notices, cut_off) = unfinished(&mut journal, now)?;
         let mut spool = Spool::open(
             state.root(),
             SpoolSettings { at_once: 1, entries_at_once: 200, ..SpoolSettings::STANDARD },
         )?;
         spool.reconcile_at_start(&mut journal)?;
         let (started_unix_s, disk) = (now, Disk::of(state.root()));
-        // The word of a grip may not have reached the disk before the end.
-        let may_hang = |step: &StepRecord| matches!(step.phase, StepPhase::Gripped | StepPhase::Intent);
-        let gripped = journal.last_step()?.filter(may_hang);
-        let held_before = gripped.map(|step| HeldBefore {
-            object: step.intent.object,
-            to: step.intent.to,
-            tool_from_object: step.intent.tool_from_object,
-            table: step.intent.table,
-        });
+        let held_before = held_before(&journal)?;
         Ok(StateKeeper {
             config,
             state,
@@ -404,16 +389,6 @@ impl StateKeeper {
             | (Record::LetGo | Record::Ended(_), _) => Ok(()),
         }
     }
-}
-
-/// What a person has to know of a job that ended in the middle of a step.
-fn cut_off_by(recovered: &Recovered) -> Option<CutOff> {
-    let Recovered::Interrupted { step, .. } = recovered else { return None };
-    Some(CutOff {
-        object: step.intent.object.clone(),
-        carrying: step.phase == StepPhase::Gripped,
-        message: recovered.to_string(),
-    })
 }
 
 /// Where the objects lay when the job `id` first looked.

@@ -3,7 +3,8 @@
 //! In: beats. A task is working since its last beat, or rests because nothing is asked of it. Out: which
 //! tasks have not answered in their time, in the log; the messages of `sd_notify(3)` to the socket that
 //! `NOTIFY_SOCKET` names: READY, STATUS, WATCHDOG as long as every task answers, STOPPING. A daemon whose
-//! loop hangs still has a process, a lock and perhaps a thread that gets on: only all tasks together may keep the service manager from starting it anew.
+//! loop hangs still has a process, a lock and threads that get on: only all tasks together may keep the
+//! service manager from starting it anew.
 
 use sd_notify::NotifyState;
 use std::sync::atomic::{AtomicBool, Ordering};

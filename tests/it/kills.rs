@@ -1,5 +1,6 @@
-//! SIGKILL to the real daemon in the middle of a job, while the simulated robot runs on: after writes, syncs,
-//! renames and removals in the state folder, and at any time. Nothing is lost, nothing is done twice, nothing moves by itself.
+//! SIGKILL to the real daemon in the middle of a job, while the simulated robot runs on: after writes,
+//! syncs, renames and removals in the state folder, and at any time. Nothing is lost, nothing is done twice,
+//! nothing moves by itself.
 //!
 //! In: `CELLD_KILLS=N` makes N kills of either kind instead of a few, spread over a job's calls and time. A
 //! library put before libc's counts the calls on files of the state folder and kills the process after one

@@ -1,5 +1,5 @@
-//! Files and pictures spoilt at random, by the readers that the daemon and the commands use: whatever comes of
-//! it is a value or a complaint with its place, never a panic.
+//! Files and pictures spoilt at random, by the readers that the daemon and the commands use: whatever comes
+//! of it is a value or a complaint with its place, never a panic.
 //!
 //! In: sound texts of every kind, a seed, `CELLD_SPOILT=N` for N files (and a hundredth of it pictures)
 //! instead of some thousand. Out: nothing panics; with a number given, the slowest file and the most memory

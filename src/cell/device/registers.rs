@@ -45,8 +45,8 @@ const SIGNATURE: i32 = 0x4C << 24;
 const TURN: i32 = 1 << 23;
 const PROCESS_BITS: i32 = TURN - 1;
 
-/// The mark of a celld in [`OWNER`]: a signature, a bit that changes while it is connected, and the number of
-/// its process (Linux gives no more than 22 bits).
+/// The mark of a celld in [`OWNER`]: a signature, a bit that changes while it is connected, and the number
+/// of its process (Linux gives no more than 22 bits).
 pub fn mark_of(process: u32, turn: bool) -> i32 {
     SIGNATURE | if turn { TURN } else { 0 } | (process.cast_signed() & PROCESS_BITS)
 }

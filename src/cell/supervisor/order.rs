@@ -55,7 +55,8 @@ pub struct ObjectReport {
     pub id: String,
     /// Where it should be.
     pub goal: Option<Pose2>,
-    /// Where the camera saw it last, and how long before the job's end; `None` also where it was gripped since.
+    /// Where the camera saw it last, and how long before the job's end; `None` also where it was gripped
+    /// since.
     pub measured: Option<(Pose2, Duration)>,
 }
 
