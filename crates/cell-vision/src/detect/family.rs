@@ -97,6 +97,12 @@ impl Family {
         }
     }
 
+    /// True when every module of the print is black or white by its number: not in round families and not in
+    /// one with a hole.
+    pub(super) fn is_full(self) -> bool {
+        !matches!(self, Family::TagCircle21h7 | Family::TagCircle49h12 | Family::TagCustom48h12)
+    }
+
     /// The library's own description of the family.
     pub(super) fn library(self) -> apriltag::Family {
         match self {

@@ -5,7 +5,9 @@
 //! again, the whole picture is. What comes into view elsewhere is not noticed, so the first picture of every
 //! look is searched whole.
 
-use crate::detect::{DetectError, Detection, Detector};
+use crate::detect::Detector;
+use crate::detect::detection::{DetectError, Detection, sort};
+use crate::detect::piece::{Piece, pieces};
 use cell_values::image::GrayImage;
 
 /// Free space about a marker, in its own edges and pixels: its white ring, and some motion.
@@ -15,16 +17,6 @@ const ROOM_PX: f64 = 8.0;
 const SAME_PX: f64 = 8.0;
 /// Searching this share of the picture in pieces takes as long as all of it.
 const WORTH_IT: f64 = 0.7;
-/// The library searches nothing smaller, pixels.
-const PIECE_MIN: u32 = 32;
-
-/// A piece of a picture: columns from..to, rows from..to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Piece {
-    columns: [u32; 2],
-    rows: [u32; 2],
-}
-
 impl Detector {
     /// The markers in a picture that shows about what `before` was found in.
     ///
@@ -35,7 +27,7 @@ impl Detector {
         picture: &GrayImage,
         before: &[Detection],
     ) -> Result<Vec<Detection>, DetectError> {
-        let pieces = pieces(before, picture.width, picture.height);
+        let pieces = surroundings(before, picture.width, picture.height);
         let searched: u64 = pieces.iter().map(Piece::area).sum();
         let whole = u64::from(picture.width) * u64::from(picture.height);
         if before.is_empty() || searched as f64 > WORTH_IT * whole as f64 {
@@ -45,17 +37,14 @@ impl Detector {
         for piece in &pieces {
             let Some(cut) = piece.cut(picture) else { return self.detect(picture) };
             for mut detection in self.detect(&cut)? {
-                for corner in &mut detection.corners {
-                    corner[0] += f64::from(piece.columns[0]);
-                    corner[1] += f64::from(piece.rows[0]);
-                }
+                piece.shift(&mut detection);
                 found.push(detection);
             }
         }
         if !before.iter().all(|known| found.iter().any(|seen| is_same(known, seen))) {
             return self.detect(picture);
         }
-        found.sort_by(|a, b| a.id.cmp(&b.id).then(b.decision_margin.total_cmp(&a.decision_margin)));
+        sort(&mut found);
         Ok(found)
     }
 }
@@ -65,55 +54,12 @@ fn is_same(known: &Detection, seen: &Detection) -> bool {
     known.id == seen.id && known.family == seen.family && (x - u).hypot(y - v) <= SAME_PX
 }
 
-impl Piece {
-    fn about(marker: &Detection, width: u32, height: u32) -> Piece {
-        let room = ROOM_EDGES * marker.edge_min_px() + ROOM_PX;
-        let span = |axis: usize, length: u32| {
-            let of = marker.corners.iter().map(|corner| corner[axis]);
-            let (low, high) =
-                of.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
-            // Casts from outside the range end at its borders.
-            let (from, to) = ((low - room).floor() as u32, ((high + room).ceil() as u32).min(length));
-            let from = from.min(length.saturating_sub(PIECE_MIN)).min(to.saturating_sub(PIECE_MIN));
-            [from, to.max(from + PIECE_MIN).min(length)]
-        };
-        Piece { columns: span(0, width), rows: span(1, height) }
-    }
-
-    fn area(&self) -> u64 {
-        u64::from(self.columns[1] - self.columns[0]) * u64::from(self.rows[1] - self.rows[0])
-    }
-
-    fn touches(&self, other: &Piece) -> bool {
-        let meet = |a: [u32; 2], b: [u32; 2]| a[0] < b[1] && b[0] < a[1];
-        meet(self.columns, other.columns) && meet(self.rows, other.rows)
-    }
-
-    fn with(&self, other: &Piece) -> Piece {
-        let both = |a: [u32; 2], b: [u32; 2]| [a[0].min(b[0]), a[1].max(b[1])];
-        Piece { columns: both(self.columns, other.columns), rows: both(self.rows, other.rows) }
-    }
-
-    fn cut(&self, picture: &GrayImage) -> Option<GrayImage> {
-        let [left, right] = self.columns.map(|column| column as usize);
-        let rows = picture.data.chunks_exact(picture.width as usize).take(self.rows[1] as usize);
-        let rows = rows.skip(self.rows[0] as usize).filter_map(|row| row.get(left..right));
-        let data = rows.flatten().copied().collect();
-        GrayImage::from_data(self.columns[1] - self.columns[0], self.rows[1] - self.rows[0], data).ok()
-    }
-}
-
-/// Pieces about all markers, those that overlap made one: no marker is found twice.
-fn pieces(markers: &[Detection], width: u32, height: u32) -> Vec<Piece> {
-    let mut pieces: Vec<Piece> = Vec::with_capacity(markers.len());
-    for marker in markers {
-        let mut piece = Piece::about(marker, width, height);
-        while let Some(at) = pieces.iter().position(|other| other.touches(&piece)) {
-            piece = piece.with(&pieces.swap_remove(at));
-        }
-        pieces.push(piece);
-    }
-    pieces
+/// Pieces about all markers.
+fn surroundings(markers: &[Detection], width: u32, height: u32) -> Vec<Piece> {
+    let about = |marker: &Detection| {
+        Piece::about(&marker.corners, ROOM_EDGES * marker.edge_min_px() + ROOM_PX, width, height)
+    };
+    pieces(markers.iter().map(about).collect())
 }
 
 #[cfg(test)]
@@ -147,7 +93,7 @@ mod tests {
         let before = detector.detect(&picture(&prints(0.0), 1)).unwrap();
         assert_eq!(ids(&before), [0, 1, 2, 3, 4, 5]);
         let next = picture(&prints(0.0), 2);
-        let searched: u64 = pieces(&before, 640, 480).iter().map(Piece::area).sum();
+        let searched: u64 = surroundings(&before, 640, 480).iter().map(Piece::area).sum();
         assert!(searched < 640 * 480 / 2, "{searched} px would be searched");
         let begun = std::time::Instant::now();
         let again = detector.detect_again(&next, &before).unwrap();
@@ -183,14 +129,14 @@ mod tests {
         };
         let markers =
             [at(3.0, 3.0, 20.0), at(620.0, 460.0, 16.0), at(300.0, 200.0, 40.0), at(350.0, 205.0, 40.0)];
-        let found = pieces(&markers, 640, 480);
+        let found = surroundings(&markers, 640, 480);
         assert_eq!(found.len(), 3, "the two in the middle share one: {found:?}");
         for piece in &found {
             assert!(piece.columns[1] <= 640 && piece.rows[1] <= 480);
             assert!(piece.columns[1] - piece.columns[0] >= 32 && piece.rows[1] - piece.rows[0] >= 32);
         }
         // Corners that are no numbers must not panic.
-        pieces(&[at(f64::NAN, 1.0, 5.0), at(1e12, -1e12, 5.0)], 640, 480);
-        pieces(&markers, 20, 10);
+        surroundings(&[at(f64::NAN, 1.0, 5.0), at(1e12, -1e12, 5.0)], 640, 480);
+        surroundings(&markers, 20, 10);
     }
 }
