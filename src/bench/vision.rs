@@ -230,7 +230,7 @@ impl Bench {
             let picture =
                 render(&self.lens, table_from_camera, &scene.ground, &scene.prints, DEGRADE, &mut random);
             let time = Timestamp::from_nanos(views.len() as u64);
-            let view = perception.grey_view(&picture, *table_from_camera, time, None);
+            let view = perception.grey_view(picture, *table_from_camera, time, None);
             let view = view.map_err(|error| chain(&error))?;
             self.count(&scene, [number, views.len()], &view.detections, &mut tally);
             views.push(view);
@@ -379,7 +379,7 @@ fn whole_time(
     table_from_camera: &Isometry3<f64>,
 ) -> Result<f64, String> {
     let started = Instant::now();
-    let view = perception.grey_view(picture, *table_from_camera, Timestamp::ZERO, None);
+    let view = perception.grey_view(picture.clone(), *table_from_camera, Timestamp::ZERO, None);
     let view = view.map_err(|error| chain(&error))?;
     perception.observe(&[view], None).map_err(|error| chain(&error))?;
     Ok(started.elapsed().as_secs_f64() * 1e3)

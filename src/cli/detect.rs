@@ -14,6 +14,7 @@ use cell_values::units::{deg_from_rad, mm_from_m};
 use cell_vision::annotate;
 use cell_vision::camera::CameraModel;
 use cell_vision::cv;
+use cell_vision::detect::second::Expected;
 use cell_vision::detect::{DetectSettings, Detection, Detector, Family};
 use cell_vision::observe::Observation;
 use nalgebra::Vector3;
@@ -45,6 +46,12 @@ pub struct DetectArgs {
     /// Search on a picture this much smaller (1 finds the smallest markers, 1.5 is twice as fast).
     #[arg(long, value_name = "F", default_value_t = DetectSettings::default().decimate)]
     decimate: f32,
+    /// Markers that should be in it, comma-separated: they are believed more readily in a poor picture.
+    #[arg(long, value_delimiter = ',', value_name = "ID")]
+    expect: Vec<u32>,
+    /// Search once, as the first pass of a look does, instead of in every way.
+    #[arg(long, conflicts_with = "expect")]
+    one_pass: bool,
     /// Write a copy with the detections drawn on it.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -117,9 +124,14 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
     }
     let settings = DetectSettings { decimate: args.decimate, ..DetectSettings::default() };
     let mut detector = Detector::of(&args.family, settings).map_err(|error| chain(&error))?;
-    let detections = detector
-        .detect(&image.gray())
-        .map_err(|error| format!("{}: {}", args.image.display(), chain(&error)))?;
+    let grey = image.gray();
+    let detections = if args.one_pass {
+        detector.detect(&grey)
+    } else {
+        let expected = expected(args, cell.as_ref());
+        detector.detect_thoroughly(&grey, &expected)
+    };
+    let detections = detections.map_err(|error| format!("{}: {}", args.image.display(), chain(&error)))?;
     let on_table = cell.map(|cell| cell.look(&detections, args.depth.as_deref())).transpose();
     let on_table = on_table.map_err(|error| format!("{}: {error}", args.image.display()))?;
     if let Some(out) = &args.out {
@@ -147,6 +159,14 @@ fn detect(args: &DetectArgs) -> Result<(String, usize), String> {
         Format::Json => json(&args.image, &image, &found, on_table.map(|on_table| on_table.seen).as_ref())?,
     };
     Ok((text, found.len()))
+}
+
+/// The markers named on the command line, in each family looked for, and those of the cell.
+fn expected(args: &DetectArgs, cell: Option<&table::Cell>) -> Vec<Expected> {
+    let named =
+        args.family.iter().flat_map(|family| args.expect.iter().map(|id| Expected::anywhere(*family, *id)));
+    let own = cell.into_iter().flat_map(table::Cell::markers);
+    named.chain(own.map(|id| Expected::anywhere(Family::Tag36h11, id))).collect()
 }
 
 fn pose(camera: &CameraModel, detection: &Detection, size_m: f64) -> Option<Pose> {
@@ -220,6 +240,8 @@ mod tests {
             depth: None,
             family: vec![Family::Tag36h11],
             decimate: 1.0,
+            expect: Vec::new(),
+            one_pass: false,
             out: None,
             format: Format::Text,
         }

@@ -167,7 +167,7 @@ impl Seeing {
     }
 
     fn observe(&mut self, views: &[View], partial: Option<&PartialLook>) -> Result<Observation, String> {
-        let PerceptionSetup { sight: Sight::Cell(perception), diagnostic_images, .. } = &self.eyes else {
+        let PerceptionSetup { sight: Sight::Cell(perception), diagnostic_images, .. } = &mut self.eyes else {
             return Err(no_perception().message);
         };
         let seen = perception.observe(views, partial).map_err(|error| chain(&error));

@@ -244,8 +244,12 @@ impl Eyes {
     ///
     /// # Errors
     /// What keeps them from fitting together.
-    pub fn observe(&self, views: &[View], partial: Option<&PartialLook>) -> Result<Box<Observation>, String> {
-        let seen = match &self.sight {
+    pub fn observe(
+        &mut self,
+        views: &[View],
+        partial: Option<&PartialLook>,
+    ) -> Result<Box<Observation>, String> {
+        let seen = match &mut self.sight {
             Sight::Pictures(sight) => sight.1.observe(views, partial),
             Sight::Corners(sight) => observe_views(&sight.0, views, partial),
         };

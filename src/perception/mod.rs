@@ -8,12 +8,14 @@
 
 pub mod diagnostic_images;
 pub mod place;
+mod second_look;
 
 use cell_values::image::depth::DepthImage;
 use cell_values::image::{GrayImage, Image};
 use cell_values::time::Timestamp;
 use cell_vision::camera::CameraModel;
-use cell_vision::detect::{DetectError, DetectSettings, Detection, Detector};
+use cell_vision::detect::second::Expected;
+use cell_vision::detect::{DetectError, DetectSettings, Detection, Detector, Family};
 use cell_vision::foreign::search::ForeignSearch;
 use cell_vision::foreign::{HeightMap, HeightMapError};
 use cell_vision::observe::reference::DriftLimits;
@@ -21,6 +23,7 @@ use cell_vision::observe::{
     MarkedObject, Observation, ObserveLimits, PartialLook, ReferenceMarker, View, observe,
 };
 use nalgebra::Isometry3;
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// What perception has to know of the cell.
@@ -85,10 +88,22 @@ pub enum PerceptionError {
     Observe(String),
 }
 
+/// Pictures of a look that are kept for its second pass, at most: a look takes fewer.
+const KEPT_MAX: usize = 16;
+
+/// The first picture of a place of the look under way.
+struct Kept {
+    table_from_camera: Isometry3<f64>,
+    time: Timestamp,
+    grey: GrayImage,
+}
+
 /// Markers found and things measured, for one cell.
 pub struct Perception {
     scene: Scene,
     detector: Detector,
+    /// Of the look under way, newest first.
+    kept: VecDeque<Kept>,
 }
 
 impl Perception {
@@ -97,7 +112,7 @@ impl Perception {
     /// # Errors
     /// The detector cannot be made.
     pub fn new(scene: Scene, settings: DetectSettings) -> Result<Perception, PerceptionError> {
-        Ok(Perception { scene, detector: Detector::new(settings)? })
+        Ok(Perception { scene, detector: Detector::new(settings)?, kept: VecDeque::new() })
     }
 
     /// What it knows.
@@ -118,6 +133,18 @@ impl Perception {
         Ok(self.detector.detect(&image.gray())?)
     }
 
+    /// The markers in a picture that need not show all of the cell's, with a second pass for each that it
+    /// does not show: for single pictures.
+    ///
+    /// # Errors
+    /// The detector failed.
+    pub fn detect_known(&mut self, image: &Image) -> Result<Vec<Detection>, PerceptionError> {
+        let objects = self.scene.objects.iter().map(|object| object.marker_id);
+        let known = objects.chain(self.scene.reference.iter().map(|marker| marker.id));
+        let known: Vec<Expected> = known.map(|id| Expected::anywhere(Family::Tag36h11, id)).collect();
+        Ok(self.detector.detect_expected(&image.gray(), &known)?)
+    }
+
     /// One frame of a look pose: markers, and on the last frame what depth or colour say of things without
     /// one. `earlier` is a view of the same place and the same moment: only its markers are searched for
     /// again.
@@ -132,40 +159,71 @@ impl Perception {
         earlier: Option<&View>,
         last: bool,
     ) -> Result<View, PerceptionError> {
-        let view = self.grey_view(&picture.image.gray(), table_from_camera, time, earlier)?;
+        let view = self.grey_view(picture.image.gray(), table_from_camera, time, earlier)?;
         let heights = self.scene.heights(picture.depth, last.then_some(picture.image), &table_from_camera)?;
         Ok(View { heights, ..view })
     }
 
     /// The markers of a frame in grey levels, as [`Perception::view`] finds them; nothing of other things.
+    /// The first frame of a place is kept until the look's views are put together.
     ///
     /// # Errors
     /// The detector failed.
     pub fn grey_view(
         &mut self,
-        grey: &GrayImage,
+        grey: GrayImage,
         table_from_camera: Isometry3<f64>,
         time: Timestamp,
         earlier: Option<&View>,
     ) -> Result<View, PerceptionError> {
         let detections = match earlier {
-            Some(View { detections, .. }) => self.detector.detect_again(grey, detections)?,
-            None => self.detector.detect(grey)?,
+            Some(View { detections, .. }) => self.detector.detect_again(&grey, detections)?,
+            None => self.detector.detect(&grey)?,
         };
+        if earlier.is_none() {
+            self.kept.truncate(KEPT_MAX - 1);
+            self.kept.push_front(Kept { table_from_camera, time, grey });
+        }
         Ok(View { table_from_camera, detections, time, heights: None })
     }
 
     /// The views of a look put together; of a partial look only its region is searched for things without a
-    /// marker.
+    /// marker. Where none of them shows a marker that one should show, its picture is searched again in
+    /// other ways before it is called missing.
     ///
     /// # Errors
-    /// What keeps them from fitting together.
+    /// The detector failed; what keeps the views from fitting together.
     pub fn observe(
-        &self,
+        &mut self,
         views: &[View],
         partial: Option<&PartialLook>,
     ) -> Result<Observation, PerceptionError> {
-        observe_views(&self.scene, views, partial)
+        let again = self.looked_again(views, partial)?;
+        observe_views(&self.scene, again.as_deref().unwrap_or(views), partial)
+    }
+
+    /// The views with what a second pass adds; `None` when nothing is missing. The kept pictures go.
+    fn looked_again(
+        &mut self,
+        views: &[View],
+        partial: Option<&PartialLook>,
+    ) -> Result<Option<Vec<View>>, PerceptionError> {
+        let Perception { scene, detector, kept } = self;
+        let kept = std::mem::take(kept);
+        let missing = second_look::missing(&scene.objects, &scene.reference, views, partial);
+        if missing.is_empty() {
+            return Ok(None);
+        }
+        let mut views = views.to_vec();
+        for view in &mut views {
+            let of_it =
+                |kept: &&Kept| kept.time == view.time && kept.table_from_camera == view.table_from_camera;
+            let Some(Kept { grey, .. }) = kept.iter().find(of_it) else { continue };
+            let expected = second_look::expected(&scene.camera, &missing, &view.table_from_camera);
+            let found = std::mem::take(&mut view.detections);
+            view.detections = detector.look_again(grey, found, &expected)?;
+        }
+        Ok(Some(views))
     }
 }
 

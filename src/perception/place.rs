@@ -27,7 +27,7 @@ pub fn placed_view(perception: &mut Perception, image: &Image, time: Timestamp) 
     let Scene { camera, reference, .. } = perception.scene();
     camera.check_picture(image.width, image.height).map_err(|error| error.to_string())?;
     let (camera, reference) = (camera.clone(), reference.clone());
-    let detections = perception.detect(image).map_err(|error| chain(&error))?;
+    let detections = perception.detect_known(image).map_err(|error| chain(&error))?;
     let table_from_camera = where_taken(&camera, &reference, &detections)?;
     Ok(View { table_from_camera, detections, time, heights: None })
 }

@@ -183,8 +183,8 @@ struct Rule {
 /// Evidence: in 10 pictures with 152 markers, degraded in 25 ways and searched in five, no real one agreed
 /// with its print by less than 0.81 (motion of 9 px, covered borders), and all but one in a hundred by 0.89
 /// and more in every other way. In 60 cluttered pictures without markers, read as tag16h5, which has so few
-/// bits that something is always read, 957 false readings agreed by less than 0.4 in half of the cases and by
-/// less than 0.75 in five of six. What agrees like a marker are framed squares of random modules: against
+/// bits that something is always read, 957 false readings agreed by less than 0.4 in half of the cases and
+/// by less than 0.75 in five of six. What agrees like a marker are framed squares of random modules: against
 /// them only the number of bits helps, and 36 of them with one repaired are read by chance once in 800,000
 /// such squares.
 impl Rule {

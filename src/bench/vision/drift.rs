@@ -334,7 +334,7 @@ impl Bench {
         if let Eye::Pictures(perception) = eye {
             let ground = Ground::Plain(140.0);
             let picture = render(&self.lens, truly, &ground, &self.prints, DEGRADE, random);
-            let view = perception.grey_view(&picture, table_from_camera, time, None);
+            let view = perception.grey_view(picture, table_from_camera, time, None);
             return view.map_err(|error| chain(&error));
         }
         let detections = self.projected(truly, random);

@@ -55,6 +55,13 @@ impl Cell {
         Ok(Cell { config, lens })
     }
 
+    /// The markers of its objects and its reference markers.
+    pub fn markers(&self) -> Vec<u32> {
+        let scene = movable_scene(&self.config, self.lens.clone(), None);
+        let objects = scene.objects.iter().map(|object| object.marker_id);
+        objects.chain(scene.reference.iter().map(|marker| marker.id)).collect()
+    }
+
     /// The table in a picture with these markers.
     ///
     /// # Errors
@@ -70,7 +77,8 @@ impl Cell {
         let search = depth.as_ref().map(|_| drawn_search(&config, &lens)).transpose();
         let search = search.map_err(|error| chain(&error))?;
         let scene = movable_scene(&config, lens.clone(), search);
-        let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
+        let mut perception =
+            Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
         let heights = perception.scene().heights(depth.as_ref(), None, &table_from_camera);
         let heights = heights.map_err(|error| chain(&error))?;
         let view = View { table_from_camera, detections, time: Timestamp::ZERO, heights };

@@ -70,7 +70,7 @@ fn references(
     let surveyed = scene.reference.len();
     let mut perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
     let at = model.camera_at(&state.q);
-    let view = perception.grey_view(&frame.image.gray(), at, Timestamp::ZERO, None);
+    let view = perception.grey_view(frame.image.gray(), at, Timestamp::ZERO, None);
     let view = view.map_err(|error| chain(&error))?;
     let seen = perception.observe(&[view], None).map_err(|error| chain(&error))?;
     Ok(References { surveyed, check: seen.reference, limits: drift_limits(config) })
