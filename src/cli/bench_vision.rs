@@ -1,12 +1,13 @@
 //! `celld bench vision`: how often markers are found, how exact their poses are, how long it takes; how
 //! surely a bumped camera and things without a marker are noticed; how exact the camera's mount comes out of
-//! calibration.
+//! calibration; what is found in poor pictures, and what is read where there is nothing.
 //!
 //! In: which parts, how many frames, scenes and looks, a seed, detector settings. Out: a table for people,
 //! or one JSON object; some of the frames as pictures with the truth about their corners where that is
 //! requested. Exit code 0, 2 for usage, 130 after Ctrl-C.
 
 mod args;
+mod light;
 mod parts;
 
 use crate::bench::vision::tally::Accuracy;
@@ -48,6 +49,8 @@ fn run_all(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<String>, 
             Part::Drift => parts::drift(args, stop)?,
             Part::Foreign => parts::foreign(args, stop)?,
             Part::HandEye => Some(parts::hand_eye(args)?),
+            Part::Degraded => light::degraded(args, stop)?,
+            Part::Empty => light::empty(args, stop)?,
         };
         let Some((reported, figures)) = done else { return Ok(None) };
         if !text.is_empty() {
@@ -63,6 +66,8 @@ fn run_all(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<String>, 
                     Part::Drift => "drift",
                     Part::Foreign => "foreign",
                     Part::HandEye => "hand_eye",
+                    Part::Degraded => "degraded",
+                    Part::Empty => "empty",
                 };
                 json.insert(name.to_owned(), figures);
             }

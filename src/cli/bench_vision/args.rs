@@ -39,8 +39,22 @@ pub struct BenchVisionArgs {
     #[arg(long, value_name = "DIR")]
     pub(super) save: Option<PathBuf>,
     /// Which figures, comma-separated
-    #[arg(long, value_delimiter = ',', value_enum, default_values_t = Part::ALL)]
+    #[arg(long, value_delimiter = ',', value_enum, default_values_t = Part::USUAL)]
     pub(super) part: Vec<Part>,
+    /// Rendered pictures that are degraded (part degraded)
+    #[arg(long, value_name = "N", default_value_t = 40,
+          value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub(super) pictures: u32,
+    /// Degrade the PNG and JPEG files of this folder instead; what is read in them as they are counts
+    #[arg(long, value_name = "DIR")]
+    pub(super) recorded: Option<PathBuf>,
+    /// Cluttered pictures without markers (part empty)
+    #[arg(long, value_name = "N", default_value_t = 1000,
+          value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    pub(super) empty: u32,
+    /// Photographs without markers to lie under the clutter of every third of them
+    #[arg(long, value_name = "DIR")]
+    pub(super) photographs: Option<PathBuf>,
     /// Tables with something foreign, and as many without
     #[arg(long, value_name = "N", default_value_t = 500,
           value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
@@ -77,10 +91,18 @@ pub(super) enum Part {
     Foreign,
     /// The camera's place on the flange.
     HandEye,
+    /// Markers in poor pictures, beside the plain library; not run unless named.
+    Degraded,
+    /// Pictures without markers: false ids; not run unless named.
+    Empty,
 }
 
 impl Part {
-    pub(super) const ALL: [Part; 4] = [Part::Markers, Part::Drift, Part::Foreign, Part::HandEye];
+    /// Those that run unless others are named.
+    pub(super) const USUAL: [Part; 4] = [Part::Markers, Part::Drift, Part::Foreign, Part::HandEye];
+    /// Every part, in the order in which they run.
+    pub(super) const ALL: [Part; 6] =
+        [Part::Markers, Part::Drift, Part::Foreign, Part::HandEye, Part::Degraded, Part::Empty];
 }
 
 /// A part's table, and its figures.
