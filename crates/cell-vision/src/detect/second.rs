@@ -2,9 +2,10 @@
 //!
 //! In: a picture, what one pass found in it, what should be in it. Out: what was found, and what else the
 //! other ways show. No single way of searching is best in every picture: a coarse one bridges covered
-//! borders and motion, a blurred one noise, a fine one reads what is small. All of them take several times
-//! as long as the first pass, so they are tried one after the other, until nothing expected is missing. A false
-//! id is worse than a missing one: what is not expected has to look more like its print than what is.
+//! borders and motion, a blurred one noise, a fine one reads what is small. Together they take up to ten
+//! times as long as the first pass, so they are tried one after the other, until nothing expected is
+//! missing. A false id is worse than a missing one: what is not expected has to look more like its print
+//! than what is.
 
 use crate::detect::detection::{DetectError, Detection, sort};
 use crate::detect::family::Family;
