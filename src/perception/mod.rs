@@ -23,7 +23,7 @@ use cell_vision::observe::{
     MarkedObject, Observation, ObserveLimits, PartialLook, ReferenceMarker, View, observe,
 };
 use nalgebra::Isometry3;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 /// What perception has to know of the cell.
@@ -104,7 +104,14 @@ pub struct Perception {
     detector: Detector,
     /// Of the look under way, newest first.
     kept: VecDeque<Kept>,
+    /// How often each marker was searched for in vain in whole pictures since it was seen last.
+    in_vain: BTreeMap<u32, u32>,
 }
+
+/// What was searched for in vain so often is taken for absent: an object of the catalogue that is not on the
+/// table must not cost each look a second pass. Where it is expected at a known place it is searched for
+/// there all the same, and one that a first pass shows counts anew.
+const IN_VAIN_MAX: u32 = 2;
 
 impl Perception {
     /// With a detector of its own.
@@ -112,7 +119,8 @@ impl Perception {
     /// # Errors
     /// The detector cannot be made.
     pub fn new(scene: Scene, settings: DetectSettings) -> Result<Perception, PerceptionError> {
-        Ok(Perception { scene, detector: Detector::new(settings)?, kept: VecDeque::new() })
+        let detector = Detector::new(settings)?;
+        Ok(Perception { scene, detector, kept: VecDeque::new(), in_vain: BTreeMap::new() })
     }
 
     /// What it knows.
@@ -208,9 +216,13 @@ impl Perception {
         views: &[View],
         partial: Option<&PartialLook>,
     ) -> Result<Option<Vec<View>>, PerceptionError> {
-        let Perception { scene, detector, kept } = self;
+        let Perception { scene, detector, kept, in_vain } = self;
         let kept = std::mem::take(kept);
-        let missing = second_look::missing(&scene.objects, &scene.reference, views, partial);
+        forget_seen(in_vain, views);
+        let mut missing = second_look::missing(&scene.objects, &scene.reference, views, partial);
+        missing.retain(|one| {
+            one.is_somewhere() || in_vain.get(&one.id()).is_none_or(|times| *times < IN_VAIN_MAX)
+        });
         if missing.is_empty() {
             return Ok(None);
         }
@@ -223,7 +235,18 @@ impl Perception {
             let found = std::mem::take(&mut view.detections);
             view.detections = detector.look_again(grey, found, &expected)?;
         }
+        for one in missing.iter().filter(|one| !one.is_somewhere()) {
+            *in_vain.entry(one.id()).or_default() += 1;
+        }
+        forget_seen(in_vain, &views);
         Ok(Some(views))
+    }
+}
+
+/// What a view shows was not searched for in vain.
+fn forget_seen(in_vain: &mut BTreeMap<u32, u32>, views: &[View]) {
+    for seen in views.iter().flat_map(|view| &view.detections) {
+        in_vain.remove(&seen.id);
     }
 }
 

@@ -25,6 +25,18 @@ pub(super) struct Missing {
     corners: Option<[[f64; 3]; 4]>,
 }
 
+impl Missing {
+    /// Its number.
+    pub(super) fn id(&self) -> u32 {
+        self.id
+    }
+
+    /// Its place is known.
+    pub(super) fn is_somewhere(&self) -> bool {
+        self.corners.is_some()
+    }
+}
+
 /// What no view shows of objects and reference markers.
 pub(super) fn missing(
     objects: &[MarkedObject],
@@ -140,6 +152,27 @@ mod tests {
         // The picture is gone with its look: what is asked again of the same view is what the view shows.
         let again = perception.observe(&[view], None).unwrap();
         assert!(!again.missing.is_empty() || again.reference.is_none(), "{again:?}");
+    }
+
+    /// The catalogue has an object that is not on the table: its absence costs two looks a second pass, and
+    /// the others nothing.
+    #[test]
+    fn what_is_not_there_is_not_searched_for_at_every_look() {
+        let (scene, at) = (scene(), testing::looking_down(0.0, 0.0, 0.4, [0.0, 0.0], 0.0));
+        let prints: Vec<Print> = (1..6).map(|i| Print::level(i, 0.025, pose(i), 0.0)).collect();
+        let picture = testing::render(&scene.camera, &at, &prints, testing::USUAL, 11);
+        let mut perception = Perception::new(scene, DetectSettings::default()).unwrap();
+        let look = |perception: &mut Perception, picture: &cell_values::image::GrayImage| {
+            let view = perception.grey_view(picture.clone(), at, Timestamp::ZERO, None).unwrap();
+            perception.looked_again(&[view], None).unwrap().is_some()
+        };
+        let again: Vec<bool> = (0..4).map(|_| look(&mut perception, &picture)).collect();
+        assert_eq!(again, [true, true, false, false]);
+        // Once it has been there, it is missed anew.
+        let whole: Vec<Print> = (0..6).map(|i| Print::level(i, 0.025, pose(i), 0.0)).collect();
+        let whole = testing::render(&testing::camera(640, 480), &at, &whole, testing::USUAL, 11);
+        assert!(!look(&mut perception, &whole));
+        assert!(look(&mut perception, &picture));
     }
 
     #[test]
