@@ -16,14 +16,18 @@ use cell_parts::reference::check_reference_markers;
 use cell_values::units::{Joints, deg_from_rad, mm_from_m};
 use rearrange::document::Location;
 use rearrange::document::decode::Decoder;
+use rearrange::geometry::collision::penetration;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
-use rearrange::tabletop::instance::{ObjectSpec, Workspace};
+use rearrange::tabletop::instance::{KeepOut, ObjectSpec, Workspace};
 use rearrange::tabletop::room::{Cup, Grip, place_for_cups};
 use std::net::IpAddr;
 
 /// Space that every cup keeps to the rim of the face it sits on, m.
 pub const CUP_MARGIN_M: f64 = 0.001;
+
+/// So far a reference marker's paper may reach into the workspace: less than it was surveyed to, m.
+const ASIDE_M: f64 = 1e-3;
 
 /// Angles tried between 0 and a half turn.
 const ANGLES: usize = 36;
@@ -39,11 +43,46 @@ pub(super) fn check_cell(decoder: &mut Decoder, parts: &CellParts, places: &Plac
         check_limits(decoder, limits, places);
     }
     check_reference_markers(decoder, places, &parts.object_markers);
+    check_references_are_aside(decoder, parts, places);
     check_gripper_height(decoder, parts, places);
     for (index, object) in parts.objects.iter().flatten().enumerate() {
         let Some(object) = object else { continue };
         let at = places.at(&["objects", &index.to_string()]);
         check_object(decoder, parts, object, at, &format!("objects[{index}]"));
+    }
+}
+
+/// Printed with its white ring, a marker is this many times as wide as its black square.
+const PRINTED: f64 = 1.25;
+
+/// A reference marker within the workspace would be covered by what is placed there, and is then missed or
+/// torn off: it lies outside, or where nothing may be placed.
+fn check_references_are_aside(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
+    let (Some(size), Some(keep_out)) = (&parts.table.size, &parts.table.keep_out) else { return };
+    let room = Footprint::Rectangle { length: size.width, width: size.height };
+    let middle = Pose2::new(size.width / 2.0, size.height / 2.0, 0.0);
+    for (index, marker) in parts.reference_markers.iter().flatten().enumerate() {
+        let edge = PRINTED * marker.size_m;
+        let paper = Footprint::Rectangle { length: edge, width: edge };
+        let inside = penetration(&paper, &marker.pose, &room, &middle);
+        let kept_free = |kept: &KeepOut| {
+            let corners = paper.outline(4).into_iter();
+            corners.into_iter().all(|corner| {
+                let at = kept.pose.inverse_transform(marker.pose.transform(corner));
+                kept.footprint.contains_point(at, 0.0)
+            })
+        };
+        if inside <= ASIDE_M || keep_out.iter().any(kept_free) {
+            continue;
+        }
+        let message = format!(
+            "reference marker {} reaches {:.1} mm into the workspace, where objects are placed",
+            marker.id,
+            mm_from_m(inside)
+        );
+        let help = "fix it to the table beside the workspace, or name its place in `keep_out`";
+        let at = places.at(&["reference_markers", &index.to_string()]);
+        decoder.complain(at, &format!("reference_markers[{index}]"), message, help);
     }
 }
 

@@ -12,7 +12,7 @@ use crate::cell::supervisor::gates::motion_speed;
 use crate::cell::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::cell::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::cell::supervisor::mode::{EndFault, Mode};
-use crate::cell::supervisor::phase::{LookStage, Phase};
+use crate::cell::supervisor::phase::{LookStage, Phase, Work, WorkStage};
 use crate::cell::supervisor::reason::{Reason, STOP_ORDERED, alarm, say};
 use crate::cell::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
@@ -309,6 +309,10 @@ impl Supervisor {
         };
         job.stops += 1;
         let (id, stops) = (job.order.id.clone(), job.stops);
+        let placed = |work: &Work| work.stage == WorkStage::Retreating && !work.over;
+        if matches!(&self.phase, Phase::Work(work) if placed(work)) {
+            self.note_done(now, out);
+        }
         self.stop_and_disarm(out);
         self.withdraw_meant(now, out);
         let Reason { hint, .. } = self.with_a_hint(reason.clone());

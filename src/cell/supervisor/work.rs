@@ -271,7 +271,7 @@ impl Supervisor {
     }
 
     /// The object is at its place.
-    fn note_done(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+    pub(crate) fn note_done(&mut self, now: Timestamp, out: &mut Vec<Action>) {
         self.moved_one();
         self.times.move_over();
         let Some(job) = &mut self.job else { return };
