@@ -402,7 +402,7 @@ fn a_job_outlives_a_lost_object_as_often_as_the_configuration_lets_it() {
             continue;
         }
         assert!(
-            status.hint.contains("celld recover") && status.hint.contains("goes on then"),
+            status.hint.contains("celld recover") && status.hint.contains("look, plan anew and go on"),
             "{}",
             status.hint
         );
