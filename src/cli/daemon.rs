@@ -157,7 +157,7 @@ fn waits_for(keeper: &StateKeeper, watchdog: &Watchdog, message: &str) {
     watchdog.words(message);
 }
 
-/// The same shell once all devices' names have addresses: a network may come up after this computer.
+/// The shell once all devices' names have addresses: a network may come up after this computer.
 async fn shell_when_named(
     config: &CellConfig,
     seed: u64,
@@ -166,8 +166,8 @@ async fn shell_when_named(
 ) -> Result<Shell, String> {
     let mut said = String::new();
     loop {
-        match Addresses::of(&config.devices) {
-            Ok(_) => return open_shell(config, seed),
+        match open_shell(config, seed) {
+            Ok(shell) => return Ok(shell),
             Err(_) if stop.load(Ordering::Relaxed) => return Err(StartError::Stopped.to_string()),
             Err(fault) if fault != said => {
                 say(&fault);

@@ -6,7 +6,7 @@
 //! not be reachable through the cell's computer either. systemd filters by number, so names are looked up
 //! here, and a complaint says that the filter keeps the daemon from looking them up again.
 
-use crate::config::cell::{CameraDevice, Devices};
+use crate::config::cell::Devices;
 use crate::config::load::load_cell;
 use cell_edge::terminal::{complain, print};
 use clap::Args;
@@ -54,27 +54,9 @@ pub fn run(args: &UnitArgs) -> u8 {
 
 /// Hosts that the daemon connects to, each once.
 fn hosts(devices: &Devices) -> BTreeSet<String> {
-    let mut hosts = BTreeSet::from([devices.robot_host.clone(), devices.gripper_host.clone()]);
-    match &devices.camera {
-        CameraDevice::Simulator { host, .. } => hosts.extend([host.clone()]),
-        CameraDevice::Http { url, .. } => hosts.extend(host_of(url)),
-        CameraDevice::RealSense(_)
-        | CameraDevice::Uvc(_)
-        | CameraDevice::Folder { .. }
-        | CameraDevice::Video { .. } => {}
-    }
-    hosts
-}
-
-/// The host of an address like `http://user@host:80/path`.
-fn host_of(url: &str) -> Option<String> {
-    let authority = url.split_once("://").map_or(url, |(_, rest)| rest).split(['/', '?', '#']).next()?;
-    let host = authority.rsplit_once('@').map_or(authority, |(_, host)| host);
-    let host = match host.strip_prefix('[') {
-        Some(six) => six.split(']').next()?,
-        None => host.split(':').next()?,
-    };
-    (!host.is_empty()).then(|| host.to_string())
+    let Devices { robot_host, gripper_host, camera, .. } = devices;
+    let named = [Some(robot_host.as_str()), Some(gripper_host.as_str()), camera.host()];
+    named.into_iter().flatten().map(str::to_string).collect()
 }
 
 fn addresses(host: &str) -> Result<Vec<IpAddr>, String> {
@@ -101,18 +83,6 @@ fn drop_in(config: &Path, found: &[(String, Vec<IpAddr>)]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_host_of_a_picture_s_address_is_found() {
-        for (url, host) in [
-            ("http://10.0.0.5:8080/shot?x=@1", Some("10.0.0.5")),
-            ("http://user:secret@camera.local/a", Some("camera.local")),
-            ("http://[fe80::1]:80/", Some("fe80::1")),
-            ("http:///a", None),
-        ] {
-            assert_eq!(host_of(url).as_deref(), host, "{url}");
-        }
-    }
 
     #[test]
     fn every_device_is_let_through_and_nothing_else() {

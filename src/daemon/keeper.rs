@@ -25,8 +25,8 @@ use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::{JobContext, read_for_spool};
 use crate::jobs::journal::{Journal, JournalError};
 use crate::jobs::record::{
-    GoalPose, JobRecord, JobResult, JobState, ObjectResult, PlanRecord, StepIntent, StepKind, StepPhase,
-    StepRecord,
+    GoalPose, JobRecord, JobResult, JobState, ObjectResult, PlanRecord, StepIntent, StepKind, StepRecord,
+    moves_made,
 };
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
@@ -233,8 +233,7 @@ impl StateKeeper {
 
     /// Pick-n-places that a job has made: one that went on after a restart may have made some before.
     fn moves_of(&self, id: &str) -> Result<u32, JournalError> {
-        let done = |step: &&StepRecord| step.phase == StepPhase::Done;
-        Ok(self.journal.steps(id)?.iter().filter(done).count() as u32)
+        Ok(moves_made(&self.journal.steps(id)?))
     }
 
     fn end_unbegun(
@@ -488,25 +487,32 @@ impl Keeper for StateKeeper {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cell::supervisor::status::Doing;
     use crate::config::load::load_cell;
+    use crate::jobs::record::StepPhase;
     use rearrange::geometry::pose::Pose2;
 
-    /// What is held when a job is stopped and kept is taken off by hand: the job's step is closed by that,
-    /// and the next one can be opened.
-    #[test]
-    fn a_job_goes_on_after_what_it_held_was_let_go_by_hand() {
+    fn open(state: &StateFolder) -> StateKeeper {
         let config = load_cell(&Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml")).unwrap();
+        StateKeeper::open(config, state.clone(), "d1".into()).unwrap()
+    }
+
+    /// A keeper with a job that waits.
+    fn with_a_job() -> (tempfile::TempDir, StateFolder, StateKeeper) {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path());
-        let _lock = state.take().unwrap();
-        let mut keeper = StateKeeper::open(config, state.clone(), "d1".into()).unwrap();
+        state.take().unwrap();
+        let mut keeper = open(&state);
         let job = "version: 1\nid: tidy\ngoal:\n  objects:\n    - {id: lid, pose: [0.3, 0.38, 0]}\n";
         std::fs::write(state.incoming().join("tidy.yaml"), job).unwrap();
         for ms in [0, 600] {
             keeper.look_after(Timestamp::ZERO + Duration::from_millis(ms));
         }
-        assert_eq!(keeper.claim().map(|job| job.id).as_deref(), Some("tidy"));
-        let intent = Record::Intent {
+        (folder, state, keeper)
+    }
+
+    fn intent() -> Record {
+        Record::Intent {
             step: 0,
             object: "lid".into(),
             from: Pose2::default(),
@@ -514,15 +520,23 @@ mod tests {
             kind: ActionKind::Goal,
             tool_from_object: None,
             table: Vec::new(),
-        };
+        }
+    }
+
+    /// What is held when a job is stopped and kept is taken off by hand: the job's step is closed by that,
+    /// and the next one can be opened.
+    #[test]
+    fn a_job_goes_on_after_what_it_held_was_let_go_by_hand() {
+        let (_folder, _, mut keeper) = with_a_job();
+        assert_eq!(keeper.claim().map(|job| job.id).as_deref(), Some("tidy"));
         for gripped in [false, true, false] {
-            keeper.commit(&intent).unwrap();
+            keeper.commit(&intent()).unwrap();
             if gripped {
                 keeper.commit(&Record::Gripped { step: 0 }).unwrap();
             }
             keeper.commit(&Record::LetGo).unwrap();
         }
-        keeper.commit(&intent).unwrap();
+        keeper.commit(&intent()).unwrap();
         keeper.commit(&Record::Done { step: 0 }).unwrap();
         let phases: Vec<_> = keeper.journal.steps("tidy").unwrap().iter().map(|step| step.phase).collect();
         assert_eq!(phases.last(), Some(&StepPhase::Done), "{phases:?}");
@@ -532,32 +546,47 @@ mod tests {
     /// The word of a job that was cut off is there at every start until something else was done.
     #[test]
     fn a_job_that_was_cut_off_is_named_at_every_start_until_a_step_follows() {
-        let config = load_cell(&Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml")).unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        let state = StateFolder::new(folder.path());
-        let _lock = state.take().unwrap();
-        let open = || StateKeeper::open(config.clone(), state.clone(), "d1".into()).unwrap();
-        let mut first = open();
+        let (_folder, state, mut first) = with_a_job();
         assert_eq!(first.cut_off(), None);
-        let job = "version: 1\nid: tidy\ngoal:\n  objects:\n    - {id: lid, pose: [0.3, 0.38, 0]}\n";
-        std::fs::write(state.incoming().join("tidy.yaml"), job).unwrap();
-        for ms in [0, 600] {
-            first.look_after(Timestamp::ZERO + Duration::from_millis(ms));
-        }
         first.claim().expect("a job");
-        let (from, to, kind) = (Pose2::default(), Pose2::default(), ActionKind::Goal);
-        let (object, table) = ("lid".to_string(), Vec::new());
-        first
-            .commit(&Record::Intent { step: 0, object, from, to, kind, tool_from_object: None, table })
-            .unwrap();
+        first.commit(&intent()).unwrap();
         first.commit(&Record::Gripped { step: 0 }).unwrap();
         drop(first);
         for start in 2..4 {
-            let next = open();
-            let cut_off = next.cut_off().unwrap_or_else(|| panic!("start {start}"));
+            let cut_off = open(&state).cut_off().unwrap_or_else(|| panic!("start {start}"));
             assert!(cut_off.carrying && cut_off.object == "lid", "{cut_off:?}");
         }
-        open().commit(&Record::LetGo).unwrap();
-        assert_eq!(open().cut_off(), None, "it was taken off by hand");
+        open(&state).commit(&Record::LetGo).unwrap();
+        assert_eq!(open(&state).cut_off(), None, "it was taken off by hand");
+    }
+
+    #[test]
+    fn on_a_full_disk_no_job_is_begun_and_the_status_says_so() {
+        let (_folder, state, mut keeper) = with_a_job();
+        let need = std::mem::replace(&mut keeper.disk.jobs_need, u64::MAX);
+        assert!(keeper.claim().is_none());
+        let idle = Status {
+            armed: true,
+            paused: false,
+            doing: Doing::Idle,
+            job: None,
+            awaits_approval: false,
+            held: None,
+            moves: 0,
+            remaining_moves: 0,
+            last_move: None,
+            because: None,
+            hint: String::new(),
+            stopped: None,
+            devices: Vec::new(),
+        };
+        let written = |keeper: &mut StateKeeper| {
+            keeper.status(&idle);
+            status::Status::read(&state.status()).unwrap().expect("a status")
+        };
+        let full = written(&mut keeper);
+        assert!(full.message.contains("no job is begun") && full.hint.contains("make room"), "{full:?}");
+        keeper.disk.jobs_need = need;
+        assert_eq!((written(&mut keeper).message.as_str(), keeper.claim().is_some()), ("idle", true));
     }
 }

@@ -72,7 +72,10 @@ pub fn start(config: &RecordingConfig) -> Result<Recorder, String> {
     tape.open_next();
     match tape.fault.take() {
         Some(fault) if tape.tries_again.is_none() => Err(format!("recording: {fault}")),
-        _ => Ok(Recorder::of(tape, config.pictures)),
+        fault => {
+            tape.fault = fault;
+            Ok(Recorder::of(tape, config.pictures))
+        }
     }
 }
 
@@ -281,7 +284,7 @@ impl Tape {
 
     fn failed(&mut self, fault: String) {
         if self.tries_again.replace(Instant::now() + AGAIN_AFTER).is_none() {
-            tracing::warn!("nothing is recorded until there is room: {fault}");
+            tracing::warn!("nothing is recorded for now: {fault}");
         }
         self.fault.get_or_insert(fault);
     }
@@ -337,5 +340,44 @@ mod tests {
         let notice = Notice { alarm: true, text: "x".to_string() };
         recorder.on(Timestamp::ZERO, &Scene::Notice(&notice));
         assert!(recorder.close().is_some_and(|fault| fault.contains("run.mcap")));
+    }
+
+    fn config(folder: &Path, budget_bytes: u64, reserve_bytes: u64) -> RecordingConfig {
+        RecordingConfig { folder: folder.to_path_buf(), pictures: false, budget_bytes, reserve_bytes }
+    }
+
+    #[test]
+    fn a_long_file_is_followed_by_the_next_and_the_oldest_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let within = |budget| Some(RecordingsFolder::open(&config(folder.path(), budget, 0)).unwrap());
+        let mut tape = Tape::new(within(1 << 30));
+        tape.open_next();
+        let first = tape.file.as_ref().expect("a file").0.clone();
+        tape.write(Timestamp::ZERO, Entry::Log(Severity::Info, "x".repeat(1000)));
+        tape.look_at_the_disk();
+        assert_eq!(tape.file.as_ref().map(|(path, _)| path), Some(&first), "it is short");
+        tape.finish();
+        let length = std::fs::metadata(&first).unwrap().len();
+        // More than an eighth of this budget.
+        tape.folder = within(4 * length);
+        tape.file = Some((first.clone(), Recording::create(&folder.path().join("other"), 0.0).unwrap()));
+        tape.look_at_the_disk();
+        let second = tape.file.as_ref().expect("the next file").0.clone();
+        assert!(first != second && first.exists());
+        tape.folder = within(length / 2);
+        tape.look_at_the_disk();
+        assert!(!first.exists(), "the oldest goes");
+        assert_eq!(tape.close(), None);
+    }
+
+    #[test]
+    fn without_room_nothing_is_recorded_and_that_is_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorder = start(&config(folder.path(), 1 << 30, u64::MAX)).unwrap();
+        let notice = Notice { alarm: true, text: "x".to_string() };
+        recorder.on(Timestamp::ZERO, &Scene::Notice(&notice));
+        let fault = recorder.close().expect("a fault");
+        assert!(fault.contains("MB are left on the disk"), "{fault}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

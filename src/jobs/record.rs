@@ -348,6 +348,11 @@ impl JobRecord {
     }
 }
 
+/// Pick-n-places that these steps carried out.
+pub fn moves_made(steps: &[StepRecord]) -> u32 {
+    steps.iter().filter(|step| step.phase == StepPhase::Done).count() as u32
+}
+
 /// One object of a result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ObjectResult {

@@ -139,26 +139,37 @@ pub fn draw_overlays(
     table_from_camera: &Isometry3<f64>,
 ) -> Result<(), CvError> {
     for overlay in overlays {
-        let mut draw = |from: [f64; 2], to: [f64; 2], colour, thick| {
-            path(overlay, from, to, camera, table_from_camera).map(|pixels| {
-                for pair in pixels.windows(2) {
-                    raster::line(image, pair[0], pair[1], colour, thick);
-                }
-            })
-        };
-        for (i, &from) in overlay.outline.iter().enumerate() {
-            let to = overlay.outline[(i + 1) % overlay.outline.len()];
-            draw(from, to, overlay.colour, 2)?;
-        }
+        draw_outline(image, overlay, camera, table_from_camera)?;
         let reach = overlay.outline.iter().map(|p| p[0].hypot(p[1])).fold(0.01, f64::max) * 0.6;
-        draw([0.0, 0.0], [reach, 0.0], X_AXIS, 1)?;
-        draw([0.0, 0.0], [0.0, reach], Y_AXIS, 1)?;
+        for (to, colour) in [([reach, 0.0], X_AXIS), ([0.0, reach], Y_AXIS)] {
+            chain(image, &path(overlay, [0.0, 0.0], to, camera, table_from_camera)?, colour, 1);
+        }
         let centre = path(overlay, [0.0, 0.0], [0.0, 0.0], camera, table_from_camera)?;
         if let Some(&[x, y]) = centre.first() {
             raster::text(image, [x, y + 14.0], &overlay.label, overlay.colour, 2);
         }
     }
     Ok(())
+}
+
+/// Draws the outline alone.
+fn draw_outline(
+    image: &mut Image,
+    overlay: &Overlay,
+    camera: &CameraModel,
+    table_from_camera: &Isometry3<f64>,
+) -> Result<(), CvError> {
+    for (i, &from) in overlay.outline.iter().enumerate() {
+        let to = overlay.outline[(i + 1) % overlay.outline.len()];
+        chain(image, &path(overlay, from, to, camera, table_from_camera)?, overlay.colour, 2);
+    }
+    Ok(())
+}
+
+fn chain(image: &mut Image, pixels: &[[f64; 2]], colour: [u8; 3], thick: i64) {
+    for pair in pixels.windows(2) {
+        raster::line(image, pair[0], pair[1], colour, thick);
+    }
 }
 
 /// A straight line on the object as a chain of pixels: the lens bends it.

@@ -190,7 +190,7 @@ struct Rule {
 impl Rule {
     /// The first pass, and whatever is expected.
     const ANY: Rule = Rule { hamming_max: 2, agreement_min: 0.75 };
-    /// What nobody expects and only the second pass finds.
+    /// What is not expected and only the second pass finds.
     const STRANGER: Rule = Rule { hamming_max: 1, agreement_min: 0.85 };
 }
 

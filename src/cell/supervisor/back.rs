@@ -34,6 +34,8 @@ pub(crate) struct LastStop {
     /// `None`: before this celld was started.
     pub at: Option<Timestamp>,
     pub reason: Reason,
+    /// The job was not ended by it: it goes on once the cell is armed.
+    pub keeps_job: bool,
 }
 
 impl LastStop {
@@ -50,7 +52,7 @@ impl LastStop {
                 format!("look at the cell, `celld recover` shows how it is; then `celld arm` and {again}"),
             ),
         };
-        LastStop { at: None, reason: code.because(message, hint).of(object) }
+        LastStop { at: None, reason: code.because(message, hint).of(object), keeps_job: false }
     }
 }
 

@@ -191,12 +191,12 @@ impl Supervisor {
         self.note_for_the_way_back(now, &event);
         let Some(reason) = self.fault_of(outside, event) else { return };
         let moves = self.moving() || matches!(self.phase, Phase::BringUp(_));
-        match reason.code {
-            Code::HeartbeatLost if moves || self.mode.armed() => {
-                self.stop_and_keep_the_job(now, JobStatus::Interrupted, reason, out);
-            }
-            _ if moves => self.stop_all(now, JobStatus::Interrupted, reason, out),
-            _ => self.stand_down(now, reason, out),
+        if reason.code == Code::HeartbeatLost && self.job_outlives_a_stop() && self.mode.armed() {
+            self.stop_and_keep_the_job(now, reason, out);
+        } else if moves {
+            self.stop_all(now, JobStatus::Interrupted, reason, out);
+        } else {
+            self.stand_down(now, reason, out);
         }
     }
 
@@ -211,7 +211,8 @@ impl Supervisor {
             // What follows a stop at once is its consequence; what comes later is another.
             let follows = |stop: &LastStop| stop.at.is_some_and(|at| now.since(at) < SAME_STOP);
             if !self.back.last_stop.as_ref().is_some_and(follows) {
-                self.back.last_stop = Some(LastStop { at: Some(now), reason: reason.clone() });
+                self.back.last_stop =
+                    Some(LastStop { at: Some(now), reason: reason.clone(), keeps_job: false });
             }
             return say(out, reason.message);
         }
@@ -294,39 +295,49 @@ impl Supervisor {
         self.finish(now, end, reason, out);
     }
 
-    /// The same for what a job may outlive: it stays, and goes on with a new look and a new plan once a
-    /// person has armed the cell, so often as the configuration lets it. The arm does not go on by itself.
-    pub(crate) fn stop_and_keep_the_job(
-        &mut self,
-        now: Timestamp,
-        end: JobStatus,
-        reason: Reason,
-        out: &mut Vec<Action>,
-    ) {
+    /// The job may go on after an object that was lost or a heartbeat that was missed.
+    pub(crate) fn job_outlives_a_stop(&self) -> bool {
         let limit = self.model.tolerances.stop_retries;
-        let Some(job) = self.job.as_mut().filter(|job| job.stops < limit && !job.cancel) else {
-            return self.stop_all(now, end, reason, out);
-        };
-        job.stops += 1;
-        let (id, stops) = (job.order.id.clone(), job.stops);
+        self.job.as_ref().is_some_and(|job| job.stops < limit && !job.cancel)
+    }
+
+    /// Stops the arm, keeps the vacuum and the job, disarms: the job goes on with a new look and a new plan
+    /// once a person has armed the cell. The arm does not go on by itself.
+    pub(crate) fn stop_and_keep_the_job(&mut self, now: Timestamp, reason: Reason, out: &mut Vec<Action>) {
         let placed = |work: &Work| work.stage == WorkStage::Retreating && !work.over;
         if matches!(&self.phase, Phase::Work(work) if placed(work)) {
             self.note_done(now, out);
         }
         self.stop_and_disarm(out);
         self.withdraw_meant(now, out);
-        let Reason { hint, .. } = self.with_a_hint(reason.clone());
-        let hint = hint.replace("then `celld arm` and submit again", "");
-        let first = hint.trim_end_matches([' ', ';']);
-        let hint = format!("{first}; `celld arm` has job {id} look, plan anew and go on");
-        let reason = Reason { hint, ..reason };
-        alarm(out, format!("{STOP_ORDERED}: {}; {} (stop {stops} of {limit})", reason.message, reason.hint));
+        let Some(job) = &mut self.job else { return };
+        job.stops += 1;
+        let (stops, limit) = (job.stops, self.model.tolerances.stop_retries);
+        let stop = LastStop { at: Some(now), reason: reason.clone(), keeps_job: true };
+        let hint = self.stop_hint(&stop);
+        alarm(out, format!("{STOP_ORDERED}: {}; {hint} (stop {stops} of {limit})", reason.message));
         self.end_what_moves(now, &reason, out);
+        self.back.last_stop = Some(stop);
+    }
+
+    /// What to do about a stop, as it is now: the job that it left may have been cancelled since.
+    pub(crate) fn stop_hint(&self, stop: &LastStop) -> String {
+        let first = &stop.reason.hint;
+        match &self.job {
+            _ if !stop.keeps_job => first.clone(),
+            None => format!("{first}; {}", self.then()),
+            Some(job) => {
+                let held = if self.may_be_held() { self.then() } else { "" };
+                let then = if held.is_empty() { "" } else { "; " };
+                let id = &job.order.id;
+                format!("{first}{then}{held}; `celld arm` has job {id} look, plan anew and go on")
+            }
+        }
     }
 
     /// A round or a way back ends with a stop, which is remembered for `celld recover`.
     fn end_what_moves(&mut self, now: Timestamp, reason: &Reason, out: &mut Vec<Action>) {
-        self.back.last_stop = Some(LastStop { at: Some(now), reason: reason.clone() });
+        self.back.last_stop = Some(LastStop { at: Some(now), reason: reason.clone(), keeps_job: false });
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
         self.end_recovery(Err(reason.message.clone()), out);
     }

@@ -139,8 +139,8 @@ impl Supervisor {
             because: job.and_then(|job| job.doubt.clone()).filter(|_| matches!(self.phase, Phase::Look(_))),
             hint: self.hint(),
             stopped: self.back.last_stop.as_ref().map(|stop| {
-                let Reason { code, message, hint, .. } = stop.reason.clone();
-                StopNote { code, message, hint }
+                let Reason { code, message, .. } = stop.reason.clone();
+                StopNote { code, message, hint: self.stop_hint(stop) }
             }),
             devices: Vec::new(),
         }
@@ -174,7 +174,7 @@ impl Supervisor {
             }
             Phase::Ready => match (self.locked(), stopped, &self.waiting_for) {
                 (Some(closed), ..) => closed.hint().to_string(),
-                (None, Some(stop), _) => stop.reason.hint.clone(),
+                (None, Some(stop), _) => self.stop_hint(stop),
                 (None, None, Some(reason)) => self.hands_off_first(reason.hint()),
                 (None, None, None) if self.mode.armed() && self.mode.paused() => {
                     "`celld resume` goes on".to_string()

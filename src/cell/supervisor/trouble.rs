@@ -115,7 +115,10 @@ impl Supervisor {
             }
             ProgramEnd::HeartbeatLost => {
                 let first = "see the network, and that this computer is not overloaded";
-                self.trouble(Code::HeartbeatLost, message, first)
+                match self.job_outlives_a_stop() {
+                    true => Code::HeartbeatLost.because(message, first),
+                    false => self.trouble(Code::HeartbeatLost, message, first),
+                }
             }
             ProgramEnd::LinkLost => {
                 let first = "see the network, and that no other RTDE client has taken celld's inputs \

@@ -325,7 +325,10 @@ impl Supervisor {
                 let hint = "see where it lies, or whether it still hangs: `celld recover` says what the \
                             gripper reads";
                 let reason = Code::VacuumLost.because(message, hint).of(&work.object);
-                return self.stop_and_keep_the_job(now, JobStatus::Failed, reason, out);
+                return match self.job_outlives_a_stop() {
+                    true => self.stop_and_keep_the_job(now, reason, out),
+                    false => self.stop_all(now, JobStatus::Failed, reason, out),
+                };
             }
             // Readings and repeated answers change nothing; a phase that waits in vain runs into its
             // deadline.

@@ -108,7 +108,8 @@ async fn with_sim(
         gripper_unit: config.devices.gripper_unit,
     };
     let clock = Clock::paced(sim.pace(), choice.time_factor);
-    let parameters = machine_parameters(config, choice.seed.wrapping_add(1));
+    let mut parameters = machine_parameters(config, choice.seed.wrapping_add(1));
+    parameters.robot.process = std::process::id();
     let mut shell = Shell::open(&addresses, clock, parameters).map_err(|error| chain(&error))?;
     let (calibration, measured) = calibrate(&mut shell, config, sim, stop).await?;
     let camera = camera_of(config, sim, Some(measured.camera.clone()))?;

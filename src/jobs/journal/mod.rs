@@ -16,7 +16,7 @@ mod tests;
 use crate::jobs::history::JobFilter;
 use crate::jobs::journal::claim::free_id;
 use crate::jobs::journal::rows::{JobRow, encode, interrupted, job_columns, job_row, source_text, storable};
-use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobState, PlanRecord, StepPhase, StepRecord};
+use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobState, PlanRecord, StepRecord, moves_made};
 use rusqlite::{Connection, ErrorCode, OpenFlags, Transaction, params};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -153,7 +153,7 @@ pub enum Recovered {
         /// The job.
         id: String,
         /// Pick-n-places it has made.
-        moves: usize,
+        moves: u32,
     },
     /// A step was open: how far it got is not known. The job ended as `interrupted`.
     Interrupted {
@@ -168,16 +168,16 @@ impl std::fmt::Display for Recovered {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Recovered::Requeued { id, moves: 0 } => {
-                write!(f, "job {id} had moved nothing when celld last ended; it waits again")
+                write!(f, "job {id} had moved nothing when an earlier celld ended; it waits again")
             }
             Recovered::Requeued { id, moves } => write!(
                 f,
-                "job {id} had made {moves} moves when celld last ended, none was under way; it waits again, \
-                 looks and plans anew"
+                "job {id} had made {moves} moves when an earlier celld ended, none was under way; it waits \
+                 again, looks and plans anew"
             ),
             Recovered::Interrupted { id, step } => {
                 let (step, object) = (step.step, &step.intent.object);
-                write!(f, "job {id} was cut off in step {step} ({object}) when celld last ended")
+                write!(f, "job {id} was cut off in step {step} ({object}) when an earlier celld ended")
             }
         }
     }
@@ -516,7 +516,7 @@ impl Journal {
             match steps.iter().find(|step| step.phase.is_open()) {
                 None => {
                     self.requeue(&job.id)?;
-                    let moves = steps.iter().filter(|step| step.phase == StepPhase::Done).count();
+                    let moves = moves_made(&steps);
                     recovered.push(Recovered::Requeued { id: job.id, moves });
                 }
                 Some(open) => {

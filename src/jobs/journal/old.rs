@@ -5,7 +5,7 @@
 //! forgotten, for that step says what may hang on the gripper.
 
 use crate::jobs::journal::{Journal, JournalError};
-use rusqlite::params;
+use rusqlite::{Row, params};
 
 /// How much of the history is kept.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,12 +61,7 @@ impl Journal {
                                                ORDER BY sequence DESC LIMIT 1 OFFSET ?4))
               AND sequence IS NOT (SELECT job FROM steps ORDER BY rowid DESC LIMIT 1)
             ORDER BY sequence LIMIT ?3";
-        let mut statement = self.database.prepare(select).map_err(|e| self.fail(e))?;
-        let before = unix_s - limits.days * SECONDS_A_DAY;
-        let rows = statement.query_map(params![before, limits.jobs, AT_ONCE, limits.always], |row| {
-            Ok(OldJob { sequence: row.get(0)?, folder: row.get(1)? })
-        });
-        rows.and_then(Iterator::collect).map_err(|e| self.fail(e))
+        self.beyond(select, limits, unix_s, |row| Ok(OldJob { sequence: row.get(0)?, folder: row.get(1)? }))
     }
 
     /// Refusals beyond the limits, the oldest first; not of what stays in `incoming`, which would be refused
@@ -83,11 +78,23 @@ impl Journal {
                 OR time < ?1 AND sequence <= (SELECT sequence FROM rejections
                                               ORDER BY sequence DESC LIMIT 1 OFFSET ?4))
             ORDER BY sequence LIMIT ?3";
+        self.beyond(select, limits, unix_s, |row| {
+            Ok(OldRejection { sequence: row.get(0)?, stored: row.get(1)? })
+        })
+    }
+
+    /// The first rows of a query with the limits: ?1 what is older goes, ?2 how many stay, ?3 how many rows,
+    /// ?4 how many stay whatever their age.
+    fn beyond<T>(
+        &self,
+        select: &str,
+        limits: &HistoryLimits,
+        unix_s: f64,
+        row: impl FnMut(&Row) -> Result<T, rusqlite::Error>,
+    ) -> Result<Vec<T>, JournalError> {
         let mut statement = self.database.prepare(select).map_err(|e| self.fail(e))?;
         let before = unix_s - limits.days * SECONDS_A_DAY;
-        let rows = statement.query_map(params![before, limits.jobs, AT_ONCE, limits.always], |row| {
-            Ok(OldRejection { sequence: row.get(0)?, stored: row.get(1)? })
-        });
+        let rows = statement.query_map(params![before, limits.jobs, AT_ONCE, limits.always], row);
         rows.and_then(Iterator::collect).map_err(|e| self.fail(e))
     }
 

@@ -4,7 +4,7 @@
 //! identity (device, inode, size, time), so a crash between commit and rename is not a duplicate.
 
 use crate::cell::code::{Code, JobStatus};
-use crate::jobs::record::{JobRecord, JobResult, ObjectResult, StepPhase, StepRecord};
+use crate::jobs::record::{JobRecord, JobResult, ObjectResult, StepPhase, StepRecord, moves_made};
 use cell_edge::files::FileIdentity;
 use rusqlite::Row;
 use std::collections::BTreeMap;
@@ -113,7 +113,7 @@ pub(super) fn interrupted(
             open.step, open.phase
         ),
         hint,
-        moves: steps.iter().filter(|step| step.phase == StepPhase::Done).count() as u32,
+        moves: moves_made(steps),
         lower_bound: None,
         seconds: job.started_unix_s.map_or(0.0, |started| (unix_s - started).max(0.0)),
         times: BTreeMap::new(),

@@ -4,8 +4,8 @@
 //! the folder its job's state requires: `hold` (accepted, not begun), `active`, `done/<month>`,
 //! `failed/<month>`, `rejected`. Order of work, always: the journal commits first, then files move, then the
 //! journal notes that they are in place. A crash between any two of these leaves work that
-//! [`Spool::reconcile`] finishes, and never a file in two places or none. Change notifications are not
-//! needed: the folder is scanned, because notifications get lost.
+//! [`Spool::reconcile`] finishes; a file may then be in two places, and never in none. Change notifications
+//! are not needed: the folder is scanned, because notifications get lost.
 //! Rules: a file is taken when it has not changed for a settle time; links, FIFOs, folders and files with a
 //! second name are never opened and stay where they are; nothing is ever overwritten.
 

@@ -3,7 +3,7 @@
 //! In: moves in the table frame, the camera's lens and pose. Out: the picture with them. Whoever approves a
 //! plan compares it with what lies there, and not with a list of numbers.
 
-use super::{HINT, Overlay, arrow, path, raster};
+use super::{HINT, Overlay, arrow, draw_outline, path, raster};
 use crate::camera::CameraModel;
 use crate::cv::CvError;
 use cell_values::image::Image;
@@ -47,14 +47,7 @@ pub fn draw_moves(
         colour: HINT,
     };
     for step in moves {
-        let overlay = outline_of(step);
-        for (i, &from) in overlay.outline.iter().enumerate() {
-            let to = overlay.outline[(i + 1) % overlay.outline.len()];
-            let pixels = path(&overlay, from, to, camera, table_from_camera)?;
-            for pair in pixels.windows(2) {
-                raster::line(image, pair[0], pair[1], HINT, 2);
-            }
-        }
+        draw_outline(image, &outline_of(step), camera, table_from_camera)?;
     }
     // Arrows and numbers last, so that no outline hides them.
     for step in moves {

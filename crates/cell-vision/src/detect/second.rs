@@ -88,8 +88,10 @@ impl Detector {
     ) -> Result<Vec<Detection>, DetectError> {
         let mut found = self.detect(picture)?;
         let expected: Vec<&Expected> = expected.iter().collect();
+        let stretched = levels::stretched(picture);
+        let to_fit = stretched.as_ref().unwrap_or(picture);
         for way in WAYS {
-            self.search_more(picture, None, way, &expected, &mut found)?;
+            self.search_more([picture, to_fit], None, way, &expected, &mut found)?;
         }
         sort(&mut found);
         Ok(found)
@@ -106,30 +108,34 @@ impl Detector {
         expected: &[Expected],
     ) -> Result<Vec<Detection>, DetectError> {
         let mut missing: Vec<&Expected> = expected.iter().collect();
+        let mut stretched = None;
         for way in WAYS {
             missing.retain(|one| !found.iter().any(|seen| one.is(seen, picture)));
             if missing.is_empty() {
                 break;
             }
+            let to_fit = stretched.get_or_insert_with(|| levels::stretched(picture)).as_ref();
+            let pictures = [picture, to_fit.unwrap_or(picture)];
             // Where the place of each is known, nothing else is searched.
             let places: Option<Vec<Piece>> = missing.iter().map(|one| one.piece(picture)).collect();
             match places.map(pieces) {
                 Some(places) => {
                     for piece in &places {
-                        self.search_more(picture, Some(piece), way, &missing, &mut found)?;
+                        self.search_more(pictures, Some(piece), way, &missing, &mut found)?;
                     }
                 }
-                None => self.search_more(picture, None, way, &missing, &mut found)?,
+                None => self.search_more(pictures, None, way, &missing, &mut found)?,
             }
         }
         sort(&mut found);
         Ok(found)
     }
 
-    /// Adds what this way shows in a piece of the picture, or in all of it, beside what has been found.
+    /// Adds what this way shows in a piece of the picture, or in all of it, beside what has been found;
+    /// corners are fitted in the second picture, which is the first one stretched.
     fn search_more(
         &mut self,
-        picture: &GrayImage,
+        [picture, to_fit]: [&GrayImage; 2],
         piece: Option<&Piece>,
         way: Way,
         missing: &[&Expected],
@@ -144,8 +150,6 @@ impl Detector {
             }
             _ => self.pass(picture, way)?,
         };
-        let stretched = levels::stretched(picture);
-        let to_fit = stretched.as_ref().unwrap_or(picture);
         for one in seen {
             let expected = missing.iter().any(|missing| missing.is(&one.detection, picture));
             let rule = if expected { Rule::ANY } else { Rule::STRANGER };

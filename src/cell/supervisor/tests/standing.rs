@@ -4,6 +4,7 @@ use super::faults::{said, working};
 use super::*;
 use crate::cell::code::Code;
 use crate::cell::device::gripper_types::GripperEvent;
+use crate::cell::device::robot_types::ProgramEnd;
 use crate::cell::orders::WayBack;
 use crate::cell::supervisor::model::{CutOff, HeldBefore};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
@@ -519,7 +520,7 @@ fn a_job_that_was_cut_off_is_a_stop_that_is_left_like_any_other() {
     for (carrying, code, way) in
         [(true, Code::InterruptedCarrying, "shows the ways back"), (false, Code::Interrupted, "`celld arm`")]
     {
-        let message = "job j was cut off in step 2 (a) when celld last ended".to_string();
+        let message = "job j was cut off in step 2 (a) when an earlier celld ended".to_string();
         let cut_off = Some(CutOff { object: "a".into(), carrying, message });
         let mut bench = Bench::new();
         bench.cell = Supervisor::new(CellModel { cut_off, ..model() }, 7);
@@ -552,5 +553,37 @@ fn where_an_object_was_before_it_was_gripped_is_no_result() {
             (measured.expect("the job has ended").map(|m| m.0), measured.flatten().map(|m| m.1));
         assert_eq!(pose, (!gripped).then_some(bench.at), "{all:?}");
         assert!(gripped || age.is_some_and(|age| age > Duration::ZERO), "{age:?}");
+    }
+}
+
+/// The arm stops, the job stays; what is said of it is so while it is so. A heartbeat that is missed at rest
+/// stops nothing, and ends a job that may not outlive it.
+#[test]
+fn a_kept_job_is_named_until_it_is_cancelled_and_nothing_goes_on_by_itself() {
+    let missed = || Input::Robot(RobotEvent::ProgramEnded { reason: ProgramEnd::HeartbeatLost });
+    let mut bench = working();
+    bench.cell.model.tolerances.stop_retries = 1;
+    let all = bench.feed(missed());
+    assert!(all.iter().any(|action| matches!(action, Action::Robot(RobotCommand::Stop))), "{all:?}");
+    assert_eq!(ended(&all), None);
+    let stopped = bench.ticks(100);
+    assert_eq!(streams(&stopped), 0, "{stopped:?}");
+    let status = bench.cell.status();
+    assert!(!status.armed && status.job.is_some());
+    assert!(status.stopped.is_some_and(|stop| stop.hint.contains("`celld arm` has job j look")));
+    let mut all = bench.feed(order(Order::Cancel("j".into())));
+    all.extend(bench.ticks(3));
+    assert_eq!(ended(&all), Some((JobStatus::Cancelled, "cancelled".into())));
+    let status = bench.cell.status();
+    assert!(status.stopped.is_some_and(|stop| !stop.hint.contains("go on")), "there is no job to go on");
+
+    for (retries, end) in [(0, Some((JobStatus::Interrupted, "heartbeat_lost".to_string()))), (1, None)] {
+        let mut bench = Bench::new();
+        bench.cell.model.tolerances.stop_retries = retries;
+        bench.job(true);
+        bench.until_planning();
+        bench.plan();
+        assert_eq!(ended(&bench.feed(missed())), end, "it waits for approval");
+        assert!(!bench.cell.status().armed);
     }
 }
