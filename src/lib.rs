@@ -22,6 +22,8 @@ pub mod config;
 
 pub mod daemon;
 
+pub mod page;
+
 pub mod doctor;
 
 pub mod demo;

@@ -41,6 +41,103 @@ pub enum Order {
     ConfirmGripper,
 }
 
+impl Order {
+    /// It only stops: obeyed from whoever is known, and however old it is.
+    pub fn only_stops(&self) -> bool {
+        match self {
+            Order::Disarm | Order::Pause | Order::Abort => true,
+            Order::Arm
+            | Order::Approve(_)
+            | Order::Reject(_)
+            | Order::Cancel(_)
+            | Order::Resume
+            | Order::Step
+            | Order::Park
+            | Order::Release(_)
+            | Order::Recover(_)
+            | Order::ConfirmGripper => false,
+        }
+    }
+
+    /// It may set the arm in motion or let something fall: for people who see the cell.
+    pub fn needs_sight(&self) -> bool {
+        match self {
+            Order::Arm
+            | Order::Resume
+            | Order::Step
+            | Order::Park
+            | Order::Release(_)
+            | Order::Recover(_)
+            | Order::ConfirmGripper => true,
+            Order::Disarm
+            | Order::Approve(_)
+            | Order::Reject(_)
+            | Order::Cancel(_)
+            | Order::Pause
+            | Order::Abort => false,
+        }
+    }
+
+    /// The least role that may give it.
+    pub fn least_role(&self) -> Role {
+        match self {
+            Order::Disarm | Order::Pause | Order::Abort => Role::View,
+            Order::Arm
+            | Order::Cancel(_)
+            | Order::Resume
+            | Order::Step
+            | Order::Park
+            | Order::Release(_)
+            | Order::Recover(_) => Role::Operate,
+            Order::Approve(_) | Order::Reject(_) => Role::Approve,
+            Order::ConfirmGripper => Role::Engineer,
+        }
+    }
+}
+
+/// What a person may do at the cell; each may do what those before it may.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Look, and stop the cell.
+    View,
+    /// Give orders and jobs.
+    Operate,
+    /// Agree to plans.
+    Approve,
+    /// Change what the cell believes of itself.
+    Engineer,
+}
+
+impl Role {
+    /// All of them, the least first.
+    pub const ALL: [Role; 4] = [Role::View, Role::Operate, Role::Approve, Role::Engineer];
+
+    /// The word in files and on the page.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Role::View => "view",
+            Role::Operate => "operate",
+            Role::Approve => "approve",
+            Role::Engineer => "engineer",
+        }
+    }
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for Role {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<Role, UnknownWord> {
+        named(word, &Role::ALL, Role::as_str)
+    }
+}
+
 /// How a stop is left; each but the first is a person's word that the cell is safe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -128,5 +225,23 @@ mod tests {
             assert_eq!(approval.as_str().parse::<Approval>(), Ok(approval));
         }
         assert!(Approval::Always > Approval::Job && Approval::Job > Approval::Never);
+    }
+
+    /// Whoever may look may stop; what moves the arm takes more than a look.
+    #[test]
+    fn whoever_may_look_may_stop_and_nothing_that_moves() {
+        for order in [Order::Abort, Order::Disarm, Order::Pause] {
+            assert!(order.only_stops() && order.least_role() == Role::View && !order.needs_sight());
+        }
+        let moves = [Order::Arm, Order::Resume, Order::Step, Order::Park, Order::Recover(WayBack::Place)];
+        for order in moves.into_iter().chain([Order::Release(Channels::Both), Order::ConfirmGripper]) {
+            assert!(
+                !order.only_stops() && order.needs_sight() && order.least_role() > Role::View,
+                "{order:?}"
+            );
+        }
+        for role in Role::ALL {
+            assert_eq!(role.as_str().parse::<Role>(), Ok(role));
+        }
     }
 }

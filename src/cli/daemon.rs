@@ -1,6 +1,7 @@
 //! `celld run`: the daemon on real (or simulated) devices, and what `celld calibrate` shares with it.
 //!
-//! In: the cell's configuration and the state folder. Out: work on job files until Ctrl-C or SIGTERM. Bad
+//! In: the cell's configuration and the state folder. Out: work on job files, and the page where one is
+//! configured, until Ctrl-C or SIGTERM. Bad
 //! configuration or calibration files are exit 2, before any device is touched; a second daemon on one state
 //! folder is 1.
 
@@ -17,12 +18,16 @@ use crate::daemon::last_picture::LastPicture;
 use crate::daemon::recorder::{self, Recorder};
 use crate::daemon::shell::{Observer, Scene, Shell, StartError};
 use crate::daemon::sockets::Addresses;
-use crate::daemon::state_orders::StateOrders;
+use crate::daemon::state_orders::{Office, StateOrders};
 use crate::daemon::watchdog::{Beats, Watchdog};
 use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::doctor::files::blocked_poses;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
+use crate::page::ServeError;
+use crate::page::app::{self, Setup};
+use crate::page::feed::{Feed, KnownCell, Watcher};
+use crate::page::orders::{WithPage, desk};
 use crate::perception::Perception;
 use cell_edge::clock::{Clock, unix_now_s};
 use cell_edge::priority;
@@ -32,7 +37,7 @@ use cell_vision::camera::CameraModel;
 use cell_vision::detect::DetectSettings;
 use clap::Args;
 use rearrange::document::chain::chain;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::signal::unix::{SignalKind, signal};
@@ -193,7 +198,12 @@ async fn daemon(
     let gripper = gripper_address(&config.devices);
     let confirmed = state.gripper_confirmed(&gripper);
     let orders = StateOrders::open(&state, name.clone(), gripper).map_err(|error| chain(&error))?;
-    let mut keeper = StateKeeper::open(config.clone(), state, name).map_err(|error| chain(&error))?;
+    let page = Page::start(&config, &config_file, &state).map_err(|error| chain(&error))?;
+    let (feed, orders) = (page.feed, (page.join)(orders.with_office(page.office)));
+    let published = feed.clone();
+    let mut keeper = StateKeeper::open(config.clone(), state, name)
+        .map_err(|error| chain(&error))?
+        .published(Box::new(move |status| published.status(status)));
     for notice in keeper.notices() {
         tracing::warn!("{notice}");
     }
@@ -222,21 +232,59 @@ async fn daemon(
         tracing::warn!("taught pose {pose}; the arm will not go there");
     }
     shell.see_with(perception_setup(&config, &measured, &arm, diagnostic_images)?);
-    shell.commission(model, config.arm_at_start);
     let pictures = LastPicture::new(Some(measured.camera.clone()));
+    let lens = measured.camera.clone();
+    // After the poses to look from are computed, so that they are shared and not computed twice.
+    let known = model.clone();
+    shell.commission(model, config.arm_at_start);
+    feed.known(KnownCell { model: known, lens, pictures: pictures.clone() });
     let keeper =
         keeper.with(pictures.clone(), &config_file, identities(&arm, &measured), shell.last_answers());
     shell.keep_in(Box::new(keeper), Box::new(orders));
     tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     starting.rests();
     let recorder = config.recording.as_ref().map(recorder::start).transpose()?;
-    let mut lines = Lines { recorder, pictures, watchdog };
+    let mut lines = Lines { recorder, pictures, watchdog, feed: feed.observer() };
     let ended = shell.run(&mut lines, &stop).await.map_err(|error| error.to_string());
     lines.watchdog.stopping();
     if let Some(fault) = lines.recorder.as_mut().and_then(Recorder::close) {
         tracing::warn!("recording: {fault}");
     }
     ended
+}
+
+/// The page's end in the daemon; without `page:` nothing is served, and the rest is the same.
+struct Page<F> {
+    feed: Feed,
+    join: F,
+    office: Option<Box<dyn Office>>,
+}
+
+impl Page<()> {
+    fn start(
+        config: &CellConfig,
+        config_file: &Path,
+        state: &StateFolder,
+    ) -> Result<Page<impl FnOnce(StateOrders) -> WithPage<StateOrders> + use<>>, ServeError> {
+        let (desk, join) = desk();
+        let feed = Feed::default();
+        let office = match &config.page {
+            None => None,
+            Some(page) => {
+                let name = config_file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+                let setup = Setup {
+                    page,
+                    cell: config,
+                    config_name: name.unwrap_or_default(),
+                    state: state.clone(),
+                    feed: feed.clone(),
+                    desk,
+                };
+                Some(app::start(setup)?)
+            }
+        };
+        Ok(Page { feed, join, office })
+    }
 }
 
 fn identities(arm: &Arm, measured: &Measured) -> Identities {
@@ -271,6 +319,7 @@ struct Lines {
     recorder: Option<Recorder>,
     pictures: LastPicture,
     watchdog: Watchdog,
+    feed: Watcher,
 }
 
 impl Observer for Lines {
@@ -286,5 +335,6 @@ impl Observer for Lines {
         if let Some(recorder) = &mut self.recorder {
             recorder.on(now, &scene);
         }
+        self.feed.on(now, scene);
     }
 }

@@ -3,27 +3,22 @@
 //! In: the state folder; for a report also the configuration, which has the shapes of the objects. Out: a
 //! table, a story, an HTML page. No daemon is needed, and a running one is not disturbed.
 
-use crate::cell::code::JobStatus;
 use crate::cli::client::{ClientError, Format, StateArg, complain};
 use crate::cli::task::outln;
-use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
-use crate::daemon::plan_files;
+use crate::daemon::job_report::job_report;
 use crate::jobs::history::{JobFilter, since, story};
 use crate::jobs::journal::Journal;
-use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord, quoted};
+use crate::jobs::record::{JobRecord, quoted};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
 use crate::jobs::utc;
 use crate::report::html::html;
-use crate::report::run::{Drawing, Figures, LogRow, MoveRow, ObjectRow, Picture, RunReport};
-use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
 use crate::report::text::{columns, or_dash};
 use cell_edge::clock::unix_now_s;
 use cell_edge::files::write_whole;
 use clap::Args;
-use rearrange::geometry::pose::Pose2;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Arguments of `celld jobs`.
 #[derive(Args, Debug)]
@@ -175,139 +170,11 @@ pub(super) fn report(args: &ReportArgs) -> Result<u8, ClientError> {
         }
     };
     let folder = journal.folder_of(&job.id)?.map(|folder| state.root().join("jobs").join(folder));
-    let page = html(&page_of(&job, &journal.steps(&job.id)?, &cell, folder.as_deref()));
+    let page = html(&job_report(&job, &journal.steps(&job.id)?, &cell, folder.as_deref()));
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.html", job.id)));
     write_whole(&out, page.as_bytes())?;
     outln!("{}", out.display());
     Ok(0)
-}
-
-/// What is known of a job, as the page has it.
-fn page_of(job: &JobRecord, steps: &[StepRecord], cell: &CellConfig, folder: Option<&Path>) -> RunReport {
-    let result = job.result.as_ref();
-    let hint = |hint: &str| if hint.is_empty() { String::new() } else { format!("; to do: {hint}") };
-    let done = steps.iter().filter(|step| step.phase == StepPhase::Done);
-    RunReport {
-        title: job.id.clone(),
-        reached: job.state == JobState::Ended(JobStatus::Done),
-        headline: match result {
-            Some(result) => format!("{} ({}){}", result.message, result.code, hint(&result.hint)),
-            None => format!("the job is {}", job.state),
-        },
-        figures: Figures {
-            objects: job.found.len(),
-            moves: result.map_or(0, |result| result.moves as usize),
-            buffers: done.filter(|step| step.intent.kind == StepKind::Buffer).count(),
-            lower_bound: result.and_then(|result| result.lower_bound),
-            cycle_s: result.map(|result| result.seconds),
-            tolerance_mm: cell.tolerances.goal_position_m * 1e3,
-            tolerance_deg: cell.tolerances.goal_angle_rad.to_degrees(),
-            ..Figures::default()
-        },
-        moves: moves(steps, job.started_unix_s),
-        objects: result.map(objects).unwrap_or_default(),
-        pictures: folder.map(pictures).unwrap_or_default(),
-        drawings: drawings(job, cell),
-        log: log(job, steps),
-        settings: settings(job),
-    }
-}
-
-fn objects(result: &crate::jobs::record::JobResult) -> Vec<ObjectRow> {
-    let row = |object: &crate::jobs::record::ObjectResult| ObjectRow {
-        id: object.id.clone(),
-        goal: object.goal,
-        measured: object.measured,
-        truth: None,
-    };
-    result.objects.iter().map(row).collect()
-}
-
-fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
-    let mut before = started_unix_s;
-    let done = steps.iter().filter(|step| step.phase == StepPhase::Done);
-    done.map(|step| {
-        let seconds = before.map(|before| step.changed_unix_s - before);
-        before = Some(step.changed_unix_s);
-        let intent = &step.intent;
-        let buffer = intent.kind == StepKind::Buffer;
-        MoveRow {
-            object: intent.object.clone(),
-            buffer,
-            from: intent.from,
-            to: intent.to,
-            seconds,
-            vacuum: None,
-        }
-    })
-    .collect()
-}
-
-/// The pictures that the daemon has left in the job's folder.
-fn pictures(folder: &Path) -> Vec<Picture> {
-    let named = [("plan.jpg", "When the plan was made"), ("end.jpg", "At the end")];
-    let read = |(name, caption): (&str, &str)| {
-        let bytes = std::fs::read(folder.join(name)).ok()?;
-        Some(Picture { caption: caption.to_string(), media_type: "image/jpeg", bytes })
-    };
-    named.into_iter().filter_map(read).collect()
-}
-
-fn drawings(job: &JobRecord, cell: &CellConfig) -> Vec<Drawing> {
-    let pose = |list: &[GoalPose], id: &str| list.iter().find(|at| at.id == id).map(|at| at.pose);
-    let goals = job.resolved.as_ref().unwrap_or(&job.spec.goal);
-    let measured = |id: &str| -> Option<Pose2> {
-        job.result.as_ref()?.objects.iter().find(|object| object.id == id)?.measured
-    };
-    let title = "Found, wanted and last seen";
-    let drawn = cell.objects.iter().map(|object| DrawnObject {
-        id: &object.id,
-        footprint: &object.footprint,
-        start: pose(&job.found, &object.id).or(object.start.filter(|_| object.fixed)),
-        goal: pose(goals, &object.id),
-        measured: measured(&object.id),
-    });
-    let known = |object: &DrawnObject| object.start.or(object.goal).or(object.measured).is_some();
-    let table = TableDrawing {
-        title,
-        width_m: cell.workspace.width_m,
-        height_m: cell.workspace.height_m,
-        keep_out: cell.workspace.keep_out.iter().map(|region| (&region.footprint, region.pose)).collect(),
-        objects: drawn.filter(known).collect(),
-    };
-    let plan = job.plan.as_ref().and_then(|plan| {
-        let caption = format!("The last plan: {}", plan.summary());
-        Some(Drawing { svg: plan_files::drawing(plan, cell, &caption)?, caption })
-    });
-    let table = Drawing { caption: title.to_string(), svg: table_svg(&table) };
-    std::iter::once(table).chain(plan).collect()
-}
-
-/// The story, a line each.
-fn log(job: &JobRecord, steps: &[StepRecord]) -> Vec<LogRow> {
-    let story = story(job, steps);
-    let lines = story.lines().filter(|line| line.contains("Z  "));
-    let row = |line: &str| {
-        let (time, text) = line.split_once("Z  ")?;
-        let seconds = utc::parse(&format!("{time}Z"))? - job.claimed_unix_s;
-        Some(LogRow { seconds, level: "info", text: text.to_string() })
-    };
-    lines.filter_map(row).collect()
-}
-
-fn settings(job: &JobRecord) -> Vec<(String, String)> {
-    let pair = |key: &str, value: String| (key.to_string(), value);
-    let time = |at: Option<f64>| at.map_or_else(|| "-".to_string(), utc::text);
-    let mut settings = vec![
-        pair("file", job.name.clone()),
-        pair("sha256", job.sha256.clone()),
-        pair("claimed", time(Some(job.claimed_unix_s))),
-        pair("ended", time(job.ended_unix_s)),
-    ];
-    for (what, seconds) in job.result.iter().flat_map(|result| &result.times) {
-        settings.push(pair(what, format!("{seconds:.1} s")));
-    }
-    settings
 }
 
 /// A command of this file, and its exit code.
@@ -318,9 +185,12 @@ pub(super) fn code(result: Result<u8, ClientError>) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cell::code::JobStatus;
     use crate::jobs::journal::NewJob;
-    use crate::jobs::record::{JobResult, JobSpec, ObjectResult, PlanRecord, PlanStep};
+    use crate::jobs::record::{GoalPose, JobResult, JobSpec, ObjectResult, PlanRecord, PlanStep, StepKind};
     use cell_edge::files::FileIdentity;
+    use rearrange::geometry::pose::Pose2;
+    use std::path::Path;
 
     fn state_of(folder: &Path) -> StateArg {
         StateArg { state: Some(folder.to_path_buf()) }

@@ -6,6 +6,7 @@
 use crate::cell::orders::{Reply, WayBack};
 use crate::cli::client::{ClientError, Format, StateArg, complain};
 use crate::cli::history::{self, JobsArgs, ReportArgs, WhyArgs};
+use crate::cli::open::{self, OpenArgs};
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
 use crate::cli::watch::WatchArgs;
@@ -74,6 +75,9 @@ pub enum ClientCommand {
     /// Say that what answers at the gripper's address is the gripper on this arm. Needed once for an
     /// address, before the first `arm`: no register of the device says what it is. Not needed in simulation.
     ConfirmGripper(StateArg),
+    /// Sign this computer's browser in at the cell's page (`page:` in the configuration), or give a program a
+    /// token for it.
+    Open(OpenArgs),
     /// What the cell is doing; exit code 1 when no daemon runs.
     Status {
         #[command(flatten)]
@@ -158,6 +162,7 @@ pub fn run(command: ClientCommand) -> u8 {
         ClientCommand::Why(args) => return history::code(history::why(&args)),
         ClientCommand::Report(args) => return history::code(history::report(&args)),
         ClientCommand::Status { state, format } => status(&state.folder(), format),
+        ClientCommand::Open(args) => open::open(&args),
         other => {
             let (state, command) = to_send(other);
             send(&state, &command)
@@ -195,19 +200,26 @@ fn to_send(command: ClientCommand) -> (StateFolder, Command) {
         | ClientCommand::Why(_)
         | ClientCommand::Report(_)
         | ClientCommand::Watch(_)
+        | ClientCommand::Open(_)
         | ClientCommand::Status { .. } => unreachable!("these are not sent"),
     }
 }
 
 fn send(state: &StateFolder, command: &Command) -> Result<u8, ClientError> {
+    let Reply { accepted, message } = request(state, command)?;
+    outln!("{message}");
+    Ok(if accepted { 0 } else { 1 })
+}
+
+/// Gives a command and waits for its answer.
+pub(super) fn request(state: &StateFolder, command: &Command) -> Result<Reply, ClientError> {
     let daemon = running_daemon(state)?;
     let given = Given { unix_s: unix_now_s(), boot_s: boot_now_s() };
     let sent = Sent::send(&state.commands(), &daemon, command, given)?;
     let begun = Instant::now();
     while begun.elapsed() < ANSWER_WITHIN {
-        if let Some(Reply { accepted, message }) = sent.poll()? {
-            outln!("{message}");
-            return Ok(if accepted { 0 } else { 1 });
+        if let Some(reply) = sent.poll()? {
+            return Ok(reply);
         }
         std::thread::sleep(LOOK_EVERY);
     }

@@ -23,6 +23,7 @@ pub mod history;
 pub mod interrupt;
 pub mod jobs;
 pub mod markers;
+pub mod open;
 pub mod plan;
 pub mod simulate;
 pub mod submit;

@@ -6,7 +6,7 @@
 //! not be reachable through the cell's computer either. systemd filters by number, so names are looked up
 //! here, and a complaint says that the filter keeps the daemon from looking them up again.
 
-use crate::config::cell::Devices;
+use crate::config::cell::{CellConfig, Devices};
 use crate::config::load::load_cell;
 use cell_edge::terminal::{complain, print};
 use clap::Args;
@@ -25,15 +25,15 @@ pub struct UnitArgs {
 
 /// Prints the drop-in and returns the exit code.
 pub fn run(args: &UnitArgs) -> u8 {
-    let devices = match load_cell(&args.config) {
-        Ok(config) => config.devices,
+    let config = match load_cell(&args.config) {
+        Ok(config) => config,
         Err(error) => {
             complain(&error.to_string());
             return 2;
         }
     };
     let found: Result<Vec<(String, Vec<IpAddr>)>, String> =
-        hosts(&devices).into_iter().map(|host| addresses(&host).map(|found| (host, found))).collect();
+        hosts(&config).into_iter().map(|host| addresses(&host).map(|found| (host, found))).collect();
     match found {
         Ok(found) => {
             for (host, _) in found.iter().filter(|(host, _)| host.parse::<IpAddr>().is_err()) {
@@ -52,11 +52,12 @@ pub fn run(args: &UnitArgs) -> u8 {
     }
 }
 
-/// Hosts that the daemon connects to, each once.
-fn hosts(devices: &Devices) -> BTreeSet<String> {
-    let Devices { robot_host, gripper_host, camera, .. } = devices;
+/// Hosts that the daemon connects to, and those from which its page may move the arm, each once.
+fn hosts(config: &CellConfig) -> BTreeSet<String> {
+    let Devices { robot_host, gripper_host, camera, .. } = &config.devices;
     let named = [Some(robot_host.as_str()), Some(gripper_host.as_str()), camera.host()];
-    named.into_iter().flatten().map(str::to_string).collect()
+    let controllers = config.page.iter().flat_map(|page| &page.control_from).map(ToString::to_string);
+    named.into_iter().flatten().map(str::to_string).chain(controllers).collect()
 }
 
 fn addresses(host: &str) -> Result<Vec<IpAddr>, String> {
@@ -104,6 +105,11 @@ mod tests {
     fn the_example_cell_names_its_devices_once() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let cell = load_cell(&root.join("config/cell.yaml")).unwrap();
-        assert_eq!(hosts(&cell.devices).into_iter().collect::<Vec<_>>(), ["127.0.0.2"]);
+        assert_eq!(hosts(&cell).into_iter().collect::<Vec<_>>(), ["127.0.0.2"]);
+        let mut open = cell;
+        if let Some(page) = &mut open.page {
+            page.control_from.push("192.168.1.20".parse().unwrap());
+        }
+        assert_eq!(hosts(&open).into_iter().collect::<Vec<_>>(), ["127.0.0.2", "192.168.1.20"]);
     }
 }

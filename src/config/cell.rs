@@ -10,6 +10,7 @@ use crate::cell::orders::Approval;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::config::bodies::Equipment;
 pub use crate::config::camera::CameraDevice;
+use crate::config::page::PageConfig;
 use crate::jobs::goal::GoalContext;
 use crate::jobs::journal::old::HistoryLimits;
 use crate::motion::slow::CalibrationBox;
@@ -82,6 +83,8 @@ pub struct CellConfig {
     pub foreign: ForeignRule,
     /// What stands round the arm and hangs on it.
     pub equipment: Equipment,
+    /// Present when the daemon serves a page.
+    pub page: Option<PageConfig>,
 }
 
 impl CellConfig {

@@ -8,6 +8,7 @@ pub mod cell;
 pub mod check;
 pub mod empty;
 pub mod load;
+pub mod page;
 mod parts;
 pub mod pictures;
 pub mod read_cell;

@@ -12,6 +12,7 @@ use crate::config::cell::{
     CalibrationFiles, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig,
     Tolerances, WorkspaceConfig,
 };
+use crate::config::page::PageConfig;
 use crate::jobs::journal::old::HistoryLimits;
 use crate::motion::slow::CalibrationBox;
 use cell_parts::gripper::GripperConfig;
@@ -57,6 +58,8 @@ pub(super) struct CellParts {
     pub ignore_markers: Option<Vec<u32>>,
     pub foreign: Option<ForeignRule>,
     pub equipment: Option<Equipment>,
+    /// `Some(None)` when the key is absent.
+    pub page: Option<Option<PageConfig>>,
 }
 
 /// The table's keys.
@@ -103,6 +106,7 @@ impl CellParts {
             ignore_markers: self.ignore_markers?,
             foreign: self.foreign?,
             equipment: self.equipment?,
+            page: self.page?,
         })
     }
 }

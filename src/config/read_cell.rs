@@ -14,6 +14,7 @@ use crate::config::cell::{
     CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig, Tolerances,
 };
 use crate::config::check::check_cell;
+use crate::config::page::page;
 use crate::config::parts::{CellParts, TableParts};
 use crate::jobs::journal::old::HistoryLimits;
 use cell_parts::fields::{
@@ -63,6 +64,7 @@ pub const CELL_KEYS: &[&str] = &[
     "ignore_markers",
     "foreign",
     "cell",
+    "page",
 ];
 
 /// How far the camera may seem shifted or lifted, and turned, unless the file says otherwise: half of what
@@ -172,6 +174,7 @@ fn parts(
         ignore_markers: optional(d, fields, "ignore_markers", Vec::new(), |d, at| list(d, at, marker_number)),
         foreign: optional(d, fields, "foreign", REFUSE, foreign),
         equipment: optional(d, fields, "cell", Equipment::default(), equipment),
+        page: optional(d, fields, "page", None, |d, at| page(d, at, folder).map(Some)),
         history: optional(d, fields, "history", HistoryLimits::YEAR, history),
         goal_folder: optional(d, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder)),
     }

@@ -9,7 +9,7 @@ mod status_file;
 mod unfinished;
 
 use crate::cell::code::{Code, JobStatus};
-use crate::cell::orders::{Approval, Reply};
+use crate::cell::orders::Reply;
 use crate::cell::supervisor::input::Record;
 use crate::cell::supervisor::model::{CutOff, HeldBefore};
 use crate::cell::supervisor::order::{JobOrder, JobReport};
@@ -17,6 +17,7 @@ use crate::cell::supervisor::status::Status;
 use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
 use crate::daemon::disk::Disk;
+use crate::daemon::job_orders::job_order;
 use crate::daemon::last_answers::LastAnswers;
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::plan_files::{self, poses};
@@ -35,7 +36,6 @@ use cell_edge::clock::unix_now_s;
 use cell_values::time::{Duration, Timestamp};
 use rearrange::document::chain::chain;
 use rearrange::planning::plan::ActionKind;
-use rearrange::planning::solver::SolverKind;
 use std::collections::BTreeMap;
 use std::path::Path;
 use unfinished::{held_before, unfinished};
@@ -80,7 +80,12 @@ pub struct StateKeeper {
     disk: Disk,
     /// When the history was brought within its limits last.
     pruned: Option<Timestamp>,
+    /// Whoever is given each status that is written.
+    publish: Publish,
 }
+
+/// Is given each status; must not block.
+pub type Publish = Box<dyn Fn(&status::Status) + Send>;
 
 /// Which devices the cell works with, in words for the status.
 #[derive(Clone, Debug, Default)]
@@ -130,7 +135,13 @@ impl StateKeeper {
             last_answers: LastAnswers::default(),
             disk,
             pruned: None,
+            publish: Box::new(|_| {}),
         })
+    }
+
+    /// With somewhere else that each status goes.
+    pub fn published(self, publish: Publish) -> StateKeeper {
+        StateKeeper { publish, ..self }
     }
 
     /// With pictures for the folders of jobs, and for whoever reads the status: the name of the
@@ -181,6 +192,7 @@ impl StateKeeper {
     pub fn waits_for(&self, message: &str) {
         let (started, now) = (self.started_unix_s, unix_now_s());
         let status = status::Status::starting(self.daemon.clone(), started, now, message.to_string());
+        (self.publish)(&status);
         if let Err(error) = status.write(&self.state.status()) {
             tracing::warn!(%error, "the status file could not be written");
         }
@@ -284,37 +296,8 @@ impl StateKeeper {
     }
 
     fn order(&self, job: &JobRecord) -> Result<JobOrder, String> {
-        let planner = &self.config.planner;
-        let spec = &job.spec;
-        let solver = match &spec.solver {
-            Some(word) => {
-                word.parse::<SolverKind>().map_err(|_| format!("this celld has no solver {word:?}"))?
-            }
-            None => planner.solver,
-        };
-        let seconds = spec.time_limit_s.unwrap_or(planner.time_limit_s);
-        Ok(JobOrder {
-            id: job.id.clone(),
-            goals: job
-                .resolved
-                .as_ref()
-                .unwrap_or(&spec.goal)
-                .iter()
-                .map(|g| (g.id.clone(), g.pose))
-                .collect(),
-            rule: spec.rule.clone(),
-            agreed: job.agreed().iter().map(plan_files::action_of).collect(),
-            objective: spec.objective.unwrap_or(planner.objective),
-            solver,
-            time_limit: Duration::from_secs_f64(seconds.clamp(0.001, 86_400.0)),
-            seed: spec.seed.unwrap_or(planner.seed),
-            approval: self.approval(spec.approval),
-        })
-    }
-
-    /// The cell's policy is a floor, also for a job that was taken in under a laxer one.
-    fn approval(&self, job: Option<Approval>) -> Approval {
-        self.config.approval.max(job.unwrap_or(Approval::Never))
+        let goals = job.resolved.as_ref().unwrap_or(&job.spec.goal);
+        job_order(&self.config, &job.id, &job.spec, goals, &job.agreed())
     }
 
     /// What was let go by hand while its job goes on has closed the job's step.

@@ -17,19 +17,20 @@ use std::sync::{Arc, Mutex, PoisonError};
 const QUALITY: u8 = 85;
 
 /// A picture, what was found in it and where it was taken from.
-#[derive(Clone)]
-struct Kept {
-    image: Image,
-    found: Vec<Detection>,
-    table_from_camera: Option<Isometry3<f64>>,
-    /// Taken for the job under way.
-    of_this_job: bool,
+pub struct Kept {
+    /// As the camera gave it.
+    pub image: Image,
+    /// The markers.
+    pub found: Vec<Detection>,
+    /// Where the camera was; `None` where nothing was made of the picture.
+    pub table_from_camera: Option<Isometry3<f64>>,
 }
 
 /// The last picture. See the module.
 #[derive(Clone)]
 pub struct LastPicture {
-    kept: Arc<Mutex<Option<Kept>>>,
+    /// And whether it was taken for the job under way.
+    kept: Arc<Mutex<Option<(Arc<Kept>, bool)>>>,
     lens: Option<CameraModel>,
 }
 
@@ -44,21 +45,26 @@ impl LastPicture {
         if let Displayed::Picture { image, views } = displayed {
             let found = views.iter().flat_map(|view| view.detections.iter().cloned()).collect();
             let table_from_camera = views.last().map(|view| view.table_from_camera);
-            let kept = Kept { image: image.clone(), found, table_from_camera, of_this_job: true };
-            *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some(kept);
+            let kept = Arc::new(Kept { image: image.clone(), found, table_from_camera });
+            *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some((kept, true));
         }
     }
 
     /// A job begins: what was seen before is none of it.
     pub fn job_begins(&self) {
-        if let Some(kept) = &mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner) {
-            kept.of_this_job = false;
+        if let Some((_, of_this_job)) = &mut *self.kept.lock().unwrap_or_else(PoisonError::into_inner) {
+            *of_this_job = false;
         }
+    }
+
+    /// The last picture there is.
+    pub fn latest(&self) -> Option<Arc<Kept>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|(kept, _)| kept.clone())
     }
 
     /// The bytes of a JPEG file; `None` before the job has a picture.
     pub fn of_job(&self, moves: &[DrawnMove]) -> Option<Vec<u8>> {
-        self.drawn(moves, |kept| kept.of_this_job)
+        self.drawn(moves, |of_this_job| of_this_job)
     }
 
     /// The same of the last picture there is, for a preview.
@@ -66,10 +72,13 @@ impl LastPicture {
         self.drawn(moves, |_| true)
     }
 
-    fn drawn(&self, moves: &[DrawnMove], wanted: impl FnOnce(&Kept) -> bool) -> Option<Vec<u8>> {
-        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone().filter(wanted)?;
-        let Kept { mut image, found, table_from_camera, .. } = kept;
-        draw_detections(&mut image, &found);
+    fn drawn(&self, moves: &[DrawnMove], wanted: impl FnOnce(bool) -> bool) -> Option<Vec<u8>> {
+        let (kept, of_this_job) = self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()?;
+        if !wanted(of_this_job) {
+            return None;
+        }
+        let (mut image, table_from_camera) = (kept.image.clone(), kept.table_from_camera);
+        draw_detections(&mut image, &kept.found);
         if let (Some(lens), Some(from)) = (&self.lens, table_from_camera)
             && let Err(error) = draw_moves(&mut image, moves, lens, &from)
         {

@@ -136,7 +136,7 @@ impl Recorder {
                 let text = format!("job {} ended: {}: {}", report.id, report.code_text(), report.message);
                 self.put(now, Entry::Log(Severity::Info, text));
             }
-            Scene::Robot(_) | Scene::Status(_) => {}
+            Scene::Robot(_) | Scene::Status(_) | Scene::Vacuum(_) => {}
         }
     }
 

@@ -45,6 +45,8 @@ pub enum Scene<'a> {
     Route(&'a [RouteAction]),
     /// The robot's state, as often as it comes.
     Robot(&'a RobotState),
+    /// Relative vacuum of the gripper's channels A and B, 0 to 1, as often as it comes.
+    Vacuum([f64; 2]),
     /// A job ended.
     Ended(&'a JobReport),
 }
@@ -354,6 +356,9 @@ impl Shell {
         if let Some(state) = self.machine.robot_state() {
             self.clock.received(state.controller_time_s);
             observer.on(now, Scene::Robot(state));
+        }
+        if let Some((_, vacuum)) = self.machine.vacuum() {
+            observer.on(now, Scene::Vacuum(vacuum));
         }
         self.mark_answers();
         self.beat.rests();

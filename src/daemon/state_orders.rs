@@ -1,13 +1,14 @@
 //! Operators' commands in the state folder as the machine's orders, and the answers back.
 //!
 //! In: command files of the daemon's own name, answers. Out: numbered orders, each once; answers in the log
-//! with the user who ordered. What a person has confirmed is remembered before it is answered.
+//! with the user who ordered. What a person has confirmed is remembered before it is answered. Who wants to
+//! be signed in at the page is answered at once: that is no order to the machine.
 
 use crate::cell::device::gripper_types::Channels;
 use crate::cell::orders::{Order, Reply};
 use crate::daemon::keeper::KeeperError;
 use crate::daemon::store::Orders;
-use crate::jobs::command::{Command, Inbox, ReleaseChannel, Taken};
+use crate::jobs::command::{Command, Inbox, ReleaseChannel, SignIn, Taken};
 use crate::jobs::state::StateFolder;
 use cell_edge::clock::{boot_now_s, unix_now_s};
 use rearrange::document::chain::chain;
@@ -15,6 +16,12 @@ use std::collections::VecDeque;
 
 /// Most orders whose answers are still to come; older ones are forgotten.
 const UNANSWERED_MAX: usize = 64;
+
+/// Who signs people in at the page.
+pub trait Office: Send {
+    /// A link or a token for a person whom the system knows by this number. Its message is a secret.
+    fn sign_in(&self, wanted: &SignIn, uid: Option<u32>) -> Reply;
+}
 
 /// Operators' commands in the state folder.
 pub struct StateOrders {
@@ -24,6 +31,7 @@ pub struct StateOrders {
     gripper: String,
     last: u64,
     unanswered: VecDeque<(u64, Taken)>,
+    office: Option<Box<dyn Office>>,
 }
 
 impl StateOrders {
@@ -34,7 +42,26 @@ impl StateOrders {
     /// The folder cannot be used.
     pub fn open(state: &StateFolder, daemon: String, gripper: String) -> Result<StateOrders, KeeperError> {
         let inbox = Inbox::open(&state.commands(), daemon)?;
-        Ok(StateOrders { inbox, state: state.clone(), gripper, last: 0, unanswered: VecDeque::new() })
+        let unanswered = VecDeque::new();
+        Ok(StateOrders { inbox, state: state.clone(), gripper, last: 0, unanswered, office: None })
+    }
+
+    /// With a page at which people can be signed in.
+    pub fn with_office(self, office: Option<Box<dyn Office>>) -> StateOrders {
+        StateOrders { office, ..self }
+    }
+
+    /// Answers who wants to be signed in; the answer is a secret and not logged.
+    fn sign_in(&self, taken: &Taken, wanted: &SignIn) {
+        let reply = match &self.office {
+            Some(office) => office.sign_in(wanted, taken.uid),
+            None => Reply::refuse("this celld serves no page: its configuration has no `page:`"),
+        };
+        let (accepted, uid, role) = (reply.accepted, taken.uid, wanted.role);
+        tracing::info!(accepted, uid, %role, "sign-in at the page requested");
+        if let Err(error) = self.inbox.reply(taken, &reply) {
+            tracing::warn!(%error, "a command could not be answered");
+        }
     }
 
     /// What a person has confirmed is remembered before it is answered; the answer says where it cannot be.
@@ -60,8 +87,13 @@ impl Orders for StateOrders {
         });
         let mut orders = Vec::with_capacity(taken.len());
         for taken in taken {
+            if let Command::SignIn(wanted) = &taken.command {
+                self.sign_in(&taken, wanted);
+                continue;
+            }
+            let Some(order) = order_of(&taken.command) else { continue };
             self.last += 1;
-            orders.push((self.last, order_of(&taken.command)));
+            orders.push((self.last, order));
             self.unanswered.push_back((self.last, taken));
             if self.unanswered.len() > UNANSWERED_MAX {
                 self.unanswered.pop_front();
@@ -85,9 +117,9 @@ impl Orders for StateOrders {
     }
 }
 
-/// A command file as the machine knows it.
-fn order_of(command: &Command) -> Order {
-    match command {
+/// A command as the machine knows it; `None` for what is not for the machine.
+pub fn order_of(command: &Command) -> Option<Order> {
+    Some(match command {
         Command::Arm => Order::Arm,
         Command::Disarm => Order::Disarm,
         Command::Approve { id } => Order::Approve(id.clone()),
@@ -105,5 +137,6 @@ fn order_of(command: &Command) -> Order {
         }),
         Command::Recover { how } => Order::Recover(*how),
         Command::ConfirmGripper => Order::ConfirmGripper,
-    }
+        Command::SignIn(_) => return None,
+    })
 }

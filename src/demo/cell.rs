@@ -126,6 +126,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         ignore_markers: Vec::new(),
         foreign: ForeignRule::Refuse { depth_needed: true },
         equipment: Equipment::default(),
+        page: None,
     };
     let model = arm_model(&config, DhParameters::UR5E, base_from_table);
     let angle = ViewAngle {

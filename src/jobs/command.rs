@@ -7,7 +7,7 @@
 //! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at
 //! most once.
 
-use crate::cell::orders::{Reply, WayBack};
+use crate::cell::orders::{Reply, Role, WayBack};
 use cell_edge::files::{FileError, create_folder, read_regular, remove, write_atomic, write_new};
 use serde::{Deserialize, Serialize};
 use std::os::unix::fs::MetadataExt;
@@ -81,6 +81,21 @@ pub enum Command {
     /// What answers at the gripper's address is the gripper.
     #[serde(rename = "confirm-gripper")]
     ConfirmGripper,
+    /// Sign a person in at the page. Not for the machine.
+    #[serde(rename = "sign-in")]
+    SignIn(SignIn),
+}
+
+/// Who is to be signed in at the page, and how.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SignIn {
+    /// What the person may do.
+    pub role: Role,
+    /// How the person is called; absent: as the system calls who gave the command.
+    pub name: Option<String>,
+    /// A token for a program, for so many days; absent: a link that signs a browser in once.
+    pub token_days: Option<u32>,
 }
 
 /// A suction channel.
@@ -130,7 +145,8 @@ impl Command {
             | Command::Park
             | Command::Release { .. }
             | Command::Recover { .. }
-            | Command::ConfirmGripper => false,
+            | Command::ConfirmGripper
+            | Command::SignIn(_) => false,
         }
     }
 }
@@ -346,6 +362,7 @@ mod tests {
             (Command::Release { channel: None }, false),
             (Command::Recover { how: WayBack::Show }, false),
             (Command::ConfirmGripper, false),
+            (Command::SignIn(SignIn { role: Role::View, name: None, token_days: None }), false),
         ];
         for (command, always) in commands {
             // Read in time, late, stamped on another clock, and stamped with no number at all.

@@ -97,6 +97,8 @@ pub(crate) fn configuration(folder: &Path, address: &str, factor: u32) -> (PathB
     let cell = replace_times(&example("cell.yaml"), "127.0.0.2", address, 3);
     let cell = replace_once(&cell, "clock_factor: 1}", &format!("clock_factor: {factor}}}"));
     let cell = replace_once(&cell, "\napproval: always", "\napproval: never");
+    let cell =
+        replace_once(&cell, "page: {listen: 127.0.0.1:8737}", &format!("page: {{listen: '{address}:8737'}}"));
     let sim = replace_once(&example("sim.yaml"), "127.0.0.2", address);
     let sim = replace_once(&sim, "\ntime_factor: 1\n", &format!("\ntime_factor: {factor}\n"));
     let write = |name: &str, text: String| {

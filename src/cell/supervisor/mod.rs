@@ -6,14 +6,15 @@
 //! verify, place, look again; `bring_up`, `look`, `sight`, `route`, `travel`, `judge`, `work`, `visits`,
 //! `wanted`, `preview`, `operator`, `answers`, `standing`, `lapse`, `identity`, `holding`, `faults`,
 //! `trouble`, `recovery`, `free_place`, `situation`, `paused`, `device_notes` and `time_book` hold its
-//! parts. No clock, no socket: time and the devices' last word come in with every call, so that every stop,
-//! fault and late answer can be played through in a test.
+//! parts. `draft`: plans for goals that are not submitted. No clock, no socket: time and the devices' last
+//! word come in with every call, so that every stop, fault and late answer can be played through in a test.
 
 mod answers;
 mod back;
 mod bring_up;
 pub mod cell;
 mod device_notes;
+pub mod draft;
 mod faults;
 mod free_place;
 pub mod gates;

@@ -64,7 +64,7 @@ impl Observer for Watch {
                 self.kept.picture(image, detections);
             }
             Scene::Displayed(Displayed::Observed(observation)) => self.kept.observed(observation),
-            Scene::Displayed(Displayed::Sample { .. }) | Scene::Robot(_) => {}
+            Scene::Displayed(Displayed::Sample { .. }) | Scene::Robot(_) | Scene::Vacuum(_) => {}
             Scene::Route(route) => self.routed(now, route),
             Scene::Ended(report) => self.kept.report = Some(report.clone()),
         }

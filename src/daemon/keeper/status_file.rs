@@ -12,7 +12,9 @@ use cell_edge::clock::unix_now_s;
 impl StateKeeper {
     /// Writes the status; a disk that does not take it is logged.
     pub(super) fn write_status(&self, status: &Status) {
-        if let Err(error) = self.status_file(status).write(&self.state.status()) {
+        let status = self.status_file(status);
+        (self.publish)(&status);
+        if let Err(error) = status.write(&self.state.status()) {
             tracing::warn!(%error, "the status file could not be written");
         }
     }

@@ -288,7 +288,7 @@ impl Bodies {
     }
 
     /// Poses of the frames 0 to 6 and of the flange, in the base frame.
-    pub(super) fn frames(&self, q: &Joints) -> [Pose; 8] {
+    pub fn frames(&self, q: &Joints) -> [Pose; 8] {
         let nominal = ur_arm::kinematics::link_frames(&self.nominal, q);
         let calibrated = self.dh != self.nominal;
         let flange = if calibrated { ur_arm::kinematics::forward(&self.dh, q) } else { nominal[5] };

@@ -61,7 +61,26 @@ pub struct Shape {
     reach: f64,
 }
 
+/// A shape for a drawing: everything within `radius` (m) of the convex hull of `points`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outline {
+    /// Two of a capsule.
+    pub points: Vec<[f64; 3]>,
+    /// m.
+    pub radius: f64,
+}
+
 impl Shape {
+    /// Its points and their radius; `None` for a half-space, which has no end.
+    pub fn outline(&self) -> Option<Outline> {
+        let points = match &self.core {
+            Core::Segment(segment) => vec![segment.a.into(), segment.b.into()],
+            Core::Hull(hull) => hull.0.iter().map(|point| (*point).into()).collect(),
+            Core::HalfSpace { .. } => return None,
+        };
+        Some(Outline { points, radius: self.radius })
+    }
+
     /// Everything within `radius` (m) of a segment.
     pub fn capsule(a: [f64; 3], b: [f64; 3], radius: f64) -> Shape {
         let (a, b) = (Vector::from(a), Vector::from(b));

@@ -1,0 +1,239 @@
+//! Who may do what at the page: tickets that sign a browser in once, tokens that last.
+//!
+//! In: requests of people on this computer, secrets that come with requests, the time. Out: secrets, each
+//! given away once; grants. Only the SHA-256 of a secret is kept: whoever reads the file learns none. A
+//! secret has 256 random bits, so it is neither guessed nor found by the time that a comparison takes; the
+//! comparison is of constant time nevertheless. Pure but for the random numbers.
+
+use crate::cell::orders::Role;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use subtle::ConstantTimeEq;
+
+/// A ticket that is not redeemed within this time is void, s.
+pub const TICKET_S: f64 = 120.0;
+
+/// A browser stays signed in for this long, s: a shift.
+pub const SESSION_S: f64 = 12.0 * 3600.0;
+
+/// Most tickets and grants at a time; the oldest make room.
+const MOST: usize = 256;
+
+/// Longest name of a person, characters.
+const NAME_LENGTH: usize = 40;
+
+/// What a person may do, and until when.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Grant {
+    /// How the person is called.
+    pub name: String,
+    /// What the person may do.
+    pub role: Role,
+    /// s since 1970.
+    pub until_unix_s: f64,
+}
+
+/// A grant with the fingerprint of its secret, hex.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Kept {
+    sha256: String,
+    grant: Grant,
+}
+
+/// Someone who is signed in.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Person {
+    /// What the person may do.
+    pub grant: Grant,
+    /// Which of the person's sessions; no secret.
+    pub session: String,
+}
+
+/// All tickets and grants.
+#[derive(Clone, Debug, Default)]
+pub struct Access {
+    tickets: Vec<Kept>,
+    grants: Vec<Kept>,
+}
+
+/// The file of the grants.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    version: u32,
+    grants: Vec<Kept>,
+}
+
+impl Access {
+    /// The grants of an earlier daemon; none where the text is no such file.
+    pub fn of_file(text: &str, now_unix_s: f64) -> Access {
+        let file = serde_json::from_str::<File>(text).ok().filter(|file| file.version == 1);
+        let mut access =
+            Access { tickets: Vec::new(), grants: file.map(|file| file.grants).unwrap_or_default() };
+        access.forget(now_unix_s);
+        access
+    }
+
+    /// The grants, for a file that only the daemon reads.
+    pub fn file(&self) -> String {
+        let file = File { version: 1, grants: self.grants.clone() };
+        serde_json::to_string_pretty(&file).expect("grants have string keys only")
+    }
+
+    /// A ticket for one browser; `grant.until_unix_s` is that of the session it leads to.
+    ///
+    /// # Errors
+    /// The system gives no random numbers.
+    pub fn ticket(&mut self, grant: Grant, now_unix_s: f64) -> Result<String, getrandom::Error> {
+        self.forget(now_unix_s);
+        let secret = secret()?;
+        // Until when the ticket counts is in the grant; what it leads to lasts as long as a session.
+        let ticket = Grant { until_unix_s: now_unix_s + TICKET_S, ..grant };
+        keep(&mut self.tickets, &secret, ticket);
+        Ok(secret)
+    }
+
+    /// The secret of a session for a ticket, once.
+    ///
+    /// # Errors
+    /// The system gives no random numbers.
+    pub fn redeem(&mut self, ticket: &str, now_unix_s: f64) -> Result<Option<String>, getrandom::Error> {
+        self.forget(now_unix_s);
+        let Some(index) = find(&self.tickets, ticket) else { return Ok(None) };
+        let Grant { name, role, .. } = self.tickets.remove(index).grant;
+        self.grant(Grant { name, role, until_unix_s: now_unix_s + SESSION_S }).map(Some)
+    }
+
+    /// A secret that counts until the grant ends.
+    ///
+    /// # Errors
+    /// The system gives no random numbers.
+    pub fn grant(&mut self, grant: Grant) -> Result<String, getrandom::Error> {
+        let secret = secret()?;
+        keep(&mut self.grants, &secret, grant);
+        Ok(secret)
+    }
+
+    /// Who comes with this secret.
+    pub fn person(&self, secret: &str, now_unix_s: f64) -> Option<Person> {
+        let kept = &self.grants[find(&self.grants, secret)?];
+        let session = kept.sha256.chars().take(12).collect();
+        (kept.grant.until_unix_s > now_unix_s).then(|| Person { grant: kept.grant.clone(), session })
+    }
+
+    /// Ends the session of this secret.
+    pub fn end(&mut self, secret: &str) {
+        if let Some(index) = find(&self.grants, secret) {
+            self.grants.remove(index);
+        }
+    }
+
+    fn forget(&mut self, now_unix_s: f64) {
+        let counts = |kept: &Kept| kept.grant.until_unix_s > now_unix_s;
+        self.tickets.retain(counts);
+        self.grants.retain(counts);
+    }
+}
+
+fn keep(list: &mut Vec<Kept>, secret: &str, grant: Grant) {
+    if list.len() >= MOST {
+        list.remove(0);
+    }
+    list.push(Kept { sha256: fingerprint(secret), grant });
+}
+
+/// All are compared, whether one was found or not.
+fn find(list: &[Kept], secret: &str) -> Option<usize> {
+    let wanted = fingerprint(secret);
+    let mut found = None;
+    for (index, kept) in list.iter().enumerate() {
+        if bool::from(kept.sha256.as_bytes().ct_eq(wanted.as_bytes())) {
+            found = Some(index);
+        }
+    }
+    found
+}
+
+fn fingerprint(secret: &str) -> String {
+    hex(&Sha256::digest(secret.as_bytes()))
+}
+
+fn secret() -> Result<String, getrandom::Error> {
+    let mut bytes = [0; 32];
+    getrandom::fill(&mut bytes)?;
+    Ok(hex(&bytes))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// A name as it is shown: without control characters, and not longer than fits a line.
+pub fn plain_name(name: &str) -> Option<String> {
+    let plain: String = name.chars().filter(|c| !c.is_control()).take(NAME_LENGTH).collect();
+    let plain = plain.trim();
+    (!plain.is_empty()).then(|| plain.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOW: f64 = 1_795_248_000.0;
+
+    fn anna(until_unix_s: f64) -> Grant {
+        Grant { name: "anna".into(), role: Role::Operate, until_unix_s }
+    }
+
+    #[test]
+    fn a_ticket_signs_in_once_and_not_for_ever() {
+        let mut access = Access::default();
+        let ticket = access.ticket(anna(0.0), NOW).unwrap();
+        assert_eq!(access.person(&ticket, NOW), None, "a ticket is no session");
+        let session = access.redeem(&ticket, NOW + 1.0).unwrap().expect("in time");
+        assert_eq!(access.redeem(&ticket, NOW + 2.0).unwrap(), None, "once");
+        let person = access.person(&session, NOW + 2.0).expect("signed in");
+        assert_eq!((person.grant.name.as_str(), person.grant.role), ("anna", Role::Operate));
+        assert_eq!(access.person(&session, NOW + 2.0 + SESSION_S), None, "a shift is over");
+        let late = access.ticket(anna(0.0), NOW).unwrap();
+        assert_eq!(access.redeem(&late, NOW + TICKET_S + 1.0).unwrap(), None, "too late");
+        access.end(&session);
+        assert_eq!(access.person(&session, NOW + 2.0), None, "signed out");
+    }
+
+    #[test]
+    fn a_restart_keeps_grants_and_their_file_has_no_secret() {
+        let mut access = Access::default();
+        let token = access.grant(anna(NOW + 100.0)).unwrap();
+        let file = access.file();
+        assert!(!file.contains(&token) && file.contains("anna"));
+        assert!(Access::of_file(&file, NOW).person(&token, NOW).is_some());
+        assert!(Access::of_file(&file, NOW + 101.0).person(&token, NOW).is_none(), "outlived");
+        for broken in ["", "{}", "[1]", &file.replace("\"version\": 1", "\"version\": 2")] {
+            assert!(Access::of_file(broken, NOW).person(&token, NOW).is_none(), "{broken}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_secret_opens_nothing_and_the_list_is_bounded() {
+        let mut access = Access::default();
+        let first = access.grant(anna(NOW + 1e6)).unwrap();
+        for wrong in ["", "0", &first[..63], &format!("{first}0"), &first.to_uppercase()] {
+            assert!(access.person(wrong, NOW).is_none() || *wrong == first, "{wrong}");
+        }
+        for _ in 0..MOST {
+            access.grant(anna(NOW + 1e6)).unwrap();
+        }
+        assert_eq!(access.grants.len(), MOST);
+        assert!(access.person(&first, NOW).is_none(), "the oldest made room");
+    }
+
+    #[test]
+    fn names_are_shown_on_one_line() {
+        assert_eq!(plain_name(" an\u{1b}[2Jna\n ").as_deref(), Some("an[2Jna"));
+        assert_eq!(plain_name("\u{7}"), None);
+        assert_eq!(plain_name(&"x".repeat(99)).map(|name| name.len()), Some(NAME_LENGTH));
+    }
+}

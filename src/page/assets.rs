@@ -1,0 +1,124 @@
+//! The page's own files, compiled in: the cell PC has no internet.
+//!
+//! In: a path, what the browser accepts, the version it has. Out: the file, compressed where that is
+//! accepted, or that nothing has changed. What is of others lies in `assets/vendor` with its licence.
+
+use axum::body::Bytes;
+use axum::http::header::{
+    ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_TYPE, ETAG, IF_NONE_MATCH, VARY,
+};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use sha2::{Digest, Sha256};
+use std::io::Write;
+use std::sync::OnceLock;
+
+const HTML: &str = "text/html; charset=utf-8";
+const CSS: &str = "text/css; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+const JSON: &str = "application/json";
+const SVG: &str = "image/svg+xml";
+
+macro_rules! files {
+    ($($path:literal $kind:ident),* $(,)?) => {
+        [$(($path, $kind, include_bytes!(concat!("assets/", $path)).as_slice())),*]
+    };
+}
+
+/// Path, type, content.
+static FILES: [(&str, &str, &[u8]); 17] = files![
+    "index.html" HTML,
+    "page.css" CSS,
+    "icon.svg" SVG,
+    "main.js" SCRIPT,
+    "net.js" SCRIPT,
+    "text.js" SCRIPT,
+    "text-de.json" JSON,
+    "dom.js" SCRIPT,
+    "table.js" SCRIPT,
+    "picture.js" SCRIPT,
+    "arm.js" SCRIPT,
+    "live.js" SCRIPT,
+    "orders.js" SCRIPT,
+    "goal.js" SCRIPT,
+    "jobs.js" SCRIPT,
+    "setup.js" SCRIPT,
+    "vendor/three.module.min.js" SCRIPT,
+];
+
+struct Asset {
+    kind: &'static str,
+    plain: &'static [u8],
+    gzip: Bytes,
+    etag: String,
+}
+
+fn made() -> &'static [Asset] {
+    static MADE: OnceLock<Vec<Asset>> = OnceLock::new();
+    MADE.get_or_init(|| {
+        let make = |(_, kind, plain): &(&str, &'static str, &'static [u8])| {
+            let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+            // Into memory: nothing is refused there.
+            let gzip = encoder.write_all(plain).and_then(|()| encoder.finish()).unwrap_or_default();
+            let hash = Sha256::digest(plain);
+            let etag: String = hash.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+            Asset { kind, plain, gzip: gzip.into(), etag: format!("\"{etag}\"") }
+        };
+        FILES.iter().map(make).collect()
+    })
+}
+
+/// A file of the page.
+pub fn asset(path: &str, headers: &HeaderMap) -> Response {
+    let path = if path.is_empty() { "index.html" } else { path };
+    let Some(asset) = FILES.iter().position(|(name, ..)| *name == path).map(|index| &made()[index]) else {
+        return (StatusCode::NOT_FOUND, "not found\n").into_response();
+    };
+    let has = |name, wanted: &str| {
+        headers.get(name).and_then(|value| value.to_str().ok()).is_some_and(|value| value.contains(wanted))
+    };
+    let common = [
+        (CONTENT_TYPE, asset.kind.to_string()),
+        (ETAG, asset.etag.clone()),
+        (CACHE_CONTROL, "no-cache".to_string()),
+        (VARY, "accept-encoding".to_string()),
+    ];
+    if has(IF_NONE_MATCH, &asset.etag) {
+        return (StatusCode::NOT_MODIFIED, common).into_response();
+    }
+    if has(ACCEPT_ENCODING, "gzip") && !asset.gzip.is_empty() {
+        return (common, [(CONTENT_ENCODING, "gzip")], asset.gzip.clone()).into_response();
+    }
+    (common, Bytes::from_static(asset.plain)).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Everything that a file of the page names is there, and nothing is fetched from elsewhere.
+    #[test]
+    fn the_page_is_complete_and_offline() {
+        let mut bytes = 0;
+        for ((path, kind, plain), asset) in FILES.iter().zip(made()) {
+            bytes += asset.gzip.len();
+            let text = std::str::from_utf8(plain).expect("text");
+            if path.starts_with("vendor/") {
+                continue;
+            }
+            for foreign in ["https://", "http://", "//cdn", "eval("] {
+                let allowed = text.replace("http://www.w3.org/", "");
+                assert!(!allowed.contains(foreign), "{path} has {foreign}");
+            }
+            if *kind == SCRIPT {
+                for line in text.lines().filter(|line| line.starts_with("import ")) {
+                    let name = line.rsplit('"').nth(1).expect("a name").trim_start_matches("./");
+                    assert!(FILES.iter().any(|(known, ..)| *known == name), "{path} imports {name}");
+                }
+            }
+        }
+        assert!(bytes < 400_000, "{bytes} bytes are transferred");
+    }
+}

@@ -1,0 +1,71 @@
+// Jobs: what became of each, and why.
+
+import { h, card, fill } from "./dom.js";
+import { api, on, state } from "./net.js";
+import { t, moment, duration, number } from "./text.js";
+
+const word = (stateOf) => h("strong", { class: { done: "good", failed: "bad", interrupted: "bad", cancelled: "warn" }[stateOf] ?? "" }, t(stateOf));
+
+function row(job, open) {
+  return h("tr", { class: "pick", click: () => open(job.id) },
+    h("td", {}, h("button", { type: "button", class: "link" }, job.id)), h("td", {}, word(job.state)), h("td", {}, moment(job.claimed_unix_s)),
+    h("td", {}, job.moves === null ? "–" : `${job.moves}${job.lower_bound !== null ? ` / ≥ ${number(job.lower_bound, job.lower_bound % 1 ? 2 : 0)}` : ""}`),
+    h("td", {}, job.seconds === null ? "–" : duration(job.seconds)), h("td", {}, job.message ?? ""));
+}
+
+function detail(job) {
+  const id = encodeURIComponent(job.id);
+  const result = job.result;
+  const times = Object.entries(result?.times ?? {}).filter(([, seconds]) => seconds > 0.05).sort((a, b) => b[1] - a[1]);
+  const image = (name, words) => job.files.includes(name) && h("figure", { style: null }, h("img", { src: `/api/v1/jobs/${id}/files/${name}`, alt: words, width: "100%" }), h("figcaption", { class: "soft" }, words));
+  return [
+    h("p", { class: "say" }, word(job.state), result ? ` – ${result.message}` : ""),
+    result?.hint && h("p", { class: "hint" }, "→ ", result.hint),
+    h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report`, target: "_blank" }, t("Report"))),
+    h("div", { class: "grid" },
+      h("div", {}, h("h3", {}, t("Story")), h("pre", { tabindex: 0 }, job.story),
+        times.length ? [h("h3", {}, t("Where the time went")), h("table", {}, times.map(([what, seconds]) => h("tr", {}, h("td", {}, what), h("td", {}, `${number(seconds)} s`))))] : null,
+        result?.objects.length ? [h("h3", {}, t("Objects")), h("table", {}, h("tr", {}, h("th", {}, t("object")), h("th", {}, t("off by"))),
+          result.objects.map((object) => h("tr", {}, h("td", {}, object.id), h("td", {}, object.error_mm === null ? t("not seen") : `${number(object.error_mm)} mm, ${number(object.error_deg)}°`))))] : null),
+      h("div", {}, image("plan.jpg", t("When the plan was made")), image("end.jpg", t("At the end")), image("plan.svg", t("The plan")))),
+  ];
+}
+
+export function jobsPage(main, chosen) {
+  const failed = h("input", { type: "checkbox", id: "failed", change: () => update() });
+  const wanted = h("input", { type: "search", id: "object", placeholder: t("object"), "aria-label": t("only jobs with this object"), change: () => update() });
+  const list = h("tbody");
+  const none = h("p", { class: "soft" });
+  const one = h("div", { role: "region", "aria-live": "polite", "aria-label": t("The chosen job") });
+  const open = async (id) => {
+    location.hash = "#jobs/" + encodeURIComponent(id);
+  };
+  const show = async (id) => {
+    try {
+      fill(one, card(t("Job {job}", { job: id }), detail(await api("jobs/" + encodeURIComponent(id)))));
+    } catch (error) {
+      fill(one, h("p", { class: "note wrong" }, error.message));
+    }
+  };
+  const update = async () => {
+    const query = new URLSearchParams({ last: "100", failed: String(failed.checked) });
+    if (wanted.value.trim()) query.set("object", wanted.value.trim());
+    try {
+      const jobs = await api("jobs?" + query);
+      fill(list, jobs.map((job) => row(job, open)));
+      none.textContent = jobs.length ? "" : t("no such jobs");
+    } catch (error) {
+      none.textContent = error.message;
+    }
+  };
+  fill(main, one, card(t("Jobs"), h("div", { class: "row" }, h("label", { for: "failed" }, failed, " ", t("only failed ones")), wanted),
+    h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["job", "state", "came", "moves / bound", "time", "what"].map((title) => h("th", { scope: "col" }, t(title))))), list)), none));
+  let key = "";
+  const stop = on("status", () => {
+    const now = JSON.stringify([state.status.job, state.status.waiting]);
+    if (now !== key) { key = now; update(); if (chosen) show(chosen); }
+  });
+  update();
+  if (chosen) show(chosen);
+  return stop;
+}

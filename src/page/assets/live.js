@@ -1,0 +1,154 @@
+// What the cell does now: in words, on the table, in the picture, in space; the job with its moves; trends.
+
+import { h, s, card, fill } from "./dom.js";
+import { api, on, state, colour } from "./net.js";
+import { t, time, duration, number } from "./text.js";
+import { view, ground, outline, foreign, labels, arrows, numbers, after, at } from "./table.js";
+import { object } from "./net.js";
+import { picture } from "./picture.js";
+import { arm3d } from "./arm.js";
+import { orders } from "./orders.js";
+
+/** Parts that are drawn anew at changes of these kinds. */
+function live(title, kinds, draw, attributes = {}) {
+  const body = h("div");
+  const element = card(title, body);
+  if (attributes.class) element.classList.add(attributes.class);
+  const update = () => fill(body, draw() ?? []);
+  const stops = kinds.map((kind) => on(kind, update));
+  update();
+  return { element, stop: () => stops.forEach((stop) => stop()) };
+}
+
+function now() {
+  const status = state.status;
+  if (!status) return h("p", { class: "say" }, t("celld is starting"));
+  const [made, all] = status.step ?? [0, 0];
+  const plan = status.plan;
+  const left = plan?.seconds && all ? plan.seconds * Math.max(0, all - made) / all : null;
+  return [
+    h("p", { class: "say", id: "message", role: "status" }, status.message),
+    status.hint && h("p", { class: "hint", id: "hint" }, "→ ", status.hint),
+    status.because && h("p", { class: "soft" }, status.because),
+    h("p", {},
+      h("span", { class: `badge ${status.armed ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : t("disarmed")), " ",
+      status.paused && h("span", { class: "badge warn" }, t("paused")), " ",
+      status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", status.holding)),
+    status.stopped && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.message), h("br"), status.stopped.hint),
+    status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left !== null ? `, ${t("about {time} left", { time: duration(left) })}` : ""),
+      all ? h("progress", { value: made, max: all, "aria-label": t("Progress of the job") }) : null),
+    h("p", { class: "soft" }, t("{count} jobs wait", { count: status.waiting }), status.unread ? `, ${t("{count} files are not read yet", { count: status.unread })}` : ""),
+  ];
+}
+
+function devices() {
+  const { status, arm, vacuum } = state;
+  if (!status) return null;
+  const row = ({ name, ready, message, age_s, address, identity }) => [h("dt", {}, t(name)),
+    h("dd", {}, h("strong", { class: ready ? "good" : "bad" }, ready ? t("ready") : t("not ready")), ", ", message,
+      h("br"), h("span", { class: "soft" }, address, identity ? `, ${identity}` : "", age_s !== null && age_s > 2 ? `, ${t("answered {time} ago", { time: duration(age_s) })}` : ""))];
+  return h("dl", {}, status.devices.map(row),
+    arm && [h("dt", {}, t("safety")), h("dd", { id: "safety" }, arm.safety_mode), h("dt", {}, t("robot mode")), h("dd", {}, arm.robot_mode),
+      h("dt", {}, t("program")), h("dd", {}, arm.program, arm.guided ? `, ${t("guided by hand")}` : "", arm.remote === false ? `, ${t("not in remote control")}` : ""),
+      h("dt", {}, t("speed")), h("dd", {}, `${Math.round(arm.speed * 100)} %`)],
+    vacuum && [h("dt", {}, t("vacuum")), h("dd", {}, `A ${vacuum[0]} %, B ${vacuum[1]} %`)]);
+}
+
+/** The table now, the goals, the plan; with a plan, as it will be after each move. */
+export function tableCard() {
+  const holder = h("div");
+  const slider = h("input", { type: "range", min: 0, max: 0, value: 0, id: "scrub", "aria-label": t("After so many moves") });
+  const words = h("output", { for: "scrub", class: "soft" });
+  const scrub = h("div", { hidden: true }, h("label", { for: "scrub" }, t("Step through the plan")), slider, words);
+  const sight = h("p", { class: "soft" });
+  const element = card(t("Table"), holder, scrub, sight);
+  let plan = null;
+  const draw = () => {
+    if (!state.cell) return;
+    const status = state.status;
+    if (status?.plan?.unix_s !== plan?.unix_s || Boolean(status?.plan) !== Boolean(plan)) {
+      plan = status?.plan ?? null;
+      slider.max = plan?.steps.length ?? 0;
+      slider.value = 0;
+    }
+    scrub.hidden = !plan?.steps.length;
+    const count = Number(slider.value);
+    const seen = state.sight;
+    const moving = plan && status?.job && !count;
+    const poses = plan && count ? after(plan, count) : new Map((seen?.objects ?? []).map(({ id, pose }) => [id, pose]));
+    if (!poses.size && plan) for (const { id, pose } of plan.table) poses.set(id, pose);
+    const made = moving ? (status.step?.[0] ?? 0) : count;
+    const steps = plan?.steps ?? [];
+    const goals = new Map(steps.filter(({ kind }) => kind === "goal").map(({ object: id, to }) => [id, to]));
+    const buffers = steps.filter(({ kind }) => kind !== "goal");
+    const drawing = view();
+    drawing.setAttribute("aria-label", t("The table from above: {count} objects, {moves} moves planned", { count: poses.size, moves: steps.length }));
+    drawing.append(ground(), s("g", {}, [...poses].map(([id, pose]) => outline(id, pose, "now"))),
+      s("g", {}, [...goals].map(([id, pose]) => outline(id, pose, "goal")), buffers.map(({ object: id, to }) => outline(id, to, "goal"))),
+      s("g", {}, (seen?.foreign ?? []).map(foreign)), s("g", {}, arrows(steps, made)),
+      labels([...numbers(steps, made), ...[...poses].map(([id, pose]) => ({ text: id, at: at(object(id)?.centre ?? [0, 0], pose) }))]));
+    fill(holder, drawing);
+    words.textContent = count ? ` ${t("after move {count}: {object}", { count, object: steps[count - 1].object })}` : ` ${t("now")}`;
+    sight.textContent = seen ? `${t("Seen at {time}", { time: time(seen.unix_s) })}${seen.missing.length ? `; ${t("not seen")}: ${seen.missing.join(", ")}` : ""}${seen.doubted.length ? `; ${seen.doubted.map((pair) => pair[1]).join("; ")}` : ""}${seen.foreign.length ? `; ${t("{count} things without a marker", { count: seen.foreign.length })}` : ""}` : t("The table was not seen yet.");
+  };
+  slider.addEventListener("input", draw);
+  const stops = [on("status", draw), on("sight", draw), on("cell", draw)];
+  draw();
+  return { element, stop: () => stops.forEach((stop) => stop()) };
+}
+
+function moves() {
+  const { plan, step, job } = state.status ?? {};
+  if (!plan) return h("p", { class: "soft" }, t("No plan at the moment."));
+  const made = job && step ? step[0] : 0;
+  return [
+    h("p", {}, `${plan.steps.length} ${t("moves")}, `, t("{count} to a temporary place", { count: plan.steps.filter(({ kind }) => kind !== "goal").length }),
+      plan.lower_bound !== null ? `; ${t("at least {bound} are needed", { bound: number(plan.lower_bound, plan.lower_bound % 1 ? 2 : 0) })}` : "",
+      plan.seconds ? `; ${t("about {time}", { time: duration(plan.seconds) })}` : ""),
+    plan.preview && h("p", { class: "hint" }, t("A preview from a look {time} before: the cell looks again before it moves.", { time: duration(plan.sight_age_s) })),
+    h("ol", { class: "moves" }, plan.steps.map(({ object: id, to, kind }, index) => {
+      const swatch = h("span", { class: "swatch" });
+      swatch.style.background = colour(id);
+      return h("li", { class: index < made ? "done" : index === made && job ? "now" : "" }, `${index + 1}.`, swatch, h("span", {}, id, " → ", kind === "goal" ? t("goal") : t("temporary place"),
+        h("span", { class: "soft" }, ` ${Math.round(to[0] * 1000)}, ${Math.round(to[1] * 1000)} mm, ${Math.round(to[2] * 180 / Math.PI)}°`)), index < made ? "✓" : "");
+    })),
+  ];
+}
+
+const log = () => h("ol", { class: "log", tabindex: 0, "aria-label": t("What happened") }, [...state.sentences].reverse().slice(0, 100).map(({ unix_s, alarm, text }) => h("li", { class: alarm ? "warn" : "" }, h("time", {}, time(unix_s)), text)));
+
+export function spark(points, unit) {
+  if (points.length < 2) return h("p", { class: "soft" }, t("not enough values yet"));
+  const values = points.map(([, value]) => value);
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const y = (value) => 60 - 56 * (value - low) / (high - low || 1);
+  const line = values.map((value, index) => `${(index * 300 / (values.length - 1)).toFixed(1)} ${y(value).toFixed(1)}`).join("L");
+  return h("div", {}, s("svg", { class: "spark", viewBox: "-2 0 304 64", preserveAspectRatio: "none", role: "img", "aria-label": `${number(low)} – ${number(high)} ${unit}` }, s("path", { d: "M" + line, "vector-effect": "non-scaling-stroke" })),
+    h("p", { class: "soft" }, `${t("last")} ${number(values.at(-1))} ${unit}, ${t("range")} ${number(low)} – ${number(high)} ${unit}`));
+}
+
+function trends() {
+  const body = h("div");
+  const element = card(t("Trends and shift"), body);
+  const update = async () => {
+    try {
+      const [trend, shift] = await Promise.all([api("trends"), api("shift?since=8h")]);
+      fill(body, h("h3", {}, t("Reference markers off by")), spark(trend.reference_residual_mm, "mm"),
+        h("h3", {}, t("Vacuum while holding")), spark(trend.vacuum_percent, "%"),
+        h("h3", {}, t("Last 8 hours")), h("dl", {},
+          h("dt", {}, t("jobs done")), h("dd", {}, shift.done), h("dt", {}, t("jobs failed")), h("dd", {}, shift.failed + shift.interrupted),
+          h("dt", {}, t("moves")), h("dd", {}, `${shift.moves} (${number(shift.moves_per_hour)} ${t("an hour")}${shift.seconds_per_move ? `, ${number(shift.seconds_per_move)} s ${t("each")}` : ""})`)));
+    } catch { /* shown as stale elsewhere */ }
+  };
+  update();
+  const timer = setInterval(update, 10000);
+  return { element, stop: () => clearInterval(timer) };
+}
+
+export function livePage(main) {
+  const parts = [live(t("Now"), ["status", "stale"], now), orders(), tableCard(), picture(), arm3d(),
+    live(t("Moves"), ["status"], moves), live(t("Devices"), ["status", "arm", "vacuum"], devices), trends(),
+    live(t("What happened"), ["sentences"], log)];
+  fill(main, h("div", { class: "grid" }, parts.map(({ element }) => element)));
+  return () => parts.forEach(({ stop }) => stop());
+}

@@ -1,0 +1,77 @@
+// The frame: signing in, the bar with Stop, which screen is shown.
+
+import { h, fill } from "./dom.js";
+import { api, connect, on, reload, state } from "./net.js";
+import { load, t } from "./text.js";
+import { livePage } from "./live.js";
+import { goalPage } from "./goal.js";
+import { jobsPage } from "./jobs.js";
+import { setupPage } from "./setup.js";
+import { stop } from "./orders.js";
+
+const main = document.getElementById("main");
+const bar = document.getElementById("bar");
+const screens = { live: ["Now", livePage], goal: ["Set a goal", goalPage], jobs: ["Jobs", jobsPage], setup: ["Setup", setupPage] };
+let leave = () => {};
+
+function gate(message) {
+  fill(bar, h("h1", {}, "celld"));
+  fill(main, h("section", { class: "card gate" }, h("h2", {}, t("Sign in")), message && h("p", { class: "note wrong" }, message),
+    h("p", {}, t("On the cell's computer, run:")), h("pre", {}, "celld open"),
+    h("p", { class: "soft" }, t("It opens this page with a link that counts once. For another computer: celld open --print, and open the link there."))));
+}
+
+/** A ticket in the address becomes a session, and leaves the address and the history. */
+async function redeem() {
+  const ticket = new URLSearchParams(location.hash.slice(1)).get("ticket");
+  if (!ticket) return null;
+  history.replaceState(null, "", location.pathname + "#live");
+  try {
+    await api("sign-in", { body: { ticket } });
+    return null;
+  } catch (error) {
+    return error.message;
+  }
+}
+
+function drawBar() {
+  const [screen] = location.hash.slice(1).split("/");
+  const shown = screens[screen] ? screen : "live";
+  fill(bar,
+    h("h1", {}, h("img", { src: "/icon.svg", alt: "", width: 28, height: 28 }), h("span", { class: "name" }, state.cell.name, state.cell.simulated ? ` (${t("simulated")})` : "")),
+    h("nav", { "aria-label": t("Screens") }, Object.entries(screens).map(([name, [title]]) => h("a", { href: "#" + name, "aria-current": name === shown ? "page" : null }, t(title)))),
+    h("span", { class: "fill" }),
+    h("span", { class: "who" }, `${state.me.name}, ${t(state.me.role)}`),
+    h("div", { class: "stop" }, h("button", { type: "button", class: "halt", id: "stop", click: stop }, t("Stop")), h("small", {}, t("stops and disarms; no emergency stop"))),
+    h("p", { id: "stale", role: "alert", hidden: !state.stale }, t("No connection to celld: what is shown is old. Only Stop is sent.")));
+}
+
+function show() {
+  leave();
+  const [screen, ...rest] = location.hash.slice(1).split("/");
+  const [title, page] = screens[screen] ?? screens.live;
+  document.title = `${t(title)} – celld`;
+  drawBar();
+  leave = page(main, rest.length ? decodeURIComponent(rest.join("/")) : null);
+  window.scrollTo(0, 0);
+}
+
+async function start() {
+  const theme = localStorage.getItem("theme");
+  if (theme) document.documentElement.dataset.theme = theme;
+  const [message] = await Promise.all([redeem(), load()]);
+  try {
+    await reload();
+  } catch (error) {
+    return gate(message ?? (error.status === 401 ? null : error.message));
+  }
+  connect();
+  show();
+  window.addEventListener("hashchange", async () => {
+    if (location.hash.startsWith("#ticket=")) { await redeem(); location.reload(); return; }
+    show();
+  });
+  on("stale", () => { document.getElementById("stale").hidden = !state.stale; });
+}
+
+start();

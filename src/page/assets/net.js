@@ -1,0 +1,104 @@
+// The cell as this page knows it, and the way to it: one stream of events, requests with JSON.
+//
+// `state` is the last of everything; `on(kind, f)` calls f at every change of a kind. A stream without a beat
+// for 1.5 s is stale: the page says so, and of its orders only stops go out.
+
+export const state = { me: null, cell: null, status: null, arm: null, sight: null, control: null, sentences: [], vacuum: null, picture: 0, beat: null, stale: true };
+const listeners = {};
+let source = null;
+let heard = 0;
+
+export function on(kind, listener) {
+  (listeners[kind] ??= new Set()).add(listener);
+  return () => listeners[kind].delete(listener);
+}
+
+export function emit(kind) {
+  for (const listener of [...(listeners[kind] ?? [])]) listener();
+}
+
+/** A request; throws an Error with what the cell said. */
+export async function api(path, options = {}) {
+  const headers = options.body === undefined ? {} : { "content-type": "application/json" };
+  const body = options.body === undefined ? undefined : JSON.stringify(options.body);
+  let answer;
+  try {
+    answer = await fetch("/api/v1/" + path, { method: options.method ?? (body ? "POST" : "GET"), headers, body });
+  } catch {
+    throw new Error("no connection to celld");
+  }
+  const content = await answer.json().catch(() => ({}));
+  if (!answer.ok) {
+    const error = new Error(content.error ?? content.message ?? `HTTP ${answer.status}`);
+    error.status = answer.status;
+    error.hint = content.hint;
+    throw error;
+  }
+  return content;
+}
+
+/** An order to the cell: what it answers, accepted or not. */
+export async function order(command, more = {}) {
+  try {
+    return await api("orders", { body: { command, beat: state.beat, ...more } });
+  } catch (error) {
+    return { accepted: false, message: error.message };
+  }
+}
+
+const kinds = {
+  status: (data) => { state.status = data; },
+  arm: (data) => { state.arm = data; },
+  sight: (data) => { state.sight = data; },
+  control: (data) => { state.control = data; },
+  vacuum: (data) => { state.vacuum = data; },
+  picture: (data) => { state.picture = data; },
+  sentences: (data) => { state.sentences = data; },
+  sentence: (data) => { state.sentences = [...state.sentences, data].slice(-200); },
+  beat: (data) => { state.beat = data; },
+};
+
+export async function reload() {
+  state.me = await api("me");
+  state.cell = await api("cell");
+  emit("me");
+  emit("cell");
+}
+
+export function connect() {
+  source?.close();
+  source = new EventSource("/api/v1/events");
+  heard = performance.now();
+  for (const [kind, take] of Object.entries(kinds)) {
+    source.addEventListener(kind, (event) => {
+      take(JSON.parse(event.data));
+      heard = performance.now();
+      if (state.stale) { state.stale = false; emit("stale"); }
+      emit(kind === "sentence" ? "sentences" : kind);
+    });
+  }
+  source.addEventListener("cell", () => reload().catch(() => {}));
+}
+
+// The browser comes back by itself unless it was refused: a celld that was started anew is found again, and
+// its page may be another one.
+setInterval(async () => {
+  if (!source) return;
+  const silent = performance.now() - heard;
+  if (silent > 1500 && !state.stale) { state.stale = true; emit("stale"); }
+  if (state.stale && source.readyState === EventSource.CLOSED && silent > 3000) {
+    heard = performance.now();
+    try {
+      await reload();
+      connect();
+    } catch (error) {
+      if (error.status === 401) location.reload();
+    }
+  }
+}, 300);
+
+export const colour = (id) => state.cell?.objects.find((object) => object.id === id)?.colour ?? "#888";
+export const object = (id) => state.cell?.objects.find((known) => known.id === id);
+export const mine = () => state.control && state.me && state.control.session === state.me.session;
+const ranks = ["view", "operate", "approve", "engineer"];
+export const may = (role) => state.me && ranks.indexOf(state.me.role) >= ranks.indexOf(role);

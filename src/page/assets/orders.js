@@ -1,0 +1,120 @@
+// Orders: what may be ordered now, and what the cell answered. Whatever lets something fall or leaves a stop
+// is held for a second.
+
+import { h, card, fill } from "./dom.js";
+import { api, on, order, state, mine, may } from "./net.js";
+import { t, moment } from "./text.js";
+
+const HOLD_MS = 1200;
+
+/** A button that acts when it was held down, by finger, mouse or key. */
+export function hold(label, act, attributes = {}) {
+  let timer = null;
+  const button = h("button", { type: "button", class: "hold", "aria-description": t("hold for a second"), ...attributes }, label);
+  const begin = () => {
+    if (timer || button.disabled) return;
+    button.classList.add("holding");
+    timer = setTimeout(() => { end(); act(); }, HOLD_MS);
+  };
+  const end = () => {
+    clearTimeout(timer);
+    timer = null;
+    button.classList.remove("holding");
+  };
+  button.addEventListener("pointerdown", begin);
+  for (const kind of ["pointerup", "pointerleave", "pointercancel", "blur", "keyup"]) button.addEventListener(kind, end);
+  button.addEventListener("keydown", (event) => {
+    if (event.key === " " || event.key === "Enter") { event.preventDefault(); begin(); }
+  });
+  button.addEventListener("contextmenu", (event) => event.preventDefault());
+  return button;
+}
+
+export const answers = h("div", { role: "status", "aria-live": "polite" });
+
+export function answered(what, { accepted, message }) {
+  const note = h("p", { class: accepted ? "note" : "note wrong" }, h("strong", {}, what + ": "), message);
+  answers.replaceChildren(note, ...[...answers.children].slice(0, 2));
+}
+
+/** Gives an order and shows what came of it. */
+export async function give(label, command, more) {
+  answered(label, { accepted: true, message: t("sent …") });
+  answers.firstChild.remove();
+  answered(label, await order(command, more));
+}
+
+/** Stop: abort and disarm, from every screen, also where the page is stale. */
+export async function stop() {
+  const [aborted, disarmed] = await Promise.all([order({ do: "abort" }), order({ do: "disarm" })]);
+  answered(t("Stop"), { accepted: aborted.accepted || disarmed.accepted, message: `${aborted.message}; ${disarmed.message}` });
+}
+
+function button(label, command, enabled, attributes = {}) {
+  return h("button", { type: "button", id: "order-" + command.do, disabled: !enabled, click: () => give(label, command), ...attributes }, label);
+}
+
+function ways() {
+  const way = (how, label) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, disabled: state.stale || !may("operate") });
+  return h("div", {}, h("h3", {}, t("Leave the stop")),
+    h("div", { class: "row" },
+      h("button", { type: "button", id: "recover-show", disabled: state.stale || !may("operate"), click: () => give(t("What happened"), { do: "recover", how: "show" }) }, t("What happened?")),
+      way("place", t("Put it down")), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
+    h("p", { class: "soft" }, t("Each way back is your word that the cell is safe; afterwards it is disarmed.")));
+}
+
+function approval(status) {
+  const waiting = status.awaiting_approval[0];
+  if (!waiting) return null;
+  const plan = status.plan;
+  const disabled = state.stale || !may("approve");
+  return h("div", { class: "note" }, h("p", {}, h("strong", {}, t("Job {job} waits for approval", { job: waiting })),
+    plan ? `: ${plan.steps.length} ${t("moves")}` : "", plan?.preview ? ` (${t("preview from an earlier look")})` : ""),
+  h("div", { class: "row" },
+    h("button", { type: "button", class: "first", id: "order-approve", disabled, click: () => give(t("Approve"), { do: "approve", id: waiting }, { plan_unix_s: plan?.unix_s }) }, t("Approve")),
+    h("button", { type: "button", id: "order-reject", disabled, click: () => give(t("Reject"), { do: "reject", id: waiting }) }, t("Reject"))));
+}
+
+export function orders() {
+  const body = h("div");
+  const element = card(t("Orders"), body, answers);
+  let drawn = "";
+  const draw = () => {
+    const status = state.status;
+    if (!status) return;
+    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, state.stale, state.control, state.me]);
+    if (key === drawn) return;
+    drawn = key;
+    const can = may("operate") && !state.stale && status.state !== "starting";
+    const holder = state.control;
+    fill(body,
+      h("p", { class: "soft" }, holder ? (mine() ? t("You have control.") : t("{name} has control.", { name: holder.name })) : t("Nobody has control: the first order takes it."), " ",
+        may("operate") && (mine()
+          ? h("button", { type: "button", id: "control", click: () => control(false) }, t("Give back"))
+          : h("button", { type: "button", id: "control", click: () => control(true) }, t("Take control")))),
+      state.me && !state.me.moves && h("p", { class: "note" }, t("From this computer the arm cannot be moved: see page.control_from.")),
+      approval(status),
+      h("div", { class: "row" },
+        status.armed ? button(t("Disarm"), { do: "disarm" }, true) : button(t("Arm"), { do: "arm" }, can, { class: "first" }),
+        status.paused ? button(t("Resume"), { do: "resume" }, can, { class: "first" }) : button(t("Pause"), { do: "pause" }, can),
+        button(t("One step"), { do: "step" }, can && status.paused),
+        button(t("Abort"), { do: "abort" }, Boolean(status.job) || status.armed),
+        button(t("Park"), { do: "park" }, can && status.armed && !status.job),
+        status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can),
+        hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !can })),
+      status.stopped && ways());
+  };
+  const stops = [on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];
+  draw();
+  return { element, stop: () => stops.forEach((stop) => stop()) };
+}
+
+async function control(take) {
+  try {
+    await api("control", { body: { take, force: take } });
+  } catch (error) {
+    answered(t("Control"), { accepted: false, message: error.message });
+  }
+}
+
+export { moment };

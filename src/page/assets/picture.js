@@ -1,0 +1,55 @@
+// The camera's last picture with what was recognised, where things go, and the numbered moves.
+
+import { h, s, card, fill } from "./dom.js";
+import { api, on, state, colour } from "./net.js";
+import { t } from "./text.js";
+
+const line = (points) => "M" + points.map(([x, y]) => `${x} ${y}`).join("L") + "Z";
+
+export function picture() {
+  const image = h("img", { alt: t("The camera's last picture"), width: 1280, height: 720 });
+  const over = s("svg", { "aria-hidden": "true" });
+  const holder = h("div", { class: "picture", hidden: true }, image, over);
+  const none = h("p", { class: "soft" }, t("No picture yet: the camera is asked when the cell looks."));
+  let shown = 0;
+  const draw = (view) => {
+    over.setAttribute("viewBox", `0 0 ${view.width} ${view.height}`);
+    const middle = (points) => points.reduce(([a, b], [x, y]) => [a + x / points.length, b + y / points.length], [0, 0]);
+    const text = ([x, y], words) => s("text", { class: "p-text", x, y }, String(words));
+    const coloured = (kind) => ({ id, outline }) => {
+      const drawn = s("path", { class: kind, d: line(outline) });
+      drawn.style.stroke = colour(id);
+      return drawn;
+    };
+    const head = ([x0, y0], [x1, y1]) => {
+      const a = Math.atan2(y1 - y0, x1 - x0);
+      const p = (d, r) => [(x1 + r * Math.cos(a + d)).toFixed(1), (y1 + r * Math.sin(a + d)).toFixed(1)];
+      return s("path", { class: "p-head", d: line([[x1, y1], p(2.7, 26), p(-2.7, 26)]) });
+    };
+    fill(over, view.foreign.map((outline) => s("path", { class: "p-foreign", d: line(outline) })),
+      view.goals.map(coloured("p-goal")), view.objects.map(coloured("p-object")),
+      view.objects.map(({ id, outline }) => text(middle(outline), id)),
+      view.moves.map(({ from, to }) => [s("path", { class: "p-under", d: `M${from}L${to}` }), s("path", { class: "p-move", d: `M${from}L${to}` }), head(from, to)]),
+      view.moves.map(({ number, from, to }) => text([from[0] + 0.3 * (to[0] - from[0]), from[1] + 0.3 * (to[1] - from[1])], number)));
+  };
+  const update = async () => {
+    if (!state.picture) return;
+    try {
+      const view = await api("picture");
+      if (view.number !== shown) {
+        shown = view.number;
+        image.src = `/api/v1/picture.jpg?number=${shown}`;
+      }
+      holder.hidden = false;
+      none.hidden = true;
+      draw(view);
+    } catch { /* there is none yet */ }
+  };
+  let plan = "";
+  const stops = [on("picture", update), on("sight", update), on("status", () => {
+    const now = JSON.stringify([state.status?.plan?.unix_s, state.status?.job]);
+    if (now !== plan) { plan = now; update(); }
+  })];
+  update();
+  return { element: card(t("Camera"), holder, none), stop: () => stops.forEach((stop) => stop()) };
+}

@@ -1,0 +1,45 @@
+// What is set once: language and light, markers to print, who is signed in, how the cell is calibrated.
+
+import { h, card, fill } from "./dom.js";
+import { api, state } from "./net.js";
+import { t, language, languages, moment } from "./text.js";
+
+function markers() {
+  const known = state.cell.objects.map(({ marker }) => marker).filter((marker) => marker !== null);
+  const ids = h("input", { id: "ids", value: known.join(",") || "0,1,2,3", "aria-label": t("numbers") });
+  const size = h("input", { id: "size", type: "number", value: 36, min: 5, max: 300, "aria-label": t("edge, mm") });
+  const paper = h("select", { id: "paper", "aria-label": t("paper") }, h("option", { value: "a4" }, "A4"), h("option", { value: "letter" }, "Letter"));
+  const link = h("a", { class: "button", download: "markers.pdf" }, t("Make a PDF"));
+  const update = () => { link.href = "/api/v1/markers.pdf?" + new URLSearchParams({ ids: ids.value, size_mm: size.value, paper: paper.value }); };
+  for (const input of [ids, size, paper]) input.addEventListener("input", update);
+  update();
+  return card(t("Print markers"), h("p", {}, t("Numbers of the catalogue are filled in; the edge is that of the black square, mm. Print at 100 % and measure the ruler.")), h("div", { class: "row" }, ids, size, paper, link));
+}
+
+function look() {
+  const tongue = h("select", { "aria-label": t("Language"), change: (event) => { localStorage.setItem("language", event.target.value); location.reload(); } },
+    Object.entries(languages).map(([code, name]) => h("option", { value: code, selected: code === language() }, name)));
+  const theme = h("select", { "aria-label": t("Light or dark"), change: (event) => { localStorage.setItem("theme", event.target.value); document.documentElement.dataset.theme = event.target.value; } },
+    [["", t("as the computer")], ["light", t("light")], ["dark", t("dark")]].map(([code, name]) => h("option", { value: code, selected: code === (localStorage.getItem("theme") ?? "") }, name)));
+  return card(t("Language and light"), h("div", { class: "row" }, tongue, theme));
+}
+
+function person() {
+  const me = state.me;
+  return card(t("Signed in"), h("dl", {}, h("dt", {}, t("name")), h("dd", {}, me.name), h("dt", {}, t("role")), h("dd", {}, t(me.role)), h("dt", {}, t("until")), h("dd", {}, moment(me.until_unix_s))),
+    h("div", { class: "row" }, h("button", { type: "button", click: async () => { await api("sign-out", { body: {} }); location.reload(); } }, t("Sign out"))),
+    h("p", { class: "soft" }, t("On the cell's computer, `celld open` signs a browser in, and `celld open --token` gives a program a token.")));
+}
+
+function calibration() {
+  const steps = [["celld calibrate camera", t("the lens, from pictures of a board")], ["celld calibrate hand-eye", t("where the camera sits on the arm")], ["celld calibrate table", t("the table, touched with the tool's tip")], ["celld doctor", t("whether all fits together")]];
+  return card(t("Calibration"), h("p", {}, t("Calibration moves the arm and is done at the cell, on the terminal, while celld does not run:")),
+    h("ol", {}, steps.map(([command, words]) => h("li", {}, h("code", {}, command), " – ", words))),
+    h("p", { class: "soft" }, t("How far the reference markers seem to be off, look by look, is on the first screen under trends.")));
+}
+
+export function setupPage(main) {
+  fill(main, h("div", { class: "grid" }, look(), person(), markers(), calibration(),
+    card(t("Interface for programs"), h("p", {}, h("a", { href: "/api/v1/openapi.json" }, "OpenAPI"), ", ", h("a", { href: "/metrics" }, "Prometheus")))));
+  return () => {};
+}

@@ -1,0 +1,305 @@
+//! What happens in the cell, for those who watch: the last of everything, and messages as things change.
+//!
+//! In: what the loop shows its observers, each status that is written, the cell once it is known. Out: the
+//! last status, arm, arrangement, sentences and picture; messages to every viewer. Nothing here blocks: the
+//! loop hands over and goes on, and a viewer that does not take its messages loses them all and is dropped.
+
+use crate::cell::supervisor::model::CellModel;
+use crate::daemon::last_picture::LastPicture;
+use crate::daemon::messages::Displayed;
+use crate::daemon::shell::{Observer, Scene};
+use crate::jobs::status::Status;
+use crate::page::views::{ArmView, SightView, arm_view, sight_view};
+use axum::body::Bytes;
+use cell_edge::clock::unix_now_s;
+use cell_values::time::{Duration, Timestamp};
+use cell_vision::camera::CameraModel;
+use cell_vision::observe::Observation;
+use serde::Serialize;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::broadcast;
+
+/// Messages that a viewer may be behind by: three seconds' worth.
+const BEHIND: usize = 64;
+
+/// Sentences that are kept.
+const SENTENCES: usize = 200;
+
+/// How often the arm is shown, in the cell's time.
+const ARM_EVERY: Duration = Duration::from_millis(100);
+
+/// A message to viewers: its kind, and JSON.
+#[derive(Debug)]
+pub struct Message {
+    /// Name of the event.
+    pub kind: &'static str,
+    /// Its data.
+    pub json: String,
+}
+
+/// A sentence with its time.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Sentence {
+    /// s since 1970.
+    pub unix_s: f64,
+    /// A person should read it.
+    pub alarm: bool,
+    /// What happened.
+    pub text: String,
+}
+
+/// One point of a trend: s since 1970, and the value.
+pub type Point = (f64, f64);
+
+/// How things have been going.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Trends {
+    /// How far the reference markers seemed to be from where they were surveyed, mm, look by look.
+    pub reference_residual_mm: VecDeque<Point>,
+    /// Relative vacuum, %, of the channel that had more, while something was held.
+    pub vacuum_percent: VecDeque<Point>,
+}
+
+/// The cell once the robot is known.
+pub struct KnownCell {
+    /// As the supervisor has it.
+    pub model: CellModel,
+    /// The lens, for what is drawn over pictures.
+    pub lens: CameraModel,
+    /// What the camera showed last.
+    pub pictures: LastPicture,
+}
+
+#[derive(Default)]
+struct Last {
+    status: Option<Arc<Status>>,
+    arm: Option<ArmView>,
+    seen: Option<(Arc<Observation>, f64)>,
+    sentences: VecDeque<Sentence>,
+    cell: Option<Arc<KnownCell>>,
+    trends: Trends,
+    /// The last picture as it was encoded, with its number.
+    encoded: Option<(u64, Bytes)>,
+}
+
+/// Points of a trend that are kept.
+const POINTS: usize = 500;
+
+fn push(list: &mut VecDeque<Point>, point: Point) {
+    list.push_back(point);
+    if list.len() > POINTS {
+        list.pop_front();
+    }
+}
+
+/// The last of everything. See the module.
+#[derive(Clone)]
+pub struct Feed {
+    last: Arc<Mutex<Last>>,
+    messages: broadcast::Sender<Arc<Message>>,
+    /// Number of the last picture.
+    picture: Arc<AtomicU64>,
+}
+
+impl Default for Feed {
+    fn default() -> Feed {
+        let (messages, _) = broadcast::channel(BEHIND);
+        Feed { last: Arc::default(), messages, picture: Arc::default() }
+    }
+}
+
+impl Feed {
+    /// The observer of the loop.
+    pub fn observer(&self) -> Watcher {
+        Watcher { feed: self.clone(), arm_at: None, vacuum_at: None }
+    }
+
+    /// Messages from now on.
+    pub fn messages(&self) -> broadcast::Receiver<Arc<Message>> {
+        self.messages.subscribe()
+    }
+
+    /// How many watch.
+    pub fn viewers(&self) -> usize {
+        self.messages.receiver_count()
+    }
+
+    /// The robot is known.
+    pub fn known(&self, cell: KnownCell) {
+        self.last().cell = Some(Arc::new(cell));
+        self.send("cell", &true);
+    }
+
+    /// A status was written.
+    pub fn status(&self, status: &Status) {
+        let status = Arc::new(status.clone());
+        self.last().status = Some(status.clone());
+        self.send("status", &*status);
+    }
+
+    /// Something else that viewers should see.
+    pub fn send(&self, kind: &'static str, data: &impl Serialize) {
+        if self.viewers() == 0 {
+            return;
+        }
+        if let Ok(json) = serde_json::to_string(data) {
+            // Whoever watched has gone meanwhile: nothing is lost.
+            let _ = self.messages.send(Arc::new(Message { kind, json }));
+        }
+    }
+
+    /// The last status.
+    pub fn last_status(&self) -> Option<Arc<Status>> {
+        self.last().status.clone()
+    }
+
+    /// The arm.
+    pub fn last_arm(&self) -> Option<ArmView> {
+        self.last().arm.clone()
+    }
+
+    /// The table as it was measured last, and when, s since 1970.
+    pub fn last_sight(&self) -> Option<(Arc<Observation>, f64)> {
+        self.last().seen.clone()
+    }
+
+    /// The same for viewers.
+    pub fn last_sight_view(&self) -> Option<SightView> {
+        self.last_sight().map(|(seen, unix_s)| sight_view(&seen, unix_s))
+    }
+
+    /// What was said, the newest last.
+    pub fn sentences(&self) -> Vec<Sentence> {
+        self.last().sentences.iter().cloned().collect()
+    }
+
+    /// The cell; `None` before the robot is known.
+    pub fn cell(&self) -> Option<Arc<KnownCell>> {
+        self.last().cell.clone()
+    }
+
+    /// Number of the last picture; 0 before there is one.
+    pub fn picture_number(&self) -> u64 {
+        self.picture.load(Ordering::Relaxed)
+    }
+
+    /// How things have been going.
+    pub fn trends(&self) -> Trends {
+        self.last().trends.clone()
+    }
+
+    /// The picture with this number as it was encoded before.
+    pub fn encoded(&self, number: u64) -> Option<Bytes> {
+        self.last().encoded.as_ref().filter(|(kept, _)| *kept == number).map(|(_, jpeg)| jpeg.clone())
+    }
+
+    /// Keeps it for other viewers.
+    pub fn keep_encoded(&self, number: u64, jpeg: Bytes) -> Bytes {
+        self.last().encoded = Some((number, jpeg.clone()));
+        jpeg
+    }
+
+    fn last(&self) -> MutexGuard<'_, Last> {
+        self.last.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn say(&self, alarm: bool, text: String) {
+        let sentence = Sentence { unix_s: unix_now_s(), alarm, text };
+        self.send("sentence", &sentence);
+        let mut last = self.last();
+        last.sentences.push_back(sentence);
+        if last.sentences.len() > SENTENCES {
+            last.sentences.pop_front();
+        }
+    }
+}
+
+/// The loop's end of the feed.
+pub struct Watcher {
+    feed: Feed,
+    arm_at: Option<Timestamp>,
+    vacuum_at: Option<Timestamp>,
+}
+
+/// Less vacuum than this is none: what the pump leaves in open cups.
+const HOLDS: f64 = 0.05;
+
+/// How often the vacuum is shown, in the cell's time.
+const VACUUM_EVERY: Duration = Duration::from_millis(250);
+
+impl Watcher {
+    fn vacuum(&mut self, now: Timestamp, channels: [f64; 2]) {
+        if self.vacuum_at.is_some_and(|at| now.since(at) < VACUUM_EVERY) {
+            return;
+        }
+        self.vacuum_at = Some(now);
+        let percent = channels.map(|channel| (channel * 100.0).round());
+        self.feed.send("vacuum", &percent);
+        let most = channels[0].max(channels[1]);
+        if most > HOLDS {
+            push(&mut self.feed.last().trends.vacuum_percent, (unix_now_s(), (most * 1000.0).round() / 10.0));
+        }
+    }
+}
+
+impl Observer for Watcher {
+    fn on(&mut self, now: Timestamp, scene: Scene) {
+        match scene {
+            Scene::Robot(state) if self.arm_at.is_none_or(|at| now.since(at) >= ARM_EVERY) => {
+                self.arm_at = Some(now);
+                let cell = self.feed.cell();
+                let view = arm_view(state, cell.as_ref().map(|cell| &cell.model.arm.bodies));
+                self.feed.send("arm", &view);
+                self.feed.last().arm = Some(view);
+            }
+            Scene::Notice(notice) => self.feed.say(notice.alarm, notice.text.clone()),
+            Scene::Displayed(Displayed::Observed(seen)) => {
+                let unix_s = unix_now_s();
+                self.feed.send("sight", &sight_view(seen, unix_s));
+                let mut last = self.feed.last();
+                last.seen = Some((Arc::new((**seen).clone()), unix_s));
+                if let Some(residual) = seen.reference_residual_m {
+                    push(&mut last.trends.reference_residual_mm, (unix_s, residual * 1e3));
+                }
+            }
+            Scene::Displayed(Displayed::Picture { .. }) => {
+                let number = self.feed.picture.fetch_add(1, Ordering::Relaxed) + 1;
+                self.feed.send("picture", &number);
+            }
+            Scene::Vacuum(channels) => self.vacuum(now, channels),
+            Scene::Displayed(Displayed::Sample { .. })
+            | Scene::Robot(_)
+            | Scene::Status(_)
+            | Scene::Route(_)
+            | Scene::Ended(_) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cell::supervisor::input::Notice;
+
+    #[test]
+    fn viewers_see_what_happens_and_one_that_does_not_read_falls_behind() {
+        let feed = Feed::default();
+        let mut watcher = feed.observer();
+        let say = |text: &str| Notice { alarm: true, text: text.to_string() };
+        watcher.on(Timestamp::ZERO, Scene::Notice(&say("before")));
+        let mut viewer = feed.messages();
+        watcher.on(Timestamp::ZERO, Scene::Notice(&say("a \u{1b} word")));
+        let message = viewer.try_recv().expect("a message");
+        assert!(message.kind == "sentence" && message.json.contains(r#""alarm":true"#), "{message:?}");
+        assert!(message.json.contains("\\u001b"), "control characters travel escaped: {}", message.json);
+        for _ in 0..=BEHIND {
+            watcher.on(Timestamp::ZERO, Scene::Notice(&say("more")));
+        }
+        assert!(matches!(viewer.try_recv(), Err(broadcast::error::TryRecvError::Lagged(_))));
+        assert_eq!(feed.sentences().first().map(|sentence| sentence.text.as_str()), Some("before"));
+        (0..SENTENCES).for_each(|_| watcher.on(Timestamp::ZERO, Scene::Notice(&say("x"))));
+        assert_eq!(feed.sentences().len(), SENTENCES);
+    }
+}

@@ -1,0 +1,174 @@
+//! Before any handler: is the page called by its own name, does a page of its own call, who is it, how often.
+//!
+//! In: requests. Out: requests with the [`Person`] who sends them, or refusals: 421 for a foreign name, 403
+//! for a foreign page or a role that is too low, 401 without a session, 429 too often, 408 too slow. What is
+//! refused is logged with its path and without its secrets.
+
+use crate::cell::orders::Role;
+use crate::page::access::Person;
+use crate::page::app::App;
+use crate::page::limits::{host_is_ours, origin_is_ours};
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{ConnectInfo, Request, State};
+use axum::http::header::{
+    AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, COOKIE, HOST, HeaderValue, ORIGIN,
+    REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+};
+use axum::http::{HeaderMap, Method, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use cell_edge::clock::unix_now_s;
+use serde_json::json;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::time::{Duration, Instant};
+
+/// A request is answered within this time, or begins to be: a plan may take most of it.
+const ANSWER_WITHIN: Duration = Duration::from_secs(60);
+
+/// Scripts and styles from here alone, pictures also as data, nothing in frames of others.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
+                      connect-src 'self'; font-src 'self'; manifest-src 'self'; base-uri 'none'; \
+                      form-action 'none'; frame-ancestors 'none'";
+
+/// How a person came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Via {
+    /// A browser, with its cookie.
+    Browser,
+    /// A program, with its token.
+    Token,
+}
+
+/// Where a request comes from.
+#[derive(Clone, Copy, Debug)]
+pub struct Peer(pub IpAddr);
+
+/// A refusal: status and one sentence.
+pub fn refusal(status: StatusCode, message: impl Into<String>) -> Response {
+    (status, Json(json!({ "error": message.into() }))).into_response()
+}
+
+/// Logs a refusal and makes it.
+fn refuse(request: &Request, status: StatusCode, message: &str) -> Response {
+    let (method, path) = (request.method(), request.uri().path());
+    tracing::warn!(peer = %peer(request), %method, path, "page refused: {message}");
+    refusal(status, message)
+}
+
+fn peer(request: &Request) -> IpAddr {
+    let info = request.extensions().get::<ConnectInfo<SocketAddr>>();
+    info.map_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED), |info| info.0.ip().to_canonical())
+}
+
+/// Every request passes here first.
+pub async fn every_request(State(app): State<App>, mut request: Request, next: Next) -> Response {
+    let from = peer(&request);
+    request.extensions_mut().insert(Peer(from));
+    let mut response = match unfit(&app, &request) {
+        Some(response) => response,
+        None => {
+            let path = request.uri().path().to_string();
+            match tokio::time::timeout(ANSWER_WITHIN, next.run(request)).await {
+                Ok(response) => response,
+                Err(_) => {
+                    tracing::warn!(peer = %from, path, "page refused: too slow");
+                    refusal(StatusCode::REQUEST_TIMEOUT, "the request took too long")
+                }
+            }
+        }
+    };
+    let headers = response.headers_mut();
+    headers.insert(CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
+    headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.insert(X_FRAME_OPTIONS, HeaderValue::from_static("DENY"));
+    headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    headers.entry(CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
+    response
+}
+
+/// Why a request is not looked at.
+fn unfit(app: &App, request: &Request) -> Option<Response> {
+    let (headers, now) = (request.headers(), Instant::now());
+    let host = text(headers.get(HOST)).unwrap_or_default();
+    let person = person(app, headers);
+    let source = match &person {
+        Some((person, _)) => person.session.clone(),
+        None => peer(request).to_string(),
+    };
+    if !app.limits().request(&source, now) {
+        // Not logged: there may be thousands.
+        return Some(refusal(StatusCode::TOO_MANY_REQUESTS, "too many requests; wait a little"));
+    }
+    let refused = |status, message: &str| {
+        if person.is_none() {
+            app.limits().refused(&source, now);
+        }
+        Some(refuse(request, status, message))
+    };
+    if !host_is_ours(&app.config, host) {
+        return refused(
+            StatusCode::MISDIRECTED_REQUEST,
+            "this is no name of this cell's page (`page.hosts`)",
+        );
+    }
+    match text(headers.get(ORIGIN)) {
+        Some(origin) if !origin_is_ours(&app.config, origin, host) => {
+            return refused(StatusCode::FORBIDDEN, "the request comes from another page");
+        }
+        // Browsers name the origin of whatever changes something; programs have a token.
+        None if !reads(request.method()) && text(headers.get(AUTHORIZATION)).is_none() => {
+            return refused(StatusCode::FORBIDDEN, "the request does not say from which page it comes");
+        }
+        Some(_) | None => {}
+    }
+    None
+}
+
+fn reads(method: &Method) -> bool {
+    *method == Method::GET || *method == Method::HEAD
+}
+
+fn text(value: Option<&HeaderValue>) -> Option<&str> {
+    value.and_then(|value| value.to_str().ok())
+}
+
+/// The secret that comes with a request.
+pub fn secret(app: &App, headers: &HeaderMap) -> Option<(String, Via)> {
+    if let Some(token) = text(headers.get(AUTHORIZATION)).and_then(|value| value.strip_prefix("Bearer ")) {
+        return Some((token.trim().to_string(), Via::Token));
+    }
+    let wanted = app.cookie_name();
+    let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
+    let mut pairs = cookies.flat_map(|line| line.split(';')).filter_map(|pair| pair.trim().split_once('='));
+    pairs.find(|(name, _)| *name == wanted).map(|(_, value)| (value.to_string(), Via::Browser))
+}
+
+/// Who sends a request.
+pub fn person(app: &App, headers: &HeaderMap) -> Option<(Person, Via)> {
+    let (secret, via) = secret(app, headers)?;
+    Some((app.access().person(&secret, unix_now_s())?, via))
+}
+
+/// Lets people with at least this role through.
+pub async fn with_role(
+    State((app, least)): State<(App, Role)>,
+    mut request: Request<Body>,
+    next: Next,
+) -> Response {
+    let Some((person, via)) = person(&app, request.headers()) else {
+        app.limits().refused(&peer(&request).to_string(), Instant::now());
+        return refuse(
+            &request,
+            StatusCode::UNAUTHORIZED,
+            "sign in first: `celld open` on the cell's computer",
+        );
+    };
+    if person.grant.role < least {
+        let message = format!("this takes the role {least:?}; yours is {:?}", person.grant.role.as_str());
+        return refuse(&request, StatusCode::FORBIDDEN, &message.replace("Role::", ""));
+    }
+    request.extensions_mut().insert(person);
+    request.extensions_mut().insert(via);
+    next.run(request).await
+}

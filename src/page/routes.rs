@@ -1,0 +1,214 @@
+//! Every address of the page and its API, with the least role and what it is for: one table, from which both
+//! the router and the OpenAPI document are made, so that neither knows what the other does not.
+
+use crate::cell::orders::Role;
+use crate::page::app::App;
+use crate::page::{assets, guard, live, metrics, openapi, session, work};
+use axum::Router;
+use axum::extract::{DefaultBodyLimit, Path};
+use axum::handler::Handler;
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::{from_fn_with_state, map_response};
+use axum::response::Response;
+use axum::routing::{MethodFilter, on};
+
+/// Largest body that is read: a goal of a thousand objects.
+const BODY: usize = 512 * 1024;
+
+/// One address of the API.
+#[derive(Clone, Copy, Debug)]
+pub struct Route {
+    /// `GET`, `POST` or `PUT`.
+    pub method: &'static str,
+    /// With `{name}` for what varies.
+    pub path: &'static str,
+    /// Least role; `None`: without a session.
+    pub least: Option<Role>,
+    /// What it is for, one line.
+    pub summary: &'static str,
+    /// Schema of the body it takes, by name in the OpenAPI document.
+    pub body: Option<&'static str>,
+    /// What it answers with.
+    pub answer: &'static str,
+}
+
+/// Routes while they are collected.
+struct Routes {
+    app: Option<App>,
+    router: Router<App>,
+    table: Vec<Route>,
+}
+
+impl Routes {
+    fn add<H, T>(&mut self, route: Route, handler: H)
+    where
+        H: Handler<T, App>,
+        T: 'static,
+    {
+        self.table.push(route);
+        let Some(app) = &self.app else { return };
+        let method = match route.method {
+            "POST" => MethodFilter::POST,
+            "PUT" => MethodFilter::PUT,
+            _ => MethodFilter::GET,
+        };
+        let mut served = on(method, handler);
+        if let Some(least) = route.least {
+            served = served.route_layer(from_fn_with_state((app.clone(), least), guard::with_role));
+        }
+        let router = std::mem::take(&mut self.router);
+        self.router = router.route(route.path, served);
+    }
+}
+
+const JSON: &str = "application/json";
+
+const fn get(path: &'static str, least: Role, summary: &'static str) -> Route {
+    Route { method: "GET", path, least: Some(least), summary, body: None, answer: JSON }
+}
+
+const fn post(path: &'static str, least: Role, summary: &'static str, body: &'static str) -> Route {
+    Route { method: "POST", path, least: Some(least), summary, body: Some(body), answer: JSON }
+}
+
+const fn answers(route: Route, answer: &'static str) -> Route {
+    Route { answer, ..route }
+}
+
+const fn open(route: Route) -> Route {
+    Route { least: None, ..route }
+}
+
+/// What answers where.
+fn all(app: Option<App>) -> Routes {
+    use Role::{Operate, View};
+    let mut r = Routes { app, router: Router::new(), table: Vec::new() };
+    r.add(answers(open(get("/livez", View, "The process runs")), "text/plain"), live::alive);
+    r.add(
+        answers(open(get("/readyz", View, "The cell takes orders; else 503 with the reason")), "text/plain"),
+        live::ready,
+    );
+    r.add(answers(get("/metrics", View, "Counts and states for Prometheus"), "text/plain"), metrics::metrics);
+    r.add(open(get("/api/v1/openapi.json", View, "This document")), openapi::document);
+    session_routes(&mut r);
+    r.add(
+        get("/api/v1/cell", View, "Table, catalogue, bodies: what does not change while celld runs"),
+        live::cell,
+    );
+    r.add(get("/api/v1/status", View, "The status as in status.json (docs/files.md)"), live::status);
+    r.add(get("/api/v1/arm", View, "The arm's last state"), live::arm);
+    r.add(get("/api/v1/sight", View, "The table as it was seen last"), live::sight);
+    r.add(get("/api/v1/sentences", View, "What was said lately, the newest last"), live::sentences);
+    r.add(
+        get("/api/v1/trends", View, "Reference residual and vacuum over the last looks and grips"),
+        live::trends,
+    );
+    r.add(
+        answers(get("/api/v1/events", View, "Everything above as it changes"), "text/event-stream"),
+        live::events,
+    );
+    r.add(
+        answers(get("/api/v1/picture.jpg", View, "The camera's last picture"), "image/jpeg"),
+        live::picture,
+    );
+    r.add(get("/api/v1/picture", View, "What is drawn over the last picture, pixels"), live::picture_view);
+    r.add(
+        answers(get("/api/v1/plan.svg", View, "The present plan on the table"), "image/svg+xml"),
+        live::plan_svg,
+    );
+    r.add(
+        post(
+            "/api/v1/orders",
+            View,
+            "An order to the cell; 409 with the reason where it is refused",
+            "Order",
+        ),
+        session::order,
+    );
+    r.add(get("/api/v1/jobs", View, "Jobs, the newest first (last, failed, since, object)"), work::jobs);
+    r.add(
+        post("/api/v1/jobs", Operate, "Submit a job; 422 with the reason where it is refused", "JobText"),
+        work::submit,
+    );
+    r.add(get("/api/v1/jobs/{id}", View, "A job with its story, plan, steps and result"), work::job);
+    r.add(answers(get("/api/v1/jobs/{id}/report", View, "The job as one page"), "text/html"), work::report);
+    r.add(
+        answers(
+            get("/api/v1/jobs/{id}/files/{name}", View, "plan.svg, plan.jpg or end.jpg of a job"),
+            "image/*",
+        ),
+        work::file,
+    );
+    r.add(get("/api/v1/shift", View, "Counts and throughput since a time (since)"), work::shift);
+    r.add(
+        post(
+            "/api/v1/preview",
+            View,
+            "A plan for a job that is not submitted, from the last sight",
+            "JobText",
+        ),
+        work::preview,
+    );
+    r.add(
+        post(
+            "/api/v1/goals/check",
+            View,
+            "What is wrong with goals; where a dropped object would lie free",
+            "Draft",
+        ),
+        work::check,
+    );
+    r.add(get("/api/v1/goals", View, "Goal files of the cell"), work::goals);
+    r.add(get("/api/v1/goals/{name}", View, "Poses of a goal file"), work::goal);
+    r.add(
+        Route { method: "PUT", ..post("/api/v1/goals/{name}", Operate, "Save a goal file", "GoalFile") },
+        work::save_goal,
+    );
+    r.add(
+        answers(
+            get("/api/v1/markers.pdf", View, "Markers for the printer (ids, size_mm, paper)"),
+            "application/pdf",
+        ),
+        work::markers,
+    );
+    r
+}
+
+fn session_routes(r: &mut Routes) {
+    use Role::{Operate, View};
+    r.add(
+        open(post("/api/v1/sign-in", View, "A session for a ticket of `celld open`", "Ticket")),
+        session::sign_in,
+    );
+    r.add(post("/api/v1/sign-out", View, "Ends the session", "Nothing"), session::sign_out);
+    r.add(get("/api/v1/me", View, "Who is signed in, with which role, and who has control"), session::me);
+    r.add(
+        post("/api/v1/control", Operate, "Take control of the cell, or give it back", "Control"),
+        session::control,
+    );
+}
+
+/// The table of all addresses.
+pub fn table() -> Vec<Route> {
+    all(None).table
+}
+
+/// The page and its API.
+pub fn router(app: App) -> Router {
+    let file = |Path(path): Path<String>, headers: HeaderMap| async move { assets::asset(&path, &headers) };
+    let first = |headers: HeaderMap| async move { assets::asset("", &headers) };
+    let not_found = |response: Response| async move {
+        match response.status() {
+            StatusCode::METHOD_NOT_ALLOWED => guard::refusal(StatusCode::METHOD_NOT_ALLOWED, "not that way"),
+            _ => response,
+        }
+    };
+    all(Some(app.clone()))
+        .router
+        .route("/", axum::routing::get(first))
+        .route("/{*path}", axum::routing::get(file))
+        .layer(map_response(not_found))
+        .layer(DefaultBodyLimit::max(BODY))
+        .layer(from_fn_with_state(app.clone(), guard::every_request))
+        .with_state(app)
+}

@@ -1,0 +1,244 @@
+//! Signing in, control, and orders.
+//!
+//! In: tickets, wishes, orders with the beat that the page had seen last. Out: sessions; each order's answer.
+//! What moves the arm takes the role, control, a computer from which people see the cell, and a page that is
+//! of now; what stops takes a session alone.
+
+use crate::cell::orders::{Order, Reply};
+use crate::daemon::state_orders::order_of;
+use crate::jobs::command::Command;
+use crate::page::access::{Person, SESSION_S};
+use crate::page::app::{App, Shared};
+use crate::page::guard::{Peer, Via, refusal, secret};
+use axum::extract::rejection::JsonRejection;
+use axum::extract::{Extension, Json, State};
+use axum::http::header::SET_COOKIE;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use cell_edge::clock::unix_now_s;
+use serde::Deserialize;
+use serde_json::json;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+/// A page that has seen no beat for so long is out of date, ms.
+const STALE_MS: u64 = 2500;
+
+/// How much two times of one plan may differ, s: they travel as decimal numbers.
+const SAME_PLAN_S: f64 = 1e-3;
+
+/// `POST /api/v1/sign-in`
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ticket {
+    ticket: String,
+}
+
+fn cookie(app: &Shared, value: &str, seconds: f64) -> [(axum::http::HeaderName, String); 1] {
+    let secure = if app.config.tls.is_some() { "; Secure" } else { "" };
+    let name = app.cookie_name();
+    [(SET_COOKIE, format!("{name}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds:.0}{secure}"))]
+}
+
+/// A body that is no such JSON.
+pub fn unreadable(error: &JsonRejection) -> Response {
+    refusal(error.status(), error.body_text())
+}
+
+/// A session for a ticket.
+pub async fn sign_in(
+    State(app): State<App>,
+    Extension(Peer(peer)): Extension<Peer>,
+    body: Result<Json<Ticket>, JsonRejection>,
+) -> Response {
+    let Json(Ticket { ticket }) = match body {
+        Ok(body) => body,
+        Err(error) => return unreadable(&error),
+    };
+    let session = app.access().redeem(&ticket, unix_now_s());
+    match session {
+        Ok(Some(session)) => {
+            if let Err(error) = app.keep_access() {
+                tracing::warn!(%error, "sessions do not outlive this celld");
+            }
+            tracing::info!(%peer, "page: signed in");
+            (cookie(&app, &session, SESSION_S), Json(json!({ "signed_in": true }))).into_response()
+        }
+        Ok(None) => {
+            app.limits().refused(&peer.to_string(), Instant::now());
+            tracing::warn!(%peer, "page refused: a ticket that does not count");
+            let message = "this link was used already or is too old; `celld open` gives another one";
+            refusal(StatusCode::UNAUTHORIZED, message)
+        }
+        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, format!("no random numbers: {error}")),
+    }
+}
+
+/// Ends the session.
+pub async fn sign_out(
+    State(app): State<App>,
+    Extension(person): Extension<Person>,
+    headers: HeaderMap,
+) -> Response {
+    if let Some((secret, _)) = secret(&app, &headers) {
+        app.access().end(&secret);
+    }
+    app.control().give_back(&person.session);
+    announce(&app);
+    if let Err(error) = app.keep_access() {
+        tracing::warn!(%error, "the end of a session was not kept");
+    }
+    (cookie(&app, "", 0.0), Json(json!({ "signed_in": false }))).into_response()
+}
+
+/// Who has control, to all viewers.
+fn announce(app: &Shared) {
+    let holder = app.control().holder(Instant::now()).cloned();
+    app.feed.send("control", &holder);
+}
+
+/// Who is signed in.
+pub async fn me(
+    State(app): State<App>,
+    Extension(person): Extension<Person>,
+    Extension(Peer(peer)): Extension<Peer>,
+) -> Response {
+    let holder = app.control().holder(Instant::now()).cloned();
+    Json(json!({
+        "name": person.grant.name, "role": person.grant.role, "session": person.session,
+        "until_unix_s": person.grant.until_unix_s, "control": holder, "moves": app.config.moves_from(peer),
+        "beat": app.beat(),
+    }))
+    .into_response()
+}
+
+/// `POST /api/v1/control`
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wish {
+    take: bool,
+    #[serde(default)]
+    force: bool,
+}
+
+/// Takes control or gives it back.
+pub async fn control(
+    State(app): State<App>,
+    Extension(person): Extension<Person>,
+    body: Result<Json<Wish>, JsonRejection>,
+) -> Response {
+    let Json(wish) = match body {
+        Ok(body) => body,
+        Err(error) => return unreadable(&error),
+    };
+    if !wish.take {
+        app.control().give_back(&person.session);
+    } else if let Err(held) =
+        app.control().take(&person.session, &person.grant.name, wish.force, Instant::now())
+    {
+        return refusal(StatusCode::CONFLICT, held.to_string());
+    }
+    tracing::info!(by = person.grant.name, take = wish.take, force = wish.force, "page: control");
+    announce(&app);
+    Json(json!({ "control": app.control().holder(Instant::now()) })).into_response()
+}
+
+/// `POST /api/v1/orders`
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ordered {
+    command: Command,
+    /// The last beat that the page had received; programs with a token may leave it out.
+    #[serde(default)]
+    beat: Option<u64>,
+    /// Which plan is agreed to: when it was made.
+    #[serde(default)]
+    plan_unix_s: Option<f64>,
+}
+
+/// Carries an order out, or says why not.
+pub async fn order(
+    State(app): State<App>,
+    Extension(person): Extension<Person>,
+    Extension(via): Extension<Via>,
+    Extension(Peer(peer)): Extension<Peer>,
+    body: Result<Json<Ordered>, JsonRejection>,
+) -> Response {
+    let Json(ordered) = match body {
+        Ok(body) => body,
+        Err(error) => return unreadable(&error),
+    };
+    let Some(order) = order_of(&ordered.command) else {
+        return refusal(StatusCode::BAD_REQUEST, "this is no order to the cell");
+    };
+    let by = format!("{} ({}) at {peer}", person.grant.name, person.grant.role);
+    if let Err((status, message)) = may_order(&app, &order, &ordered, (&person, via, peer)) {
+        tracing::warn!(?order, by, "order refused by the page: {message}");
+        app.orders[1].fetch_add(1, Ordering::Relaxed);
+        return refusal(status, message);
+    }
+    announce(&app);
+    let reply = app.desk.order(order, by).await;
+    app.orders[usize::from(!reply.accepted)].fetch_add(1, Ordering::Relaxed);
+    answered(&reply)
+}
+
+fn answered(reply: &Reply) -> Response {
+    let status = if reply.accepted { StatusCode::OK } else { StatusCode::CONFLICT };
+    (status, Json(reply)).into_response()
+}
+
+type Refused = (StatusCode, String);
+
+fn may_order(
+    app: &Shared,
+    order: &Order,
+    ordered: &Ordered,
+    (person, via, peer): (&Person, Via, std::net::IpAddr),
+) -> Result<(), Refused> {
+    let least = order.least_role();
+    if person.grant.role < least {
+        return Err((StatusCode::FORBIDDEN, format!("this order takes the role {least:?}").to_lowercase()));
+    }
+    if order.only_stops() {
+        return Ok(());
+    }
+    if order.needs_sight() && !app.config.moves_from(peer) {
+        let why =
+            "this order is given where the cell is seen: on its own computer or one of `page.control_from`";
+        return Err((StatusCode::FORBIDDEN, why.to_string()));
+    }
+    let stale = match ordered.beat {
+        Some(beat) => app.beat().saturating_sub(beat) > STALE_MS || beat > app.beat(),
+        None => via == Via::Browser,
+    };
+    if stale {
+        return Err((
+            StatusCode::CONFLICT,
+            "nothing was done: the page shows an old state; load it again".into(),
+        ));
+    }
+    if let Order::Approve(id) = order {
+        return the_plan_shown(app, id, ordered.plan_unix_s);
+    }
+    let taken = app.control().take(&person.session, &person.grant.name, false, Instant::now());
+    taken.map_err(|held| (StatusCode::CONFLICT, held.to_string()))
+}
+
+/// Agreed to is the plan that was shown, not one that has taken its place since.
+fn the_plan_shown(app: &Shared, id: &str, plan_unix_s: Option<f64>) -> Result<(), Refused> {
+    let Some(shown) = plan_unix_s else {
+        let message = "say which plan is agreed to: `plan_unix_s` of the plan in the status";
+        return Err((StatusCode::BAD_REQUEST, message.into()));
+    };
+    let status = app.feed.last_status();
+    let plan =
+        status.as_ref().filter(|status| status.job.as_deref() == Some(id)).and_then(|s| s.plan.as_ref());
+    match plan {
+        Some(plan) if (plan.unix_s - shown).abs() < SAME_PLAN_S => Ok(()),
+        Some(_) => {
+            Err((StatusCode::CONFLICT, "the plan has changed since it was shown; look at the new one".into()))
+        }
+        None => Err((StatusCode::CONFLICT, format!("job {id} has no plan that could be agreed to"))),
+    }
+}

@@ -1,0 +1,484 @@
+//! Jobs, goals, drafts: what was done, what is wanted, what it would take.
+//!
+//! In: the journal, read as any other process reads it; jobs as text, as in job files. Out: JSON. A job is
+//! handed in as `celld submit` does, and its verdict is the spool's: the page knows no other way in.
+
+use crate::cell::code::JobStatus;
+use crate::cell::supervisor::draft::{Draft, NoDraft, draft};
+use crate::daemon::job_orders::job_order;
+use crate::daemon::job_report::job_report;
+use crate::daemon::plan_files;
+use crate::jobs::goal::{GoalEntry, find_goal_file, parse_goal_file, read_goal_file};
+use crate::jobs::history::{JobFilter, since, story};
+use crate::jobs::job_file::{JobContext, read_job};
+use crate::jobs::journal::Journal;
+use crate::jobs::record::{GoalPose, JobRecord, JobSpec, JobState, StepRecord, quoted};
+use crate::jobs::spool::is_plain_name;
+use crate::jobs::submit::{Found, Handed, hand_in, look, prepare};
+use crate::jobs::utc;
+use crate::page::access::Person;
+use crate::page::app::{App, Shared};
+use crate::page::drafts::{self, settled, troubles};
+use crate::page::guard::refusal;
+use crate::page::live::fault;
+use crate::page::session::unreadable;
+use crate::page::views::poses;
+use crate::report::html::html;
+use crate::report::prints::{self, Paper};
+use axum::extract::rejection::JsonRejection;
+use axum::extract::{Extension, Json, Path, Query, State};
+use axum::http::StatusCode;
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use axum::response::{Html, IntoResponse, Response};
+use cell_edge::clock::unix_now_s;
+use cell_edge::files::{read_bytes, write_atomic, write_new};
+use cell_values::time::Duration;
+use cell_vision::detect::Family;
+use rearrange::document::chain::chain;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Most jobs that are listed at once.
+const JOBS_MAX: u32 = 500;
+
+/// So long the daemon is given to read a job file.
+const VERDICT_WITHIN: std::time::Duration = std::time::Duration::from_secs(10);
+const LOOK_EVERY: std::time::Duration = std::time::Duration::from_millis(50);
+
+/// A draft is planned for so long at most, whatever the job allows.
+const DRAFT_WITHIN: std::time::Duration = std::time::Duration::from_secs(20);
+
+/// Largest picture that is read.
+const PICTURE_MAX: u64 = 32 << 20;
+
+/// Most markers that are printed at once.
+const MARKERS_MAX: usize = 200;
+
+/// Runs what waits for a disk or computes long beside the streams.
+async fn beside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Response> {
+    tokio::task::spawn_blocking(work).await.map_err(|_| fault("this is a fault of celld; see its log"))
+}
+
+fn journal(app: &Shared) -> Result<Option<Journal>, Response> {
+    let path = app.state.journal();
+    if !path.exists() {
+        return Ok(None);
+    }
+    Journal::open_to_read(&path).map(Some).map_err(|error| fault(chain(&error)))
+}
+
+/// `GET /api/v1/jobs`
+#[derive(Deserialize, Default)]
+#[serde(default)]
+pub struct Wanted {
+    last: Option<u32>,
+    failed: bool,
+    since: Option<String>,
+    object: Option<String>,
+}
+
+impl Wanted {
+    fn filter(&self) -> Result<JobFilter, Response> {
+        let since_unix_s = match self.since.as_deref().map(|text| since(text, unix_now_s())) {
+            Some(None) => {
+                let message = "since: write 90s, 30m, 12h, 2d or 1w, or a date such as 2026-11-21";
+                return Err(refusal(StatusCode::BAD_REQUEST, message));
+            }
+            Some(time) => time,
+            None => None,
+        };
+        Ok(JobFilter { failed: self.failed, since_unix_s, object: self.object.clone() })
+    }
+}
+
+/// Jobs, the newest first.
+pub async fn jobs(State(app): State<App>, Query(wanted): Query<Wanted>) -> Result<Response, Response> {
+    let filter = wanted.filter()?;
+    let last = wanted.last.unwrap_or(50).min(JOBS_MAX);
+    let found = beside(move || -> Result<Vec<Value>, Response> {
+        let Some(journal) = journal(&app)? else { return Ok(Vec::new()) };
+        let jobs = journal.search(&filter, last).map_err(|error| fault(chain(&error)))?;
+        Ok(jobs.iter().map(summary).collect())
+    });
+    Ok(Json(found.await??).into_response())
+}
+
+/// What a list of jobs shows of one.
+fn summary(job: &JobRecord) -> Value {
+    json!({
+        "id": job.id, "file": job.name, "state": job.state.as_str(), "claimed_unix_s": job.claimed_unix_s,
+        "started_unix_s": job.started_unix_s, "ended_unix_s": job.ended_unix_s,
+        "moves": job.result.as_ref().map(|result| result.moves),
+        "lower_bound": job.result.as_ref().and_then(|result| result.lower_bound),
+        "seconds": job.result.as_ref().map(|result| result.seconds),
+        "code": job.result.as_ref().map(|result| &result.code),
+        "message": job.result.as_ref().map(|result| &result.message),
+        "hint": job.result.as_ref().map(|result| &result.hint),
+    })
+}
+
+/// A job with its steps; none where it is not known.
+fn known(app: &Shared, id: &str) -> Result<(Journal, JobRecord, Vec<StepRecord>), Response> {
+    let unknown = || refusal(StatusCode::NOT_FOUND, "no such job is known");
+    let journal = journal(app)?.ok_or_else(unknown)?;
+    let job = journal.job(id).map_err(|error| fault(chain(&error)))?.ok_or_else(unknown)?;
+    let steps = journal.steps(id).map_err(|error| fault(chain(&error)))?;
+    Ok((journal, job, steps))
+}
+
+fn folder(app: &Shared, journal: &Journal, id: &str) -> Option<PathBuf> {
+    let place = journal.folder_of(id).ok().flatten()?;
+    Some(app.state.root().join("jobs").join(place))
+}
+
+/// Files of a job that are shown, with their types.
+const FILES: [(&str, &str); 3] =
+    [("plan.svg", "image/svg+xml"), ("plan.jpg", "image/jpeg"), ("end.jpg", "image/jpeg")];
+
+/// `GET /api/v1/jobs/{id}`
+pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Response> {
+    let body = beside(move || -> Result<Value, Response> {
+        let (journal, job, steps) = known(&app, &id)?;
+        let place = folder(&app, &journal, &id);
+        let has = |name: &str| place.as_ref().is_some_and(|place| place.join(name).is_file());
+        let files: Vec<_> = FILES.iter().map(|(name, _)| *name).filter(|name| has(name)).collect();
+        let mut body = summary(&job);
+        body["story"] = story(&job, &steps).into();
+        body["text"] = job.text.clone().into();
+        body["approval"] = json!(job.spec.approval);
+        body["plan"] = json!(job.plan);
+        body["found"] = json!(job.found);
+        body["goals"] = json!(job.resolved.as_ref().unwrap_or(&job.spec.goal));
+        body["result"] = json!(job.result);
+        body["files"] = json!(files);
+        let step = |step: &StepRecord| {
+            json!({
+                "step": step.step, "object": step.intent.object, "from": step.intent.from, "to": step.intent.to,
+                "kind": step.intent.kind, "phase": step.phase.as_str(), "unix_s": step.changed_unix_s,
+            })
+        };
+        body["steps"] = steps.iter().map(step).collect();
+        Ok(body)
+    });
+    Ok(Json(body.await??).into_response())
+}
+
+/// `GET /api/v1/jobs/{id}/report`
+pub async fn report(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Response> {
+    let page = beside(move || -> Result<String, Response> {
+        let (journal, job, steps) = known(&app, &id)?;
+        let place = folder(&app, &journal, &id);
+        Ok(html(&job_report(&job, &steps, &app.cell, place.as_deref())))
+    });
+    let page = page.await??;
+    // The report brings its own styles and pictures, and no script.
+    let policy = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'";
+    Ok(([(axum::http::header::CONTENT_SECURITY_POLICY, policy)], Html(page)).into_response())
+}
+
+/// `GET /api/v1/jobs/{id}/files/{name}`
+pub async fn file(
+    State(app): State<App>,
+    Path((id, name)): Path<(String, String)>,
+) -> Result<Response, Response> {
+    let absent = || refusal(StatusCode::NOT_FOUND, "the job has no such file");
+    let (name, kind) = FILES.into_iter().find(|(known, _)| *known == name).ok_or_else(absent)?;
+    let bytes = beside(move || -> Result<Option<Vec<u8>>, Response> {
+        let (journal, ..) = known(&app, &id)?;
+        let place = folder(&app, &journal, &id);
+        Ok(place.and_then(|place| read_bytes(&place.join(name), PICTURE_MAX).ok()))
+    });
+    let bytes = bytes.await??.ok_or_else(absent)?;
+    Ok(([(CONTENT_TYPE, kind)], bytes).into_response())
+}
+
+/// `GET /api/v1/shift`
+pub async fn shift(State(app): State<App>, Query(wanted): Query<Wanted>) -> Result<Response, Response> {
+    let begun = wanted.filter()?.since_unix_s.unwrap_or_else(|| unix_now_s() - 8.0 * 3600.0);
+    let body = beside(move || -> Result<Value, Response> {
+        let filter = JobFilter { since_unix_s: Some(begun), ..JobFilter::default() };
+        let jobs = match journal(&app)? {
+            Some(journal) => journal.search(&filter, u32::MAX).map_err(|error| fault(chain(&error)))?,
+            None => Vec::new(),
+        };
+        Ok(counts(&jobs, begun, unix_now_s()))
+    });
+    Ok(Json(body.await??).into_response())
+}
+
+fn counts(jobs: &[JobRecord], begun: f64, now: f64) -> Value {
+    let of = |status| jobs.iter().filter(|job| job.state == JobState::Ended(status)).count();
+    let results = || jobs.iter().filter_map(|job| job.result.as_ref());
+    let moves: u64 = results().map(|result| u64::from(result.moves)).sum();
+    let busy_s: f64 = results().map(|result| result.seconds).sum();
+    let hours = ((now - begun) / 3600.0).max(1e-3);
+    json!({
+        "since_unix_s": begun, "hours": hours, "done": of(JobStatus::Done), "failed": of(JobStatus::Failed),
+        "cancelled": of(JobStatus::Cancelled), "interrupted": of(JobStatus::Interrupted), "moves": moves,
+        "moves_per_hour": moves as f64 / hours, "busy_share": (busy_s / (now - begun).max(1.0)).min(1.0),
+        "seconds_per_move": (moves > 0).then(|| busy_s / moves as f64),
+    })
+}
+
+/// A job as in a job file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JobText {
+    text: String,
+    /// Part of the name of its file.
+    #[serde(default)]
+    name: Option<String>,
+}
+
+/// What a job is read against: the cell, its goal folder, what other jobs found.
+fn read(app: &Shared, text: &str) -> Result<JobSpec, Response> {
+    let obstacles = app.cell.obstacles();
+    let folder = app.cell.goal_folder.clone();
+    let read_goal = move |name: &str| read_goal_file(&folder, name);
+    let journal = app.state.journal();
+    let found = move |id: &str| -> Result<Vec<GoalPose>, String> {
+        let job = Journal::open_to_read(&journal).and_then(|journal| journal.job(id));
+        let job = job.map_err(|error| chain(&error))?.ok_or_else(|| format!("no job {id:?} is known"))?;
+        Some(job.found).filter(|found| !found.is_empty()).ok_or_else(|| format!("job {id:?} has not looked"))
+    };
+    let context = JobContext {
+        goal: Some(app.cell.goal_context(&obstacles)),
+        approval: app.cell.approval,
+        read_goal: &read_goal,
+        found: Some(&found),
+    };
+    read_job(text, "job", &context)
+        .map_err(|complaints| refusal(StatusCode::UNPROCESSABLE_ENTITY, complaints.to_string()))
+}
+
+/// Submits a job and waits for the verdict.
+pub async fn submit(
+    State(app): State<App>,
+    Extension(person): Extension<Person>,
+    body: Result<Json<JobText>, JsonRejection>,
+) -> Result<Response, Response> {
+    let Json(JobText { text, name }) = body.map_err(|error| unreadable(&error))?;
+    let by = person.grant.name;
+    let answer = beside(move || -> Result<Response, Response> {
+        read(&app, &text)?;
+        let read_goal = |name: &str| find_goal_file(&app.cell.goal_folder, None, name);
+        let prepared = prepare(&text, "job", &read_goal);
+        let (job, text) = prepared.map_err(|message| refusal(StatusCode::UNPROCESSABLE_ENTITY, message))?;
+        let name = PathBuf::from(name.unwrap_or_else(|| "page".to_string()));
+        let handed = hand_in(&app.state, &name, &job, &text, unix_now_s()).map_err(fault)?;
+        tracing::info!(job = handed.id, by, "submitted at the page");
+        verdict(&app, &handed)
+    });
+    answer.await?
+}
+
+/// What the daemon says of a job file.
+fn verdict(app: &Shared, handed: &Handed) -> Result<Response, Response> {
+    let begun = Instant::now();
+    loop {
+        match look(&app.state, handed).map_err(|error| fault(chain(&error)))? {
+            Found::Job(job) => {
+                let body = json!({ "id": job.id, "state": job.state.as_str() });
+                return Ok((StatusCode::CREATED, Json(body)).into_response());
+            }
+            Found::Rejected(reason) => return Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, reason)),
+            Found::Nothing if begun.elapsed() > VERDICT_WITHIN => {
+                let message =
+                    "handed in, and not read yet: others are before it, or celld waits for the robot";
+                let body = json!({ "id": handed.id, "state": "unread", "message": message });
+                return Ok((StatusCode::ACCEPTED, Json(body)).into_response());
+            }
+            Found::Nothing => std::thread::sleep(LOOK_EVERY),
+        }
+    }
+}
+
+/// Plans for a job that is not submitted.
+pub async fn preview(
+    State(app): State<App>,
+    body: Result<Json<JobText>, JsonRejection>,
+) -> Result<Response, Response> {
+    let Json(JobText { text, .. }) = body.map_err(|error| unreadable(&error))?;
+    let Ok(place) = app.planning.clone().try_acquire_owned() else {
+        return Err(refusal(StatusCode::TOO_MANY_REQUESTS, "another preview is being planned; try again"));
+    };
+    let answer = beside(move || {
+        let _place = place;
+        planned(&app, &text)
+    });
+    Ok(Json(answer.await??).into_response())
+}
+
+fn planned(app: &Shared, text: &str) -> Result<Value, Response> {
+    let conflict = |message: &str| refusal(StatusCode::CONFLICT, message);
+    let known =
+        app.feed.cell().ok_or_else(|| conflict("celld waits for the robot; there is no preview yet"))?;
+    let (seen, seen_unix_s) = app
+        .feed
+        .last_sight()
+        .ok_or_else(|| conflict("the table was not seen yet; `arm` the cell, or submit the job"))?;
+    let spec = read(app, text)?;
+    let order = job_order(&app.cell, "draft", &spec, &spec.goal, &[])
+        .map_err(|message| refusal(StatusCode::UNPROCESSABLE_ENTITY, message))?;
+    let started = Instant::now();
+    let limit = order.time_limit.min(DRAFT_WITHIN);
+    let over = |attempt: u32| started.elapsed() >= limit * (attempt + 1);
+    let age = Duration::from_secs_f64((unix_now_s() - seen_unix_s).max(0.0));
+    let made = draft(known.model.clone(), &order, &seen, age, &over, &|| started.elapsed().as_secs_f64());
+    let Draft { plan, goals } = made.map_err(|NoDraft { code, message, hint }| {
+        let body = json!({ "error": message, "code": code.to_string(), "hint": hint });
+        (StatusCode::CONFLICT, Json(body)).into_response()
+    })?;
+    let plan = plan_files::record_of(&plan, unix_now_s());
+    Ok(json!({ "plan": plan, "buffers": plan.buffers(), "summary": plan.summary(), "goals": poses(&goals) }))
+}
+
+/// `POST /api/v1/goals/check`
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drafted {
+    objects: Vec<GoalPose>,
+    /// The one that was dropped last: where would it lie free?
+    #[serde(default)]
+    moved: Option<String>,
+}
+
+/// What is wrong with goals.
+pub async fn check(
+    State(app): State<App>,
+    body: Result<Json<Drafted>, JsonRejection>,
+) -> Result<Response, Response> {
+    let Json(Drafted { objects, moved }) = body.map_err(|error| unreadable(&error))?;
+    let sound = |goal: &GoalPose| [goal.pose.x, goal.pose.y, goal.pose.theta].iter().all(|v| v.abs() < 1e3);
+    if objects.len() > drafts::MOST || !objects.iter().all(sound) {
+        return Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, "too many objects, or one far off the table"));
+    }
+    let body = beside(move || {
+        let free = moved.and_then(|moved| settled(&app.cell, &objects, &moved));
+        json!({ "troubles": troubles(&app.cell, &objects), "free": free })
+    });
+    Ok(Json(body.await?).into_response())
+}
+
+/// `GET /api/v1/goals`
+pub async fn goals(State(app): State<App>) -> Result<Response, Response> {
+    let names = beside(move || {
+        let entries = std::fs::read_dir(&app.cell.goal_folder).into_iter().flatten().flatten();
+        let name = |entry: std::fs::DirEntry| entry.file_name().into_string().ok();
+        let is_goal = |name: &String| {
+            let path = app.cell.goal_folder.join(name);
+            name.ends_with(".yaml") && is_plain_name(name) && path.is_file() && goal_of(&app, name).is_ok()
+        };
+        let mut names: Vec<String> = entries.filter_map(name).filter(is_goal).take(1000).collect();
+        names.sort();
+        names
+    });
+    Ok(Json(names.await?).into_response())
+}
+
+fn goal_of(app: &Shared, name: &str) -> Result<Vec<GoalPose>, String> {
+    let text = read_goal_file(&app.cell.goal_folder, name)?;
+    let entries = parse_goal_file(&text, name, None).map_err(|complaints| complaints.to_string())?;
+    Ok(entries.into_iter().filter_map(GoalEntry::into_goal).collect())
+}
+
+/// `GET /api/v1/goals/{name}`
+pub async fn goal(State(app): State<App>, Path(name): Path<String>) -> Result<Response, Response> {
+    let found = beside(move || goal_of(&app, &name)).await?;
+    let objects = found.map_err(|reason| refusal(StatusCode::NOT_FOUND, reason))?;
+    Ok(Json(json!({ "objects": objects })).into_response())
+}
+
+/// `PUT /api/v1/goals/{name}`
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GoalFile {
+    objects: Vec<GoalPose>,
+    /// Also where there is one of that name.
+    #[serde(default)]
+    replace: bool,
+}
+
+/// Saves a goal file that a job can name.
+pub async fn save_goal(
+    State(app): State<App>,
+    Extension(person): Extension<Person>,
+    Path(name): Path<String>,
+    body: Result<Json<GoalFile>, JsonRejection>,
+) -> Result<Response, Response> {
+    let Json(GoalFile { objects, replace }) = body.map_err(|error| unreadable(&error))?;
+    if !is_plain_name(&name) || !name.ends_with(".yaml") {
+        let message = "a goal file is called by letters, digits, - and _, and ends in .yaml";
+        return Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, message));
+    }
+    let by = person.grant.name;
+    let saved = beside(move || -> Result<Response, Response> {
+        let text = goal_yaml(&objects);
+        let obstacles = app.cell.obstacles();
+        if let Err(complaints) = parse_goal_file(&text, &name, Some(&app.cell.goal_context(&obstacles))) {
+            return Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, complaints.to_string()));
+        }
+        let path = app.cell.goal_folder.join(&name);
+        let written = match replace {
+            true => write_atomic(&path, text.as_bytes()).map(|()| true),
+            false if path.exists() => Ok(false),
+            false => {
+                let one = std::iter::once(name.clone());
+                write_new(&app.cell.goal_folder, one, text.as_bytes()).map(|_| true)
+            }
+        };
+        match written {
+            Ok(true) => {
+                tracing::info!(goal = name, by, "goal file saved at the page");
+                Ok((StatusCode::CREATED, Json(json!({ "name": name }))).into_response())
+            }
+            Ok(false) => Err(refusal(StatusCode::CONFLICT, format!("there is a goal file {name} already"))),
+            Err(error) => Err(refusal(StatusCode::INSUFFICIENT_STORAGE, chain(&error))),
+        }
+    });
+    saved.await?
+}
+
+/// The text of a goal file.
+fn goal_yaml(objects: &[GoalPose]) -> String {
+    let mut text = "version: 1\nobjects:\n".to_string();
+    for GoalPose { id, pose } in objects {
+        let _ = writeln!(
+            text,
+            "  - {{id: {}, pose: [{:.5}, {:.5}, {:.5}]}}",
+            quoted(id),
+            pose.x,
+            pose.y,
+            pose.theta
+        );
+    }
+    text
+}
+
+/// `GET /api/v1/markers.pdf`
+#[derive(Deserialize)]
+pub struct Prints {
+    ids: String,
+    size_mm: Option<f64>,
+    paper: Option<String>,
+}
+
+/// Markers for the printer.
+pub async fn markers(Query(Prints { ids, size_mm, paper }): Query<Prints>) -> Result<Response, Response> {
+    let wrong = |message: &str| refusal(StatusCode::UNPROCESSABLE_ENTITY, message);
+    let ids: Result<Vec<u32>, _> = ids.split(',').map(|id| id.trim().parse()).collect();
+    let ids = ids.map_err(|_| wrong("ids: numbers with commas between them"))?;
+    let size_mm = size_mm.unwrap_or(30.0);
+    if ids.is_empty() || ids.len() > MARKERS_MAX || !(1.0..=1000.0).contains(&size_mm) {
+        return Err(wrong("1 to 200 markers of 1 to 1000 mm"));
+    }
+    let paper = if paper.as_deref() == Some("letter") { Paper::Letter } else { Paper::A4 };
+    let sheets = prints::markers(Family::Tag36h11, &ids, size_mm / 1e3, paper);
+    let sheets = sheets.map_err(|error| wrong(&error.to_string()))?;
+    let name = format!("attachment; filename=\"markers-{}.pdf\"", utc::compact(unix_now_s()));
+    let headers = [(CONTENT_TYPE, "application/pdf".to_string()), (CONTENT_DISPOSITION, name)];
+    Ok((headers, prints::pdf(&sheets)).into_response())
+}
