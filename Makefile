@@ -43,11 +43,12 @@ BINARIES ?= $(BUILD)/release
 VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
 DEB_PACKAGES := dpkg-dev binutils
 
-.PHONY: help setup clients demo test test-clients bench figures fuzz fuzz-corpus
+.PHONY: help setup clients demo try test test-clients bench figures fuzz fuzz-corpus
 .PHONY: release install uninstall deb test-deb
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
+	@echo "make try                            a simulated cell to watch and operate in the browser"
 	@echo "make test                           formatting, lints, documentation, all tests but those of the next line"
 	@echo "make test-clients                   other people's clients against the simulator (installs them)"
 	@echo "make figures                        small versions of the paper's six figures in ./out/figures"
@@ -102,6 +103,19 @@ demo: setup
 	@cargo build --release --bin celld $(FEATURES)
 	@echo "demo: the cell in simulation (about a minute)"
 	@cargo run --release --quiet $(FEATURES) -- demo $(ARGS)
+
+# A whole simulated cell to try out: simulator and daemon until Ctrl-C, and a link to the cell's page.
+TRY := out/try
+try: setup
+	@cargo build --release
+	@mkdir -p $(TRY); trap 'kill %1 %2 2>/dev/null; wait' EXIT INT TERM; \
+	$(BUILD)/release/celld sim --config config/sim.yaml >$(TRY)/sim.log 2>&1 & \
+	$(BUILD)/release/celld run --config config/cell.yaml --state $(TRY)/state >$(TRY)/celld.log 2>&1 & \
+	echo "try: a simulated cell starts; its log is $(TRY)/celld.log, Ctrl-C ends it"; \
+	until $(BUILD)/release/celld open --state $(TRY)/state 2>/dev/null; do \
+	  kill -0 %1 %2 2>/dev/null || { tail -n 3 $(TRY)/sim.log $(TRY)/celld.log >&2; exit 1; }; sleep 0.5; \
+	done; \
+	echo "try: signed in for two minutes with this link; another one: celld open --state $(TRY)/state"; wait
 
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)

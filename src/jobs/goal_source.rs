@@ -3,7 +3,8 @@
 //! In: the located value and what it is checked against. Out: a [`WantedGoal`], or complaints at the places
 //! in the job file, and those about a goal file apart. A rule is checked as far as that needs no look at the
 //! table; its poses are worked out after the job's first look (`rearrange::tabletop::rule`). `restore` needs
-//! none: where the objects of the other job lay is in the journal.
+//! none: where the objects of the other job lay is in the journal. `look` wants nothing moved: the job looks at
+//! the table, and what it found can be restored later.
 
 use crate::jobs::goal::{
     GoalContext, GoalEntry, JobContext, check_goal, decode_goal, parse_goal_file, stays_below,
@@ -17,7 +18,7 @@ use rearrange::tabletop::instance::Workspace;
 use rearrange::tabletop::rule::{GoalRule, Members, RuleFault, RuleTable};
 
 /// The ways in which a goal is written; exactly one.
-const WAYS: [&str; 6] = ["file", "objects", "region", "grid", "swap", "restore"];
+const WAYS: [&str; 7] = ["file", "objects", "region", "grid", "swap", "restore", "look"];
 
 /// Most objects that a rule names one by one.
 const MAX_NAMED: usize = 1000;
@@ -28,7 +29,7 @@ pub(super) const UNUSED: &str = "the goal file has complaints";
 /// What a job file says of its goal.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WantedGoal {
-    /// Poses; empty for a rule.
+    /// Poses; empty for a rule, and for a look.
     pub poses: Vec<GoalPose>,
     /// How to get them once the table is seen.
     pub rule: Option<GoalRule>,
@@ -81,6 +82,7 @@ pub(super) fn decode_goal_source(
             return Some(WantedGoal::of(entries));
         }
         "restore" => return decode_restore(decoder, value, context),
+        "look" => return decode_look(decoder, value),
         "region" => decode_region(decoder, value),
         "grid" => decode_grid(decoder, value),
         _ => decode_swap(decoder, value),
@@ -124,6 +126,15 @@ fn decode_file(
             None
         }
     }
+}
+
+/// Nothing is wanted but to know what lies where.
+fn decode_look(decoder: &mut Decoder, at: &At) -> Option<WantedGoal> {
+    if !decoder.boolean(at)? {
+        decoder.complain_at(at, "a look that is not wanted", "write `look: true`, or another goal");
+        return None;
+    }
+    Some(WantedGoal::default())
 }
 
 /// The arrangement that a job found, as the journal has it; objects that never move are none of it.

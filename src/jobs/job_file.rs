@@ -196,6 +196,7 @@ pub fn job_yaml(job: &JobSpec) -> String {
     match (&job.rule, &job.restore) {
         (Some(rule), _) => line("goal", Some(rule_yaml(rule))),
         (None, Some(restore)) => line("goal", Some(format!("{{restore: {}}}", quoted(restore)))),
+        (None, None) if job.goal.is_empty() => line("goal", Some("{look: true}".to_string())),
         (None, None) => {
             yaml.push_str("goal:\n");
             yaml.push_str(&goal_yaml(job.goal.iter().map(|goal| (goal.id.as_str(), goal.pose)), "  "));

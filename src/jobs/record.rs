@@ -29,7 +29,8 @@ pub struct GoalPose {
 pub struct JobSpec {
     /// The file's own id.
     pub id: Option<String>,
-    /// Objects not named may end anywhere. Empty where a rule gives the poses.
+    /// Objects not named may end anywhere. Empty where a rule gives the poses, and where the table is only
+    /// looked at.
     pub goal: Vec<GoalPose>,
     /// How the poses follow from what is seen first.
     #[serde(default, skip_serializing_if = "Option::is_none")]

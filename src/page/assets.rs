@@ -121,4 +121,34 @@ mod tests {
         }
         assert!(bytes < 400_000, "{bytes} bytes are transferred");
     }
+
+    /// Every text of the scripts is in the table of the other language.
+    #[test]
+    fn no_text_is_left_in_english() {
+        let file = |name: &str| {
+            let (.., plain) = FILES.iter().find(|(path, ..)| *path == name).expect("a file");
+            std::str::from_utf8(plain).expect("text")
+        };
+        let german: std::collections::BTreeMap<String, String> =
+            serde_json::from_str(file("text-de.json")).expect("a table");
+        let scripts = FILES.iter().filter(|(path, kind, _)| *kind == SCRIPT && !path.starts_with("vendor/"));
+        let mut count = 0;
+        for (path, ..) in scripts {
+            for (before, rest) in file(path).match_indices("t(\"").map(|(at, _)| file(path).split_at(at)) {
+                // A call of t, and not of a function whose name ends in t.
+                if before.ends_with(|c: char| c.is_ascii_alphanumeric() || c == '.' || c == '_') {
+                    continue;
+                }
+                let text = rest[3..].split('"').next().expect("its end");
+                assert!(german.contains_key(text), "{path}: {text:?} is not in text-de.json");
+                count += 1;
+            }
+        }
+        assert!(count > 100, "{count}");
+        for (english, german) in &german {
+            let holes =
+                |text: &str| text.split('{').skip(1).map(|rest| rest.split('}').next().map(str::len)).count();
+            assert_eq!(holes(english), holes(german), "{english}: what is filled in");
+        }
+    }
 }

@@ -120,7 +120,7 @@ fn all(app: Option<App>) -> Routes {
         post(
             "/api/v1/orders",
             View,
-            "An order to the cell; 409 with the reason where it is refused",
+            "An order to the cell; `accepted` says whether it is carried out, `message` why not",
             "Order",
         ),
         session::order,

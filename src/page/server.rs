@@ -29,7 +29,7 @@ const HEAD_WITHIN: Duration = Duration::from_secs(10);
 const UNREAD_WITHIN: Duration = Duration::from_secs(10);
 
 /// Bytes that the kernel keeps for a viewer that does not read.
-const SEND_BUFFER: usize = 256 * 1024;
+const SEND_BUFFER: usize = 64 * 1024;
 
 /// Why there is no page.
 #[derive(Debug, thiserror::Error)]
@@ -170,4 +170,69 @@ fn acceptor(files: &TlsFiles) -> Result<TlsAcceptor, ServeError> {
     let mut config = config.map_err(|error| fault(&files.certificate, error.to_string()))?;
     config.alpn_protocols = vec![b"http/1.1".to_vec()];
     Ok(TlsAcceptor::from(Arc::new(config)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Read, Write};
+    use tokio_rustls::TlsConnector;
+    use tokio_rustls::rustls::pki_types::ServerName;
+    use tokio_rustls::rustls::{ClientConfig, RootCertStore};
+
+    fn page(tls: Option<TlsFiles>) -> PageConfig {
+        PageConfig { listen: ([127, 0, 0, 1], 0).into(), hosts: Vec::new(), control_from: Vec::new(), tls }
+    }
+
+    fn router() -> Router {
+        Router::new().route("/", axum::routing::get(|| async { "here" }))
+    }
+
+    const REQUEST: &[u8] = b"GET / HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n";
+
+    #[test]
+    fn behind_tls_nothing_is_said_in_the_clear() {
+        let folder = tempfile::tempdir().unwrap();
+        let made = rcgen::generate_simple_self_signed(["localhost".to_string()]).unwrap();
+        let files = TlsFiles { certificate: folder.path().join("c.pem"), key: folder.path().join("k.pem") };
+        std::fs::write(&files.certificate, made.cert.pem()).unwrap();
+        std::fs::write(&files.key, made.signing_key.serialize_pem()).unwrap();
+        let listening = Listening::open(&page(Some(files))).unwrap();
+        let address = listening.address().unwrap();
+        listening.serve(router).unwrap();
+
+        let mut roots = RootCertStore::empty();
+        roots.add(made.cert.der().clone()).unwrap();
+        let config = ClientConfig::builder().with_root_certificates(roots).with_no_client_auth();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let answer = runtime.block_on(async {
+            use tokio::io::{AsyncReadExt, AsyncWriteExt};
+            let plain = tokio::net::TcpStream::connect(address).await.unwrap();
+            let name = ServerName::try_from("localhost").unwrap();
+            let mut secured = TlsConnector::from(Arc::new(config)).connect(name, plain).await.unwrap();
+            secured.write_all(REQUEST).await.unwrap();
+            let mut answer = String::new();
+            // The server may close without a farewell.
+            let _ = secured.read_to_string(&mut answer).await;
+            answer
+        });
+        assert!(answer.starts_with("HTTP/1.1 200") && answer.ends_with("here"), "{answer}");
+
+        let mut clear = std::net::TcpStream::connect(address).unwrap();
+        clear.write_all(REQUEST).unwrap();
+        let mut answer = Vec::new();
+        let _ = clear.read_to_end(&mut answer);
+        assert!(!String::from_utf8_lossy(&answer).contains("here"), "{answer:?}");
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_named() {
+        let listening = Listening::open(&page(None)).unwrap();
+        let taken = PageConfig { listen: listening.address().unwrap(), ..page(None) };
+        let message = Listening::open(&taken).err().expect("taken").to_string();
+        assert!(message.contains("page.listen") && message.contains("in use"), "{message}");
+        let nowhere = TlsFiles { certificate: "/nowhere/c.pem".into(), key: "/nowhere/k.pem".into() };
+        let message = Listening::open(&page(Some(nowhere))).err().expect("no file").to_string();
+        assert!(message.contains("/nowhere/c.pem"), "{message}");
+    }
 }

@@ -175,17 +175,16 @@ pub async fn order(
     if let Err((status, message)) = may_order(&app, &order, &ordered, (&person, via, peer)) {
         tracing::warn!(?order, by, "order refused by the page: {message}");
         app.orders[1].fetch_add(1, Ordering::Relaxed);
-        return refusal(status, message);
+        return match status {
+            // Of now, and not of who asks: an answer like the machine's own.
+            StatusCode::CONFLICT => Json(Reply::refuse(message)).into_response(),
+            status => refusal(status, message),
+        };
     }
     announce(&app);
     let reply = app.desk.order(order, by).await;
     app.orders[usize::from(!reply.accepted)].fetch_add(1, Ordering::Relaxed);
-    answered(&reply)
-}
-
-fn answered(reply: &Reply) -> Response {
-    let status = if reply.accepted { StatusCode::OK } else { StatusCode::CONFLICT };
-    (status, Json(reply)).into_response()
+    Json(reply).into_response()
 }
 
 type Refused = (StatusCode, String);

@@ -10,7 +10,7 @@ use crate::daemon::last_picture::Kept;
 use crate::daemon::plan_files::drawn_moves;
 use crate::jobs::record::{GoalPose, PlanRecord};
 use crate::motion::bodies::{Bodies, Part};
-use crate::report::table_svg::colour;
+use crate::report::colour;
 use cell_vision::camera::CameraModel;
 use cell_vision::observe::Observation;
 use nalgebra::{Isometry3, Point3};
@@ -20,6 +20,9 @@ use serde::Serialize;
 
 /// Corners of a curve as it is drawn.
 const CORNERS: usize = 48;
+
+/// Pieces of each edge over a picture: where it leaves the picture, and how a lens bends it.
+const PIECES: u32 = 6;
 
 /// An outline, closed by itself.
 pub type Outline = Vec<[f64; 2]>;
@@ -220,7 +223,7 @@ pub fn cell_view(config: &CellConfig, name: &str, bodies: Option<&Bodies>) -> Ce
 fn object_view((index, object): (usize, &rearrange::tabletop::instance::ObjectSpec)) -> ObjectView {
     ObjectView {
         id: object.id.clone(),
-        colour: colour(index),
+        colour: colour::of(index),
         outline: object.footprint.outline(CORNERS),
         centre: object.footprint.centroid(),
         height: object.height.unwrap_or(0.0),
@@ -322,11 +325,18 @@ impl Projection<'_> {
         self.lens.pixel([point.x, point.y, point.z]).map(|pixel| pixel.map(|v| (v * 10.0).round() / 10.0))
     }
 
-    /// What is seen of an outline; nothing where less than three corners are in the picture.
+    /// What is seen of an outline, cut at the picture's rim; nothing where hardly any of it is in the picture.
     fn outline(&self, outline: &[[f64; 2]], pose: &Pose2, height: f64) -> Option<Outline> {
-        let corner = |corner: &[f64; 2]| self.point(pose.transform(*corner), height);
-        let seen: Outline = outline.iter().filter_map(corner).collect();
-        (seen.len() > 2).then_some(seen)
+        let next = outline.iter().cycle().skip(1);
+        let along = outline.iter().zip(next).flat_map(|(a, b)| {
+            let part = move |k: u32| {
+                let share = f64::from(k) / f64::from(PIECES);
+                [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])]
+            };
+            (0..PIECES).map(part)
+        });
+        let seen: Outline = along.filter_map(|at| self.point(pose.transform(at), height)).collect();
+        (seen.len() > PIECES as usize).then_some(seen)
     }
 }
 

@@ -1,6 +1,7 @@
 //! Pictures and pages people look at: SVG, HTML, tables. Pure.
 
 pub mod chart;
+pub mod colour;
 pub mod html;
 pub mod plan_svg;
 pub mod prints;

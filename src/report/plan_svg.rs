@@ -4,6 +4,7 @@
 //! to the right, y up as on the table. Left: the start arrangement with the objects' names. Right: where
 //! every object ends, where it was (pale), where it waited on the way (dashed), and the order of the moves.
 
+use crate::report::colour;
 use crate::report::text::escape;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
@@ -25,6 +26,12 @@ const CURVE_CORNERS: usize = 64;
 
 /// The picture of `actions` on `problem`, with `title` above it.
 pub fn plan_svg(problem: &Problem, actions: &[Action], title: &str) -> String {
+    coloured_plan_svg(problem, actions, title, &[])
+}
+
+/// The same where the objects' colours are those of other places than in the problem: of a catalogue that has
+/// more of them.
+pub fn coloured_plan_svg(problem: &Problem, actions: &[Action], title: &str, colours: &[usize]) -> String {
     let scale = PANEL_PX / problem.workspace.width.max(problem.workspace.height);
     let (width, height) = (problem.workspace.width * scale, problem.workspace.height * scale);
     let top = MARGIN_PX + TITLE_PX;
@@ -40,9 +47,9 @@ pub fn plan_svg(problem: &Problem, actions: &[Action], title: &str) -> String {
         escape(title)
     );
     draw_table(&mut svg, &left, problem);
-    draw_start(&mut svg, &left, problem);
+    draw_start(&mut svg, &left, problem, colours);
     draw_table(&mut svg, &right, problem);
-    draw_moves(&mut svg, &right, problem, actions);
+    draw_moves(&mut svg, &right, problem, actions, colours);
     svg.push_str("</svg>\n");
     svg
 }
@@ -89,9 +96,9 @@ fn draw_table(svg: &mut String, panel: &Panel, problem: &Problem) {
     }
 }
 
-fn draw_start(svg: &mut String, panel: &Panel, problem: &Problem) {
+fn draw_start(svg: &mut String, panel: &Panel, problem: &Problem, colours: &[usize]) {
     for (index, object) in problem.objects.iter().enumerate() {
-        let style = format!("fill=\"{}\" stroke=\"#333\"", colour(index, object.fixed, 72));
+        let style = format!("fill=\"{}\" stroke=\"#333\"", colour(colours, index, object.fixed, 72));
         draw_footprint(svg, panel, &object.footprint, &object.start, &style);
     }
     for object in &problem.objects {
@@ -100,25 +107,26 @@ fn draw_start(svg: &mut String, panel: &Panel, problem: &Problem) {
     }
 }
 
-fn draw_moves(svg: &mut String, panel: &Panel, problem: &Problem, actions: &[Action]) {
+fn draw_moves(svg: &mut String, panel: &Panel, problem: &Problem, actions: &[Action], colours: &[usize]) {
     let mut ends: Vec<Pose2> = problem.objects.iter().map(|object| object.start).collect();
     for action in actions {
         ends[action.object] = action.to;
     }
     for (index, object) in problem.objects.iter().enumerate() {
         if object.start != ends[index] {
-            let style = format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1\"", colour(index, false, 80));
+            let style =
+                format!("fill=\"none\" stroke=\"{}\" stroke-width=\"1\"", colour(colours, index, false, 80));
             draw_footprint(svg, panel, &object.footprint, &object.start, &style);
         }
     }
     for (index, object) in problem.objects.iter().enumerate() {
-        let style = format!("fill=\"{}\" stroke=\"#333\"", colour(index, object.fixed, 72));
+        let style = format!("fill=\"{}\" stroke=\"#333\"", colour(colours, index, object.fixed, 72));
         draw_footprint(svg, panel, &object.footprint, &ends[index], &style);
     }
     for action in actions.iter().filter(|a| a.kind == ActionKind::Buffer && a.to != ends[a.object]) {
         let style = format!(
             "fill=\"none\" stroke=\"{}\" stroke-width=\"2\" stroke-dasharray=\"5 3\"",
-            colour(action.object, false, 40)
+            colour(colours, action.object, false, 40)
         );
         draw_footprint(svg, panel, &problem.objects[action.object].footprint, &action.to, &style);
     }
@@ -126,7 +134,8 @@ fn draw_moves(svg: &mut String, panel: &Panel, problem: &Problem, actions: &[Act
         draw_arrow(svg, panel, &problem.objects[action.object].footprint, action);
     }
     for (number, action) in actions.iter().enumerate() {
-        draw_number(svg, panel, &problem.objects[action.object].footprint, action, number + 1);
+        let ring = colour(colours, action.object, false, 40);
+        draw_number(svg, panel, &problem.objects[action.object].footprint, action, (number + 1, &ring));
     }
 }
 
@@ -144,7 +153,13 @@ fn draw_arrow(svg: &mut String, panel: &Panel, footprint: &Footprint, action: &A
 }
 
 /// The number sits at a third of the way: two arrows that cross in the middle stay readable.
-fn draw_number(svg: &mut String, panel: &Panel, footprint: &Footprint, action: &Action, number: usize) {
+fn draw_number(
+    svg: &mut String,
+    panel: &Panel,
+    footprint: &Footprint,
+    action: &Action,
+    (number, ring): (usize, &str),
+) {
     let from = panel.point(label_point(footprint, &action.from));
     let to = panel.point(label_point(footprint, &action.to));
     let at = [from[0] + (to[0] - from[0]) / 3.0, from[1] + (to[1] - from[1]) / 3.0];
@@ -152,9 +167,7 @@ fn draw_number(svg: &mut String, panel: &Panel, footprint: &Footprint, action: &
         svg,
         format_args!(
             "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"8.5\" fill=\"#fff\" stroke=\"{}\" stroke-width=\"2\"/>",
-            at[0],
-            at[1],
-            colour(action.object, false, 40)
+            at[0], at[1], ring
         ),
     );
     draw_text(svg, [at[0], at[1] + 3.7], 10.5, &number.to_string());
@@ -187,13 +200,12 @@ fn label_point(footprint: &Footprint, pose: &Pose2) -> [f64; 2] {
     pose.transform(footprint.centroid())
 }
 
-/// Neighbouring indices get hues far apart (golden angle); what never moves is grey.
-fn colour(index: usize, fixed: bool, lightness: u32) -> String {
-    if fixed {
-        return "#b5b5b5".to_string();
+/// The hue of an object at a lightness; what never moves is grey.
+fn colour(colours: &[usize], index: usize, fixed: bool, lightness: u32) -> String {
+    match fixed {
+        true => colour::FIXED.to_string(),
+        false => colour::shade(colours.get(index).copied().unwrap_or(index), lightness),
     }
-    let hue = (index as f64 * 137.508) % 360.0;
-    format!("hsl({hue:.0},62%,{lightness}%)")
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! In: the catalogue, where the objects lay, the moves by name. Out: the drawing of `plan_svg`. Objects that
 //! were not on the table are left out; an overlap that was measured is drawn as it is. Pure.
 
-use crate::report::plan_svg::plan_svg;
+use crate::report::plan_svg::coloured_plan_svg;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::{Action, ActionKind};
 use rearrange::planning::problem::Problem;
@@ -61,7 +61,9 @@ impl DrawnPlan<'_> {
             Some(Action { object, from: *from, to: *to, kind })
         };
         let actions: Option<Vec<Action>> = self.moves.iter().map(action).collect();
-        Some(plan_svg(&problem, &actions?, self.title))
+        let place = |id: &str| self.objects.iter().position(|known| known.id == id);
+        let colours: Vec<usize> = problem.objects.iter().filter_map(|object| place(&object.id)).collect();
+        Some(coloured_plan_svg(&problem, &actions?, self.title, &colours))
     }
 }
 

@@ -3,6 +3,7 @@
 //! In: workspace, footprints and poses in the table frame (m). Out: one SVG element of fixed style that
 //! reads in light and in dark. y points up as in the table frame; the robot is below the lower edge.
 
+use crate::report::colour;
 use crate::report::text::escape;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
@@ -122,7 +123,7 @@ fn grid(svg: &mut String, drawing: &TableDrawing, view: &View) {
 }
 
 fn draw_object(svg: &mut String, view: &View, index: usize, object: &DrawnObject) {
-    let colour = colour(index);
+    let colour = colour::of(index);
     if let Some(pose) = &object.start {
         let path = view.outline(object.footprint, pose);
         let _ = write!(svg, r#"<path class="t-start" stroke="{colour}" d="{path}"/>"#);
@@ -157,13 +158,6 @@ fn legend(svg: &mut String, drawing: &TableDrawing, width: f64, height: f64) {
     let _ = write!(svg, r#"<text class="t-note" x="0" y="{y:.0}">{}</text>"#, text.join("   "));
     let size = format!("{:.2} m x {:.2} m, grid 0.1 m", drawing.width_m, drawing.height_m);
     let _ = write!(svg, r#"<text class="t-note" x="{width:.0}" y="{y:.0}" text-anchor="end">{size}</text>"#);
-}
-
-/// Colours of middle lightness, distinct on light and dark ground; hues a golden angle apart.
-pub fn colour(index: usize) -> String {
-    let hue = (210.0 + 137.508 * index as f64) % 360.0;
-    let lightness = [46, 54, 40][index / 12 % 3];
-    format!("hsl({hue:.0} 58% {lightness}%)")
 }
 
 #[cfg(test)]

@@ -17,6 +17,7 @@ mod mutants;
 mod on_robot_program;
 mod one_robot;
 mod packaging;
+mod page;
 mod plan_command;
 mod program_protocol;
 mod public_bounds;

@@ -53,7 +53,11 @@ impl Supervisor {
         };
         let done = job.order.goals.iter().all(there);
         if done && self.sight.whole {
-            self.finish(now, JobStatus::Done, Code::Done.because("every object is at its goal", ""), out);
+            let what = match job.order.goals.is_empty() {
+                true => "the table was looked at",
+                false => "every object is at its goal",
+            };
+            self.finish(now, JobStatus::Done, Code::Done.because(what, ""), out);
             return;
         }
         match self.checked_remainder(job, seen) {

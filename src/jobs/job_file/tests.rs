@@ -202,6 +202,9 @@ fn goals_by_rule_are_read_and_written_alike() {
     let unread = read("version: 1\ngoal: {restore: monday}\n").unwrap();
     assert_eq!(unread.restore.as_deref(), Some("monday"), "the daemon looks it up");
     assert_eq!(read(&job_yaml(&unread)).unwrap(), unread);
+    let look = in_a_cell("{look: true}").unwrap();
+    assert!(look.goal.is_empty() && look.rule.is_none() && look.restore.is_none());
+    assert_eq!(read(&job_yaml(&look)).unwrap(), look);
 }
 
 #[test]
@@ -230,6 +233,8 @@ fn a_rule_that_no_table_can_follow_is_refused_where_it_is() {
         ("{swap: [a]}".into(), "1 objects, 2 change places"),
         ("{swap: [a, a]}".into(), "cannot change places with itself"),
         ("{restore: never}".into(), "no job \"never\" is known"),
+        ("{look: false}".into(), "a look that is not wanted"),
+        ("{look: true, swap: [a, b]}".into(), "beside \"swap\""),
         ("{restore: monday, swap: [a, b]}".into(), "beside \"swap\""),
         (
             "{grid: {objects: [a, b], origin: [0.1, 0.1], pitch: [0.05, 0.1], columns: 2}}".into(),

@@ -201,6 +201,27 @@ export function goalPage(main) {
     changed(null);
   };
 
+  const measure = (id, value, label) => h("label", {}, label, " ", h("input", { type: "number", id, value, step: 10 }));
+  const value = (id) => document.getElementById(id).valueAsNumber;
+
+  const inGrid = () => {
+    const [columns, dx, dy, x0, y0] = ["grid-columns", "grid-x", "grid-y", "grid-left", "grid-low"].map(value);
+    if (!(columns >= 1)) return;
+    [...draft.poses.keys()].forEach((id, index) => draft.poses.set(id, [(x0 + (index % columns) * dx) / 1000, (y0 + Math.floor(index / columns) * dy) / 1000, 0]));
+    changed(null);
+  };
+
+  // Where in the region each lies best is not for the page to say: the cell finds it, as for a job.
+  const inRegion = async () => {
+    const [x0, y0, x1, y1] = ["region-left", "region-low", "region-right", "region-high"].map((id) => value(id) / 1000);
+    const rule = { region: { objects: [...draft.poses.keys()], polygon: [[x0, y0], [x1, y0], [x1, y1], [x0, y1]] } };
+    draft.rule = rule;
+    const answer = await preview();
+    if (!answer) { draft.rule = null; return; }
+    for (const { id, pose } of answer.goals) draft.poses.set(id, pose);
+    await check(null);
+  };
+
   const preview = async () => {
     fill(result, h("p", { class: "soft" }, t("planning …")));
     try {
@@ -210,6 +231,7 @@ export function goalPage(main) {
         answer.plan.lower_bound !== null ? `; ${t("at least {bound} are needed", { bound: number(answer.plan.lower_bound, answer.plan.lower_bound % 1 ? 2 : 0) })}` : "",
         answer.plan.seconds ? `; ${t("about {time}", { time: duration(answer.plan.seconds) })}` : "", `. ${t("From a look {time} ago.", { time: duration(answer.plan.sight_age_s) })}`));
       draw();
+      return answer;
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, error.message, error.hint ? h("span", {}, h("br"), "→ ", error.hint) : null));
     }
@@ -219,6 +241,15 @@ export function goalPage(main) {
     try {
       const { id, state: word, message } = await api("jobs", { body: { text: jobText(), name: "page" } });
       fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${message}` : "", " ", h("a", { href: "#live" }, t("To the cell"))));
+    } catch (error) {
+      fill(result, h("p", { class: "note wrong" }, error.message));
+    }
+  };
+
+  const lookAround = async () => {
+    try {
+      const { id } = await api("jobs", { body: { text: JSON.stringify({ version: 1, goal: { look: true }, rerun: true }), name: "look" } });
+      fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table as soon as the cell is armed.", { job: id })));
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, error.message));
     }
@@ -255,7 +286,7 @@ export function goalPage(main) {
   const second = choose("swap-b", t("second object"));
   if (movable().length > 1) second.value = movable()[1].id;
   fill(main, h("div", { class: "grid" },
-    card(t("Goal"), h("div", { class: "row" }, h("button", { type: "button", id: "take", click: take }, t("As it lies now")), h("button", { type: "button", id: "rows", click: inRows }, t("In rows")), files), holder, troubles,
+    card(t("Goal"), h("div", { class: "row" }, h("button", { type: "button", id: "look", disabled: !may("operate"), click: lookAround }, t("Look at the table")), h("button", { type: "button", id: "take", click: take }, t("As it lies now")), h("button", { type: "button", id: "rows", click: inRows }, t("In rows")), files), holder, troubles,
       h("p", { class: "soft" }, t("Solid: where things lie. Dashed: where they are to go. Drag an outline, turn it by its circle."))),
     h("div", { class: "grid" },
       card(t("Plan and submit"), h("div", { class: "row" },
@@ -265,10 +296,15 @@ export function goalPage(main) {
         h("button", { type: "button", id: "submit", class: "first", disabled: !may("operate"), click: submit }, t("Submit"))), result),
       card(t("Objects with a goal"), h("div", { class: "scroll" }, list)),
       card(t("Swap two"), h("div", { class: "row" }, choose("swap-a", t("first object")), second, h("button", { type: "button", id: "swap", click: swapped }, t("Swap")))),
+      card(t("Grid or region"), h("p", { class: "soft" }, t("For the objects with a goal, mm.")),
+        h("div", { class: "row" }, measure("grid-columns", 3, t("columns")), measure("grid-x", 150, t("pitch x")), measure("grid-y", 100, t("pitch y")), measure("grid-left", 90, t("from x")), measure("grid-low", 60, t("from y")),
+          h("button", { type: "button", id: "grid", click: inGrid }, t("In a grid"))),
+        h("div", { class: "row" }, measure("region-left", 0, t("from x")), measure("region-low", 0, t("from y")), measure("region-right", Math.round(state.cell.table[0] * 500), t("to x")), measure("region-high", Math.round(state.cell.table[1] * 1000), t("to y")),
+          h("button", { type: "button", id: "region", click: inRegion }, t("Into the region")))),
       card(t("Save as a goal file"), h("div", { class: "row" }, h("input", { id: "goal-name", "aria-label": t("name of the file"), placeholder: "tidy.yaml" }),
         h("label", { for: "replace" }, h("input", { type: "checkbox", id: "replace" }), " ", t("replace")), h("button", { type: "button", id: "save", disabled: !may("operate"), click: save }, t("Save")))))));
   listFiles();
   if (!draft.poses.size && state.sight) take(); else { draw(); check(null); }
-  const stops = [on("sight", draw)];
+  const stops = [on("sight", () => (draft.poses.size ? draw() : take()))];
   return () => stops.forEach((stop) => stop());
 }
