@@ -10,7 +10,8 @@ use crate::jobs::command::Command;
 use crate::page::access::{Person, SESSION_S};
 use crate::page::app::{App, Shared};
 use crate::page::guard::{Peer, Via, refusal, secret};
-use axum::extract::rejection::JsonRejection;
+use axum::body::Bytes;
+use axum::extract::rejection::{BytesRejection, JsonRejection};
 use axum::extract::{Extension, Json, State};
 use axum::http::header::SET_COOKIE;
 use axum::http::{HeaderMap, StatusCode};
@@ -79,7 +80,11 @@ pub async fn sign_out(
     State(app): State<App>,
     Extension(person): Extension<Person>,
     headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
 ) -> Response {
+    if let Err(error) = body {
+        return refusal(error.status(), error.body_text());
+    }
     if let Some((secret, _)) = secret(&app, &headers) {
         app.access().end(&secret);
     }

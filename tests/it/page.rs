@@ -260,7 +260,8 @@ fn cell_page_orders_and_jobs_do_what_they_say() {
     let done = cell.get("/api/v1/jobs/one", &view).json();
     assert_eq!(done["steps"].as_array().map(Vec::len), Some(1));
     assert!(done["story"].as_str().is_some_and(|story| story.contains("a person approved a plan")));
-    assert_eq!(cell.get("/api/v1/jobs/one/files/end.jpg", &view).status, 200);
+    // The folder follows the journal.
+    wait_until("a picture", || cell.get("/api/v1/jobs/one/files/end.jpg", &view).status == 200);
     assert!(cell.get("/api/v1/jobs/one/report", &view).body.contains("<svg"));
     let metrics = cell.get("/metrics", &view).body;
     assert!(
