@@ -46,6 +46,8 @@ pub struct Shared {
     pub desk: Desk,
     /// When the page came up: beats count from here.
     pub begun: Instant,
+    /// The same by the calendar, ms since 1970.
+    pub begun_unix_ms: u64,
     /// Plans are made one at a time.
     pub planning: Arc<Semaphore>,
     /// Orders that were carried out, and refused.
@@ -83,9 +85,11 @@ impl Shared {
         format!("celld_{}", self.config.listen.port())
     }
 
-    /// Milliseconds since the page came up: the clock of beats.
+    /// The clock of beats, ms: it counts from the calendar's time at the start, so that the beats of an
+    /// earlier celld are old, and goes on evenly whatever happens to the calendar.
     pub fn beat(&self) -> u64 {
-        u64::try_from(self.begun.elapsed().as_millis()).unwrap_or(u64::MAX)
+        let elapsed = u64::try_from(self.begun.elapsed().as_millis()).unwrap_or(u64::MAX);
+        self.begun_unix_ms.saturating_add(elapsed)
     }
 
     /// Keeps the grants for the next start.
@@ -143,6 +147,7 @@ pub fn start(setup: Setup) -> Result<Box<dyn Office>, ServeError> {
         feed: setup.feed,
         desk: setup.desk,
         begun: Instant::now(),
+        begun_unix_ms: (unix_now_s() * 1e3) as u64,
         planning: Arc::new(Semaphore::new(1)),
         orders: Default::default(),
         access,
