@@ -43,13 +43,14 @@ BINARIES ?= $(BUILD)/release
 VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
 DEB_PACKAGES := dpkg-dev binutils
 
-.PHONY: help setup clients demo try test test-clients bench figures fuzz fuzz-corpus
+.PHONY: help setup clients demo try test test-clients test-page bench figures fuzz fuzz-corpus
 .PHONY: release install uninstall deb test-deb
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
 	@echo "make try                            a simulated cell to watch and operate in the browser"
 	@echo "make test                           formatting, lints, documentation, all tests but those of the next line"
+	@echo "make test-page                      the page in a browser (installs Chromium)"
 	@echo "make test-clients                   other people's clients against the simulator (installs them)"
 	@echo "make figures                        small versions of the paper's six figures in ./out/figures"
 	@echo "make fuzz [SECONDS=600]              fuzz each protocol for so long (fuzz/README.md)"
@@ -159,6 +160,22 @@ test-clients: clients
 	else \
 	  cargo test --test it -- third_party::; cargo test --lib -- realsense::tests:: --test-threads=1; \
 	fi
+
+# The page in a real browser: installs Chromium and what drives it, into an environment of its own.
+PAGE := $(BUILD)/page
+PAGE_PACKAGES := chromium fonts-dejavu-core python3-venv
+
+$(PAGE)/installed.txt: tests/page/requirements.txt
+	@$(call install,$(PAGE_PACKAGES))
+	@echo "test-page: installing $$(grep -v '^#' $< | tr '\n' ' ')"
+	@rm -rf $(PAGE); python3 -m venv $(PAGE)
+	@$(PAGE)/bin/pip install --quiet --disable-pip-version-check --no-deps -r $<
+	@cp $< $@
+
+test-page: setup $(PAGE)/installed.txt
+	@$(call install,$(PAGE_PACKAGES))
+	cargo build --bin celld
+	$(PAGE)/bin/python tests/page/operate.py $(BUILD)/debug/celld $(PAGE)/pictures
 
 bench: setup
 	cargo bench

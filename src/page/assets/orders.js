@@ -33,8 +33,10 @@ export function hold(label, act, attributes = {}) {
 export const answers = h("div", { role: "status", "aria-live": "polite" });
 
 export function answered(what, { accepted, message }) {
-  const note = h("p", { class: accepted ? "note" : "note wrong" }, h("strong", {}, what + ": "), message);
-  answers.replaceChildren(note, ...[...answers.children].slice(0, 2));
+  const note = h("p", { class: accepted ? "note" : "note wrong", id: "answer" }, h("strong", {}, what + ": "), message);
+  const older = [...answers.children].slice(0, 2);
+  older.forEach((before) => before.removeAttribute("id"));
+  answers.replaceChildren(note, ...older);
 }
 
 /** Gives an order and shows what came of it. */

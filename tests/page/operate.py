@@ -1,0 +1,330 @@
+"""The page as an operator uses it, in Debian's Chromium: from signing in to a table rearranged to a goal that
+was dragged, a pause, a step, a stop with an object in the gripper and the way back, a lost daemon.
+
+In: the celld binary, a folder for pictures, sizes and languages from the tests below. Out: a line for every
+check and exit code 1 at the first that fails; pictures of the screens, light and dark, phone and desktop. A
+console error, a failed request or a finding of axe fails it too. Figures are printed, not judged.
+"""
+
+import json
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "examples"))
+
+from axe_playwright_python.sync_playwright import Axe
+from cell_client import Cell, Refused
+from playwright.sync_api import expect, sync_playwright
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+CELLD = os.path.abspath(sys.argv[1])
+PICTURES = pathlib.Path(sys.argv[2])
+ADDRESS = "127.7.8.1"
+BROWSER = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+LONG = 60_000
+FACTOR = 2
+
+expect.set_options(timeout=LONG)
+
+
+def check(name, held, why=""):
+    print(f"{'ok' if held else 'FAILED'}: {name} {why if not held else ''}", flush=True)
+    if not held:
+        raise SystemExit(1)
+
+
+class Running:
+    """Simulator and daemon of this test's own."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.children = []
+        shutil.copytree(ROOT / "calibration" / "sim", folder / "calibration" / "sim")
+        (folder / "config").mkdir()
+        cell = (ROOT / "config/cell.yaml").read_text()
+        cell = cell.replace("127.0.0.2", ADDRESS).replace("clock_factor: 1}", f"clock_factor: {FACTOR}}}")
+        cell = cell.replace("listen: 127.0.0.1:8737", f"listen: '{ADDRESS}:8737'")
+        (folder / "config/cell.yaml").write_text(cell)
+        sim = (ROOT / "config/sim.yaml").read_text().replace("127.0.0.2", ADDRESS)
+        (folder / "config/sim.yaml").write_text(sim.replace("\ntime_factor: 1\n", f"\ntime_factor: {FACTOR}\n"))
+        self.start("sim", "--config", "config/sim.yaml", "--control")
+        self.wait("the simulator listens", lambda: urllib.request.urlopen(f"http://{ADDRESS}:8091/world.json", timeout=2))
+        self.daemon()
+
+    def start(self, *arguments):
+        log = open(self.folder / f"{arguments[0]}.log", "a")
+        child = subprocess.Popen([CELLD, *arguments], cwd=self.folder, stdout=log, stderr=log)
+        self.children.append(child)
+        return child
+
+    def daemon(self):
+        self.celld = self.start("run", "--config", "config/cell.yaml", "--state", "state")
+        self.wait("celld takes orders", lambda: self.open("--print"))
+
+    def open(self, *arguments):
+        done = subprocess.run([CELLD, "open", "--state", "state", *arguments], cwd=self.folder, capture_output=True, text=True)
+        if done.returncode:
+            raise OSError(done.stderr)
+        return done.stdout.strip()
+
+    def wait(self, what, ready):
+        until = time.monotonic() + 60
+        while time.monotonic() < until:
+            try:
+                return ready()
+            except OSError as error:
+                last = error
+                time.sleep(0.1)
+        raise SystemExit(f"FAILED: {what}: {last}\n{(self.folder / 'run.log').read_text()[-2000:] if (self.folder / 'run.log').exists() else ''}")
+
+    def fault(self, do, **arguments):
+        body = json.dumps({"do": do, "args": arguments} if arguments else {"do": do}).encode()
+        urllib.request.urlopen(f"http://{ADDRESS}:8091/fault", data=body, timeout=10).read()
+
+    def end(self):
+        for child in self.children:
+            child.send_signal(signal.SIGKILL)
+            child.wait()
+
+
+class Page:
+    """One browser window, and what went wrong in it."""
+
+    def __init__(self, browser, cell, **options):
+        self.errors = []
+        self.bytes = 0
+        self.context = browser.new_context(**options)
+        self.page = self.context.new_page()
+        self.page.on("console", lambda message: self.errors.append(message.text) if message.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.cell = cell
+
+    def sign_in(self):
+        self.page.goto(self.cell.open("--print"))
+        expect(self.page.locator("#message")).to_be_visible()
+
+    def screen(self, name):
+        self.page.goto(f"http://{ADDRESS}:8737/#{name}")
+
+    def picture(self, name):
+        self.page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
+
+    def sound(self, what):
+        found = Axe().run(self.page)
+        check(f"axe finds nothing on {what}", found.violations_count == 0, found.generate_report() if found.violations_count else "")
+        check(f"no console error on {what}", not self.errors, str(self.errors))
+
+    def text(self, locator, words):
+        expect(self.page.locator(locator)).to_contain_text(words)
+        check(f"{locator} says {words!r}", True)
+
+    def hold(self, locator):
+        button = self.page.locator(locator)
+        button.scroll_into_view_if_needed()
+        box = button.bounding_box()
+        self.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        self.page.mouse.down()
+        self.page.wait_for_timeout(1500)
+        self.page.mouse.up()
+
+
+def figures(page):
+    """What a browser with an empty cache loads, and how soon something is there."""
+    timing = page.evaluate("() => { const p = performance.getEntriesByType('paint').find((e) => e.name === 'first-contentful-paint'); return { paint: p ? p.startTime : -1, bytes: performance.getEntriesByType('resource').concat(performance.getEntriesByType('navigation')).reduce((s, e) => s + e.transferSize, 0) }; }")
+    print(f"figure: first paint {timing['paint']:.0f} ms, {timing['bytes'] / 1e3:.0f} kB transferred", flush=True)
+
+
+def drag(page, thing, dx, dy):
+    box = page.locator(f"#goal-{thing} path").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + dx / 2, y + dy / 2)
+    page.mouse.move(x + dx, y + dy)
+    page.mouse.up()
+
+
+def set_a_goal(window, cell):
+    page = window.page
+    window.screen("goal")
+    page.click("#look")
+    expect(page.locator("#looking")).to_be_visible()
+    window.screen("live")
+    page.click("#order-arm")
+    window.text("#armed", "ARMED")
+    window.screen("goal")
+    expect(page.locator("#goal-lid")).to_be_visible()
+    check("the table was looked at, and is the first goal", True)
+    window.picture("goal-as-it-lies")
+    # Onto another object: it slides to the nearest free place, and nothing is wrong then.
+    block = page.locator("#goal-block path").bounding_box()
+    lid = page.locator("#goal-lid path").bounding_box()
+    drag(page, "lid", block["x"] - lid["x"] + 20, block["y"] - lid["y"])
+    expect(page.locator("#troubles .note")).to_have_count(0)
+    moved = page.locator("#goal-lid path").bounding_box()
+    check("what is dropped onto another slides beside it", abs(moved["x"] - lid["x"]) > 20)
+    # By keys, without a mouse: a millimetre an arrow.
+    before = float(page.input_value("#n-lid-0"))
+    page.focus("#goal-lid")
+    page.keyboard.press("Shift+ArrowRight")
+    check("keys move what is chosen", abs(float(page.input_value("#n-lid-0")) - before - 10) < 0.2)
+    page.fill("#n-block-0", "-200")
+    page.press("#n-block-0", "Tab")
+    window.text("#troubles", "over the table's edge")
+    window.picture("goal-wrong")
+    page.click("#take")
+    drag(page, "lid", -40, 90)
+    page.click("#plan")
+    window.text("#planned", "moves")
+    window.picture("goal-preview")
+    window.sound("the goal")
+    page.fill("#goal-name", "mine")
+    page.click("#save")
+    window.text("#preview", "Saved as mine.yaml")
+    check("the goal file is there", "lid" in (cell.folder / "config/mine.yaml").read_text())
+    page.fill("#job-id", "mine")
+    page.click("#submit")
+    window.text("#submitted", "mine")
+
+
+def carry_out(window):
+    page = window.page
+    window.screen("live")
+    expect(page.locator("#order-approve")).to_be_visible()
+    page.locator("#scrub").fill("1")
+    page.locator("#scrub").dispatch_event("input")
+    window.text("output", "after move 1")
+    window.picture("live-approval")
+    window.sound("the cell, while a plan waits")
+    page.click("#order-pause")
+    window.text("#answer", "paus")
+    page.click("#order-approve")
+    window.text("#answer", "approved")
+    page.click("#order-step")
+    expect(page.locator("#message")).not_to_contain_text("approval")
+    page.wait_for_selector("#order-resume", timeout=LONG)
+    page.click("#order-resume")
+    window.screen("jobs/mine")
+    window.text("main", "every object is at its goal")
+    window.picture("jobs-done")
+    window.sound("a job")
+
+
+def stop_with_an_object(window, cell):
+    page = window.page
+    token = cell.open("--token", "--role", "approve", "--name", "client")
+    client = Cell(f"http://{ADDRESS}:8737", token)
+    job = client.submit("version: 1\nid: second\ngoal: {swap: [plank-1, plank-2]}\n")
+    check("the client in Python submits a job", job == "second")
+    try:
+        client.submit("version: 1\ngoal: {swap: [plank-1]}\n")
+        check("a wrong job is refused", False)
+    except Refused as refused:
+        check("a wrong job is refused", refused.status == 422 and "plank-1" in str(refused) or "change places" in str(refused), str(refused))
+    window.screen("live")
+    page.wait_for_selector("#order-approve", timeout=LONG)
+    check("the client agrees to the plan", client.approve("second").accepted)
+    expect(page.locator("#holding")).to_be_visible()
+    cell.fault("ur.pstop")
+    window.text("#stopped", "protective stop")
+    check("the stop is shown with an object in the gripper", page.locator("#holding").is_visible())
+    window.picture("live-stopped")
+    window.sound("a stop")
+    page.click("#recover-show")
+    window.text("#answer", "plank")
+    page.wait_for_timeout(6000 / FACTOR)
+    window.hold("#recover-place")
+    expect(page.locator("#stopped")).to_have_count(0)
+    expect(page.locator("#holding")).to_have_count(0)
+    window.text("#armed", "disarmed")
+    events = client.events()
+    kinds = {next(events)[0] for _ in range(12)}
+    check("the client follows the events", {"status", "arm", "beat"} <= kinds, str(kinds))
+    page.click("#order-arm")
+    window.text("#armed", "ARMED")
+    page.click("#stop")
+    window.text("#armed", "disarmed")
+    check("Stop ends what was armed", not client.status()["armed"])
+
+
+def lost_daemon(window, cell):
+    page = window.page
+    window.screen("live")
+    cell.celld.send_signal(signal.SIGKILL)
+    begun = time.monotonic()
+    expect(page.locator("#stale")).to_be_visible(timeout=10_000)
+    print(f"figure: a lost daemon is shown after {time.monotonic() - begun:.1f} s", flush=True)
+    check("no order but Stop can be given", page.locator("#order-arm").is_disabled() and page.locator("#stop").is_enabled())
+    window.picture("live-stale")
+    cell.celld.wait()
+    cell.daemon()
+    expect(page.locator("#stale")).to_be_hidden()
+    window.text("#armed", "disarmed")
+    check("the page comes back by itself, and the session with it", page.locator("#message").is_visible())
+
+
+def all_sizes(browser, cell):
+    sizes = {"desktop": {"width": 1400, "height": 1000}, "phone": {"width": 390, "height": 844}, "wall": {"width": 2560, "height": 1440}}
+    for name, size in sizes.items():
+        for scheme in ["light", "dark"]:
+            locale = "de-DE" if scheme == "dark" else "en-GB"
+            window = Page(browser, cell, viewport=size, color_scheme=scheme, locale=locale, has_touch=name == "phone")
+            window.sign_in()
+            for screen in ["live", "goal", "jobs", "setup"]:
+                window.screen(screen)
+                window.page.wait_for_selector("main .card", timeout=LONG)
+                window.page.wait_for_timeout(400)
+                window.picture(f"{screen}-{name}-{scheme}")
+                wide = window.page.evaluate("() => document.documentElement.scrollWidth - window.innerWidth")
+                check(f"{screen} fits {name}", wide <= 1, f"{wide} px too wide")
+                small = window.page.evaluate("() => [...document.querySelectorAll('button, select, nav a')].filter((e) => e.offsetParent && !e.closest('table') && e.getBoundingClientRect().height < 47.5).map((e) => e.id || e.textContent)")
+                check(f"targets on {screen} are large enough on {name}", not small, str(small))
+                if name != "wall":
+                    window.sound(f"{screen}, {name}, {scheme}, {locale}")
+            if scheme == "dark":
+                check("German is spoken", "Befehle" in window.page.evaluate("() => fetch('/text-de.json').then((a) => a.text())") and window.page.locator("nav").inner_text().startswith("Jetzt"))
+            window.context.close()
+
+
+def main():
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    begun = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        cell = Running(pathlib.Path(folder))
+        try:
+            browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=BROWSER)
+            stranger = Page(browser, cell)
+            stranger.page.goto(f"http://{ADDRESS}:8737/")
+            expect(stranger.page.locator("main")).to_contain_text("celld open")
+            check("who is not signed in is told how", True)
+            stranger.context.close()
+            window = Page(browser, cell, viewport={"width": 1400, "height": 1000}, locale="en-GB")
+            window.sign_in()
+            window.page.wait_for_timeout(1000)
+            figures(window.page)
+            window.picture("live-first")
+            set_a_goal(window, cell)
+            carry_out(window)
+            stop_with_an_object(window, cell)
+            check("no console error in all of it", not window.errors, str(window.errors))
+            lost_daemon(window, cell)
+            all_sizes(browser, cell)
+            browser.close()
+        except BaseException:
+            for name in ["run", "sim"]:
+                log = pathlib.Path(folder) / f"{name}.log"
+                print(f"--- {name}.log\n{log.read_text()[-3000:]}" if log.exists() else "", file=sys.stderr)
+            raise
+        finally:
+            cell.end()
+    print(f"page: all checks held, {time.monotonic() - begun:.0f} s; pictures in {PICTURES}", flush=True)
+
+
+main()
