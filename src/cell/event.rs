@@ -13,6 +13,7 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobOrder, JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::Status;
+use cell_vision::foreign::HeldBody;
 use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::Isometry3;
 use ur_arm::kinematics::DhParameters;
@@ -89,6 +90,8 @@ pub enum Effect {
         views: Vec<View>,
         /// What it had to show, and what is remembered of the rest; `None`: the whole table.
         partial: Option<PartialLook>,
+        /// What hangs on the gripper and is meant to.
+        held: Option<HeldBody>,
     },
     /// Take one picture of a calibration round and keep what it shows.
     Picture {

@@ -359,8 +359,8 @@ impl Machine {
                 let number = if first { self.next_request() } else { self.further_request() };
                 Effect::Look { number, frames, table_from_camera }
             }
-            Action::Observe { views, partial } => {
-                Effect::Observe { number: self.next_request(), views, partial }
+            Action::Observe { views, partial, held } => {
+                Effect::Observe { number: self.next_request(), views, partial, held }
             }
             Action::Picture { pose, base_from_flange } => {
                 Effect::Picture { number: self.next_request(), pose, base_from_flange }

@@ -386,8 +386,8 @@ impl Shell {
             Effect::Look { number, frames, table_from_camera } => {
                 self.see(now, number, SeeRequest::Look { frames, table_from_camera });
             }
-            Effect::Observe { number, views, partial } => {
-                self.see(now, number, SeeRequest::Observe { views, partial });
+            Effect::Observe { number, views, partial, held } => {
+                self.see(now, number, SeeRequest::Observe { views, partial, held });
             }
             Effect::Picture { number, pose, base_from_flange } => {
                 self.see(now, number, SeeRequest::Picture { pose, base_from_flange });

@@ -20,6 +20,7 @@ use cell_edge::files;
 use cell_edge::priority;
 use cell_values::time::Timestamp;
 use cell_vision::detect::Detector;
+use cell_vision::foreign::HeldBody;
 use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::Isometry3;
 use rearrange::document::chain::chain;
@@ -44,6 +45,8 @@ pub enum SeeRequest {
         views: Vec<View>,
         /// What it had to show; `None`: the whole table.
         partial: Option<PartialLook>,
+        /// What hangs on the gripper and is meant to.
+        held: Option<HeldBody>,
     },
     /// One picture of a calibration round.
     Picture {
@@ -130,8 +133,9 @@ impl Seeing {
                 }
                 Event::Looked(number, looked)
             }
-            SeeRequest::Observe { views, partial } => {
-                Event::Observed(number, self.observe(&views, partial.as_ref()).map(Box::new))
+            SeeRequest::Observe { views, partial, held } => {
+                let seen = self.observe(&views, partial.as_ref(), held.as_ref());
+                Event::Observed(number, seen.map(Box::new))
             }
             SeeRequest::Picture { pose, base_from_flange } => {
                 Event::Pictured(number, self.picture(pose, base_from_flange))
@@ -166,11 +170,16 @@ impl Seeing {
         Ok(views)
     }
 
-    fn observe(&mut self, views: &[View], partial: Option<&PartialLook>) -> Result<Observation, String> {
+    fn observe(
+        &mut self,
+        views: &[View],
+        partial: Option<&PartialLook>,
+        held: Option<&HeldBody>,
+    ) -> Result<Observation, String> {
         let PerceptionSetup { sight: Sight::Cell(perception), diagnostic_images, .. } = &mut self.eyes else {
             return Err(no_perception().message);
         };
-        let seen = perception.observe(views, partial).map_err(|error| chain(&error));
+        let seen = perception.observe_holding(views, partial, held).map_err(|error| chain(&error));
         // A look that was broken off has left pictures of its own.
         let of_it = |shot: &Shot| views.iter().any(|view| view.table_from_camera == shot.table_from_camera);
         self.shots.retain(of_it);

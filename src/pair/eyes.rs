@@ -17,6 +17,7 @@ use cell_values::image::quality::{PictureLimits, judge, measure};
 use cell_values::image::{Image, tag36h11_bitmap};
 use cell_values::time::Timestamp;
 use cell_vision::detect::{DetectSettings, Detection, Family};
+use cell_vision::foreign::HeldBody;
 use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -248,9 +249,10 @@ impl Eyes {
         &mut self,
         views: &[View],
         partial: Option<&PartialLook>,
+        held: Option<&HeldBody>,
     ) -> Result<Box<Observation>, String> {
         let seen = match &mut self.sight {
-            Sight::Pictures(sight) => sight.1.observe(views, partial),
+            Sight::Pictures(sight) => sight.1.observe_holding(views, partial, held),
             Sight::Corners(sight) => observe_views(&sight.0, views, partial),
         };
         seen.map(Box::new).map_err(|error| error.to_string())

@@ -447,8 +447,8 @@ impl Pair {
                 let now_s = lock(&self.simulator.core().world).now_s();
                 self.eyes.look(now_s, number, frames, table_from_camera);
             }
-            Effect::Observe { number, views, partial } => {
-                let seen = self.eyes.observe(&views, partial.as_ref());
+            Effect::Observe { number, views, partial, held } => {
+                let seen = self.eyes.observe(&views, partial.as_ref(), held.as_ref());
                 self.after(OBSERVING_S, Event::Observed(number, seen));
             }
             Effect::Plan { number, request } => {

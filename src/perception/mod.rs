@@ -17,7 +17,7 @@ use cell_vision::camera::CameraModel;
 use cell_vision::detect::second::Expected;
 use cell_vision::detect::{DetectError, DetectSettings, Detection, Detector, Family};
 use cell_vision::foreign::search::ForeignSearch;
-use cell_vision::foreign::{HeightMap, HeightMapError};
+use cell_vision::foreign::{HeightMap, HeightMapError, HeldBody};
 use cell_vision::observe::reference::DriftLimits;
 use cell_vision::observe::{
     MarkedObject, Observation, ObserveLimits, PartialLook, ReferenceMarker, View, observe,
@@ -44,6 +44,11 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// The views without what the gripper holds; `None` where there is nothing to leave out.
+    fn without_held(&self, views: &[View], held: Option<&HeldBody>) -> Option<Vec<View>> {
+        self.foreign.as_ref()?.without_held(views, held?)
+    }
+
     /// What depth says of things without a marker, or where there is no depth, what colour says if that
     /// is requested; `None` when the search is switched off or neither gives an answer.
     ///
@@ -208,6 +213,20 @@ impl Perception {
     ) -> Result<Observation, PerceptionError> {
         let again = self.looked_again(views, partial)?;
         observe_views(&self.scene, again.as_deref().unwrap_or(views), partial)
+    }
+
+    /// The same with something in the gripper, which the camera beside it sees too.
+    ///
+    /// # Errors
+    /// As [`Perception::observe`].
+    pub fn observe_holding(
+        &mut self,
+        views: &[View],
+        partial: Option<&PartialLook>,
+        held: Option<&HeldBody>,
+    ) -> Result<Observation, PerceptionError> {
+        let bare = self.scene.without_held(views, held);
+        self.observe(bare.as_deref().unwrap_or(views), partial)
     }
 
     /// The views with what a second pass adds; `None` when nothing is missing. The kept pictures go.

@@ -149,6 +149,12 @@ def drag(page, thing, dx, dy):
     page.mouse.move(x + dx / 2, y + dy / 2)
     page.mouse.move(x + dx, y + dy)
     page.mouse.up()
+    checked(page)
+
+
+def checked(page):
+    """The checker has said what it thinks of the last change."""
+    expect(page.locator("#goal-table[aria-busy=false]")).to_be_visible()
 
 
 def set_a_goal(window, cell):
@@ -174,12 +180,14 @@ def set_a_goal(window, cell):
     before = float(page.input_value("#n-lid-0"))
     page.focus("#goal-lid")
     page.keyboard.press("Shift+ArrowRight")
+    checked(page)
     check("keys move what is chosen", abs(float(page.input_value("#n-lid-0")) - before - 10) < 0.2)
     page.fill("#n-block-0", "-200")
     page.press("#n-block-0", "Tab")
     window.text("#troubles", "over the table's edge")
     window.picture("goal-wrong")
     page.click("#take")
+    checked(page)
     drag(page, "lid", -40, 90)
     page.click("#plan")
     window.text("#planned", "moves")

@@ -18,7 +18,7 @@ pub mod search;
 mod tests;
 
 pub use body::KnownBody;
-pub use height_map::{Area, DepthLens, HeightMap, HeightMapError, OwnBody};
+pub use height_map::{Area, DepthLens, HeightMap, HeightMapError, HeldBody, OwnBody};
 pub use holes::Hole;
 
 use crate::region::Region;
@@ -75,7 +75,7 @@ pub struct ForeignReport {
 impl ForeignReport {
     /// The largest piece of the table in which nothing was measured.
     pub fn largest_hole(&self) -> Option<Hole> {
-        self.holes.first().copied()
+        self.holes.first().cloned()
     }
 }
 

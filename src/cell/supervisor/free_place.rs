@@ -6,12 +6,15 @@
 
 use crate::cell::supervisor::back::Held;
 use crate::cell::supervisor::cell::Supervisor;
+use crate::cell::supervisor::model::CellObject;
 use crate::motion::bodies::Standing;
 use crate::motion::put_down::PutDown;
 use cell_values::units::Joints;
+use cell_vision::foreign::ForeignObject;
 use cell_vision::observe::Observation;
 use rearrange::geometry::collision::{closer_than, inside};
 use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::polygon::{contains, distance_to_outline};
 use rearrange::geometry::pose::Pose2;
 use std::f64::consts::TAU;
 
@@ -31,6 +34,22 @@ struct Taken {
     footprint: Footprint,
     pose: Pose2,
     height: f64,
+}
+
+/// How far over its outline and its top what depth shows of an object may reach, m.
+const RAGGED_M: f64 = 0.012;
+
+/// Corners of a curve.
+const CORNERS: usize = 64;
+
+/// Whether what depth shows is this object at this place.
+fn is_of(object: &CellObject, pose: &Pose2, thing: &ForeignObject) -> bool {
+    let outline = object.footprint.outline(CORNERS);
+    let inside = |at: &[f64; 2]| {
+        let own = pose.inverse().transform(*at);
+        contains(&outline, own) || distance_to_outline(&outline, own) <= RAGGED_M
+    };
+    thing.height_m <= object.height + RAGGED_M && thing.outline.iter().all(inside)
 }
 
 impl Supervisor {
@@ -80,10 +99,12 @@ impl Supervisor {
         let fixed = self.standing_obstacles(seen).into_iter();
         let fixed = fixed.map(|Standing { footprint, pose, height, .. }| Taken { footprint, pose, height });
         let report = seen.foreign.iter();
-        let unseen = report.flat_map(|report| &report.holes).map(|hole| Taken {
-            footprint: Footprint::Disc { radius: hole.reach_m },
-            pose: Pose2::new(hole.centre[0], hole.centre[1], 0.0),
-            height: 0.0,
+        let unseen = report.flat_map(|report| &report.holes).map(|hole| {
+            let disc =
+                (Footprint::Disc { radius: hole.reach_m }, Pose2::new(hole.centre[0], hole.centre[1], 0.0));
+            let outline = Footprint::polygon(&hole.outline).ok().map(|outline| (outline, Pose2::default()));
+            let (footprint, pose) = outline.unwrap_or(disc);
+            Taken { footprint, pose, height: 0.0 }
         });
         objects.chain(fixed).chain(unseen).collect()
     }
@@ -93,6 +114,19 @@ impl Supervisor {
         let unseen = |id: &str| !seen.objects.iter().any(|object| object.id == id);
         let before = self.back.table.iter().filter(move |(id, _)| unseen(id) && *id != held.object);
         before.map(|(id, pose)| (id.as_str(), *pose))
+    }
+
+    /// What was seen without the things that are no strangers: objects whose markers are behind what is held,
+    /// where they were before. They stay in the way.
+    pub(crate) fn without_hidden(&self, mut seen: Observation) -> Observation {
+        let Some(held) = &self.back.held else { return seen };
+        let object = |(id, pose): (&str, Pose2)| Some((self.model.object(id)?, pose));
+        let hidden: Vec<(&CellObject, Pose2)> = self.hidden(held, &seen).filter_map(object).collect();
+        let is_known = |thing: &ForeignObject| hidden.iter().any(|(object, pose)| is_of(object, pose, thing));
+        if let Some(report) = &mut seen.foreign {
+            report.objects.retain(|thing| !is_known(thing));
+        }
+        seen
     }
 
     fn is_free(
@@ -128,4 +162,42 @@ fn around(centre: Pose2) -> impl Iterator<Item = Pose2> {
         })
     };
     (0..RINGS).flat_map(ring)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rearrange::tabletop::instance::MarkerSpec;
+
+    fn block() -> CellObject {
+        let marker = MarkerSpec { family: "tag36h11".into(), id: 0, size: 0.03, offset: Pose2::default() };
+        CellObject {
+            id: "block".into(),
+            group: None,
+            footprint: Footprint::rectangle(0.08, 0.06).expect("valid"),
+            impedance: None,
+            height: 0.03,
+            mass: 0.1,
+            marker,
+            grip_point: [0.0, 0.0],
+            grip_yaw: None,
+            hold: 20.0,
+        }
+    }
+
+    fn thing(outline: Vec<[f64; 2]>, height_m: f64) -> ForeignObject {
+        ForeignObject { centre: outline[0], outline, area_m2: 1e-3, height_m }
+    }
+
+    /// What is where the block was and no higher is the block; a hand on it, or beside it, is not.
+    #[test]
+    fn only_what_the_hidden_object_explains_is_no_stranger() {
+        let at = Pose2::new(0.3, 0.2, std::f64::consts::FRAC_PI_2);
+        let of_it = |outline: &[[f64; 2]], height| is_of(&block(), &at, &thing(outline.to_vec(), height));
+        let half = [[0.28, 0.17], [0.33, 0.17], [0.33, 0.21]];
+        assert!(of_it(&half, 0.031));
+        assert!(!of_it(&half, 0.06), "higher than the block");
+        assert!(!of_it(&half, f64::INFINITY), "of unknown height");
+        assert!(!of_it(&[[0.28, 0.17], [0.40, 0.17], [0.33, 0.21]], 0.031), "it reaches out");
+    }
 }

@@ -16,9 +16,41 @@ use crate::cell::supervisor::reason::alarm;
 use crate::motion::bodies::Load;
 use crate::motion::put_down::Grasp;
 use cell_values::time::Timestamp;
+use cell_vision::foreign::HeldBody;
 use cell_vision::observe::Observation;
 
+/// Corners of a curve, and of what may be anything.
+const HELD_CORNERS: usize = 32;
+
 impl Supervisor {
+    /// What hangs on the gripper on a way back, as the camera beside it sees it. What was let go is no part
+    /// of this: whether it hangs there all the same is what the picture has to show.
+    pub(crate) fn held_in_sight(&self) -> Option<HeldBody> {
+        self.back.recovery.as_ref()?;
+        let below_m = self.held_depth();
+        let grasp = match self.back.held.as_ref().filter(|held| !held.let_go) {
+            Some(held) => held.grasp.as_ref(),
+            None if self.back.grips => None,
+            None => return None,
+        };
+        let outline = match grasp.map(|grasp| grasp.load()) {
+            // Seen from above; the tool looks down, its y axis is the other way round.
+            Some(load) => {
+                let corner = |at: &[f64; 2]| load.tool_from_object.transform(*at);
+                let outline = load.footprint.outline(HELD_CORNERS);
+                outline.iter().map(corner).map(|[x, y]| [x, -y]).collect()
+            }
+            // It may be any object, gripped anywhere.
+            None => {
+                let radii = self.model.objects.iter().map(|object| object.footprint.bounding_radius());
+                let reach = 2.0 * radii.fold(0.0, f64::max);
+                let corner = |k: usize| (std::f64::consts::TAU * k as f64 / HELD_CORNERS as f64).sin_cos();
+                (0..HELD_CORNERS).map(corner).map(|(sin, cos)| [reach * cos, reach * sin]).collect()
+            }
+        };
+        Some(HeldBody { outline, below_m })
+    }
+
     /// Follows what is held by what the gripper reports.
     pub(crate) fn note_vacuum(
         &mut self,

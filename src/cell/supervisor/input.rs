@@ -10,6 +10,7 @@ use crate::cell::supervisor::order::{JobOrder, JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::motion::cycle_time::CycleTimes;
 use cell_values::time::Duration;
+use cell_vision::foreign::HeldBody;
 use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::Isometry3;
 use rearrange::geometry::pose::Pose2;
@@ -241,6 +242,8 @@ pub enum Action {
         views: Vec<View>,
         /// What it had to show, and what is remembered of the rest; `None`: the whole table.
         partial: Option<PartialLook>,
+        /// What hangs on the gripper and is meant to.
+        held: Option<HeldBody>,
     },
     /// Take one picture of a calibration round; answered by [`Input::Pictured`].
     Picture {

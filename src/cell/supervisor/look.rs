@@ -240,7 +240,8 @@ impl Supervisor {
             let remembered = seen.map(|object| (object.id.clone(), object.pose)).collect();
             PartialLook { region, remembered }
         });
-        out.push(Action::Observe { views, partial });
+        let held = self.held_in_sight();
+        out.push(Action::Observe { views, partial, held });
     }
 
     /// A picture that was taken could not be searched, which waiting does not mend. An arm on its way ends

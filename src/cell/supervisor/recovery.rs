@@ -301,6 +301,7 @@ impl Supervisor {
         observation: Observation,
         out: &mut Vec<Action>,
     ) {
+        let observation = self.without_hidden(observation);
         if let Some(height) = foreign_height(&self.model, &observation) {
             self.foreign_height = height;
         }

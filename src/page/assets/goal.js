@@ -28,7 +28,7 @@ function jobText() {
 }
 
 export function goalPage(main) {
-  const holder = h("div");
+  const holder = h("div", { id: "goal-table" });
   const troubles = h("div", { role: "status", "aria-live": "polite", id: "troubles" });
   const list = h("div");
   const result = h("div", { role: "status", "aria-live": "polite", id: "preview" });
@@ -44,6 +44,7 @@ export function goalPage(main) {
 
   const check = async (moved) => {
     const number = ++asking;
+    holder.setAttribute("aria-busy", "true");
     try {
       const body = { objects: objects(), ...(moved ? { moved } : {}) };
       const answer = await api("goals/check", { body });
@@ -57,6 +58,7 @@ export function goalPage(main) {
     } catch (error) {
       draft.troubles = [{ objects: [], message: error.message }];
     }
+    if (number === asking) holder.setAttribute("aria-busy", "false");
     fill(troubles, draft.troubles.map(({ message }) => h("p", { class: "note wrong" }, message)));
     draw();
   };

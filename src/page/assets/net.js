@@ -1,7 +1,7 @@
 // The cell as this page knows it, and the way to it: one stream of events, requests with JSON.
 //
 // `state` is the last of everything; `on(kind, f)` calls f at every change of a kind. A stream without a beat
-// for 1.5 s is stale: the page says so, and of its orders only stops go out.
+// for 1.1 s is stale: the page says so, and of its orders only stops go out.
 
 export const state = { me: null, cell: null, status: null, arm: null, sight: null, control: null, sentences: [], vacuum: null, picture: 0, beat: null, stale: true };
 const listeners = {};
@@ -85,7 +85,7 @@ export function connect() {
 setInterval(async () => {
   if (!source) return;
   const silent = performance.now() - heard;
-  if (silent > 1500 && !state.stale) { state.stale = true; emit("stale"); }
+  if (silent > 1100 && !state.stale) { state.stale = true; emit("stale"); }
   if (state.stale && source.readyState === EventSource.CLOSED && silent > 3000) {
     heard = performance.now();
     try {
@@ -95,7 +95,7 @@ setInterval(async () => {
       if (error.status === 401) location.reload();
     }
   }
-}, 300);
+}, 200);
 
 export const colour = (id) => state.cell?.objects.find((object) => object.id === id)?.colour ?? "#888";
 export const object = (id) => state.cell?.objects.find((known) => known.id === id);

@@ -13,6 +13,7 @@ use crate::cv::{self, CvError};
 use crate::foreign::field::{Field, Sample};
 use cell_values::image::depth::DepthImage;
 use nalgebra::{Isometry3, Point3, Vector3};
+use rearrange::geometry::polygon::{contains, distance_to_outline};
 
 /// Edge of a cell, m: some ten points of a picture from half a metre, and 25 cells to the smallest thing
 /// looked for.
@@ -60,6 +61,44 @@ impl OwnBody {
     pub fn contains(&self, in_camera: &Point3<f64>) -> bool {
         let p = self.camera_from_tool.inverse_transform_point(in_camera);
         p.z < self.beyond_m && p.x.hypot(p.y) < self.radius_m
+    }
+}
+
+/// What the gripper holds, seen by the camera beside it: an upright prism below the cups.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeldBody {
+    /// Its outline in the tool frame (z out of the gripper), m.
+    pub outline: Vec<[f64; 2]>,
+    /// How far it hangs below the cup lips, m.
+    pub below_m: f64,
+}
+
+/// Room round what is held: it is not quite where it was gripped.
+const HELD_MARGIN_M: f64 = 0.012;
+
+/// Points of a line at which it may meet what is held: it is some centimetres high.
+const HELD_TRIED: usize = 6;
+
+impl HeldBody {
+    /// Whether it is in the way between `eye` and `point`, all in the frame of the tool.
+    fn hides(&self, eye: &Point3<f64>, point: &Point3<f64>) -> bool {
+        let (low, high) = (-HELD_MARGIN_M, self.below_m + HELD_MARGIN_M);
+        let along = point - eye;
+        // The part of the line at its height.
+        let (mut from, mut to) = (0.0_f64, 1.0_f64);
+        if along.z.abs() > 1e-12 {
+            let [a, b] = [(low - eye.z) / along.z, (high - eye.z) / along.z];
+            (from, to) = (from.max(a.min(b)), to.min(a.max(b)));
+        } else if !(low..=high).contains(&eye.z) {
+            return false;
+        }
+        from <= to
+            && (0..HELD_TRIED).any(|step| {
+                let share = step as f64 / (HELD_TRIED - 1) as f64;
+                let at = eye + along * (from + share * (to - from));
+                let at = [at.x, at.y];
+                contains(&self.outline, at) || distance_to_outline(&self.outline, at) < HELD_MARGIN_M
+            })
     }
 }
 
@@ -193,6 +232,24 @@ impl HeightMap {
         }
         map.take_medians(&points);
         Ok(map)
+    }
+
+    /// The map without what is held and what that hides, with the tool at `table_from_tool`: of both nothing
+    /// is known.
+    pub fn without_held(&self, held: &HeldBody, table_from_tool: &Isometry3<f64>) -> HeightMap {
+        let in_tool = |p: [f64; 3]| table_from_tool.inverse_transform_point(&Point3::from(p));
+        let eye = in_tool(self.eye_m);
+        let mut map = self.clone();
+        for cell in 0..map.heights_m.len() {
+            let [x, y] = self.centre(cell);
+            // Of what only its colour shows, the table below it is what the line of sight leads to.
+            let height = f64::from(self.heights_m[cell]);
+            let height = if height.is_finite() { height } else { 0.0 };
+            if held.hides(&eye, &in_tool([x, y, height])) {
+                map.heights_m[cell] = f32::NAN;
+            }
+        }
+        map
     }
 
     /// The heights, corrected by what the map says about surfaces whose height is known.

@@ -7,7 +7,7 @@
 
 use crate::foreign::body::KnownBody;
 use crate::foreign::height_map::{CELL_M, HeightMap};
-use rearrange::geometry::polygon::contains;
+use rearrange::geometry::polygon::{contains, convex_hull};
 use serde::Serialize;
 
 /// Heights at which the line from a cell to the camera is tried against a known object, as shares of that
@@ -15,7 +15,7 @@ use serde::Serialize;
 const TRIED: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
 
 /// A piece of the table in which nothing was measured.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Hole {
     /// Its size, m2.
     pub area_m2: f64,
@@ -23,6 +23,8 @@ pub struct Hole {
     pub centre: [f64; 2],
     /// It lies within this distance of that, m.
     pub reach_m: f64,
+    /// It lies within this convex outline, m, table frame; without corners where it has none.
+    pub outline: Vec<[f64; 2]>,
 }
 
 impl std::fmt::Display for Hole {
@@ -73,7 +75,13 @@ fn hole(map: &HeightMap, cells: &[usize]) -> Hole {
         (x - centre[0]).hypot(y - centre[1])
     };
     let reach_m = cells.iter().map(away).fold(0.0, f64::max) + CELL_M;
-    Hole { area_m2: cells.len() as f64 * CELL_M * CELL_M, centre, reach_m }
+    let half = 0.5 * CELL_M;
+    let corners = |cell: &usize| {
+        let [x, y] = map.centre(*cell);
+        [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]]
+    };
+    let outline = convex_hull(&cells.iter().flat_map(corners).collect::<Vec<_>>());
+    Hole { area_m2: cells.len() as f64 * CELL_M * CELL_M, centre, reach_m, outline }
 }
 
 /// True when a body is between a place on the table and the camera.

@@ -7,7 +7,8 @@
 use crate::camera::CameraModel;
 use crate::foreign::change::EmptyTable;
 use crate::foreign::{
-    Area, DepthLens, ForeignLimits, ForeignReport, HeightMap, HeightMapError, KnownBody, OwnBody, find_in,
+    Area, DepthLens, ForeignLimits, ForeignReport, HeightMap, HeightMapError, HeldBody, KnownBody, OwnBody,
+    find_in,
 };
 use crate::observe::{Observation, PartialLook, View};
 use cell_values::image::Image;
@@ -97,6 +98,17 @@ impl ForeignSearch {
         table_from_camera: &Isometry3<f64>,
     ) -> Result<HeightMap, HeightMapError> {
         HeightMap::new(depth, &self.lens, table_from_camera, self.inventory.area, self.inventory.own.as_ref())
+    }
+
+    /// The views without what the gripper holds; `None` where the camera does not move with it.
+    pub fn without_held(&self, views: &[View], held: &HeldBody) -> Option<Vec<View>> {
+        let camera_from_tool = self.inventory.own.as_ref()?.camera_from_tool;
+        let without = |view: &View| {
+            let table_from_tool = view.table_from_camera * camera_from_tool;
+            let map = view.heights.as_ref().map(|map| map.without_held(held, &table_from_tool).into());
+            View { heights: map, ..view.clone() }
+        };
+        Some(views.iter().map(without).collect())
     }
 
     /// What the height maps of a look's views show besides what was observed in them; `None` without any

@@ -247,6 +247,35 @@ fn what_is_the_robots_or_lies_outside_what_is_searched_is_left_out() {
     assert_eq!(find(&[&with], &[], &[], &limits).objects, []);
 }
 
+/// A plank on the cups of a camera beside them is neither a stranger nor proof of free room behind it; what
+/// lies elsewhere is seen all the same.
+#[test]
+fn what_is_held_is_left_out_with_what_it_hides_and_nothing_else() {
+    let (plank, stranger) = (block(0.05, 0.05, 0.16, 0.05, 0.05), block(-0.1, -0.08, 0.04, 0.04, 0.05));
+    let seen = map(&[plank, stranger], 0.0, 0.0);
+    assert_eq!(find(&[&seen], &[], &[], &ForeignLimits::default()).objects.len(), 2);
+    // The cups over the plank, pointing down.
+    let down = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let tool = Isometry3::from_parts(nalgebra::Translation3::new(0.05, 0.05, 0.05), down);
+    let held = HeldBody {
+        outline: vec![[-0.08, -0.025], [0.08, -0.025], [0.08, 0.025], [-0.08, 0.025]],
+        below_m: 0.05,
+    };
+    let bare = seen.without_held(&held, &tool);
+    let left = find(&[&bare], &[], &[], &ForeignLimits::default()).objects;
+    assert_eq!(left.len(), 1, "{left:?}");
+    assert!((left[0].centre[0] + 0.1).abs() < 0.02, "{left:?}");
+    let height = |map: &HeightMap, x: f64, y: f64| map.cell([x, y]).map(|cell| map.heights_m[cell]);
+    assert!(height(&bare, 0.05, 0.05).is_some_and(f32::is_nan), "of its place nothing is known");
+    assert_eq!(height(&bare, -0.1, 0.08), height(&seen, -0.1, 0.08), "the table elsewhere");
+    // Short and out of sight it hides nothing of the other thing.
+    let away = Isometry3::from_parts(nalgebra::Translation3::new(0.5, 0.5, 0.3), down);
+    assert_eq!(
+        find(&[&seen.without_held(&held, &away)], &[], &[], &ForeignLimits::default()).objects.len(),
+        2
+    );
+}
+
 #[test]
 fn what_one_look_pose_saw_is_not_forgotten_by_the_next() {
     let (there, gone) = (map(&[block(0.05, 0.05, 0.04, 0.04, 0.05)], 0.0, 0.0), map(&[], 0.0, 0.0));

@@ -106,7 +106,7 @@ fn depth_that_is_asked_for_has_to_come_and_to_cover_the_table() {
     );
     // Much of the table was measured, but not where something large may be.
     for (area_m2, refused) in [(12e-4, false), (30e-4, true), (f64::NAN, true)] {
-        let hole = Hole { area_m2, centre: [0.31, 0.12], reach_m: 0.1 };
+        let hole = Hole { area_m2, centre: [0.31, 0.12], reach_m: 0.1, outline: Vec::new() };
         let seen =
             ForeignReport { objects: Vec::new(), measured_share: 0.97, holes: vec![hole], by_colour: false };
         let reported = goes(&mut with(REFUSE, Some(seen)));
