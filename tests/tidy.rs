@@ -103,9 +103,18 @@ const TABLE: &[Row] = &[
         pure: false,
     },
     Row { module: "daemon", uses: Uses::AllAbove { but: &["ur-sim"], also: &[] }, pure: false },
-    Row { module: "doctor", uses: Uses::AllAbove { but: &["ur-sim"], also: &[] }, pure: false },
-    Row { module: "demo", uses: Uses::AllAbove { but: &["daemon", "doctor"], also: &[] }, pure: false },
-    Row { module: "pair", uses: Uses::AllAbove { but: &["daemon", "doctor"], also: &[] }, pure: false },
+    Row { module: "page", uses: Uses::AllAbove { but: &["ur-sim"], also: &[] }, pure: false },
+    Row { module: "doctor", uses: Uses::AllAbove { but: &["ur-sim", "page"], also: &[] }, pure: false },
+    Row {
+        module: "demo",
+        uses: Uses::AllAbove { but: &["daemon", "page", "doctor"], also: &[] },
+        pure: false,
+    },
+    Row {
+        module: "pair",
+        uses: Uses::AllAbove { but: &["daemon", "page", "doctor"], also: &[] },
+        pure: false,
+    },
     Row { module: "bench", uses: Uses::AllAbove { but: &[], also: &[] }, pure: false },
     Row { module: "cli", uses: Uses::AllAbove { but: &[], also: &[] }, pure: false },
 ];

@@ -2,12 +2,17 @@
 //!
 //! In: `--state` on the command line; faults. Out: the state folder, and a fault with its causes on stderr.
 
+use crate::cell::orders::Reply;
+use crate::jobs::command::{Command, Given, Sent};
 use crate::jobs::journal::JournalError;
 use crate::jobs::state::{StateError, StateFolder};
+use crate::jobs::status::{STARTING, Status};
+use cell_edge::clock::{boot_now_s, unix_now_s};
 use cell_edge::files::FileError;
 use clap::{Args, ValueEnum};
 use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 /// Output for people or programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -65,4 +70,40 @@ pub(super) enum ClientError {
 pub(super) fn complain(error: &ClientError) -> u8 {
     cell_edge::terminal::complain(&chain(error));
     1
+}
+
+/// How long a daemon may take to answer.
+const ANSWER_WITHIN: Duration = Duration::from_secs(10);
+
+/// How often the answer is looked for.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// Gives a command and waits for its answer.
+pub(super) fn request(state: &StateFolder, command: &Command) -> Result<Reply, ClientError> {
+    let daemon = running_daemon(state)?;
+    let given = Given { unix_s: unix_now_s(), boot_s: boot_now_s() };
+    let sent = Sent::send(&state.commands(), &daemon, command, given)?;
+    let begun = Instant::now();
+    while begun.elapsed() < ANSWER_WITHIN {
+        if let Some(reply) = sent.poll()? {
+            return Ok(reply);
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+    // Taken back, so that it is not obeyed once it is no longer expected.
+    let seconds = ANSWER_WITHIN.as_secs();
+    Err(if sent.withdraw()? { ClientError::NoAnswer(seconds) } else { ClientError::NoReply(seconds) })
+}
+
+/// The name of the daemon that runs on `state`.
+fn running_daemon(state: &StateFolder) -> Result<String, ClientError> {
+    let none = || ClientError::NoDaemon(state.root().to_owned());
+    if !state.is_taken()? {
+        return Err(none());
+    }
+    let status = Status::read(&state.status())?.ok_or_else(none)?;
+    if status.state == STARTING {
+        return Err(ClientError::Starting(status.message));
+    }
+    Ok(status.daemon)
 }

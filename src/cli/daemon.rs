@@ -18,16 +18,16 @@ use crate::daemon::last_picture::LastPicture;
 use crate::daemon::recorder::{self, Recorder};
 use crate::daemon::shell::{Observer, Scene, Shell, StartError};
 use crate::daemon::sockets::Addresses;
-use crate::daemon::state_orders::{Office, StateOrders};
+use crate::daemon::state_orders::StateOrders;
 use crate::daemon::watchdog::{Beats, Watchdog};
 use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::doctor::files::blocked_poses;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
-use crate::page::ServeError;
-use crate::page::app::{self, Setup};
+use crate::page::app;
 use crate::page::feed::{Feed, KnownCell, Watcher};
 use crate::page::orders::{WithPage, desk};
+use crate::page::shared::Setup;
 use crate::perception::Perception;
 use cell_edge::clock::{Clock, unix_now_s};
 use cell_edge::priority;
@@ -195,15 +195,8 @@ async fn daemon(
     let (beats, stopped) = (Beats::default(), || stop.load(Ordering::Relaxed));
     let watchdog = Watchdog::start(beats.clone());
     let (diagnostic_images, name) = (state.root().to_path_buf(), format!("celld-{seed}"));
-    let gripper = gripper_address(&config.devices);
-    let confirmed = state.gripper_confirmed(&gripper);
-    let orders = StateOrders::open(&state, name.clone(), gripper).map_err(|error| chain(&error))?;
-    let page = Page::start(&config, &config_file, &state).map_err(|error| chain(&error))?;
-    let (feed, orders) = (page.feed, (page.join)(orders.with_office(page.office)));
-    let published = feed.clone();
-    let mut keeper = StateKeeper::open(config.clone(), state, name)
-        .map_err(|error| chain(&error))?
-        .published(Box::new(move |status| published.status(status)));
+    let confirmed = state.gripper_confirmed(&gripper_address(&config.devices));
+    let Opened { mut keeper, orders, feed } = opened(&config, &config_file, state, name)?;
     for notice in keeper.notices() {
         tracing::warn!("{notice}");
     }
@@ -232,12 +225,9 @@ async fn daemon(
         tracing::warn!("taught pose {pose}; the arm will not go there");
     }
     shell.see_with(perception_setup(&config, &measured, &arm, diagnostic_images)?);
-    let pictures = LastPicture::new(Some(measured.camera.clone()));
-    let lens = measured.camera.clone();
-    // After the poses to look from are computed, so that they are shared and not computed twice.
-    let known = model.clone();
+    let (pictures, lens) = (LastPicture::new(Some(measured.camera.clone())), measured.camera.clone());
+    feed.known(KnownCell { model: model.clone(), lens, pictures: pictures.clone() });
     shell.commission(model, config.arm_at_start);
-    feed.known(KnownCell { model: known, lens, pictures: pictures.clone() });
     let keeper =
         keeper.with(pictures.clone(), &config_file, identities(&arm, &measured), shell.last_answers());
     shell.keep_in(Box::new(keeper), Box::new(orders));
@@ -253,38 +243,34 @@ async fn daemon(
     ended
 }
 
-/// The page's end in the daemon; without `page:` nothing is served, and the rest is the same.
-struct Page<F> {
+/// The state folder in use, and what the page shows; without `page:` nothing is served, and the rest is the
+/// same.
+struct Opened {
+    keeper: StateKeeper,
+    orders: WithPage<StateOrders>,
     feed: Feed,
-    join: F,
-    office: Option<Box<dyn Office>>,
 }
 
-impl Page<()> {
-    fn start(
-        config: &CellConfig,
-        config_file: &Path,
-        state: &StateFolder,
-    ) -> Result<Page<impl FnOnce(StateOrders) -> WithPage<StateOrders> + use<>>, ServeError> {
-        let (desk, join) = desk();
-        let feed = Feed::default();
-        let office = match &config.page {
-            None => None,
-            Some(page) => {
-                let name = config_file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-                let setup = Setup {
-                    page,
-                    cell: config,
-                    config_name: name.unwrap_or_default(),
-                    state: state.clone(),
-                    feed: feed.clone(),
-                    desk,
-                };
-                Some(app::start(setup)?)
-            }
-        };
-        Ok(Page { feed, join, office })
+fn opened(
+    config: &CellConfig,
+    config_file: &Path,
+    state: StateFolder,
+    name: String,
+) -> Result<Opened, String> {
+    let orders = StateOrders::open(&state, name.clone(), gripper_address(&config.devices))
+        .map_err(|error| chain(&error))?;
+    let ((desk, join), feed) = (desk(), Feed::default());
+    let mut office = None;
+    if let Some(page) = &config.page {
+        let config_name = config_file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let (config_name, state) = (config_name.unwrap_or_default(), state.clone());
+        let setup = Setup { page, cell: config, config_name, state, feed: feed.clone(), desk };
+        office = Some(app::start(setup).map_err(|error| chain(&error))?);
     }
+    let published = feed.clone();
+    let keeper = StateKeeper::open(config.clone(), state, name).map_err(|error| chain(&error))?;
+    let keeper = keeper.published(Box::new(move |status| published.status(status)));
+    Ok(Opened { keeper, orders: join(orders.with_office(office)), feed })
 }
 
 fn identities(arm: &Arm, measured: &Measured) -> Identities {

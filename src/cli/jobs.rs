@@ -4,25 +4,17 @@
 //! with the daemon off; every other command is refused then, and never stored for a later daemon.
 
 use crate::cell::orders::{Reply, WayBack};
-use crate::cli::client::{ClientError, Format, StateArg, complain};
+use crate::cli::client::{ClientError, Format, StateArg, complain, request};
 use crate::cli::history::{self, JobsArgs, ReportArgs, WhyArgs};
 use crate::cli::open::{self, OpenArgs};
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
 use crate::cli::watch::WatchArgs;
-use crate::jobs::command::{Command, Given, ReleaseChannel, Sent};
+use crate::jobs::command::{Command, ReleaseChannel};
 use crate::jobs::state::StateFolder;
-use crate::jobs::status::{STARTING, Status};
+use crate::jobs::status::Status;
 use crate::jobs::utc;
-use cell_edge::clock::{boot_now_s, unix_now_s};
 use clap::{Args, Subcommand, ValueEnum};
-use std::time::{Duration, Instant};
-
-/// How long a daemon may take to answer.
-const ANSWER_WITHIN: Duration = Duration::from_secs(10);
-
-/// How often the answer is looked for.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// Commands to the cell.
 #[derive(Subcommand, Debug)]
@@ -75,8 +67,8 @@ pub enum ClientCommand {
     /// Say that what answers at the gripper's address is the gripper on this arm. Needed once for an
     /// address, before the first `arm`: no register of the device says what it is. Not needed in simulation.
     ConfirmGripper(StateArg),
-    /// Sign this computer's browser in at the cell's page (`page:` in the configuration), or give a program a
-    /// token for it.
+    /// Sign this computer's browser in at the cell's page (`page:` in the configuration), or give a program
+    /// a token for it.
     Open(OpenArgs),
     /// What the cell is doing; exit code 1 when no daemon runs.
     Status {
@@ -211,36 +203,6 @@ fn send(state: &StateFolder, command: &Command) -> Result<u8, ClientError> {
     Ok(if accepted { 0 } else { 1 })
 }
 
-/// Gives a command and waits for its answer.
-pub(super) fn request(state: &StateFolder, command: &Command) -> Result<Reply, ClientError> {
-    let daemon = running_daemon(state)?;
-    let given = Given { unix_s: unix_now_s(), boot_s: boot_now_s() };
-    let sent = Sent::send(&state.commands(), &daemon, command, given)?;
-    let begun = Instant::now();
-    while begun.elapsed() < ANSWER_WITHIN {
-        if let Some(reply) = sent.poll()? {
-            return Ok(reply);
-        }
-        std::thread::sleep(LOOK_EVERY);
-    }
-    // Taken back, so that it is not obeyed once it is no longer expected.
-    let seconds = ANSWER_WITHIN.as_secs();
-    Err(if sent.withdraw()? { ClientError::NoAnswer(seconds) } else { ClientError::NoReply(seconds) })
-}
-
-/// The name of the daemon that runs on `state`.
-fn running_daemon(state: &StateFolder) -> Result<String, ClientError> {
-    let none = || ClientError::NoDaemon(state.root().to_owned());
-    if !state.is_taken()? {
-        return Err(none());
-    }
-    let status = Status::read(&state.status())?.ok_or_else(none)?;
-    if status.state == STARTING {
-        return Err(ClientError::Starting(status.message));
-    }
-    Ok(status.daemon)
-}
-
 fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
     let running = state.is_taken()?;
     let status = Status::read(&state.status())?;
@@ -267,6 +229,7 @@ fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
 mod tests {
     use super::*;
     use crate::jobs::command::Inbox;
+    use cell_edge::clock::boot_now_s;
     use clap::Parser;
 
     #[derive(Parser, Debug)]

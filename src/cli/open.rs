@@ -1,12 +1,11 @@
 //! `celld open`: signs this computer's browser in at the cell's page, or prints a link or a token.
 //!
-//! In: the state folder of a running daemon, which knows who gives the command by the owner of its file. Out:
-//! a browser that is signed in; with `--print` a link that counts once, for two minutes; with `--token` a
-//! secret for a program. Exit code 1 where there is no daemon or no page.
+//! In: the state folder of a running daemon, which knows who gives the command by the owner of its file.
+//! Out: a browser that is signed in; with `--print` a link that counts once, for two minutes; with
+//! `--token` a secret for a program. Exit code 1 where there is no daemon or no page.
 
 use crate::cell::orders::Role;
-use crate::cli::client::{ClientError, StateArg};
-use crate::cli::jobs::request;
+use crate::cli::client::{ClientError, StateArg, request};
 use crate::cli::task::outln;
 use crate::jobs::command::{Command, SignIn};
 use clap::Args;

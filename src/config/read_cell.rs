@@ -139,13 +139,12 @@ fn parts(
     let camera = fields.required("camera", d).and_then(|at| calibration::camera(d, &at));
     let look_poses = required_each(d, fields, "look_poses_deg", joints_deg);
     let calibration_poses = required_each(d, fields, "calibration_poses_deg", joints_deg);
-    let park_pose = required_joints(d, fields, "park_pose_deg");
-    let work_pose = required_joints(d, fields, "work_pose_deg");
+    let [park_pose, work_pose] =
+        ["park_pose_deg", "work_pose_deg"].map(|key| required_joints(d, fields, key));
     let calibration_box =
         optional(d, fields, "calibration_box", None, |d, at| calibration::calibration_box(d, at).map(Some));
     let calibration = fields.required("calibration", d).and_then(|at| calibration::files(d, &at, folder));
     let (joint_range, limits) = fields.required("limits", d).map_or((None, None), |at| limits(d, &at));
-    let settle = if fields.optional("simulation").is_some() { SIMULATED_SETTLE_S } else { SETTLE_S };
     CellParts {
         devices,
         table,
@@ -164,7 +163,7 @@ fn parts(
         calibration,
         joint_range,
         limits,
-        tolerances: fields.required("tolerances", d).and_then(|at| tolerances(d, &at, settle)),
+        tolerances: fields.required("tolerances", d).and_then(|at| tolerances(d, &at, settle_s(fields))),
         planner: fields.required("planner", d).and_then(|at| planner(d, &at)),
         approval: optional(d, fields, "approval", Approval::Always, |d, at| d.word(at)),
         arm_at_start: optional(d, fields, "arm_at_start", false, |d, at| d.boolean(at)),
@@ -178,6 +177,11 @@ fn parts(
         history: optional(d, fields, "history", HistoryLimits::YEAR, history),
         goal_folder: optional(d, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder)),
     }
+}
+
+/// How long the arm is at rest before a picture unless the file says otherwise, s.
+fn settle_s(fields: &Fields) -> f64 {
+    if fields.optional("simulation").is_some() { SIMULATED_SETTLE_S } else { SETTLE_S }
 }
 
 /// What is done about foreign things unless the configuration says otherwise.

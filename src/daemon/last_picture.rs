@@ -26,11 +26,13 @@ pub struct Kept {
     pub table_from_camera: Option<Isometry3<f64>>,
 }
 
+/// A picture, and whether it was taken for the job under way.
+type OfJob = (Arc<Kept>, bool);
+
 /// The last picture. See the module.
 #[derive(Clone)]
 pub struct LastPicture {
-    /// And whether it was taken for the job under way.
-    kept: Arc<Mutex<Option<(Arc<Kept>, bool)>>>,
+    kept: Arc<Mutex<Option<OfJob>>>,
     lens: Option<CameraModel>,
 }
 

@@ -5,9 +5,9 @@
 //! `cameras`: the camera that the configuration names. `store`: the state folder on threads of its own;
 //! `keeper`: what is kept there; `job_orders`: jobs as the supervisor takes them; `job_report`: one as a
 //! page; `disk`: whether there is room; `last_answers`: when devices answered; `last_picture`: what the
-//! camera showed; `plan_files`: plans for people; `state_orders`: operators' commands; `recorder`: a run into
-//! files; `recordings_folder`: which of them stay; `watchdog`: whether all of them get on. Nothing here
-//! depends on whether the peer is a robot or the simulator.
+//! camera showed; `plan_files`: plans for people; `state_orders`: operators' commands; `recorder`: a run
+//! into files; `recordings_folder`: which of them stay; `watchdog`: whether all of them get on. Nothing
+//! here depends on whether the peer is a robot or the simulator.
 
 pub mod cameras;
 pub mod disk;

@@ -1,10 +1,10 @@
 //! The `goal` of a job file: poses, a file with poses, or a rule.
 //!
 //! In: the located value and what it is checked against. Out: a [`WantedGoal`], or complaints at the places
-//! in the job file, and those about a goal file apart. A rule is checked as far as that needs no look at the
-//! table; its poses are worked out after the job's first look (`rearrange::tabletop::rule`). `restore` needs
-//! none: where the objects of the other job lay is in the journal. `look` wants nothing moved: the job looks at
-//! the table, and what it found can be restored later.
+//! in the job file, and those about a goal file apart. A rule is checked as far as that needs no look at
+//! the table; its poses are worked out after the job's first look (`rearrange::tabletop::rule`). `restore`
+//! needs none: where the objects of the other job lay is in the journal. `look` wants nothing moved: the
+//! job looks at the table, and what it found can be restored later.
 
 use crate::jobs::goal::{
     GoalContext, GoalEntry, JobContext, check_goal, decode_goal, parse_goal_file, stays_below,

@@ -1,4 +1,5 @@
-//! Before any handler: is the page called by its own name, does a page of its own call, who is it, how often.
+//! Before any handler: is the page called by its own name, does a page of its own call, who is it, how
+//! often.
 //!
 //! In: requests. Out: requests with the [`Person`] who sends them, or refusals: 421 for a foreign name, 403
 //! for a foreign page or a role that is too low, 401 without a session, 429 too often, 408 too slow. What is
@@ -6,8 +7,8 @@
 
 use crate::cell::orders::Role;
 use crate::page::access::Person;
-use crate::page::app::App;
 use crate::page::limits::{host_is_ours, origin_is_ours};
+use crate::page::shared::App;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{ConnectInfo, Request, State};
@@ -44,9 +45,46 @@ pub enum Via {
 #[derive(Clone, Copy, Debug)]
 pub struct Peer(pub IpAddr);
 
+/// Why a request is not carried out, as the page answers it.
+#[derive(Debug)]
+pub struct Refused {
+    status: StatusCode,
+    /// One sentence.
+    error: String,
+    /// A word for programs and what to do, where there are.
+    advice: Option<(String, String)>,
+}
+
+impl Refused {
+    /// With a status and one sentence.
+    pub fn new(status: StatusCode, error: impl Into<String>) -> Refused {
+        Refused { status, error: error.into(), advice: None }
+    }
+
+    /// With a word for programs, and what a person can do.
+    pub fn with(self, code: String, hint: String) -> Refused {
+        Refused { advice: Some((code, hint)), ..self }
+    }
+
+    /// Something of celld's own does not work.
+    pub fn fault(error: impl std::fmt::Display) -> Refused {
+        Refused::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())
+    }
+}
+
+impl IntoResponse for Refused {
+    fn into_response(self) -> Response {
+        let body = match self.advice {
+            Some((code, hint)) => json!({ "error": self.error, "code": code, "hint": hint }),
+            None => json!({ "error": self.error }),
+        };
+        (self.status, Json(body)).into_response()
+    }
+}
+
 /// A refusal: status and one sentence.
 pub fn refusal(status: StatusCode, message: impl Into<String>) -> Response {
-    (status, Json(json!({ "error": message.into() }))).into_response()
+    Refused::new(status, message).into_response()
 }
 
 /// Logs a refusal and makes it.

@@ -6,9 +6,9 @@
 use crate::daemon::plan_files;
 use crate::jobs::status::STARTING;
 use crate::page::access::Person;
-use crate::page::app::{App, Shared};
 use crate::page::feed::Message;
 use crate::page::guard::refusal;
+use crate::page::shared::{App, Shared};
 use crate::page::views;
 use axum::body::Bytes;
 use axum::extract::{Extension, State};
@@ -18,7 +18,6 @@ use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Json, Response};
 use futures_util::stream::{self, Stream};
 use serde::Serialize;
-use serde_json::json;
 use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -37,6 +36,11 @@ const QUALITY: u8 = 80;
 /// `GET /livez`
 pub async fn alive() -> &'static str {
     "alive\n"
+}
+
+/// `GET /api/v1/openapi.json`
+pub async fn document(State(app): State<App>) -> Response {
+    Json(&app.document).into_response()
 }
 
 /// `GET /readyz`
@@ -205,9 +209,4 @@ pub async fn events(State(app): State<App>, Extension(person): Extension<Person>
     let stream: std::pin::Pin<Box<dyn Stream<Item = _> + Send>> =
         Box::pin(stream::unfold(viewer, Viewer::next));
     Sse::new(stream).into_response()
-}
-
-/// Anything as JSON with a member `error`.
-pub fn fault(message: impl std::fmt::Display) -> Response {
-    (StatusCode::INTERNAL_SERVER_ERROR, Json(json!({ "error": message.to_string() }))).into_response()
 }

@@ -3,7 +3,7 @@
 //!
 //! In: the status, the journal's counts. Out: text of the exposition format, version 0.0.4.
 
-use crate::page::app::App;
+use crate::page::shared::App;
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};

@@ -3,13 +3,7 @@
 //! In: the table. Out: OpenAPI 3.1 as JSON; `docs/openapi.json` is held to it by a test.
 
 use crate::page::routes::{Route, table};
-use axum::Json;
 use serde_json::{Map, Value, json};
-
-/// `GET /api/v1/openapi.json`
-pub async fn document() -> Json<Value> {
-    Json(openapi())
-}
 
 /// The document.
 pub fn openapi() -> Value {

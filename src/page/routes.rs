@@ -2,8 +2,8 @@
 //! the router and the OpenAPI document are made, so that neither knows what the other does not.
 
 use crate::cell::orders::Role;
-use crate::page::app::App;
-use crate::page::{assets, guard, live, metrics, openapi, session, work};
+use crate::page::shared::App;
+use crate::page::{assets, guard, live, metrics, session, work};
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, Path};
 use axum::handler::Handler;
@@ -81,7 +81,7 @@ const fn open(route: Route) -> Route {
 
 /// What answers where.
 fn all(app: Option<App>) -> Routes {
-    use Role::{Operate, View};
+    use Role::View;
     let mut r = Routes { app, router: Router::new(), table: Vec::new() };
     r.add(answers(open(get("/livez", View, "The process runs")), "text/plain"), live::alive);
     r.add(
@@ -89,7 +89,7 @@ fn all(app: Option<App>) -> Routes {
         live::ready,
     );
     r.add(answers(get("/metrics", View, "Counts and states for Prometheus"), "text/plain"), metrics::metrics);
-    r.add(open(get("/api/v1/openapi.json", View, "This document")), openapi::document);
+    r.add(open(get("/api/v1/openapi.json", View, "This document")), live::document);
     session_routes(&mut r);
     r.add(
         get("/api/v1/cell", View, "Table, catalogue, bodies: what does not change while celld runs"),
@@ -107,6 +107,13 @@ fn all(app: Option<App>) -> Routes {
         answers(get("/api/v1/events", View, "Everything above as it changes"), "text/event-stream"),
         live::events,
     );
+    picture_routes(&mut r);
+    work_routes(&mut r);
+    r
+}
+
+fn picture_routes(r: &mut Routes) {
+    use Role::View;
     r.add(
         answers(get("/api/v1/picture.jpg", View, "The camera's last picture"), "image/jpeg"),
         live::picture,
@@ -117,14 +124,16 @@ fn all(app: Option<App>) -> Routes {
         live::plan_svg,
     );
     r.add(
-        post(
-            "/api/v1/orders",
-            View,
-            "An order to the cell; `accepted` says whether it is carried out, `message` why not",
-            "Order",
+        answers(
+            get("/api/v1/markers.pdf", View, "Markers for the printer (ids, size_mm, paper)"),
+            "application/pdf",
         ),
-        session::order,
+        work::markers,
     );
+}
+
+fn work_routes(r: &mut Routes) {
+    use Role::{Operate, View};
     r.add(get("/api/v1/jobs", View, "Jobs, the newest first (last, failed, since, object)"), work::jobs);
     r.add(
         post("/api/v1/jobs", Operate, "Submit a job; 422 with the reason where it is refused", "JobText"),
@@ -164,14 +173,6 @@ fn all(app: Option<App>) -> Routes {
         Route { method: "PUT", ..post("/api/v1/goals/{name}", Operate, "Save a goal file", "GoalFile") },
         work::save_goal,
     );
-    r.add(
-        answers(
-            get("/api/v1/markers.pdf", View, "Markers for the printer (ids, size_mm, paper)"),
-            "application/pdf",
-        ),
-        work::markers,
-    );
-    r
 }
 
 fn session_routes(r: &mut Routes) {
@@ -185,6 +186,15 @@ fn session_routes(r: &mut Routes) {
     r.add(
         post("/api/v1/control", Operate, "Take control of the cell, or give it back", "Control"),
         session::control,
+    );
+    r.add(
+        post(
+            "/api/v1/orders",
+            View,
+            "An order to the cell; `accepted` says whether it is carried out, `message` why not",
+            "Order",
+        ),
+        session::order,
     );
 }
 

@@ -1,15 +1,15 @@
 //! Signing in, control, and orders.
 //!
-//! In: tickets, wishes, orders with the beat that the page had seen last. Out: sessions; each order's answer.
-//! What moves the arm takes the role, control, a computer from which people see the cell, and a page that is
-//! of now; what stops takes a session alone.
+//! In: tickets, wishes, orders with the beat that the page had seen last. Out: sessions; each order's
+//! answer. What moves the arm takes the role, control, a computer from which people see the cell, and a
+//! page that is of now; what stops takes a session alone.
 
 use crate::cell::orders::{Order, Reply};
 use crate::daemon::state_orders::order_of;
 use crate::jobs::command::Command;
 use crate::page::access::{Person, SESSION_S};
-use crate::page::app::{App, Shared};
-use crate::page::guard::{Peer, Via, refusal, secret};
+use crate::page::guard::{Peer, Refused, Via, refusal, secret};
+use crate::page::shared::{App, Shared};
 use axum::body::Bytes;
 use axum::extract::rejection::{BytesRejection, JsonRejection};
 use axum::extract::{Extension, Json, State};
@@ -42,8 +42,8 @@ fn cookie(app: &Shared, value: &str, seconds: f64) -> [(axum::http::HeaderName, 
 }
 
 /// A body that is no such JSON.
-pub fn unreadable(error: &JsonRejection) -> Response {
-    refusal(error.status(), error.body_text())
+pub fn unreadable(error: &JsonRejection) -> Refused {
+    Refused::new(error.status(), error.body_text())
 }
 
 /// A session for a ticket.
@@ -54,7 +54,7 @@ pub async fn sign_in(
 ) -> Response {
     let Json(Ticket { ticket }) = match body {
         Ok(body) => body,
-        Err(error) => return unreadable(&error),
+        Err(error) => return unreadable(&error).into_response(),
     };
     let session = app.access().redeem(&ticket, unix_now_s());
     match session {
@@ -134,7 +134,7 @@ pub async fn control(
 ) -> Response {
     let Json(wish) = match body {
         Ok(body) => body,
-        Err(error) => return unreadable(&error),
+        Err(error) => return unreadable(&error).into_response(),
     };
     if !wish.take {
         app.control().give_back(&person.session);
@@ -171,7 +171,7 @@ pub async fn order(
 ) -> Response {
     let Json(ordered) = match body {
         Ok(body) => body,
-        Err(error) => return unreadable(&error),
+        Err(error) => return unreadable(&error).into_response(),
     };
     let Some(order) = order_of(&ordered.command) else {
         return refusal(StatusCode::BAD_REQUEST, "this is no order to the cell");
@@ -192,14 +192,14 @@ pub async fn order(
     Json(reply).into_response()
 }
 
-type Refused = (StatusCode, String);
+type Reason = (StatusCode, String);
 
 fn may_order(
     app: &Shared,
     order: &Order,
     ordered: &Ordered,
     (person, via, peer): (&Person, Via, std::net::IpAddr),
-) -> Result<(), Refused> {
+) -> Result<(), Reason> {
     let least = order.least_role();
     if person.grant.role < least {
         return Err((StatusCode::FORBIDDEN, format!("this order takes the role {least:?}").to_lowercase()));
@@ -230,7 +230,7 @@ fn may_order(
 }
 
 /// Agreed to is the plan that was shown, not one that has taken its place since.
-fn the_plan_shown(app: &Shared, id: &str, plan_unix_s: Option<f64>) -> Result<(), Refused> {
+fn the_plan_shown(app: &Shared, id: &str, plan_unix_s: Option<f64>) -> Result<(), Reason> {
     let Some(shown) = plan_unix_s else {
         let message = "say which plan is agreed to: `plan_unix_s` of the plan in the status";
         return Err((StatusCode::BAD_REQUEST, message.into()));

@@ -325,7 +325,8 @@ impl Projection<'_> {
         self.lens.pixel([point.x, point.y, point.z]).map(|pixel| pixel.map(|v| (v * 10.0).round() / 10.0))
     }
 
-    /// What is seen of an outline, cut at the picture's rim; nothing where hardly any of it is in the picture.
+    /// What is seen of an outline, cut at the picture's rim; nothing where hardly any of it is in the
+    /// picture.
     fn outline(&self, outline: &[[f64; 2]], pose: &Pose2, height: f64) -> Option<Outline> {
         let next = outline.iter().cycle().skip(1);
         let along = outline.iter().zip(next).flat_map(|(a, b)| {

@@ -17,11 +17,10 @@ use crate::jobs::spool::is_plain_name;
 use crate::jobs::submit::{Found, Handed, hand_in, look, prepare};
 use crate::jobs::utc;
 use crate::page::access::Person;
-use crate::page::app::{App, Shared};
 use crate::page::drafts::{self, settled, troubles};
-use crate::page::guard::refusal;
-use crate::page::live::fault;
+use crate::page::guard::Refused;
 use crate::page::session::unreadable;
+use crate::page::shared::{App, Shared};
 use crate::page::views::poses;
 use crate::report::html::html;
 use crate::report::prints::{self, Paper};
@@ -58,16 +57,18 @@ const PICTURE_MAX: u64 = 32 << 20;
 const MARKERS_MAX: usize = 200;
 
 /// Runs what waits for a disk or computes long beside the streams.
-async fn beside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Response> {
-    tokio::task::spawn_blocking(work).await.map_err(|_| fault("this is a fault of celld; see its log"))
+async fn beside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Refused> {
+    tokio::task::spawn_blocking(work)
+        .await
+        .map_err(|_| Refused::fault("this is a fault of celld; see its log"))
 }
 
-fn journal(app: &Shared) -> Result<Option<Journal>, Response> {
+fn journal(app: &Shared) -> Result<Option<Journal>, Refused> {
     let path = app.state.journal();
     if !path.exists() {
         return Ok(None);
     }
-    Journal::open_to_read(&path).map(Some).map_err(|error| fault(chain(&error)))
+    Journal::open_to_read(&path).map(Some).map_err(|error| Refused::fault(chain(&error)))
 }
 
 /// `GET /api/v1/jobs`
@@ -81,11 +82,11 @@ pub struct Wanted {
 }
 
 impl Wanted {
-    fn filter(&self) -> Result<JobFilter, Response> {
+    fn filter(&self) -> Result<JobFilter, Refused> {
         let since_unix_s = match self.since.as_deref().map(|text| since(text, unix_now_s())) {
             Some(None) => {
                 let message = "since: write 90s, 30m, 12h, 2d or 1w, or a date such as 2026-11-21";
-                return Err(refusal(StatusCode::BAD_REQUEST, message));
+                return Err(Refused::new(StatusCode::BAD_REQUEST, message));
             }
             Some(time) => time,
             None => None,
@@ -95,12 +96,12 @@ impl Wanted {
 }
 
 /// Jobs, the newest first.
-pub async fn jobs(State(app): State<App>, Query(wanted): Query<Wanted>) -> Result<Response, Response> {
+pub async fn jobs(State(app): State<App>, Query(wanted): Query<Wanted>) -> Result<Response, Refused> {
     let filter = wanted.filter()?;
     let last = wanted.last.unwrap_or(50).min(JOBS_MAX);
-    let found = beside(move || -> Result<Vec<Value>, Response> {
+    let found = beside(move || -> Result<Vec<Value>, Refused> {
         let Some(journal) = journal(&app)? else { return Ok(Vec::new()) };
-        let jobs = journal.search(&filter, last).map_err(|error| fault(chain(&error)))?;
+        let jobs = journal.search(&filter, last).map_err(|error| Refused::fault(chain(&error)))?;
         Ok(jobs.iter().map(summary).collect())
     });
     Ok(Json(found.await??).into_response())
@@ -121,11 +122,11 @@ fn summary(job: &JobRecord) -> Value {
 }
 
 /// A job with its steps; none where it is not known.
-fn known(app: &Shared, id: &str) -> Result<(Journal, JobRecord, Vec<StepRecord>), Response> {
-    let unknown = || refusal(StatusCode::NOT_FOUND, "no such job is known");
+fn known(app: &Shared, id: &str) -> Result<(Journal, JobRecord, Vec<StepRecord>), Refused> {
+    let unknown = || Refused::new(StatusCode::NOT_FOUND, "no such job is known");
     let journal = journal(app)?.ok_or_else(unknown)?;
-    let job = journal.job(id).map_err(|error| fault(chain(&error)))?.ok_or_else(unknown)?;
-    let steps = journal.steps(id).map_err(|error| fault(chain(&error)))?;
+    let job = journal.job(id).map_err(|error| Refused::fault(chain(&error)))?.ok_or_else(unknown)?;
+    let steps = journal.steps(id).map_err(|error| Refused::fault(chain(&error)))?;
     Ok((journal, job, steps))
 }
 
@@ -139,8 +140,8 @@ const FILES: [(&str, &str); 3] =
     [("plan.svg", "image/svg+xml"), ("plan.jpg", "image/jpeg"), ("end.jpg", "image/jpeg")];
 
 /// `GET /api/v1/jobs/{id}`
-pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Response> {
-    let body = beside(move || -> Result<Value, Response> {
+pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Refused> {
+    let body = beside(move || -> Result<Value, Refused> {
         let (journal, job, steps) = known(&app, &id)?;
         let place = folder(&app, &journal, &id);
         let has = |name: &str| place.as_ref().is_some_and(|place| place.join(name).is_file());
@@ -167,8 +168,8 @@ pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Respo
 }
 
 /// `GET /api/v1/jobs/{id}/report`
-pub async fn report(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Response> {
-    let page = beside(move || -> Result<String, Response> {
+pub async fn report(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Refused> {
+    let page = beside(move || -> Result<String, Refused> {
         let (journal, job, steps) = known(&app, &id)?;
         let place = folder(&app, &journal, &id);
         Ok(html(&job_report(&job, &steps, &app.cell, place.as_deref())))
@@ -183,10 +184,10 @@ pub async fn report(State(app): State<App>, Path(id): Path<String>) -> Result<Re
 pub async fn file(
     State(app): State<App>,
     Path((id, name)): Path<(String, String)>,
-) -> Result<Response, Response> {
-    let absent = || refusal(StatusCode::NOT_FOUND, "the job has no such file");
+) -> Result<Response, Refused> {
+    let absent = || Refused::new(StatusCode::NOT_FOUND, "the job has no such file");
     let (name, kind) = FILES.into_iter().find(|(known, _)| *known == name).ok_or_else(absent)?;
-    let bytes = beside(move || -> Result<Option<Vec<u8>>, Response> {
+    let bytes = beside(move || -> Result<Option<Vec<u8>>, Refused> {
         let (journal, ..) = known(&app, &id)?;
         let place = folder(&app, &journal, &id);
         Ok(place.and_then(|place| read_bytes(&place.join(name), PICTURE_MAX).ok()))
@@ -196,12 +197,14 @@ pub async fn file(
 }
 
 /// `GET /api/v1/shift`
-pub async fn shift(State(app): State<App>, Query(wanted): Query<Wanted>) -> Result<Response, Response> {
+pub async fn shift(State(app): State<App>, Query(wanted): Query<Wanted>) -> Result<Response, Refused> {
     let begun = wanted.filter()?.since_unix_s.unwrap_or_else(|| unix_now_s() - 8.0 * 3600.0);
-    let body = beside(move || -> Result<Value, Response> {
+    let body = beside(move || -> Result<Value, Refused> {
         let filter = JobFilter { since_unix_s: Some(begun), ..JobFilter::default() };
         let jobs = match journal(&app)? {
-            Some(journal) => journal.search(&filter, u32::MAX).map_err(|error| fault(chain(&error)))?,
+            Some(journal) => {
+                journal.search(&filter, u32::MAX).map_err(|error| Refused::fault(chain(&error)))?
+            }
             None => Vec::new(),
         };
         Ok(counts(&jobs, begun, unix_now_s()))
@@ -234,7 +237,7 @@ pub struct JobText {
 }
 
 /// What a job is read against: the cell, its goal folder, what other jobs found.
-fn read(app: &Shared, text: &str) -> Result<JobSpec, Response> {
+fn read(app: &Shared, text: &str) -> Result<JobSpec, Refused> {
     let obstacles = app.cell.obstacles();
     let folder = app.cell.goal_folder.clone();
     let read_goal = move |name: &str| read_goal_file(&folder, name);
@@ -251,7 +254,7 @@ fn read(app: &Shared, text: &str) -> Result<JobSpec, Response> {
         found: Some(&found),
     };
     read_job(text, "job", &context)
-        .map_err(|complaints| refusal(StatusCode::UNPROCESSABLE_ENTITY, complaints.to_string()))
+        .map_err(|complaints| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, complaints.to_string()))
 }
 
 /// Submits a job and waits for the verdict.
@@ -259,16 +262,17 @@ pub async fn submit(
     State(app): State<App>,
     Extension(person): Extension<Person>,
     body: Result<Json<JobText>, JsonRejection>,
-) -> Result<Response, Response> {
+) -> Result<Response, Refused> {
     let Json(JobText { text, name }) = body.map_err(|error| unreadable(&error))?;
     let by = person.grant.name;
-    let answer = beside(move || -> Result<Response, Response> {
+    let answer = beside(move || -> Result<Response, Refused> {
         read(&app, &text)?;
         let read_goal = |name: &str| find_goal_file(&app.cell.goal_folder, None, name);
         let prepared = prepare(&text, "job", &read_goal);
-        let (job, text) = prepared.map_err(|message| refusal(StatusCode::UNPROCESSABLE_ENTITY, message))?;
+        let (job, text) =
+            prepared.map_err(|message| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message))?;
         let name = PathBuf::from(name.unwrap_or_else(|| "page".to_string()));
-        let handed = hand_in(&app.state, &name, &job, &text, unix_now_s()).map_err(fault)?;
+        let handed = hand_in(&app.state, &name, &job, &text, unix_now_s()).map_err(Refused::fault)?;
         tracing::info!(job = handed.id, by, "submitted at the page");
         verdict(&app, &handed)
     });
@@ -276,15 +280,15 @@ pub async fn submit(
 }
 
 /// What the daemon says of a job file.
-fn verdict(app: &Shared, handed: &Handed) -> Result<Response, Response> {
+fn verdict(app: &Shared, handed: &Handed) -> Result<Response, Refused> {
     let begun = Instant::now();
     loop {
-        match look(&app.state, handed).map_err(|error| fault(chain(&error)))? {
+        match look(&app.state, handed).map_err(|error| Refused::fault(chain(&error)))? {
             Found::Job(job) => {
                 let body = json!({ "id": job.id, "state": job.state.as_str() });
                 return Ok((StatusCode::CREATED, Json(body)).into_response());
             }
-            Found::Rejected(reason) => return Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, reason)),
+            Found::Rejected(reason) => return Err(Refused::new(StatusCode::UNPROCESSABLE_ENTITY, reason)),
             Found::Nothing if begun.elapsed() > VERDICT_WITHIN => {
                 let message =
                     "handed in, and not read yet: others are before it, or celld waits for the robot";
@@ -300,10 +304,13 @@ fn verdict(app: &Shared, handed: &Handed) -> Result<Response, Response> {
 pub async fn preview(
     State(app): State<App>,
     body: Result<Json<JobText>, JsonRejection>,
-) -> Result<Response, Response> {
+) -> Result<Response, Refused> {
     let Json(JobText { text, .. }) = body.map_err(|error| unreadable(&error))?;
     let Ok(place) = app.planning.clone().try_acquire_owned() else {
-        return Err(refusal(StatusCode::TOO_MANY_REQUESTS, "another preview is being planned; try again"));
+        return Err(Refused::new(
+            StatusCode::TOO_MANY_REQUESTS,
+            "another preview is being planned; try again",
+        ));
     };
     let answer = beside(move || {
         let _place = place;
@@ -312,8 +319,8 @@ pub async fn preview(
     Ok(Json(answer.await??).into_response())
 }
 
-fn planned(app: &Shared, text: &str) -> Result<Value, Response> {
-    let conflict = |message: &str| refusal(StatusCode::CONFLICT, message);
+fn planned(app: &Shared, text: &str) -> Result<Value, Refused> {
+    let conflict = |message: &str| Refused::new(StatusCode::CONFLICT, message);
     let known =
         app.feed.cell().ok_or_else(|| conflict("celld waits for the robot; there is no preview yet"))?;
     let (seen, seen_unix_s) = app
@@ -322,15 +329,14 @@ fn planned(app: &Shared, text: &str) -> Result<Value, Response> {
         .ok_or_else(|| conflict("the table was not seen yet; `arm` the cell, or submit the job"))?;
     let spec = read(app, text)?;
     let order = job_order(&app.cell, "draft", &spec, &spec.goal, &[])
-        .map_err(|message| refusal(StatusCode::UNPROCESSABLE_ENTITY, message))?;
+        .map_err(|message| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message))?;
     let started = Instant::now();
     let limit = order.time_limit.min(DRAFT_WITHIN);
     let over = |attempt: u32| started.elapsed() >= limit * (attempt + 1);
     let age = Duration::from_secs_f64((unix_now_s() - seen_unix_s).max(0.0));
     let made = draft(known.model.clone(), &order, &seen, age, &over, &|| started.elapsed().as_secs_f64());
     let Draft { plan, goals } = made.map_err(|NoDraft { code, message, hint }| {
-        let body = json!({ "error": message, "code": code.to_string(), "hint": hint });
-        (StatusCode::CONFLICT, Json(body)).into_response()
+        Refused::new(StatusCode::CONFLICT, message).with(code.to_string(), hint)
     })?;
     let plan = plan_files::record_of(&plan, unix_now_s());
     Ok(json!({ "plan": plan, "buffers": plan.buffers(), "summary": plan.summary(), "goals": poses(&goals) }))
@@ -350,11 +356,14 @@ pub struct Drafted {
 pub async fn check(
     State(app): State<App>,
     body: Result<Json<Drafted>, JsonRejection>,
-) -> Result<Response, Response> {
+) -> Result<Response, Refused> {
     let Json(Drafted { objects, moved }) = body.map_err(|error| unreadable(&error))?;
     let sound = |goal: &GoalPose| [goal.pose.x, goal.pose.y, goal.pose.theta].iter().all(|v| v.abs() < 1e3);
     if objects.len() > drafts::MOST || !objects.iter().all(sound) {
-        return Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, "too many objects, or one far off the table"));
+        return Err(Refused::new(
+            StatusCode::UNPROCESSABLE_ENTITY,
+            "too many objects, or one far off the table",
+        ));
     }
     let body = beside(move || {
         let free = moved.and_then(|moved| settled(&app.cell, &objects, &moved));
@@ -364,7 +373,7 @@ pub async fn check(
 }
 
 /// `GET /api/v1/goals`
-pub async fn goals(State(app): State<App>) -> Result<Response, Response> {
+pub async fn goals(State(app): State<App>) -> Result<Response, Refused> {
     let names = beside(move || {
         let entries = std::fs::read_dir(&app.cell.goal_folder).into_iter().flatten().flatten();
         let name = |entry: std::fs::DirEntry| entry.file_name().into_string().ok();
@@ -386,9 +395,9 @@ fn goal_of(app: &Shared, name: &str) -> Result<Vec<GoalPose>, String> {
 }
 
 /// `GET /api/v1/goals/{name}`
-pub async fn goal(State(app): State<App>, Path(name): Path<String>) -> Result<Response, Response> {
+pub async fn goal(State(app): State<App>, Path(name): Path<String>) -> Result<Response, Refused> {
     let found = beside(move || goal_of(&app, &name)).await?;
-    let objects = found.map_err(|reason| refusal(StatusCode::NOT_FOUND, reason))?;
+    let objects = found.map_err(|reason| Refused::new(StatusCode::NOT_FOUND, reason))?;
     Ok(Json(json!({ "objects": objects })).into_response())
 }
 
@@ -408,18 +417,18 @@ pub async fn save_goal(
     Extension(person): Extension<Person>,
     Path(name): Path<String>,
     body: Result<Json<GoalFile>, JsonRejection>,
-) -> Result<Response, Response> {
+) -> Result<Response, Refused> {
     let Json(GoalFile { objects, replace }) = body.map_err(|error| unreadable(&error))?;
     if !is_plain_name(&name) || !name.ends_with(".yaml") {
         let message = "a goal file is called by letters, digits, - and _, and ends in .yaml";
-        return Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, message));
+        return Err(Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message));
     }
     let by = person.grant.name;
-    let saved = beside(move || -> Result<Response, Response> {
+    let saved = beside(move || -> Result<Response, Refused> {
         let text = goal_yaml(&objects);
         let obstacles = app.cell.obstacles();
         if let Err(complaints) = parse_goal_file(&text, &name, Some(&app.cell.goal_context(&obstacles))) {
-            return Err(refusal(StatusCode::UNPROCESSABLE_ENTITY, complaints.to_string()));
+            return Err(Refused::new(StatusCode::UNPROCESSABLE_ENTITY, complaints.to_string()));
         }
         let path = app.cell.goal_folder.join(&name);
         let written = match replace {
@@ -435,8 +444,10 @@ pub async fn save_goal(
                 tracing::info!(goal = name, by, "goal file saved at the page");
                 Ok((StatusCode::CREATED, Json(json!({ "name": name }))).into_response())
             }
-            Ok(false) => Err(refusal(StatusCode::CONFLICT, format!("there is a goal file {name} already"))),
-            Err(error) => Err(refusal(StatusCode::INSUFFICIENT_STORAGE, chain(&error))),
+            Ok(false) => {
+                Err(Refused::new(StatusCode::CONFLICT, format!("there is a goal file {name} already")))
+            }
+            Err(error) => Err(Refused::new(StatusCode::INSUFFICIENT_STORAGE, chain(&error))),
         }
     });
     saved.await?
@@ -467,8 +478,8 @@ pub struct Prints {
 }
 
 /// Markers for the printer.
-pub async fn markers(Query(Prints { ids, size_mm, paper }): Query<Prints>) -> Result<Response, Response> {
-    let wrong = |message: &str| refusal(StatusCode::UNPROCESSABLE_ENTITY, message);
+pub async fn markers(Query(Prints { ids, size_mm, paper }): Query<Prints>) -> Result<Response, Refused> {
+    let wrong = |message: &str| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message);
     let ids: Result<Vec<u32>, _> = ids.split(',').map(|id| id.trim().parse()).collect();
     let ids = ids.map_err(|_| wrong("ids: numbers with commas between them"))?;
     let size_mm = size_mm.unwrap_or(30.0);

@@ -29,8 +29,8 @@ pub fn plan_svg(problem: &Problem, actions: &[Action], title: &str) -> String {
     coloured_plan_svg(problem, actions, title, &[])
 }
 
-/// The same where the objects' colours are those of other places than in the problem: of a catalogue that has
-/// more of them.
+/// The same where the objects' colours are those of other places than in the problem: of a catalogue that
+/// has more of them.
 pub fn coloured_plan_svg(problem: &Problem, actions: &[Action], title: &str, colours: &[usize]) -> String {
     let scale = PANEL_PX / problem.workspace.width.max(problem.workspace.height);
     let (width, height) = (problem.workspace.width * scale, problem.workspace.height * scale);

@@ -116,8 +116,8 @@ impl Supervisor {
         before.map(|(id, pose)| (id.as_str(), *pose))
     }
 
-    /// What was seen without the things that are no strangers: objects whose markers are behind what is held,
-    /// where they were before. They stay in the way.
+    /// What was seen without the things that are no strangers: objects whose markers are behind what is
+    /// held, where they were before. They stay in the way.
     pub(crate) fn without_hidden(&self, mut seen: Observation) -> Observation {
         let Some(held) = &self.back.held else { return seen };
         let object = |(id, pose): (&str, Pose2)| Some((self.model.object(id)?, pose));

@@ -124,10 +124,3 @@ fn camera_and_bracket(flange_from_camera: &Isometry3<f64>) -> [NamedShape; 2] {
         },
     ]
 }
-
-impl super::Bodies {
-    /// What moves with the arm, and what stands, for a drawing.
-    pub fn drawn(&self) -> impl Iterator<Item = &super::Body> {
-        self.moving.iter().chain(&self.fixed)
-    }
-}

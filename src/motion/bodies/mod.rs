@@ -287,6 +287,11 @@ impl Bodies {
         figure(&self.nominal).max(figure(&self.dh))
     }
 
+    /// What moves with the arm, and what stands, for a drawing.
+    pub fn drawn(&self) -> impl Iterator<Item = &Body> {
+        self.moving.iter().chain(&self.fixed)
+    }
+
     /// Poses of the frames 0 to 6 and of the flange, in the base frame.
     pub fn frames(&self, q: &Joints) -> [Pose; 8] {
         let nominal = ur_arm::kinematics::link_frames(&self.nominal, q);

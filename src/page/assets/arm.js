@@ -10,7 +10,7 @@ const kindColour = { arm: 0x8fa3b8, tool: 0x3f4a56, stand: 0x6b6257, equipment: 
 export function arm3d() {
   const canvas = h("canvas", { width: 800, height: 600, tabindex: 0, role: "img", "aria-label": t("The arm in three dimensions; drag or arrow keys turn the view, wheel or + and - zoom") });
   const words = h("p", { class: "soft" });
-  const element = card(t("Arm"), canvas, words);
+  const element = card(t("The arm"), canvas, words);
   const view = { element, stop: () => {} };
   const joints = () => {
     const arm = state.arm;

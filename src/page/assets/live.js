@@ -124,7 +124,7 @@ export function spark(points, unit) {
   const y = (value) => 60 - 56 * (value - low) / (high - low || 1);
   const line = values.map((value, index) => `${(index * 300 / (values.length - 1)).toFixed(1)} ${y(value).toFixed(1)}`).join("L");
   return h("div", {}, s("svg", { class: "spark", viewBox: "-2 0 304 64", preserveAspectRatio: "none", role: "img", "aria-label": `${number(low)} – ${number(high)} ${unit}` }, s("path", { d: "M" + line, "vector-effect": "non-scaling-stroke" })),
-    h("p", { class: "soft" }, `${t("last")} ${number(values.at(-1))} ${unit}, ${t("range")} ${number(low)} – ${number(high)} ${unit}`));
+    h("p", { class: "soft" }, `${t("last")} ${number(values.at(-1), 2)} ${unit}, ${t("range")} ${number(low, 2)} – ${number(high, 2)} ${unit}`));
 }
 
 function trends() {

@@ -218,9 +218,9 @@ fn what_a_known_object_hides_is_no_hole() {
         find(&[&map], known, &[], &ForeignLimits::default()).largest_hole()
     };
     let unexplained = report(&[]);
-    assert!(unexplained.is_some_and(|hole| hole.area_m2 > 8e-4), "{unexplained:?}");
+    assert!(unexplained.as_ref().is_some_and(|hole| hole.area_m2 > 8e-4), "{unexplained:?}");
     let explained = report(&[known(0.14, 0.0, 0.03, 0.1, 0.12)]);
-    assert!(explained.is_none_or(|hole| hole.area_m2 < 3e-4), "{explained:?}");
+    assert!(explained.as_ref().is_none_or(|hole| hole.area_m2 < 3e-4), "{explained:?}");
 }
 
 #[test]

@@ -457,3 +457,30 @@ fn a_pick_that_is_not_begun_is_withdrawn() {
     assert!(plans.iter().any(|action| matches!(action, Action::Plan(_))), "{plans:?}");
     assert_eq!(records(&plans), ["withdrawn"]);
 }
+
+/// `goal: {look: true}`: the whole table is looked at, nothing is gripped, and what lies there is on record.
+#[test]
+fn a_job_without_a_goal_looks_and_touches_nothing() {
+    let mut bench = Bench::new();
+    bench.feed(Input::Job(Box::new(JobOrder {
+        id: "look".into(),
+        goals: Vec::new(),
+        rule: None,
+        agreed: Vec::new(),
+        objective: Objective::Pp,
+        solver: SolverKind::Auto,
+        time_limit: Duration::from_secs(1),
+        seed: 0,
+        approval: Approval::Always,
+    })));
+    let mut all = bench.until_planning();
+    all.extend(bench.ticks(10));
+    assert_eq!(ended(&all), Some((JobStatus::Done, "done".into())), "{all:?}");
+    assert_eq!(streams(&all), 0, "the look itself is all that moved: {all:?}");
+    assert!(!all.iter().any(|action| matches!(action, Action::Gripper(_) | Action::Plan(_))), "{all:?}");
+    let found = all.iter().find_map(|action| match action {
+        Action::Commit { record: Record::Found { objects, .. }, .. } => Some(objects.clone()),
+        _ => None,
+    });
+    assert_eq!(found, Some(vec![("a".to_string(), bench.at)]));
+}

@@ -1,0 +1,141 @@
+//! What all handlers share: configuration, state folder, what happens, who may do what.
+//!
+//! In: the parts, as `app` puts them together. Out: [`App`], which each handler is given. Locks are held for
+//! single values, never over a wait.
+
+use crate::config::cell::CellConfig;
+use crate::config::page::PageConfig;
+use crate::jobs::state::StateFolder;
+use crate::page::access::Access;
+use crate::page::control::Control;
+use crate::page::feed::Feed;
+use crate::page::limits::Limits;
+use crate::page::orders::Desk;
+use cell_edge::clock::unix_now_s;
+use cell_edge::files::{FileError, read_regular, write_whole};
+use serde_json::Value;
+use std::path::PathBuf;
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+use tokio::sync::Semaphore;
+
+/// What the daemon needs to serve a page.
+pub struct Setup<'a> {
+    /// The section of the configuration.
+    pub page: &'a PageConfig,
+    /// The cell.
+    pub cell: &'a CellConfig,
+    /// Name of the configuration's file.
+    pub config_name: String,
+    /// Jobs and journal.
+    pub state: StateFolder,
+    /// What happens.
+    pub feed: Feed,
+    /// Where orders go.
+    pub desk: Desk,
+}
+
+/// Largest file of grants that is read.
+const ACCESS_BYTES_MAX: u64 = 1 << 20;
+
+/// Everything that handlers share.
+pub struct Shared {
+    /// The section of the configuration; its port is the one that is listened at.
+    pub config: PageConfig,
+    /// The cell.
+    pub cell: CellConfig,
+    /// Name of the configuration's file.
+    pub config_name: String,
+    /// Jobs and journal.
+    pub state: StateFolder,
+    /// What happens.
+    pub feed: Feed,
+    /// Where orders go.
+    pub desk: Desk,
+    /// When the page came up: beats count from here.
+    pub begun: Instant,
+    /// The same by the calendar, ms since 1970.
+    pub begun_unix_ms: u64,
+    /// Plans are made one at a time.
+    pub planning: Arc<Semaphore>,
+    /// Orders that were carried out, and refused.
+    pub orders: [AtomicU64; 2],
+    /// The API in a document.
+    pub document: Value,
+    access: Mutex<Access>,
+    control: Mutex<Control>,
+    limits: Mutex<Limits>,
+}
+
+/// See [`Shared`].
+pub type App = Arc<Shared>;
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    /// With the grants of an earlier daemon; `config.listen` is where the page is listened at.
+    pub fn new(config: PageConfig, setup: Setup, document: Value) -> Shared {
+        let text = read_regular(&access_file(&setup.state), ACCESS_BYTES_MAX).map(|(text, _)| text);
+        Shared {
+            config,
+            cell: setup.cell.clone(),
+            config_name: setup.config_name,
+            state: setup.state,
+            feed: setup.feed,
+            desk: setup.desk,
+            begun: Instant::now(),
+            begun_unix_ms: (unix_now_s() * 1e3) as u64,
+            planning: Arc::new(Semaphore::new(1)),
+            orders: Default::default(),
+            document,
+            access: Mutex::new(Access::of_file(&text.unwrap_or_default(), unix_now_s())),
+            control: Mutex::default(),
+            limits: Mutex::default(),
+        }
+    }
+
+    /// Who may do what.
+    pub fn access(&self) -> MutexGuard<'_, Access> {
+        locked(&self.access)
+    }
+
+    /// Who has control.
+    pub fn control(&self) -> MutexGuard<'_, Control> {
+        locked(&self.control)
+    }
+
+    /// Who may ask how often.
+    pub fn limits(&self) -> MutexGuard<'_, Limits> {
+        locked(&self.limits)
+    }
+
+    /// Name of the cookie: browsers do not keep those of two cells on one computer apart by their ports.
+    pub fn cookie_name(&self) -> String {
+        format!("celld_{}", self.config.listen.port())
+    }
+
+    /// The clock of beats, ms: it counts from the calendar's time at the start, so that the beats of an
+    /// earlier celld are old, and goes on evenly whatever happens to the calendar.
+    pub fn beat(&self) -> u64 {
+        let elapsed = u64::try_from(self.begun.elapsed().as_millis()).unwrap_or(u64::MAX);
+        self.begun_unix_ms.saturating_add(elapsed)
+    }
+
+    /// Keeps the grants for the next start.
+    ///
+    /// # Errors
+    /// The disk.
+    pub fn keep_access(&self) -> Result<(), FileError> {
+        // The lock is not held while the disk is waited for.
+        let text = self.access().file();
+        write_whole(&access_file(&self.state), text.as_bytes())
+    }
+}
+
+/// Where grants are kept.
+fn access_file(state: &StateFolder) -> PathBuf {
+    state.root().join("page.json")
+}
