@@ -30,7 +30,12 @@ pub enum Displayed {
         views: Vec<View>,
     },
     /// The table as measured.
-    Observed(Box<Observation>),
+    Observed {
+        /// What was seen.
+        seen: Box<Observation>,
+        /// Only a part of the table was looked at.
+        partial: bool,
+    },
     /// A picture of a calibration round.
     Sample {
         /// The pose's number, from 1.

@@ -118,7 +118,7 @@ impl Recorder {
             Scene::Displayed(Displayed::Picture { image, .. } | Displayed::Sample { image, .. }) => {
                 self.picture(now, image);
             }
-            Scene::Displayed(Displayed::Observed(observation)) => {
+            Scene::Displayed(Displayed::Observed { seen: observation, .. }) => {
                 self.put(now, Entry::Arrangement(recorded(observation)));
             }
             Scene::Route(route) => {
@@ -136,7 +136,7 @@ impl Recorder {
                 let text = format!("job {} ended: {}: {}", report.id, report.code_text(), report.message);
                 self.put(now, Entry::Log(Severity::Info, text));
             }
-            Scene::Robot(_) | Scene::Status(_) | Scene::Vacuum(_) => {}
+            Scene::Robot(_) | Scene::Status(_) | Scene::Vacuum(_) | Scene::Turn => {}
         }
     }
 

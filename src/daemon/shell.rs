@@ -43,6 +43,8 @@ pub enum Scene<'a> {
     Displayed(&'a Displayed),
     /// A new route.
     Route(&'a [RouteAction]),
+    /// The loop has come round.
+    Turn,
     /// The robot's state, as often as it comes.
     Robot(&'a RobotState),
     /// Relative vacuum of the gripper's channels A and B, 0 to 1, as often as it comes.
@@ -360,6 +362,7 @@ impl Shell {
         if let Some((_, vacuum)) = self.machine.vacuum() {
             observer.on(now, Scene::Vacuum(vacuum));
         }
+        observer.on(now, Scene::Turn);
         self.mark_answers();
         self.beat.rests();
     }

@@ -190,7 +190,7 @@ impl Seeing {
                     folder,
                 );
             }
-            self.show(Displayed::Observed(Box::new(seen.clone())));
+            self.show(Displayed::Observed { seen: Box::new(seen.clone()), partial: partial.is_some() });
         }
         self.shots.clear();
         seen

@@ -8,7 +8,7 @@ use crate::cell::supervisor::model::CellModel;
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::messages::Displayed;
 use crate::daemon::shell::{Observer, Scene};
-use crate::jobs::status::Status;
+use crate::jobs::status::{STARTING, Status};
 use crate::page::views::{ArmView, SightView, arm_view, sight_view};
 use axum::body::Bytes;
 use cell_edge::clock::unix_now_s;
@@ -19,6 +19,7 @@ use serde::Serialize;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 use tokio::sync::broadcast;
 
 /// Messages that a viewer may be behind by: three seconds' worth.
@@ -101,12 +102,21 @@ pub struct Feed {
     messages: broadcast::Sender<Arc<Message>>,
     /// Number of the last picture.
     picture: Arc<AtomicU64>,
+    /// When the loop last came round and the last status was written, ms since `begun`; 0 before.
+    turned: Arc<AtomicU64>,
+    stated: Arc<AtomicU64>,
+    begun: Instant,
 }
+
+/// A state older than this is not of now: the loop turns hundreds of times a second, and a status is written
+/// every second.
+const OF_NOW_MS: u64 = 2500;
 
 impl Default for Feed {
     fn default() -> Feed {
         let (messages, _) = broadcast::channel(BEHIND);
-        Feed { last: Arc::default(), messages, picture: Arc::default() }
+        let (picture, turned, stated) = Default::default();
+        Feed { last: Arc::default(), messages, picture, turned, stated, begun: Instant::now() }
     }
 }
 
@@ -132,8 +142,21 @@ impl Feed {
         self.send("cell", &true);
     }
 
+    fn ms(&self) -> u64 {
+        u64::try_from(self.begun.elapsed().as_millis()).unwrap_or(u64::MAX).max(1)
+    }
+
+    /// Whether what is shown is of now: the loop turns, and what it decides is written down. Before orders
+    /// are taken there is nothing to be late.
+    pub fn is_of_now(&self) -> bool {
+        let recent = |at: &AtomicU64| self.ms().saturating_sub(at.load(Ordering::Relaxed)) < OF_NOW_MS;
+        let starting = self.last().status.as_ref().is_none_or(|status| status.state == STARTING);
+        starting || (recent(&self.turned) && recent(&self.stated))
+    }
+
     /// A status was written.
     pub fn status(&self, status: &Status) {
+        self.stated.store(self.ms(), Ordering::Relaxed);
         let status = Arc::new(status.clone());
         self.last().status = Some(status.clone());
         self.send("status", &*status);
@@ -216,6 +239,20 @@ impl Feed {
     }
 }
 
+/// A look at a part of the table with what was seen of the rest before.
+fn merged(mut seen: Observation, before: Option<&Observation>) -> Observation {
+    let Some(before) = before else { return seen };
+    for object in &before.objects {
+        let doubted = seen.suspicious.iter().any(|doubted| doubted.id == object.id);
+        if !doubted && seen.object(&object.id).is_none() {
+            seen.objects.push(object.clone());
+        }
+    }
+    let known: Vec<String> = seen.objects.iter().map(|object| object.id.clone()).collect();
+    seen.missing.retain(|id| !known.contains(id));
+    seen
+}
+
 /// The loop's end of the feed.
 pub struct Watcher {
     feed: Feed,
@@ -247,6 +284,7 @@ impl Watcher {
 impl Observer for Watcher {
     fn on(&mut self, now: Timestamp, scene: Scene) {
         match scene {
+            Scene::Turn => self.feed.turned.store(self.feed.ms(), Ordering::Relaxed),
             Scene::Robot(state) if self.arm_at.is_none_or(|at| now.since(at) >= ARM_EVERY) => {
                 self.arm_at = Some(now);
                 let cell = self.feed.cell();
@@ -255,11 +293,13 @@ impl Observer for Watcher {
                 self.feed.last().arm = Some(view);
             }
             Scene::Notice(notice) => self.feed.say(notice.alarm, notice.text.clone()),
-            Scene::Displayed(Displayed::Observed(seen)) => {
+            Scene::Displayed(Displayed::Observed { seen, partial }) => {
                 let unix_s = unix_now_s();
-                self.feed.send("sight", &sight_view(seen, unix_s));
+                let before = self.feed.last_sight().filter(|_| *partial).map(|(before, _)| before);
+                let seen = Arc::new(merged((**seen).clone(), before.as_deref()));
+                self.feed.send("sight", &sight_view(&seen, unix_s));
                 let mut last = self.feed.last();
-                last.seen = Some((Arc::new((**seen).clone()), unix_s));
+                last.seen = Some((seen.clone(), unix_s));
                 if let Some(residual) = seen.reference_residual_m {
                     push(&mut last.trends.reference_residual_mm, (unix_s, residual * 1e3));
                 }

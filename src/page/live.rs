@@ -7,15 +7,16 @@ use crate::daemon::plan_files;
 use crate::jobs::status::STARTING;
 use crate::page::access::Person;
 use crate::page::feed::Message;
-use crate::page::guard::refusal;
+use crate::page::guard::{refusal, secret};
 use crate::page::shared::{App, Shared};
 use crate::page::views;
 use axum::body::Bytes;
 use axum::extract::{Extension, State};
-use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Json, Response};
+use cell_edge::clock::unix_now_s;
 use futures_util::stream::{self, Stream};
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -49,6 +50,7 @@ pub async fn ready(State(app): State<App>) -> Response {
     let reason = match status.as_deref() {
         None => "celld is starting".to_string(),
         Some(status) if status.state == STARTING => status.message.clone(),
+        Some(_) if !app.feed.is_of_now() => "the state is old: celld or its disk is slow".to_string(),
         Some(status) => match status.devices.iter().find(|device| !device.ready) {
             Some(device) => format!("{}: {}", device.name, device.message),
             None => return "ready\n".into_response(),
@@ -98,9 +100,10 @@ pub async fn trends(State(app): State<App>) -> Response {
 
 /// `GET /api/v1/picture.jpg`
 pub async fn picture(State(app): State<App>) -> Response {
+    // The number first: a picture that comes in between is then encoded anew under its own.
+    let number = app.feed.picture_number();
     let kept = app.feed.cell().and_then(|cell| cell.pictures.latest());
     let Some(kept) = kept else { return refusal(StatusCode::NOT_FOUND, "there is no picture yet") };
-    let number = app.feed.picture_number();
     if let Some(jpeg) = app.feed.encoded(number) {
         return jpeg_of(jpeg);
     }
@@ -145,6 +148,7 @@ pub async fn plan_svg(State(app): State<App>) -> Response {
 struct Viewer {
     app: App,
     session: String,
+    secret: String,
     messages: broadcast::Receiver<Arc<Message>>,
     first: VecDeque<Message>,
     beat: tokio::time::Interval,
@@ -166,6 +170,12 @@ impl Viewer {
                 Err(broadcast::error::RecvError::Closed) => None,
             },
             _ = self.beat.tick() => {
+                // A session that has ended watches no longer.
+                self.app.access().person(&self.secret, unix_now_s())?;
+                if !self.app.feed.is_of_now() {
+                    let silent = Event::default().event("silent").data("true");
+                    return Some((Ok(silent), self));
+                }
                 self.app.control().alive(&self.session, Instant::now());
                 let beat = Event::default().event("beat").data(self.app.beat().to_string());
                 Some((Ok(beat), self))
@@ -184,19 +194,26 @@ fn so_far(app: &Shared) -> VecDeque<Message> {
         |kind: &'static str, data: serde_json::Result<String>| data.ok().map(|json| Message { kind, json });
     let holder = app.control().holder(Instant::now()).cloned();
     let status = app.feed.last_status();
+    // Also what there is not: a viewer that comes back may have that of an earlier celld.
     let last = [
-        status.map(|status| ("status", serde_json::to_string(&*status))),
-        app.feed.last_arm().map(|arm| ("arm", serde_json::to_string(&arm))),
-        app.feed.last_sight_view().map(|sight| ("sight", serde_json::to_string(&sight))),
-        Some(("sentences", serde_json::to_string(&app.feed.sentences()))),
-        Some(("control", serde_json::to_string(&holder))),
-        Some(("picture", serde_json::to_string(&app.feed.picture_number()))),
+        ("status", serde_json::to_string(&status.as_deref())),
+        ("arm", serde_json::to_string(&app.feed.last_arm())),
+        ("sight", serde_json::to_string(&app.feed.last_sight_view())),
+        ("vacuum", Ok("null".to_string())),
+        ("sentences", serde_json::to_string(&app.feed.sentences())),
+        ("control", serde_json::to_string(&holder)),
+        ("picture", serde_json::to_string(&app.feed.picture_number())),
     ];
-    last.into_iter().flatten().filter_map(|(kind, data)| message(kind, data)).collect()
+    last.into_iter().filter_map(|(kind, data)| message(kind, data)).collect()
 }
 
 /// `GET /api/v1/events`
-pub async fn events(State(app): State<App>, Extension(person): Extension<Person>) -> Response {
+pub async fn events(
+    State(app): State<App>,
+    Extension(person): Extension<Person>,
+    headers: HeaderMap,
+) -> Response {
+    let secret = secret(&app, &headers).map(|(secret, _)| secret).unwrap_or_default();
     if app.feed.viewers() >= VIEWERS {
         return refusal(StatusCode::SERVICE_UNAVAILABLE, "too many viewers");
     }
@@ -205,7 +222,7 @@ pub async fn events(State(app): State<App>, Extension(person): Extension<Person>
     let mut beat = tokio::time::interval(BEAT_EVERY);
     beat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
     let (first, session) = (so_far(&app), person.session);
-    let viewer = Viewer { app, session, messages, first, beat };
+    let viewer = Viewer { app, session, secret, messages, first, beat };
     let stream: std::pin::Pin<Box<dyn Stream<Item = _> + Send>> =
         Box::pin(stream::unfold(viewer, Viewer::next));
     Sse::new(stream).into_response()

@@ -69,7 +69,8 @@ pub fn desk<O: Orders>() -> (Desk, impl FnOnce(O) -> WithPage<O>) {
 
 impl<O: Orders> Orders for WithPage<O> {
     fn take(&mut self) -> Vec<(u64, Order)> {
-        let mut orders = self.state.take();
+        // Those of the page first: they wait in memory, the others on a disk.
+        let mut orders = Vec::new();
         self.unanswered.retain(|(_, given)| !given.answer.is_closed());
         while let Ok(given) = self.page.try_recv() {
             if given.at.elapsed().as_secs_f64() > COUNTS_FOR_S && !given.order.only_stops() {
@@ -81,6 +82,7 @@ impl<O: Orders> Orders for WithPage<O> {
             orders.push((self.last, given.order.clone()));
             self.unanswered.push((self.last, given));
         }
+        orders.extend(self.state.take());
         orders
     }
 

@@ -3,7 +3,7 @@
 
 use crate::cell::orders::Role;
 use crate::page::shared::App;
-use crate::page::{assets, guard, live, metrics, session, work};
+use crate::page::{assets, guard, live, markers, metrics, session, work};
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, Path};
 use axum::handler::Handler;
@@ -11,9 +11,6 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::Response;
 use axum::routing::{MethodFilter, on};
-
-/// Largest body that is read: a goal of a thousand objects.
-const BODY: usize = 512 * 1024;
 
 /// One address of the API.
 #[derive(Clone, Copy, Debug)]
@@ -128,7 +125,7 @@ fn picture_routes(r: &mut Routes) {
             get("/api/v1/markers.pdf", View, "Markers for the printer (ids, size_mm, paper)"),
             "application/pdf",
         ),
-        work::markers,
+        markers::markers,
     );
 }
 
@@ -218,7 +215,8 @@ pub fn router(app: App) -> Router {
         .route("/", axum::routing::get(first))
         .route("/{*path}", axum::routing::get(file))
         .layer(map_response(not_found))
-        .layer(DefaultBodyLimit::max(BODY))
+        // The guard has read the body, and bounded it.
+        .layer(DefaultBodyLimit::disable())
         .layer(from_fn_with_state(app.clone(), guard::every_request))
         .with_state(app)
 }

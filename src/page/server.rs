@@ -8,7 +8,8 @@ use axum::Router;
 use axum::extract::ConnectInfo;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use std::net::SocketAddr;
+use std::collections::HashMap;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -21,6 +22,9 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 
 /// Connections at a time: a browser opens six.
 const CONNECTIONS: usize = 200;
+
+/// The same of one computer: others find room.
+const OF_ONE: usize = 120;
 
 /// The head of a request, and a TLS handshake, are there within this time.
 const HEAD_WITHIN: Duration = Duration::from_secs(10);
@@ -99,6 +103,7 @@ impl Listening {
             return tracing::error!("the page's address was lost");
         };
         let places = Arc::new(Semaphore::new(CONNECTIONS));
+        let mut per_computer: HashMap<IpAddr, Arc<Semaphore>> = HashMap::new();
         loop {
             let (stream, peer) = match listener.accept().await {
                 Ok(accepted) => accepted,
@@ -109,14 +114,26 @@ impl Listening {
                     continue;
                 }
             };
+            let mine = per_computer.entry(peer.ip()).or_insert_with(|| Arc::new(Semaphore::new(OF_ONE)));
+            let of_one = mine.clone().try_acquire_owned();
+            if per_computer.len() > CONNECTIONS {
+                per_computer.retain(|_, places| places.available_permits() < OF_ONE);
+            }
+            let Ok(of_one) = of_one else {
+                tracing::warn!(%peer, "page: too many connections of one computer");
+                continue;
+            };
             let Ok(place) = places.clone().try_acquire_owned() else {
                 tracing::warn!(%peer, "page: too many connections");
                 continue;
             };
             bound(&stream);
+            // Under whatever address of its own, this computer is this computer.
+            let here = stream.local_addr().is_ok_and(|local| local.ip() == peer.ip());
+            let peer = if here { SocketAddr::new(Ipv4Addr::LOCALHOST.into(), peer.port()) } else { peer };
             let (router, tls) = (router.clone(), self.tls.clone());
             tokio::spawn(async move {
-                let _place = place;
+                let _places = (place, of_one);
                 match tls {
                     None => connection(stream, peer, router).await,
                     Some(tls) => {

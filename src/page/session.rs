@@ -59,9 +59,7 @@ pub async fn sign_in(
     let session = app.access().redeem(&ticket, unix_now_s());
     match session {
         Ok(Some(session)) => {
-            if let Err(error) = app.keep_access() {
-                tracing::warn!(%error, "sessions do not outlive this celld");
-            }
+            keep_access(&app);
             tracing::info!(%peer, "page: signed in");
             (cookie(&app, &session, SESSION_S), Json(json!({ "signed_in": true }))).into_response()
         }
@@ -90,10 +88,18 @@ pub async fn sign_out(
     }
     app.control().give_back(&person.session);
     announce(&app);
-    if let Err(error) = app.keep_access() {
-        tracing::warn!(%error, "the end of a session was not kept");
-    }
+    keep_access(&app);
     (cookie(&app, "", 0.0), Json(json!({ "signed_in": false }))).into_response()
+}
+
+/// Grants are kept beside the streams: a disk that stalls holds nothing up.
+fn keep_access(app: &App) {
+    let app = app.clone();
+    tokio::task::spawn_blocking(move || {
+        if let Err(error) = app.keep_access() {
+            tracing::warn!(%error, "page: who is signed in could not be written down");
+        }
+    });
 }
 
 /// Who has control, to all viewers.
@@ -216,14 +222,17 @@ fn may_order(
         Some(beat) => app.beat().saturating_sub(beat) > STALE_MS || beat > app.beat(),
         None => via == Via::Browser,
     };
+    let stale = stale || !app.feed.is_of_now();
     if stale {
         return Err((
             StatusCode::CONFLICT,
             "nothing was done: the page shows an old state; load it again".into(),
         ));
     }
-    if let Order::Approve(id) = order {
-        return the_plan_shown(app, id, ordered.plan_unix_s);
+    match order {
+        Order::Approve(id) => return the_plan_shown(app, id, ordered.plan_unix_s),
+        Order::Reject(_) => return Ok(()),
+        _ => {}
     }
     let taken = app.control().take(&person.session, &person.grant.name, false, Instant::now());
     taken.map_err(|held| (StatusCode::CONFLICT, held.to_string()))

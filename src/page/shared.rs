@@ -64,6 +64,7 @@ pub struct Shared {
     /// The API in a document.
     pub document: Value,
     access: Mutex<Access>,
+    writing: Mutex<()>,
     control: Mutex<Control>,
     limits: Mutex<Limits>,
 }
@@ -92,6 +93,7 @@ impl Shared {
             orders: Default::default(),
             document,
             access: Mutex::new(Access::of_file(&text.unwrap_or_default(), unix_now_s())),
+            writing: Mutex::default(),
             control: Mutex::default(),
             limits: Mutex::default(),
         }
@@ -129,7 +131,8 @@ impl Shared {
     /// # Errors
     /// The disk.
     pub fn keep_access(&self) -> Result<(), FileError> {
-        // The lock is not held while the disk is waited for.
+        // One after the other; who may do what is not locked while the disk is waited for.
+        let _writing = locked(&self.writing);
         let text = self.access().file();
         write_whole(&access_file(&self.state), text.as_bytes())
     }

@@ -15,7 +15,6 @@ use crate::jobs::journal::Journal;
 use crate::jobs::record::{GoalPose, JobRecord, JobSpec, JobState, StepRecord, quoted};
 use crate::jobs::spool::is_plain_name;
 use crate::jobs::submit::{Found, Handed, hand_in, look, prepare};
-use crate::jobs::utc;
 use crate::page::access::Person;
 use crate::page::drafts::{self, settled, troubles};
 use crate::page::guard::Refused;
@@ -23,16 +22,14 @@ use crate::page::session::unreadable;
 use crate::page::shared::{App, Shared};
 use crate::page::views::poses;
 use crate::report::html::html;
-use crate::report::prints::{self, Paper};
 use axum::extract::rejection::JsonRejection;
 use axum::extract::{Extension, Json, Path, Query, State};
 use axum::http::StatusCode;
-use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use axum::http::header::CONTENT_TYPE;
 use axum::response::{Html, IntoResponse, Response};
 use cell_edge::clock::unix_now_s;
 use cell_edge::files::{read_bytes, write_atomic, write_new};
 use cell_values::time::Duration;
-use cell_vision::detect::Family;
 use rearrange::document::chain::chain;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -52,9 +49,6 @@ const DRAFT_WITHIN: std::time::Duration = std::time::Duration::from_secs(20);
 
 /// Largest picture that is read.
 const PICTURE_MAX: u64 = 32 << 20;
-
-/// Most markers that are printed at once.
-const MARKERS_MAX: usize = 200;
 
 /// Runs what waits for a disk or computes long beside the streams.
 async fn beside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Refused> {
@@ -240,7 +234,10 @@ pub struct JobText {
 fn read(app: &Shared, text: &str) -> Result<JobSpec, Refused> {
     let obstacles = app.cell.obstacles();
     let folder = app.cell.goal_folder.clone();
-    let read_goal = move |name: &str| read_goal_file(&folder, name);
+    let read_goal = move |name: &str| match std::path::Path::new(name).file_name() {
+        Some(last) if is_goal_name(&last.to_string_lossy()) => read_goal_file(&folder, name),
+        Some(_) | None => Err("a goal file ends in .yaml".to_string()),
+    };
     let journal = app.state.journal();
     let found = move |id: &str| -> Result<Vec<GoalPose>, String> {
         let job = Journal::open_to_read(&journal).and_then(|journal| journal.job(id));
@@ -267,6 +264,7 @@ pub async fn submit(
     let by = person.grant.name;
     let answer = beside(move || -> Result<Response, Refused> {
         read(&app, &text)?;
+        // Read above, by the same name.
         let read_goal = |name: &str| find_goal_file(&app.cell.goal_folder, None, name);
         let prepared = prepare(&text, "job", &read_goal);
         let (job, text) =
@@ -379,7 +377,7 @@ pub async fn goals(State(app): State<App>) -> Result<Response, Refused> {
         let name = |entry: std::fs::DirEntry| entry.file_name().into_string().ok();
         let is_goal = |name: &String| {
             let path = app.cell.goal_folder.join(name);
-            name.ends_with(".yaml") && is_plain_name(name) && path.is_file() && goal_of(&app, name).is_ok()
+            path.is_file() && goal_of(&app, name).is_ok()
         };
         let mut names: Vec<String> = entries.filter_map(name).filter(is_goal).take(1000).collect();
         names.sort();
@@ -388,9 +386,18 @@ pub async fn goals(State(app): State<App>) -> Result<Response, Refused> {
     Ok(Json(names.await?).into_response())
 }
 
+/// Whether a file may be read or written as a goal. The goal folder may be that of the configuration, where
+/// keys and settings lie too; what is wrong with a file is said with its words, so others are not opened.
+fn is_goal_name(name: &str) -> bool {
+    is_plain_name(name) && name.ends_with(".yaml")
+}
+
 fn goal_of(app: &Shared, name: &str) -> Result<Vec<GoalPose>, String> {
+    if !is_goal_name(name) {
+        return Err("a goal file is called by letters, digits, - and _, and ends in .yaml".to_string());
+    }
     let text = read_goal_file(&app.cell.goal_folder, name)?;
-    let entries = parse_goal_file(&text, name, None).map_err(|complaints| complaints.to_string())?;
+    let entries = parse_goal_file(&text, name, None).map_err(|_| format!("{name} is no goal file"))?;
     Ok(entries.into_iter().filter_map(GoalEntry::into_goal).collect())
 }
 
@@ -419,7 +426,7 @@ pub async fn save_goal(
     body: Result<Json<GoalFile>, JsonRejection>,
 ) -> Result<Response, Refused> {
     let Json(GoalFile { objects, replace }) = body.map_err(|error| unreadable(&error))?;
-    if !is_plain_name(&name) || !name.ends_with(".yaml") {
+    if !is_goal_name(&name) {
         let message = "a goal file is called by letters, digits, - and _, and ends in .yaml";
         return Err(Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message));
     }
@@ -431,6 +438,9 @@ pub async fn save_goal(
             return Err(Refused::new(StatusCode::UNPROCESSABLE_ENTITY, complaints.to_string()));
         }
         let path = app.cell.goal_folder.join(&name);
+        if path.exists() && goal_of(&app, &name).is_err() {
+            return Err(Refused::new(StatusCode::CONFLICT, format!("{name} is there, and no goal file")));
+        }
         let written = match replace {
             true => write_atomic(&path, text.as_bytes()).map(|()| true),
             false if path.exists() => Ok(false),
@@ -467,29 +477,4 @@ fn goal_yaml(objects: &[GoalPose]) -> String {
         );
     }
     text
-}
-
-/// `GET /api/v1/markers.pdf`
-#[derive(Deserialize)]
-pub struct Prints {
-    ids: String,
-    size_mm: Option<f64>,
-    paper: Option<String>,
-}
-
-/// Markers for the printer.
-pub async fn markers(Query(Prints { ids, size_mm, paper }): Query<Prints>) -> Result<Response, Refused> {
-    let wrong = |message: &str| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message);
-    let ids: Result<Vec<u32>, _> = ids.split(',').map(|id| id.trim().parse()).collect();
-    let ids = ids.map_err(|_| wrong("ids: numbers with commas between them"))?;
-    let size_mm = size_mm.unwrap_or(30.0);
-    if ids.is_empty() || ids.len() > MARKERS_MAX || !(1.0..=1000.0).contains(&size_mm) {
-        return Err(wrong("1 to 200 markers of 1 to 1000 mm"));
-    }
-    let paper = if paper.as_deref() == Some("letter") { Paper::Letter } else { Paper::A4 };
-    let sheets = prints::markers(Family::Tag36h11, &ids, size_mm / 1e3, paper);
-    let sheets = sheets.map_err(|error| wrong(&error.to_string()))?;
-    let name = format!("attachment; filename=\"markers-{}.pdf\"", utc::compact(unix_now_s()));
-    let headers = [(CONTENT_TYPE, "application/pdf".to_string()), (CONTENT_DISPOSITION, name)];
-    Ok((headers, prints::pdf(&sheets)).into_response())
 }

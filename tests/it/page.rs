@@ -161,8 +161,7 @@ fn cell_page_lets_in_whom_it_should_and_bounds_the_rest() {
         }
         if route.method != "GET" {
             let large = "x".repeat(600 * 1024);
-            let status = status(Request { body: &large, ..known });
-            assert!([403, 413].contains(&status), "{at}: a body too large is {status}");
+            assert_eq!(status(Request { body: &large, ..known }), 413, "{at}: a body too large");
         }
     }
     // Strangers have their own limit, so that they use nothing up of those who are known.
@@ -215,8 +214,30 @@ fn cell_page_slow_requests_end_and_a_link_counts_once() {
     slow.set_read_timeout(Some(Duration::from_secs(60))).expect("a timeout");
     slow.write_all(b"GET / HTTP/1.1\r\nhost: ").expect("half of a head");
     let ended = answer_of(&mut slow);
+    let mut half = TcpStream::connect(&cell.host).expect("connected");
+    half.set_read_timeout(Some(Duration::from_secs(60))).expect("a timeout");
+    let head = format!("POST /api/v1/sign-in HTTP/1.1\r\nhost: {}\r\norigin: {ours}\r\n", cell.host);
+    let head = format!("{head}content-type: application/json\r\ncontent-length: 100\r\n\r\n{{");
+    half.write_all(head.as_bytes()).expect("half of a body");
+    assert_eq!(answer_of(&mut half).status, 408, "a body that does not come");
     assert!(ended.status == 0 || ended.status == 408, "{}", ended.head);
     assert!(begun.elapsed() < Duration::from_secs(30), "it held a connection for {:?}", begun.elapsed());
+}
+
+/// What lies beside the configuration is neither read nor replaced.
+fn nothing_else_is_a_goal(cell: &Cell, view: &str, operate: &str) {
+    std::fs::write(cell.path().join("config/page.yaml"), "-----BEGIN SECRET-----\n").expect("written");
+    for name in ["cell.yaml", "page.yaml", "page.key", "..%2fcell.yaml", "sim.yaml"] {
+        let read = cell.get(&format!("/api/v1/goals/{name}"), view);
+        assert!(read.status == 404 && !read.body.contains("SECRET"), "{name}: {}", read.body);
+        let body =
+            json!({ "objects": [{ "id": "lid", "pose": [0.2, 0.2, 0.0] }], "replace": true }).to_string();
+        let path = format!("/api/v1/goals/{name}");
+        let put = Request { method: "PUT", path: &path, token: operate, body: &body, ..Request::default() };
+        assert!([409, 422].contains(&cell.send(put).status), "{name} is not replaced");
+    }
+    let keys = json!({ "text": "version: 1\ngoal: {file: page.key}\n" });
+    assert_eq!(cell.post("/api/v1/preview", view, &keys).status, 422);
 }
 
 #[test]
@@ -263,6 +284,7 @@ fn cell_page_orders_and_jobs_do_what_they_say() {
     // The folder follows the journal.
     wait_until("a picture", || cell.get("/api/v1/jobs/one/files/end.jpg", &view).status == 200);
     assert!(cell.get("/api/v1/jobs/one/report", &view).body.contains("<svg"));
+    nothing_else_is_a_goal(&cell, &view, &operate);
     let metrics = cell.get("/metrics", &view).body;
     assert!(
         metrics.contains("celld_armed 1") && metrics.contains("celld_device_ready{device=\"robot\"} 1"),

@@ -257,7 +257,10 @@ def stop_with_an_object(window, cell):
     check("the client follows the events", {"status", "arm", "beat"} <= kinds, str(kinds))
     page.click("#order-arm")
     window.text("#armed", "ARMED")
+    window.screen("setup")
     page.click("#stop")
+    window.text("#stopping", "disarmed")
+    window.screen("live")
     window.text("#armed", "disarmed")
     check("Stop ends what was armed", not client.status()["armed"])
 
@@ -269,12 +272,15 @@ def lost_daemon(window, cell):
     begun = time.monotonic()
     expect(page.locator("#stale")).to_be_visible(timeout=10_000)
     print(f"figure: a lost daemon is shown after {time.monotonic() - begun:.1f} s", flush=True)
-    check("no order but Stop can be given", page.locator("#order-arm").is_disabled() and page.locator("#stop").is_enabled())
+    check("nothing that moves can be ordered", page.locator("#order-arm").is_disabled() and page.locator("#stop").is_enabled())
     window.picture("live-stale")
     cell.celld.wait()
+    before = page.locator("#message").element_handle()
     cell.daemon()
     expect(page.locator("#stale")).to_be_hidden()
     window.text("#armed", "disarmed")
+    window.text("main", "The table was not seen yet.")
+    check("nothing of the earlier celld is left", before is not None and not before.evaluate("(e) => e.isConnected"))
     check("the page comes back by itself, and the session with it", page.locator("#message").is_visible())
 
 

@@ -10,7 +10,7 @@ use crate::cell::supervisor::model::CellObject;
 use crate::motion::bodies::Standing;
 use crate::motion::put_down::PutDown;
 use cell_values::units::Joints;
-use cell_vision::foreign::ForeignObject;
+use cell_vision::foreign::{ForeignObject, Hole};
 use cell_vision::observe::Observation;
 use rearrange::geometry::collision::{closer_than, inside};
 use rearrange::geometry::footprint::Footprint;
@@ -104,7 +104,8 @@ impl Supervisor {
                 (Footprint::Disc { radius: hole.reach_m }, Pose2::new(hole.centre[0], hole.centre[1], 0.0));
             let outline = Footprint::polygon(&hole.outline).ok().map(|outline| (outline, Pose2::default()));
             let (footprint, pose) = outline.unwrap_or(disc);
-            Taken { footprint, pose, height: 0.0 }
+            // What stands there is not known, nor how high.
+            Taken { footprint, pose, height: f64::INFINITY }
         });
         objects.chain(fixed).chain(unseen).collect()
     }
@@ -124,7 +125,16 @@ impl Supervisor {
         let hidden: Vec<(&CellObject, Pose2)> = self.hidden(held, &seen).filter_map(object).collect();
         let is_known = |thing: &ForeignObject| hidden.iter().any(|(object, pose)| is_of(object, pose, thing));
         if let Some(report) = &mut seen.foreign {
-            report.objects.retain(|thing| !is_known(thing));
+            let (known, strangers) = std::mem::take(&mut report.objects).into_iter().partition(is_known);
+            report.objects = strangers;
+            let known: Vec<ForeignObject> = known;
+            // Where depth shows it there is no room, though its marker was elsewhere by a little.
+            report.holes.extend(known.into_iter().map(|thing| Hole {
+                area_m2: thing.area_m2,
+                centre: thing.centre,
+                reach_m: thing.area_m2.sqrt(),
+                outline: thing.outline,
+            }));
         }
         seen
     }

@@ -19,6 +19,13 @@ use cell_values::time::Timestamp;
 use cell_vision::foreign::HeldBody;
 use cell_vision::observe::Observation;
 
+/// What hangs on the tool, in its frame: the pose is as seen from above, and the tool looks down, so its
+/// y axis is the other way round.
+pub(crate) fn outline_in_tool(load: &Load) -> Vec<[f64; 2]> {
+    let corner = |at: &[f64; 2]| load.tool_from_object.transform(*at);
+    load.footprint.outline(HELD_CORNERS).iter().map(corner).map(|[x, y]| [x, -y]).collect()
+}
+
 /// Corners of a curve, and of what may be anything.
 const HELD_CORNERS: usize = 32;
 
@@ -35,11 +42,7 @@ impl Supervisor {
         };
         let outline = match grasp.map(|grasp| grasp.load()) {
             // Seen from above; the tool looks down, its y axis is the other way round.
-            Some(load) => {
-                let corner = |at: &[f64; 2]| load.tool_from_object.transform(*at);
-                let outline = load.footprint.outline(HELD_CORNERS);
-                outline.iter().map(corner).map(|[x, y]| [x, -y]).collect()
-            }
+            Some(load) => outline_in_tool(load),
             // It may be any object, gripped anywhere.
             None => {
                 let radii = self.model.objects.iter().map(|object| object.footprint.bounding_radius());

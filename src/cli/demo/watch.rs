@@ -63,8 +63,9 @@ impl Observer for Watch {
                 let detections = views.last().map_or(&[][..], |view| &view.detections);
                 self.kept.picture(image, detections);
             }
-            Scene::Displayed(Displayed::Observed(observation)) => self.kept.observed(observation),
-            Scene::Displayed(Displayed::Sample { .. }) | Scene::Robot(_) | Scene::Vacuum(_) => {}
+            Scene::Displayed(Displayed::Observed { seen, .. }) => self.kept.observed(seen),
+            Scene::Displayed(Displayed::Sample { .. }) | Scene::Robot(_) | Scene::Vacuum(_) | Scene::Turn => {
+            }
             Scene::Route(route) => self.routed(now, route),
             Scene::Ended(report) => self.kept.report = Some(report.clone()),
         }

@@ -18,8 +18,10 @@ export function arm3d() {
   };
   joints();
   const stops = [on("arm", joints)];
-  view.stop = () => stops.forEach((stop) => stop());
+  let gone = false;
+  view.stop = () => { gone = true; stops.forEach((stop) => stop()); };
   import("./vendor/three.module.min.js").then((three) => {
+    if (gone) return;
     try {
       stops.push(...scene(three, canvas));
     } catch {
@@ -126,5 +128,5 @@ function scene(three, canvas) {
   lay();
   const resized = new ResizeObserver(draw);
   resized.observe(canvas);
-  return [on("arm", move), on("sight", lay), on("status", lay), () => { resized.disconnect(); renderer.dispose(); }];
+  return [on("arm", move), on("sight", lay), on("status", lay), () => { resized.disconnect(); renderer.dispose(); renderer.forceContextLoss(); }];
 }

@@ -42,9 +42,25 @@ export function goalPage(main) {
     return [x / 1000, state.cell.table[1] - y / 1000];
   };
 
+  // One question at a time, and the last one always: a pointer moves faster than a checker.
+  let busy = false;
+  let next = null;
   const check = async (moved) => {
-    const number = ++asking;
+    next = { moved };
     holder.setAttribute("aria-busy", "true");
+    if (busy) return;
+    busy = true;
+    while (next) {
+      const one = next;
+      next = null;
+      await asked(one.moved);
+    }
+    busy = false;
+    holder.setAttribute("aria-busy", "false");
+  };
+
+  const asked = async (moved) => {
+    const number = ++asking;
     try {
       const body = { objects: objects(), ...(moved ? { moved } : {}) };
       const answer = await api("goals/check", { body });
@@ -52,13 +68,12 @@ export function goalPage(main) {
       if (moved && answer.free) {
         const before = draft.poses.get(moved);
         draft.poses.set(moved, answer.free);
-        if (Math.hypot(before[0] - answer.free[0], before[1] - answer.free[1]) > 1e-6) return check(null).then(draw);
+        if (Math.hypot(before[0] - answer.free[0], before[1] - answer.free[1]) > 1e-6) { next ??= { moved: null }; return draw(); }
       }
       draft.troubles = answer.troubles;
     } catch (error) {
       draft.troubles = [{ objects: [], message: error.message }];
     }
-    if (number === asking) holder.setAttribute("aria-busy", "false");
     fill(troubles, draft.troubles.map(({ message }) => h("p", { class: "note wrong" }, message)));
     draw();
   };

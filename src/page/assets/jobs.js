@@ -62,7 +62,7 @@ export function jobsPage(main, chosen) {
     h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["job", "state", "came", "moves / bound", "time", "what"].map((title) => h("th", { scope: "col" }, t(title))))), list)), none));
   let key = "";
   const stop = on("status", () => {
-    const now = JSON.stringify([state.status.job, state.status.waiting]);
+    const now = JSON.stringify([state.status?.job, state.status?.waiting]);
     if (now !== key) { key = now; update(); if (chosen) show(chosen); }
   });
   update();

@@ -34,6 +34,18 @@ async function redeem() {
   }
 }
 
+/** Stop, and on every screen what came of it. */
+async function pressed() {
+  const said = document.getElementById("stopping");
+  said.hidden = false;
+  said.className = "note";
+  said.textContent = t("Stop is sent …");
+  const { accepted, message } = await stop();
+  said.className = accepted ? "note" : "note wrong";
+  said.textContent = `${t("Stop")}: ${message}`;
+  setTimeout(() => { said.hidden = true; }, accepted ? 8000 : 60000);
+}
+
 function drawBar() {
   const [screen] = location.hash.slice(1).split("/");
   const shown = screens[screen] ? screen : "live";
@@ -42,7 +54,8 @@ function drawBar() {
     h("nav", { "aria-label": t("Screens") }, Object.entries(screens).map(([name, [title]]) => h("a", { href: "#" + name, "aria-current": name === shown ? "page" : null }, t(title)))),
     h("span", { class: "fill" }),
     h("span", { class: "who" }, `${state.me.name}, ${t(state.me.role)}`),
-    h("div", { class: "stop" }, h("button", { type: "button", class: "halt", id: "stop", click: stop }, t("Stop")), h("small", {}, t("stops and disarms; no emergency stop"))),
+    h("div", { class: "stop" }, h("button", { type: "button", class: "halt", id: "stop", click: pressed }, t("Stop")), h("small", {}, t("stops and disarms; no emergency stop"))),
+    h("p", { id: "stopping", role: "alert", hidden: true }),
     h("p", { id: "stale", role: "alert", hidden: !state.stale }, t("No connection to celld: what is shown is old. Only Stop is sent.")));
 }
 

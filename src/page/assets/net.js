@@ -23,9 +23,11 @@ export async function api(path, options = {}) {
   const body = options.body === undefined ? undefined : JSON.stringify(options.body);
   let answer;
   try {
-    answer = await fetch("/api/v1/" + path, { method: options.method ?? (body ? "POST" : "GET"), headers, body });
+    // No answer is an answer too: whoever pressed Stop has to know.
+    const signal = AbortSignal.timeout(options.within ?? 30000);
+    answer = await fetch("/api/v1/" + path, { method: options.method ?? (body ? "POST" : "GET"), headers, body, signal });
   } catch {
-    throw new Error("no connection to celld");
+    throw new Error("no answer from celld");
   }
   const content = await answer.json().catch(() => ({}));
   if (!answer.ok) {
@@ -40,7 +42,8 @@ export async function api(path, options = {}) {
 /** An order to the cell: what it answers, accepted or not. */
 export async function order(command, more = {}) {
   try {
-    return await api("orders", { body: { command, beat: state.beat, ...more } });
+    const stops = ["abort", "disarm", "pause"].includes(command.do);
+    return await api("orders", { body: { command, beat: state.beat, ...more }, within: stops ? 5000 : 20000 });
   } catch (error) {
     return { accepted: false, message: error.message };
   }
@@ -65,15 +68,29 @@ export async function reload() {
   emit("cell");
 }
 
+// Browsers have six connections to a page's server for all its tabs: one that is not looked at gives its own
+// back.
+document.addEventListener("visibilitychange", () => {
+  if (!source) return;
+  if (document.hidden) source.close();
+  else connect();
+});
+
 export function connect() {
   source?.close();
   source = new EventSource("/api/v1/events");
   heard = performance.now();
   for (const [kind, take] of Object.entries(kinds)) {
     source.addEventListener(kind, (event) => {
+      const before = state.status?.daemon;
       take(JSON.parse(event.data));
-      heard = performance.now();
-      if (state.stale) { state.stale = false; emit("stale"); }
+      // Another celld may have another cell, and another page.
+      if (kind === "status" && before && state.status && state.status.daemon !== before) location.reload();
+      // Only a beat says that what is shown is of now.
+      if (kind === "beat") {
+        heard = performance.now();
+        if (state.stale) { state.stale = false; emit("stale"); }
+      }
       emit(kind === "sentence" ? "sentences" : kind);
     });
   }
@@ -84,6 +101,7 @@ export function connect() {
 // its page may be another one.
 setInterval(async () => {
   if (!source) return;
+  if (document.hidden) return;
   const silent = performance.now() - heard;
   if (silent > 1100 && !state.stale) { state.stale = true; emit("stale"); }
   if (state.stale && source.readyState === EventSource.CLOSED && silent > 3000) {

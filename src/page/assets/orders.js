@@ -14,17 +14,26 @@ export function hold(label, act, attributes = {}) {
   const begin = () => {
     if (timer || button.disabled) return;
     button.classList.add("holding");
-    timer = setTimeout(() => { end(); act(); }, HOLD_MS);
+    window.addEventListener("pointerup", end);
+    window.addEventListener("pointercancel", end);
+    // A button that was replaced meanwhile is not held any more, whatever the finger does.
+    timer = setTimeout(() => {
+      const held = button.isConnected && !button.disabled;
+      end();
+      if (held) act();
+    }, HOLD_MS);
   };
   const end = () => {
     clearTimeout(timer);
     timer = null;
+    window.removeEventListener("pointerup", end);
+    window.removeEventListener("pointercancel", end);
     button.classList.remove("holding");
   };
   button.addEventListener("pointerdown", begin);
   for (const kind of ["pointerup", "pointerleave", "pointercancel", "blur", "keyup"]) button.addEventListener(kind, end);
   button.addEventListener("keydown", (event) => {
-    if (event.key === " " || event.key === "Enter") { event.preventDefault(); begin(); }
+    if (event.key === " " || event.key === "Enter") { event.preventDefault(); if (!event.repeat) begin(); }
   });
   button.addEventListener("contextmenu", (event) => event.preventDefault());
   return button;
@@ -41,15 +50,15 @@ export function answered(what, { accepted, message }) {
 
 /** Gives an order and shows what came of it. */
 export async function give(label, command, more) {
-  answered(label, { accepted: true, message: t("sent …") });
-  answers.firstChild.remove();
   answered(label, await order(command, more));
 }
 
 /** Stop: abort and disarm, from every screen, also where the page is stale. */
 export async function stop() {
   const [aborted, disarmed] = await Promise.all([order({ do: "abort" }), order({ do: "disarm" })]);
-  answered(t("Stop"), { accepted: aborted.accepted || disarmed.accepted, message: `${aborted.message}; ${disarmed.message}` });
+  const outcome = { accepted: aborted.accepted && disarmed.accepted, message: `${aborted.message}; ${disarmed.message}` };
+  answered(t("Stop"), outcome);
+  return outcome;
 }
 
 function button(label, command, enabled, attributes = {}) {
@@ -97,10 +106,13 @@ export function orders() {
       state.me && !state.me.moves && h("p", { class: "note" }, t("From this computer the arm cannot be moved: see page.control_from.")),
       approval(status),
       h("div", { class: "row" },
-        status.armed ? button(t("Disarm"), { do: "disarm" }, true) : button(t("Arm"), { do: "arm" }, can, { class: "first" }),
-        status.paused ? button(t("Resume"), { do: "resume" }, can, { class: "first" }) : button(t("Pause"), { do: "pause" }, can),
+        // Each in its place whatever the state is: a second press never means the opposite.
+        button(t("Arm"), { do: "arm" }, can && !status.armed, { class: status.armed ? null : "first" }),
+        button(t("Disarm"), { do: "disarm" }, true),
+        button(t("Pause"), { do: "pause" }, !status.paused && status.state !== "starting"),
+        button(t("Resume"), { do: "resume" }, can && status.paused, { class: status.paused ? "first" : null }),
         button(t("One step"), { do: "step" }, can && status.paused),
-        button(t("Abort"), { do: "abort" }, Boolean(status.job) || status.armed),
+        button(t("Abort"), { do: "abort" }, true),
         button(t("Park"), { do: "park" }, can && status.armed && !status.job),
         status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can),
         hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !can })),

@@ -3,9 +3,12 @@
 
 use super::*;
 use crate::cell::device::gripper_types::GripperEvent;
+use crate::cell::supervisor::holding::outline_in_tool;
 use crate::cell::supervisor::input::CameraFault;
 use crate::cell::supervisor::status::Doing;
 use crate::cell::views::SightModel;
+use crate::motion::bodies::Standing;
+use crate::motion::put_down::Grasp;
 use cell_vision::camera::CameraModel;
 use cell_vision::observe::{PartialLook, ReferenceMarker, View};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -483,4 +486,26 @@ fn a_job_without_a_goal_looks_and_touches_nothing() {
         _ => None,
     });
     assert_eq!(found, Some(vec![("a".to_string(), bench.at)]));
+}
+
+/// The outline of what is held lies in the tool's frame where the object is: an outline without symmetry,
+/// off the cups' axis and turned, so that no sign can be wrong.
+#[test]
+fn what_is_held_is_known_in_the_tool_s_frame() {
+    let arm = model().arm;
+    let corners = [[0.0, 0.0], [0.09, 0.0], [0.09, 0.02], [0.03, 0.02], [0.03, 0.06], [0.0, 0.06]];
+    let footprint = Footprint::polygon(&corners).expect("an L");
+    let pose = Pose2::new(0.22, 0.17, 0.5);
+    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.9);
+    let tool = Isometry3::from_parts(Translation3::new(0.25, 0.2, 0.02), turned * down);
+    let pick = arm.joints_at(&tool, &HOME).expect("within reach");
+    let object = Standing { name: "l".into(), footprint: footprint.clone(), pose, height: 0.02 };
+    let grasp = Grasp::new(&arm, &pick, &object, 10.0).expect("it points down");
+    let outline = outline_in_tool(grasp.load());
+    for (found, corner) in outline.iter().zip(footprint.outline(32)) {
+        let on_table = tool * nalgebra::Point3::new(found[0], found[1], 0.0);
+        let [x, y] = pose.transform(corner);
+        assert!((on_table.x - x).hypot(on_table.y - y) < 1e-6, "{on_table} is not {x}, {y}");
+    }
 }
