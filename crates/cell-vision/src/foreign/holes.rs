@@ -7,7 +7,7 @@
 
 use crate::foreign::body::KnownBody;
 use crate::foreign::height_map::{CELL_M, HeightMap};
-use rearrange::geometry::polygon::{contains, convex_hull};
+use rearrange::geometry::polygon::contains;
 use serde::Serialize;
 
 /// Heights at which the line from a cell to the camera is tried against a known object, as shares of that
@@ -75,13 +75,28 @@ fn hole(map: &HeightMap, cells: &[usize]) -> Hole {
         (x - centre[0]).hypot(y - centre[1])
     };
     let reach_m = cells.iter().map(away).fold(0.0, f64::max) + CELL_M;
-    let half = 0.5 * CELL_M;
-    let corners = |cell: &usize| {
-        let [x, y] = map.centre(*cell);
-        [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]]
-    };
-    let outline = convex_hull(&cells.iter().flat_map(corners).collect::<Vec<_>>());
+    let outline = octagon(cells.iter().map(|cell| map.centre(*cell)));
     Hole { area_m2: cells.len() as f64 * CELL_M * CELL_M, centre, reach_m, outline }
+}
+
+/// The octagon round cells with these centres: few corners, for it is held against hundreds of places.
+fn octagon(cells: impl Iterator<Item = [f64; 2]> + Clone) -> Vec<[f64; 2]> {
+    let direction = |k: usize| {
+        let (sin, cos) = (k as f64 * std::f64::consts::FRAC_PI_4).sin_cos();
+        [cos, sin]
+    };
+    // Half of a cell's diagonal beyond the farthest centre.
+    let far = |k: usize| {
+        let [a, b] = direction(k);
+        let along = cells.clone().map(|[x, y]| a * x + b * y);
+        along.fold(f64::NEG_INFINITY, f64::max) + CELL_M * std::f64::consts::FRAC_1_SQRT_2
+    };
+    let corner = |k: usize| {
+        let ([a, b], [c, d], s, t) = (direction(k), direction(k + 1), far(k), far(k + 1));
+        let area = a * d - b * c;
+        [(s * d - t * b) / area, (t * a - s * c) / area]
+    };
+    (0..8).map(corner).collect()
 }
 
 /// True when a body is between a place on the table and the camera.
@@ -91,4 +106,22 @@ pub(crate) fn hides(body: &KnownBody, outline: &[[f64; 2]], at: [f64; 2], eye_m:
         let on_line = [0, 1].map(|axis| at[axis] + (eye_m[axis] - at[axis]) * up);
         contains(outline, body.pose.inverse_transform(on_line))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_octagon_holds_every_cell_whole() {
+        let cells = [[0.1, 0.2], [0.14, 0.2], [0.12, 0.26], [0.3, 0.21]];
+        let outline = octagon(cells.into_iter());
+        for [x, y] in cells {
+            for (dx, dy) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
+                let corner = [x + 0.499 * CELL_M * dx, y + 0.499 * CELL_M * dy];
+                assert!(contains(&outline, corner), "{corner:?} in {outline:?}");
+            }
+        }
+        assert!(!contains(&outline, [0.3, 0.3]) && !contains(&outline, [0.1, 0.1]));
+    }
 }
