@@ -5,6 +5,7 @@
 use crate::cell::{
     CELLD, LOG, Running, celld, configuration, copy_calibration, start_daemon, start_sim, text, wait_until,
 };
+use crate::edit::replace_once;
 use std::path::Path;
 use std::process::Command;
 
@@ -32,7 +33,11 @@ fn cell_second_daemon_on_one_robot_names_the_first_and_leaves_it_alone() {
 
     let other = folder.path().join("other");
     std::fs::create_dir(&other).expect("created");
-    let _second = start_daemon(&other, &cell);
+    // Its page is another one: of two at one address the second daemon would not start at all.
+    let first_cell = std::fs::read_to_string(&cell).expect("the configuration");
+    let second = cell.with_file_name("second.yaml");
+    std::fs::write(&second, replace_once(&first_cell, ":8737'}", ":8738'}")).expect("written");
+    let _second = start_daemon(&other, &second);
     let log = || std::fs::read_to_string(other.join(LOG)).expect("what the second says");
     let named = format!("another celld drives this robot (process {} of its computer)", first.0.id());
     wait_until("the second says who is there", || log().contains(&named));
