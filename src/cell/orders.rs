@@ -3,7 +3,7 @@
 //! In: a person's order, with the number under which it came. Out: a [`Reply`] that says what the cell
 //! decided; the machine gives it after the decision, never before.
 
-use crate::cell::device::gripper_types::Channels;
+pub use crate::cell::device::gripper_types::Channels;
 use rearrange::document::word::{UnknownWord, named};
 use serde::{Deserialize, Serialize};
 use std::fmt;

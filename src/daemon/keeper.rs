@@ -17,17 +17,16 @@ use crate::cell::supervisor::status::Status;
 use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
 use crate::daemon::disk::Disk;
-use crate::daemon::job_orders::job_order;
+use crate::daemon::job_orders::{found_by, job_context, job_order};
 use crate::daemon::last_answers::LastAnswers;
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::plan_files::{self, poses};
 use crate::daemon::store::Keeper;
 use crate::jobs::goal::read_goal_file;
-use crate::jobs::job_file::{JobContext, read_for_spool};
+use crate::jobs::job_file::read_for_spool;
 use crate::jobs::journal::{Journal, JournalError};
 use crate::jobs::record::{
-    GoalPose, JobRecord, JobResult, JobState, ObjectResult, PlanRecord, StepIntent, StepKind, StepRecord,
-    moves_made,
+    JobRecord, JobResult, JobState, ObjectResult, PlanRecord, StepIntent, StepKind, StepRecord, moves_made,
 };
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
@@ -201,18 +200,12 @@ impl StateKeeper {
     /// Takes in new job files; a fault of the folders is said and tried again at the next call.
     fn scan(&mut self, now: Timestamp) -> Vec<SpoolEvent> {
         let config = &self.config;
-        let folder = config.goal_folder.clone();
         let obstacles = config.obstacles();
-        let read_goal = move |name: &str| read_goal_file(&folder, name);
+        let read_goal = |name: &str| read_goal_file(&config.goal_folder, name);
         // The journal itself is at work in the scan.
         let path = self.state.journal();
-        let found = move |id: &str| found_by(&path, id);
-        let context = JobContext {
-            goal: Some(config.goal_context(&obstacles)),
-            approval: config.approval,
-            read_goal: &read_goal,
-            found: Some(&found),
-        };
+        let found = |id: &str| found_by(&path, id);
+        let context = job_context(config, &obstacles, &read_goal, &found);
         let read = |text: &str, name: &str| read_for_spool(text, name, &context);
         self.spool.scan(&mut self.journal, &read, now, unix_now_s()).unwrap_or_else(|error| {
             tracing::error!(%error, "job folders");
@@ -373,16 +366,6 @@ impl StateKeeper {
     }
 }
 
-/// Where the objects lay when the job `id` first looked.
-fn found_by(journal: &Path, id: &str) -> Result<Vec<GoalPose>, String> {
-    let job = Journal::open_to_read(journal).and_then(|journal| journal.job(id)).map_err(|e| chain(&e))?;
-    let job = job.ok_or_else(|| format!("no job {id:?} is known"))?;
-    if job.found.is_empty() {
-        return Err(format!("what job {id:?} found on the table is not known: it has not looked"));
-    }
-    Ok(job.found)
-}
-
 /// A report as the journal keeps it.
 fn result_of(report: &JobReport, unix_s: f64) -> JobResult {
     JobResult {
@@ -470,7 +453,6 @@ impl Keeper for StateKeeper {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::supervisor::status::Doing;
     use crate::config::load::load_cell;
     use crate::jobs::record::StepPhase;
     use rearrange::geometry::pose::Pose2;
@@ -548,21 +530,7 @@ mod tests {
         let (_folder, state, mut keeper) = with_a_job();
         let need = std::mem::replace(&mut keeper.disk.jobs_need, u64::MAX);
         assert!(keeper.claim().is_none());
-        let idle = Status {
-            armed: true,
-            paused: false,
-            doing: Doing::Idle,
-            job: None,
-            awaits_approval: false,
-            held: None,
-            moves: 0,
-            remaining_moves: 0,
-            last_move: None,
-            because: None,
-            hint: String::new(),
-            stopped: None,
-            devices: Vec::new(),
-        };
+        let idle = Status { armed: true, ..Status::idle() };
         let written = |keeper: &mut StateKeeper| {
             keeper.status(&idle);
             status::Status::read(&state.status()).unwrap().expect("a status")

@@ -4,11 +4,10 @@
 //! with the user who ordered. What a person has confirmed is remembered before it is answered. Who wants to
 //! be signed in at the page is answered at once: that is no order to the machine.
 
-use crate::cell::device::gripper_types::Channels;
 use crate::cell::orders::{Order, Reply};
 use crate::daemon::keeper::KeeperError;
 use crate::daemon::store::Orders;
-use crate::jobs::command::{Command, Inbox, ReleaseChannel, SignIn, Taken};
+use crate::jobs::command::{Command, Inbox, SignIn, Taken};
 use crate::jobs::state::StateFolder;
 use cell_edge::clock::{boot_now_s, unix_now_s};
 use rearrange::document::chain::chain;
@@ -91,7 +90,7 @@ impl Orders for StateOrders {
                 self.sign_in(&taken, wanted);
                 continue;
             }
-            let Some(order) = order_of(&taken.command) else { continue };
+            let Some(order) = taken.command.order() else { continue };
             self.last += 1;
             orders.push((self.last, order));
             self.unanswered.push_back((self.last, taken));
@@ -115,28 +114,4 @@ impl Orders for StateOrders {
             tracing::warn!(%error, "a command could not be answered");
         }
     }
-}
-
-/// A command as the machine knows it; `None` for what is not for the machine.
-pub fn order_of(command: &Command) -> Option<Order> {
-    Some(match command {
-        Command::Arm => Order::Arm,
-        Command::Disarm => Order::Disarm,
-        Command::Approve { id } => Order::Approve(id.clone()),
-        Command::Reject { id } => Order::Reject(id.clone()),
-        Command::Cancel { id } => Order::Cancel(id.clone()),
-        Command::Pause => Order::Pause,
-        Command::Resume => Order::Resume,
-        Command::Step => Order::Step,
-        Command::Abort => Order::Abort,
-        Command::Park => Order::Park,
-        Command::Release { channel } => Order::Release(match channel {
-            Some(ReleaseChannel::A) => Channels::A,
-            Some(ReleaseChannel::B) => Channels::B,
-            None => Channels::Both,
-        }),
-        Command::Recover { how } => Order::Recover(*how),
-        Command::ConfirmGripper => Order::ConfirmGripper,
-        Command::SignIn(_) => return None,
-    })
 }

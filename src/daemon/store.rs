@@ -369,23 +369,7 @@ mod tests {
     }
 
     fn status(job: &str) -> Status {
-        let doing = crate::cell::supervisor::status::Doing::Idle;
-        let job = Some(job.to_string());
-        Status {
-            armed: false,
-            paused: false,
-            doing,
-            job,
-            awaits_approval: false,
-            held: None,
-            moves: 0,
-            remaining_moves: 0,
-            last_move: None,
-            because: None,
-            hint: String::new(),
-            stopped: None,
-            devices: Vec::new(),
-        }
+        Status { job: Some(job.to_string()), ..Status::idle() }
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at
 //! most once.
 
-use crate::cell::orders::{Reply, Role, WayBack};
+use crate::cell::orders::{Channels, Order, Reply, Role, WayBack};
 use cell_edge::files::{FileError, create_folder, read_regular, remove, write_atomic, write_new};
 use serde::{Deserialize, Serialize};
 use std::os::unix::fs::MetadataExt;
@@ -132,22 +132,33 @@ impl Envelope {
 }
 
 impl Command {
+    /// The order to the machine; `None` for what is not for the machine.
+    pub fn order(&self) -> Option<Order> {
+        Some(match self {
+            Command::Arm => Order::Arm,
+            Command::Disarm => Order::Disarm,
+            Command::Approve { id } => Order::Approve(id.clone()),
+            Command::Reject { id } => Order::Reject(id.clone()),
+            Command::Cancel { id } => Order::Cancel(id.clone()),
+            Command::Pause => Order::Pause,
+            Command::Resume => Order::Resume,
+            Command::Step => Order::Step,
+            Command::Abort => Order::Abort,
+            Command::Park => Order::Park,
+            Command::Release { channel } => Order::Release(match channel {
+                Some(ReleaseChannel::A) => Channels::A,
+                Some(ReleaseChannel::B) => Channels::B,
+                None => Channels::Both,
+            }),
+            Command::Recover { how } => Order::Recover(*how),
+            Command::ConfirmGripper => Order::ConfirmGripper,
+            Command::SignIn(_) => return None,
+        })
+    }
+
     /// It only stops: obeyed however old it is.
-    pub fn counts_always(&self) -> bool {
-        match self {
-            Command::Disarm | Command::Pause | Command::Abort => true,
-            Command::Arm
-            | Command::Approve { .. }
-            | Command::Reject { .. }
-            | Command::Cancel { .. }
-            | Command::Resume
-            | Command::Step
-            | Command::Park
-            | Command::Release { .. }
-            | Command::Recover { .. }
-            | Command::ConfirmGripper
-            | Command::SignIn(_) => false,
-        }
+    fn counts_always(&self) -> bool {
+        self.order().is_some_and(|order| order.only_stops())
     }
 }
 

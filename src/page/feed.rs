@@ -342,4 +342,58 @@ mod tests {
         (0..SENTENCES).for_each(|_| watcher.on(Timestamp::ZERO, Scene::Notice(&say("x"))));
         assert_eq!(feed.sentences().len(), SENTENCES);
     }
+
+    /// A beat says that the state is of now: not before both the loop and the status have come round.
+    #[test]
+    fn what_neither_turns_nor_is_written_down_is_not_of_now() {
+        let feed = Feed::default();
+        let mut watcher = feed.observer();
+        assert!(feed.is_of_now(), "at the start there is nothing to be late");
+        feed.status(&Status { state: STARTING.to_string(), ..Status::default() });
+        assert!(feed.is_of_now(), "nor while the robot is waited for");
+        let idle = Status { state: "idle".to_string(), ..Status::default() };
+        feed.status(&idle);
+        assert!(feed.is_of_now(), "the loop has just begun");
+        watcher.feed.begun -= std::time::Duration::from_secs(3);
+        let late = watcher.feed.clone();
+        assert!(!late.is_of_now(), "3 s later neither has come round");
+        watcher.on(Timestamp::ZERO, Scene::Turn);
+        assert!(!late.is_of_now(), "the loop turns, and the journal's thread hangs");
+        late.status(&idle);
+        assert!(late.is_of_now());
+    }
+
+    fn estimate(id: &str, x: f64) -> cell_vision::observe::ObjectEstimate {
+        cell_vision::observe::ObjectEstimate {
+            id: id.to_string(),
+            pose: rearrange::geometry::pose::Pose2::new(x, 0.1, 0.0),
+            std_xy_m: 1e-4,
+            std_theta_rad: 1e-3,
+            views: 1,
+            rejected_views: 0,
+            tilt_rad: 0.0,
+            tilt_std_rad: 0.01,
+            height_error_m: 0.0,
+            height_std_m: 1e-3,
+            time: Timestamp::ZERO,
+        }
+    }
+
+    #[test]
+    fn a_look_at_a_part_of_the_table_takes_nothing_else_away() {
+        let before =
+            Observation { objects: vec![estimate("a", 0.1), estimate("b", 0.2)], ..Default::default() };
+        let part = Observation {
+            objects: vec![estimate("a", 0.3)],
+            missing: vec!["b".into(), "c".into()],
+            ..Default::default()
+        };
+        let both = merged(part.clone(), Some(&before));
+        let at = |id: &str| both.object(id).map(|object| object.pose.x);
+        assert_eq!(
+            (at("a"), at("b"), both.missing.as_slice()),
+            (Some(0.3), Some(0.2), &["c".to_string()][..])
+        );
+        assert_eq!(merged(part.clone(), None), part, "a look at all of it is all there is");
+    }
 }

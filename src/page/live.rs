@@ -6,6 +6,7 @@
 use crate::daemon::plan_files;
 use crate::jobs::status::STARTING;
 use crate::page::access::Person;
+use crate::page::control::Holder;
 use crate::page::feed::Message;
 use crate::page::guard::{refusal, secret};
 use crate::page::shared::{App, Shared};
@@ -151,6 +152,8 @@ struct Viewer {
     secret: String,
     messages: broadcast::Receiver<Arc<Message>>,
     first: VecDeque<Message>,
+    /// Who has control, as it was shown last.
+    holder: Option<Holder>,
     beat: tokio::time::Interval,
 }
 
@@ -176,7 +179,14 @@ impl Viewer {
                     let silent = Event::default().event("silent").data("true");
                     return Some((Ok(silent), self));
                 }
-                self.app.control().alive(&self.session, Instant::now());
+                let now = Instant::now();
+                self.app.control().alive(&self.session, now);
+                // Control also lapses, with no order that would show it.
+                let holder = self.app.control().holder(now).cloned();
+                if holder != self.holder {
+                    self.first.extend(message("control", &holder));
+                    self.holder = holder;
+                }
                 let beat = Event::default().event("beat").data(self.app.beat().to_string());
                 Some((Ok(beat), self))
             }
@@ -188,23 +198,23 @@ fn event(message: &Message) -> Event {
     Event::default().event(message.kind).data(&message.json)
 }
 
-/// The last of everything, for a viewer that comes.
-fn so_far(app: &Shared) -> VecDeque<Message> {
-    let message =
-        |kind: &'static str, data: serde_json::Result<String>| data.ok().map(|json| Message { kind, json });
-    let holder = app.control().holder(Instant::now()).cloned();
-    let status = app.feed.last_status();
-    // Also what there is not: a viewer that comes back may have that of an earlier celld.
+fn message(kind: &'static str, data: &impl Serialize) -> Option<Message> {
+    serde_json::to_string(data).ok().map(|json| Message { kind, json })
+}
+
+/// The last of everything, for a viewer that comes: also what there is not, for who comes back may have that
+/// of an earlier celld.
+fn so_far(app: &Shared, holder: Option<&Holder>) -> VecDeque<Message> {
     let last = [
-        ("status", serde_json::to_string(&status.as_deref())),
-        ("arm", serde_json::to_string(&app.feed.last_arm())),
-        ("sight", serde_json::to_string(&app.feed.last_sight_view())),
-        ("vacuum", Ok("null".to_string())),
-        ("sentences", serde_json::to_string(&app.feed.sentences())),
-        ("control", serde_json::to_string(&holder)),
-        ("picture", serde_json::to_string(&app.feed.picture_number())),
+        message("status", &app.feed.last_status().as_deref()),
+        message("arm", &app.feed.last_arm()),
+        message("sight", &app.feed.last_sight_view()),
+        message("vacuum", &None::<[f64; 2]>),
+        message("sentences", &app.feed.sentences()),
+        message("control", &holder),
+        message("picture", &app.feed.picture_number()),
     ];
-    last.into_iter().filter_map(|(kind, data)| message(kind, data)).collect()
+    last.into_iter().flatten().collect()
 }
 
 /// `GET /api/v1/events`
@@ -221,8 +231,9 @@ pub async fn events(
     let messages = app.feed.messages();
     let mut beat = tokio::time::interval(BEAT_EVERY);
     beat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
-    let (first, session) = (so_far(&app), person.session);
-    let viewer = Viewer { app, session, secret, messages, first, beat };
+    let holder = app.control().holder(Instant::now()).cloned();
+    let (first, session) = (so_far(&app, holder.as_ref()), person.session);
+    let viewer = Viewer { app, session, secret, messages, first, holder, beat };
     let stream: std::pin::Pin<Box<dyn Stream<Item = _> + Send>> =
         Box::pin(stream::unfold(viewer, Viewer::next));
     Sse::new(stream).into_response()

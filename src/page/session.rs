@@ -5,7 +5,6 @@
 //! page that is of now; what stops takes a session alone.
 
 use crate::cell::orders::{Order, Reply};
-use crate::daemon::state_orders::order_of;
 use crate::jobs::command::Command;
 use crate::page::access::{Person, SESSION_S};
 use crate::page::guard::{Peer, Refused, Via, refusal, secret};
@@ -87,7 +86,6 @@ pub async fn sign_out(
         app.access().end(&secret);
     }
     app.control().give_back(&person.session);
-    announce(&app);
     keep_access(&app);
     (cookie(&app, "", 0.0), Json(json!({ "signed_in": false }))).into_response()
 }
@@ -100,12 +98,6 @@ fn keep_access(app: &App) {
             tracing::warn!(%error, "page: who is signed in could not be written down");
         }
     });
-}
-
-/// Who has control, to all viewers.
-fn announce(app: &Shared) {
-    let holder = app.control().holder(Instant::now()).cloned();
-    app.feed.send("control", &holder);
 }
 
 /// Who is signed in.
@@ -150,7 +142,6 @@ pub async fn control(
         return refusal(StatusCode::CONFLICT, held.to_string());
     }
     tracing::info!(by = person.grant.name, take = wish.take, force = wish.force, "page: control");
-    announce(&app);
     Json(json!({ "control": app.control().holder(Instant::now()) })).into_response()
 }
 
@@ -179,7 +170,7 @@ pub async fn order(
         Ok(body) => body,
         Err(error) => return unreadable(&error).into_response(),
     };
-    let Some(order) = order_of(&ordered.command) else {
+    let Some(order) = ordered.command.order() else {
         return refusal(StatusCode::BAD_REQUEST, "this is no order to the cell");
     };
     let by = format!("{} ({}) at {peer}", person.grant.name, person.grant.role);
@@ -192,7 +183,6 @@ pub async fn order(
             status => refusal(status, message),
         };
     }
-    announce(&app);
     let reply = app.desk.order(order, by).await;
     app.orders[usize::from(!reply.accepted)].fetch_add(1, Ordering::Relaxed);
     Json(reply).into_response()

@@ -5,12 +5,12 @@
 
 use crate::cell::code::JobStatus;
 use crate::cell::supervisor::draft::{Draft, NoDraft, draft};
-use crate::daemon::job_orders::job_order;
+use crate::daemon::job_orders::{found_by, job_context, job_order};
 use crate::daemon::job_report::job_report;
 use crate::daemon::plan_files;
 use crate::jobs::goal::{GoalEntry, find_goal_file, parse_goal_file, read_goal_file};
 use crate::jobs::history::{JobFilter, since, story};
-use crate::jobs::job_file::{JobContext, read_job};
+use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
 use crate::jobs::record::{GoalPose, JobRecord, JobSpec, JobState, StepRecord, quoted};
 use crate::jobs::spool::is_plain_name;
@@ -233,23 +233,13 @@ pub struct JobText {
 /// What a job is read against: the cell, its goal folder, what other jobs found.
 fn read(app: &Shared, text: &str) -> Result<JobSpec, Refused> {
     let obstacles = app.cell.obstacles();
-    let folder = app.cell.goal_folder.clone();
-    let read_goal = move |name: &str| match std::path::Path::new(name).file_name() {
-        Some(last) if is_goal_name(&last.to_string_lossy()) => read_goal_file(&folder, name),
+    let read_goal = |name: &str| match std::path::Path::new(name).file_name() {
+        Some(last) if is_goal_name(&last.to_string_lossy()) => read_goal_file(&app.cell.goal_folder, name),
         Some(_) | None => Err("a goal file ends in .yaml".to_string()),
     };
     let journal = app.state.journal();
-    let found = move |id: &str| -> Result<Vec<GoalPose>, String> {
-        let job = Journal::open_to_read(&journal).and_then(|journal| journal.job(id));
-        let job = job.map_err(|error| chain(&error))?.ok_or_else(|| format!("no job {id:?} is known"))?;
-        Some(job.found).filter(|found| !found.is_empty()).ok_or_else(|| format!("job {id:?} has not looked"))
-    };
-    let context = JobContext {
-        goal: Some(app.cell.goal_context(&obstacles)),
-        approval: app.cell.approval,
-        read_goal: &read_goal,
-        found: Some(&found),
-    };
+    let found = |id: &str| found_by(&journal, id);
+    let context = job_context(&app.cell, &obstacles, &read_goal, &found);
     read_job(text, "job", &context)
         .map_err(|complaints| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, complaints.to_string()))
 }

@@ -99,6 +99,26 @@ pub struct DeviceNote {
 }
 
 impl Status {
+    /// A disarmed cell that does nothing.
+    #[cfg(test)]
+    pub(crate) fn idle() -> Status {
+        Status {
+            armed: false,
+            paused: false,
+            doing: Doing::Idle,
+            job: None,
+            awaits_approval: false,
+            held: None,
+            moves: 0,
+            remaining_moves: 0,
+            last_move: None,
+            because: None,
+            hint: String::new(),
+            stopped: None,
+            devices: Vec::new(),
+        }
+    }
+
     /// What is going on, in a few words.
     pub fn text(&self) -> String {
         match &self.doing {

@@ -14,7 +14,6 @@ function filled(element, attributes, children) {
   for (const [name, value] of Object.entries(attributes)) {
     if (typeof value === "function") element.addEventListener(name, value);
     else if (name === "value" || name === "checked") element[name] = value;
-    else if (name === "colour") { element.style.stroke = value; if (element.classList.contains("t-now") || element.classList.contains("swatch")) { element.style.fill = value; element.style.background = value; } }
     else if (value === true) element.setAttribute(name, "");
     else if (value !== false && value !== null && value !== undefined) element.setAttribute(name, value);
   }

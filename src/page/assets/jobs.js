@@ -17,7 +17,7 @@ function detail(job) {
   const id = encodeURIComponent(job.id);
   const result = job.result;
   const times = Object.entries(result?.times ?? {}).filter(([, seconds]) => seconds > 0.05).sort((a, b) => b[1] - a[1]);
-  const image = (name, words) => job.files.includes(name) && h("figure", { style: null }, h("img", { src: `/api/v1/jobs/${id}/files/${name}`, alt: words, width: "100%" }), h("figcaption", { class: "soft" }, words));
+  const image = (name, words) => job.files.includes(name) && h("figure", {}, h("img", { src: `/api/v1/jobs/${id}/files/${name}`, alt: words, width: "100%" }), h("figcaption", { class: "soft" }, words));
   return [
     h("p", { class: "say" }, word(job.state), result ? ` – ${result.message}` : ""),
     result?.hint && h("p", { class: "hint" }, "→ ", result.hint),

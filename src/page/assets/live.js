@@ -1,10 +1,9 @@
 // What the cell does now: in words, on the table, in the picture, in space; the job with its moves; trends.
 
 import { h, s, card, fill } from "./dom.js";
-import { api, on, state, colour } from "./net.js";
+import { api, colour, object, on, state } from "./net.js";
 import { t, time, duration, number } from "./text.js";
 import { view, ground, outline, foreign, labels, arrows, numbers, after, at } from "./table.js";
-import { object } from "./net.js";
 import { picture } from "./picture.js";
 import { arm3d } from "./arm.js";
 import { orders } from "./orders.js";

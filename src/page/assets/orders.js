@@ -3,7 +3,7 @@
 
 import { h, card, fill } from "./dom.js";
 import { api, on, order, state, mine, may } from "./net.js";
-import { t, moment } from "./text.js";
+import { t } from "./text.js";
 
 const HOLD_MS = 1200;
 
@@ -130,5 +130,3 @@ async function control(take) {
     answered(t("Control"), { accepted: false, message: error.message });
   }
 }
-
-export { moment };

@@ -24,9 +24,7 @@ export function view() {
   const drawing = s("svg", {
     class: "table", viewBox: `${-MARGIN} ${-MARGIN} ${width * 1000 + 2 * MARGIN} ${height * 1000 + 2 * MARGIN}`, role: "img",
   });
-  drawing.append(s("defs", {}, s("marker", { id: "head", viewBox: "0 0 10 10", refX: 8, refY: 5, markerWidth: 7, markerHeight: 7, orient: "auto-start-reverse", markerUnits: "userSpaceOnUse" , class: "t-head" }, s("path", { d: "M0 0L10 5L0 10Z" }))));
-  drawing.querySelector("marker").setAttribute("markerWidth", "14");
-  drawing.querySelector("marker").setAttribute("markerHeight", "14");
+  drawing.append(s("defs", {}, s("marker", { id: "head", viewBox: "0 0 10 10", refX: 8, refY: 5, markerWidth: 14, markerHeight: 14, orient: "auto-start-reverse", markerUnits: "userSpaceOnUse", class: "t-head" }, s("path", { d: "M0 0L10 5L0 10Z" }))));
   return drawing;
 }
 
