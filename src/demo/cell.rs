@@ -28,7 +28,6 @@ use nalgebra::Isometry3;
 use rearrange::planning::plan::Objective;
 use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::instance::{Instance, ObjectSpec};
-use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::net::IpAddr;
 use std::path::Path;
@@ -36,6 +35,7 @@ use ur_arm::kinematics::{ARM_MODELS, DhParameters};
 use ur_sim::command::{FOCAL_PX, PICTURE};
 use ur_sim::config::read::DEFAULT_ERRORS;
 use ur_sim::config::{SimFile, SimMount, SimPorts};
+use ur_sim::controller::program_files::ProgramFiles;
 
 /// Distance of the camera over the table while looking, m.
 pub const LOOK_DISTANCE_M: f64 = 0.42;
@@ -222,7 +222,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         model: ARM_MODELS[0],
         start_pose: config.park_pose,
         program_folder: None,
-        programs: BTreeMap::new(),
+        programs: ProgramFiles::default(),
         errors: DEFAULT_ERRORS,
     })
 }

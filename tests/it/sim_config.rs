@@ -7,6 +7,7 @@ use std::path::Path;
 use ur_sim::config::SimMount;
 use ur_sim::config::load::load_sim;
 use ur_sim::config::read::{DEFAULT_ERRORS, SIM_KEYS, read_sim};
+use ur_sim::controller::program_files::ProgramSource;
 
 const SIM: &str = include_str!("../../config/sim.yaml");
 
@@ -108,5 +109,6 @@ fn programs_are_the_scripts_of_the_folder_beside_the_file() {
     std::fs::write(folder.path().join("mine/pick.script"), "def pick():\nend\n").unwrap();
     std::fs::write(folder.path().join("mine/pick.urp"), [0x1f, 0x8b]).unwrap();
     let programs = load_sim(&config).unwrap().programs;
-    assert_eq!(programs.into_iter().collect::<Vec<_>>(), [("pick".into(), "def pick():\nend\n".into())]);
+    let script = ProgramSource::Script("def pick():\nend\n".into());
+    assert_eq!(programs.iter().collect::<Vec<_>>(), [("/programs/pick.urp", &script)]);
 }

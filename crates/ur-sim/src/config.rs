@@ -5,8 +5,10 @@
 //! `errors` say how far, by seed, the simulated truth deviates from them.
 
 pub mod load;
+pub mod programs;
 pub mod read;
 
+use crate::controller::program_files::ProgramFiles;
 use cell_parts::grid::MarkerGrid;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;
@@ -14,7 +16,6 @@ use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::ObjectSpec;
-use std::collections::BTreeMap;
 use ur_arm::kinematics::ArmModel;
 
 /// One simulated cell, as `celld sim` needs it.
@@ -50,10 +51,10 @@ pub struct SimFile {
     pub model: ArmModel,
     /// Joint pose at power-on.
     pub start_pose: Joints,
-    /// Folder with the programs that the dashboard loads, relative to the file's own; absent: none.
+    /// Folder with the scripts that the dashboard loads, relative to the file's own; absent: none.
     pub program_folder: Option<String>,
-    /// The scripts in it by the program's name; the code that opens files fills them in.
-    pub programs: BTreeMap<String, String>,
+    /// What the dashboard loads; the code that opens files adds the scripts of the folder.
+    pub programs: ProgramFiles,
     /// How far the truth is off.
     pub errors: SimErrors,
 }

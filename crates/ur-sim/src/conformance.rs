@@ -142,10 +142,16 @@ const SERVERS: &[Claim] = &[
         "",
         "a_secondary_program_runs_beside_the_main_one",
     ),
+    Claim(
+        "Programs of the External Control URCap",
+        Grade::Modelled,
+        "as its published source; assumed: when an answer is whole, 5 s for the first byte, one round",
+        "a_program_of_external_control_runs_what_the_pc_hands_out",
+    ),
     Claim("Interpreter mode (30020)", Grade::Absent, "", ""),
     Claim("XML-RPC, Modbus server of the controller, PROFINET, EtherNet/IP", Grade::Absent, "", ""),
     Claim(
-        "Files over SSH/SFTP, URCaps, PolyScope itself",
+        "Files over SSH/SFTP, other URCaps, PolyScope itself",
         Grade::Absent,
         "programs come from the configured folder",
         "",

@@ -5,8 +5,8 @@
 
 use crate::config::SimFile;
 use crate::config::read::read_sim;
+use crate::controller::program_files::{ProgramFiles, ProgramSource};
 use cell_parts::file::{ConfigError, open, read_text};
-use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Most files of a folder of programs that are looked at.
@@ -21,23 +21,26 @@ pub fn load_sim(path: &Path) -> Result<SimFile, ConfigError> {
     let (text, folder) = open(path)?;
     let mut file = read_sim(&text, &path.display().to_string()).map_err(ConfigError::Wrong)?;
     if let Some(programs) = &file.program_folder {
-        file.programs = read_programs(&folder.join(programs))?;
+        add_scripts(&mut file.programs, &folder.join(programs))?;
     }
     Ok(file)
 }
 
-/// The scripts in a folder, by name without `.script`.
-fn read_programs(folder: &Path) -> Result<BTreeMap<String, String>, ConfigError> {
+/// Adds the scripts in a folder, each as the `.urp` file that a controller has beside it. A file that the
+/// configuration describes is that one.
+fn add_scripts(files: &mut ProgramFiles, folder: &Path) -> Result<(), ConfigError> {
     let unreadable = |path: &Path, reason| ConfigError::Unreadable { path: path.to_owned(), reason };
     let entries = std::fs::read_dir(folder).map_err(|error| unreadable(folder, error.to_string()))?;
-    let mut programs = BTreeMap::new();
     for entry in entries.take(MAX_PROGRAMS) {
         let path = entry.map_err(|error| unreadable(folder, error.to_string()))?.path();
         let is_script = path.extension().is_some_and(|ending| ending == "script");
         if let Some(name) = path.file_stem().and_then(|name| name.to_str()).filter(|_| is_script) {
             let text = read_text(&path).map_err(|reason| unreadable(&path, reason))?;
-            programs.insert(name.to_owned(), text);
+            let file = format!("{name}.urp");
+            if files.find(&file).is_none() {
+                files.add(&file, ProgramSource::Script(text));
+            }
         }
     }
-    Ok(programs)
+    Ok(())
 }

@@ -3,7 +3,9 @@
 //! In: the text and its name. Out: the checked configuration of the simulated cell, or every complaint at
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
+use crate::config::programs::programs;
 use crate::config::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
+use crate::controller::program_files::ProgramFiles;
 use cell_parts::fields::{each, joints_deg, optional, port, required_number, transform};
 use cell_parts::grid::{board, board_apart};
 use cell_parts::gripper::gripper;
@@ -16,7 +18,6 @@ use rearrange::tabletop::arrangement::{Layout, Place};
 use rearrange::tabletop::decode;
 use rearrange::tabletop::instance::{ObjectSpec, Workspace};
 use rearrange::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
-use std::collections::BTreeMap;
 use std::net::IpAddr;
 use ur_arm::kinematics::ARM_MODELS;
 
@@ -98,12 +99,9 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         let choices: Vec<_> = ARM_MODELS.iter().map(|model| (model.name, *model)).collect();
         decoder.choice(at, &choices)
     });
-    let programs = optional(decoder, fields, "programs", None, |decoder, at| {
-        let folder = decoder.map(at, &["folder"])?;
-        folder.optional("folder").map_or(Some(None), |at| decoder.text(&at).map(Some))
-    });
+    let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
-    let size = size?;
+    let (size, (program_folder, programs)) = (size?, programs?);
     Some(SimFile {
         bind: bind?,
         ports: ports?,
@@ -120,8 +118,8 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         reference_markers: markers?,
         model: model?,
         start_pose: start_pose?,
-        program_folder: programs?,
-        programs: BTreeMap::new(),
+        program_folder,
+        programs,
         errors: errors?,
     })
 }

@@ -3,10 +3,10 @@
 //! In: an arm model and a seed. Out: [`ControllerConfig`], whose calibrated kinematics differ from the
 //! nominal ones as those of real arms do. Pure.
 
+use crate::controller::program_files::ProgramFiles;
 use cell_values::units::Joints;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use ur_arm::kinematics::{ARM_MODELS, ArmModel, DhParameters};
 
@@ -40,8 +40,8 @@ pub struct ControllerConfig {
     pub payload: f64,
     /// Seed of `random()`.
     pub seed: u64,
-    /// Programs that `load` finds: name of the `.urp` file without its ending, and its script.
-    pub programs: BTreeMap<String, String>,
+    /// Programs that `load` finds.
+    pub programs: ProgramFiles,
 }
 
 impl ControllerConfig {
@@ -64,7 +64,7 @@ impl ControllerConfig {
             tcp: [0.0; 6],
             payload: 0.0,
             seed,
-            programs: BTreeMap::new(),
+            programs: ProgramFiles::default(),
         }
     }
 

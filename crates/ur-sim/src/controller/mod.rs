@@ -16,6 +16,8 @@ pub mod core;
 
 pub mod drives;
 
+pub mod external_control;
+
 pub mod force_functions;
 
 pub mod functions;
@@ -29,6 +31,8 @@ pub mod motion_functions;
 pub mod outputs;
 
 pub mod pendant;
+
+pub mod program_files;
 
 pub mod programs;
 

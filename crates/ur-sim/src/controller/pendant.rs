@@ -1,12 +1,7 @@
 //! What is on the pendant and what the dashboard may change there: loaded program, installation, popups,
 //! operational mode, user role; and which controller this claims to be.
 //!
-//! In: commands. Out: what was chosen. The pendant has no screen; nothing here moves the arm. A real
-//! controller keeps programs as `.urp` files with the generated URScript beside each as `.script`: here the
-//! scripts alone are the programs, named as the `.urp` would be. Pure: the folder was read before the start.
-
-/// Where a controller keeps its programs, as it names them in replies.
-pub const PROGRAM_FOLDER: &str = "/programs/";
+//! In: commands. Out: what was chosen. The pendant has no screen; nothing here moves the arm. Pure.
 
 /// The one installation there is.
 pub const INSTALLATION: &str = "default.installation";

@@ -2,11 +2,14 @@
 //!
 //! In: compiled uploads, play, pause and stop. Out: runtime state, and the key, error and exception messages
 //! of the primary interface. A new main program replaces the running one, whose STOPPED message comes first;
-//! a runtime exception comes before the STOPPED of its program. A secondary program has one frame.
+//! a runtime exception comes before the STOPPED of its program. A secondary program has one frame. A program
+//! whose script a PC hands out is stopped, as clients see it, until the script is there.
 
 use crate::controller::builtins;
 use crate::controller::core::{Core, DEFAULT_STOP};
-use crate::controller::pendant::{LoadError, PROGRAM_FOLDER};
+use crate::controller::external_control::ScriptRequest;
+use crate::controller::pendant::LoadError;
+use crate::controller::program_files::{ProgramSource, bare_name};
 use crate::controller::watchdog::WatchdogAction;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -26,8 +29,29 @@ const NOT_STARTED_CODE: i32 = 169;
 #[derive(Debug)]
 enum Run {
     Stopped,
+    /// A PC hands out the loaded program's script.
+    Fetching(ScriptRequest),
     Playing(Program),
-    Paused { program: Program, by_safeguard: bool },
+    Paused {
+        program: Program,
+        by_safeguard: bool,
+    },
+}
+
+/// What `play` starts.
+#[derive(Clone, Debug)]
+pub enum Loaded {
+    /// This program.
+    Script(Arc<Code>),
+    /// What a PC hands out.
+    ExternalControl {
+        /// Its file without folders.
+        file: String,
+        /// Name or address of the PC.
+        host: String,
+        /// Its port.
+        port: u16,
+    },
 }
 
 /// The engine.
@@ -35,10 +59,11 @@ enum Run {
 pub struct Programs {
     run: Run,
     uploads: VecDeque<Result<Code, CompileError>>,
-    /// What `play` starts.
-    loaded: Option<Arc<Code>>,
-    /// The main program that ran last.
-    last: Option<Arc<Code>>,
+    loaded: Option<Loaded>,
+    /// Name of the main program that ran last or was loaded.
+    last: Option<Arc<str>>,
+    /// That one is the loaded one.
+    is_loaded: bool,
     seed: u64,
     starts: u64,
     /// A fault: uploads do not start.
@@ -49,14 +74,18 @@ impl Programs {
     /// Nothing loaded.
     pub fn new(seed: u64) -> Programs {
         let (run, uploads) = (Run::Stopped, VecDeque::new());
-        Programs { run, uploads, loaded: None, last: None, seed, starts: 0, deaf: false }
+        Programs { run, uploads, loaded: None, last: None, is_loaded: false, seed, starts: 0, deaf: false }
     }
 
     /// Loads a program for `play`, as from the controller's files; one that runs ends.
-    pub fn load(&mut self, code: Arc<Code>, core: &mut Core) {
+    pub fn load(&mut self, program: Loaded, core: &mut Core) {
         self.stop(core);
-        self.last = Some(code.clone());
-        self.loaded = Some(code);
+        self.last = match &program {
+            Loaded::Script(code) => Some(code.name.clone()),
+            Loaded::ExternalControl { file, .. } => Some(file.as_str().into()),
+        };
+        self.loaded = Some(program);
+        self.is_loaded = true;
     }
 
     /// Hands over an upload; it starts in the next frame. False if too many wait.
@@ -95,7 +124,7 @@ impl Programs {
     /// As clients see it.
     pub fn runtime_state(&self) -> RuntimeState {
         match self.run {
-            Run::Stopped => RuntimeState::Stopped,
+            Run::Stopped | Run::Fetching(_) => RuntimeState::Stopped,
             Run::Playing(_) => RuntimeState::Playing,
             Run::Paused { .. } => RuntimeState::Paused,
         }
@@ -105,20 +134,20 @@ impl Programs {
     pub fn name(&self) -> Option<&str> {
         match &self.run {
             Run::Playing(program) | Run::Paused { program, .. } => Some(program.name()),
-            Run::Stopped => self.last.as_ref().map(|code| &*code.name),
+            Run::Stopped | Run::Fetching(_) => self.last.as_deref(),
         }
     }
 
     /// The main program, running or the last that ran, is the one that was loaded.
     pub fn is_loaded(&self) -> bool {
-        matches!((&self.last, &self.loaded), (Some(last), Some(loaded)) if Arc::ptr_eq(last, loaded))
+        self.is_loaded
     }
 
     /// Line the main thread is in; 0 without a program.
     pub fn line(&self) -> u32 {
         match &self.run {
             Run::Playing(program) | Run::Paused { program, .. } => program.position().line,
-            Run::Stopped => 0,
+            Run::Stopped | Run::Fetching(_) => 0,
         }
     }
 
@@ -175,8 +204,14 @@ impl Programs {
             return true;
         }
         match (&self.run, self.loaded.clone()) {
-            (Run::Stopped, Some(code)) => {
+            (Run::Stopped, Some(Loaded::Script(code))) => {
+                self.is_loaded = true;
                 self.start(code, core);
+                true
+            }
+            (Run::Stopped, Some(Loaded::ExternalControl { host, port, .. })) => {
+                self.is_loaded = true;
+                self.run = Run::Fetching(ScriptRequest::new(&host, port, &mut *core.sockets));
                 true
             }
             _ => false,
@@ -200,6 +235,10 @@ impl Programs {
                 ended(&program, core);
                 true
             }
+            Run::Fetching(request) => {
+                request.cancel(&mut *core.sockets);
+                true
+            }
             Run::Stopped => false,
         }
     }
@@ -210,12 +249,10 @@ impl Programs {
             match upload {
                 Ok(code) if code.kind == FunctionKind::Sec => self.run_secondary(code, core),
                 Ok(code) => self.replace(code, core),
-                Err(error) => {
-                    let at = RuntimeException { at: error.at, message: error.controller_text() };
-                    core.message(exception_message(&at));
-                }
+                Err(error) => complain(&error, core),
             }
         }
+        self.fetch(core);
         let Run::Playing(program) = &mut self.run else { return };
         let progress = program.frame(core);
         core.settle_orphaned_motion();
@@ -232,6 +269,19 @@ impl Programs {
                 self.stop(core);
             }
         }
+    }
+
+    /// Starts what a PC has handed out once it is there.
+    fn fetch(&mut self, core: &mut Core) {
+        let Run::Fetching(request) = &mut self.run else { return };
+        let Some(Loaded::ExternalControl { file, .. }) = &self.loaded else { return };
+        let Some(text) = request.step(file, &mut *core.sockets) else { return };
+        self.run = Run::Stopped;
+        match builtins::compile_program(&text) {
+            Ok(code) => self.replace(code, core),
+            Err(error) => complain(&error, core),
+        }
+        self.is_loaded = true;
     }
 
     fn watch(&mut self, core: &mut Core) {
@@ -252,14 +302,14 @@ impl Programs {
             return;
         }
         self.stop(core);
-        let code = Arc::new(code);
-        self.start(code, core);
+        self.is_loaded = false;
+        self.start(Arc::new(code), core);
     }
 
     fn start(&mut self, code: Arc<Code>, core: &mut Core) {
         self.starts += 1;
         core.message(key_message(PROGRAM_STARTED, &code.name));
-        self.last = Some(code.clone());
+        self.last = Some(code.name.clone());
         self.run = Run::Playing(Program::new(code, self.seed.wrapping_add(self.starts)));
     }
 
@@ -283,17 +333,23 @@ impl Programs {
 }
 
 impl Core {
-    /// Finds the program of a `.urp` file and compiles its script.
+    /// Finds the program of a `.urp` file and compiles its script, if it has one.
     ///
     /// # Errors
-    /// There is no script of that name, or it cannot be compiled.
-    pub fn open_program(&mut self, file: &str) -> Result<Arc<Code>, LoadError> {
-        let name = file.strip_prefix(PROGRAM_FOLDER).unwrap_or(file);
-        let stem = name.strip_suffix(".urp").ok_or(LoadError::NotFound)?;
-        let text = self.config.programs.get(stem).ok_or(LoadError::NotFound)?;
-        let code = builtins::compile_program(text).map_err(|_| LoadError::Wrong)?;
-        self.pendant.program = Some(format!("{PROGRAM_FOLDER}{name}"));
-        Ok(Arc::new(code))
+    /// There is no file of that name, or its script cannot be compiled.
+    pub fn open_program(&mut self, file: &str) -> Result<Loaded, LoadError> {
+        let (path, source) = self.config.programs.find(file).ok_or(LoadError::NotFound)?;
+        let program = match source {
+            ProgramSource::Script(text) => {
+                let code = builtins::compile_program(text).map_err(|_| LoadError::Wrong)?;
+                Loaded::Script(Arc::new(code))
+            }
+            ProgramSource::ExternalControl { host, port } => {
+                Loaded::ExternalControl { file: bare_name(path).to_owned(), host: host.clone(), port: *port }
+            }
+        };
+        self.pendant.program = Some(path.to_owned());
+        Ok(program)
     }
 }
 
@@ -311,6 +367,11 @@ fn ended(program: &Program, core: &mut Core) {
     } else {
         core.mover.stop_joints(DEFAULT_STOP);
     }
+}
+
+fn complain(error: &CompileError, core: &mut Core) {
+    let exception = RuntimeException { at: error.at, message: error.controller_text() };
+    core.message(exception_message(&exception));
 }
 
 fn key_message(title: &str, name: &str) -> MessageBody {

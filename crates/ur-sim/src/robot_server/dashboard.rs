@@ -5,7 +5,8 @@
 //! table of all commands is docs/simulator-states.md.
 
 use crate::controller::Controller;
-use crate::controller::pendant::{INSTALLATION, LoadError, OperationalMode, PROGRAM_FOLDER};
+use crate::controller::pendant::{INSTALLATION, LoadError, OperationalMode};
+use crate::controller::program_files::bare_name;
 use crate::robot_server::shared::RobotShared;
 use ur_wire::bytes::WireError;
 use ur_wire::dashboard::{Command, GREETING, LineSplitter, ProgramState, Reply};
@@ -88,8 +89,8 @@ pub fn answer(controller: &mut Controller, command: &Command, line: &str, switch
 
 fn load(controller: &mut Controller, name: &str) -> Reply {
     match controller.core.open_program(name) {
-        Ok(code) => {
-            controller.programs.load(code, &mut controller.core);
+        Ok(program) => {
+            controller.programs.load(program, &mut controller.core);
             let path = controller.core.pendant.program.as_deref().unwrap_or(name);
             Reply::Accepted(format!("Loading program: {path}"))
         }
@@ -106,9 +107,10 @@ fn at_the_pendant(controller: &mut Controller, command: &Command) -> Option<Repl
         Command::ClosePopup => core.popup = None,
         Command::CloseSafetyPopup => core.pendant.safety_popup = false,
         Command::LoadInstallation(name) => {
-            let file = name.strip_prefix(PROGRAM_FOLDER).unwrap_or(name);
+            let folder = core.config.programs.folder();
+            let file = name.strip_prefix(folder).unwrap_or(name);
             return Some(match file {
-                INSTALLATION => Reply::Accepted(format!("Loading installation: {PROGRAM_FOLDER}{file}")),
+                INSTALLATION => Reply::Accepted(format!("Loading installation: {folder}{file}")),
                 _ => Reply::Refused(format!("File not found: {name}")),
             });
         }
@@ -173,8 +175,7 @@ fn question(controller: &Controller, command: &Command) -> Option<Reply> {
 
 /// The file of the loaded program, or the name of the script that ran last if it came over a socket.
 fn program_name(controller: &Controller) -> &str {
-    let file = controller.core.pendant.program.as_deref();
-    let file = file.map(|path| path.strip_prefix(PROGRAM_FOLDER).unwrap_or(path));
+    let file = controller.core.pendant.program.as_deref().map(bare_name);
     let name = controller.programs.name();
     match (file, controller.programs.is_loaded()) {
         (Some(file), true) => file,

@@ -8,6 +8,8 @@ use std::time::Instant;
 use ur_wire::enumerations::RuntimeState;
 use ur_wire::primary_message::MessageBody;
 
+mod external_control;
+
 /// Long enough for a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 

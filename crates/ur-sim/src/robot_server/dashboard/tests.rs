@@ -2,6 +2,7 @@
 //! does not follow any more, fails.
 
 use crate::controller::outputs::{Grade, grade};
+use crate::controller::program_files::ProgramSource;
 use crate::controller::{Controller, ControllerConfig};
 use crate::robot_server::dashboard::answer;
 use ur_wire::dashboard::{Command, NOT_ALLOWED_TEXT};
@@ -32,7 +33,7 @@ impl Player {
         for (name, text) in
             [("work", "def work():\n while True:\n  sync()\n end\nend\n"), ("broken", "def b(:")]
         {
-            config.programs.insert(name.to_owned(), text.to_owned());
+            config.programs.add(&format!("{name}.urp"), ProgramSource::Script(text.to_owned()));
         }
         Player { controller: Controller::new(config), switches: 0 }
     }
