@@ -147,6 +147,9 @@ mod tests {
     use super::*;
     use crate::world::spec::GripperSpec;
     use nalgebra::Isometry3;
+    use ur_wire::primary::{HEADER, Package};
+    use ur_wire::primary_message::MessageBody;
+    use ur_wire::primary_state::SubPackage;
 
     fn simulator() -> Simulator {
         let controller = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
@@ -171,6 +174,62 @@ mod tests {
         let first = run();
         assert!(first.len() > 15, "greetings, answers and twelve robot states: {}", first.len());
         assert_eq!(first, run());
+    }
+
+    /// Of what was sent, the packages to a connection, in order.
+    fn packages(sent: &[Transmission], wanted: ConnectionId) -> Vec<Package> {
+        let bytes = sent.iter().filter_map(|transmission| match transmission {
+            Transmission::Bytes(id, bytes) if *id == wanted => Some(bytes),
+            _ => None,
+        });
+        bytes.map(|bytes| Package::decode(bytes[4], &bytes[HEADER..]).unwrap()).collect()
+    }
+
+    fn stop_of(package: &Package) -> Option<bool> {
+        let Package::RobotState(parts) = package else { return None };
+        parts.iter().find_map(|part| match part {
+            SubPackage::RobotMode(mode) => Some(mode.protective_stopped),
+            _ => None,
+        })
+    }
+
+    #[test]
+    fn the_state_with_a_protective_stop_comes_before_the_error_about_it() {
+        let mut simulator = simulator();
+        let primary = simulator.connect(Port::Primary).unwrap();
+        let secondary = simulator.connect(Port::Secondary).unwrap();
+        simulator.advance();
+        sent(&mut simulator);
+        simulator.core().robot.controller().protective_stop("test");
+        simulator.advance();
+        let out = sent(&mut simulator);
+        let [state, error, mode] = &packages(&out, primary)[..] else { panic!("{out:?}") };
+        assert_eq!(stop_of(state), Some(true));
+        let body = |package: &Package| match package {
+            Package::Message(message) => message.body.clone(),
+            other => panic!("{other:?}"),
+        };
+        assert!(matches!(body(error), MessageBody::Error { code: 204, .. }));
+        assert!(matches!(body(mode), MessageBody::SafetyMode { .. }));
+        assert_eq!(packages(&out, secondary).len(), 1, "at once there too");
+        (0..3).for_each(|_| simulator.advance());
+        assert_eq!(packages(&sent(&mut simulator), primary), [], "once, then ten times a second");
+    }
+
+    #[test]
+    fn the_primary_interface_unlocks_at_once_and_the_dashboard_after_five_seconds() {
+        let mut simulator = simulator();
+        let primary = simulator.connect(Port::Primary).unwrap();
+        let dashboard = simulator.connect(Port::Dashboard).unwrap();
+        simulator.core().robot.controller().protective_stop("test");
+        simulator.receive(dashboard, b"unlock protective stop\n");
+        simulator.advance();
+        assert!(simulator.core().robot.controller().core.modes.protective_stopped());
+        simulator.receive(primary, b"set unlock protective stop\n");
+        assert!(!simulator.core().robot.controller().core.modes.protective_stopped());
+        simulator.core().robot.controller().emergency_stop(true);
+        simulator.receive(primary, b"set unlock protective stop\n");
+        assert!(simulator.core().robot.controller().core.modes.emergency_stopped(), "no other stop");
     }
 
     #[test]

@@ -8,7 +8,7 @@
 const JOINTS: [&str; 6] = ["base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"];
 
 /// Code, words, and whether the argument names a joint.
-const CODES: [(i32, &str, bool); 22] = [
+const CODES: [(i32, &str, bool); 23] = [
     (150, "a joint is near the limit of its range", false),
     (151, "the tool's direction is near its limits", false),
     (152, "the arm is near a safety plane", false),
@@ -29,6 +29,7 @@ const CODES: [(i32, &str, bool); 22] = [
     (174, "the motion needs too sudden a change of torque", true),
     (191, "a limit of the safety configuration was violated", false),
     (204, "the path changes faster than the arm can follow", false),
+    (209, "the program requested the stop", false),
     (210, "a program came over a connection that was made in local control", false),
     (403, "a hand could be clamped between forearm and tool", false),
 ];

@@ -84,7 +84,8 @@ pub struct Core {
     /// A thread was killed in a motion; the arm brakes unless something else commands it in this frame.
     pub(super) orphaned: bool,
     pub(super) watchdogs: Vec<Watchdog>,
-    pub(super) stop_asked: Option<String>,
+    /// Error code and reason of a protective stop that this frame ends with.
+    pub(super) stop_asked: Option<(i32, String)>,
 }
 
 impl Core {

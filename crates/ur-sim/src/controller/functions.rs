@@ -4,6 +4,7 @@
 //! In: calls from running programs. Out: values, waits, or the message of a runtime exception.
 
 use crate::controller::core::{Core, DEFAULT_STOP};
+use crate::controller::modes::STOP_BY_PROGRAM_CODE;
 use crate::controller::registers::Input;
 use crate::controller::watchdog::{Watchdog, WatchdogAction};
 use crate::controller::{
@@ -261,7 +262,8 @@ fn messages(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             core.message(MessageBody::Text(format!("{first}{second}")));
         }),
         "protective_stop" => {
-            core.stop_asked = Some("protective stop by the program".to_owned());
+            let reason = "protective stop by the program".to_owned();
+            core.stop_asked = Some((STOP_BY_PROGRAM_CODE, reason));
             Ok(())
         }
         "powerdown" => {

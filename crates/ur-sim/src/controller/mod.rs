@@ -86,8 +86,8 @@ impl Controller {
         self.core.step += 1;
         self.core.modes.advance();
         self.programs.run(&mut self.core);
-        if let Some(reason) = self.core.stop_asked.take() {
-            self.protective_stop(&reason);
+        if let Some((code, reason)) = self.core.stop_asked.take() {
+            self.stop_with(code, &reason);
         }
         self.core.sockets.flush();
         if !self.core.modes.brakes_open() {
@@ -112,10 +112,14 @@ impl Controller {
 
     /// Stops the arm as its safety system does on a violated limit: on its path, the program paused.
     pub fn protective_stop(&mut self, reason: &str) {
+        self.stop_with(modes::PATH_SANITY_CODE, reason);
+    }
+
+    fn stop_with(&mut self, code: i32, reason: &str) {
         if self.core.modes.protective_stop(self.core.step) {
             self.programs.pause();
             self.core.pendant.safety_popup = true;
-            self.core.error_message(modes::PATH_SANITY_CODE, 0, reason);
+            self.core.error_message(code, 0, reason);
             self.core.safety_message();
         }
     }
@@ -126,9 +130,19 @@ impl Controller {
     /// The sentence of the dashboard, within 5 s of the stop or without one.
     pub fn unlock_protective_stop(&mut self) -> Result<(), String> {
         self.core.modes.unlock(self.core.step)?;
+        self.unlocked();
+        Ok(())
+    }
+
+    /// Ends a protective stop however old it is: what the primary interface's command does.
+    pub fn unlock_at_once(&mut self) {
+        self.core.modes.unlock_at_once();
+        self.unlocked();
+    }
+
+    fn unlocked(&mut self) {
         self.core.pendant.safety_popup = false;
         self.core.safety_message();
-        Ok(())
     }
 
     /// Presses or releases the emergency stop: the arm loses power, programs end.

@@ -18,6 +18,9 @@ const UNLOCK_FRAMES: u64 = 2500;
 /// Error code of a protective stop because of an impossible motion ("path sanity check failed").
 pub const PATH_SANITY_CODE: i32 = 204;
 
+/// Error code of a protective stop that the program has requested (C209A0).
+pub const STOP_BY_PROGRAM_CODE: i32 = 209;
+
 /// What the dashboard says to an early unlock.
 pub const UNLOCK_TOO_EARLY: &str = "Cannot unlock protective stop until 5s after occurrence. Always inspect \
                                     cause of protective stop before unlocking";
@@ -121,15 +124,17 @@ impl Modes {
     pub fn unlock(&mut self, step: u64) -> Result<(), String> {
         match self.safety {
             Safety::Protective { since } if step.saturating_sub(since) < UNLOCK_FRAMES => {
-                Err(UNLOCK_TOO_EARLY.to_owned())
+                return Err(UNLOCK_TOO_EARLY.to_owned());
             }
-            Safety::Protective { .. } => {
-                self.safety = Safety::Normal;
-                Ok(())
-            }
-            Safety::Normal | Safety::Safeguard | Safety::Emergency | Safety::Fault | Safety::Other(_) => {
-                Ok(())
-            }
+            _ => self.unlock_at_once(),
+        }
+        Ok(())
+    }
+
+    /// Ends a protective stop however old it is; other stops stay.
+    pub fn unlock_at_once(&mut self) {
+        if let Safety::Protective { .. } = self.safety {
+            self.safety = Safety::Normal;
         }
     }
 

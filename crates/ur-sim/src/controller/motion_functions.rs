@@ -8,6 +8,7 @@
 //! stop, as on the arm.
 
 use crate::controller::core::Core;
+use crate::controller::modes::PATH_SANITY_CODE;
 use crate::motion::dynamics;
 use crate::motion::mover::MoveId;
 use crate::motion::segment::MoveLimits;
@@ -111,7 +112,7 @@ fn take_arm(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
 
 /// Turns what the arm cannot do into a protective stop; the program waits and is paused by it.
 fn or_stop<T>(core: &mut Core, result: Result<T, MotionFault>) -> Option<T> {
-    result.map_err(|fault| core.stop_asked = Some(fault.to_string())).ok()
+    result.map_err(|fault| core.stop_asked = Some((PATH_SANITY_CODE, fault.to_string()))).ok()
 }
 
 fn start_move(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {

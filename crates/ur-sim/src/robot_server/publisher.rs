@@ -122,6 +122,8 @@ pub struct Publisher {
     forced_interval: Option<u64>,
     /// The popup of the last frame.
     popup: Option<String>,
+    /// A protective stop was in force in the last frame.
+    stopped: bool,
 }
 
 impl Publisher {
@@ -251,18 +253,24 @@ impl Publisher {
         self.drop_the_hopeless();
     }
 
-    /// Messages, robot states and real-time blocks.
+    /// Messages, robot states and real-time blocks. A state with a protective stop goes out at once and
+    /// before the messages about it: clients that read an error look at the state they have.
     fn send_states(&mut self, controller: &mut Controller) {
         let step = controller.core.step;
         let messages = controller.core.take_messages();
         let messages: Vec<Bytes> =
             messages.into_iter().map(|body| encode_message(controller, body)).collect();
         let fed = |feed: Feed| self.publisher.iter().any(|outlet| outlet.feed == feed);
-        let state_due = step.is_multiple_of(STATE_INTERVAL) && (fed(Feed::Primary) || fed(Feed::Secondary));
+        let stopped = controller.core.modes.protective_stopped();
+        let stops = stopped && !std::mem::replace(&mut self.stopped, stopped);
+        self.stopped = stopped;
+        let state_due =
+            (stops || step.is_multiple_of(STATE_INTERVAL)) && (fed(Feed::Primary) || fed(Feed::Secondary));
         let state = state_due.then(|| encode_state(robot_state::periodic(controller)));
         let block: Option<Bytes> = fed(Feed::Realtime).then(|| realtime::block(controller).into());
         for outlet in &mut self.publisher {
             let due: Vec<&Bytes> = match outlet.feed {
+                Feed::Primary if stops => state.iter().chain(&messages).collect(),
                 Feed::Primary => messages.iter().chain(&state).collect(),
                 Feed::Secondary => state.iter().collect(),
                 Feed::Realtime => block.iter().collect(),

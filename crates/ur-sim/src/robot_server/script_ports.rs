@@ -116,10 +116,8 @@ impl Session {
             Upload::PowerOn => controller.core.modes.power_on(),
             Upload::PowerOff => controller.power_off(),
             Upload::ReleaseBrakes => controller.core.modes.release_brakes(),
-            Upload::Unlock => {
-                // This channel has no reply; the client sees the mode change or not.
-                let _ = controller.unlock_protective_stop();
-            }
+            // Assumed: there is no reply to refuse with, and clients wait for 0.1 to 5 s before.
+            Upload::Unlock => controller.unlock_at_once(),
             Upload::StopProgram => {
                 controller.programs.cancel(&mut controller.core);
             }

@@ -283,6 +283,7 @@ fn scripts_stop_the_arm_and_cut_its_power() {
     let mut controller = running();
     upload(&mut controller, "def s():\n protective_stop()\n sleep(1)\nend\n");
     step_until(&mut controller, |c| c.core.modes.safety_mode() == SafetyMode::ProtectiveStop);
+    assert_eq!(messages(&mut controller), ["STARTED:s", "C209", "safety 3"]);
     let mut controller = running();
     upload(&mut controller, "def p():\n powerdown()\n sleep(1)\nend\n");
     step_until(&mut controller, |c| !c.core.modes.powered());
