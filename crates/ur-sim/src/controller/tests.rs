@@ -244,6 +244,40 @@ fn a_move_in_too_short_a_time_takes_longer() {
     assert!(frames > 500, "{frames} frames for 3 rad");
 }
 
+/// The controller slows down to what the joints can do; it stops protectively where a line leads past a
+/// singularity, however much time it was given.
+#[test]
+fn a_line_in_too_short_a_time_takes_longer() {
+    let mut controller = running();
+    let start = controller.core.tcp_pose();
+    let script = "def m():\n b = pose_trans(get_actual_tcp_pose(), p[0,0.3,0,0,0,1.2])\n \
+                  movel(b, t=0.05)\n textmsg(pose_dist(get_actual_tcp_pose(), b) < 0.00001)\nend\n";
+    upload(&mut controller, script);
+    controller.frame();
+    let mut fastest = 0.0f64;
+    while !stopped(&controller) {
+        controller.frame();
+        fastest = controller.core.mover.qd().iter().fold(fastest, |most, speed| most.max(speed.abs()));
+        assert!(controller.core.step < 5000);
+    }
+    assert_eq!(messages(&mut controller), ["STARTED:m", "text:True", "STOPPED:m"]);
+    let limit = controller.core.mover.arm.joint_speed[5];
+    assert!(fastest <= limit * 1.01 && fastest > limit * 0.8, "{fastest} of {limit} rad/s");
+    assert!(controller.core.step < 800, "{} frames from {start:?}", controller.core.step);
+}
+
+#[test]
+fn a_line_past_a_singularity_stops_protectively_also_with_a_time() {
+    let mut controller = running();
+    // Past the base's axis, 2 cm from where no posture reaches.
+    let script = "def m():\n movej([0.0, -2.2, 2.3, -1.67, -1.57, 0])\n \
+                  movel(pose_add(get_actual_tcp_pose(), p[0.6,0,0,0,0,0]), t=0.1)\nend\n";
+    upload(&mut controller, script);
+    controller.frame();
+    step_until(&mut controller, |c| c.core.modes.protective_stopped() || stopped(c));
+    assert!(controller.core.modes.protective_stopped());
+}
+
 #[test]
 fn a_timed_speed_leads_as_far_at_half_the_slider_and_takes_twice_as_long() {
     let way = |fraction: f64| {

@@ -122,7 +122,7 @@ impl Segment {
         start: Start,
         constant_speed: bool,
     ) -> Result<Segment, MotionFault> {
-        let target = probe(arm, from, &path)?;
+        let (target, quickest) = probe(arm, from, &path)?;
         let (distance, length) = (path.travel(), path.length());
         // A process move is handed over on the straight piece at its end.
         let straight = path.final_line().map_or(0.0, |(_, length)| length);
@@ -130,7 +130,7 @@ impl Segment {
         let near_target = if distance > 1e-9 { (radius / distance).min(0.5) } else { 0.5 };
         let blend = if radius > 0.0 { length * near_target } else { 0.0 };
         let profile = match start {
-            Start::Lead(lead) => profile(length, limits, blend, lead),
+            Start::Lead(lead) => within_joints(length, limits, blend, lead, quickest),
             Start::Motion(entry) => {
                 // Where the tool mostly turns, the length is longer than the way.
                 let entry = entry * length / distance.max(1e-9);
@@ -215,17 +215,38 @@ fn profile(length: f64, limits: &MoveLimits, blend: f64, lead: f64) -> Profile {
     if limits.seconds > 0.0 { natural.lasting(limits.seconds) } else { natural }
 }
 
-/// Follows a way of the tool to its end in coarse steps: its last joint positions.
-fn probe(arm: &Arm, from: &Joints, path: &ToolPath) -> Result<Joints, MotionFault> {
+/// The same for a way of the tool that the joints cannot pass in less than `quickest` (s) at constant speed.
+/// A duration that is too short for them is stretched, though never beyond what the move takes without one:
+/// what is too fast then leads past a singularity.
+fn within_joints(length: f64, limits: &MoveLimits, blend: f64, lead: f64, quickest: f64) -> Profile {
+    let wanted = profile(length, limits, blend, lead);
+    let too_fast = wanted.top_speed() * quickest / length.max(1e-9);
+    if limits.seconds <= 0.0 || too_fast <= 1.0 {
+        return wanted;
+    }
+    let natural = profile(length, &MoveLimits { seconds: 0.0, ..*limits }, blend, lead).duration();
+    let (asked, possible) = (wanted.duration(), wanted.duration() * too_fast);
+    wanted.lasting(possible.min(natural.max(asked)))
+}
+
+/// Follows a way of the tool to its end in coarse steps: its last joint positions, and the shortest time (s)
+/// in which the joints can pass it at constant speed.
+fn probe(arm: &Arm, from: &Joints, path: &ToolPath) -> Result<(Joints, f64), MotionFault> {
     let steps = ((path.travel() + path.turning()) * PROBES_PER_UNIT).ceil().clamp(1.0, 2000.0) as u32;
     let mut q = *from;
+    let mut quickest = 0.0f64;
     for step in 1..=steps {
-        q = arm.follow(&path.pose(f64::from(step) / f64::from(steps)), &q).ok_or(MotionFault::Unreachable)?;
-        if let Some(joint) = arm.outside(&q) {
-            return Err(MotionFault::JointRange { joint, position: q.0[joint] });
+        let next =
+            arm.follow(&path.pose(f64::from(step) / f64::from(steps)), &q).ok_or(MotionFault::Unreachable)?;
+        if let Some(joint) = arm.outside(&next) {
+            return Err(MotionFault::JointRange { joint, position: next.0[joint] });
         }
+        for (joint, most) in arm.joint_speed.iter().enumerate() {
+            quickest = quickest.max((next.0[joint] - q.0[joint]).abs() / most * f64::from(steps));
+        }
+        q = next;
     }
-    Ok(q)
+    Ok((q, quickest))
 }
 
 /// Fraction of a joint move, from its end, during which the TCP is within `radius` (m) of its target; at
