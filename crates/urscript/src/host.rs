@@ -81,6 +81,9 @@ impl Call<'_> {
 pub enum Reply {
     /// The call is done.
     Value(Value),
+    /// The call is done, and is one that lets time pass as a rule: a thread that makes such calls all the
+    /// time goes on in the next frame when its slice of this one is used up.
+    Waited(Value),
     /// Call again in the next frame; the thread waits.
     Wait,
 }

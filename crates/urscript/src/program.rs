@@ -4,8 +4,9 @@
 //! In: compiled code, a host, and one call of [`Program::frame`] per controller frame (2 ms). Out: whether
 //! it runs on, ended, or failed with a runtime exception. Threads take turns in the order in which they were
 //! started; a thread that becomes ready in a frame (joined, handed the critical section, just started) still
-//! runs in it. A slice longer than [`SLICE`] instructions is an endless loop and an exception, as the
-//! controller aborts a program that does not let time pass.
+//! runs in it. A slice longer than [`SLICE`] instructions without a call that waits is an endless loop and an
+//! exception, as the controller aborts a program that does not let time pass; with one the thread goes on in
+//! the next frame: what it reads may come in faster than it can read.
 //! The critical section is a lock that is handed on in the order of request, with sleeping allowed inside.
 //! While its holder waits in a built-in (a motion, a socket) or joins a thread the section is lent to a
 //! thread that requests it: deployed scripts run whole trajectories within it and still read their orders, a
@@ -115,6 +116,7 @@ impl Program {
         for scheduled in &mut self.threads {
             scheduled.done = false;
             scheduled.budget = SLICE;
+            scheduled.thread.waits = 0;
             if let Wait::Frames(left) = &mut scheduled.wait {
                 *left = left.saturating_sub(1);
             }
@@ -238,6 +240,10 @@ impl Program {
             Event::Finished => {
                 self.kill(id, host);
                 return Ok(if id == MAIN { Turn::ProgramEnded } else { Turn::Over });
+            }
+            Event::Exhausted if scheduled.thread.waits > 0 => {
+                scheduled.done = true;
+                return Ok(Turn::Over);
             }
             Event::Exhausted => {
                 let message = format!("endless loop: {SLICE} instructions without letting time pass");

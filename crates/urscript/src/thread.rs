@@ -18,6 +18,9 @@ use std::sync::Arc;
 /// Deepest nesting of calls.
 const MAX_CALLS: usize = 200;
 
+/// Calls that let time pass as a rule, of which a thread makes no more in a frame when they let none pass.
+const MAX_WAITS: u32 = 100;
+
 /// Length of a controller frame, s.
 pub const FRAME_SECONDS: f64 = 0.002;
 
@@ -72,6 +75,8 @@ pub(crate) struct Thread {
     pub(crate) id: ThreadId,
     pub(crate) parent: Option<ThreadId>,
     pub(crate) pending: Option<Pending>,
+    /// Calls in this frame that let time pass as a rule.
+    pub(crate) waits: u32,
     calls: Vec<Activation>,
     stack: Vec<Value>,
 }
@@ -85,7 +90,7 @@ impl Thread {
         function: usize,
         parameters: Vec<Option<Value>>,
     ) -> Thread {
-        let mut thread = Thread { id, parent, pending: None, calls: Vec::new(), stack: Vec::new() };
+        let mut thread = Thread { id, parent, pending: None, waits: 0, calls: Vec::new(), stack: Vec::new() };
         thread.enter(code, function, parameters);
         thread
     }
@@ -126,7 +131,7 @@ impl Thread {
             return Ok(Event::Waiting);
         }
         loop {
-            if *budget == 0 {
+            if *budget == 0 || self.waits >= MAX_WAITS {
                 return Ok(Event::Exhausted);
             }
             *budget -= 1;
@@ -152,6 +157,11 @@ impl Thread {
         };
         match host.call(call)? {
             Reply::Value(value) => {
+                self.stack.push(value);
+                Ok(true)
+            }
+            Reply::Waited(value) => {
+                self.waits += 1;
                 self.stack.push(value);
                 Ok(true)
             }

@@ -1,7 +1,7 @@
 //! A program of the External Control URCap: its script is fetched from a PC when it is played.
 //!
-//! In: the PC's address, then one step a frame. Out: the text of the program to run. As the URCap's published
-//! source does: `request_program` and a line end go to the PC, and what comes back until nothing more is
+//! In: the PC's address, then one step a frame. Out: the text of the program to run. As the URCap's source
+//! does: `request_program` and a line end go to the PC, and what comes back until nothing more is
 //! there is the script. Lines from `# HEADER_BEGIN` to `# HEADER_END` come first in the program, what is
 //! behind them is the node's own part, and what is before them is left out; without both marks all of it is
 //! the node's part. A PC that cannot be reached makes a program of a popup that waits to be closed.

@@ -27,14 +27,14 @@ impl Host for Core {
         if self.secondary && motion_functions::takes_the_arm(call.name) {
             return Err(format!("{}: a secondary program must not move the arm", call.name));
         }
-        if let Some(reply) = motion_functions::call(self, &mut call) {
-            return reply;
-        }
-        if let Some(reply) = socket_functions::call(self, &mut call) {
-            return reply;
-        }
-        if call.name == "popup" {
-            return popup(self, &call);
+        let slow = motion_functions::call(self, &mut call)
+            .or_else(|| socket_functions::call(self, &mut call))
+            .or_else(|| (call.name == "popup").then(|| popup(self, &call)));
+        if let Some(reply) = slow {
+            return reply.map(|reply| match reply {
+                Reply::Value(value) => Reply::Waited(value),
+                other => other,
+            });
         }
         let value = io_functions::call(self, &call)
             .or_else(|| force_functions::call(self, &call))

@@ -279,6 +279,14 @@ fn a_line_past_a_singularity_stops_protectively_also_with_a_time() {
 }
 
 #[test]
+fn a_loop_of_stops_lets_time_pass() {
+    let mut controller = running();
+    upload(&mut controller, "def m():\n while True:\n  stopj(2)\n end\nend\n");
+    (0..100).for_each(|_| controller.frame());
+    assert!(controller.programs.playing());
+}
+
+#[test]
 fn a_timed_speed_leads_as_far_at_half_the_slider_and_takes_twice_as_long() {
     let way = |fraction: f64| {
         let mut controller = running();

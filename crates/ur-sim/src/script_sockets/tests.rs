@@ -69,6 +69,19 @@ fn integers(values: &[i32]) -> Vec<u8> {
 }
 
 #[test]
+fn a_sender_that_is_faster_than_its_reader_is_no_endless_loop() {
+    let port = server(|mut stream| while stream.write_all(&[7; 65_536]).is_ok() {});
+    let mut controller = controller();
+    let script = format!(
+        "def r():\n socket_open(\"127.0.0.1\", {port})\n while True:\n  n = socket_read_byte_list(1)\n  \
+         write_output_integer_register(24, read_output_integer_register(24) + n[1])\n end\nend\n"
+    );
+    start(&mut controller, &script);
+    step_until(&mut controller, |c| c.core.registers.output_ints[24] > 7 * 10_000 || stopped(c));
+    assert!(controller.programs.playing(), "{:?}", controller.core.take_messages());
+}
+
+#[test]
 fn every_way_of_reading_takes_its_part_of_the_stream() {
     let port = server(|mut stream| {
         stream.write_all(&integers(&[5, -6])).unwrap();

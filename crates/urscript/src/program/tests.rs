@@ -6,7 +6,7 @@ use crate::host::urscript_builtins;
 use crate::host::{Builtin, Call, Reply};
 use proptest::prelude::*;
 
-const BUILTINS: &[Builtin] = urscript_builtins![say(a; b), wait(frames), movej(q; a, v, t, r)];
+const BUILTINS: &[Builtin] = urscript_builtins![say(a; b), wait(frames), read(), movej(q; a, v, t, r)];
 
 fn find(name: &str) -> Option<&'static Builtin> {
     BUILTINS.iter().find(|builtin| builtin.name == name)
@@ -27,6 +27,7 @@ impl Host for Recorder {
                 let second = call.argument(1).map(|b| format!(" {b}")).unwrap_or_default();
                 self.said.push(format!("{}{second}", call.required(0)?));
             }
+            "read" => return Ok(Reply::Waited(Value::Int(1))),
             "wait" if call.frames < call.required(0)?.integer()? as u64 => return Ok(Reply::Wait),
             "movej" => {
                 let texts: Vec<String> = call
@@ -241,6 +242,19 @@ fn blocking_built_ins_wait_in_frames() {
 fn the_end_of_the_main_function_ends_everything() {
     check("thread t(): while True: sync() end end run t() say(1)", "1");
     check("def f(): halt end f() say('never')", "");
+}
+
+#[test]
+fn a_loop_of_calls_that_wait_is_not_endless_and_leaves_the_others_their_frames() {
+    let (host, progress) =
+        run("thread t(): while True: say(1) sync() end end run t() while True: read() end", 50);
+    assert_eq!((progress, host.said.len()), (Progress::Running, 50));
+    // Whatever it waited for before, a loop that does not wait is endless.
+    for text in ["read() while 1: end", "n = 0 while n < 500: read() n = n + 1 end while 1: end"] {
+        let (_, progress) = run(text, 50);
+        let endless = matches!(&progress, Progress::Failed(e) if e.message.starts_with("endless loop"));
+        assert!(endless, "{text}: {progress:?}");
+    }
 }
 
 #[test]
