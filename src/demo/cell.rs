@@ -35,6 +35,7 @@ use ur_arm::kinematics::{ARM_MODELS, DhParameters};
 use ur_sim::command::{FOCAL_PX, PICTURE};
 use ur_sim::config::read::DEFAULT_ERRORS;
 use ur_sim::config::{SimFile, SimMount, SimPorts};
+use ur_sim::controller::modes::Control;
 use ur_sim::controller::program_files::ProgramFiles;
 
 /// Distance of the camera over the table while looking, m.
@@ -221,6 +222,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         reference_markers: config.reference_markers.clone(),
         model: ARM_MODELS[0],
         start_pose: config.park_pose,
+        control: Control::Remote,
         program_folder: None,
         programs: ProgramFiles::default(),
         errors: DEFAULT_ERRORS,

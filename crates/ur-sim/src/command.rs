@@ -204,6 +204,7 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
     let truth = spec::TruthSpec::from_seed(&nominal, &limits, file.seed);
     let mut controller = ControllerConfig::of(&file.model, file.seed);
     controller.start = file.start_pose;
+    controller.control = file.control;
     controller.programs.clone_from(&file.programs);
     controller.dh = calibrated(&file.model.dh, file.seed, errors.dh_m, errors.dh_rad);
     SimConfig {

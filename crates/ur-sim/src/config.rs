@@ -8,6 +8,7 @@ pub mod load;
 pub mod programs;
 pub mod read;
 
+use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
 use cell_parts::grid::MarkerGrid;
 use cell_parts::gripper::GripperConfig;
@@ -49,6 +50,8 @@ pub struct SimFile {
     pub reference_markers: Vec<ReferenceMarkerConfig>,
     /// Which arm.
     pub model: ArmModel,
+    /// From where the arm is commanded at the start.
+    pub control: Control,
     /// Joint pose at power-on.
     pub start_pose: Joints,
     /// Folder with the scripts that the dashboard loads, relative to the file's own; absent: none.

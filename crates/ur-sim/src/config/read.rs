@@ -5,6 +5,7 @@
 
 use crate::config::programs::programs;
 use crate::config::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
+use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
 use cell_parts::fields::{each, joints_deg, optional, port, required_number, transform};
 use cell_parts::grid::{board, board_apart};
@@ -39,9 +40,14 @@ pub const SIM_KEYS: &[&str] = &[
     "hand_board",
     "model",
     "start_pose_deg",
+    "control_mode",
     "programs",
     "errors",
 ];
+
+/// From where the arm is commanded, as the file names it.
+const CONTROL_MODES: &[(&str, Control)] =
+    &[("remote", Control::Remote), ("local", Control::Local), ("not_enabled", Control::NotEnabled)];
 
 /// What the truth deviates by unless the file says otherwise (design, sections 5 and issue 2 part 7).
 pub const DEFAULT_ERRORS: SimErrors = SimErrors {
@@ -99,6 +105,9 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         let choices: Vec<_> = ARM_MODELS.iter().map(|model| (model.name, *model)).collect();
         decoder.choice(at, &choices)
     });
+    let control = optional(decoder, fields, "control_mode", Control::Remote, |decoder, at| {
+        decoder.choice(at, CONTROL_MODES)
+    });
     let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
     let (size, (program_folder, programs)) = (size?, programs?);
@@ -118,6 +127,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         reference_markers: markers?,
         model: model?,
         start_pose: start_pose?,
+        control: control?,
         program_folder,
         programs,
         errors: errors?,

@@ -3,6 +3,7 @@
 //! In: an arm model and a seed. Out: [`ControllerConfig`], whose calibrated kinematics differ from the
 //! nominal ones as those of real arms do. Pure.
 
+use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
 use cell_values::units::Joints;
 use rand::{RngExt, SeedableRng};
@@ -32,8 +33,8 @@ pub struct ControllerConfig {
     pub version: [u32; 4],
     /// Arm powered and brakes open at the start; else powered off.
     pub running: bool,
-    /// Remote control at the start.
-    pub remote: bool,
+    /// From where the arm is commanded at the start.
+    pub control: Control,
     /// Tool centre point of the installation, in the flange frame.
     pub tcp: [f64; 6],
     /// Payload of the installation, kg.
@@ -60,7 +61,7 @@ impl ControllerConfig {
             model: arm.name.trim_end_matches('e').to_owned(),
             version: [5, 26, 0, 1_234_567],
             running: false,
-            remote: true,
+            control: Control::Remote,
             tcp: [0.0; 6],
             payload: 0.0,
             seed,

@@ -93,7 +93,7 @@ impl Core {
     pub(super) fn new(config: ControllerConfig) -> Core {
         let arm = Arm::of(config.arm.joint_speed, config.dh);
         let mut core = Core {
-            modes: Modes::new(config.running, config.remote),
+            modes: Modes::new(config.running, config.control),
             registers: Registers::default(),
             mover: Mover::new(arm, config.start),
             payload: Payload {

@@ -47,21 +47,33 @@ enum Safety {
     Other(i32),
 }
 
+/// From where the arm is commanded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Control {
+    /// By clients.
+    Remote,
+    /// At the pendant: clients are refused.
+    Local,
+    /// Remote control was never enabled in the settings, as on a robot just unpacked: it is in no remote
+    /// control and takes clients' commands all the same.
+    NotEnabled,
+}
+
 /// Modes of the controller.
 #[derive(Clone, Debug)]
 pub struct Modes {
     power: Power,
     safety: Safety,
-    remote: bool,
+    control: Control,
     /// Counts switches between local and remote control: connections made before the last one are stale.
     switches: u64,
 }
 
 impl Modes {
     /// Powered and free, or powered off.
-    pub fn new(running: bool, remote: bool) -> Modes {
+    pub fn new(running: bool, control: Control) -> Modes {
         let power = if running { Power::Running } else { Power::Off };
-        Modes { power, safety: Safety::Normal, remote, switches: 0 }
+        Modes { power, safety: Safety::Normal, control, switches: 0 }
     }
 
     /// One frame.
@@ -182,17 +194,24 @@ impl Modes {
         }
     }
 
-    /// Switches between remote (true) and local control.
+    /// Switches between remote (true) and local control; a controller whose remote control is not enabled
+    /// has no such switch.
     pub fn set_remote(&mut self, remote: bool) {
-        if self.remote != remote {
-            self.remote = remote;
+        let control = if remote { Control::Remote } else { Control::Local };
+        if self.control != Control::NotEnabled && self.control != control {
+            self.control = control;
             self.switches += 1;
         }
     }
 
     /// Remote control is on.
     pub fn remote(&self) -> bool {
-        self.remote
+        self.control == Control::Remote
+    }
+
+    /// Clients may command the arm.
+    pub fn takes_commands(&self) -> bool {
+        self.control != Control::Local
     }
 
     /// Number of switches between local and remote so far.
@@ -275,7 +294,7 @@ mod tests {
 
     #[test]
     fn power_comes_step_by_step() {
-        let mut modes = Modes::new(false, true);
+        let mut modes = Modes::new(false, Control::Remote);
         modes.power_on();
         assert_eq!(modes.robot_mode(), RobotMode::Booting);
         let mut modes = after(modes, BOOTING_FRAMES + 1);
@@ -287,7 +306,7 @@ mod tests {
 
     #[test]
     fn releasing_the_brakes_of_an_arm_without_power_switches_it_on_first() {
-        let mut modes = Modes::new(false, true);
+        let mut modes = Modes::new(false, Control::Remote);
         modes.release_brakes();
         let modes = after(modes, BOOTING_FRAMES + 1);
         assert!(modes.powered() && !modes.brakes_open());
@@ -296,7 +315,7 @@ mod tests {
 
     #[test]
     fn reduced_mode_lets_the_arm_move_and_shows() {
-        let mut modes = Modes::new(true, true);
+        let mut modes = Modes::new(true, Control::Remote);
         modes.show_safety(Some(2));
         assert!(modes.motion_allowed());
         assert_eq!((modes.safety_mode(), modes.safety_status_bits()), (SafetyMode::Reduced, 2));
@@ -308,7 +327,7 @@ mod tests {
 
     #[test]
     fn a_protective_stop_waits_five_seconds() {
-        let mut modes = Modes::new(true, true);
+        let mut modes = Modes::new(true, Control::Remote);
         assert!(modes.protective_stop(100) && !modes.protective_stop(101));
         assert!(modes.unlock(100 + UNLOCK_FRAMES - 1).is_err());
         assert_eq!(modes.safety_status_bits(), 0x404);
@@ -318,7 +337,7 @@ mod tests {
 
     #[test]
     fn an_emergency_stop_takes_the_power_and_needs_release() {
-        let mut modes = Modes::new(true, true);
+        let mut modes = Modes::new(true, Control::Remote);
         modes.emergency_stop(true);
         modes.power_on();
         assert_eq!(
@@ -333,7 +352,7 @@ mod tests {
 
     #[test]
     fn a_fault_needs_a_restart() {
-        let mut modes = Modes::new(true, true);
+        let mut modes = Modes::new(true, Control::Remote);
         modes.fault();
         modes.power_on();
         assert_eq!(modes.robot_mode(), RobotMode::PowerOff);
@@ -344,7 +363,7 @@ mod tests {
 
     #[test]
     fn every_switch_of_control_is_counted() {
-        let mut modes = Modes::new(true, true);
+        let mut modes = Modes::new(true, Control::Remote);
         modes.set_remote(true);
         modes.set_remote(false);
         modes.set_remote(true);

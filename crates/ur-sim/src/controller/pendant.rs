@@ -69,6 +69,8 @@ pub struct Pendant {
     pub safety_checksum: u32,
     /// The freedrive button is held.
     pub freedrive: bool,
+    /// Reports that were requested.
+    pub flight_reports: u32,
     role: &'static str,
     version: Option<[u32; 4]>,
     model: Option<String>,
@@ -82,6 +84,7 @@ impl Default for Pendant {
             safety_popup: false,
             safety_checksum: SAFETY_CHECKSUM,
             freedrive: false,
+            flight_reports: 0,
             role: ROLES[0],
             version: None,
             model: None,

@@ -278,6 +278,21 @@ fn a_line_past_a_singularity_stops_protectively_also_with_a_time() {
     assert!(controller.core.modes.protective_stopped());
 }
 
+/// Assumed: what comes before the brakes are open is not kept for later.
+#[test]
+fn a_script_that_comes_while_the_brakes_are_released_is_refused() {
+    let mut controller = Controller::new(ControllerConfig::ur5e(3));
+    controller.core.modes.release_brakes();
+    for _ in 0..300 {
+        upload(&mut controller, "def m():\n sleep(100)\nend\n");
+        controller.frame();
+        assert_eq!(messages(&mut controller), ["C169"]);
+    }
+    step_until(&mut controller, |c| c.core.modes.robot_mode() == RobotMode::Running);
+    (0..10).for_each(|_| controller.frame());
+    assert!(stopped(&controller));
+}
+
 #[test]
 fn a_loop_of_stops_lets_time_pass() {
     let mut controller = running();

@@ -5,6 +5,7 @@
 //! table of all commands is docs/simulator-states.md.
 
 use crate::controller::Controller;
+use crate::controller::core::Core;
 use crate::controller::pendant::{INSTALLATION, LoadError, OperationalMode};
 use crate::controller::program_files::bare_name;
 use crate::robot_server::shared::RobotShared;
@@ -59,7 +60,7 @@ impl Session {
 /// Carries out one command.
 pub fn answer(controller: &mut Controller, command: &Command, line: &str, switches: u64) -> Reply {
     let modes = &controller.core.modes;
-    if command.needs_remote_control() && (!modes.remote() || modes.switches() != switches) {
+    if command.needs_remote_control() && (!modes.takes_commands() || modes.switches() != switches) {
         return Reply::NotAllowed;
     }
     if let Some(reply) = question(controller, command).or_else(|| at_the_pendant(controller, command)) {
@@ -127,16 +128,32 @@ fn at_the_pendant(controller: &mut Controller, command: &Command) -> Option<Repl
             return Some(Reply::Refused(format!("Failed setting user role: {name}")));
         }
         Command::AddToLog(text) => tracing::info!(text, "log message of a dashboard client"),
-        // Reports are made of files that only a real controller has.
-        Command::GenerateFlightReport(kind) => {
-            return Some(Reply::Text(format!("Error generating flight report: {kind}: not simulated")));
-        }
-        Command::GenerateSupportFile(folder) => {
-            return Some(Reply::Text(format!("Error generating support file: {folder}: not simulated")));
-        }
+        Command::GenerateFlightReport(kind) => return Some(flight_report(core, kind)),
+        Command::GenerateSupportFile(folder) => return Some(support_file(core, folder)),
         _ => return None,
     }
     Some(Reply::accepted(command))
+}
+
+/// The number of a report that is not made: it would be of files that only a real controller has.
+fn flight_report(core: &mut Core, kind: &str) -> Reply {
+    if !matches!(kind, "" | "controller" | "software" | "system") {
+        return Reply::Text(format!("Error generating flight report: unknown type {kind}"));
+    }
+    core.pendant.flight_reports += 1;
+    Reply::Text(format!("Flight Report generated with id:{}", core.pendant.flight_reports))
+}
+
+/// The name that a support file would have in a folder of the programs; none is written.
+fn support_file(core: &mut Core, folder: &str) -> Reply {
+    let place = folder.trim_end_matches('/');
+    let programs = core.config.programs.folder().trim_end_matches('/');
+    if !matches!(place, "" | ".") && place != programs {
+        return Reply::Text(format!("Error: {folder} is not a folder of the programs"));
+    }
+    core.pendant.flight_reports += 1;
+    let (serial, number) = (&core.config.serial_number, core.pendant.flight_reports);
+    Reply::Text(format!("Completed successfully: ur_{serial}_{number}.zip"))
 }
 
 /// Commands that only query.

@@ -96,7 +96,7 @@ impl Session {
         };
         let mut controller = shared.controller();
         let modes = &controller.core.modes;
-        if !modes.remote() || modes.switches() != self.switches {
+        if !modes.takes_commands() || modes.switches() != self.switches {
             let text = "connection is read-only: switch to remote control and reconnect".to_owned();
             let body =
                 MessageBody::Error { code: READ_ONLY, argument: 0, level: 2, data_type: 0, data: 0, text };

@@ -1,6 +1,7 @@
 //! Plays the tables of docs/simulator-states.md on a controller: a row that is wrong, or that the controller
 //! does not follow any more, fails.
 
+use crate::controller::modes::{Control, Modes};
 use crate::controller::outputs::{Grade, grade};
 use crate::controller::program_files::ProgramSource;
 use crate::controller::{Controller, ControllerConfig};
@@ -127,6 +128,16 @@ fn every_command_answers_as_listed() {
     }
     parsed.dedup();
     assert!(parsed.len() >= 37, "the table has lost commands");
+}
+
+#[test]
+fn a_controller_without_remote_control_takes_commands_and_has_no_switch() {
+    let mut player = Player::new();
+    player.controller.core.modes = Modes::new(false, Control::NotEnabled);
+    assert_eq!(player.ask("is in remote control"), "false");
+    assert_eq!(player.play("`brake release`, 2 s, `load work.urp`, `play`"), "Starting program");
+    assert_eq!(player.play("local control, `stop`"), "Stopped");
+    assert_eq!(player.ask("is in remote control"), "false");
 }
 
 #[test]
