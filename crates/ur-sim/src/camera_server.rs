@@ -4,12 +4,15 @@
 //! `X-Sequence` (counts frames of its kind), `X-Time` (controller seconds at exposure) and `X-Serial`; depth
 //! with 16 bits, 0.1 mm a unit and 0 where nothing was found, aligned to the colour picture; the factory
 //! intrinsics as JSON. A frame is exposed and transferred in its own time ([`crate::camera`]); drawing
-//! happens afterwards on a blocking thread, without the world, one picture at a time. A camera that is
-//! switched off (a fault) answers 503; other faults of the camera are read from the world at every frame.
+//! happens afterwards on a blocking thread, without the world, one picture of a kind at a time, also when the
+//! client of the last one has gone meanwhile; for clients that went while they waited nothing is drawn. A
+//! camera that is switched off (a fault) answers 503; other faults of the camera are read from the world at every frame.
 
 use crate::camera::{CameraSetup, Window};
 use crate::faults::link::Link;
 use crate::render::Renderer;
+use crate::serve::MAX_CONNECTIONS;
+use crate::serve::seats::Seats;
 use crate::serve::stream::LinkListener;
 use crate::world::{SharedWorld, lock};
 use axum::body::Bytes;
@@ -36,8 +39,8 @@ struct Camera {
     /// Made with the first picture: inverting the lens must not delay the start.
     renderer: OnceLock<Renderer>,
     /// Frames taken, colour and depth; held while one is drawn, so that several clients do not share out the
-    /// processor.
-    rolls: [Mutex<Roll>; 2],
+    /// processor and its memory.
+    rolls: [Arc<Mutex<Roll>>; 2],
 }
 
 /// What a frame shows.
@@ -79,7 +82,8 @@ pub async fn serve(
         .route("/depth.png", get(|camera| frame(camera, Kind::Depth)))
         .route("/intrinsics.json", get(intrinsics))
         .with_state(Arc::new(camera));
-    axum::serve(LinkListener { listener, link }, router).with_graceful_shutdown(stop).await
+    let listener = LinkListener { listener, link, seats: Seats::new(MAX_CONNECTIONS) };
+    axum::serve(listener, router).with_graceful_shutdown(stop).await
 }
 
 async fn intrinsics(State(camera): State<Arc<Camera>>) -> Response {
@@ -94,7 +98,7 @@ fn off() -> Response {
 }
 
 async fn frame(State(camera): State<Arc<Camera>>, kind: Kind) -> Response {
-    let mut roll = camera.rolls[kind as usize].lock().await;
+    let mut roll = camera.rolls[kind as usize].clone().lock_owned().await;
     let (faults, now_s) = {
         let world = lock(&camera.world);
         (world.camera_faults().clone(), world.now_s())
@@ -107,25 +111,24 @@ async fn frame(State(camera): State<Arc<Camera>>, kind: Kind) -> Response {
     }
     roll.number += 1;
     let number = roll.number;
-    let repeated = roll.last.clone().filter(|_| faults.repeats);
-    let taken = match repeated {
-        Some(last) => Ok(Frame { png: last.png, number, time_s: now_s }),
-        None => {
-            let window = camera.setup.timing.window(now_s);
-            camera.until(window.ready_s).await;
-            let drawing = camera.clone();
-            let draw = move || {
-                cell_edge::priority::lower();
-                drawing.take(kind, number, &window).map_err(|error| error.to_string())
-            };
-            tokio::task::spawn_blocking(draw).await.unwrap_or_else(|error| Err(error.to_string()))
-        }
+    if let Some(last) = roll.last.clone().filter(|_| faults.repeats) {
+        let repeated = Frame { png: last.png, number, time_s: now_s };
+        roll.last = Some(repeated.clone());
+        return camera.answer(repeated);
+    }
+    let window = camera.setup.timing.window(now_s);
+    camera.until(window.ready_s).await;
+    let drawing = camera.clone();
+    // The thread has the roll, and not this request, which ends when its client goes.
+    let draw = move || {
+        cell_edge::priority::lower();
+        let frame = drawing.take(kind, number, &window).map_err(|error| error.to_string())?;
+        roll.last = Some(frame.clone());
+        Ok(frame)
     };
+    let taken = tokio::task::spawn_blocking(draw).await.unwrap_or_else(|error| Err(error.to_string()));
     match taken {
-        Ok(frame) => {
-            roll.last = Some(frame.clone());
-            camera.answer(frame)
-        }
+        Ok(frame) => camera.answer(frame),
         Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error).into_response(),
     }
 }
@@ -246,6 +249,52 @@ mod tests {
             pictures.push(picture.into_raw());
         }
         assert_ne!(pictures[0], pictures[1], "sensor noise never repeats");
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_picture_whose_client_has_gone_is_drawn_to_its_end_before_the_next() {
+        let world = Arc::new(std::sync::Mutex::new(empty_world(5)));
+        let camera =
+            Arc::new(Camera { setup: setup(), world, renderer: OnceLock::new(), rolls: Default::default() });
+        // What draws waits for the lens until the test lets go of it.
+        let (begun, beginning) = std::sync::mpsc::channel();
+        let (release, released) = std::sync::mpsc::channel::<()>();
+        let holder = camera.clone();
+        let lens = std::thread::spawn(move || {
+            holder.renderer.get_or_init(|| {
+                begun.send(()).unwrap();
+                let _ = released.recv();
+                Renderer::new(holder.setup.truth.clone())
+            });
+        });
+        beginning.recv().unwrap();
+        let free = || camera.rolls[0].try_lock().is_ok();
+        let request = tokio::spawn(frame(State(camera.clone()), Kind::Colour));
+        while free() {
+            tokio::task::yield_now().await;
+        }
+        let waiting = tokio::spawn(frame(State(camera.clone()), Kind::Colour));
+        for gone in [request, waiting] {
+            gone.abort();
+            assert!(gone.await.unwrap_err().is_cancelled());
+        }
+        assert!(!free(), "a second picture would be drawn beside the first");
+        release.send(()).unwrap();
+        lens.join().unwrap();
+        while !free() {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(camera.rolls[0].lock().await.number, 1, "nothing is drawn for who went while waiting");
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn connections_that_are_forgotten_shut_out_no_other() {
+        let (address, _world) = started().await;
+        let mut forgotten = Vec::new();
+        for _ in 0..3 * MAX_CONNECTIONS {
+            forgotten.push(tokio::net::TcpStream::connect(address).await.unwrap());
+        }
+        assert_eq!(fetch(address, "/intrinsics.json").await.0, 200);
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

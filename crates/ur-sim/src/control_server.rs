@@ -8,6 +8,9 @@
 
 use crate::faults::injector::FaultInjector;
 use crate::faults::read::read_posted;
+use crate::serve::MAX_CONNECTIONS;
+use crate::serve::seats::Seats;
+use crate::serve::stream::LinkListener;
 use crate::world::{SharedWorld, lock};
 use axum::body::Bytes;
 use axum::extract::{DefaultBodyLimit, State};
@@ -61,6 +64,9 @@ pub async fn serve(
         .route("/fault", post(fault))
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
         .with_state(Control { world, desk });
+    // No fault acts on what makes them.
+    let link = Arc::default();
+    let listener = LinkListener { listener, link, seats: Seats::new(MAX_CONNECTIONS) };
     Ok(axum::serve(listener, router).with_graceful_shutdown(stop).await?)
 }
 

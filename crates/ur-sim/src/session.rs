@@ -52,6 +52,12 @@ impl Port {
         }
     }
 
+    /// True for a server that sends nothing without a request (but a greeting), so that a silent connection
+    /// is an idle one.
+    pub fn only_answers(self) -> bool {
+        matches!(self, Port::Dashboard | Port::Gripper)
+    }
+
     /// The server in messages.
     pub fn name(self) -> &'static str {
         match self {

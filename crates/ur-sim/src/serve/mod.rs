@@ -5,12 +5,15 @@
 //! not read can still send. All of them pass through their server's link ([`stream`]), where faults act;
 //! while a server is down nothing listens.
 
+pub mod seats;
+
 pub mod stream;
 
 use crate::core::Core;
 use crate::robot_server::line::{Inlet, Line, Packet, Queue};
 use crate::robot_server::shared::RobotShared;
 use crate::robot_server::{RobotAddresses, RobotPorts};
+use crate::serve::seats::Seats;
 use crate::serve::stream::LinkStream;
 use crate::session::{Port, Session};
 use std::net::{IpAddr, SocketAddr};
@@ -24,8 +27,12 @@ use tokio::task::{JoinHandle, JoinSet};
 /// Wait before a port is listened on again after a failure.
 const LISTEN_AGAIN: Duration = Duration::from_millis(10);
 
-/// Connections each port takes at once; further ones are closed.
-const MAX_CONNECTIONS: usize = 32;
+/// Connections each port takes at once. At a server that only answers a further one takes the place of the
+/// one that has been silent longest; at the others it is closed.
+pub const MAX_CONNECTIONS: usize = 32;
+
+/// Connections of such a server that may still be on their way out, times [`MAX_CONNECTIONS`].
+const LEAVING: usize = 4;
 
 /// Bytes read at once.
 const READ: usize = 64 * 1024;
@@ -130,6 +137,10 @@ async fn accept(
 ) {
     let link = core.robot.links.get(port.link()).clone();
     let mut connections = JoinSet::new();
+    let (seats, most) = match port.only_answers() {
+        true => (Some(Seats::new(MAX_CONNECTIONS)), LEAVING * MAX_CONNECTIONS),
+        false => (None, MAX_CONNECTIONS),
+    };
     let (mut listener, mut changes) = (Some(listener), link.watch());
     loop {
         let down = changes.borrow_and_update().down;
@@ -142,8 +153,9 @@ async fn accept(
             stream = accepted(listener.as_ref()) => {
                 let Some(stream) = stream else { continue };
                 while connections.try_join_next().is_some() {}
-                if connections.len() < MAX_CONNECTIONS && stream.set_nodelay(true).is_ok() {
-                    connections.spawn(connection(core.clone(), port, LinkStream::new(stream, &link)));
+                if connections.len() < most && stream.set_nodelay(true).is_ok() {
+                    let seat = seats.as_ref().map(Seats::take);
+                    connections.spawn(connection(core.clone(), port, LinkStream::new(stream, &link, seat)));
                 }
             }
         }

@@ -9,6 +9,7 @@
 
 use crate::faults::link::{Link, LinkState};
 use crate::robot_server::line::Way;
+use crate::serve::seats::{Seat, Seats};
 use std::collections::VecDeque;
 use std::future::Future;
 use std::io::{Error, ErrorKind};
@@ -33,6 +34,8 @@ pub struct LinkListener {
     pub listener: TcpListener,
     /// The link.
     pub link: Arc<Link>,
+    /// Places for connections.
+    pub seats: Seats,
 }
 
 impl axum::serve::Listener for LinkListener {
@@ -42,7 +45,9 @@ impl axum::serve::Listener for LinkListener {
     async fn accept(&mut self) -> (LinkStream, SocketAddr) {
         loop {
             match self.listener.accept().await {
-                Ok((stream, address)) => return (LinkStream::new(stream, &self.link), address),
+                Ok((stream, address)) => {
+                    return (LinkStream::new(stream, &self.link, Some(self.seats.take())), address);
+                }
                 // Accepting can fail for want of file handles; the next attempt may succeed.
                 Err(_) => tokio::time::sleep(Duration::from_millis(10)).await,
             }
@@ -160,11 +165,13 @@ pub struct LinkStream {
     timer: Pin<Box<Sleep>>,
     /// The task that waits to read, which sends what is held back when its time has come.
     reader: Option<Waker>,
+    /// Its place, at a server that has a limit of them.
+    seat: Option<Arc<Seat>>,
 }
 
 impl LinkStream {
     /// A connection just made.
-    pub fn new(stream: TcpStream, link: &Link) -> LinkStream {
+    pub fn new(stream: TcpStream, link: &Link, seat: Option<Arc<Seat>>) -> LinkStream {
         let (reading, writing) = (Follower::new(link.watch()), Follower::new(link.watch()));
         let lane = Lane { stream, written: AtomicU64::new(0), holds_back: AtomicBool::new(false) };
         LinkStream {
@@ -179,6 +186,7 @@ impl LinkStream {
             delayed_bytes: 0,
             timer: Box::pin(tokio::time::sleep(Duration::ZERO)),
             reader: None,
+            seat,
         }
     }
 
@@ -220,6 +228,9 @@ impl AsyncRead for LinkStream {
     ) -> Poll<std::io::Result<()>> {
         let this = self.get_mut();
         this.reader = Some(context.waker().clone());
+        if let Some(Poll::Ready(())) = this.seat.as_ref().map(|seat| seat.poll_leave(context)) {
+            return Poll::Ready(Err(ErrorKind::ConnectionAborted.into()));
+        }
         let state = this.reading.poll(context);
         let (resets, silent) = (state.resets, state.silent);
         if resets != this.resets {
@@ -233,7 +244,11 @@ impl AsyncRead for LinkStream {
         if let Poll::Ready(Err(error)) = this.send_delayed(context) {
             return Poll::Ready(Err(error));
         }
-        this.lane.poll_read(context, buffer)
+        ready!(this.lane.poll_read(context, buffer))?;
+        if let Some(seat) = &this.seat {
+            seat.heard();
+        }
+        Poll::Ready(Ok(()))
     }
 }
 

@@ -236,7 +236,7 @@ async fn a_slice_is_never_larger_than_asked() {
     let mut peer = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
     let link = Link::default();
     link.set(LinkState { slice: Some(2), ..LinkState::default() });
-    let mut stream = LinkStream::new(listener.accept().await.unwrap().0, &link);
+    let mut stream = LinkStream::new(listener.accept().await.unwrap().0, &link, None);
     assert_eq!(stream.write(b"hello").await.unwrap(), 2);
     stream.write_all(b"llo").await.unwrap();
     let mut all = [0; 5];

@@ -103,7 +103,7 @@ async fn the_shortcut_is_closed_while_anything_is_wrong_with_the_link() {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let mut peer = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
     let link = Link::default();
-    let mut stream = LinkStream::new(listener.accept().await.unwrap().0, &link);
+    let mut stream = LinkStream::new(listener.accept().await.unwrap().0, &link, None);
     let shortcut = stream.shortcut();
     // The runtime has to get an event from the socket once.
     stream.write_all(b"a").await.unwrap();

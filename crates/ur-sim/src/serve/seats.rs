@@ -1,0 +1,100 @@
+//! Places for connections at a server that only answers: when all are taken, the one that has been silent
+//! longest goes.
+//!
+//! In: a connection, and a sign of life whenever its client has sent something. Out: a [`Seat`], which is
+//! free again when it is dropped, and the order to leave it. Clients that open connections and forget them
+//! thus shut out no other one, and memory and file handles have a bound. A server that sends without being
+//! asked has no such places: who only reads there is silent and wanted.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::task::{Context, Poll, Waker};
+use std::time::Instant;
+
+/// The places of a server.
+#[derive(Debug)]
+pub struct Seats {
+    most: usize,
+    taken: Mutex<Vec<Weak<Seat>>>,
+}
+
+/// A connection's place.
+#[derive(Debug)]
+pub struct Seat(Mutex<State>);
+
+#[derive(Debug)]
+struct State {
+    heard: Instant,
+    leaves: bool,
+    /// The task that reads.
+    reader: Option<Waker>,
+}
+
+impl Seats {
+    /// At most so many.
+    pub fn new(most: usize) -> Seats {
+        Seats { most, taken: Mutex::new(Vec::new()) }
+    }
+
+    /// A place for a connection just made.
+    pub fn take(&self) -> Arc<Seat> {
+        let now = Instant::now();
+        let seat = Arc::new(Seat(Mutex::new(State { heard: now, leaves: false, reader: None })));
+        let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        taken.retain(|seat| seat.strong_count() > 0);
+        let mut here: Vec<Arc<Seat>> = taken.iter().filter_map(Weak::upgrade).collect();
+        here.sort_by_key(|seat| seat.lock().heard);
+        let too_many = (here.len() + 1).saturating_sub(self.most);
+        here.drain(..too_many).for_each(|silent| silent.leave());
+        *taken = here.iter().chain([&seat]).map(Arc::downgrade).collect();
+        seat
+    }
+}
+
+impl Seat {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn leave(&self) {
+        let mut state = self.lock();
+        state.leaves = true;
+        if let Some(reader) = state.reader.take() {
+            reader.wake();
+        }
+    }
+
+    /// The client has sent something.
+    pub fn heard(&self) {
+        self.lock().heard = Instant::now();
+    }
+
+    /// Ready once the connection has to end; the task that reads is woken then.
+    pub fn poll_leave(&self, context: &mut Context<'_>) -> Poll<()> {
+        let mut state = self.lock();
+        state.reader = Some(context.waker().clone());
+        if state.leaves { Poll::Ready(()) } else { Poll::Pending }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn leaves(seat: &Seat) -> bool {
+        seat.lock().leaves
+    }
+
+    #[test]
+    fn the_longest_silent_one_leaves_and_only_when_all_are_taken() {
+        let seats = Seats::new(2);
+        let (first, second) = (seats.take(), seats.take());
+        first.heard();
+        let third = seats.take();
+        assert!(!leaves(&first) && leaves(&second) && !leaves(&third));
+        drop(first);
+        let fourth = seats.take();
+        assert!(!leaves(&third) && !leaves(&fourth), "one was free");
+        let fifth = seats.take();
+        assert!(leaves(&third) && !leaves(&fourth) && !leaves(&fifth));
+    }
+}
