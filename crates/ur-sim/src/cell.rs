@@ -55,12 +55,41 @@ pub struct SimConfig {
     pub faults: Vec<Planned>,
 }
 
+impl SimConfig {
+    /// Moves all ports that are fixed up by `offset`.
+    ///
+    /// # Errors
+    /// A port would be beyond 65535.
+    pub fn move_ports(&mut self, offset: u16) -> Result<(), SimError> {
+        let up = |port: u16| match port {
+            0 => Ok(0),
+            port => port.checked_add(offset).ok_or(SimError::PortOffset { port, offset }),
+        };
+        let highest = RobotPorts::REAL.read_only[2];
+        let beyond = SimError::PortOffset { port: highest, offset };
+        if self.ports != RobotPorts::ANY {
+            self.ports = self.ports.moved(offset).ok_or(beyond)?;
+        }
+        (self.modbus_port, self.camera_port) = (up(self.modbus_port)?, up(self.camera_port)?);
+        self.control_port = self.control_port.map(up).transpose()?;
+        Ok(())
+    }
+}
+
 /// Why the simulation cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
     /// A factor that is not a number above 0.
     #[error("time factor {0} is not a number between 0.01 and 1000")]
     TimeFactor(f64),
+    /// A port beyond the last one.
+    #[error("port {port} cannot be moved up by {offset}: the last port is 65535")]
+    PortOffset {
+        /// Which port.
+        port: u16,
+        /// By how much.
+        offset: u16,
+    },
     /// The world's description is wrong.
     #[error("the simulated world cannot be built")]
     World(#[from] WorldError),
@@ -217,10 +246,11 @@ mod tests {
     use super::*;
     use crate::camera::CameraTiming;
     use crate::render::lens::CameraTruth;
+    use crate::serve::MAX_CONNECTIONS;
     use crate::world::lock;
     use crate::world::spec::{CameraMount, GripperSpec};
     use nalgebra::Isometry3;
-    use tokio::io::AsyncReadExt;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
     use tokio::net::TcpListener;
 
     fn config(bind: &str, time_factor: f64) -> SimConfig {
@@ -263,6 +293,49 @@ mod tests {
         let address = sim.addresses.robot.rtde;
         sim.shutdown().await;
         assert!(tokio::net::TcpStream::connect(address).await.is_err());
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn forgotten_connections_shut_out_no_other_client_of_gripper_and_control_server() {
+        let sim = start(config("127.0.0.1", 1.0)).await.unwrap();
+        let control = sim.addresses.control.unwrap();
+        let mut forgotten = Vec::new();
+        for _ in 0..3 * MAX_CONNECTIONS {
+            for address in [sim.addresses.modbus, control] {
+                forgotten.push(tokio::net::TcpStream::connect(address).await.unwrap());
+            }
+        }
+        let ask = async |address, request: &[u8], count: usize| {
+            let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
+            stream.write_all(request).await.unwrap();
+            let mut answer = vec![0; count];
+            stream.read_exact(&mut answer).await.unwrap();
+            answer
+        };
+        // The vacuum of channel A of unit 65.
+        let vacuum = [0, 1, 0, 0, 0, 6, 65, 3, 1, 2, 0, 1];
+        assert_eq!(ask(sim.addresses.modbus, &vacuum, 11).await[..9], [0, 1, 0, 0, 0, 5, 65, 3, 2]);
+        let world = b"GET /world.json HTTP/1.1\r\nHost: sim\r\n\r\n";
+        assert_eq!(ask(control, world, 15).await, b"HTTP/1.1 200 OK");
+        sim.shutdown().await;
+    }
+
+    #[test]
+    fn an_offset_moves_the_ports_that_are_fixed() {
+        let fixed = || SimConfig { ports: RobotPorts::REAL, modbus_port: 502, ..config("127.0.0.1", 1.0) };
+        let mut moved = fixed();
+        moved.move_ports(1000).unwrap();
+        assert_eq!((moved.ports.dashboard, moved.ports.rtde), (30_999, 31_004));
+        assert_eq!(
+            (moved.ports.primary, moved.ports.secondary, moved.ports.realtime),
+            (31_001, 31_002, 31_003)
+        );
+        assert_eq!((moved.ports.read_only, moved.modbus_port), ([31_011, 31_012, 31_013], 1502));
+        assert_eq!((moved.camera_port, moved.control_port), (0, Some(0)), "any stays any");
+        assert!(fixed().move_ports(35_522).is_ok() && fixed().move_ports(35_523).is_err());
+        let mut camera = SimConfig { camera_port: 60_000, ..fixed() };
+        let error = camera.move_ports(10_000).unwrap_err();
+        assert!(error.to_string().contains("port 60000"), "{error}");
     }
 
     #[tokio::test]

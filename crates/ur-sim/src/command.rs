@@ -47,6 +47,9 @@ pub struct SimArgs {
     /// Address to listen at, instead of the configuration's.
     #[arg(long)]
     bind: Option<IpAddr>,
+    /// Added to every port number, the controller's own included: several simulations on one address.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    port_offset: u16,
     /// Simulated seconds per second, instead of the configuration's.
     #[arg(long, value_name = "F", value_parser = time_factor)]
     time_factor: Option<f64>,
@@ -131,10 +134,14 @@ pub fn run(args: &SimArgs) -> u8 {
         }
     }
     config.control_port = args.control.then_some(file.ports.control);
+    if let Err(error) = config.move_ports(args.port_offset) {
+        complain(&error.to_string());
+        return 2;
+    }
     let runtime =
         tokio::runtime::Builder::new_multi_thread().enable_all().on_thread_start(priority::raise).build();
     match runtime {
-        Ok(runtime) => runtime.block_on(serve(config)),
+        Ok(runtime) => runtime.block_on(serve(config, args.port_offset)),
         Err(error) => {
             complain(&error.to_string());
             1
@@ -151,7 +158,7 @@ pub fn faults_of(path: &Path) -> Result<Vec<Planned>, String> {
     read_faults(&text, &path.display().to_string()).map_err(|complaints| complaints.to_string())
 }
 
-async fn serve(config: SimConfig) -> u8 {
+async fn serve(config: SimConfig, port_offset: u16) -> u8 {
     let sim = match start(config).await {
         Ok(sim) => sim,
         Err(error @ SimError::Fault(_)) => {
@@ -167,6 +174,10 @@ async fn serve(config: SimConfig) -> u8 {
     let ready = json!({
         "ready": true,
         "bind": addresses.robot.rtde.ip().to_string(),
+        "port_offset": port_offset,
+        "dashboard": addresses.robot.dashboard.to_string(),
+        "primary": addresses.robot.primary.to_string(),
+        "rtde": addresses.robot.rtde.to_string(),
         "modbus": addresses.modbus.to_string(),
         "camera": addresses.camera.to_string(),
         "control": addresses.control.map(|control| control.to_string()),

@@ -54,6 +54,20 @@ impl RobotPorts {
     /// Any that are free.
     pub const ANY: RobotPorts =
         RobotPorts { dashboard: 0, primary: 0, secondary: 0, realtime: 0, rtde: 0, read_only: [0; 3] };
+
+    /// All of them higher by `offset`; `None` if there are no such ports.
+    pub fn moved(self, offset: u16) -> Option<RobotPorts> {
+        let up = |port: u16| port.checked_add(offset);
+        let [first, second, third] = self.read_only;
+        Some(RobotPorts {
+            dashboard: up(self.dashboard)?,
+            primary: up(self.primary)?,
+            secondary: up(self.secondary)?,
+            realtime: up(self.realtime)?,
+            rtde: up(self.rtde)?,
+            read_only: [up(first)?, up(second)?, up(third)?],
+        })
+    }
 }
 
 /// Where the servers listen.
