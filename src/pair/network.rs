@@ -98,7 +98,7 @@ impl Network {
         match port {
             Port::Rtde => rtde,
             Port::Dashboard => dashboard,
-            Port::Primary | Port::Secondary | Port::Realtime => primary,
+            Port::Primary | Port::Secondary | Port::Realtime | Port::Interpreter => primary,
             Port::PrimaryReadOnly | Port::SecondaryReadOnly | Port::RealtimeReadOnly => primary,
             Port::Gripper => gripper,
         }

@@ -65,7 +65,7 @@ impl SimConfig {
             0 => Ok(0),
             port => port.checked_add(offset).ok_or(SimError::PortOffset { port, offset }),
         };
-        let highest = RobotPorts::REAL.read_only[2];
+        let highest = RobotPorts::REAL.interpreter;
         let beyond = SimError::PortOffset { port: highest, offset };
         if self.ports != RobotPorts::ANY {
             self.ports = self.ports.moved(offset).ok_or(beyond)?;
@@ -107,7 +107,7 @@ pub enum SimError {
 /// Where the servers listen.
 #[derive(Clone, Copy, Debug)]
 pub struct SimAddresses {
-    /// The controller's five.
+    /// The controller's.
     pub robot: RobotAddresses,
     /// The gripper.
     pub modbus: SocketAddr,
@@ -332,7 +332,7 @@ mod tests {
         );
         assert_eq!((moved.ports.read_only, moved.modbus_port), ([31_011, 31_012, 31_013], 1502));
         assert_eq!((moved.camera_port, moved.control_port), (0, Some(0)), "any stays any");
-        assert!(fixed().move_ports(35_522).is_ok() && fixed().move_ports(35_523).is_err());
+        assert!(fixed().move_ports(35_515).is_ok() && fixed().move_ports(35_516).is_err());
         let mut camera = SimConfig { camera_port: 60_000, ..fixed() };
         let error = camera.move_ports(10_000).unwrap_err();
         assert!(error.to_string().contains("port 60000"), "{error}");

@@ -148,7 +148,12 @@ const SERVERS: &[Claim] = &[
         "as its published source; assumed: when an answer is whole, 5 s for the first byte, one round",
         "a_program_of_external_control_runs_what_the_pc_hands_out",
     ),
-    Claim("Interpreter mode (30020)", Grade::Absent, "", ""),
+    Claim(
+        "Interpreter mode (30020)",
+        Grade::Modelled,
+        "assumed: reasons of a discard, replies to skipbuffer and abort, identifiers from 1 in each program",
+        "statements_are_acknowledged_and_join_the_programs_first_level",
+    ),
     Claim("XML-RPC, Modbus server of the controller, PROFINET, EtherNet/IP", Grade::Absent, "", ""),
     Claim(
         "Files over SSH/SFTP, other URCaps, PolyScope itself",

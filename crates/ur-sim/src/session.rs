@@ -12,7 +12,7 @@ use crate::gripper_server;
 use crate::robot_server::line::{Bytes, Inlet, Line, Way};
 use crate::robot_server::publisher::Feed;
 use crate::robot_server::script_ports::Port as ScriptPort;
-use crate::robot_server::{dashboard, rtde, script_ports};
+use crate::robot_server::{dashboard, interpreter, rtde, script_ports};
 use crate::world::lock;
 use std::sync::Arc;
 
@@ -35,6 +35,8 @@ pub enum Port {
     SecondaryReadOnly,
     /// 30013.
     RealtimeReadOnly,
+    /// 30020.
+    Interpreter,
     /// Modbus.
     Gripper,
 }
@@ -45,7 +47,7 @@ impl Port {
         match self {
             Port::Rtde => LinkName::Rtde,
             Port::Dashboard => LinkName::Dashboard,
-            Port::Primary | Port::PrimaryReadOnly => LinkName::Primary,
+            Port::Primary | Port::PrimaryReadOnly | Port::Interpreter => LinkName::Primary,
             Port::Secondary | Port::SecondaryReadOnly => LinkName::Secondary,
             Port::Realtime | Port::RealtimeReadOnly => LinkName::Realtime,
             Port::Gripper => LinkName::Gripper,
@@ -55,7 +57,7 @@ impl Port {
     /// True for a server that sends nothing without a request (but a greeting), so that a silent connection
     /// is an idle one.
     pub fn only_answers(self) -> bool {
-        matches!(self, Port::Dashboard | Port::Gripper)
+        matches!(self, Port::Dashboard | Port::Gripper | Port::Interpreter)
     }
 
     /// The server in messages.
@@ -69,6 +71,7 @@ impl Port {
             Port::PrimaryReadOnly => "read-only primary interface",
             Port::SecondaryReadOnly => "read-only secondary interface",
             Port::RealtimeReadOnly => "read-only real-time interface",
+            Port::Interpreter => "interpreter socket",
             Port::Gripper => "gripper",
         }
     }
@@ -98,6 +101,7 @@ enum Kind {
     Rtde(rtde::Session),
     Dashboard(dashboard::Session),
     Script(script_ports::Session),
+    Interpreter(interpreter::Session),
     Gripper(gripper_server::Session),
 }
 
@@ -133,6 +137,7 @@ impl Session {
             Port::PrimaryReadOnly => script(Feed::Primary, true),
             Port::SecondaryReadOnly => script(Feed::Secondary, true),
             Port::RealtimeReadOnly => script(Feed::Realtime, true),
+            Port::Interpreter => (Kind::Interpreter(interpreter::Session::default()), Line::open(None).1),
             Port::Gripper => (Kind::Gripper(gripper_server::Session::default()), Line::open(None).1),
         };
         (Session { port, kind }, inlet)
@@ -153,6 +158,7 @@ impl Session {
                 let over = session.receive(robot, bytes).is_err();
                 Ok(Outcome { answers: Vec::new(), over })
             }
+            Kind::Interpreter(session) => Ok(Outcome::one(session.receive(robot, bytes).into_bytes(), false)),
             Kind::Gripper(session) => {
                 let faults = robot.links.get(self.port.link()).state();
                 session
@@ -183,7 +189,7 @@ impl Session {
         let id = match &self.kind {
             Kind::Rtde(session) => session.id(),
             Kind::Script(session) => session.id(),
-            Kind::Dashboard(_) | Kind::Gripper(_) => return true,
+            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Gripper(_) => return true,
         };
         core.robot.publisher().is_open(id)
     }
@@ -193,7 +199,7 @@ impl Session {
         match self.kind {
             Kind::Rtde(session) => session.close(&core.robot),
             Kind::Script(session) => session.close(&core.robot),
-            Kind::Dashboard(_) | Kind::Gripper(_) => {}
+            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Gripper(_) => {}
         }
     }
 }

@@ -217,6 +217,34 @@ mod tests {
     }
 
     #[test]
+    fn the_interpreter_socket_has_a_reply_for_each_line() {
+        let mut simulator = simulator();
+        let primary = simulator.connect(Port::Primary).unwrap();
+        let socket = simulator.connect(Port::Interpreter).unwrap();
+        simulator.receive(primary, b"interpreter_mode()\n");
+        simulator.advance();
+        sent(&mut simulator);
+        simulator.receive(socket, b"set_digital_out(1, Tr");
+        simulator.receive(socket, b"ue)\r\n\nstatelastexecuted\nx = (\n");
+        simulator.receive(socket, &[b'x'; 5000]);
+        simulator.advance();
+        let replies: Vec<u8> = sent(&mut simulator)
+            .iter()
+            .filter_map(|transmission| match transmission {
+                Transmission::Bytes(id, bytes) if *id == socket => Some(bytes.to_vec()),
+                _ => None,
+            })
+            .flatten()
+            .collect();
+        let replies = String::from_utf8(replies).unwrap();
+        let lines: Vec<&str> = replies.lines().collect();
+        assert_eq!(lines[..2], ["ack: 1: set_digital_out(1, True)", "state: 0: statelastexecuted"]);
+        assert!(lines[2].starts_with("discard: syntax error") && lines[2].ends_with(": x = ("), "{replies}");
+        assert!(lines[3].starts_with("discard: the statement is too long") && lines.len() == 4, "{replies}");
+        assert_eq!(simulator.core().robot.controller().core.registers.digital_outputs & 2, 2);
+    }
+
+    #[test]
     fn the_primary_interface_unlocks_at_once_and_the_dashboard_after_five_seconds() {
         let mut simulator = simulator();
         let primary = simulator.connect(Port::Primary).unwrap();

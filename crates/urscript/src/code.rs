@@ -7,6 +7,7 @@ use crate::ast::{Binary, FunctionKind, Qualifier, Unary};
 use crate::fault::Position;
 use crate::host::Builtin;
 use crate::value::Value;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// A compiled upload.
@@ -17,9 +18,23 @@ pub struct Code {
     /// `def` (the main program) or `sec`.
     pub kind: FunctionKind,
     /// All functions and threads; the program itself is the first.
-    pub functions: Vec<FunctionCode>,
-    /// Number of global variables.
-    pub globals: usize,
+    pub functions: Vec<Arc<FunctionCode>>,
+    /// What its first level names.
+    pub scope: ProgramScope,
+}
+
+/// Parameters of a function, and whether each may be left out.
+pub type Parameters = Vec<(Arc<str>, bool)>;
+
+/// The names of a program's first level, for statements that join it while it runs.
+#[derive(Clone, Debug, Default)]
+pub struct ProgramScope {
+    /// Global variables, by slot.
+    pub globals: Vec<Arc<str>>,
+    /// Functions and threads, by name.
+    pub functions: HashMap<Arc<str>, usize>,
+    /// Parameters of all functions.
+    pub parameters: Vec<Parameters>,
 }
 
 /// A compiled function.

@@ -8,7 +8,8 @@ use crate::ast::{
     Accessor, Argument, Binary, Expression, ExpressionKind, Function, FunctionKind, Qualifier, Script,
     Statement, StatementKind,
 };
-use crate::code::{Code, FunctionCode, Instruction, PathStep, Variable};
+use crate::body::Body;
+use crate::code::{Code, FunctionCode, Instruction, Parameters, PathStep, ProgramScope, Variable};
 use crate::fault::{CompileError, CompileErrorKind, Position};
 use crate::host::Builtin;
 use crate::value::Value;
@@ -34,66 +35,51 @@ pub fn compile(text: &str, host: LookUp<'_>) -> Result<Code, CompileError> {
 /// outside a `while`.
 pub fn compile_script(script: &Script, host: LookUp<'_>) -> Result<Code, CompileError> {
     let program = &script.main;
-    let mut compiler =
-        Compiler { host, globals: scope::globals(program), functions: Vec::new(), visible: Vec::new() };
-    compiler.declare(program);
-    compiler.function(program, 0)?;
-    let functions: Option<Vec<FunctionCode>> = compiler.functions.into_iter().map(|slot| slot.code).collect();
-    Ok(Code {
-        name: program.name.clone(),
-        kind: if program.kind == FunctionKind::Sec { FunctionKind::Sec } else { FunctionKind::Def },
-        functions: functions.unwrap_or_default(),
-        globals: compiler.globals.len(),
-    })
+    let mut compiler = Compiler::new(host, scope::globals(program));
+    let names = compiler.first_level(program)?;
+    let kind = if program.kind == FunctionKind::Sec { FunctionKind::Sec } else { FunctionKind::Def };
+    Ok(compiler.code(program.name.clone(), kind, names))
 }
 
 /// A function that has been declared and will be compiled.
-struct Declared {
-    parameters: Vec<(Arc<str>, bool)>,
-    code: Option<FunctionCode>,
+pub(crate) struct Declared {
+    pub(crate) parameters: Parameters,
+    pub(crate) code: Option<Arc<FunctionCode>>,
 }
 
-struct Compiler<'a> {
+pub(crate) struct Compiler<'a> {
     host: LookUp<'a>,
     globals: Vec<Arc<str>>,
-    functions: Vec<Declared>,
+    pub(crate) functions: Vec<Declared>,
     /// Functions by name, outermost scope first.
-    visible: Vec<HashMap<Arc<str>, usize>>,
+    pub(crate) visible: Vec<HashMap<Arc<str>, usize>>,
+    /// The function whose plain assignments are those of the program.
+    first: usize,
 }
 
-/// A function under construction.
-#[derive(Default)]
-struct Body {
-    locals: Vec<Arc<str>>,
-    instructions: Vec<Instruction>,
-    positions: Vec<Position>,
-    /// Per open loop: where `continue` goes, and the jumps that `break` left open.
-    loops: Vec<(usize, Vec<usize>)>,
-}
-
-impl Body {
-    fn emit(&mut self, instruction: Instruction, at: Position) -> usize {
-        self.instructions.push(instruction);
-        self.positions.push(at);
-        self.instructions.len() - 1
+impl<'a> Compiler<'a> {
+    pub(crate) fn new(host: LookUp<'a>, globals: Vec<Arc<str>>) -> Compiler<'a> {
+        Compiler { host, globals, functions: Vec::new(), visible: Vec::new(), first: 0 }
     }
 
-    /// Lets the jump at `index` go to the next instruction.
-    fn land(&mut self, index: usize) {
-        let here = self.instructions.len();
-        if let Some(
-            Instruction::Jump(to)
-            | Instruction::JumpUnless(to)
-            | Instruction::ShortCircuit(_, to)
-            | Instruction::JumpIfGiven(_, to),
-        ) = self.instructions.get_mut(index)
-        {
-            *to = here;
-        }
+    /// Compiles a function whose names are those of the program; the functions that it declares.
+    pub(crate) fn first_level(
+        &mut self,
+        program: &Function,
+    ) -> Result<HashMap<Arc<str>, usize>, CompileError> {
+        self.first = self.declare(program);
+        self.function(program, self.first)
     }
-}
 
-impl Compiler<'_> {
+    /// What has been compiled, with `names` for the functions of the first level.
+    pub(crate) fn code(self, name: Arc<str>, kind: FunctionKind, names: HashMap<Arc<str>, usize>) -> Code {
+        let parameters = self.functions.iter().map(|slot| slot.parameters.clone()).collect();
+        // All that is declared is compiled.
+        let functions = self.functions.into_iter().filter_map(|slot| slot.code).collect();
+        let scope = ProgramScope { globals: self.globals, functions: names, parameters };
+        Code { name, kind, functions, scope }
+    }
+
     fn declare(&mut self, function: &Function) -> usize {
         let parameters =
             function.parameters.iter().map(|parameter| (parameter.name.clone(), parameter.default.is_some()));
@@ -101,7 +87,12 @@ impl Compiler<'_> {
         self.functions.len() - 1
     }
 
-    fn function(&mut self, function: &Function, index: usize) -> Result<(), CompileError> {
+    /// Compiles a declared function; the functions that it declares.
+    fn function(
+        &mut self,
+        function: &Function,
+        index: usize,
+    ) -> Result<HashMap<Arc<str>, usize>, CompileError> {
         let nested = scope::functions(&function.body);
         let mut names = HashMap::new();
         let mut indices = Vec::new();
@@ -115,7 +106,7 @@ impl Compiler<'_> {
         function.parameters.iter().for_each(|parameter| scope::add(&mut body.locals, &parameter.name));
         let assigned = scope::assigned(&function.body);
         assigned.local.iter().for_each(|name| scope::add(&mut body.locals, name));
-        if index != 0 {
+        if index != self.first {
             assigned.plain.iter().for_each(|name| scope::add(&mut body.locals, name));
         }
         self.defaults(function, &mut body)?;
@@ -126,14 +117,14 @@ impl Compiler<'_> {
         for (inner, inner_index) in nested.into_iter().zip(indices) {
             self.function(inner, inner_index)?;
         }
-        self.visible.pop();
-        self.functions[index].code = Some(FunctionCode {
+        let names = self.visible.pop().unwrap_or_default();
+        self.functions[index].code = Some(Arc::new(FunctionCode {
             name: function.name.clone(),
             locals: body.locals.len(),
             instructions: body.instructions,
             positions: body.positions,
-        });
-        Ok(())
+        }));
+        Ok(names)
     }
 
     /// Fills the parameters that the caller left out.

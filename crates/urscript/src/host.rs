@@ -96,6 +96,11 @@ pub trait Host {
     /// The message of a runtime exception.
     fn call(&mut self, call: Call<'_>) -> Result<Reply, String>;
 
+    /// Statements that joined the program may begin now.
+    fn takes_statements(&self) -> bool {
+        false
+    }
+
     /// A thread was killed while it waited in the built-in `name`.
     fn abandoned(&mut self, thread: ThreadId, name: &'static str);
 }

@@ -13,9 +13,13 @@
 
 pub mod ast;
 
+mod body;
+
 pub mod code;
 
 pub mod compile;
+
+pub mod extend;
 
 pub mod fault;
 

@@ -53,6 +53,8 @@ enum Wait {
     Critical,
     /// The host's answer, polled once per frame.
     Host,
+    /// The next statement that joins the program.
+    Statement,
 }
 
 #[derive(Debug)]
@@ -77,13 +79,25 @@ pub struct Program {
     queue: VecDeque<ThreadId>,
     /// A thread came to `pause` in this frame.
     pausing: bool,
+    statements: Statements,
+}
+
+/// Statements that joined the program while it runs.
+#[derive(Debug, Default)]
+struct Statements {
+    /// Number of a statement, and its function; the next first.
+    waiting: VecDeque<(u64, usize)>,
+    /// The last one that began.
+    begun: u64,
+    /// The thread that carries them out.
+    thread: Option<ThreadId>,
 }
 
 impl Program {
     /// A program at its beginning. `seed` is that of `random()`.
     pub fn new(code: Arc<Code>, seed: u64) -> Program {
         let main = Thread::new(MAIN, None, &code, 0, Vec::new());
-        let globals = vec![None; code.globals];
+        let globals = vec![None; code.scope.globals.len()];
         let shared = Shared { code, globals, random: Random::new(seed) };
         let main = Scheduled { thread: main, wait: Wait::Nothing, done: false, budget: SLICE, lent: 0 };
         Program {
@@ -93,7 +107,46 @@ impl Program {
             holder: None,
             queue: VecDeque::new(),
             pausing: false,
+            statements: Statements::default(),
         }
+    }
+
+    /// The code that it runs.
+    pub fn code(&self) -> &Arc<Code> {
+        &self.shared.code
+    }
+
+    /// Lets a statement join: `function` of `code`, which has all that the program's code has. It begins when
+    /// those before it are done and the host takes statements.
+    pub fn join(&mut self, code: Arc<Code>, statement: u64, function: usize) {
+        let globals = code.scope.globals.len().max(self.shared.globals.len());
+        self.shared.globals.resize(globals, None);
+        self.shared.code = code;
+        self.statements.waiting.push_back((statement, function));
+    }
+
+    /// Number of the last statement that began, 0 for none; and how many wait.
+    pub fn statements(&self) -> (u64, usize) {
+        (self.statements.begun, self.statements.waiting.len())
+    }
+
+    /// Drops the statements that wait.
+    pub fn skip_statements(&mut self) {
+        self.statements.waiting.clear();
+    }
+
+    /// Empties the variables that `base`, the program without statements, does not have. True if the program
+    /// is `base` again: nothing that statements have declared runs or waits.
+    pub fn forget_statements(&mut self, base: &Arc<Code>) -> bool {
+        let own = base.scope.globals.len();
+        self.shared.globals.iter_mut().skip(own).for_each(|variable| *variable = None);
+        let used = |scheduled: &Scheduled| scheduled.thread.within(base.functions.len());
+        let over = self.statements.waiting.is_empty() && !self.threads.iter().any(used);
+        if over {
+            self.shared.code = base.clone();
+            self.shared.globals.truncate(own);
+        }
+        over
     }
 
     /// The program's name.
@@ -149,7 +202,7 @@ impl Program {
 
     /// One turn for each thread that can run.
     fn round(&mut self, host: &mut dyn Host) -> Result<Round, RuntimeException> {
-        let mut moved = false;
+        let mut moved = host.takes_statements() && self.begin_statement();
         let mut index = 0;
         while let Some(id) = self.threads.get(index).map(|scheduled| scheduled.thread.id) {
             if self.ready(index) {
@@ -164,6 +217,32 @@ impl Program {
         Ok(if moved { Round::Moved } else { Round::Still })
     }
 
+    /// The thread of statements takes the next one, if it is done with the last; true if it does.
+    fn begin_statement(&mut self) -> bool {
+        let Some(&(number, function)) = self.statements.waiting.front() else { return false };
+        let id = *self.statements.thread.get_or_insert_with(|| {
+            self.last_id = self.last_id.wrapping_add(1).max(2);
+            ThreadId(self.last_id)
+        });
+        let place = self.threads.iter().position(|scheduled| scheduled.thread.id == id);
+        let index = place.unwrap_or_else(|| {
+            let thread = Thread::idle(id);
+            let wait = Wait::Statement;
+            self.threads.push(Scheduled { thread, wait, done: false, budget: SLICE, lent: 0 });
+            self.threads.len() - 1
+        });
+        let Some(scheduled) = self.threads.get_mut(index) else { return false };
+        // A slice that is used up by many short statements is no endless loop.
+        if scheduled.wait != Wait::Statement || scheduled.done || scheduled.budget < SLICE / 2 {
+            return false;
+        }
+        scheduled.thread.order(&self.shared.code, function);
+        scheduled.wait = Wait::Nothing;
+        self.statements.waiting.pop_front();
+        self.statements.begun = number;
+        true
+    }
+
     fn ready(&self, index: usize) -> bool {
         let Some(scheduled) = self.threads.get(index).filter(|scheduled| !scheduled.done) else {
             return false;
@@ -171,7 +250,7 @@ impl Program {
         match &scheduled.wait {
             Wait::Nothing | Wait::Frames(0) => true,
             Wait::Host => scheduled.lent == 0 || self.holder.is_none(),
-            Wait::Frames(_) => false,
+            Wait::Frames(_) | Wait::Statement => false,
             Wait::Thread(other) => !self.alive(*other) && (scheduled.lent == 0 || self.holder.is_none()),
             Wait::Critical => self.holder.is_some_and(|(holder, _)| holder == scheduled.thread.id),
         }
@@ -235,6 +314,10 @@ impl Program {
             Event::Pause => {
                 self.pausing = true;
                 scheduled.done = true;
+                return Ok(Turn::Over);
+            }
+            Event::Finished if self.statements.thread == Some(id) => {
+                scheduled.wait = Wait::Statement;
                 return Ok(Turn::Over);
             }
             Event::Finished => {

@@ -95,12 +95,28 @@ impl Thread {
         thread
     }
 
+    /// A thread that has nothing to do yet.
+    pub(crate) fn idle(id: ThreadId) -> Thread {
+        Thread { id, parent: None, pending: None, waits: 0, calls: Vec::new(), stack: Vec::new() }
+    }
+
     /// Where the instruction that runs comes from.
     pub(crate) fn position(&self, code: &Code) -> Position {
         let call = self.calls.last();
         call.and_then(|call| code.functions.get(call.function)?.positions.get(call.next.saturating_sub(1)))
             .copied()
             .unwrap_or(Position::START)
+    }
+
+    /// Calls a function of a thread that is done with the last one.
+    pub(crate) fn order(&mut self, code: &Code, function: usize) {
+        self.stack.clear();
+        self.enter(code, function, Vec::new());
+    }
+
+    /// It is within a function with this number or a higher one.
+    pub(crate) fn within(&self, function: usize) -> bool {
+        self.calls.iter().any(|call| call.function >= function)
     }
 
     /// Hands a value to the thread as the result of what it waited for.

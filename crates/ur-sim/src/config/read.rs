@@ -167,7 +167,7 @@ fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
     let camera = port(decoder, &fields, "camera");
     let control = port(decoder, &fields, "control");
     let ports = SimPorts { modbus: modbus?, camera: camera?, control: control? };
-    let taken = [29999, 30001, 30002, 30003, 30004, 30011, 30012, 30013];
+    let taken = [29999, 30001, 30002, 30003, 30004, 30011, 30012, 30013, 30020];
     let mine = [("modbus", ports.modbus), ("camera", ports.camera), ("control", ports.control)];
     for (index, (key, port)) in mine.iter().enumerate() {
         if taken.contains(port) || mine.iter().take(index).any(|(_, other)| other == port) {
@@ -175,7 +175,7 @@ fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
             decoder.complain_at(
                 at,
                 message,
-                "29999, 30001 to 30004 and 30011 to 30013 are the controller's own",
+                "29999, 30001 to 30004, 30011 to 30013 and 30020 are the controller's own",
             );
         }
     }

@@ -7,6 +7,7 @@
 use std::fmt;
 use urscript::code::Code;
 use urscript::compile::compile;
+use urscript::extend::extend;
 use urscript::fault::CompileError;
 use urscript::host::{Builtin, urscript_builtins};
 use urscript::library;
@@ -188,9 +189,9 @@ pub const TABLE: &[Entry] = entries![
     Real protective_stop() "";
     Modelled powerdown() "the arm only; the servers go on";
     Real rtde_set_watchdog(variable_name, min_frequency; action) "";
-    Absent interpreter_mode(; clearQueueOnEnter, clearOnEnd) "";
-    Absent end_interpreter() "";
-    Absent clear_interpreter() "";
+    Modelled interpreter_mode(; clearQueueOnEnter, clearOnEnd) "in the main thread; up to 2000 statements until clear_interpreter()";
+    Modelled end_interpreter() "";
+    Modelled clear_interpreter() "threads that statements have started go on";
     Absent rpc_factory(type, url) "";
     Absent request_boolean_from_primary_client(message) "";
     Absent request_integer_from_primary_client(message) "";
@@ -312,6 +313,14 @@ pub fn all() -> Vec<Entry> {
 /// The signature of a built-in of the controller.
 pub fn find(name: &str) -> Option<&'static Builtin> {
     TABLE.iter().map(|entry| &entry.builtin).find(|builtin| builtin.name == name)
+}
+
+/// Adds a statement to a program's code; the new code and the number of the function to call.
+///
+/// # Errors
+/// It is not URScript, or names something that is not there.
+pub fn compile_statement(code: &Code, text: &str) -> Result<(Code, usize), CompileError> {
+    extend(code, text, &find)
 }
 
 /// Parses and checks a program as the controller does when it is uploaded.

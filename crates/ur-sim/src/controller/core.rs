@@ -6,6 +6,7 @@
 
 use crate::controller::compliance::{Compliance, ForceSettings};
 use crate::controller::config::ControllerConfig;
+use crate::controller::interpreter_mode::Interpreter;
 use crate::controller::modes::Modes;
 use crate::controller::pendant::Pendant;
 use crate::controller::registers::Registers;
@@ -63,6 +64,8 @@ pub struct Core {
     pub tcp_offset: [f64; 6],
     /// Frames since the start.
     pub step: u64,
+    /// Interpreter mode.
+    pub interpreter: Interpreter,
     /// Text of a popup on the pendant.
     pub popup: Option<String>,
     /// Forces at the tool and the arm's recent past.
@@ -104,6 +107,7 @@ impl Core {
             },
             tcp_offset: [0.0; 6],
             step: 0,
+            interpreter: Interpreter::default(),
             popup: None,
             sensing: Sensing::default(),
             compliance: None,

@@ -8,7 +8,7 @@ use crate::controller::modes::STOP_BY_PROGRAM_CODE;
 use crate::controller::registers::Input;
 use crate::controller::watchdog::{Watchdog, WatchdogAction};
 use crate::controller::{
-    force_functions, io_functions, motion_functions, setting_functions, socket_functions,
+    force_functions, interpreter, io_functions, motion_functions, setting_functions, socket_functions,
 };
 use crate::motion::FRAMES_PER_SECOND;
 use cell_values::units::Joints;
@@ -29,6 +29,7 @@ impl Host for Core {
         }
         let slow = motion_functions::call(self, &mut call)
             .or_else(|| socket_functions::call(self, &mut call))
+            .or_else(|| interpreter::call(self, &call))
             .or_else(|| (call.name == "popup").then(|| popup(self, &call)));
         if let Some(reply) = slow {
             return reply.map(|reply| match reply {
@@ -47,6 +48,10 @@ impl Host for Core {
             return Err(format!("{} is not available in the simulation", call.name));
         };
         value.map(Reply::Value)
+    }
+
+    fn takes_statements(&self) -> bool {
+        self.interpreter.takes_statements()
     }
 
     fn abandoned(&mut self, thread: ThreadId, name: &'static str) {

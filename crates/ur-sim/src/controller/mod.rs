@@ -22,6 +22,10 @@ pub mod force_functions;
 
 pub mod functions;
 
+pub mod interpreter;
+
+pub mod interpreter_mode;
+
 pub mod io_functions;
 
 pub mod modes;

@@ -8,6 +8,8 @@
 use crate::controller::builtins;
 use crate::controller::core::{Core, DEFAULT_STOP};
 use crate::controller::external_control::ScriptRequest;
+use crate::controller::interpreter::{Joined, discard};
+use crate::controller::interpreter_mode::Interpreter;
 use crate::controller::pendant::LoadError;
 use crate::controller::program_files::{ProgramSource, bare_name};
 use crate::controller::watchdog::WatchdogAction;
@@ -64,6 +66,8 @@ pub struct Programs {
     last: Option<Arc<str>>,
     /// That one is the loaded one.
     is_loaded: bool,
+    /// Statements of clients in the running one.
+    joined: Option<Joined>,
     seed: u64,
     starts: u64,
     /// A fault: uploads do not start.
@@ -74,7 +78,8 @@ impl Programs {
     /// Nothing loaded.
     pub fn new(seed: u64) -> Programs {
         let (run, uploads) = (Run::Stopped, VecDeque::new());
-        Programs { run, uploads, loaded: None, last: None, is_loaded: false, seed, starts: 0, deaf: false }
+        let (loaded, last, joined) = (None, None, None);
+        Programs { run, uploads, loaded, last, is_loaded: false, joined, seed, starts: 0, deaf: false }
     }
 
     /// Loads a program for `play`, as from the controller's files; one that runs ends.
@@ -243,6 +248,14 @@ impl Programs {
         }
     }
 
+    /// A client's line for interpreter mode; the reply.
+    pub fn interpret(&mut self, text: &str, core: &mut Core) -> String {
+        let (Run::Playing(program) | Run::Paused { program, .. }) = &mut self.run else {
+            return discard("no program is running", text);
+        };
+        self.joined.get_or_insert_with(|| Joined::to(program)).line(text, program, core)
+    }
+
     /// One frame: starts what was uploaded, then steps the main program.
     pub fn run(&mut self, core: &mut Core) {
         while let Some(upload) = self.uploads.pop_front() {
@@ -256,6 +269,10 @@ impl Programs {
         let Run::Playing(program) = &mut self.run else { return };
         let progress = program.frame(core);
         core.settle_orphaned_motion();
+        match &mut self.joined {
+            Some(joined) => joined.settle(program, core),
+            None => core.interpreter.nothing_to_settle(),
+        }
         match progress {
             Progress::Running => self.watch(core),
             Progress::Paused => {
@@ -310,6 +327,7 @@ impl Programs {
         self.starts += 1;
         core.message(key_message(PROGRAM_STARTED, &code.name));
         self.last = Some(code.name.clone());
+        self.joined = None;
         self.run = Run::Playing(Program::new(code, self.seed.wrapping_add(self.starts)));
     }
 
@@ -358,6 +376,7 @@ fn ended(program: &Program, core: &mut Core) {
     core.message(key_message(PROGRAM_STOPPED, program.name()));
     core.owner = None;
     core.orphaned = false;
+    core.interpreter = Interpreter::default();
     core.watchdogs.clear();
     core.compliance = None;
     core.sockets.close_all();

@@ -10,6 +10,7 @@ use ur_wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED};
 use ur_wire::rtde_values::Value;
 
 mod built_ins;
+mod interpreter;
 mod judged;
 
 fn running() -> Controller {
@@ -75,8 +76,8 @@ fn programs_report_their_start_and_end() {
         &["exception 2:7 syntax_error_on_line:2:expected an expression, found `=`"],
     );
     check(
-        "def f():\n  clear_interpreter()\nend\n",
-        &["STARTED:f", "exception 2:3 clear_interpreter is not available in the simulation", "STOPPED:f"],
+        "def f():\n  path_offset_enable()\nend\n",
+        &["STARTED:f", "exception 2:3 path_offset_enable is not available in the simulation", "STOPPED:f"],
     );
 }
 

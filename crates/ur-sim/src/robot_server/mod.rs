@@ -1,5 +1,5 @@
 //! The controller's TCP servers without their sockets: dashboard (29999), primary (30001), secondary
-//! (30002), real-time (30003), RTDE (30004), and the read-only twins of the three that take scripts (30011
+//! (30002), real-time (30003), RTDE (30004), interpreter mode (30020), and the read-only twins of the three that take scripts (30011
 //! to 30013), around the frame-stepped controller.
 //!
 //! In: a client's bytes, and one call of [`shared::RobotShared::frame`] per controller frame. Out: whatever
@@ -7,6 +7,8 @@
 //! for a client: what is sent without a request goes through a bounded queue per connection (`line`).
 
 pub mod dashboard;
+
+pub mod interpreter;
 
 pub mod line;
 
@@ -39,6 +41,8 @@ pub struct RobotPorts {
     pub rtde: u16,
     /// Primary, secondary and real-time interface without scripts.
     pub read_only: [u16; 3],
+    /// Interpreter mode.
+    pub interpreter: u16,
 }
 
 impl RobotPorts {
@@ -50,10 +54,18 @@ impl RobotPorts {
         realtime: 30003,
         rtde: 30004,
         read_only: [30011, 30012, 30013],
+        interpreter: 30020,
     };
     /// Any that are free.
-    pub const ANY: RobotPorts =
-        RobotPorts { dashboard: 0, primary: 0, secondary: 0, realtime: 0, rtde: 0, read_only: [0; 3] };
+    pub const ANY: RobotPorts = RobotPorts {
+        dashboard: 0,
+        primary: 0,
+        secondary: 0,
+        realtime: 0,
+        rtde: 0,
+        read_only: [0; 3],
+        interpreter: 0,
+    };
 
     /// All of them higher by `offset`; `None` if there are no such ports.
     pub fn moved(self, offset: u16) -> Option<RobotPorts> {
@@ -66,6 +78,7 @@ impl RobotPorts {
             realtime: up(self.realtime)?,
             rtde: up(self.rtde)?,
             read_only: [up(first)?, up(second)?, up(third)?],
+            interpreter: up(self.interpreter)?,
         })
     }
 }
@@ -85,4 +98,6 @@ pub struct RobotAddresses {
     pub rtde: SocketAddr,
     /// Primary, secondary and real-time interface without scripts.
     pub read_only: [SocketAddr; 3],
+    /// Interpreter mode.
+    pub interpreter: SocketAddr,
 }

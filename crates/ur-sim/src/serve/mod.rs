@@ -93,6 +93,7 @@ impl Servers {
             (Port::PrimaryReadOnly, first),
             (Port::SecondaryReadOnly, second),
             (Port::RealtimeReadOnly, third),
+            (Port::Interpreter, ports.interpreter),
         ];
         let mut doors = Vec::new();
         for (port, number) in wanted {
@@ -103,9 +104,9 @@ impl Servers {
             *place = door.1;
             self.take(door, core, port, shutdown);
         }
-        let [dashboard, primary, secondary, realtime, rtde, first, second, third] = at;
+        let [dashboard, primary, secondary, realtime, rtde, first, second, third, interpreter] = at;
         let read_only = [first, second, third];
-        Ok(RobotAddresses { dashboard, primary, secondary, realtime, rtde, read_only })
+        Ok(RobotAddresses { dashboard, primary, secondary, realtime, rtde, read_only, interpreter })
     }
 }
 
