@@ -208,7 +208,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
     };
     Ok(SimFile {
         bind: choice.bind.to_string(),
-        ports: SimPorts { modbus: 0, camera: 0, control: 0 },
+        ports: SimPorts { modbus: 0, camera: 0, control: 0, controller_modbus: None },
         seed: choice.seed,
         time_factor: choice.time_factor,
         width_m: instance.workspace.width,

@@ -178,6 +178,7 @@ async fn serve(config: SimConfig, port_offset: u16) -> u8 {
         "dashboard": addresses.robot.dashboard.to_string(),
         "primary": addresses.robot.primary.to_string(),
         "rtde": addresses.robot.rtde.to_string(),
+        "controller_modbus": addresses.robot.modbus.map(|modbus| modbus.to_string()),
         "modbus": addresses.modbus.to_string(),
         "camera": addresses.camera.to_string(),
         "control": addresses.control.map(|control| control.to_string()),
@@ -216,11 +217,12 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
     let mut controller = ControllerConfig::of(&file.model, file.seed);
     controller.start = file.start_pose;
     controller.control = file.control;
+    let modbus = ports.modbus.or(file.ports.controller_modbus);
     controller.programs.clone_from(&file.programs);
     controller.dh = calibrated(&file.model.dh, file.seed, errors.dh_m, errors.dh_rad);
     SimConfig {
         bind,
-        ports,
+        ports: RobotPorts { modbus, ..ports },
         modbus_port: file.ports.modbus,
         camera_port: file.ports.camera,
         control_port: None,

@@ -90,6 +90,8 @@ pub struct SimPorts {
     pub camera: u16,
     /// HTTP control, with `--control` only.
     pub control: u16,
+    /// The controller's own Modbus server; absent: it is not started.
+    pub controller_modbus: Option<u16>,
 }
 
 /// Standard deviations and bounds of what the simulated truth deviates by.

@@ -154,7 +154,13 @@ const SERVERS: &[Claim] = &[
         "assumed: reasons of a discard, replies to skipbuffer and abort, identifiers from 1 in each program",
         "statements_are_acknowledged_and_join_the_programs_first_level",
     ),
-    Claim("XML-RPC, Modbus server of the controller, PROFINET, EtherNet/IP", Grade::Absent, "", ""),
+    Claim(
+        "Modbus server of the controller (502)",
+        Grade::Modelled,
+        "the published map without Euromap and analog inputs; assumed: gaps, turns of joints, who may write",
+        "outputs_are_written_by_register_by_mask_and_by_coil",
+    ),
+    Claim("XML-RPC, PROFINET, EtherNet/IP", Grade::Absent, "", ""),
     Claim(
         "Files over SSH/SFTP, other URCaps, PolyScope itself",
         Grade::Absent,

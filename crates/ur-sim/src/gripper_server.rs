@@ -67,6 +67,7 @@ fn answer(world: &mut World, request: &Adu) -> Result<Vec<u8>, Exception> {
         Function::Read { first, count } => return Ok(register_bytes(&read(world, *first, *count)?)),
         Function::WriteOne { first, value } => write(world, *first, &[*value])?,
         Function::WriteMany { first, values } => write(world, *first, values)?,
+        _ => return Err(Exception::IllegalFunction),
     }
     Ok(function.echo())
 }

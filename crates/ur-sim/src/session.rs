@@ -12,7 +12,7 @@ use crate::gripper_server;
 use crate::robot_server::line::{Bytes, Inlet, Line, Way};
 use crate::robot_server::publisher::Feed;
 use crate::robot_server::script_ports::Port as ScriptPort;
-use crate::robot_server::{dashboard, interpreter, rtde, script_ports};
+use crate::robot_server::{dashboard, interpreter, modbus, rtde, script_ports};
 use crate::world::lock;
 use std::sync::Arc;
 
@@ -37,7 +37,9 @@ pub enum Port {
     RealtimeReadOnly,
     /// 30020.
     Interpreter,
-    /// Modbus.
+    /// 502, of the controller.
+    Modbus,
+    /// Modbus of the gripper.
     Gripper,
 }
 
@@ -47,7 +49,8 @@ impl Port {
         match self {
             Port::Rtde => LinkName::Rtde,
             Port::Dashboard => LinkName::Dashboard,
-            Port::Primary | Port::PrimaryReadOnly | Port::Interpreter => LinkName::Primary,
+            Port::Primary | Port::PrimaryReadOnly => LinkName::Primary,
+            Port::Interpreter | Port::Modbus => LinkName::Primary,
             Port::Secondary | Port::SecondaryReadOnly => LinkName::Secondary,
             Port::Realtime | Port::RealtimeReadOnly => LinkName::Realtime,
             Port::Gripper => LinkName::Gripper,
@@ -57,7 +60,7 @@ impl Port {
     /// True for a server that sends nothing without a request (but a greeting), so that a silent connection
     /// is an idle one.
     pub fn only_answers(self) -> bool {
-        matches!(self, Port::Dashboard | Port::Gripper | Port::Interpreter)
+        matches!(self, Port::Dashboard | Port::Gripper | Port::Interpreter | Port::Modbus)
     }
 
     /// The server in messages.
@@ -72,6 +75,7 @@ impl Port {
             Port::SecondaryReadOnly => "read-only secondary interface",
             Port::RealtimeReadOnly => "read-only real-time interface",
             Port::Interpreter => "interpreter socket",
+            Port::Modbus => "controller's Modbus server",
             Port::Gripper => "gripper",
         }
     }
@@ -102,6 +106,7 @@ enum Kind {
     Dashboard(dashboard::Session),
     Script(script_ports::Session),
     Interpreter(interpreter::Session),
+    Modbus(modbus::Session),
     Gripper(gripper_server::Session),
 }
 
@@ -138,6 +143,7 @@ impl Session {
             Port::SecondaryReadOnly => script(Feed::Secondary, true),
             Port::RealtimeReadOnly => script(Feed::Realtime, true),
             Port::Interpreter => (Kind::Interpreter(interpreter::Session::default()), Line::open(None).1),
+            Port::Modbus => (Kind::Modbus(modbus::Session::default()), Line::open(None).1),
             Port::Gripper => (Kind::Gripper(gripper_server::Session::default()), Line::open(None).1),
         };
         (Session { port, kind }, inlet)
@@ -159,6 +165,9 @@ impl Session {
                 Ok(Outcome { answers: Vec::new(), over })
             }
             Kind::Interpreter(session) => Ok(Outcome::one(session.receive(robot, bytes).into_bytes(), false)),
+            Kind::Modbus(session) => {
+                session.receive(robot, bytes).map(|answers| Outcome::one(answers, false))
+            }
             Kind::Gripper(session) => {
                 let faults = robot.links.get(self.port.link()).state();
                 session
@@ -189,7 +198,7 @@ impl Session {
         let id = match &self.kind {
             Kind::Rtde(session) => session.id(),
             Kind::Script(session) => session.id(),
-            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Gripper(_) => return true,
+            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) | Kind::Gripper(_) => return true,
         };
         core.robot.publisher().is_open(id)
     }
@@ -199,7 +208,7 @@ impl Session {
         match self.kind {
             Kind::Rtde(session) => session.close(&core.robot),
             Kind::Script(session) => session.close(&core.robot),
-            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Gripper(_) => {}
+            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) | Kind::Gripper(_) => {}
         }
     }
 }

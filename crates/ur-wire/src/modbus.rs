@@ -1,4 +1,4 @@
-//! Modbus TCP as a server receives and answers it: framing, the three register functions, exceptions.
+//! Modbus TCP as a server receives and answers it: framing, the functions on registers and coils, exceptions.
 //!
 //! In: bytes of a master's stream. Out: [`Adu`]s and the [`Function`] in each, and the bytes of answers. The
 //! daemon's master uses a library; this end is ours, so that a misreading does not meet itself, and so that
@@ -15,6 +15,10 @@ const LENGTHS: std::ops::RangeInclusive<usize> = 2..=254;
 /// Most registers read, and written, in one request.
 const MOST_READ: u16 = 125;
 const MOST_WRITTEN: u16 = 123;
+
+/// The same for coils.
+const MOST_COILS_READ: u16 = 2000;
+const MOST_COILS_WRITTEN: u16 = 1968;
 
 /// One request as framed.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -76,6 +80,34 @@ pub enum Function {
         /// How many.
         count: u16,
     },
+    /// 0x04: the same of input registers.
+    ReadInputs {
+        /// Address of the first.
+        first: u16,
+        /// How many.
+        count: u16,
+    },
+    /// 0x01 and 0x02: 1 to 2000 coils or discrete inputs from `first` on.
+    ReadCoils {
+        /// Address of the first.
+        first: u16,
+        /// How many.
+        count: u16,
+    },
+    /// 0x05.
+    WriteCoil {
+        /// Address.
+        first: u16,
+        /// New value.
+        on: bool,
+    },
+    /// 0x0F: 1 to 1968 coils from `first` on.
+    WriteCoils {
+        /// Address of the first.
+        first: u16,
+        /// New values.
+        values: Vec<bool>,
+    },
     /// 0x06.
     WriteOne {
         /// Address.
@@ -130,7 +162,11 @@ impl Adu {
         let mut reader = Reader::new(&self.pdu);
         let code = reader.u8("function code").map_err(|_| Exception::IllegalFunction)?;
         let function = match code {
+            0x01 | 0x02 => read_coils(&mut reader),
             0x03 => read(&mut reader),
+            0x04 => read_inputs(&mut reader),
+            0x05 => write_coil(&mut reader),
+            0x0f => write_coils(&mut reader),
             0x06 => write_one(&mut reader),
             0x10 => write_many(&mut reader),
             _ => return Err(Exception::IllegalFunction),
@@ -157,6 +193,32 @@ fn read(reader: &mut Reader) -> Result<Option<Function>, WireError> {
     Ok((1..=MOST_READ).contains(&count).then_some(Function::Read { first, count }))
 }
 
+fn read_inputs(reader: &mut Reader) -> Result<Option<Function>, WireError> {
+    let (first, count) = (reader.u16("address")?, reader.u16("quantity")?);
+    Ok((1..=MOST_READ).contains(&count).then_some(Function::ReadInputs { first, count }))
+}
+
+fn read_coils(reader: &mut Reader) -> Result<Option<Function>, WireError> {
+    let (first, count) = (reader.u16("address")?, reader.u16("quantity")?);
+    Ok((1..=MOST_COILS_READ).contains(&count).then_some(Function::ReadCoils { first, count }))
+}
+
+fn write_coil(reader: &mut Reader) -> Result<Option<Function>, WireError> {
+    let (first, value) = (reader.u16("address")?, reader.u16("value")?);
+    Ok(matches!(value, 0 | 0xff00).then_some(Function::WriteCoil { first, on: value != 0 }))
+}
+
+fn write_coils(reader: &mut Reader) -> Result<Option<Function>, WireError> {
+    let (first, count) = (reader.u16("address")?, reader.u16("quantity")?);
+    let bytes = reader.u8("byte count")?;
+    if !(1..=MOST_COILS_WRITTEN).contains(&count) || u16::from(bytes) != count.div_ceil(8) {
+        return Ok(None);
+    }
+    let bytes = (0..bytes).map(|_| reader.u8("coils")).collect::<Result<Vec<u8>, _>>()?;
+    let bits = bytes.iter().flat_map(|byte| (0..8).map(move |bit| byte >> bit & 1 == 1));
+    Ok(Some(Function::WriteCoils { first, values: bits.take(usize::from(count)).collect() }))
+}
+
 fn write_one(reader: &mut Reader) -> Result<Option<Function>, WireError> {
     Ok(Some(Function::WriteOne { first: reader.u16("address")?, value: reader.u16("value")? }))
 }
@@ -176,7 +238,11 @@ impl Function {
     pub fn echo(&self) -> Vec<u8> {
         let mut out = Writer::new();
         match self {
-            Function::Read { first, count } => out.u16(*first).u16(*count),
+            Function::Read { first, count }
+            | Function::ReadInputs { first, count }
+            | Function::ReadCoils { first, count } => out.u16(*first).u16(*count),
+            Function::WriteCoil { first, on } => out.u16(*first).u16(if *on { 0xff00 } else { 0 }),
+            Function::WriteCoils { first, values } => out.u16(*first).u16(values.len() as u16),
             Function::WriteOne { first, value } => out.u16(*first).u16(*value),
             Function::WriteMany { first, values } => out.u16(*first).u16(values.len() as u16),
         };
@@ -191,6 +257,16 @@ pub fn register_bytes(values: &[u16]) -> Vec<u8> {
     values.iter().for_each(|value| {
         out.u16(*value);
     });
+    out.finish()
+}
+
+/// Data of the answer to a read of coils.
+pub fn coil_bytes(values: &[bool]) -> Vec<u8> {
+    let mut out = Writer::new();
+    let bytes = values
+        .chunks(8)
+        .map(|bits| bits.iter().enumerate().fold(0u8, |byte, (number, on)| byte | u8::from(*on) << number));
+    out.u8(values.len().div_ceil(8) as u8).bytes(&bytes.collect::<Vec<u8>>());
     out.finish()
 }
 
@@ -232,10 +308,28 @@ mod tests {
         for bad in [&[16, 0, 0, 0, 2, 5, 1, 0x3c, 2, 0][..], &[16, 0, 0, 0, 0, 0], &[16, 0, 0, 0, 2, 4, 1]] {
             assert_eq!(adu(bad).function(), Err(Exception::IllegalValue), "{bad:?}");
         }
-        for code in [0, 1, 4, 0x17, 0x83] {
+        for code in [0, 7, 0x17, 0x83] {
             assert_eq!(adu(&[code]).function(), Err(Exception::IllegalFunction));
         }
         assert_eq!(adu(&[]).function(), Err(Exception::IllegalFunction));
+    }
+
+    #[test]
+    fn coils_are_packed_from_the_lowest_bit() {
+        assert_eq!(adu(&[1, 0, 16, 7, 208]).function(), Ok(Function::ReadCoils { first: 16, count: 2000 }));
+        assert_eq!(adu(&[2, 0, 0, 0, 8]).function(), Ok(Function::ReadCoils { first: 0, count: 8 }));
+        assert_eq!(adu(&[4, 1, 2, 0, 2]).function(), Ok(Function::ReadInputs { first: 258, count: 2 }));
+        assert_eq!(adu(&[5, 0, 1, 0xff, 0]).function(), Ok(Function::WriteCoil { first: 1, on: true }));
+        let bits = [true, false, true, false, false, false, false, false, false, true];
+        let many = adu(&[15, 0, 19, 0, 10, 2, 0b101, 0b10]);
+        assert_eq!(many.function(), Ok(Function::WriteCoils { first: 19, values: bits.to_vec() }));
+        assert_eq!(many.function().unwrap().echo(), [0, 19, 0, 10]);
+        assert_eq!(coil_bytes(&bits), [2, 0b101, 0b10]);
+        for bad in
+            [&[1, 0, 0, 7, 209][..], &[5, 0, 1, 0xff, 1], &[15, 0, 0, 0, 9, 1, 1], &[15, 0, 0, 0, 0, 0]]
+        {
+            assert_eq!(adu(bad).function(), Err(Exception::IllegalValue), "{bad:?}");
+        }
     }
 
     #[test]

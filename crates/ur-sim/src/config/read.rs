@@ -162,13 +162,18 @@ fn hand_board(decoder: &mut Decoder, at: &At) -> Option<SimHandBoard> {
 }
 
 fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
-    let fields = decoder.map(at, &["modbus", "camera", "control"])?;
+    let fields = decoder.map(at, &["modbus", "camera", "control", "controller_modbus"])?;
     let modbus = port(decoder, &fields, "modbus");
     let camera = port(decoder, &fields, "camera");
     let control = port(decoder, &fields, "control");
-    let ports = SimPorts { modbus: modbus?, camera: camera?, control: control? };
+    let own = match fields.optional("controller_modbus") {
+        Some(_) => Some(port(decoder, &fields, "controller_modbus")?),
+        None => None,
+    };
+    let ports = SimPorts { modbus: modbus?, camera: camera?, control: control?, controller_modbus: own };
     let taken = [29999, 30001, 30002, 30003, 30004, 30011, 30012, 30013, 30020];
-    let mine = [("modbus", ports.modbus), ("camera", ports.camera), ("control", ports.control)];
+    let mut mine = vec![("modbus", ports.modbus), ("camera", ports.camera), ("control", ports.control)];
+    mine.extend(ports.controller_modbus.map(|port| ("controller_modbus", port)));
     for (index, (key, port)) in mine.iter().enumerate() {
         if taken.contains(port) || mine.iter().take(index).any(|(_, other)| other == port) {
             let message = format!("port {port} for {key} is taken by another server of the cell");

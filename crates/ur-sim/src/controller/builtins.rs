@@ -249,10 +249,10 @@ pub const TABLE: &[Entry] = entries![
     Modelled set_runstate_gp_boolean_output_to_value(outputId, state) "accepted";
     Real get_flag(n) "";
     Real set_flag(n, b) "";
-    Modelled read_port_bit(address) "what scripts wrote; no Modbus server shows it";
-    Modelled write_port_bit(address, value) "kept for scripts; no Modbus server shows it";
-    Modelled read_port_register(address) "what scripts wrote; no Modbus server shows it";
-    Modelled write_port_register(address, value) "kept for scripts; no Modbus server shows it";
+    Modelled read_port_bit(address) "coils of the Modbus server; 0 where it has none";
+    Modelled write_port_bit(address, value) "an exception for a coil that is read-only";
+    Modelled read_port_register(address) "registers of the Modbus server; 0 where it has none";
+    Modelled write_port_register(address, value) "an exception for a register that is read-only";
     Absent get_euromap_input(port_number) "";
     Absent get_euromap_output(port_number) "";
     Absent set_euromap_output(port_number, signal_value) "";

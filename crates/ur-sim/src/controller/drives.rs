@@ -53,6 +53,11 @@ impl Core {
         std::array::from_fn(|i| own[i] + added[i])
     }
 
+    /// Currents of the joints, A.
+    pub fn joint_currents(&self) -> [f64; 6] {
+        amperes(self.joint_moments())
+    }
+
     /// What the measured forces at the tool require of the joints, Nm.
     pub fn contact_torques(&self) -> [f64; 6] {
         self.torques_against(self.tcp_force())
@@ -111,7 +116,7 @@ pub fn target_currents(controller: &Controller) -> [f64; 6] {
 
 /// Currents that flow, A.
 pub fn actual_currents(controller: &Controller) -> [f64; 6] {
-    amperes(controller.core.joint_moments())
+    controller.core.joint_currents()
 }
 
 fn amperes(moments: [f64; 6]) -> [f64; 6] {

@@ -28,6 +28,8 @@ pub mod interpreter_mode;
 
 pub mod io_functions;
 
+pub mod modbus_map;
+
 pub mod modes;
 
 pub mod motion_functions;

@@ -47,6 +47,11 @@ enum Safety {
     Other(i32),
 }
 
+/// `joint_mode` of a joint that runs, is idle, or is off.
+const JOINT_RUNNING: i32 = 253;
+const JOINT_IDLE: i32 = 255;
+const JOINT_OFF: i32 = 239;
+
 /// From where the arm is commanded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Control {
@@ -227,6 +232,15 @@ impl Modes {
     /// Arm has power.
     pub fn powered(&self) -> bool {
         matches!(self.power, Power::Idle | Power::Releasing { .. } | Power::Running)
+    }
+
+    /// Number of the mode all joints are in.
+    pub fn joint_mode(&self) -> i32 {
+        match (self.powered(), self.brakes_open()) {
+            (_, true) => JOINT_RUNNING,
+            (true, false) => JOINT_IDLE,
+            (false, false) => JOINT_OFF,
+        }
     }
 
     /// Safety lets the arm move.

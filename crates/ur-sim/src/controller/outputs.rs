@@ -25,11 +25,6 @@ pub enum Output {
     Constant(Value),
 }
 
-/// `joint_mode` of a joint that runs, is idle, or is off.
-const JOINT_RUNNING: i32 = 253;
-const JOINT_IDLE: i32 = 255;
-const JOINT_OFF: i32 = 239;
-
 /// Variables that follow the simulation.
 const COMPUTED: &[(&str, Compute)] = &[
     ("timestamp", |c| Value::Double(c.core.timestamp())),
@@ -187,12 +182,7 @@ fn register_value(controller: &Controller, register: Register) -> Value {
 
 /// Number of the mode all joints are in.
 pub fn joint_mode(controller: &Controller) -> i32 {
-    let modes = &controller.core.modes;
-    match (modes.powered(), modes.brakes_open()) {
-        (_, true) => JOINT_RUNNING,
-        (true, false) => JOINT_IDLE,
-        (false, false) => JOINT_OFF,
-    }
+    controller.core.modes.joint_mode()
 }
 
 /// Momentary scaling of the trajectory: 0 while paused.

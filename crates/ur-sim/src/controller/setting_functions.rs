@@ -6,6 +6,7 @@
 //! inputs is checked for its arguments and accepted, ports and signals keep what scripts write.
 
 use crate::controller::core::Core;
+use crate::controller::modbus_map;
 use crate::controller::settings::MAX_SIGNALS;
 use urscript::host::Call;
 use urscript::value::Value;
@@ -57,18 +58,20 @@ pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             Ok(Value::Nothing)
         }),
         "read_port_bit" => {
-            address(call).map(|at| Value::Bool(core.settings.port_bits.get(&at).copied().unwrap_or(false)))
+            address(call).map(|at| Value::Bool(modbus_map::read_coil(core, at).unwrap_or(false)))
         }
         "read_port_register" => {
-            address(call).map(|at| Value::Int(core.settings.port_registers.get(&at).copied().unwrap_or(0)))
+            let held = |at| modbus_map::read(core, at).unwrap_or(0).cast_signed();
+            address(call).map(|at| Value::Int(i32::from(held(at))))
         }
         "write_port_bit" => address(call).and_then(|at| {
-            core.settings.port_bits.insert(at, given(call, 1, Value::truth)?);
-            Ok(Value::Nothing)
+            written(call, at, modbus_map::write_coil(core, at, given(call, 1, Value::truth)?))
         }),
         "write_port_register" => address(call).and_then(|at| {
-            core.settings.port_registers.insert(at, given(call, 1, Value::integer)?);
-            Ok(Value::Nothing)
+            let value = given(call, 1, Value::integer)?;
+            let value = i16::try_from(value).map(i16::cast_unsigned).or_else(|_| u16::try_from(value));
+            let value = value.map_err(|_| format!("{}: the value has more than 16 bits", call.name))?;
+            written(call, at, modbus_map::write(core, at, value))
         }),
         "set_tool_communication" => tool_communication(call),
         "tool_wrench_limit_set" => given(call, 0, Value::pose).map(|_| Value::Nothing),
@@ -82,6 +85,10 @@ pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         }),
         _ => return signals(core, call).or_else(|| encoders(core, call)),
     })
+}
+
+fn written(call: &Call<'_>, address: u16, done: bool) -> Result<Value, String> {
+    if done { Ok(Value::Nothing) } else { Err(format!("{}: address {address} is read-only", call.name)) }
 }
 
 fn given<T>(call: &Call<'_>, index: usize, read: impl Fn(&Value) -> Result<T, String>) -> Result<T, String> {

@@ -15,10 +15,10 @@ pub const MAX_SIGNALS: usize = 256;
 pub struct Settings {
     /// `set_flag`.
     pub flags: [bool; FLAGS],
-    /// `write_port_bit`, by address.
-    pub port_bits: HashMap<u16, bool>,
-    /// `write_port_register`, by address.
+    /// General purpose registers of the Modbus map that were written, by address.
     pub port_registers: HashMap<u16, i32>,
+    /// Time since the start when it was last requested: ms, s, min, h, days.
+    pub split_time: [u16; 5],
     /// Values of Modbus signals, by name.
     pub signals: HashMap<String, i32>,
     /// Tick counts of the two encoders.
@@ -31,8 +31,8 @@ impl Default for Settings {
     fn default() -> Settings {
         Settings {
             flags: [false; FLAGS],
-            port_bits: HashMap::new(),
             port_registers: HashMap::new(),
+            split_time: [0; 5],
             signals: HashMap::new(),
             ticks: [0.0; 2],
             base_acceleration: [0.0; 3],

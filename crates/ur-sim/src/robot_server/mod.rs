@@ -1,5 +1,5 @@
 //! The controller's TCP servers without their sockets: dashboard (29999), primary (30001), secondary
-//! (30002), real-time (30003), RTDE (30004), interpreter mode (30020), and the read-only twins of the three that take scripts (30011
+//! (30002), real-time (30003), RTDE (30004), interpreter mode (30020), Modbus (502), and the read-only twins of the three that take scripts (30011
 //! to 30013), around the frame-stepped controller.
 //!
 //! In: a client's bytes, and one call of [`shared::RobotShared::frame`] per controller frame. Out: whatever
@@ -11,6 +11,8 @@ pub mod dashboard;
 pub mod interpreter;
 
 pub mod line;
+
+pub mod modbus;
 
 pub mod publisher;
 
@@ -43,6 +45,8 @@ pub struct RobotPorts {
     pub read_only: [u16; 3],
     /// Interpreter mode.
     pub interpreter: u16,
+    /// The controller's own Modbus server, which is not started without.
+    pub modbus: Option<u16>,
 }
 
 impl RobotPorts {
@@ -55,6 +59,7 @@ impl RobotPorts {
         rtde: 30004,
         read_only: [30011, 30012, 30013],
         interpreter: 30020,
+        modbus: None,
     };
     /// Any that are free.
     pub const ANY: RobotPorts = RobotPorts {
@@ -65,6 +70,7 @@ impl RobotPorts {
         rtde: 0,
         read_only: [0; 3],
         interpreter: 0,
+        modbus: Some(0),
     };
 
     /// All of them higher by `offset`; `None` if there are no such ports.
@@ -79,6 +85,10 @@ impl RobotPorts {
             rtde: up(self.rtde)?,
             read_only: [up(first)?, up(second)?, up(third)?],
             interpreter: up(self.interpreter)?,
+            modbus: match self.modbus {
+                Some(port) => Some(up(port)?),
+                None => None,
+            },
         })
     }
 }
@@ -100,4 +110,6 @@ pub struct RobotAddresses {
     pub read_only: [SocketAddr; 3],
     /// Interpreter mode.
     pub interpreter: SocketAddr,
+    /// The controller's own Modbus server.
+    pub modbus: Option<SocketAddr>,
 }

@@ -99,6 +99,10 @@ impl Servers {
         for (port, number) in wanted {
             doors.push((port, listen(port.name(), bind, number).await?));
         }
+        let modbus = match ports.modbus {
+            Some(number) => Some(listen(Port::Modbus.name(), bind, number).await?),
+            None => None,
+        };
         let mut at = wanted.map(|_| SocketAddr::new(bind, 0));
         for (place, (port, door)) in at.iter_mut().zip(doors) {
             *place = door.1;
@@ -106,7 +110,12 @@ impl Servers {
         }
         let [dashboard, primary, secondary, realtime, rtde, first, second, third, interpreter] = at;
         let read_only = [first, second, third];
-        Ok(RobotAddresses { dashboard, primary, secondary, realtime, rtde, read_only, interpreter })
+        let modbus = modbus.map(|door| {
+            let address = door.1;
+            self.take(door, core, Port::Modbus, shutdown);
+            address
+        });
+        Ok(RobotAddresses { dashboard, primary, secondary, realtime, rtde, read_only, interpreter, modbus })
     }
 }
 
