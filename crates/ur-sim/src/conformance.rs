@@ -160,7 +160,13 @@ const SERVERS: &[Claim] = &[
         "the published map without Euromap and analog inputs; assumed: gaps, turns of joints, who may write",
         "outputs_are_written_by_register_by_mask_and_by_coil",
     ),
-    Claim("XML-RPC, PROFINET, EtherNet/IP", Grade::Absent, "", ""),
+    Claim(
+        "XML-RPC calls of scripts",
+        Grade::Modelled,
+        "a connection for each call; assumed: what fails is a runtime exception",
+        "scripts_call_methods_of_a_server_and_wait_for_the_answer",
+    ),
+    Claim("PROFINET, EtherNet/IP", Grade::Absent, "", ""),
     Claim(
         "Files over SSH/SFTP, other URCaps, PolyScope itself",
         Grade::Absent,

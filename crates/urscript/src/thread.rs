@@ -7,7 +7,7 @@
 use crate::ast::Unary;
 use crate::code::{Code, Instruction};
 use crate::fault::{Position, RuntimeException};
-use crate::host::{Builtin, Call, Host, Reply};
+use crate::host::{Builtin, Call, Host, REMOTE_CALL, Reply};
 use crate::library::{self, Random};
 use crate::methods;
 use crate::operators;
@@ -235,6 +235,9 @@ impl Thread {
             | Instruction::ShortCircuit(..)
             | Instruction::JumpIfGiven(..)
             | Instruction::StoreParameter(_) => self.control(instruction)?,
+            Instruction::Method(name, count) if self.is_remote(*count) => {
+                return self.call_remote(name, *count, host);
+            }
             Instruction::Index(_)
             | Instruction::Member(_)
             | Instruction::Method(..)
@@ -372,6 +375,24 @@ impl Thread {
             return Ok(None);
         }
         self.pending = Some(pending);
+        Ok(if self.poll(host)? { None } else { Some(Event::Waiting) })
+    }
+
+    /// Below that many arguments is a handle of calls to a server.
+    fn is_remote(&self, arguments: usize) -> bool {
+        let of = self.stack.len().checked_sub(arguments + 1).and_then(|index| self.stack.get(index));
+        matches!(of, Some(Value::Remote(_)))
+    }
+
+    fn call_remote(
+        &mut self,
+        method: &Arc<str>,
+        count: usize,
+        host: &mut dyn Host,
+    ) -> Result<Option<Event>, String> {
+        let list = Value::list(self.pop_many(count));
+        let arguments = [self.pop(), Value::Text(method.clone()), list].map(Some).to_vec();
+        self.pending = Some(Pending { builtin: &REMOTE_CALL, arguments, frames: 0, note: 0 });
         Ok(if self.poll(host)? { None } else { Some(Event::Waiting) })
     }
 

@@ -31,6 +31,8 @@ pub enum Value {
     Thread(ThreadId),
     /// Named members in the order they were given.
     Struct(Arc<Vec<(Arc<str>, Value)>>),
+    /// A handle whose methods are calls to a server: its address.
+    Remote(Arc<str>),
 }
 
 /// A list's elements, and how many it can hold. Lists are equal when their elements are.
@@ -117,6 +119,7 @@ impl Value {
             Value::Pose(_) => "pose",
             Value::Thread(_) => "thread",
             Value::Struct(_) => "struct",
+            Value::Remote(_) => "handle",
         }
     }
 
@@ -215,7 +218,7 @@ impl Value {
             Value::Bool(value) => Ok(*value),
             Value::Int(value) => Ok(*value != 0),
             Value::Float(value) => Ok(*value != 0.0),
-            Value::Thread(_) => Ok(true),
+            Value::Thread(_) | Value::Remote(_) => Ok(true),
             other => Err(format!("expected a condition, found {}", other.type_name())),
         }
     }
@@ -241,6 +244,7 @@ impl std::fmt::Display for Value {
                 f.write_str("]")
             }
             Value::Thread(id) => write!(f, "{}", id.0),
+            Value::Remote(address) => f.write_str(address),
             Value::Struct(members) => {
                 f.write_str("struct(")?;
                 for (index, (name, value)) in members.iter().enumerate() {

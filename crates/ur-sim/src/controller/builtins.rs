@@ -192,7 +192,7 @@ pub const TABLE: &[Entry] = entries![
     Modelled interpreter_mode(; clearQueueOnEnter, clearOnEnd) "in the main thread; up to 2000 statements until clear_interpreter()";
     Modelled end_interpreter() "";
     Modelled clear_interpreter() "threads that statements have started go on";
-    Absent rpc_factory(type, url) "";
+    Modelled rpc_factory(type, url) "XML-RPC over HTTP; assumed: an exception when there is no answer within 10 s";
     Absent request_boolean_from_primary_client(message) "";
     Absent request_integer_from_primary_client(message) "";
     Absent request_float_from_primary_client(message) "";

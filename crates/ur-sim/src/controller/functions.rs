@@ -8,7 +8,8 @@ use crate::controller::modes::STOP_BY_PROGRAM_CODE;
 use crate::controller::registers::Input;
 use crate::controller::watchdog::{Watchdog, WatchdogAction};
 use crate::controller::{
-    force_functions, interpreter, io_functions, motion_functions, setting_functions, socket_functions,
+    force_functions, interpreter, io_functions, motion_functions, rpc_functions, setting_functions,
+    socket_functions,
 };
 use crate::motion::FRAMES_PER_SECOND;
 use cell_values::units::Joints;
@@ -30,6 +31,7 @@ impl Host for Core {
         let slow = motion_functions::call(self, &mut call)
             .or_else(|| socket_functions::call(self, &mut call))
             .or_else(|| interpreter::call(self, &call))
+            .or_else(|| rpc_functions::call(self, &mut call))
             .or_else(|| (call.name == "popup").then(|| popup(self, &call)));
         if let Some(reply) = slow {
             return reply.map(|reply| match reply {

@@ -48,6 +48,8 @@ pub mod registers;
 
 pub mod robot_state;
 
+pub mod rpc_functions;
+
 pub mod sensing;
 
 pub mod setting_functions;
@@ -59,6 +61,8 @@ pub mod socket_functions;
 pub mod sockets;
 
 pub mod watchdog;
+
+pub mod xml_rpc;
 
 pub use crate::controller::config::ControllerConfig;
 
