@@ -37,6 +37,7 @@ use ur_sim::config::read::DEFAULT_ERRORS;
 use ur_sim::config::{SimFile, SimMount, SimPorts};
 use ur_sim::controller::modes::Control;
 use ur_sim::controller::program_files::ProgramFiles;
+use ur_sim::motion::safety::SafetyLimits;
 
 /// Distance of the camera over the table while looking, m.
 pub const LOOK_DISTANCE_M: f64 = 0.42;
@@ -223,6 +224,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         model: ARM_MODELS[0],
         start_pose: config.park_pose,
         control: Control::Remote,
+        safety: SafetyLimits::default(),
         program_folder: None,
         programs: ProgramFiles::default(),
         errors: DEFAULT_ERRORS,

@@ -217,6 +217,7 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
     let mut controller = ControllerConfig::of(&file.model, file.seed);
     controller.start = file.start_pose;
     controller.control = file.control;
+    controller.safety.clone_from(&file.safety);
     let modbus = ports.modbus.or(file.ports.controller_modbus);
     controller.programs.clone_from(&file.programs);
     controller.dh = calibrated(&file.model.dh, file.seed, errors.dh_m, errors.dh_rad);

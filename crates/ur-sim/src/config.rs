@@ -7,9 +7,11 @@
 pub mod load;
 pub mod programs;
 pub mod read;
+pub mod safety;
 
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
+use crate::motion::safety::SafetyLimits;
 use cell_parts::grid::MarkerGrid;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;
@@ -52,6 +54,8 @@ pub struct SimFile {
     pub model: ArmModel,
     /// From where the arm is commanded at the start.
     pub control: Control,
+    /// Safety configuration of the controller.
+    pub safety: SafetyLimits,
     /// Joint pose at power-on.
     pub start_pose: Joints,
     /// Folder with the scripts that the dashboard loads, relative to the file's own; absent: none.

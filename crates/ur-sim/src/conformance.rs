@@ -71,7 +71,14 @@ const MOTION: &[Claim] = &[
          published",
         "a_standing_arm_holds_its_weight_and_the_payload_and_what_presses_on_it",
     ),
-    Claim("Self-collision, safety planes, momentum and power limits", Grade::Absent, "", ""),
+    Claim(
+        "Self-collision, safety planes",
+        Grade::Modelled,
+        "a protective stop (C157, C152), not slowed down before; links as capsules, 20 mm of overlap free, no \
+         tool; tool and elbow at planes; numbers assumed",
+        "an_arm_that_meets_itself_or_a_safety_plane_stops_and_may_go_back",
+    ),
+    Claim("Momentum and power limits", Grade::Absent, "", ""),
     Claim(
         "UR3e, UR5e, UR10e, UR16e and others by their DH table",
         Grade::Real,

@@ -4,9 +4,11 @@
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
 use crate::config::programs::programs;
+use crate::config::safety::safety;
 use crate::config::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
+use crate::motion::safety::SafetyLimits;
 use cell_parts::fields::{each, joints_deg, optional, port, required_number, transform};
 use cell_parts::grid::{board, board_apart};
 use cell_parts::gripper::gripper;
@@ -41,6 +43,7 @@ pub const SIM_KEYS: &[&str] = &[
     "model",
     "start_pose_deg",
     "control_mode",
+    "safety",
     "programs",
     "errors",
 ];
@@ -108,6 +111,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let control = optional(decoder, fields, "control_mode", Control::Remote, |decoder, at| {
         decoder.choice(at, CONTROL_MODES)
     });
+    let safety = optional(decoder, fields, "safety", SafetyLimits::default(), safety);
     let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
     let (size, (program_folder, programs)) = (size?, programs?);
@@ -128,6 +132,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         model: model?,
         start_pose: start_pose?,
         control: control?,
+        safety: safety?,
         program_folder,
         programs,
         errors: errors?,

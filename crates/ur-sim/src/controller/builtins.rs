@@ -153,7 +153,7 @@ pub const TABLE: &[Entry] = entries![
     Real get_inverse_kin(x; qnear, maxPositionError, maxOrientationError, tcp) "nearest by the largest \
         joint difference";
     Real get_inverse_kin_has_solution(pose; qnear, maxPositionError, maxOrientationError, tcp) "";
-    Modelled is_within_safety_limits(position; qNear, maxPositionError, maxOrientationError, tcp) "joint ranges and reach; no safety planes";
+    Modelled is_within_safety_limits(position; qNear, maxPositionError, maxOrientationError, tcp) "joint ranges, reach, safety planes and the arm itself";
     Modelled get_joint_temp(j) "35 degrees";
     Modelled get_controller_temp() "40 degrees";
     Modelled get_tool_accelerometer_reading() "gravity and motion in the flange frame, without noise";

@@ -5,6 +5,7 @@
 
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
+use crate::motion::safety::SafetyLimits;
 use cell_values::units::Joints;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -35,6 +36,8 @@ pub struct ControllerConfig {
     pub running: bool,
     /// From where the arm is commanded at the start.
     pub control: Control,
+    /// Safety configuration.
+    pub safety: SafetyLimits,
     /// Tool centre point of the installation, in the flange frame.
     pub tcp: [f64; 6],
     /// Payload of the installation, kg.
@@ -62,6 +65,7 @@ impl ControllerConfig {
             version: [5, 26, 0, 1_234_567],
             running: false,
             control: Control::Remote,
+            safety: SafetyLimits::default(),
             tcp: [0.0; 6],
             payload: 0.0,
             seed,

@@ -87,6 +87,8 @@ pub struct Core {
     /// A thread was killed in a motion; the arm brakes unless something else commands it in this frame.
     pub(super) orphaned: bool,
     pub(super) watchdogs: Vec<Watchdog>,
+    /// How deep the arm was last where its safety system does not let it be, m.
+    pub(super) intrusion_m: f64,
     /// Error code and reason of a protective stop that this frame ends with.
     pub(super) stop_asked: Option<(i32, String)>,
 }
@@ -94,7 +96,8 @@ pub struct Core {
 impl Core {
     /// Everything as at the end of booting.
     pub(super) fn new(config: ControllerConfig) -> Core {
-        let arm = Arm::of(config.arm.joint_speed, config.dh);
+        let mut arm = Arm::of(config.arm.joint_speed, config.dh);
+        arm.tool_speed = config.safety.tool_speed;
         let mut core = Core {
             modes: Modes::new(config.running, config.control),
             registers: Registers::default(),
@@ -120,6 +123,7 @@ impl Core {
             owner: None,
             orphaned: false,
             watchdogs: Vec::new(),
+            intrusion_m: 0.0,
             stop_asked: None,
             config,
             secondary: false,

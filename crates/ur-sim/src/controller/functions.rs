@@ -131,11 +131,24 @@ fn kinematics(core: &Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             .and_then(Value::pose)
             .and_then(|pose| Ok(Value::Bool(solve(core, call, pose)?.is_some()))),
         "is_within_safety_limits" => call.required(0).and_then(|target| match target {
-            Value::Pose(pose) => Ok(Value::Bool(solve(core, call, *pose)?.is_some())),
-            other => Ok(Value::Bool(core.mover.arm.outside(&Joints(other.array::<6>()?)).is_none())),
+            Value::Pose(pose) => {
+                let free = solve(core, call, *pose)?.is_some_and(|q| safe(core, &q));
+                Ok(Value::Bool(free))
+            }
+            other => {
+                let q = Joints(other.array::<6>()?);
+                Ok(Value::Bool(core.mover.arm.outside(&q).is_none() && safe(core, &q)))
+            }
         }),
         _ => return None,
     })
+}
+
+/// The safety system lets the arm be there.
+fn safe(core: &Core, q: &Joints) -> bool {
+    let (arm, config) = (&core.mover.arm, &core.config);
+    let tcp = arm.tcp(q).translation.vector;
+    config.safety.intrusion(config.arm.name, &arm.dh, q, &tcp).is_none()
 }
 
 fn forward_kin(core: &Core, call: &Call<'_>) -> Result<Value, String> {

@@ -97,7 +97,7 @@ impl Controller {
         self.core.modes.advance();
         self.programs.run(&mut self.core);
         if let Some((code, reason)) = self.core.stop_asked.take() {
-            self.stop_with(code, &reason);
+            self.stop_with((code, 0), &reason);
         }
         self.core.sockets.flush();
         if !self.core.modes.brakes_open() {
@@ -106,6 +106,7 @@ impl Controller {
             self.protective_stop(&fault.to_string());
         }
         self.core.refresh();
+        self.hold_to_safety();
         let (q, force) = (self.core.mover.q(), self.core.tcp_force());
         self.core.sensing.remember(q, force);
     }
@@ -122,14 +123,33 @@ impl Controller {
 
     /// Stops the arm as its safety system does on a violated limit: on its path, the program paused.
     pub fn protective_stop(&mut self, reason: &str) {
-        self.stop_with(modes::PATH_SANITY_CODE, reason);
+        self.stop_with((modes::PATH_SANITY_CODE, 0), reason);
     }
 
-    fn stop_with(&mut self, code: i32, reason: &str) {
+    /// Stops an arm that gets deeper to where its safety system does not let it be; the way back is free.
+    fn hold_to_safety(&mut self) {
+        let Core { mover, config, .. } = &self.core;
+        if mover.stands() {
+            return;
+        }
+        let tcp = mover.tcp().translation.vector;
+        let found = config.safety.intrusion(config.arm.name, &mover.arm.dh, &mover.q(), &tcp);
+        let depth = found.as_ref().map_or(0.0, |found| found.depth);
+        let deeper = depth > std::mem::replace(&mut self.core.intrusion_m, depth);
+        if let Some(found) = found.filter(|_| deeper) {
+            let code = match found.joint {
+                Some(joint) => (modes::COLLISION_CODE, joint as i32),
+                None => (modes::SAFETY_PLANE_CODE, 0),
+            };
+            self.stop_with(code, &found.reason);
+        }
+    }
+
+    fn stop_with(&mut self, (code, argument): (i32, i32), reason: &str) {
         if self.core.modes.protective_stop(self.core.step) {
             self.programs.pause();
             self.core.pendant.safety_popup = true;
-            self.core.error_message(code, 0, reason);
+            self.core.error_message(code, argument, reason);
             self.core.safety_message();
         }
     }

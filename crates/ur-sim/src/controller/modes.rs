@@ -18,6 +18,10 @@ const UNLOCK_FRAMES: u64 = 2500;
 /// Error code of a protective stop because of an impossible motion ("path sanity check failed").
 pub const PATH_SANITY_CODE: i32 = 204;
 
+/// Error codes of a protective stop at a safety plane, and of two links that meet.
+pub const SAFETY_PLANE_CODE: i32 = 152;
+pub const COLLISION_CODE: i32 = 157;
+
 /// Error code of a protective stop that the program has requested (C209A0).
 pub const STOP_BY_PROGRAM_CODE: i32 = 209;
 

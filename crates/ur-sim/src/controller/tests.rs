@@ -3,6 +3,7 @@
 use super::*;
 use crate::controller::config::calibrated;
 use crate::controller::registers::{ClientId, Input};
+use crate::motion::safety::{SafetyLimits, SafetyPlane};
 use cell_values::units::Joints;
 use ur_arm::kinematics::{ARM_MODELS, DhParameters, forward};
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
@@ -292,6 +293,35 @@ fn a_script_that_comes_while_the_brakes_are_released_is_refused() {
     step_until(&mut controller, |c| c.core.modes.robot_mode() == RobotMode::Running);
     (0..10).for_each(|_| controller.frame());
     assert!(stopped(&controller));
+}
+
+#[test]
+fn an_arm_that_meets_itself_or_a_safety_plane_stops_and_may_go_back() {
+    let plane = SafetyPlane { point: [0.0, 0.0, 0.4], normal: [0.0, 0.0, 1.0] };
+    let fold = "movej([0,-1.57,3.0,0,0,0])";
+    let sink = "movel(pose_add(get_actual_tcp_pose(), p[0,0,-0.3,0,0,0]))";
+    for (planes, script, code) in [(vec![], fold, "C157"), (vec![plane], sink, "C152"), (vec![], sink, "")] {
+        let safety = SafetyLimits { planes, ..SafetyLimits::default() };
+        let config = ControllerConfig { running: true, safety, ..ControllerConfig::ur5e(3) };
+        let mut controller = Controller::new(config);
+        upload(&mut controller, &format!("def m():\n {script}\nend\n"));
+        controller.frame();
+        step_until(&mut controller, |c| c.core.modes.protective_stopped() || stopped(c));
+        let said = messages(&mut controller);
+        if code.is_empty() {
+            assert!(stopped(&controller), "{said:?}");
+            continue;
+        }
+        assert_eq!(said[1..], [code, "safety 3"]);
+        (0..2500).for_each(|_| controller.frame());
+        controller.unlock_protective_stop().unwrap();
+        controller.programs.stop(&mut controller.core);
+        let home = controller.core.config.start.0;
+        upload(&mut controller, &format!("def back():\n movej({home:?})\nend\n"));
+        controller.frame();
+        step_until(&mut controller, stopped);
+        assert!(!controller.core.modes.protective_stopped(), "{script}: the way back is free");
+    }
 }
 
 #[test]

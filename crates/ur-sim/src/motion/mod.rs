@@ -12,6 +12,8 @@ pub mod mover;
 
 pub mod profile;
 
+pub mod safety;
+
 pub mod segment;
 
 pub mod tool_path;

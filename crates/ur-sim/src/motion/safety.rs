@@ -1,0 +1,185 @@
+//! Where the safety system does not let the arm be: beyond a plane of the safety configuration, or within
+//! itself.
+//!
+//! In: the configured limits, the arm's parameters and joint positions. Out: how deep it is where it must not
+//! be, and why. Links are the capsules of [`ur_arm::bodies`], which overestimate them by some 15 mm on
+//! average: the arm may overlap itself by [`TOLERANCE_M`]. The tool and what it holds are no bodies here;
+//! planes hold the tool centre point and the elbow. Pure.
+
+use cell_values::units::Joints;
+use nalgebra::{Isometry3, Point3, Vector3};
+use ur_arm::bodies::{BODY_NAMES, Capsule, HARMLESS_PAIRS, capsules};
+use ur_arm::kinematics::{DhParameters, link_frames};
+
+/// Overlap of two capsules that is none of the links.
+const TOLERANCE_M: f64 = 0.02;
+
+/// Half a space that the arm must stay in.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SafetyPlane {
+    /// A point of the plane, base frame, m.
+    pub point: [f64; 3],
+    /// Towards where the arm may be; any length but 0.
+    pub normal: [f64; 3],
+}
+
+/// The part of the safety configuration that is modelled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SafetyLimits {
+    /// What tool and elbow must not pass.
+    pub planes: Vec<SafetyPlane>,
+    /// Fastest tool, m/s; motion is slowed down to it.
+    pub tool_speed: f64,
+}
+
+impl Default for SafetyLimits {
+    /// As delivered: no planes, 1.5 m/s.
+    fn default() -> SafetyLimits {
+        SafetyLimits { planes: Vec::new(), tool_speed: 1.5 }
+    }
+}
+
+/// The arm is where it must not be.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Intrusion {
+    /// How deep, m.
+    pub depth: f64,
+    /// For the message.
+    pub reason: String,
+    /// The joint that moves the farther of two links; none for a plane.
+    pub joint: Option<usize>,
+}
+
+impl SafetyLimits {
+    /// How far `point` (base frame, m) is beyond a plane, and which one; `None` if it is within all.
+    pub fn beyond(&self, point: &Vector3<f64>) -> Option<(usize, f64)> {
+        let beyond = self.planes.iter().enumerate().map(|(number, plane)| {
+            let inwards = Vector3::from(plane.normal).normalize();
+            (number, -inwards.dot(&(point - Vector3::from(plane.point))))
+        });
+        beyond.filter(|(_, depth)| *depth > 0.0).max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The deepest intrusion of an arm with this tool centre point.
+    pub fn intrusion(
+        &self,
+        model: &str,
+        dh: &DhParameters,
+        q: &Joints,
+        tcp: &Vector3<f64>,
+    ) -> Option<Intrusion> {
+        let frames = link_frames(dh, q);
+        let points = [("tool", *tcp), ("elbow", frames[1].translation.vector)];
+        let planes = points.iter().filter_map(|(name, point)| {
+            let (number, depth) = self.beyond(point)?;
+            Some(Intrusion { depth, reason: format!("{name} beyond safety plane {number}"), joint: None })
+        });
+        planes.chain(with_itself(model, &frames)).max_by(|a, b| a.depth.total_cmp(&b.depth))
+    }
+}
+
+/// The deepest overlap of two links beyond the tolerance.
+fn with_itself(model: &str, frames: &[Isometry3<f64>; 6]) -> Option<Intrusion> {
+    let bodies = capsules(model)?;
+    let frame = |body: usize| body.checked_sub(1).map_or(Isometry3::identity(), |link| frames[link]);
+    let placed: [Vec<[Point3<f64>; 2]>; 7] = std::array::from_fn(|body| {
+        let place = frame(body);
+        bodies[body]
+            .iter()
+            .map(|capsule| [capsule.a, capsule.b].map(|end| place * Point3::from(end)))
+            .collect()
+    });
+    let pairs = (0..7).flat_map(|a| (a + 1..7).map(move |b| (a, b)));
+    let overlaps = pairs.filter(|pair| !HARMLESS_PAIRS.contains(pair)).map(|(a, b)| {
+        let depth = deepest((bodies[a], &placed[a]), (bodies[b], &placed[b])) - TOLERANCE_M;
+        (depth, a, b)
+    });
+    let (depth, a, b) = overlaps.max_by(|x, y| x.0.total_cmp(&y.0)).filter(|(depth, ..)| *depth > 0.0)?;
+    let reason = format!("{} against {}", BODY_NAMES[b], BODY_NAMES[a]);
+    Some(Intrusion { depth, reason, joint: Some(b - 1) })
+}
+
+type Placed<'a> = (&'a [Capsule], &'a [[Point3<f64>; 2]]);
+
+fn deepest((shapes, a): Placed<'_>, (others, b): Placed<'_>) -> f64 {
+    let mut deepest = f64::NEG_INFINITY;
+    for (shape, ends) in shapes.iter().zip(a) {
+        for (other, other_ends) in others.iter().zip(b) {
+            deepest = deepest.max(shape.radius + other.radius - distance(ends, other_ends));
+        }
+    }
+    deepest
+}
+
+/// Distance of two segments: from the best point of one, clamped, to the best of the other.
+fn distance([a, b]: &[Point3<f64>; 2], [c, d]: &[Point3<f64>; 2]) -> f64 {
+    let (u, v, between) = (b - a, d - c, a - c);
+    let (uu, uv, vv) = (u.dot(&u), u.dot(&v), v.dot(&v));
+    let (ub, vb) = (u.dot(&between), v.dot(&between));
+    let parallel = uu * vv - uv * uv;
+    let mut s = if parallel > 1e-15 { ((uv * vb - vv * ub) / parallel).clamp(0.0, 1.0) } else { 0.0 };
+    let mut t = (uv * s + vb) / vv.max(1e-15);
+    if !(0.0..=1.0).contains(&t) {
+        t = t.clamp(0.0, 1.0);
+        s = ((uv * t - ub) / uu.max(1e-15)).clamp(0.0, 1.0);
+    }
+    ((a + u * s) - (c + v * t)).norm()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn intrusion(q: [f64; 6]) -> Option<Intrusion> {
+        let dh = DhParameters::UR5E;
+        let tcp = link_frames(&dh, &Joints(q))[5].translation.vector;
+        SafetyLimits::default().intrusion("UR5e", &dh, &Joints(q), &tcp)
+    }
+
+    #[test]
+    fn ordinary_postures_are_free_and_a_folded_arm_is_not() {
+        let half = std::f64::consts::FRAC_PI_2;
+        for q in [
+            [0.0; 6],
+            [0.0, -half, half, -half, -half, 0.0],
+            [0.0, -half, 0.0, -half, 0.0, 0.0],
+            [0.0, -1.047, 2.094, -2.618, -half, 0.0],
+        ] {
+            assert_eq!(intrusion(q), None, "{q:?}");
+        }
+        let folded = intrusion([0.0, -half, 3.0, 0.0, 0.0, 0.0]).unwrap();
+        assert!(folded.depth > 0.01 && folded.joint.is_some(), "{folded:?}");
+        let q = Joints([0.0, -half, 3.0, 0.0, 0.0, 0.0]);
+        let unknown = SafetyLimits::default().intrusion("UR99", &DhParameters::UR5E, &q, &Vector3::zeros());
+        assert_eq!(unknown, None, "its capsules are not published");
+    }
+
+    #[test]
+    fn planes_hold_tool_and_elbow() {
+        let plane = SafetyPlane { point: [0.0, 0.0, 0.1], normal: [0.0, 0.0, 2.0] };
+        let limits = SafetyLimits { planes: vec![plane], ..SafetyLimits::default() };
+        assert_eq!(limits.beyond(&Vector3::new(0.3, 0.0, 0.2)), None);
+        let (number, depth) = limits.beyond(&Vector3::new(0.3, 0.0, 0.04)).unwrap();
+        assert!(number == 0 && (depth - 0.06).abs() < 1e-12);
+        let dh = DhParameters::UR5E;
+        let found = limits.intrusion("UR5e", &dh, &Joints([0.0, 0.4, 0.0, 0.0, 0.0, 0.0]), &Vector3::z());
+        assert!(found.unwrap().reason.starts_with("elbow beyond safety plane 0"));
+    }
+
+    proptest! {
+        #[test]
+        fn segments_are_no_farther_apart_than_their_nearest_samples(
+            numbers in proptest::array::uniform12(-1.0..1.0f64),
+        ) {
+            let point = |i: usize| Point3::new(numbers[i], numbers[i + 1], numbers[i + 2]);
+            let (one, two) = ([point(0), point(3)], [point(6), point(9)]);
+            let at = |[a, b]: &[Point3<f64>; 2], k: i32| a + (b - a) * (f64::from(k) / 50.0);
+            let samples = (0..=50).flat_map(|i| (0..=50).map(move |k| (i, k)));
+            let nearest = samples.map(|(i, k)| (at(&one, i) - at(&two, k)).norm()).fold(f64::INFINITY, f64::min);
+            let found = distance(&one, &two);
+            prop_assert!(found <= nearest + 1e-9 && found >= nearest - 0.08, "{found} {nearest}");
+            prop_assert!((found - distance(&two, &one)).abs() < 1e-9);
+        }
+    }
+}
