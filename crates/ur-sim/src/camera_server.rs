@@ -4,9 +4,10 @@
 //! `X-Sequence` (counts frames of its kind), `X-Time` (controller seconds at exposure) and `X-Serial`; depth
 //! with 16 bits, 0.1 mm a unit and 0 where nothing was found, aligned to the colour picture; the factory
 //! intrinsics as JSON. A frame is exposed and transferred in its own time ([`crate::camera`]); drawing
-//! happens afterwards on a blocking thread, without the world, one picture of a kind at a time, also when the
-//! client of the last one has gone meanwhile; for clients that went while they waited nothing is drawn. A
-//! camera that is switched off (a fault) answers 503; other faults of the camera are read from the world at every frame.
+//! happens afterwards on a blocking thread, without the world, one picture of a kind at a time, also when
+//! the client of the last one has gone meanwhile; for clients that went while they waited nothing is
+//! drawn. A camera that is switched off (a fault) answers 503; other faults of the camera are read from
+//! the world at every frame.
 
 use crate::camera::{CameraSetup, Window};
 use crate::faults::link::Link;

@@ -1,4 +1,5 @@
-//! Modbus TCP as a server receives and answers it: framing, the functions on registers and coils, exceptions.
+//! Modbus TCP as a server receives and answers it: framing, the functions on registers and coils,
+//! exceptions.
 //!
 //! In: bytes of a master's stream. Out: [`Adu`]s and the [`Function`] in each, and the bytes of answers. The
 //! daemon's master uses a library; this end is ours, so that a misreading does not meet itself, and so that

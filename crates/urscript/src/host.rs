@@ -38,8 +38,8 @@ macro_rules! urscript_builtins {
 }
 pub use crate::urscript_builtins;
 
-/// What the host is called with for `handle.method(arguments)` on a [`Value::Remote`]: the handle, the method's
-/// name, the list of arguments. No script can write this name.
+/// What the host is called with for `handle.method(arguments)` on a [`Value::Remote`]: the handle, the
+/// method's name, the list of arguments. No script can write this name.
 pub static REMOTE_CALL: Builtin = Builtin { name: "a call of a handle", parameters: &[] };
 
 /// One call of a built-in, repeated until it is answered.

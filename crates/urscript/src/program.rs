@@ -4,14 +4,13 @@
 //! In: compiled code, a host, and one call of [`Program::frame`] per controller frame (2 ms). Out: whether
 //! it runs on, ended, or failed with a runtime exception. Threads take turns in the order in which they were
 //! started; a thread that becomes ready in a frame (joined, handed the critical section, just started) still
-//! runs in it. A slice longer than [`SLICE`] instructions without a call that waits is an endless loop and an
-//! exception, as the controller aborts a program that does not let time pass; with one the thread goes on in
-//! the next frame: what it reads may come in faster than it can read.
-//! The critical section is a lock that is handed on in the order of request, with sleeping allowed inside.
-//! While its holder waits in a built-in (a motion, a socket) or joins a thread the section is lent to a
-//! thread that requests it: deployed scripts run whole trajectories within it and still read their orders, a
-//! cancellation among them, in another one, and wait within it for the end of a thread that has one more
-//! round in it to go.
+//! runs in it. A slice longer than [`SLICE`] instructions without a call that waits is an endless loop
+//! and an exception, as the controller aborts a program that does not let time pass; with one the thread
+//! goes on in the next frame: what it reads may come in faster than it can read. The critical section is
+//! a lock that is handed on in the order of request, with sleeping allowed inside. While its holder waits
+//! in a built-in (a motion, a socket) or joins a thread the section is lent to a thread that requests it:
+//! deployed scripts run whole trajectories within it and still read their orders, a cancellation among
+//! them, in another one, and wait within it for the end of a thread that has one more round in it to go.
 
 use crate::code::Code;
 use crate::fault::{Position, RuntimeException};
@@ -116,8 +115,8 @@ impl Program {
         &self.shared.code
     }
 
-    /// Lets a statement join: `function` of `code`, which has all that the program's code has. It begins when
-    /// those before it are done and the host takes statements.
+    /// Lets a statement join: `function` of `code`, which has all that the program's code has. It begins
+    /// when those before it are done and the host takes statements.
     pub fn join(&mut self, code: Arc<Code>, statement: u64, function: usize) {
         let globals = code.scope.globals.len().max(self.shared.globals.len());
         self.shared.globals.resize(globals, None);

@@ -1,9 +1,9 @@
 //! `rpc_factory` and the calls on its handles.
 //!
 //! In: calls from running programs, repeated each frame while they wait. Out: the value that the server has
-//! answered, or a runtime exception: a server that is not there, does not answer or reports a fault (assumed;
-//! the manual leaves it open). Each call is one HTTP request on a connection of its own; the script waits and
-//! the controller does not.
+//! answered, or a runtime exception: a server that is not there, does not answer or reports a fault
+//! (assumed; the manual leaves it open). Each call is one HTTP request on a connection of its own; the
+//! script waits and the controller does not.
 
 use crate::controller::core::Core;
 use crate::controller::sockets::{MAX_BUFFER, SocketState};

@@ -2,8 +2,8 @@
 //!
 //! In: a method and its arguments, or the bytes of an answer. Out: the document of the call, or the value of
 //! the answer. Types as the script manual has them: bool, int, double, string, arrays, structs; a pose is a
-//! struct of x, y, z, rx, ry and rz, both ways. Foreign bytes: nesting is bounded, and what is not XML-RPC is
-//! an error with a reason. Pure.
+//! struct of x, y, z, rx, ry and rz, both ways. Foreign bytes: nesting is bounded, and what is not
+//! XML-RPC is an error with a reason. Pure.
 
 use std::fmt::Write;
 use std::sync::Arc;

@@ -1,6 +1,6 @@
 //! The controller's TCP servers without their sockets: dashboard (29999), primary (30001), secondary
-//! (30002), real-time (30003), RTDE (30004), interpreter mode (30020), Modbus (502), and the read-only twins of the three that take scripts (30011
-//! to 30013), around the frame-stepped controller.
+//! (30002), real-time (30003), RTDE (30004), interpreter mode (30020), Modbus (502), and the read-only
+//! twins of the three that take scripts (30011 to 30013), around the frame-stepped controller.
 //!
 //! In: a client's bytes, and one call of [`shared::RobotShared::frame`] per controller frame. Out: whatever
 //! the clients of the real controller expect. Sessions act on the controller under one lock. Nothing waits
