@@ -214,13 +214,7 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
         mount_rad: errors.mount_rad,
     };
     let truth = spec::TruthSpec::from_seed(&nominal, &limits, file.seed);
-    let mut controller = ControllerConfig::of(&file.model, file.seed);
-    controller.start = file.start_pose;
-    controller.control = file.control;
-    controller.safety.clone_from(&file.safety);
     let modbus = ports.modbus.or(file.ports.controller_modbus);
-    controller.programs.clone_from(&file.programs);
-    controller.dh = calibrated(&file.model.dh, file.seed, errors.dh_m, errors.dh_rad);
     SimConfig {
         bind,
         ports: RobotPorts { modbus, ..ports },
@@ -228,7 +222,7 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
         camera_port: file.ports.camera,
         control_port: None,
         time_factor: file.time_factor,
-        controller,
+        controller: controller_config(file),
         world: spec::WorldSpec {
             table: spec::TableSpec { width_m: file.width_m, height_m: file.height_m, margin_m: MARGIN_M },
             base_from_table: truth.base_from_table,
@@ -254,6 +248,17 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
         },
         seed: file.seed,
         faults: Vec::new(),
+    }
+}
+
+fn controller_config(file: &SimFile) -> ControllerConfig {
+    ControllerConfig {
+        start: file.start_pose,
+        control: file.control,
+        safety: file.safety.clone(),
+        programs: file.programs.clone(),
+        dh: calibrated(&file.model.dh, file.seed, file.errors.dh_m, file.errors.dh_rad),
+        ..ControllerConfig::of(&file.model, file.seed)
     }
 }
 

@@ -327,12 +327,13 @@ impl Program {
                 scheduled.done = true;
                 return Ok(Turn::Over);
             }
-            Event::Exhausted => {
-                let message = format!("endless loop: {SLICE} instructions without letting time pass");
-                return Err(self.exception(index, message));
-            }
+            Event::Exhausted => return Err(self.endless(index)),
         }
         Ok(Turn::Kept)
+    }
+
+    fn endless(&self, index: usize) -> RuntimeException {
+        self.exception(index, format!("endless loop: {SLICE} instructions without letting time pass"))
     }
 
     fn exception(&self, index: usize, message: String) -> RuntimeException {

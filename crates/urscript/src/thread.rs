@@ -215,12 +215,7 @@ impl Thread {
             Instruction::CallBuiltin(builtin, slots) => {
                 return self.call_builtin(builtin, slots, shared, host);
             }
-            Instruction::Return => {
-                self.calls.pop();
-                if self.calls.is_empty() {
-                    return Ok(Some(Event::Finished));
-                }
-            }
+            Instruction::Return => return Ok(self.leave()),
             Instruction::Kill => return Ok(self.handle()?.map(Event::Kill)),
             Instruction::Join => return Ok(self.handle()?.map(Event::Join)),
             Instruction::EnterCritical => return Ok(Some(Event::EnterCritical)),
@@ -235,8 +230,8 @@ impl Thread {
             | Instruction::ShortCircuit(..)
             | Instruction::JumpIfGiven(..)
             | Instruction::StoreParameter(_) => self.control(instruction)?,
-            Instruction::Method(name, count) if self.is_remote(*count) => {
-                return self.call_remote(name, *count, host);
+            Instruction::Method(m, count) if self.is_remote(*count) => {
+                return self.call_remote(m, *count, host);
             }
             Instruction::Index(_)
             | Instruction::Member(_)
@@ -250,6 +245,13 @@ impl Thread {
             | Instruction::Pop => self.compute(instruction)?,
         }
         Ok(None)
+    }
+
+    /// Leaves a function; the thread is over with its last one.
+    #[inline]
+    fn leave(&mut self) -> Option<Event> {
+        self.calls.pop();
+        self.calls.is_empty().then_some(Event::Finished)
     }
 
     /// Calls a function of the program.

@@ -26,6 +26,12 @@ fn dashboard(controller: &mut Controller, line: &str) -> String {
     answer(controller, &command, line, 0).line(&command).trim_end().to_owned()
 }
 
+/// A PC that takes requests until the controller hangs up, and answers none.
+fn silent(stream: TcpStream) {
+    let mut lines = BufReader::new(stream);
+    while lines.read_line(&mut String::new()).is_ok_and(|count| count > 0) {}
+}
+
 fn texts(controller: &mut Controller) -> Vec<String> {
     let text = |message| match message {
         MessageBody::Text(text) => Some(text),
@@ -81,18 +87,12 @@ fn a_pc_that_is_not_there_or_hangs_up_makes_a_popup() {
 
 #[test]
 fn a_pc_that_says_nothing_is_given_up_and_stop_gives_up_at_once() {
-    let port = server(|stream| {
-        let mut line = String::new();
-        let mut lines = BufReader::new(stream);
-        while lines.read_line(&mut line).is_ok_and(|count| count > 0) {}
-    });
-    let mut controller = loaded(port);
+    let mut controller = loaded(server(silent));
     dashboard(&mut controller, "play");
     step_until(&mut controller, |c| c.core.popup.is_some());
     assert!(controller.core.popup.as_ref().is_some_and(|popup| popup.contains("Read timed out")));
     for end in ["stop", "power off", "load external_control.urp"] {
-        let mut controller =
-            loaded(server(|stream| drop(BufReader::new(stream).read_line(&mut String::new()))));
+        let mut controller = loaded(server(silent));
         dashboard(&mut controller, "play");
         (0..10).for_each(|_| controller.frame());
         dashboard(&mut controller, end);
@@ -116,7 +116,7 @@ fn a_script_that_is_none_is_complained_about_and_an_upload_goes_before() {
         assert!(began.elapsed() < PATIENCE);
     };
     assert!(complaint.contains("syntax_error_on_line:2"), "{complaint}");
-    let mut controller = loaded(server(|stream| drop(BufReader::new(stream).read_line(&mut String::new()))));
+    let mut controller = loaded(server(silent));
     dashboard(&mut controller, "play");
     start(&mut controller, "def other():\n while True:\n  sync()\n end\nend\n");
     assert_eq!(dashboard(&mut controller, "programState"), "PLAYING other");
