@@ -45,7 +45,9 @@ impl ScriptRequest {
     pub fn step(&mut self, name: &str, sockets: &mut dyn ScriptSockets) -> Option<String> {
         let state = sockets.state(SOCKET);
         if state == SocketState::Open && !self.sent {
-            self.sent = sockets.send(SOCKET, b"request_program\n");
+            // A peer that has gone already shows as closed in the next frame.
+            sockets.send(SOCKET, b"request_program\n");
+            self.sent = true;
         }
         self.quiet += 1;
         if let Some(arrived) = sockets.received(SOCKET).filter(|arrived| !arrived.is_empty()) {

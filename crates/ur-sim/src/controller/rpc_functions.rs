@@ -74,7 +74,12 @@ fn remote(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
             "POST {path} HTTP/1.0\r\nHost: {host}:{port}\r\nContent-Type: text/xml\r\nContent-Length: \
              {length}\r\n\r\n"
         );
-        *call.note = u64::from(core.sockets.send(&socket, (head + &body).as_bytes()));
+        *call.note = 1;
+        if !core.sockets.send(&socket, (head + &body).as_bytes())
+            && core.sockets.state(&socket) == SocketState::Open
+        {
+            return Err(format!("{method} at {url}: the call is too long"));
+        }
     }
     let closed = state == SocketState::Closed;
     let received = core.sockets.received(&socket).map(|bytes| &**bytes).unwrap_or_default();
