@@ -12,6 +12,7 @@ use celld::cell::device::primary_session::PrimarySession;
 use celld::cell::device::rtde_session::RtdeSession;
 use nalgebra::Isometry3;
 use ur_sim::controller::builtins::compile_program;
+use ur_sim::controller::program_files::ProgramSource;
 use ur_sim::controller::{Controller, ControllerConfig};
 use ur_sim::session::Port;
 use ur_sim::simulator::{Simulator, Transmission};
@@ -54,7 +55,7 @@ fn pieces(data: &[u8]) -> Vec<&[u8]> {
 fn simulator() -> Simulator {
     let mut controller = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
     let program = "def work():\n while True:\n  sync()\n end\nend\n";
-    controller.programs.insert("work".to_owned(), program.to_owned());
+    controller.programs.add("work", ProgramSource::Script(program.to_owned()));
     let world = WorldSpec::bare(Isometry3::identity(), GripperSpec::one_cup(0.2));
     Simulator::new(controller, world, 1, Vec::new()).expect("a sound cell")
 }

@@ -88,7 +88,7 @@ pub fn faults(first: u64, jobs: u64, failed: &(dyn Fn(u64) + Sync)) -> Result<Fi
     let ran: Result<Vec<usize>, String> = (first..first.saturating_add(jobs))
         .into_par_iter()
         .map(|seed| {
-            let (aftermath, _) = storm(&stage(seed, Eye::Corners)?, seed, &strikes(seed), false)?;
+            let (aftermath, _) = storm(&stage(seed, Eye::Corners)?, Choice::of(seed), &strikes(seed))?;
             if !aftermath.faults.is_empty() {
                 failed(seed);
             }

@@ -12,7 +12,7 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::model::ForeignRule;
 use crate::cell::supervisor::order::JobOrder;
 use crate::cell::supervisor::phase::Phase;
-use crate::cell::supervisor::status::Doing;
+use crate::cell::supervisor::status::{Doing, WorkStep};
 use crate::cell::times::{JobTimes, TimeSplit, Use};
 use crate::config::cell::{CellConfig, MotionLimits};
 use crate::demo::cell::{DemoChoice, cell_config, sim_file};
@@ -290,12 +290,12 @@ fn rest_of(pair: &Pair) -> Option<Rest> {
     }
     match &pair.status()?.doing {
         Doing::Looking(..) => Some(Rest::Look(mover.q())),
-        Doing::Working("gripping", _) => {
+        Doing::Working(WorkStep::Gripping, _) => {
             let supervisor = pair.machine().supervisor()?;
             let Phase::Work(work) = &supervisor.phase else { return None };
             Some(Rest::Pick(mover.q(), Carried::by(&work.paths.carry, &supervisor.model().cycle)))
         }
-        Doing::Working("releasing", _) => Some(Rest::Place(mover.q())),
+        Doing::Working(WorkStep::Releasing, _) => Some(Rest::Place(mover.q())),
         _ => None,
     }
 }

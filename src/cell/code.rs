@@ -55,7 +55,7 @@ pub enum Place {
 }
 
 /// How a job ended, in a word that programs can test.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize)]
 #[expect(missing_docs, reason = "each has its sentence in the table below, which is what people read")]
 pub enum Code {
     Done,

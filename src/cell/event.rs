@@ -16,10 +16,11 @@ use crate::cell::supervisor::status::Status;
 use cell_vision::foreign::HeldBody;
 use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
 use ur_arm::kinematics::DhParameters;
 
 /// Something happened.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Event {
     /// Time went by; everything else that has happened by now was handed over before.
     Time,
@@ -28,7 +29,7 @@ pub enum Event {
     /// It could not be made, or the peer or the network ended it. Not reported after [`Effect::Close`].
     Disconnected(Link, String),
     /// Bytes came in.
-    Received(Link, Vec<u8>),
+    Received(Link, #[serde(with = "serde_bytes")] Vec<u8>),
     /// The answer to [`Effect::Registers`]: the words of a read, nothing for a write.
     Registers(Result<Vec<u16>, ModbusFailure>),
     /// To [`Effect::Look`], first: its frames are exposed, and the camera may be moved.
@@ -63,14 +64,14 @@ pub enum Event {
 }
 
 /// Something is to be done.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Effect {
     /// Make this connection.
     Connect(Link),
     /// Drop it, or the attempt.
     Close(Link),
     /// Send these bytes.
-    Send(Link, Vec<u8>),
+    Send(Link, #[serde(with = "serde_bytes")] Vec<u8>),
     /// One register transaction with the gripper; the next follows its answer.
     Registers(ModbusRequest),
     /// Take pictures from one look pose and find the markers.
@@ -136,7 +137,7 @@ pub enum Effect {
 }
 
 /// What is reported to people and records.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub enum News {
     /// The controller has said which arm it moves: time to commission the cell.
     Identified(Arm),
@@ -151,7 +152,7 @@ pub enum News {
 }
 
 /// Which arm it is, as the controller says.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Arm {
     /// Calibrated kinematics.
     pub dh: DhParameters,

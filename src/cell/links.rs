@@ -8,6 +8,7 @@
 use crate::cell::device::outbox::earlier;
 use crate::cell::device::robot_types::Link;
 use cell_values::time::{Duration, Timestamp};
+use serde::{Deserialize, Serialize};
 
 /// First and longest pause between two attempts to connect.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
@@ -24,14 +25,14 @@ pub enum Wish {
     Close(Link),
 }
 
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 enum State {
     Down { retry_at: Timestamp },
     Asked { deadline: Timestamp },
     Up,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 struct Connection {
     link: Link,
     state: State,
@@ -43,7 +44,7 @@ struct Connection {
 }
 
 /// The three connections to the controller.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub struct Connections([Connection; 3]);
 
 impl Default for Connections {

@@ -24,6 +24,7 @@ use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::RouteAction;
 use crate::cell::supervisor::status::Status;
 use cell_values::time::{Duration, Timestamp};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use ur_arm::kinematics::DhParameters;
 
@@ -43,6 +44,7 @@ pub struct MachineParameters {
 }
 
 /// The cell. See the module.
+#[derive(Serialize, Deserialize)]
 pub struct Machine {
     robot: Robot,
     gripper: Gripper,
@@ -61,8 +63,14 @@ pub struct Machine {
     ended: bool,
 }
 
+impl std::fmt::Debug for Machine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Machine").finish_non_exhaustive()
+    }
+}
+
 /// What the controller has said of the arm.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 struct Identity {
     kinematics: Option<(DhParameters, String)>,
     robot: KnownRobot,
@@ -73,7 +81,7 @@ struct Identity {
 
 /// Numbers of the requests to perception and planner: an answer to one from before the last one, or before
 /// the first picture of the present look, is too late to count.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 struct Requests {
     last: u64,
     since: u64,
@@ -81,7 +89,7 @@ struct Requests {
 }
 
 /// What was notified last.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 struct Notified {
     status: Option<Status>,
     route: Vec<RouteAction>,

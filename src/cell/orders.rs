@@ -10,7 +10,7 @@ use std::fmt;
 use std::str::FromStr;
 
 /// An order of the operator.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Order {
     /// Allow motion.
     Arm,

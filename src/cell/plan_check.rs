@@ -16,10 +16,12 @@ use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::{Action, ActionKind};
 use rearrange::planning::problem::Reach;
 use rearrange::tabletop::instance::Instance;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
 /// The arm as far as a plan has to suit it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct PlanLimits {
     /// The arm.
     pub arm: ArmModel,
@@ -32,11 +34,12 @@ pub struct PlanLimits {
     /// Where the arm is when a pick-n-place begins.
     pub start: Joints,
     /// Filled when it is first needed; it holds for these objects and heights.
+    #[serde(skip)]
     pub mask: Arc<OnceLock<ReachMask>>,
 }
 
 /// A pick or place that the arm cannot do.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct OutOfReach {
     /// Index of the object.
     pub object: usize,
@@ -47,7 +50,7 @@ pub struct OutOfReach {
     /// In words, with the object's name.
     pub message: String,
     /// What a person can do about it.
-    pub remedy: &'static str,
+    pub remedy: Cow<'static, str>,
 }
 
 impl PlanLimits {
@@ -132,7 +135,7 @@ impl PlanLimits {
     fn out_of_reach(&self, object: usize, what: &str, fault: &PathFault) -> OutOfReach {
         let name = self.objects[object].object.clone();
         let message = format!("{name} cannot be moved ({what}): {fault}");
-        OutOfReach { object, name, buffer: None, message, remedy: fault.remedy() }
+        OutOfReach { object, name, buffer: None, message, remedy: fault.remedy().into() }
     }
 }
 

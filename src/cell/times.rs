@@ -4,6 +4,7 @@
 //! full looks, in [`JobTimes`]. [`TimeBook`] sums them up while a job is
 //! under way. Pure data; the supervisor says what a span is used for (`supervisor/time_book`).
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// What a span of time is used for.
@@ -74,7 +75,7 @@ impl fmt::Display for Use {
 }
 
 /// Seconds by their use.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 pub struct TimeSplit([f64; Use::ALL.len()]);
 
 impl TimeSplit {
@@ -110,7 +111,7 @@ impl TimeSplit {
 }
 
 /// Where the time of a job went.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 pub struct JobTimes {
     /// Each look at the whole table, with planning and what a person was waited for after it.
     pub rounds: Vec<TimeSplit>,
@@ -139,7 +140,7 @@ impl JobTimes {
 }
 
 /// The time of the job under way.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 pub struct TimeBook {
     done: JobTimes,
     /// The pick-n-place under way, with the look before it.

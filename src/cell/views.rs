@@ -18,6 +18,7 @@ use cell_vision::marker::corners_m;
 use cell_vision::observe::ReferenceMarker;
 use cell_vision::region::Region;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::sync::{Arc, OnceLock};
 
@@ -65,7 +66,7 @@ const PAIRED: usize = 40;
 const PAIRS: usize = 4000;
 
 /// What the camera on the wrist shows from where, for looks at parts of the table.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct SightModel {
     /// The lens.
     pub camera: CameraModel,
@@ -76,6 +77,7 @@ pub struct SightModel {
     /// The gripper in the picture.
     pub own: Option<OwnBody>,
     /// Poses to look from, computed when they are first needed; shared by all copies of a cell.
+    #[serde(skip)]
     pub views: Arc<OnceLock<Views>>,
 }
 

@@ -226,14 +226,14 @@ async fn daemon(
     }
     shell.see_with(perception_setup(&config, &measured, &arm, diagnostic_images)?);
     let (pictures, lens) = (LastPicture::new(Some(measured.camera.clone())), measured.camera.clone());
-    feed.known(KnownCell { model: model.clone(), lens, pictures: pictures.clone() });
+    feed.known(KnownCell { model: model.clone(), lens: lens.clone(), pictures: pictures.clone() });
     shell.commission(model, config.arm_at_start);
     let keeper =
         keeper.with(pictures.clone(), &config_file, identities(&arm, &measured), shell.last_answers());
     shell.keep_in(Box::new(keeper), Box::new(orders));
     tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     starting.rests();
-    let recorder = config.recording.as_ref().map(recorder::start).transpose()?;
+    let recorder = config.recording.as_ref().map(|to| recorder::start(to, Some(lens))).transpose()?;
     let mut lines = Lines { recorder, pictures, watchdog, feed: feed.observer() };
     let ended = shell.run(&mut lines, &stop).await.map_err(|error| error.to_string());
     lines.watchdog.stopping();

@@ -25,6 +25,7 @@ pub mod jobs;
 pub mod markers;
 pub mod open;
 pub mod plan;
+pub mod replay;
 pub mod simulate;
 pub mod submit;
 pub mod task;
@@ -74,6 +75,11 @@ enum Command {
     Verify(verify::VerifyArgs),
     /// Check files: configuration, calibration, job, goal, instance
     Check(check::CheckArgs),
+    /// Carry a recorded run out again: the same observations, and whether the cell decides the same
+    Replay(replay::ReplayArgs),
+    /// Recordings (MCAP): make whole what a killed daemon left
+    #[command(subcommand)]
+    Recordings(replay::RecordingsCommand),
     /// Make random instances of the paper's scenarios
     Generate(generate::GenerateArgs),
     /// Measure, print a table, draw figures
@@ -120,6 +126,8 @@ pub fn main() -> ExitCode {
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Generate(args) => generate::run(&args),
+        Command::Replay(args) => replay::run(&args),
+        Command::Recordings(command) => replay::recordings(&command),
         Command::Bench(Bench::Planning(args)) => {
             interrupt::watch(&stop);
             bench_planning::run(&args, &stop)

@@ -52,7 +52,8 @@ pub fn run(args: &SimulateArgs) -> u8 {
             return 2;
         }
     };
-    let choice = Choice { eye, keep_trace: args.trace.is_some(), ..Choice::of(args.seed) };
+    let choice =
+        Choice { eye, keep_trace: args.trace.is_some(), replay: args.replay, ..Choice::of(args.seed) };
     let bar = ProgressBar::new(args.jobs as u64);
     if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} jobs, {eta} left") {
         bar.set_style(style);

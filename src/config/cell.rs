@@ -230,13 +230,26 @@ pub struct SimulationConfig {
     pub clock_factor: f64,
 }
 
+/// How pictures are recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RecordedPictures {
+    /// Not at all.
+    Off,
+    /// As JPEG: small, good for the eye.
+    Jpeg,
+    /// As PNG, pixel by pixel: the detector finds in them what it found.
+    Lossless,
+}
+
 /// Where runs are recorded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordingConfig {
     /// Folder for the MCAP files, absolute.
     pub folder: PathBuf,
     /// Pictures too, not only numbers.
-    pub pictures: bool,
+    pub pictures: RecordedPictures,
+    /// What a replay needs: everything that the cell takes in and decides.
+    pub decisions: bool,
     /// What all recordings together may take; the oldest go first.
     pub budget_bytes: u64,
     /// What is left free on their disk.

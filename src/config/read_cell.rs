@@ -11,7 +11,8 @@ use crate::config::bodies::{Equipment, equipment};
 use crate::config::calibration;
 use crate::config::camera::camera_device;
 use crate::config::cell::{
-    CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig, Tolerances,
+    CellConfig, Devices, MotionLimits, PlannerConfig, RecordedPictures, RecordingConfig, SimulationConfig,
+    Tolerances,
 };
 use crate::config::check::check_cell;
 use crate::config::page::page;
@@ -473,14 +474,24 @@ fn history(decoder: &mut Decoder, at: &At) -> Option<HistoryLimits> {
 }
 
 fn recording(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<RecordingConfig> {
-    let fields = decoder.map(at, &["folder", "pictures", "budget_gb", "reserve_gb"])?;
+    let fields = decoder.map(at, &["folder", "pictures", "decisions", "budget_gb", "reserve_gb"])?;
     let target = fields.required("folder", decoder).and_then(|at| path(decoder, &at, folder));
-    let pictures = optional(decoder, &fields, "pictures", true, |decoder, at| decoder.boolean(at));
+    let words = [
+        ("jpeg", RecordedPictures::Jpeg),
+        ("lossless", RecordedPictures::Lossless),
+        ("true", RecordedPictures::Jpeg),
+        ("false", RecordedPictures::Off),
+    ];
+    let pictures = optional(decoder, &fields, "pictures", RecordedPictures::Jpeg, |decoder, at| {
+        decoder.choice(at, &words)
+    });
+    let decisions = optional(decoder, &fields, "decisions", true, |decoder, at| decoder.boolean(at));
     let budget_bytes = gigabytes(decoder, &fields, "budget_gb", 20.0);
     let reserve_bytes = gigabytes(decoder, &fields, "reserve_gb", 1.0);
     Some(RecordingConfig {
         folder: target?,
         pictures: pictures?,
+        decisions: decisions?,
         budget_bytes: budget_bytes?,
         reserve_bytes: reserve_bytes?,
     })

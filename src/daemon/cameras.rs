@@ -110,7 +110,7 @@ pub fn fault_of(error: &CameraError) -> CameraFault {
         | FaultKind::Flat
         | FaultKind::Blurred => false,
     };
-    CameraFault { code: code_of(kind), message: chain(error), hint: kind.hint(), lasting }
+    CameraFault { code: code_of(kind), message: chain(error), hint: kind.hint().into(), lasting }
 }
 
 #[cfg(test)]

@@ -3,19 +3,9 @@
 //! In: marks of the loop, for each answer of a device. Out: ages, for the status file. Apart from the
 //! supervisor's status, whose words change only when a device does.
 
+use crate::cell::supervisor::status::Device;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
-
-/// Which device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Device {
-    /// A state package of the controller.
-    Robot,
-    /// A reading of the vacuum.
-    Gripper,
-    /// A picture.
-    Camera,
-}
 
 /// Shared between the loop, which marks, and the keeper, which reads.
 #[derive(Clone, Debug, Default)]
@@ -27,14 +17,8 @@ impl LastAnswers {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)[device as usize] = Some(Instant::now());
     }
 
-    /// How long ago a device of this name answered, s, to a tenth; `None`: not since the start.
-    pub fn age_s(&self, name: &str) -> Option<f64> {
-        let device = match name {
-            "robot" => Device::Robot,
-            "gripper" => Device::Gripper,
-            "camera" => Device::Camera,
-            _ => return None,
-        };
+    /// How long ago the device answered, s, to a tenth; `None`: not since the start.
+    pub fn age_s(&self, device: Device) -> Option<f64> {
         let answered = self.0.lock().unwrap_or_else(PoisonError::into_inner)[device as usize];
         answered.map(|at| (at.elapsed().as_secs_f64() * 10.0).round() / 10.0)
     }
@@ -48,10 +32,7 @@ mod tests {
     fn each_device_has_an_age_of_its_own_once_it_has_answered() {
         let answered = LastAnswers::default();
         answered.now(Device::Gripper);
-        assert!(answered.age_s("gripper").is_some_and(|age| age < 600.0));
-        assert_eq!(
-            (answered.age_s("robot"), answered.age_s("camera"), answered.age_s("arm")),
-            (None, None, None)
-        );
+        assert!(answered.age_s(Device::Gripper).is_some_and(|age| age < 600.0));
+        assert_eq!((answered.age_s(Device::Robot), answered.age_s(Device::Camera)), (None, None));
     }
 }

@@ -1,106 +1,128 @@
-//! The recording of a run: the daemon's events into MCAP files.
+//! The recording of a run: the daemon's events into MCAP files, one a job, and the last minutes without one.
 //!
-//! In: events as they happen. Out: the files, and at the end what went wrong with them, if anything did. A
-//! recording that fails never stops a run, and never silently: the first fault is kept, and logged. All
-//! writing and encoding is on a thread of its own: a slow disk must not keep the robot waiting for a message
-//! from us.
+//! In: everything that the loop takes in, decides and shows. Out: the files, each of which begins with the
+//! whole cell, so that it opens and replays by itself; at the end what went wrong with them, if anything
+//! did. A recording that fails never stops a run, and never silently: the first fault is kept, and logged.
+//! All writing and encoding is on a thread of its own (`tape`): a slow disk must not keep the robot waiting
+//! for a message from us.
 
-use crate::config::cell::RecordingConfig;
+mod drawing;
+mod tape;
+
+pub use tape::{piece_of, topic_of};
+
+use crate::cell::device::robot_types::RobotState;
+use crate::cell::event::{Effect, Event};
+use crate::cell::machine::Machine;
+use crate::cell::replay::Piece;
+use crate::cell::supervisor::input::Record;
+use crate::cell::supervisor::status::Status;
+use crate::config::cell::{RecordedPictures, RecordingConfig};
 use crate::daemon::messages::Displayed;
-use crate::daemon::recordings_folder::RecordingsFolder;
+use crate::daemon::recordings_folder::{RecordingsFolder, Segment};
 use crate::daemon::shell::Scene;
-use crate::io::recording::{PictureFormat, RecordedObject, Recording, Severity};
-use cell_edge::clock::unix_now_s;
 use cell_edge::priority;
 use cell_values::image::Image;
 use cell_values::time::{Duration, Timestamp};
-use cell_values::units::Joints;
-use cell_vision::observe::Observation;
-use rearrange::document::chain::chain;
+use cell_vision::camera::CameraModel;
+use drawing::Drawing;
+use foxglove::messages::log::Level;
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::time::Instant;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use tape::{Entry, Moment, Shared, Tape};
 
-/// How often joint states are recorded, in the cell's time.
+/// How often joint states and the vacuum are recorded, in the cell's time.
 const JOINTS_EVERY: Duration = Duration::from_millis(40);
+const VACUUM_EVERY: Duration = Duration::from_millis(100);
 
 /// Pictures that may wait for the encoder: 90 MB at most.
 const WAITING_PICTURES: usize = 32;
 
-/// Entries that may wait for the disk: minutes of joint states.
+/// Entries that may wait for the disk: seconds of turns of the loop.
 const WAITING_ENTRIES: usize = 4096;
 
-/// How often the length of the file and the space on the disk are looked at.
-const LOOK_EVERY: std::time::Duration = std::time::Duration::from_secs(5);
-
-/// When a recording that failed is tried again.
-const AGAIN_AFTER: std::time::Duration = std::time::Duration::from_secs(60);
+/// How long a file without a job becomes, in the cell's time; the one before it is kept too.
+const IDLE_FILE: Duration = Duration::from_secs(300);
 
 /// How long the end of a run waits for what is left to be written.
 const CLOSE_WITHIN: std::time::Duration = std::time::Duration::from_secs(10);
-
-/// Something to be written, with its time.
-enum Entry {
-    Log(Severity, String),
-    Picture(Image),
-    Arrangement(Vec<RecordedObject>),
-    Plan(Value),
-    Joints(Joints, [f64; 6]),
-}
 
 /// The loop's end of a recording.
 pub struct Recorder {
     entries: Option<SyncSender<(Timestamp, Entry)>>,
     ended: Receiver<Option<String>>,
-    pictures: Option<Arc<AtomicUsize>>,
+    shared: Arc<Shared>,
+    pictures: RecordedPictures,
+    /// Events and effects too.
+    decisions: bool,
+    /// One file for everything.
+    single: bool,
+    /// Of the last status.
+    job: Option<String>,
+    /// What the present file is of, and when it began; `None` before the first.
+    open: Option<(Segment, Timestamp)>,
+    moments: Vec<(Timestamp, Moment)>,
+    /// Something was lost since the last turn: what follows needs the machine anew.
+    gap: bool,
     last_joints: Timestamp,
+    last_vacuum: Timestamp,
+    last_robot: Option<Value>,
     dropped: usize,
     fault: Option<String>,
 }
 
-/// New files in the recording folder, named by the time.
+/// New files in the recording folder, named by job and time. Files that an earlier celld could not finish
+/// are made whole beside it.
 ///
 /// # Errors
-/// A folder or file that cannot be made: the operator who requests a recording wants to know before, not
-/// after. A disk without room is none: it is logged, and recorded again once there is room.
-pub fn start(config: &RecordingConfig) -> Result<Recorder, String> {
+/// A folder that cannot be made: the operator who requests a recording wants to know before, not after. A
+/// disk without room is none: it is logged, and recorded again once there is room.
+pub fn start(config: &RecordingConfig, lens: Option<CameraModel>) -> Result<Recorder, String> {
     let folder = RecordingsFolder::open(config)?;
-    let mut tape = Tape::new(Some(folder));
-    tape.open_next();
-    match tape.fault.take() {
-        Some(fault) if tape.tries_again.is_none() => Err(format!("recording: {fault}")),
-        fault => {
-            tape.fault = fault;
-            Ok(Recorder::of(tape, config.pictures))
-        }
-    }
+    folder.repair_in_the_background();
+    let tape = Tape::new(Some(folder), config.pictures, Drawing::new(lens));
+    Ok(Recorder::of(tape, config.decisions))
 }
 
 impl Recorder {
-    /// Creates the one file; `pictures`: also what the camera saw. A file that cannot be created is the
-    /// first fault.
-    pub fn create(path: &Path, pictures: bool) -> Recorder {
-        let mut tape = Tape::new(None);
-        tape.open(path.to_path_buf());
-        Recorder::of(tape, pictures)
+    /// The one file, with pictures and decisions, by this lens; its first fault comes with
+    /// [`Recorder::close`].
+    pub fn create(path: &Path, pictures: RecordedPictures, lens: Option<CameraModel>) -> Recorder {
+        let mut tape = Tape::new(None, pictures, Drawing::new(lens));
+        tape.single = Some(path.to_path_buf());
+        Recorder { single: true, ..Recorder::of(tape, true) }
     }
 
-    fn of(mut tape: Tape, pictures: bool) -> Recorder {
+    fn of(mut tape: Tape, decisions: bool) -> Recorder {
         let (entries, waiting) = sync_channel(WAITING_ENTRIES);
         let (ends, ended) = sync_channel(1);
-        let count = pictures.then(Arc::<AtomicUsize>::default);
-        let (taken, fault) = (count.clone(), tape.fault.clone());
+        let (shared, pictures, fault) = (Arc::clone(&tape.shared), tape.pictures, tape.fault.clone());
         std::thread::spawn(move || {
             priority::lower();
-            tape.run(&waiting, taken.as_deref());
+            tape.run(&waiting);
             // There may be no reader any more.
             let _ = ends.send(tape.close());
         });
-        let last_joints = Timestamp::ZERO;
-        Recorder { entries: Some(entries), ended, pictures: count, last_joints, dropped: 0, fault }
+        Recorder {
+            entries: Some(entries),
+            ended,
+            shared,
+            pictures,
+            decisions,
+            single: false,
+            job: None,
+            open: None,
+            moments: Vec::new(),
+            gap: false,
+            last_joints: Timestamp::ZERO,
+            last_vacuum: Timestamp::ZERO,
+            last_robot: None,
+            dropped: 0,
+            fault,
+        }
     }
 
     /// What is wrong with the recording from the start.
@@ -111,32 +133,32 @@ impl Recorder {
     /// Takes one event in.
     pub fn on(&mut self, now: Timestamp, scene: &Scene) {
         match scene {
+            Scene::Event(event) => self.event(now, event),
+            Scene::Effect(effect) => self.effect(now, effect),
+            Scene::Machine(machine) => self.turn(now, machine),
             Scene::Notice(notice) => {
-                let severity = if notice.alarm { Severity::Warning } else { Severity::Info };
-                self.put(now, Entry::Log(severity, notice.text.clone()));
+                let level = if notice.alarm { Level::Warning } else { Level::Info };
+                self.put(now, Entry::Log(level, notice.text.clone()));
             }
             Scene::Displayed(Displayed::Picture { image, .. } | Displayed::Sample { image, .. }) => {
                 self.picture(now, image);
             }
-            Scene::Displayed(Displayed::Observed { seen: observation, .. }) => {
-                self.put(now, Entry::Arrangement(recorded(observation)));
+            Scene::Displayed(Displayed::Observed { seen, .. }) => self.put(now, Entry::Seen(seen.clone())),
+            Scene::Route(route) => self.put(now, Entry::Route(route.to_vec())),
+            Scene::Robot(state) => self.robot(now, state),
+            Scene::Vacuum(vacuum) if now.since(self.last_vacuum) >= VACUUM_EVERY => {
+                self.last_vacuum = now;
+                self.put(now, Entry::Vacuum(*vacuum));
             }
-            Scene::Route(route) => {
-                let steps: Vec<_> = route
-                    .iter()
-                    .map(|s| json!({"object": s.object, "from": s.from, "to": s.to, "goal": s.to_goal}))
-                    .collect();
-                self.put(now, Entry::Plan(json!({ "actions": steps })));
-            }
-            Scene::Robot(state) if now.since(self.last_joints) >= JOINTS_EVERY => {
-                self.last_joints = now;
-                self.put(now, Entry::Joints(state.q, state.qd));
+            Scene::Status(status) => {
+                self.job.clone_from(&status.job);
+                self.put(now, Entry::Status(status_json(status)));
             }
             Scene::Ended(report) => {
                 let text = format!("job {} ended: {}: {}", report.id, report.code_text(), report.message);
-                self.put(now, Entry::Log(Severity::Info, text));
+                self.put(now, Entry::Log(Level::Info, text));
             }
-            Scene::Robot(_) | Scene::Status(_) | Scene::Vacuum(_) | Scene::Turn => {}
+            Scene::Vacuum(_) | Scene::Turn => {}
         }
     }
 
@@ -152,232 +174,105 @@ impl Recorder {
         fault.or(dropped)
     }
 
+    fn event(&mut self, now: Timestamp, event: &Event) {
+        match event {
+            Event::Job(order) => self.put(now, Entry::Goals(order.goals.clone())),
+            Event::Commission { .. } => self.open = None,
+            _ => {}
+        }
+        if self.decisions && self.open.is_some() {
+            self.moments.push((now, Moment::Event(Box::new(event.clone()))));
+        }
+    }
+
+    fn effect(&mut self, now: Timestamp, effect: &Effect) {
+        if let Effect::Commit { record: Record::Found { goals, .. }, .. } = effect {
+            self.put(now, Entry::Goals(goals.clone()));
+        }
+        if self.decisions && self.open.is_some() {
+            self.moments.push((now, Moment::Effect(Box::new(effect.clone()))));
+        }
+    }
+
+    /// Between two turns the machine is whole: here files begin, and gaps end.
+    fn turn(&mut self, now: Timestamp, machine: &Machine) {
+        if !self.moments.is_empty() {
+            let moments = std::mem::take(&mut self.moments);
+            self.gap |= !self.sent(now, Entry::Moments(moments));
+        }
+        if let Some(segment) = self.next_segment(now) {
+            let cell = machine.supervisor().map(|cell| Box::new(cell.model().clone()));
+            let machine = self.decisions.then(|| Piece::machine(now, machine, false).ok()).flatten();
+            if self.sent(now, Entry::Open { segment: segment.clone(), cell, machine }) {
+                self.open = Some((segment, now));
+                self.gap = false;
+                self.last_robot = None;
+            }
+        } else if self.gap
+            && let Ok(piece) = Piece::machine(now, machine, true)
+        {
+            self.gap = !self.sent(now, Entry::Stitch(piece));
+        }
+    }
+
+    /// What the next file is of, where one is due.
+    fn next_segment(&self, now: Timestamp) -> Option<Segment> {
+        let segment = self.job.as_ref().map_or(Segment::Idle, |job| Segment::Job(job.clone()));
+        let Some((present, since)) = &self.open else { return Some(segment) };
+        if self.single {
+            return None;
+        }
+        let wanted = self.shared.wants_file.swap(false, Ordering::Relaxed);
+        let over = segment == Segment::Idle && now.since(*since) >= IDLE_FILE;
+        (wanted || over || segment != *present).then_some(segment)
+    }
+
+    fn robot(&mut self, now: Timestamp, state: &RobotState) {
+        if now.since(self.last_joints) < JOINTS_EVERY {
+            return;
+        }
+        self.last_joints = now;
+        self.put(now, Entry::Joints(state.q, state.qd));
+        let robot = json!({
+            "robot_mode": format!("{:?}", state.robot_mode),
+            "safety_mode": format!("{:?}", state.safety_mode),
+            "program": format!("{:?}", state.runtime_state),
+            "payload_kg": state.payload,
+        });
+        if self.last_robot.as_ref() != Some(&robot) && self.sent(now, Entry::Robot(robot.clone())) {
+            self.last_robot = Some(robot);
+        }
+    }
+
     fn picture(&mut self, now: Timestamp, image: &Image) {
-        let Some(waiting) = &self.pictures else { return };
-        if waiting.load(Ordering::Relaxed) >= WAITING_PICTURES {
+        if self.pictures == RecordedPictures::Off {
+            return;
+        }
+        if self.shared.pictures.load(Ordering::Relaxed) >= WAITING_PICTURES {
             self.dropped += 1;
         } else {
-            waiting.fetch_add(1, Ordering::Relaxed);
-            self.put(now, Entry::Picture(image.clone()));
+            self.shared.pictures.fetch_add(1, Ordering::Relaxed);
+            if !self.sent(now, Entry::Picture(image.clone())) {
+                self.shared.pictures.fetch_sub(1, Ordering::Relaxed);
+            }
         }
     }
 
     fn put(&mut self, now: Timestamp, entry: Entry) {
+        self.sent(now, entry);
+    }
+
+    /// False when there is no room for it.
+    fn sent(&mut self, now: Timestamp, entry: Entry) -> bool {
         let sent = self.entries.as_ref().is_some_and(|entries| entries.try_send((now, entry)).is_ok());
         self.dropped += usize::from(!sent);
+        sent
     }
 }
 
-/// The writing end: one file at a time.
-struct Tape {
-    folder: Option<RecordingsFolder>,
-    /// Calendar time of the run's beginning, for every file of it.
-    epoch_unix_s: f64,
-    file: Option<(PathBuf, Recording)>,
-    looked: Instant,
-    /// When a recording that failed is tried again.
-    tries_again: Option<Instant>,
-    /// The first fault.
-    fault: Option<String>,
-}
-
-impl Tape {
-    fn new(folder: Option<RecordingsFolder>) -> Tape {
-        let (epoch_unix_s, looked) = (unix_now_s(), Instant::now());
-        Tape { folder, epoch_unix_s, file: None, looked, tries_again: None, fault: None }
-    }
-
-    /// Until no more can come.
-    fn run(&mut self, waiting: &Receiver<(Timestamp, Entry)>, pictures: Option<&AtomicUsize>) {
-        loop {
-            match waiting.recv_timeout(LOOK_EVERY) {
-                Ok((now, entry)) => {
-                    let is_picture = matches!(entry, Entry::Picture(_));
-                    self.write(now, entry);
-                    if let Some(pictures) = pictures.filter(|_| is_picture) {
-                        pictures.fetch_sub(1, Ordering::Relaxed);
-                    }
-                }
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return,
-            }
-            if self.looked.elapsed() >= LOOK_EVERY {
-                self.looked = Instant::now();
-                self.look_at_the_disk();
-            }
-        }
-    }
-
-    /// Writes; the first failure ends the file.
-    fn write(&mut self, now: Timestamp, entry: Entry) {
-        let Some((_, recording)) = &mut self.file else { return };
-        let written = match entry {
-            Entry::Log(severity, text) => recording.log(now, severity, "cell", &text),
-            Entry::Arrangement(objects) => recording.arrangement(now, "camera", &objects),
-            Entry::Plan(plan) => recording.plan(now, &plan),
-            Entry::Joints(q, qd) => recording.joints(now, &q, &qd),
-            // A picture that cannot be encoded is a fault of this program, and no reason to end a recording.
-            Entry::Picture(image) => match image.encode_png() {
-                Ok(png) => recording.picture(now, PictureFormat::Png, &png),
-                Err(_) => Ok(()),
-            },
-        };
-        if let Err(error) = written {
-            self.file = None;
-            self.failed(chain(&error));
-        }
-    }
-
-    /// A file that has become long is followed by the next one; where there is no room, there is none.
-    fn look_at_the_disk(&mut self) {
-        let Some(folder) = &self.folder else { return };
-        match &self.file {
-            Some((path, _)) => match folder.make_room(Some(path)) {
-                Err(fault) => {
-                    self.finish();
-                    self.failed(fault);
-                }
-                Ok(()) if folder.is_full(path) => {
-                    self.finish();
-                    self.open_next();
-                }
-                Ok(()) => {}
-            },
-            None if self.tries_again.is_some_and(|at| Instant::now() >= at) => self.open_next(),
-            None => {}
-        }
-        if self.file.is_none() && self.tries_again.is_none() {
-            self.failed(self.fault.clone().unwrap_or_default());
-        }
-    }
-
-    fn open_next(&mut self) {
-        let Some(folder) = &self.folder else { return };
-        match folder.make_room(None) {
-            Ok(()) => {
-                let path = folder.next(unix_now_s());
-                self.open(path);
-            }
-            Err(fault) => self.failed(fault),
-        }
-    }
-
-    fn open(&mut self, path: PathBuf) {
-        match Recording::create(&path, self.epoch_unix_s) {
-            Ok(recording) => {
-                if self.tries_again.take().is_some() {
-                    tracing::info!("recording again, into {}", path.display());
-                }
-                self.file = Some((path, recording));
-            }
-            Err(error) => {
-                self.fault.get_or_insert_with(|| chain(&error));
-            }
-        }
-    }
-
-    fn finish(&mut self) {
-        if let Some(Err(error)) = self.file.take().map(|(_, recording)| recording.finish()) {
-            self.failed(chain(&error));
-        }
-    }
-
-    fn failed(&mut self, fault: String) {
-        if self.tries_again.replace(Instant::now() + AGAIN_AFTER).is_none() {
-            tracing::warn!("nothing is recorded for now: {fault}");
-        }
-        self.fault.get_or_insert(fault);
-    }
-
-    fn close(&mut self) -> Option<String> {
-        self.finish();
-        self.fault.take()
-    }
-}
-
-fn recorded(observation: &Observation) -> Vec<RecordedObject> {
-    let object = |o: &cell_vision::observe::ObjectEstimate| RecordedObject {
-        id: o.id.clone(),
-        x: o.pose.x,
-        y: o.pose.y,
-        theta: o.pose.theta,
-        std_xy_m: o.std_xy_m,
-        std_theta_rad: o.std_theta_rad,
-    };
-    observation.objects.iter().map(object).collect()
+fn status_json(status: &Status) -> Value {
+    json!({"text": status.text(), "armed": status.armed, "job": status.job, "moves": status.moves, "held": status.held})
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::cell::supervisor::input::Notice;
-
-    fn pictures_in(path: &Path) -> usize {
-        let bytes = std::fs::read(path).unwrap();
-        let messages = mcap::MessageStream::new(&bytes).unwrap();
-        messages.filter(|message| message.as_ref().unwrap().channel.topic == "/camera/image").count()
-    }
-
-    #[test]
-    fn the_last_pictures_are_in_the_file_even_when_it_is_closed_at_once() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("run.mcap");
-        let mut recorder = Recorder::create(&path, true);
-        let image = Image::filled(64, 48, [10, 20, 30]);
-        for k in 0..5 {
-            let now = Timestamp::from_secs_f64(f64::from(k));
-            let displayed = Displayed::Picture { image: image.clone(), views: Vec::new() };
-            recorder.on(now, &Scene::Displayed(&displayed));
-        }
-        assert_eq!(recorder.close(), None);
-        assert_eq!(pictures_in(&path), 5);
-    }
-
-    #[test]
-    fn a_recording_that_cannot_be_made_is_reported() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut recorder = Recorder::create(&folder.path().join("missing/run.mcap"), false);
-        let notice = Notice { alarm: true, text: "x".to_string() };
-        recorder.on(Timestamp::ZERO, &Scene::Notice(&notice));
-        assert!(recorder.close().is_some_and(|fault| fault.contains("run.mcap")));
-    }
-
-    fn config(folder: &Path, budget_bytes: u64, reserve_bytes: u64) -> RecordingConfig {
-        RecordingConfig { folder: folder.to_path_buf(), pictures: false, budget_bytes, reserve_bytes }
-    }
-
-    #[test]
-    fn a_long_file_is_followed_by_the_next_and_the_oldest_goes() {
-        let folder = tempfile::tempdir().unwrap();
-        let within = |budget| Some(RecordingsFolder::open(&config(folder.path(), budget, 0)).unwrap());
-        let mut tape = Tape::new(within(1 << 30));
-        tape.open_next();
-        let first = tape.file.as_ref().expect("a file").0.clone();
-        tape.write(Timestamp::ZERO, Entry::Log(Severity::Info, "x".repeat(1000)));
-        tape.look_at_the_disk();
-        assert_eq!(tape.file.as_ref().map(|(path, _)| path), Some(&first), "it is short");
-        tape.finish();
-        let length = std::fs::metadata(&first).unwrap().len();
-        // More than an eighth of this budget.
-        tape.folder = within(4 * length);
-        tape.file = Some((first.clone(), Recording::create(&folder.path().join("other"), 0.0).unwrap()));
-        tape.look_at_the_disk();
-        let second = tape.file.as_ref().expect("the next file").0.clone();
-        assert!(first != second && first.exists());
-        tape.folder = within(length / 2);
-        tape.look_at_the_disk();
-        assert!(!first.exists(), "the oldest goes");
-        assert_eq!(tape.close(), None);
-    }
-
-    #[test]
-    fn without_room_nothing_is_recorded_and_that_is_said() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut recorder = start(&config(folder.path(), 1 << 30, u64::MAX)).unwrap();
-        let notice = Notice { alarm: true, text: "x".to_string() };
-        recorder.on(Timestamp::ZERO, &Scene::Notice(&notice));
-        let fault = recorder.close().expect("a fault");
-        assert!(fault.contains("MB are left on the disk"), "{fault}");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-    }
-}
+mod tests;

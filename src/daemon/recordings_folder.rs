@@ -2,9 +2,12 @@
 //!
 //! In: the configuration's budget and reserve, the files in the folder, the space left on the disk. Out:
 //! which old recordings go, whether there is room to record at all, names of new files. A cell that records
-//! for months must not end because of its own recordings: the journal needs the disk more.
+//! for months must not end because of its own recordings: the journal needs the disk more. Of the time
+//! without a job only the last minutes stay. What an earlier celld was killed over is made whole at the next
+//! start.
 
 use crate::config::cell::RecordingConfig;
+use crate::io::recording::repair::{Repaired, is_whole, repair};
 use crate::jobs::utc;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -12,6 +15,31 @@ use std::time::SystemTime;
 /// A file is followed by the next one when it has this share of the budget: what is removed to make room is
 /// then a small part of what is kept.
 const PARTS: u64 = 8;
+
+/// Files without a job that stay, the one that is written included.
+const IDLE_FILES: usize = 2;
+
+/// How file names of the time without a job begin.
+const IDLE: &str = "idle-";
+
+/// Of what a recording is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Segment {
+    /// Of the job with this id.
+    Job(String),
+    /// Of the time without one.
+    Idle,
+}
+
+impl Segment {
+    /// How the names of its files begin.
+    fn stem(&self) -> String {
+        match self {
+            Segment::Job(id) => format!("job-{id}-"),
+            Segment::Idle => IDLE.to_string(),
+        }
+    }
+}
 
 /// A recording in the folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,9 +75,9 @@ impl RecordingsFolder {
         std::fs::metadata(file).map_or(true, |meta| meta.len() > self.budget / PARTS)
     }
 
-    /// A name that no file has, by the time.
-    pub fn next(&self, unix_s: f64) -> PathBuf {
-        let stem = format!("run-{}", utc::text(unix_s).replace(':', ""));
+    /// A name that no file has, by what it is of and the time.
+    pub fn next(&self, segment: &Segment, unix_s: f64) -> PathBuf {
+        let stem = format!("{}{}", segment.stem(), utc::text(unix_s).replace(':', ""));
         let names = std::iter::once(format!("{stem}.mcap"));
         // An underscore comes after a dot: the order of names stays that of age.
         let mut names = names.chain((2..).map(|number| format!("{stem}_{number:03}.mcap")));
@@ -66,7 +94,9 @@ impl RecordingsFolder {
         let free = cell_edge::files::free_bytes(&self.folder).map_err(|error| error.to_string())?;
         let kept = self.kept().map_err(fail)?;
         let current = current.and_then(|path| path.file_name()).map(|name| name.to_string_lossy());
-        for name in surplus(&kept, current.as_deref(), self.budget, self.reserve.saturating_sub(free)) {
+        let old = idle_surplus(&kept);
+        let beyond = surplus(&kept, current.as_deref(), self.budget, self.reserve.saturating_sub(free));
+        for name in old.into_iter().chain(beyond) {
             let path = self.folder.join(&name);
             match std::fs::remove_file(&path) {
                 Ok(()) => tracing::info!("recording {name} was removed, for the budget and the reserve"),
@@ -86,6 +116,33 @@ impl RecordingsFolder {
         Ok(())
     }
 
+    /// Makes whole what an earlier celld was killed over, on a thread of its own: such a file may be long.
+    pub fn repair_in_the_background(&self) {
+        // Before the first file of this run is begun.
+        let broken: Vec<PathBuf> =
+            self.kept().unwrap_or_default().into_iter().map(|file| self.folder.join(file.name)).collect();
+        let broken: Vec<PathBuf> =
+            broken.into_iter().filter(|path| matches!(is_whole(path), Ok(false))).collect();
+        if broken.is_empty() {
+            return;
+        }
+        std::thread::spawn(move || {
+            cell_edge::priority::lower();
+            for path in broken {
+                match repair(&path) {
+                    Ok(Repaired::Whole) => {}
+                    Ok(Repaired::Mended { messages, .. }) => {
+                        tracing::info!(
+                            "recording {} had no end; {messages} messages are kept",
+                            path.display()
+                        );
+                    }
+                    Err(error) => tracing::warn!("{}", rearrange::document::chain::chain(&error)),
+                }
+            }
+        });
+    }
+
     /// Recordings by age; what has a name that celld does not give is no recording of its own.
     fn kept(&self) -> std::io::Result<Vec<Kept>> {
         let mut kept = Vec::new();
@@ -103,12 +160,31 @@ impl RecordingsFolder {
     }
 }
 
-/// A name as [`RecordingsFolder::next`] gives it.
+/// A name as [`RecordingsFolder::next`] gives it, or as earlier versions did.
 fn is_own(name: &str) -> bool {
-    let stem = name.strip_prefix("run-").and_then(|name| name.strip_suffix(".mcap"));
-    stem.is_some_and(|stem| {
-        stem.len() >= 18 && stem.chars().all(|c| c.is_ascii_digit() || matches!(c, '-' | 'T' | 'Z' | '_'))
+    let Some(stem) = name.strip_suffix(".mcap") else { return false };
+    if !["job-", IDLE, "run-"].iter().any(|start| stem.starts_with(start)) {
+        return false;
+    }
+    // `2026-11-21T080000Z`, and where there is another of that second `_002`.
+    let stem = stem
+        .rsplit_once('_')
+        .filter(|(_, number)| number.parse::<u32>().is_ok())
+        .map_or(stem, |(stem, _)| stem);
+    let from = stem.len().checked_sub(18).filter(|from| stem.is_char_boundary(*from));
+    from.is_some_and(|from| {
+        stem[from..].bytes().zip(b"0000-00-00T000000Z").all(|(c, shape)| match shape {
+            b'0' => c.is_ascii_digit(),
+            other => c == *other,
+        })
     })
+}
+
+/// The names of the oldest recordings without a job, all but the last.
+fn idle_surplus(kept: &[Kept]) -> Vec<String> {
+    let idle: Vec<&Kept> = kept.iter().filter(|file| file.name.starts_with(IDLE)).collect();
+    let surplus = idle.len().saturating_sub(IDLE_FILES);
+    idle[..surplus].iter().map(|file| file.name.clone()).collect()
 }
 
 /// Names of the oldest recordings without which the others keep `budget` and at least `wanted` bytes come
@@ -175,9 +251,9 @@ mod tests {
     fn names_are_never_used_twice() {
         let on_disk = tempfile::tempdir().unwrap();
         let folder = folder(on_disk.path(), 1, 0);
-        let first = folder.next(0.0);
+        let first = folder.next(&Segment::Idle, 0.0);
         std::fs::write(&first, [0; 2]).unwrap();
-        let second = folder.next(0.0);
+        let second = folder.next(&Segment::Idle, 0.0);
         assert!(first < second, "{second:?}");
         assert!(folder.is_full(&first) && folder.is_full(&second), "one that is gone is written no more");
         std::fs::write(&second, []).unwrap();

@@ -18,8 +18,8 @@ use crate::cell::supervisor::mode::EndFault;
 use crate::cell::supervisor::model::CellModel;
 use crate::cell::supervisor::order::{JobReport, RouteAction};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
-use crate::cell::supervisor::status::{Doing, Status};
-use crate::daemon::last_answers::{Device, LastAnswers};
+use crate::cell::supervisor::status::{Device, Doing, Status};
+use crate::daemon::last_answers::LastAnswers;
 use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Orders, Store};
@@ -45,6 +45,12 @@ pub enum Scene<'a> {
     Route(&'a [RouteAction]),
     /// The loop has come round.
     Turn,
+    /// The machine between two turns.
+    Machine(&'a Machine),
+    /// The machine takes this in now.
+    Event(&'a Event),
+    /// It has decided this.
+    Effect(&'a Effect),
     /// The robot's state, as often as it comes.
     Robot(&'a RobotState),
     /// Relative vacuum of the gripper's channels A and B, 0 to 1, as often as it comes.
@@ -140,6 +146,8 @@ pub struct Shell {
     planning: Option<Arc<AtomicBool>>,
     store: Option<Store>,
     outcome: Outcome,
+    /// Events that were handed over between two turns, for the observer of the next one.
+    unseen: Vec<(Timestamp, Event)>,
     at_work: AtWork,
     beats: Beats,
     beat: Beat,
@@ -186,6 +194,7 @@ impl Shell {
             planning: None,
             store: None,
             outcome: Outcome::default(),
+            unseen: Vec::new(),
             at_work: AtWork::default(),
             beats,
             beat,
@@ -243,8 +252,7 @@ impl Shell {
         // Poses to look from take a part of a second to compute: now, and not while the arm's program waits
         // for a sign of life.
         model.views();
-        let now = self.now();
-        self.machine.handle(now, Event::Commission { model: Box::new(model), arm });
+        self.between_turns(Event::Commission { model: Box::new(model), arm });
     }
 
     /// From now on this is what the cell sees with.
@@ -270,7 +278,7 @@ impl Shell {
         observer: &mut dyn Observer,
         stop: &dyn Fn() -> bool,
     ) -> Result<(), StartError> {
-        self.machine.handle(self.clock.now(), Event::Round(Box::new(order)));
+        self.between_turns(Event::Round(Box::new(order)));
         let mut stopped = false;
         let ended = loop {
             self.turn(observer).await;
@@ -278,8 +286,7 @@ impl Shell {
                 break ended;
             }
             if stop() && !std::mem::replace(&mut stopped, true) {
-                let abort = Event::Order(0, crate::cell::orders::Order::Abort);
-                self.machine.handle(self.clock.now(), abort);
+                self.between_turns(Event::Order(0, crate::cell::orders::Order::Abort));
             }
         };
         let began = self.now();
@@ -305,7 +312,7 @@ impl Shell {
                 break ended;
             }
             if shutdown.load(Ordering::Relaxed) && !std::mem::replace(&mut ending, true) {
-                self.machine.handle(self.clock.now(), Event::Shutdown);
+                self.between_turns(Event::Shutdown);
             }
         };
         self.cancel_plan();
@@ -329,6 +336,9 @@ impl Shell {
     /// Waits for the first thing to happen, takes in everything that has, and carries out what comes of it.
     async fn turn(&mut self, observer: &mut dyn Observer) {
         self.beat.now();
+        for (at, event) in std::mem::take(&mut self.unseen) {
+            observer.on(at, Scene::Event(&event));
+        }
         let wait = self.machine.next_wake().since(self.clock.now());
         let first = tokio::select! {
             first = self.messages.recv() => first,
@@ -348,11 +358,11 @@ impl Shell {
         }
         // The clock is read after the sockets: what lay in them is older than now.
         let now = self.clock.now();
-        for event in events {
-            self.machine.handle(now, event);
+        for event in events.into_iter().chain([Event::Time]) {
+            self.hand_over(now, event, observer);
         }
-        self.machine.handle(now, Event::Time);
         while let Some(effect) = self.machine.poll() {
+            observer.on(now, Scene::Effect(&effect));
             self.carry_out(now, effect, observer);
         }
         if let Some(state) = self.machine.robot_state() {
@@ -362,9 +372,22 @@ impl Shell {
         if let Some((_, vacuum)) = self.machine.vacuum() {
             observer.on(now, Scene::Vacuum(vacuum));
         }
+        observer.on(now, Scene::Machine(&self.machine));
         observer.on(now, Scene::Turn);
         self.mark_answers();
         self.beat.rests();
+    }
+
+    fn hand_over(&mut self, now: Timestamp, event: Event, observer: &mut dyn Observer) {
+        observer.on(now, Scene::Event(&event));
+        self.machine.handle(now, event);
+    }
+
+    /// Hands an event over while no observer is there.
+    fn between_turns(&mut self, event: Event) {
+        let now = self.clock.now();
+        self.unseen.push((now, event.clone()));
+        self.machine.handle(now, event);
     }
 
     fn take(&mut self, message: Message, observer: &mut dyn Observer, events: &mut Vec<Event>) {
@@ -387,13 +410,13 @@ impl Shell {
             Effect::Send(link, bytes) => self.sockets.send(link, &bytes),
             Effect::Registers(request) => self.sockets.transact(request),
             Effect::Look { number, frames, table_from_camera } => {
-                self.see(now, number, SeeRequest::Look { frames, table_from_camera });
+                self.see(now, number, SeeRequest::Look { frames, table_from_camera }, observer);
             }
             Effect::Observe { number, views, partial, held } => {
-                self.see(now, number, SeeRequest::Observe { views, partial, held });
+                self.see(now, number, SeeRequest::Observe { views, partial, held }, observer);
             }
             Effect::Picture { number, pose, base_from_flange } => {
-                self.see(now, number, SeeRequest::Picture { pose, base_from_flange });
+                self.see(now, number, SeeRequest::Picture { pose, base_from_flange }, observer);
             }
             Effect::Plan { number, request } => {
                 let stop = Arc::new(AtomicBool::new(false));
@@ -404,7 +427,7 @@ impl Shell {
             Effect::CancelPlan => self.cancel_plan(),
             Effect::Commit { number, record } => match &self.store {
                 Some(store) => store.commit(number, record),
-                None => self.machine.handle(now, Event::Committed(number, Ok(()))),
+                None => self.hand_over(now, Event::Committed(number, Ok(())), observer),
             },
             Effect::Reply { number, reply } => {
                 if let Some(store) = &self.store {
@@ -446,13 +469,13 @@ impl Shell {
         }
     }
 
-    fn see(&mut self, now: Timestamp, number: u64, request: SeeRequest) {
+    fn see(&mut self, now: Timestamp, number: u64, request: SeeRequest, observer: &mut dyn Observer) {
         let refused = match &self.eyes {
             Some(eyes) => eyes.try_send((number, request)).err().map(|error| error.into_inner().1),
             None => Some(request),
         };
         if let Some(request) = refused {
-            self.machine.handle(now, busy(number, &request));
+            self.hand_over(now, busy(number, &request), observer);
         }
     }
 

@@ -103,7 +103,7 @@ pub fn busy(number: u64, request: &SeeRequest) -> Event {
     let fault = || CameraFault {
         code: Code::CameraBusy,
         message: "the camera thread still works on an earlier request".to_string(),
-        hint: "see what the camera says in the log",
+        hint: "see what the camera says in the log".into(),
         lasting: false,
     };
     match request {
@@ -265,7 +265,7 @@ fn failed(error: &PerceptionError) -> CameraFault {
             (Code::DetectionFailed, "start the daemon again; if it stays so, this is a fault of celld")
         }
     };
-    CameraFault { code, message: chain(error), hint, lasting: true }
+    CameraFault { code, message: chain(error), hint: hint.into(), lasting: true }
 }
 
 /// Keeps the pictures of a doubted look, and none of an earlier one; what cannot be written is logged, for a

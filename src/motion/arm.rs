@@ -6,11 +6,12 @@
 use crate::motion::bodies::Bodies;
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use ur_arm::kinematics::{DhParameters, forward, inverse, inverse_near, posture};
 
 /// Limits every path keeps; from the cell's configuration, none has a default.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct ArmLimits {
     /// Lowest and highest position of each joint, rad.
     pub joint_range: [(f64, f64); 6],
@@ -25,7 +26,7 @@ pub struct ArmLimits {
 }
 
 /// The arm as far as motion needs to know it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct ArmModel {
     /// Calibrated kinematics, from the controller.
     pub dh: DhParameters,

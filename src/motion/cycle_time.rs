@@ -10,6 +10,7 @@ use crate::motion::path::ArmModel;
 use crate::motion::pick_n_place::{CycleParameters, tool_down};
 use cell_values::units::Joints;
 use rearrange::geometry::pose::{Pose2, wrap_angle};
+use serde::{Deserialize, Serialize};
 
 /// Until the vacuum holds, s; the same for every object, as is what follows.
 const GRIP_S: f64 = 0.5;
@@ -24,7 +25,7 @@ const PICTURE_S: f64 = 0.1;
 const SPREAD_M: f64 = 0.25;
 
 /// What an arm takes for its moves.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct CycleTimes {
     model: ArmModel,
     cycle: CycleParameters,

@@ -16,9 +16,10 @@ use crate::motion::bodies::Room;
 pub use crate::motion::path::fault::{PathFault, out_of_reach};
 pub use crate::motion::path::leg::{Leg, Segment};
 use cell_values::units::Joints;
+use serde::{Deserialize, Serialize};
 
 /// A path that passed the check: the only thing the robot session accepts.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct CheckedPath {
     start: Joints,
     segments: Vec<Segment>,

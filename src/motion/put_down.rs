@@ -10,13 +10,14 @@ use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment, out_of
 use crate::motion::pick_n_place::{CycleParameters, tool_down};
 use cell_values::units::Joints;
 use rearrange::geometry::pose::Pose2;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// The tool counts as pointing straight down within this angle, rad.
 const UPRIGHT_RAD: f64 = 0.02;
 
 /// How an object hangs on the tool.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Grasp {
     /// The object, below the cups.
     load: Load,

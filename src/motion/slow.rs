@@ -8,6 +8,7 @@ use crate::motion::bodies::Room;
 use crate::motion::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
 use cell_values::units::{Joints, mm_from_m};
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 use ur_arm::kinematics::forward;
 
 /// Highest tool speed while calibrating, m/s (design, section 7, rule 1).
@@ -20,7 +21,7 @@ const TRAVEL_SAMPLES: usize = 200;
 const FLOOR: f64 = 0.05;
 
 /// Where the flange stays while calibrating: a box in the base frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub struct CalibrationBox {
     /// The corner with the smallest coordinates, m.
     pub low_m: [f64; 3],
@@ -48,7 +49,7 @@ impl CalibrationBox {
 }
 
 /// Why a slow move is refused.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error, Deserialize, Serialize)]
 pub enum SlowFault {
     /// The pose cannot be reached safely.
     #[error("calibration pose {pose}")]

@@ -313,7 +313,10 @@ impl Observer for Watcher {
             | Scene::Robot(_)
             | Scene::Status(_)
             | Scene::Route(_)
-            | Scene::Ended(_) => {}
+            | Scene::Ended(_)
+            | Scene::Machine(_)
+            | Scene::Event(_)
+            | Scene::Effect(_) => {}
         }
     }
 }

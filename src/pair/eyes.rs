@@ -260,7 +260,12 @@ impl Eyes {
 }
 
 fn camera_fault(code: Code) -> CameraFault {
-    CameraFault { code, message: code.meaning().to_string(), hint: "look at the camera", lasting: false }
+    CameraFault {
+        code,
+        message: code.meaning().to_string(),
+        hint: "look at the camera".into(),
+        lasting: false,
+    }
 }
 
 /// What keeps a picture from being looked at.

@@ -7,10 +7,13 @@
 //! takes time (network, disk, planner, detector, exposure) takes it from a seed. The daemon drives the same
 //! machine over real sockets (`daemon::shell`).
 
+mod adapter;
+mod choice;
 pub mod cuts;
 pub mod disk;
 pub mod eyes;
 pub mod hands;
+pub mod mirror;
 pub mod modbus;
 pub mod network;
 pub mod orders;
@@ -29,18 +32,23 @@ pub mod thin_arm;
 pub mod trace;
 pub mod work;
 
+pub use adapter::Adapter;
+pub use choice::Choice;
+
 use crate::cell::device::program::TemplateError;
 use crate::cell::event::{Effect, Event, News};
 use crate::cell::machine::Machine;
 use crate::cell::orders::{Order, Reply};
 use crate::cell::planner::answer;
+use crate::cell::replay::{Piece, Replayed};
 use crate::cell::supervisor::input::{Notice, PlanAnswer, PlanRequest};
 use crate::cell::supervisor::order::{JobOrder, JobReport};
 use crate::cell::supervisor::round::{RoundFault, RoundOrder};
 use crate::cell::supervisor::status::Status;
 use crate::pair::disk::Disk;
-use crate::pair::eyes::{Eye, Eyes};
-use crate::pair::network::{Network, Weather};
+use crate::pair::eyes::Eyes;
+use crate::pair::mirror::Mirror;
+use crate::pair::network::Network;
 use crate::pair::rules::Rules;
 use crate::pair::stage::Stage;
 use crate::pair::store::Store;
@@ -54,36 +62,11 @@ use ur_sim::motion::FRAME_SECONDS;
 use ur_sim::simulator::{Simulator, SimulatorError};
 use ur_sim::world::lock;
 
-/// Deterministic steps that a plan may take: enough for an optimal plan of a few moves.
-const PLAN_WORK: u64 = 20_000;
-
 /// Seconds that planning takes, from and to.
 const PLANNING_S: (f64, f64) = (0.005, 0.08);
 
 /// Seconds that putting a look together takes, from and to.
 const OBSERVING_S: (f64, f64) = (0.002, 0.02);
-
-/// What a closed loop may differ in.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Choice {
-    /// Seed of every delay and error.
-    pub seed: u64,
-    /// How the cell sees.
-    pub eye: Eye,
-    /// How the network behaves.
-    pub weather: Weather,
-    /// Steps a plan may take.
-    pub plan_work: u64,
-    /// Keep the trace as text, not only its fingerprint.
-    pub keep_trace: bool,
-}
-
-impl Choice {
-    /// Corners, a little weather.
-    pub fn of(seed: u64) -> Choice {
-        Choice { seed, eye: Eye::Corners, weather: Weather::LAN, plan_work: PLAN_WORK, keep_trace: false }
-    }
-}
 
 /// Why a closed loop cannot be set up.
 #[derive(Debug, thiserror::Error)]
@@ -106,21 +89,6 @@ pub enum Loss {
     Killed,
     /// Power of the PC: the same for the cell.
     PowerCut,
-}
-
-/// Something between machine and world that a test puts there to see whether the rules notice: it may
-/// change, drop and add what passes. Nothing of the kind is in the daemon.
-pub trait Adapter {
-    /// What becomes of an event on its way to the machine.
-    fn event(&mut self, event: Event, events: &mut Vec<Event>) {
-        events.push(event);
-    }
-
-    /// What becomes of an effect on its way to the world; events may be made up.
-    fn effect(&mut self, effect: Effect, effects: &mut Vec<Effect>, made_up: &mut Vec<Event>);
-
-    /// Between two frames: what may be made up without a cause.
-    fn frame(&mut self, _machine: &Machine, _effects: &mut Vec<Effect>, _made_up: &mut Vec<Event>) {}
 }
 
 /// An answer that takes its time.
@@ -147,6 +115,7 @@ pub struct Pair {
     /// What was done, for comparison.
     pub trace: Trace,
     adapter: Option<Box<dyn Adapter>>,
+    mirror: Option<Mirror>,
     /// Events that the adapter made up: the rules do not take them for something that happened.
     made_up: Vec<Event>,
     orders: u64,
@@ -167,12 +136,14 @@ impl Pair {
     /// # Errors
     /// [`PairError`].
     pub fn new(stage: Stage, choice: Choice) -> Result<Pair, PairError> {
-        let Choice { seed, eye, weather, keep_trace, .. } = choice;
+        let Choice { seed, eye, weather, keep_trace, replay, .. } = choice;
         let simulator = Simulator::new(stage.controller.clone(), stage.world.clone(), seed, Vec::new())?;
         let eyes = Eyes::new(eye, &stage, seed).map_err(PairError::Eyes)?;
+        let machine = Machine::new(stage.parameters.clone())?;
         Ok(Pair {
             network: Network::new(&simulator, seed, weather),
-            machine: Machine::new(stage.parameters.clone())?,
+            mirror: replay.then(|| Mirror::new(seed, Timestamp::ZERO, &machine)),
+            machine,
             simulator,
             eyes,
             stage,
@@ -257,6 +228,24 @@ impl Pair {
         self.rules.breaches()
     }
 
+    /// How much of the run was carried out again, where [`Choice::replay`] is set.
+    pub fn replayed(&self) -> Option<Replayed> {
+        self.mirror.as_ref().map(Mirror::so_far)
+    }
+
+    /// Keeps the recording from now on, where [`Choice::replay`] is set.
+    pub fn keep_pieces(&mut self) {
+        let now = self.now();
+        if let Some(mirror) = &mut self.mirror {
+            mirror.keep(now, &self.machine);
+        }
+    }
+
+    /// The recording since then.
+    pub fn take_pieces(&mut self) -> Vec<Piece> {
+        self.mirror.as_mut().map(Mirror::kept).unwrap_or_default()
+    }
+
     /// Reports of jobs that have ended, oldest first.
     pub fn reports(&self) -> &[JobReport] {
         self.store.reports()
@@ -337,6 +326,10 @@ impl Pair {
         let mut parameters = self.stage.parameters.clone();
         parameters.nonce_seed = parameters.nonce_seed.wrapping_add(1_000_003 * self.runs);
         self.machine = Machine::new(parameters)?;
+        let now = self.now();
+        if let Some(mirror) = &mut self.mirror {
+            mirror.restarted(now, &self.machine);
+        }
         Ok(())
     }
 
@@ -376,10 +369,13 @@ impl Pair {
         for event in events {
             self.trace.event(self.frame, &event);
             self.rules.event(&event);
-            self.machine.handle(now, event);
+            self.hand_over(now, event);
         }
-        self.machine.handle(now, Event::Time);
+        self.hand_over(now, Event::Time);
         while let Some(effect) = self.machine.poll() {
+            if let Some(mirror) = &mut self.mirror {
+                mirror.effect(now, &effect);
+            }
             let mut passed = Vec::new();
             let mut made_up = Vec::new();
             match &mut self.adapter {
@@ -389,6 +385,19 @@ impl Pair {
             self.made_up.extend(made_up);
             passed.into_iter().for_each(|effect| self.carry_out(effect));
         }
+        if let Some(mirror) = &mut self.mirror {
+            mirror.turned(now, &self.machine);
+            if let Some(fault) = mirror.fault() {
+                self.rules.replay_differs(fault);
+            }
+        }
+    }
+
+    fn hand_over(&mut self, now: Timestamp, event: Event) {
+        if let Some(mirror) = &mut self.mirror {
+            mirror.event(now, &event);
+        }
+        self.machine.handle(now, event);
     }
 
     /// What an adapter makes of these events; the events themselves where there is none.

@@ -69,11 +69,13 @@ pub enum Rule {
     StartedWhileDisarmed,
     /// The arm moves where it lies in itself or in the table, by a model of this loop's own.
     ArmMeets,
+    /// The recorded run, carried out again, decides something else.
+    ReplayDiffers,
 }
 
 impl Rule {
     /// All of them.
-    pub const ALL: [Rule; 21] = [
+    pub const ALL: [Rule; 22] = [
         Rule::MotionWhileDisarmed,
         Rule::GripBeforeCommit,
         Rule::MotionOnStaleState,
@@ -95,6 +97,7 @@ impl Rule {
         Rule::MotionInLocalControl,
         Rule::StartedWhileDisarmed,
         Rule::ArmMeets,
+        Rule::ReplayDiffers,
     ];
 }
 
@@ -197,6 +200,13 @@ impl Rules {
     fn breach(&mut self, rule: Rule, detail: String) {
         if self.breaches.len() < MOST_BREACHES {
             self.breaches.push(Breach { frame: self.frame, rule, detail });
+        }
+    }
+
+    /// The recorded run, carried out again, differs: once.
+    pub fn replay_differs(&mut self, detail: &str) {
+        if self.breaches.iter().all(|breach| breach.rule != Rule::ReplayDiffers) {
+            self.breach(Rule::ReplayDiffers, detail.to_string());
         }
     }
 

@@ -73,12 +73,12 @@ pub fn strikes(seed: u64) -> Vec<Strike> {
     strikes
 }
 
-/// A job with these faults, and the job after it.
+/// A job with these faults, and the job after it, by the choice's seed.
 ///
 /// # Errors
 /// The loop cannot be set up.
-pub fn storm(stage: &Stage, seed: u64, strikes: &[Strike], keep: bool) -> Result<(Aftermath, Pair), String> {
-    let choice = Choice { keep_trace: keep, ..Choice::of(seed) };
+pub fn storm(stage: &Stage, choice: Choice, strikes: &[Strike]) -> Result<(Aftermath, Pair), String> {
+    let seed = choice.seed;
     let mut pair = Pair::new(stage.clone(), choice).map_err(|error| error.to_string())?;
     let mut aftermath = Aftermath::default();
     if !bring_up(&mut pair) {
@@ -126,14 +126,14 @@ fn rest_of(pair: &mut Pair, stage: &Stage, seed: u64, goes_on: bool, mut afterma
 }
 
 /// The numbers of the fewest of these faults with which something still is as it must not be.
-pub fn fewest(stage: &Stage, seed: u64, strikes: &[Strike]) -> Vec<usize> {
+pub fn fewest(stage: &Stage, choice: Choice, strikes: &[Strike]) -> Vec<usize> {
     let all = (1u32 << strikes.len()) - 1;
     let mut masks: Vec<u32> = (0..=all).collect();
     masks.sort_by_key(|mask| mask.count_ones());
     let numbers = |mask: u32| (0..strikes.len()).filter(move |number| mask & (1 << number) != 0);
     let fails = |mask: &u32| {
         let chosen: Vec<Strike> = numbers(*mask).map(|number| strikes[number]).collect();
-        storm(stage, seed, &chosen, false).is_ok_and(|(aftermath, _)| !aftermath.faults.is_empty())
+        storm(stage, choice, &chosen).is_ok_and(|(aftermath, _)| !aftermath.faults.is_empty())
     };
     numbers(masks.into_iter().find(fails).unwrap_or(all)).collect()
 }

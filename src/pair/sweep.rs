@@ -14,7 +14,7 @@ use crate::cell::orders::{Approval, Order, Reply};
 use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::input::PlanAnswer;
 use crate::cell::supervisor::order::JobOrder;
-use crate::cell::supervisor::status::Doing;
+use crate::cell::supervisor::status::{Doing, WorkStep};
 use crate::pair::disk::Mood;
 use crate::pair::outcome::{Outcome, Phase};
 use crate::pair::page::{reaction, title};
@@ -53,18 +53,18 @@ fn phase_of(pair: &Pair) -> Option<Phase> {
         Doing::Planning => Phase::Plan,
         Doing::AwaitingApproval => Phase::Approve,
         Doing::Parking => Phase::Park,
-        Doing::Working("approaching", _) => {
+        Doing::Working(WorkStep::Approaching, _) => {
             let low = lock(&core.world).glance().tool[2] < DESCENDS_BELOW_M;
             if low { Phase::Descend } else { Phase::Approach }
         }
-        Doing::Working("gripping", _) => Phase::Grip,
-        Doing::Working("carrying", _) => match core.desk.phase().1 {
+        Doing::Working(WorkStep::Gripping, _) => Phase::Grip,
+        Doing::Working(WorkStep::Carrying, _) => match core.desk.phase().1 {
             WorldPhase::Lift | WorldPhase::Grip => Phase::Lift,
             WorldPhase::Place => Phase::Place,
             WorldPhase::Approach | WorldPhase::Carry | WorldPhase::Retreat => Phase::Carry,
         },
-        Doing::Working("releasing", _) => Phase::Release,
-        Doing::Working("retreating from", _) => Phase::Retreat,
+        Doing::Working(WorkStep::Releasing, _) => Phase::Release,
+        Doing::Working(WorkStep::Retreating, _) => Phase::Retreat,
         Doing::Idle
         | Doing::Stopping
         | Doing::Recovering(_)

@@ -99,7 +99,7 @@ fn no_rule_is_broken_and_no_job_lost_under_random_faults() {
         .par_iter()
         .flat_map_iter(|seed| {
             let stage = stage(*seed, Eye::Corners).unwrap();
-            let (aftermath, _) = storm(&stage, *seed, &strikes(*seed), false).unwrap();
+            let (aftermath, _) = storm(&stage, Choice::of(*seed), &strikes(*seed)).unwrap();
             aftermath.faults.into_iter().map(move |fault| format!("seed {seed}: {fault}"))
         })
         .collect();

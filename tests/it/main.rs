@@ -22,6 +22,7 @@ mod plan_command;
 mod program_protocol;
 mod public_bounds;
 mod render;
+mod replay;
 mod robot_session;
 mod sights;
 mod sim_config;

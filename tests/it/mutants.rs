@@ -9,7 +9,7 @@ use celld::cell::device::robot_types::Link;
 use celld::cell::event::{Effect, Event, News};
 use celld::cell::machine::Machine;
 use celld::cell::orders::{Order, Reply};
-use celld::cell::supervisor::status::Doing;
+use celld::cell::supervisor::status::{Doing, WorkStep};
 use celld::pair::eyes::Eye;
 use celld::pair::rules::{Breach, Rule};
 use celld::pair::run::{bring_up, true_poses};
@@ -285,10 +285,10 @@ fn submit(pair: &mut Pair, stage: &Stage, number: usize) {
     pair.submit(job(&stage.model, &true_poses(pair, &stage.model), 5, number));
 }
 
-fn until_working(pair: &mut Pair, word: &str) {
+fn until_working(pair: &mut Pair, step: WorkStep) {
     pair.run_until(60.0, |pair| {
         let doing = pair.status().map(|status| &status.doing);
-        matches!(doing, Some(Doing::Working(doing, _)) if *doing == word)
+        matches!(doing, Some(Doing::Working(doing, _)) if *doing == step)
     });
 }
 
@@ -309,7 +309,7 @@ fn drill(fault: Fault) -> Result<(Vec<Breach>, usize), String> {
     }
     pair.order(Order::Arm);
     submit(&mut pair, &stage, 0);
-    until_working(&mut pair, "carrying");
+    until_working(&mut pair, WorkStep::Carrying);
     pair.run_until(0.2, |_| false);
     pair.order(Order::Abort);
     pair.run_until(4.0, |_| false);
@@ -320,19 +320,19 @@ fn drill(fault: Fault) -> Result<(Vec<Breach>, usize), String> {
     pair.run_until(0.5, |_| false);
     pair.order(Order::Arm);
     submit(&mut pair, &stage, 1);
-    until_working(&mut pair, "carrying");
+    until_working(&mut pair, WorkStep::Carrying);
     pair.order(Order::Disarm);
     pair.run_until(20.0, |_| false);
     pair.order(Order::Arm);
     until_no_job(&mut pair);
     submit(&mut pair, &stage, 2);
-    until_working(&mut pair, "approaching");
+    until_working(&mut pair, WorkStep::Approaching);
     bring_about(&mut pair, r#"{"do": "ur.local", "args": {"seconds": 6}}"#)?;
     pair.run_until(9.0, |_| false);
     pair.order(Order::Arm);
     until_no_job(&mut pair);
     submit(&mut pair, &stage, 3);
-    until_working(&mut pair, "approaching");
+    until_working(&mut pair, WorkStep::Approaching);
     bring_about(&mut pair, r#"{"do": "ur.pstop"}"#)?;
     let stops = |pair: &Pair| pair.simulator().core().robot.controller().core.modes.safety_mode();
     assert!(pair.run_until(1.0, |pair| stops(pair) != SafetyMode::Normal), "the stop comes");

@@ -219,9 +219,10 @@ async fn from_powered_off_to_the_end_of_a_path() {
     let mut cell = Cell::new(false).await;
     assert_ne!(cell.dh, DhParameters::UR5E, "the arm has a calibration of its own");
     cell.command(RobotCommand::PowerOn);
-    cell.wait("power", |cell| cell.saw(|e| *e == RobotEvent::Completed { what: "power on" })).await;
+    cell.wait("power", |cell| cell.saw(|e| *e == RobotEvent::Completed { what: "power on".into() })).await;
     cell.command(RobotCommand::ReleaseBrakes);
-    cell.wait("brakes", |cell| cell.saw(|e| *e == RobotEvent::Completed { what: "brake release" })).await;
+    cell.wait("brakes", |cell| cell.saw(|e| *e == RobotEvent::Completed { what: "brake release".into() }))
+        .await;
     cell.start_program(11).await;
     cell.command(RobotCommand::SetPayload { mass_kg: 1.3, centre_of_gravity_m: [0.0, 0.01, 0.06] });
     cell.command(RobotCommand::SetTcp([0.0, 0.0, 0.2, 0.0, 0.0, 0.5]));

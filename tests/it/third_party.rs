@@ -1,5 +1,5 @@
-//! Clients that others wrote, unmodified, against `celld sim` as a process: SDU's ur_rtde, Universal Robots'
-//! own Python RTDE client, pymodbus.
+//! Programs that others wrote, unmodified: SDU's ur_rtde, Universal Robots' own Python RTDE client and
+//! pymodbus against `celld sim` as a process, readers of recordings on files of celld.
 //!
 //! In: the scripts of `tests/clients` and the Python environment that `make test-clients` prepares. Out:
 //! what they found, printed check by check. Each simulation has a loopback address of its own, because the
@@ -8,6 +8,19 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
+use cell_values::image::Image;
+use cell_values::time::Timestamp;
+use celld::cell::supervisor::input::Notice;
+use celld::cell::supervisor::order::RouteAction;
+use celld::config::cell::RecordedPictures;
+use celld::daemon::messages::Displayed;
+use celld::daemon::recorder::Recorder;
+use celld::daemon::shell::Scene;
+use celld::io::recording::repair::{Repaired, repair};
+use celld::pair::eyes::Eye;
+use celld::pair::run::{bring_up, true_poses};
+use celld::pair::table::stage;
+use celld::pair::{Choice, Pair};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -61,9 +74,13 @@ fn python() -> Option<PathBuf> {
 fn passes(script: &str, address: &str) {
     let Some(python) = python() else { return };
     let _simulator = Simulator::start(address);
+    runs(&python, script, address);
+}
+
+fn runs(python: &Path, script: &str, argument: &str) {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/clients").join(script);
     let mut child =
-        Command::new(python).arg("-B").arg(&script).arg(address).stdout(Stdio::piped()).spawn().unwrap();
+        Command::new(python).arg("-B").arg(&script).arg(argument).stdout(Stdio::piped()).spawn().unwrap();
     let mut last = String::new();
     // Line by line, so that a script which hangs has said how far it came.
     for line in BufReader::new(child.stdout.take().unwrap()).lines() {
@@ -98,4 +115,48 @@ fn the_vendor_s_python_client_exchanges_data() {
 #[test]
 fn pymodbus_drives_the_gripper_on_the_arm() {
     passes("vgc10_pymodbus.py", "127.71.0.5");
+}
+
+/// A cell that stands, with everything that a recording may hold.
+fn record(path: &Path) {
+    let stage = stage(3, Eye::Corners).unwrap();
+    let mut pair = Pair::new(stage.clone(), Choice::of(3)).unwrap();
+    assert!(bring_up(&mut pair));
+    let lens = stage.model.sight.as_ref().map(|sight| sight.camera.clone());
+    let mut recorder = Recorder::create(path, RecordedPictures::Jpeg, lens);
+    let at = |k: u32| Timestamp::from_secs_f64(f64::from(k) * 0.1);
+    recorder.on(at(0), &Scene::Machine(pair.machine()));
+    recorder.on(at(0), &Scene::Notice(&Notice { alarm: false, text: "the table is seen".to_string() }));
+    let poses = true_poses(&pair, &stage.model);
+    let step = RouteAction { object: poses[0].0.clone(), from: poses[0].1, to: poses[1].1, to_goal: true };
+    recorder.on(at(0), &Scene::Route(&[step]));
+    for k in 1..30 {
+        let noise = |x: u32, y: u32| ((x * 7919 + y * 104_729 + k * 31) % 251) as u8;
+        let mut image = Image::filled(640, 480, [0; 3]);
+        for (index, byte) in image.rgb.iter_mut().enumerate() {
+            *byte = noise(index as u32 % 1920, index as u32 / 1920);
+        }
+        recorder.on(at(k), &Scene::Displayed(&Displayed::Picture { image, views: Vec::new() }));
+        recorder.on(at(k), &Scene::Robot(pair.machine().robot_state().expect("a state")));
+        recorder.on(at(k), &Scene::Vacuum([0.1, 0.2]));
+        recorder.on(at(k), &Scene::Status(pair.status().expect("a status")));
+        // The encoder takes no more than some pictures at a time.
+        pair.run_until(0.1, |_| false);
+        std::thread::yield_now();
+    }
+    assert_eq!(recorder.close(), None);
+}
+
+#[test]
+fn recordings_open_in_other_programs() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    record(&file("whole.mcap"));
+    let whole = std::fs::read(file("whole.mcap")).unwrap();
+    for name in ["cut.mcap", "repaired.mcap"] {
+        std::fs::write(file(name), &whole[..whole.len() * 2 / 3]).unwrap();
+    }
+    assert!(matches!(repair(&file("repaired.mcap")), Ok(Repaired::Mended { .. })));
+    runs(&python, "recordings.py", &folder.path().display().to_string());
 }

@@ -215,6 +215,17 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     replace(path, draft(path, bytes)?)
 }
 
+/// What `write` writes takes the place of `path` once it is on disk; as long as it fails, nothing changes.
+///
+/// # Errors
+/// `write` fails, or the system refuses to create, sync or rename the file ([`FileError::Io`]).
+pub fn rewrite<T>(path: &Path, write: impl FnOnce(&mut File) -> io::Result<T>) -> Result<T, FileError> {
+    let mut draft = draft(path, &[])?;
+    let written = write(draft.as_file_mut()).and_then(|done| draft.as_file().sync_all().map(|()| done));
+    let written = written.map_err(|e| FileError::io("write", path, e))?;
+    replace(path, draft).map(|()| written)
+}
+
 /// Writes `bytes` durably under the first of `names` in `folder` that is free, and returns that name. In
 /// a folder that is shared with a group, what is written is readable by it, whatever the umask: it is for a
 /// daemon of another user.

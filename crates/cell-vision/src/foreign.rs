@@ -26,7 +26,7 @@ use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::polygon::{centroid, contains, convex_hull, distance_to_outline};
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::KeepOut;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// From which size on something counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,7 +46,7 @@ impl Default for ForeignLimits {
 }
 
 /// Something that nothing explains.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ForeignObject {
     /// Convex outline, counter-clockwise, m, table frame.
     pub outline: Vec<[f64; 2]>,
@@ -59,7 +59,7 @@ pub struct ForeignObject {
 }
 
 /// What depth says about a table.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ForeignReport {
     /// What nothing explains, the largest first.
     pub objects: Vec<ForeignObject>,

@@ -2,13 +2,15 @@
 //!
 //! In: discs. Out: whether a place is in one of them. Table frame, m. Pure.
 
+use serde::{Deserialize, Serialize};
+
 /// A part of the table as the union of discs.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 pub struct Region {
     discs: Vec<Disc>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 struct Disc {
     centre: [f64; 2],
     radius_m: f64,

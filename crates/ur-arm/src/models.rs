@@ -3,10 +3,11 @@
 //! In: nothing, or the calibrated parameters of an arm. Out: [`ARM_MODELS`], and which of them it is. Plain
 //! data, apart from the kinematics that are computed from it.
 
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Denavit-Hartenberg parameters, standard convention, base to wrist 3: m and rad.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub struct DhParameters {
     /// Link lengths a, m.
     pub a: [f64; 6],

@@ -3,6 +3,8 @@
 //! In: a package's bytes. Out: numbers and short texts. Every binary UR socket is big-endian; every length
 //! in a package is checked against what is there before it is used.
 
+use serde::{Deserialize, Serialize};
+
 /// Why bytes of a peer could not be read. Offsets count from the start of the slice that was decoded: for
 /// RTDE and the primary interface the first byte after the package header, or after a sub-package's header.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -249,7 +251,7 @@ pub fn cut_text(text: &str, max: usize) -> &str {
 
 /// Bytes that arrived but do not make a whole package yet. Taking from the front is cheap: the consumed
 /// part is dropped only once it is the larger half.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 pub struct Pending {
     bytes: Vec<u8>,
     start: usize,

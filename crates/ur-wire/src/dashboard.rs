@@ -7,6 +7,7 @@
 
 use crate::bytes::{Pending, WireError, cut_text};
 use crate::enumerations::{RobotMode, SafetyMode};
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// Sent by the server as soon as it accepts a connection.
@@ -23,7 +24,7 @@ pub const NOT_ALLOWED_TEXT: &str = "Command is not allowed due to safety reasons
 pub const MAX_LINE: usize = 4096;
 
 /// Splits a stream into lines; `\r\n` is tolerated, bytes that are not UTF-8 are replaced.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 pub struct LineSplitter(Pending);
 
 impl LineSplitter {
@@ -53,7 +54,7 @@ impl LineSplitter {
 }
 
 /// State of the loaded program in the reply to `programState`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum ProgramState {
     /// STOPPED.
     Stopped,
@@ -81,7 +82,7 @@ impl fmt::Display for ProgramState {
 }
 
 /// What a client requests. Texts in it must not contain line ends; [`Command::line`] cuts them there.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Command {
     /// `power on`.
     PowerOn,
@@ -277,7 +278,7 @@ impl Command {
 }
 
 /// What the server answers.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Reply {
     /// The command was taken; what it requests has yet to happen. The text is the whole line, which for
     /// `load` names the file.

@@ -7,6 +7,7 @@
 use crate::bytes::{Pending, WireError, Writer};
 use crate::primary_message::Message;
 use crate::primary_state::SubPackage;
+use serde::{Deserialize, Serialize};
 
 /// Bytes of a package header: `i32` length of the whole package, `u8` type.
 pub const HEADER: usize = 5;
@@ -62,7 +63,7 @@ impl Package {
 }
 
 /// Splits a byte stream into packages. Holds at most one unfinished package besides what was pushed.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 pub struct Splitter(Pending);
 
 impl Splitter {

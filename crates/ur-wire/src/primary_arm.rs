@@ -5,9 +5,10 @@
 //! the vendor's client-interface guide.
 
 use crate::bytes::{Reader, WireError, Writer};
+use serde::{Deserialize, Serialize};
 
 /// Sub-package 5: Denavit-Hartenberg parameters of the arm at hand, with its calibration.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 pub struct KinematicsData {
     /// One checksum per joint; together they name this arm's calibration.
     pub checksum: [u32; 6],

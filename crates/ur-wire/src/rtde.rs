@@ -7,6 +7,7 @@
 
 use crate::bytes::{Pending, Reader, WireError, Writer, cut_text};
 use crate::rtde_values::Offer;
+use serde::{Deserialize, Serialize};
 
 /// Bytes of a package header: `u16` size of the whole package, `u8` type.
 pub const HEADER: usize = 3;
@@ -15,7 +16,7 @@ pub const HEADER: usize = 3;
 pub const MAX_NAMES: usize = 2048;
 
 /// Protocol version spoken on a connection.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Version {
     /// Spoken until `V` has been answered.
     V1,
@@ -44,7 +45,7 @@ impl Frame {
 }
 
 /// Splits a byte stream into frames. Holds at most one unfinished package (64 KiB) besides what was pushed.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 pub struct Splitter(Pending);
 
 impl Splitter {

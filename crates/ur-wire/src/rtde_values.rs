@@ -4,9 +4,10 @@
 //! RTDE guide, table of types; fields follow each other without padding.
 
 use crate::bytes::{Reader, WireError, Writer};
+use serde::{Deserialize, Serialize};
 
 /// Type of a variable, with the token that set-up replies use.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize, Serialize)]
 pub enum VariableType {
     /// BOOL, one byte 0 or 1.
     Bool,
@@ -216,7 +217,7 @@ impl Value {
 
 /// A recipe that client and controller agreed on: an id and the types of its fields in order. Id 0 means
 /// "refused" on the wire and is not a recipe.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Recipe {
     /// Id in data packages, 1 to 255.
     pub id: u8,

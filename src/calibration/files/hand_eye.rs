@@ -13,6 +13,7 @@ use nalgebra::Isometry3;
 use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, Fields, read};
 use rearrange::document::write::Out;
+use serde::{Deserialize, Serialize};
 
 /// The devices a calibration belongs to, and when it was made.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,7 +53,7 @@ pub struct Residuals {
 }
 
 /// Where a camera sits.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub enum Mount {
     /// On the wrist.
     Flange {

@@ -6,6 +6,7 @@
 
 use crate::cell::device::outbox::{Outbox, earlier};
 use cell_values::time::{Duration, Timestamp};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use ur_wire::dashboard::{Command, LineSplitter, Reply};
 
@@ -25,7 +26,7 @@ const ON_CONNECT: [Command; 3] =
 const POLLED: [Command; 3] = [Command::IsInRemoteControl, Command::RobotMode, Command::SafetyMode];
 
 /// What the session reports.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub enum DashboardEvent {
     /// An answer.
     Reply {
@@ -40,6 +41,7 @@ pub enum DashboardEvent {
     Silent(String),
 }
 
+#[derive(Deserialize, Serialize)]
 enum Step {
     Down,
     Greeting { deadline: Timestamp },
@@ -48,6 +50,7 @@ enum Step {
 }
 
 /// The session. See the module.
+#[derive(Deserialize, Serialize)]
 pub struct DashboardSession {
     step: Step,
     splitter: LineSplitter,

@@ -12,6 +12,7 @@ use crate::cell::device::gripper_types::{
 };
 use crate::cell::device::outbox::{Outbox, earlier};
 use cell_values::time::{Duration, Timestamp};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Reading while an object is or may be held: 50 Hz.
@@ -39,7 +40,7 @@ const MAX_PER_MILLE: u16 = 1050;
 /// Commands that may wait.
 const MAX_WAITING: usize = 4;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 enum Hold {
     /// Nothing that we know of.
     Empty,
@@ -66,7 +67,7 @@ enum Hold {
 }
 
 /// The vacuum of what is held, against what it was.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 enum Falls {
     No,
     Since(Timestamp),
@@ -79,6 +80,7 @@ impl Hold {
     }
 }
 
+#[derive(Deserialize, Serialize)]
 struct Outstanding {
     request: ModbusRequest,
     /// When the next failure counts.
@@ -87,6 +89,7 @@ struct Outstanding {
 }
 
 /// A write to try again.
+#[derive(Deserialize, Serialize)]
 struct Retry {
     /// Not before this.
     due: Timestamp,
@@ -96,6 +99,7 @@ struct Retry {
 }
 
 /// The session. See the module.
+#[derive(Deserialize, Serialize)]
 pub struct Gripper {
     parameters: GripperParameters,
     hold: Hold,

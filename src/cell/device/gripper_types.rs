@@ -5,6 +5,7 @@
 //! 258, 259 their vacuum in per mille.
 
 use cell_values::time::Duration;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// First control register, channel A; B follows.
@@ -17,7 +18,7 @@ pub const UNIT: u8 = 65;
 pub const MAX_TARGET: f64 = 0.8;
 
 /// Which channels; at least one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Channels {
     /// A.
     A,
@@ -88,7 +89,7 @@ impl fmt::Display for Channels {
 }
 
 /// What the session needs to know; measured or decided for the cell, so nothing has a default.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct GripperParameters {
     /// Vacuum from which on an object counts as gripped, fraction.
     pub vacuum_min: f64,
@@ -101,7 +102,7 @@ pub struct GripperParameters {
 }
 
 /// What may be requested.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub enum GripperCommand {
     /// Pump on, up to `target` (fraction, at most 0.8).
     Grip {
@@ -134,7 +135,7 @@ pub enum GripperRefused {
 }
 
 /// A request to be sent; exactly one answer is expected, an error if none comes.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum ModbusRequest {
     /// Read holding registers (function 3).
     Read {
@@ -153,7 +154,7 @@ pub enum ModbusRequest {
 }
 
 /// Why a request got no answer.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Deserialize, Serialize)]
 pub enum ModbusFailure {
     /// Nothing came.
     #[error("no answer in time")]
@@ -170,7 +171,7 @@ pub enum ModbusFailure {
 }
 
 /// What happened.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub enum GripperEvent {
     /// The object is held.
     Gripped {

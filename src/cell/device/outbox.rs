@@ -2,10 +2,11 @@
 //!
 //! In: pushes by the session. Out: polls by its driver. Shared so that all sessions hand out alike.
 
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Results of a session that wait to be polled.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub struct Outbox<E> {
     transmit: VecDeque<Vec<u8>>,
     events: VecDeque<E>,

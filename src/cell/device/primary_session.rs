@@ -5,6 +5,7 @@
 
 use crate::cell::device::outbox::Outbox;
 use cell_values::time::{Duration, Timestamp};
+use serde::{Deserialize, Serialize};
 use ur_wire::primary::{Package, Splitter};
 use ur_wire::primary_arm::KinematicsData;
 use ur_wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED, READ_ONLY};
@@ -24,7 +25,7 @@ const WARNING: i32 = 2;
 const DEVELOPER: i32 = 128;
 
 /// What the session reports.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub enum PrimaryEvent {
     /// The calibrated arm, once per connection.
     Kinematics(Box<KinematicsData>),
@@ -64,6 +65,7 @@ pub enum PrimaryEvent {
     Silent(String),
 }
 
+#[derive(Deserialize, Serialize)]
 enum Step {
     Down,
     First { deadline: Timestamp },
@@ -71,6 +73,7 @@ enum Step {
 }
 
 /// The session. See the module.
+#[derive(Deserialize, Serialize)]
 pub struct PrimarySession {
     step: Step,
     splitter: Splitter,

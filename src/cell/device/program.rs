@@ -3,6 +3,7 @@
 //! In: the template (hardware/ur5e/celld_program.script), a [`Nonce`], the watchdog's number of frames. Out:
 //! the text to upload and the program's name. Only checked integers are put into the text, never a string.
 
+use serde::{Deserialize, Serialize};
 use ur_wire::bytes::cut_text;
 
 /// The template that celld comes with.
@@ -13,7 +14,7 @@ pub const WATCHDOG_FRAMES: u32 = 100;
 
 /// The number that proves that the running program is the one just uploaded: never used twice in a row, and
 /// not 0, which is what registers hold after the controller's start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Nonce(i32);
 
 impl Nonce {
@@ -46,7 +47,7 @@ pub enum TemplateError {
 }
 
 /// A checked template.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct ProgramTemplate {
     text: String,
 }

@@ -4,6 +4,7 @@
 //! lower ones belong to field buses. The table for people is in hardware/ur5e/README.md; a test holds the
 //! two together, and the program's text is held to them by the simulator, which runs it.
 
+use serde::{Deserialize, Serialize};
 use ur_wire::rtde_values::Value;
 use ur_wire::rtde_variables::Register;
 
@@ -59,7 +60,7 @@ pub fn process_of(before: i32, now: i32) -> Option<u32> {
 }
 
 /// What a command requests.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Opcode {
     /// movej to the joint target.
     MoveJoint,
@@ -100,7 +101,7 @@ impl Opcode {
 }
 
 /// How the program is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum ProgramStatus {
     /// Everything taken is done.
     Idle,
@@ -131,7 +132,7 @@ impl ProgramStatus {
 }
 
 /// One command as it is in the registers.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub struct CommandRegisters {
     /// Number of the command.
     pub sequence: i32,

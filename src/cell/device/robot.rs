@@ -34,6 +34,7 @@ use crate::cell::device::rtde_session::RtdeSession;
 use crate::cell::device::stream::Stream;
 use cell_values::time::{Duration, Timestamp};
 use parts::{ArmWait, Heartbeat, Identity, PoweringOff, Program, Reported, SEND_WITHIN, Setup};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use ur_arm::kinematics::DhParameters;
 use ur_wire::dashboard::Command;
@@ -45,6 +46,7 @@ pub const DROPPED: &str = "dropped by celld";
 const FAULT_WINDOW: Duration = Duration::from_secs(60);
 
 /// The session. See the module.
+#[derive(Deserialize, Serialize)]
 pub struct Robot {
     template: ProgramTemplate,
     rtde: RtdeSession,

@@ -8,11 +8,13 @@ use crate::cell::device::registers::ProgramStatus;
 use crate::motion::path::CheckedPath;
 use cell_values::time::{Duration, Timestamp};
 use cell_values::units::Joints;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use ur_arm::kinematics::DhParameters;
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// The three connections to a controller.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize, Serialize)]
 pub enum Link {
     /// TCP 30004: state out, registers in.
     Rtde,
@@ -47,7 +49,7 @@ impl std::fmt::Display for Link {
 }
 
 /// What a controller says of itself over the dashboard.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct RobotIdentity {
     /// Model, without the "e".
     pub model: String,
@@ -64,7 +66,7 @@ impl std::fmt::Display for RobotIdentity {
 }
 
 /// What was known when the cell was commissioned.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
 pub struct KnownRobot {
     /// Who it is.
     pub identity: Option<RobotIdentity>,
@@ -94,7 +96,7 @@ impl RobotParameters {
 }
 
 /// RTDE inputs that celld needs and another client of the controller holds.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct InputsTaken {
     /// Exact names.
     pub names: Vec<String>,
@@ -123,7 +125,7 @@ impl std::fmt::Display for InputsTaken {
 pub const STALE_AFTER: Duration = Duration::from_millis(100);
 
 /// The robot as the last package showed it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct RobotState {
     /// When the package arrived. Stays if the controller's own time does not advance.
     pub received: Timestamp,
@@ -193,7 +195,7 @@ impl RobotState {
 }
 
 /// What the supervisor may request.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub enum RobotCommand {
     /// Arm power on; done at once if it is on.
     PowerOn,
@@ -290,7 +292,7 @@ pub enum Refused {
 }
 
 /// Why the program does not run any more. Every path not finished before is void.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Deserialize, Serialize)]
 pub enum ProgramEnd {
     /// By [`RobotCommand::EndProgram`].
     #[error("ended as asked")]
@@ -335,7 +337,7 @@ pub enum ProgramEnd {
 }
 
 /// What happened.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub enum RobotEvent {
     /// RTDE streams and its state is good to use.
     RtdeReady,
@@ -412,7 +414,7 @@ pub enum RobotEvent {
     /// Something a person requested is done.
     Completed {
         /// What was requested.
-        what: &'static str,
+        what: Cow<'static, str>,
     },
     /// The controller did not do what was requested.
     Refused {

@@ -15,6 +15,7 @@ use crate::cell::device::rtde_recipes::{
     COMMAND, HEARTBEAT, OWNER, Refusal, agree, input_names, mark_in, output_names, state_of,
 };
 use cell_values::time::{Duration, Timestamp};
+use serde::{Deserialize, Serialize};
 use ur_wire::rtde::{Reply, Request, Splitter, Version};
 use ur_wire::rtde_values::{Leftover, Offer, Recipe, Value};
 use ur_wire::rtde_variables::output_type;
@@ -39,7 +40,7 @@ const SETTLED_AT_S: f64 = 40.0;
 const SETTLED_AFTER_S: f64 = 2.0;
 
 /// What the session reports.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub enum RtdeEvent {
     /// The state is good to use from now on.
     Ready,
@@ -58,6 +59,7 @@ pub enum RtdeEvent {
     Silent(String),
 }
 
+#[derive(Deserialize, Serialize)]
 enum Step {
     Down,
     AskedVersion {
@@ -104,6 +106,7 @@ enum Step {
 }
 
 /// The session. See the module.
+#[derive(Deserialize, Serialize)]
 pub struct RtdeSession {
     frequency_hz: f64,
     process: u32,

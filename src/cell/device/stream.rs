@@ -9,6 +9,7 @@ use crate::cell::device::registers::{CommandRegisters, Opcode, QUEUE_DEPTH};
 use crate::cell::device::robot_types::Refused;
 use crate::motion::path::{CheckedPath, Segment};
 use cell_values::units::Joints;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use ur_arm::kinematics::{DhParameters, forward};
 
@@ -24,7 +25,7 @@ const DURATION_SLACK_S: f64 = 2.0;
 const TURNING_RAD_S: f64 = 0.5;
 
 /// Something in the stream was carried out.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub enum Done {
     /// A segment.
     Segment {
@@ -49,18 +50,20 @@ pub enum Done {
     Tcp([f64; 6]),
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 enum What {
     Segment { batch: u32, index: usize, last: bool },
     Setting(Done),
 }
 
+#[derive(Deserialize, Serialize)]
 struct Item {
     what: What,
     command: CommandRegisters,
     nominal_s: f64,
 }
 
+#[derive(Deserialize, Serialize)]
 struct Sent {
     what: What,
     sequence: i32,
@@ -68,7 +71,7 @@ struct Sent {
 }
 
 /// The stream. See the module.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 pub struct Stream {
     waiting: VecDeque<Item>,
     sent: VecDeque<Sent>,

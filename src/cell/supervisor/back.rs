@@ -11,9 +11,10 @@ use crate::motion::path::CheckedPath;
 use crate::motion::put_down::Grasp;
 use cell_values::time::Timestamp;
 use rearrange::geometry::pose::Pose2;
+use serde::{Deserialize, Serialize};
 
 /// What may hang on the gripper.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct Held {
     pub object: String,
     /// How it hangs; unknown where the tool did not point straight down.
@@ -29,7 +30,7 @@ pub(crate) struct Held {
 }
 
 /// A stop that was not left yet.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct LastStop {
     /// `None`: before this celld was started.
     pub at: Option<Timestamp>,
@@ -57,7 +58,7 @@ impl LastStop {
 }
 
 /// What the ways back need to know.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Deserialize, Serialize)]
 pub(crate) struct Back {
     /// The way that is under way.
     pub recovery: Option<Recovery>,
@@ -82,7 +83,7 @@ pub(crate) struct Back {
 }
 
 /// A way back under way.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Recovery {
     pub way: WayBack,
     /// The arm is over everything on the table.
@@ -93,7 +94,7 @@ pub(crate) struct Recovery {
 }
 
 /// Where what is held is put down.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Placing {
     pub to: Pose2,
     /// It is the place it was carried to.
@@ -102,7 +103,7 @@ pub(crate) struct Placing {
 }
 
 /// What the arm, or the controller, does on the way back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub(crate) enum BackStage {
     /// Nothing moves: the controller's 5 s, then its answer.
     Unlocking { ordered: bool },

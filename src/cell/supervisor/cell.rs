@@ -25,12 +25,13 @@ use crate::cell::supervisor::round::Round;
 use crate::cell::times::TimeBook;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::observe::Observation;
+use serde::{Deserialize, Serialize};
 
 /// What looks have shown, as far as it is still so: until something is dropped or stopped.
 pub(crate) type Seen = Observation;
 
 /// The supervisor.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub struct Supervisor {
     pub(crate) model: CellModel,
     /// Which robot it is for.

@@ -7,7 +7,7 @@ use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::input::DeviceSnapshot;
 use crate::cell::supervisor::safety_words::{mode_words, safety_words};
-use crate::cell::supervisor::status::DeviceNote;
+use crate::cell::supervisor::status::{Device, DeviceNote};
 use ur_wire::enumerations::{RobotMode, SafetyMode};
 
 impl Supervisor {
@@ -22,7 +22,7 @@ impl Supervisor {
             Some(Ok(())) => (true, "gave a picture when one was wanted last".to_string()),
             Some(Err(fault)) => (false, format!("at the last picture: {fault}")),
         };
-        DeviceNote { name: "camera", ready, message }
+        DeviceNote { device: Device::Camera, ready, message }
     }
 }
 
@@ -43,7 +43,7 @@ fn robot(outside: &DeviceSnapshot) -> DeviceNote {
             (safe && running && remote, words.join(", "))
         }
     };
-    DeviceNote { name: "robot", ready, message }
+    DeviceNote { device: Device::Robot, ready, message }
 }
 
 fn gripper(outside: &DeviceSnapshot) -> DeviceNote {
@@ -52,5 +52,5 @@ fn gripper(outside: &DeviceSnapshot) -> DeviceNote {
         (true, true) => (true, "answers, and holds something".to_string()),
         (true, false) => (true, "answers".to_string()),
     };
-    DeviceNote { name: "gripper", ready, message }
+    DeviceNote { device: Device::Gripper, ready, message }
 }

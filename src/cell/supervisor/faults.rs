@@ -115,7 +115,7 @@ impl Supervisor {
             let silent = || CameraFault {
                 code: Code::CameraUnplugged,
                 message: "the camera gave no picture in the time of a look".to_string(),
-                hint: "look at the camera's cable and power, submit again",
+                hint: "look at the camera's cable and power, submit again".into(),
                 lasting: false,
             };
             let capturing = matches!(look.stage, LookStage::Capturing { .. });
@@ -129,7 +129,7 @@ impl Supervisor {
             Phase::Look(_) => (Code::LookTimeout, "the look was not finished in time".to_string()),
             Phase::Plan => (Code::PlannerStuck, "the planner did not answer within its budget".to_string()),
             Phase::Work(work) => {
-                (Code::WorkTimeout, format!("{} {} took too long", work.stage.verb(), work.object))
+                (Code::WorkTimeout, format!("{} {} took too long", work.stage.step().as_str(), work.object))
             }
             Phase::Park => (Code::ParkTimeout, "the park pose was not reached in time".to_string()),
             Phase::Recover(stage) => {

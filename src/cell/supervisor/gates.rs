@@ -8,6 +8,7 @@ use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::Link;
 use crate::cell::supervisor::input::DeviceSnapshot;
 use crate::cell::supervisor::safety_words::{mode_words, safety_remedy, safety_words};
+use serde::{Deserialize, Serialize};
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 /// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
@@ -57,7 +58,7 @@ impl GateClosed {
 }
 
 /// Why a motion may not start.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Deserialize, Serialize)]
 pub enum GateClosed {
     /// A connection to the controller is down.
     #[error("the {0} link to the controller is down")]

@@ -17,6 +17,8 @@ use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::{Action as PlanAction, ActionKind, Objective};
 use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::instance::Instance;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// What the devices last said, handed over with every call.
 #[derive(Clone, Copy, Debug)]
@@ -45,20 +47,20 @@ pub struct DeviceSnapshot<'a> {
 }
 
 /// Why a camera gives no picture, after everything that can be tried from here.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct CameraFault {
     /// For the job's result.
     pub code: Code,
     /// What is wrong.
     pub message: String,
     /// What a person can do.
-    pub hint: &'static str,
+    pub hint: Cow<'static, str>,
     /// Waiting does not help: another camera, another size, a recording at its end.
     pub lasting: bool,
 }
 
 /// What a plan request came to.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub enum PlanAnswer {
     /// A plan that passed the independent checker.
     Found {
@@ -84,7 +86,7 @@ pub enum PlanAnswer {
 }
 
 /// What happened.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub enum Input {
     /// Time has passed.
     Tick,
@@ -127,7 +129,7 @@ pub enum Input {
 }
 
 /// A planning problem with the budget to solve it in.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct PlanRequest {
     /// Measured starts, wanted goals.
     pub instance: Instance,
@@ -146,7 +148,7 @@ pub struct PlanRequest {
 }
 
 /// A plan with what a person needs to judge it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct PlanNote {
     /// All of it, in order.
     pub actions: Vec<RouteAction>,
@@ -163,7 +165,7 @@ pub struct PlanNote {
 }
 
 /// What is written into the journal of the active job before the cell goes on.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub enum Record {
     /// What the job's first look showed, and the goals that it has from then on.
     Found {
@@ -221,7 +223,7 @@ pub enum Record {
 }
 
 /// What the machine has to do, in this order.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub enum Action {
     /// For the robot session.
     Robot(RobotCommand),
@@ -277,7 +279,7 @@ pub enum Action {
 }
 
 /// A sentence for the operator and the log.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Notice {
     /// True when a person has to act.
     pub alarm: bool,

@@ -5,6 +5,7 @@
 //! and the entry it waited for is written all the same and counts for nothing but the journal.
 
 use cell_values::time::{Duration, Timestamp};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// An entry that takes longer is reported: the arm waits for it, and people should know why.
@@ -14,7 +15,7 @@ const SLOW_AFTER: Duration = Duration::from_secs(1);
 pub(crate) const SILENT_AFTER: Duration = Duration::from_secs(15);
 
 /// Entries on their way to the disk.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Deserialize, Serialize)]
 pub(crate) struct Ledger {
     last: u64,
     open: VecDeque<(u64, Timestamp)>,

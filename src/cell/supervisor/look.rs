@@ -295,7 +295,7 @@ impl Supervisor {
         if self.back.recovery.is_some() {
             return self.end_recovery(Err(format!("{}; {}", fault.message, fault.hint)), out);
         }
-        let reason = fault.code.because(fault.message.clone(), fault.hint);
+        let reason = fault.code.because(fault.message.clone(), fault.hint.as_ref());
         self.finish(now, JobStatus::Failed, reason, out);
     }
 

@@ -6,9 +6,10 @@ use cell_values::time::Timestamp;
 use cell_values::units::Joints;
 use cell_vision::region::Region;
 use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
 
 /// How much of what was seen holds.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Deserialize, Serialize)]
 pub(crate) struct Sight {
     /// What was disturbed and not seen since.
     pub disturbed: Region,
@@ -22,14 +23,14 @@ pub(crate) struct Sight {
 
 /// From where the table is looked at, in order, and what has to be seen: the whole table where there is no
 /// region.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct LookPlan {
     pub poses: Vec<Joints>,
     pub region: Option<Region>,
 }
 
 /// A stop of a look for its frames.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 pub(crate) struct Stop {
     /// When the first frame was taken.
     pub at: Timestamp,

@@ -4,9 +4,10 @@
 //! person who paused a cell does not expect it to move when another person arms it.
 
 use cell_values::time::Timestamp;
+use serde::{Deserialize, Serialize};
 
 /// Whether and how the cell may move.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Mode {
     /// Nothing moves before a person arms the cell.
     Disarmed {
@@ -32,7 +33,7 @@ pub enum Mode {
 }
 
 /// How jobs go on in an armed cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Pace {
     /// One pick-n-place after the other.
     Running,
@@ -43,7 +44,7 @@ pub enum Pace {
 }
 
 /// Why the cell ends by itself: without its state folder it must not move.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Deserialize, Serialize)]
 pub enum EndFault {
     /// An entry could not be written.
     #[error("the journal cannot be written: {0}")]

@@ -15,9 +15,10 @@ use nalgebra::{Isometry3, Vector3};
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
+use serde::{Deserialize, Serialize};
 
 /// One kind of thing the cell may move.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct CellObject {
     /// Name, as in jobs.
     pub id: String,
@@ -58,7 +59,7 @@ impl CellObject {
 }
 
 /// Numbers the supervisor decides by; from the configuration.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Tolerances {
     /// An object within this distance of its goal counts as there, m.
     pub goal_position: f64,
@@ -96,7 +97,7 @@ pub struct Tolerances {
 }
 
 /// What is done about things on the table that carry no marker.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub enum ForeignRule {
     /// They are not looked for.
     Off,
@@ -113,7 +114,7 @@ pub enum ForeignRule {
 }
 
 /// The gripper as the supervisor uses it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct GripSettings {
     /// Channels whose cups are used.
     pub channels: Channels,
@@ -130,7 +131,7 @@ pub struct GripSettings {
 }
 
 /// A job that was cut off in the middle of a pick-n-place when an earlier celld ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct CutOff {
     /// What was to be moved.
     pub object: String,
@@ -141,7 +142,7 @@ pub struct CutOff {
 }
 
 /// An object that was gripped when an earlier celld ended.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct HeldBefore {
     /// Its name.
     pub object: String,
@@ -154,7 +155,7 @@ pub struct HeldBefore {
 }
 
 /// Where the devices are, for the sentences about waiting for them.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct DeviceAddresses {
     /// Host of the controller.
     pub robot: String,
@@ -163,7 +164,7 @@ pub struct DeviceAddresses {
 }
 
 /// The cell.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct CellModel {
     /// Where the devices are.
     pub addresses: DeviceAddresses,

@@ -11,9 +11,10 @@ use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::Objective;
 use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::rule::GoalRule;
+use serde::{Deserialize, Serialize};
 
 /// Work to do: bring the named objects to their goals; the others may end anywhere.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct JobOrder {
     /// Name of the job.
     pub id: String,
@@ -36,7 +37,7 @@ pub struct JobOrder {
 }
 
 /// One remaining pick-n-place of a job's route.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct RouteAction {
     /// Name of the object.
     pub object: String,
@@ -49,7 +50,7 @@ pub struct RouteAction {
 }
 
 /// One object at the end of a job.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct ObjectReport {
     /// Name.
     pub id: String,
@@ -61,7 +62,7 @@ pub struct ObjectReport {
 }
 
 /// What became of a job.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct JobReport {
     /// Name of the job.
     pub id: String,

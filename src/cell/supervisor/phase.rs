@@ -14,11 +14,12 @@ use cell_values::units::Joints;
 use cell_vision::observe::{Observation, View};
 use cell_vision::region::Region;
 use rearrange::geometry::pose::Pose2;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use ur_wire::enumerations::RobotMode;
 
 /// What the cell is doing.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub(crate) enum Phase {
     /// Between two things.
     Ready,
@@ -41,14 +42,14 @@ pub(crate) enum Phase {
 }
 
 /// Bring-up of the robot: which request is out, if any.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Deserialize, Serialize)]
 pub(crate) struct BringUp {
     pub asked: Option<RobotMode>,
     pub program_asked: bool,
 }
 
 /// A look at the table.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Look {
     /// From where, in order.
     pub poses: Vec<Joints>,
@@ -72,7 +73,7 @@ pub(crate) struct Look {
 }
 
 /// How far a look is.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub(crate) enum LookStage {
     /// On the way to a look pose.
     Moving,
@@ -85,7 +86,7 @@ pub(crate) enum LookStage {
 }
 
 /// One pose of a calibration round.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub(crate) enum Visit {
     /// On the way.
     Moving,
@@ -96,7 +97,7 @@ pub(crate) enum Visit {
 }
 
 /// A pick-n-place under way.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Work {
     pub object: String,
     /// Where it was seen.
@@ -112,7 +113,7 @@ pub(crate) struct Work {
 }
 
 /// How far a pick-n-place is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub(crate) enum WorkStage {
     /// Nothing has moved yet: it waits for its record, by the number.
     NotingIntent(u64),
@@ -134,7 +135,7 @@ pub(crate) enum WorkStage {
 }
 
 /// A pick-n-place that was written down, or is on its way to the disk.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct Meant {
     /// Of the record.
     pub number: u64,
@@ -146,7 +147,7 @@ pub(crate) struct Meant {
 }
 
 /// An armed cell in which nothing moves.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 pub(crate) struct Quiet {
     pub since: Timestamp,
     /// Where the arm has come to rest.
@@ -154,7 +155,7 @@ pub(crate) struct Quiet {
 }
 
 /// What comes once the arm is at rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub(crate) enum Then {
     /// The answer.
     Say,
@@ -163,7 +164,7 @@ pub(crate) enum Then {
 }
 
 /// An order that waits for the arm to come to rest.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 pub(crate) struct UntilItStands {
     pub number: u64,
     pub since: Timestamp,
@@ -171,14 +172,14 @@ pub(crate) struct UntilItStands {
 }
 
 /// The last sight of the whole table that nothing has disturbed since.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct Glance {
     pub seen: Observation,
     pub at: Timestamp,
 }
 
 /// How far the preview of a job is.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub(crate) enum Preview {
     /// The planner works on it.
     Asked,
@@ -189,7 +190,7 @@ pub(crate) enum Preview {
 }
 
 /// The job being carried out.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct JobRun {
     pub order: JobOrder,
     /// Its goals are known, and what it found is written down.
@@ -220,7 +221,7 @@ pub(crate) struct JobRun {
 }
 
 /// Where the camera saw an object last.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct LastSeen {
     pub id: String,
     pub pose: Pose2,
@@ -229,16 +230,51 @@ pub(crate) struct LastSeen {
     pub moved: bool,
 }
 
-impl WorkStage {
-    pub fn verb(self) -> &'static str {
+/// A part of a pick-n-place, for people.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub enum WorkStep {
+    /// The intent is on its way to the journal.
+    AboutToMove,
+    /// On the way to the object.
+    Approaching,
+    /// The cups are on it.
+    Gripping,
+    /// On the way to its place.
+    Carrying,
+    /// The vacuum goes.
+    Releasing,
+    /// Away from the place.
+    Retreating,
+    /// The grip failed.
+    GivingUp,
+}
+
+impl WorkStep {
+    /// In words that the object's name follows.
+    pub fn as_str(self) -> &'static str {
         match self {
-            WorkStage::NotingIntent(_) => "about to move",
-            WorkStage::Approaching { .. } => "approaching",
-            WorkStage::Gripping => "gripping",
-            WorkStage::Carrying { .. } => "carrying",
-            WorkStage::Releasing => "releasing",
-            WorkStage::Retreating => "retreating from",
-            WorkStage::GivingUp | WorkStage::Withdrawing => "giving up",
+            WorkStep::AboutToMove => "about to move",
+            WorkStep::Approaching => "approaching",
+            WorkStep::Gripping => "gripping",
+            WorkStep::Carrying => "carrying",
+            WorkStep::Releasing => "releasing",
+            WorkStep::Retreating => "retreating from",
+            WorkStep::GivingUp => "giving up",
+        }
+    }
+}
+
+impl WorkStage {
+    /// For people.
+    pub fn step(self) -> WorkStep {
+        match self {
+            WorkStage::NotingIntent(_) => WorkStep::AboutToMove,
+            WorkStage::Approaching { .. } => WorkStep::Approaching,
+            WorkStage::Gripping => WorkStep::Gripping,
+            WorkStage::Carrying { .. } => WorkStep::Carrying,
+            WorkStage::Releasing => WorkStep::Releasing,
+            WorkStage::Retreating => WorkStep::Retreating,
+            WorkStage::GivingUp | WorkStage::Withdrawing => WorkStep::GivingUp,
         }
     }
 

@@ -4,12 +4,13 @@
 
 use crate::cell::code::Code;
 use crate::cell::supervisor::input::{Action, Notice};
+use serde::{Deserialize, Serialize};
 
 /// How the notice of a stop begins. When it is given the arm still brakes.
 pub(crate) const STOP_ORDERED: &str = "disarmed, a stop is ordered";
 
 /// Why a job ends.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub(crate) struct Reason {
     pub code: Code,
     /// The object that the code is about.

@@ -4,9 +4,10 @@
 
 use crate::motion::slow::{CalibrationBox, SlowFault};
 use cell_values::units::Joints;
+use serde::{Deserialize, Serialize};
 
 /// A round to be carried out.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct RoundOrder {
     /// Where pictures are taken, in this order.
     pub poses: Vec<Joints>,
@@ -15,7 +16,7 @@ pub struct RoundOrder {
 }
 
 /// Why a round ended without all its pictures.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error, Deserialize, Serialize)]
 pub enum RoundFault {
     /// A gate stayed closed.
     #[error(
@@ -40,7 +41,7 @@ pub enum RoundFault {
 }
 
 /// A round under way.
-#[derive(Debug)]
+#[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Round {
     pub order: RoundOrder,
     /// Index of the pose that is visited.

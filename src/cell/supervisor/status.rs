@@ -6,12 +6,15 @@ use crate::cell::code::Code;
 use crate::cell::supervisor::cell::Supervisor;
 use crate::cell::supervisor::gates::GateClosed;
 use crate::cell::supervisor::phase::Phase;
+pub use crate::cell::supervisor::phase::WorkStep;
 use crate::cell::supervisor::reason::Reason;
 use crate::cell::supervisor::round::Round;
 use crate::cell::times::TimeSplit;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// What is going on, for programs; [`Status::text`] says it in words.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Doing {
     /// The arm was ordered to stop, and is not known to be at rest with its program ended.
     Stopping,
@@ -34,11 +37,11 @@ pub enum Doing {
     /// A person has to approve the plan.
     AwaitingApproval,
     /// A pick-n-place: what, and with which object.
-    Working(&'static str, String),
+    Working(WorkStep, String),
     /// On the way to the park pose.
     Parking,
     /// A way back after a stop.
-    Recovering(&'static str),
+    Recovering(Cow<'static, str>),
     /// Calibration pose, from 1, and how many.
     Visiting(usize, usize),
     /// The daemon ends.
@@ -46,7 +49,7 @@ pub enum Doing {
 }
 
 /// How the cell looks from outside.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Status {
     /// Motion is allowed.
     pub armed: bool,
@@ -77,7 +80,7 @@ pub struct Status {
 }
 
 /// A stop that is still to be left.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct StopNote {
     /// For programs.
     pub code: Code,
@@ -87,11 +90,33 @@ pub struct StopNote {
     pub hint: String,
 }
 
+/// Which device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub enum Device {
+    /// Its sign of life is a state package of the controller.
+    Robot,
+    /// A reading of the vacuum.
+    Gripper,
+    /// A picture.
+    Camera,
+}
+
+impl Device {
+    /// As in the status file.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Device::Robot => "robot",
+            Device::Gripper => "gripper",
+            Device::Camera => "camera",
+        }
+    }
+}
+
 /// How a device is.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub struct DeviceNote {
-    /// "robot", "gripper" or "camera".
-    pub name: &'static str,
+    /// Which.
+    pub device: Device,
     /// It answers and may be used.
     pub ready: bool,
     /// One sentence.
@@ -133,7 +158,7 @@ impl Status {
             Doing::Looking(view, of, Some(code)) => format!("looking {view}/{of}, waiting: {code}"),
             Doing::Planning => "planning".to_string(),
             Doing::AwaitingApproval => "waiting for approval".to_string(),
-            Doing::Working(verb, object) => format!("{verb} {object}"),
+            Doing::Working(step, object) => format!("{} {object}", step.as_str()),
             Doing::Parking => "parking".to_string(),
             Doing::Recovering(what) => format!("on a way back: {what}"),
             Doing::Visiting(pose, of) => format!("calibration pose {pose}/{of}"),
@@ -175,7 +200,7 @@ impl Supervisor {
                 format!("look at the plan, then `celld approve {id}` or `celld reject {id}`")
             }),
             Phase::Look(look) => {
-                look.fault.as_ref().map_or_else(String::new, |fault| self.hands_off_first(fault.hint))
+                look.fault.as_ref().map_or_else(String::new, |fault| self.hands_off_first(&fault.hint))
             }
             Phase::Ready if self.mode.ending() => String::new(),
             Phase::Ready if !self.stands || !self.arm_settled => "wait until the arm is at rest".to_string(),
@@ -222,7 +247,7 @@ impl Supervisor {
         match &self.phase {
             Phase::Ready if self.mode.ending() => Doing::Ending,
             Phase::Ready if !self.stands || !self.arm_settled => Doing::Stopping,
-            Phase::Ready if self.back.recovery.is_some() => Doing::Recovering("about to go on"),
+            Phase::Ready if self.back.recovery.is_some() => Doing::Recovering("about to go on".into()),
             Phase::Ready => match (&self.job, &self.waiting_for) {
                 (None, _) if !self.ledger.is_clear() => Doing::Writing,
                 (None, _) => self.locked().map_or(Doing::Idle, Doing::Waiting),
@@ -237,9 +262,9 @@ impl Supervisor {
             }
             Phase::Plan => Doing::Planning,
             Phase::Approve => Doing::AwaitingApproval,
-            Phase::Work(work) => Doing::Working(work.stage.verb(), work.object.clone()),
+            Phase::Work(work) => Doing::Working(work.stage.step(), work.object.clone()),
             Phase::Park => Doing::Parking,
-            Phase::Recover(stage) => Doing::Recovering(stage.words()),
+            Phase::Recover(stage) => Doing::Recovering(stage.words().into()),
             Phase::Visit(_) => {
                 let (pose, of) = self.round.as_ref().map_or((0, 0), Round::progress);
                 Doing::Visiting(pose, of)

@@ -13,7 +13,7 @@ use crate::cell::supervisor::order::JobOrder;
 use crate::cell::supervisor::round::RoundOrder;
 use crate::cell::supervisor::status::Status;
 use crate::cli::demo::watch::Watch;
-use crate::config::cell::{CameraDevice, CellConfig, Devices};
+use crate::config::cell::{CameraDevice, CellConfig, Devices, RecordedPictures};
 use crate::config::setup::{Measured, cell_model, drawn, machine_parameters, nominal_model, scene};
 use crate::daemon::cameras::open_camera;
 use crate::daemon::recorder::Recorder;
@@ -122,7 +122,9 @@ async fn with_sim(
     shell.commission(model, true);
     let job = OneJob { order: Some(order(instance, choice)), over: stop.clone() };
     shell.keep_in(Box::new(job), Box::new(NoOrders));
-    let mut watch = Watch::new(Recorder::create(&out.join("run.mcap"), true));
+    let recorder =
+        Recorder::create(&out.join("run.mcap"), RecordedPictures::Jpeg, Some(measured.camera.clone()));
+    let mut watch = Watch::new(recorder);
     shell.run(&mut watch, stop).await.map_err(|error| error.to_string())?;
     Ok((calibration, watch))
 }

@@ -64,8 +64,13 @@ impl Observer for Watch {
                 self.kept.picture(image, detections);
             }
             Scene::Displayed(Displayed::Observed { seen, .. }) => self.kept.observed(seen),
-            Scene::Displayed(Displayed::Sample { .. }) | Scene::Robot(_) | Scene::Vacuum(_) | Scene::Turn => {
-            }
+            Scene::Displayed(Displayed::Sample { .. })
+            | Scene::Robot(_)
+            | Scene::Vacuum(_)
+            | Scene::Turn
+            | Scene::Machine(_)
+            | Scene::Event(_)
+            | Scene::Effect(_) => {}
             Scene::Route(route) => self.routed(now, route),
             Scene::Ended(report) => self.kept.report = Some(report.clone()),
         }

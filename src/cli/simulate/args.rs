@@ -29,6 +29,10 @@ pub struct SimulateArgs {
     /// Of the sweep or the orders: write their page to this file
     #[arg(long, value_name = "FILE")]
     pub(super) write: Option<PathBuf>,
+    /// Record every run and carry it out again beside it, from the recording's bytes: each decision has to
+    /// be the same (not with `sweep`, `hands`, `cuts` and `--orders`)
+    #[arg(long)]
+    pub(super) replay: bool,
     /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise
     #[arg(long, value_enum, default_value_t = EyeArg::Corners)]
     pub(super) eye: EyeArg,

@@ -4,6 +4,7 @@
 //! after them ended, and for each failure the fewest faults it needs, with the command that repeats it.
 
 use super::args::{SimulateArgs, keep_trace};
+use crate::pair::Choice;
 use crate::pair::eyes::Eye;
 use crate::pair::storm::{Aftermath, Strike, fewest, storm, strikes};
 use crate::pair::table::stage;
@@ -43,14 +44,15 @@ fn one(args: &SimulateArgs, seed: u64, bar: &ProgressBar) -> Result<(usize, Afte
     let stage = stage(seed, Eye::Corners)?;
     let all = strikes(seed);
     let chosen = chosen(args.only.as_deref(), &all)?;
-    let (aftermath, pair) = storm(&stage, seed, &chosen, args.trace.is_some())?;
+    let choice = Choice { keep_trace: args.trace.is_some(), replay: args.replay, ..Choice::of(seed) };
+    let (aftermath, pair) = storm(&stage, choice, &chosen)?;
     keep_trace(args, &pair)?;
     if args.only.is_some() {
         let notices = pair.notices().iter().map(|notice| format!("    celld said: {}\n", notice.text));
         bar.suspend(|| print(&notices.collect::<String>()));
     }
     if !aftermath.faults.is_empty() {
-        let needed = fewest(&stage, seed, &chosen);
+        let needed = fewest(&stage, choice, &chosen);
         bar.suspend(|| print(&failure(seed, &chosen, &needed, &aftermath)));
     }
     Ok((chosen.len(), aftermath))

@@ -4,7 +4,7 @@
 //! the time. The supervisor's words change when the cell does; ages and queues are of the moment of writing.
 
 use super::StateKeeper;
-use crate::cell::supervisor::status::{DeviceNote, Status};
+use crate::cell::supervisor::status::{Device, DeviceNote, Status};
 use crate::config::setup::gripper_address;
 use crate::jobs::status;
 use cell_edge::clock::unix_now_s;
@@ -61,20 +61,20 @@ impl StateKeeper {
     }
 
     /// A device with its address, which one it is, and how long ago it answered.
-    fn device(&self, DeviceNote { name, ready, message }: &DeviceNote) -> status::DeviceStatus {
+    fn device(&self, DeviceNote { device, ready, message }: &DeviceNote) -> status::DeviceStatus {
         let devices = &self.config.devices;
-        let (address, identity) = match *name {
-            "robot" => (devices.robot_host.clone(), self.identities.robot.clone()),
-            "gripper" => {
+        let (address, identity) = match *device {
+            Device::Robot => (devices.robot_host.clone(), self.identities.robot.clone()),
+            Device::Gripper => {
                 let address = gripper_address(devices);
                 let confirmed = self.state.gripper_confirmed(&address);
                 let identity = if confirmed { "confirmed by a person" } else { "" };
                 (address, identity.to_string())
             }
-            _ => (devices.camera.address(), self.identities.camera.clone()),
+            Device::Camera => (devices.camera.address(), self.identities.camera.clone()),
         };
-        let age_s = self.last_answers.age_s(name);
-        let (name, message) = (name.to_string(), message.clone());
+        let age_s = self.last_answers.age_s(*device);
+        let (name, message) = (device.as_str().to_string(), message.clone());
         status::DeviceStatus { name, address, identity, ready: *ready, age_s, message }
     }
 }

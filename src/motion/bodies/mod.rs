@@ -21,6 +21,7 @@ use nalgebra::Isometry3;
 use parry3d_f64::math::Pose;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use ur_arm::bodies::{BODY_NAMES, HARMLESS_PAIRS, capsules};
@@ -48,7 +49,7 @@ const RING: usize = 72;
 pub const TOOL_FRAME: usize = 7;
 
 /// What a body is: which pairs are checked, and when.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Part {
     /// Link with this index, base first.
     Link(usize),
@@ -79,7 +80,7 @@ pub enum Part {
 }
 
 /// One convex body.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Body {
     /// As a person calls it.
     pub name: String,
@@ -98,7 +99,7 @@ impl Body {
 }
 
 /// Everything of the cell that is the same for every path.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Bodies {
     /// Nominal kinematics: where the links are.
     pub nominal: DhParameters,
@@ -116,7 +117,7 @@ pub struct Bodies {
 }
 
 /// Two bodies that are kept apart.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub(super) struct Pair {
     /// Index of the moving body.
     pub a: usize,
@@ -137,7 +138,7 @@ impl Pair {
 }
 
 /// The second body of a pair.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub(super) enum Other {
     Moving(usize),
     Fixed(usize),
@@ -395,7 +396,7 @@ fn layer_box(table: [f64; 2], rim: f64, (low, high): (f64, f64)) -> ([f64; 3], I
 }
 
 /// An object on the table.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Standing {
     /// Its name.
     pub name: String,
@@ -408,7 +409,7 @@ pub struct Standing {
 }
 
 /// What hangs on the tool, which points straight down while it is picked and placed.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Load {
     /// Its name.
     pub name: String,

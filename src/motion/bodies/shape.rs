@@ -11,6 +11,7 @@ use parry3d_f64::query::details::{distance_segment_segment, distance_support_map
 use parry3d_f64::shape::{Segment, SupportMap};
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
 /// Corners of the prism that contains a cylinder.
@@ -23,7 +24,7 @@ const CURVE_CORNERS: usize = 16;
 const TOUCHING_M: f64 = 1e-6;
 
 /// The convex hull of some points.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 struct Hull(Vec<Vector>);
 
 impl SupportMap for Hull {
@@ -40,7 +41,7 @@ impl SupportMap for Hull {
     }
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 enum Core {
     Segment(Segment),
     Hull(Hull),
@@ -52,7 +53,7 @@ enum Core {
 }
 
 /// A convex shape in the frame of what it belongs to: a core, and everything within `radius` of it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Shape {
     core: Core,
     radius: f64,

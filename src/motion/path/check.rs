@@ -218,12 +218,12 @@ fn check_numbers(model: &ArmModel, segment: &Segment) -> Result<(), PathFault> {
         let inside = value > 0.0 && value <= limit;
         if inside { Ok(()) } else { Err(PathFault::Limit { what, value, limit }) }
     };
-    within("speed", speed, speed_limit)?;
-    within("acceleration", acceleration, acceleration_limit)?;
+    within("speed".into(), speed, speed_limit)?;
+    within("acceleration".into(), acceleration, acceleration_limit)?;
     if (0.0..=0.5).contains(&blend) {
         Ok(())
     } else {
-        Err(PathFault::Limit { what: "blend radius", value: blend, limit: 0.5 })
+        Err(PathFault::Limit { what: "blend radius".into(), value: blend, limit: 0.5 })
     }
 }
 
@@ -233,7 +233,7 @@ fn check_hold(hold: f64) -> Result<(), PathFault> {
         Ok(())
     } else {
         let what = "the acceleration that the vacuum holds at";
-        Err(PathFault::Limit { what, value: hold, limit: f64::INFINITY })
+        Err(PathFault::Limit { what: what.into(), value: hold, limit: f64::INFINITY })
     }
 }
 
@@ -303,11 +303,11 @@ fn trace_linear(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Resu
         points = on_line(model, from, [&start, &end], samples, leg)?;
     }
     if bends(&points) > BENT_RAD {
-        return Err(PathFault::Singular { which: "wrist" });
+        return Err(PathFault::Singular { which: "wrist".into() });
     }
     // The controller follows the same branch: it has to arrive at the joints that were requested.
     if points.last().is_none_or(|last| last.max_difference(to) > 1e-3) {
-        return Err(PathFault::Singular { which: "wrist" });
+        return Err(PathFault::Singular { which: "wrist".into() });
     }
     let segment = slowed_on_line(model, &points, way.norm().max(turn * METRES_PER_RADIAN), leg)?;
     Ok(Traced { points, segment })
@@ -332,7 +332,7 @@ fn on_line(
             .ok_or_else(|| out_of_reach("on a straight line", &tool))?;
         // A continuous solution moves little from sample to sample; a jump means the branches met.
         if q.max_difference(&near) > 0.35 {
-            return Err(PathFault::Singular { which: "shoulder" });
+            return Err(PathFault::Singular { which: "shoulder".into() });
         }
         check_singular(model, &q)?;
         check_place(model, &q, leg.floor)?;
@@ -383,11 +383,11 @@ fn slowed_on_line(model: &ArmModel, points: &[Joints], length: f64, leg: &Leg) -
 fn check_singular(model: &ArmModel, q: &Joints) -> Result<(), PathFault> {
     let wrist = forward(&model.dh, q) * nalgebra::Point3::new(0.0, 0.0, -model.dh.d[5]);
     if q.0[4].sin().abs() < MIN_WRIST_SINE {
-        Err(PathFault::Singular { which: "wrist" })
+        Err(PathFault::Singular { which: "wrist".into() })
     } else if q.0[2].sin().abs() < MIN_ELBOW_SINE {
-        Err(PathFault::Singular { which: "elbow" })
+        Err(PathFault::Singular { which: "elbow".into() })
     } else if wrist.x.hypot(wrist.y) < MIN_SHOULDER_RADIUS_M {
-        Err(PathFault::Singular { which: "shoulder" })
+        Err(PathFault::Singular { which: "shoulder".into() })
     } else {
         Ok(())
     }

@@ -4,10 +4,12 @@
 
 use cell_values::units::mm_from_m;
 use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use ur_arm::pose::ur_pose_from_isometry;
 
 /// Why a path was refused.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error, Deserialize, Serialize)]
 pub enum PathFault {
     /// No joint solution, or none inside the joint range.
     #[error("{what}: tool pose ({x:.3}, {y:.3}, {z:.3}) m over the table is out of the arm's reach")]
@@ -41,13 +43,13 @@ pub enum PathFault {
     #[error("a straight line here passes too near to a {which} singularity")]
     Singular {
         /// wrist, elbow or shoulder.
-        which: &'static str,
+        which: Cow<'static, str>,
     },
     /// Speed, acceleration or blend is not a number in its limits.
     #[error("the {what} is {value:.3}; it has to be over 0 and at most {limit:.3} (m, rad, s)")]
     Limit {
         /// Which number.
-        what: &'static str,
+        what: Cow<'static, str>,
         /// Its value, SI.
         value: f64,
         /// Its limit, SI.

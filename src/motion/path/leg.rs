@@ -4,9 +4,10 @@
 
 use crate::motion::bodies::sweep::Zone;
 use cell_values::units::Joints;
+use serde::{Deserialize, Serialize};
 
 /// One piece of a path, as the on-robot program understands it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub enum Segment {
     /// `movej`: straight in joint space. Speed rad/s, acceleration rad/s2, blend radius m.
     Joint {

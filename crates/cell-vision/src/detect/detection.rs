@@ -4,10 +4,10 @@
 //! all files of `detect`, which share them. Pure.
 
 use cell_values::image::MAX_EDGE;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// A marker seen in a picture.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Detection {
     /// The family's name.
     pub family: String,

@@ -14,6 +14,7 @@ use crate::foreign::field::{Field, Sample};
 use cell_values::image::depth::DepthImage;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rearrange::geometry::polygon::{contains, distance_to_outline};
+use serde::{Deserialize, Serialize};
 
 /// Edge of a cell, m: some ten points of a picture from half a metre, and 25 cells to the smallest thing
 /// looked for.
@@ -28,7 +29,7 @@ const EDGE_MAX: usize = 1100;
 const SAMPLED: usize = 11;
 
 /// A rectangle of the table, m, table frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Area {
     /// Lowest x and y.
     pub low: [f64; 2],
@@ -44,7 +45,7 @@ impl Area {
 }
 
 /// A part of the robot that the camera may see: an upright cylinder about the tool's axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub struct OwnBody {
     /// The tool frame (cup lips, z out of the gripper) seen from the camera.
     pub camera_from_tool: Isometry3<f64>,
@@ -65,7 +66,7 @@ impl OwnBody {
 }
 
 /// What the gripper holds, seen by the camera beside it: an upright prism below the cups.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct HeldBody {
     /// Its outline in the tool frame (z out of the gripper), m.
     pub outline: Vec<[f64; 2]>,
@@ -165,7 +166,7 @@ fn sampled(width: u32, height: u32) -> impl Iterator<Item = (u32, u32)> {
 }
 
 /// Heights over the table, cell by cell.
-#[derive(Clone, PartialEq)]
+#[derive(Clone, PartialEq, Deserialize, Serialize)]
 pub struct HeightMap {
     /// The part of the table that is mapped.
     pub area: Area,

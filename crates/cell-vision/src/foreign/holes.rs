@@ -8,14 +8,14 @@
 use crate::foreign::body::KnownBody;
 use crate::foreign::height_map::{CELL_M, HeightMap};
 use rearrange::geometry::polygon::contains;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Heights at which the line from a cell to the camera is tried against a known object, as shares of that
 /// object's height.
 const TRIED: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
 
 /// A piece of the table in which nothing was measured.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hole {
     /// Its size, m2.
     pub area_m2: f64,

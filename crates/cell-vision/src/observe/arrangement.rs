@@ -7,10 +7,10 @@ use crate::foreign::ForeignReport;
 use crate::observe::reference;
 use cell_values::time::Timestamp;
 use rearrange::geometry::pose::Pose2;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Where an object lies.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ObjectEstimate {
     /// The object's name.
     pub id: String,
@@ -37,7 +37,7 @@ pub struct ObjectEstimate {
 }
 
 /// An object that was seen but must not be handled as if it lay flat.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Suspicious {
     /// The object's name.
     pub id: String,
@@ -48,7 +48,7 @@ pub struct Suspicious {
 }
 
 /// One marker id seen at several places.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Duplicate {
     /// The object's name.
     pub id: String,
@@ -59,7 +59,7 @@ pub struct Duplicate {
 }
 
 /// What the pictures say about the table.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Observation {
     /// Objects whose pose can be trusted, in the order they were requested.
     pub objects: Vec<ObjectEstimate>,

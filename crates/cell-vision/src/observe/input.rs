@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// The detections of one picture and where the camera was.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct View {
     /// The camera frame seen from the table.
     pub table_from_camera: Isometry3<f64>,
@@ -26,7 +26,7 @@ pub struct View {
 }
 
 /// A look at a part of the table, and what is remembered of the rest.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 pub struct PartialLook {
     /// What the look has to show.
     pub region: Region,

@@ -10,11 +10,11 @@ use crate::observe::input::{ObserveLimits, ReferenceMarker, View};
 use crate::observe::planar::{self, Placed, Target};
 use crate::observe::sighting::Sighting;
 use rearrange::geometry::pose::Pose2;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// One reference marker's error.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReferenceError {
     /// Its number.
     pub id: u32,
@@ -28,7 +28,7 @@ pub struct ReferenceError {
 
 /// How far the camera seems to be from where it should have been at one place, shown by the markers it saw
 /// from there.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LookShift {
     /// The first of the views from there.
     pub view: usize,
@@ -45,7 +45,7 @@ pub struct LookShift {
 }
 
 /// From where on the camera counts as moved.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub struct DriftLimits {
     /// Root mean square error of the markers' centres over all views, m.
     pub residual_m: f64,
@@ -56,7 +56,7 @@ pub struct DriftLimits {
 }
 
 /// All reference markers that were seen, against their survey.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReferenceCheck {
     /// One entry for each marker seen, in survey order.
     pub markers: Vec<ReferenceError>,

@@ -10,6 +10,7 @@ use crate::geometry::polygon::{
     Point, Polygon, PolygonFault, centroid, contains, convex_hull, distance_to_outline, perimeter,
 };
 use crate::geometry::pose::Pose2;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
 /// Why numbers do not make a footprint.
@@ -29,7 +30,7 @@ pub enum FootprintFault {
 }
 
 /// A footprint in the object's frame.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub enum Footprint {
     /// Centred rectangle: full extents along x and y, m.
     Rectangle {

@@ -5,6 +5,7 @@
 //! triangles are merged while they stay convex; their areas are checked to add up to the polygon's.
 
 use geo::TriangulateEarcut;
+use serde::{Deserialize, Serialize};
 
 /// A point or vector in the plane, m.
 pub type Point = [f64; 2];
@@ -33,7 +34,7 @@ pub enum PolygonFault {
 }
 
 /// A simple polygon, counter-clockwise, with its convex parts.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Polygon {
     points: Vec<Point>,
     parts: Vec<Vec<Point>>,

@@ -60,7 +60,7 @@ pub enum ActionKind {
 }
 
 /// One pick-n-place.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Action {
     /// Index of the object in the problem.
     pub object: usize,

@@ -7,9 +7,10 @@
 use crate::geometry::footprint::{Footprint, FootprintFault};
 use crate::geometry::polygon::{Point, Polygon};
 use crate::geometry::pose::Pose2;
+use serde::{Deserialize, Serialize};
 
 /// The rectangle objects may lie on, m: from (0, 0) to (width, height) in the table frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Workspace {
     /// Along x, m.
     pub width: f64,
@@ -18,7 +19,7 @@ pub struct Workspace {
 }
 
 /// A region no object may be placed in.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct KeepOut {
     /// Its shape.
     pub footprint: Footprint,
@@ -27,7 +28,7 @@ pub struct KeepOut {
 }
 
 /// The fiducial marker on an object's top.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct MarkerSpec {
     /// Family, `tag36h11`.
     pub family: String,
@@ -40,7 +41,7 @@ pub struct MarkerSpec {
 }
 
 /// One object.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct ObjectSpec {
     /// Unique name.
     pub id: String,
@@ -86,7 +87,7 @@ impl ObjectSpec {
 }
 
 /// A task.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Instance {
     /// Where objects may lie.
     pub workspace: Workspace,

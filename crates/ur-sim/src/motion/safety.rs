@@ -3,7 +3,7 @@
 //!
 //! In: the configured limits, the arm's parameters and joint positions. Out: how deep it is where it must
 //! not be, and why. Links are the capsules of [`ur_arm::bodies`], which overestimate them by some 15 mm
-//! on average: the arm may overlap itself by [`TOLERANCE_M`]. The tool and what it holds are no bodies
+//! on average: the arm may overlap itself by `TOLERANCE_M`. The tool and what it holds are no bodies
 //! here; planes hold the tool centre point and the elbow. Pure.
 
 use cell_values::units::Joints;

@@ -76,7 +76,7 @@ impl Robot {
     ) -> Result<(), Refused> {
         let state = self.state.as_ref().ok_or(Refused::NotConnected(Link::Rtde))?;
         if goal.reached(state) {
-            self.report(RobotEvent::Completed { what });
+            self.report(RobotEvent::Completed { what: what.into() });
             return Ok(());
         }
         self.ask_dashboard(now, command.clone())?;
@@ -85,7 +85,13 @@ impl Robot {
         }
         // A stop may have come between: the command counts anew, and so does its time.
         self.arm_waits.retain(|wait| wait.command != command);
-        self.arm_waits.push(ArmWait { what, command, goal, answered: false, deadline: now + ARM_WITHIN });
+        self.arm_waits.push(ArmWait {
+            what: what.into(),
+            command,
+            goal,
+            answered: false,
+            deadline: now + ARM_WITHIN,
+        });
         Ok(())
     }
 

@@ -125,7 +125,7 @@ impl Robot {
                 }
             }
             (Command::CloseSafetyPopup, Reply::Accepted(_)) => {
-                self.report(RobotEvent::Completed { what: "close safety popup" });
+                self.report(RobotEvent::Completed { what: "close safety popup".into() });
             }
             // Power, brakes and unlock: accepted is not done, the arm's modes show it.
             (command, Reply::Accepted(_)) => {

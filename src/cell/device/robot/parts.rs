@@ -6,6 +6,8 @@
 use crate::cell::device::program::Nonce;
 use crate::cell::device::robot_types::{ProgramEnd, RobotState};
 use cell_values::time::{Duration, Timestamp};
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use ur_wire::dashboard::Command;
 use ur_wire::enumerations::{RobotMode, SafetyMode};
 
@@ -17,6 +19,7 @@ pub const SEND_WITHIN: Duration = Duration::from_secs(5);
 pub const REMOTE_CONTROL_WITHIN: Duration = Duration::from_millis(1500);
 
 /// Where the program is in its life.
+#[derive(Deserialize, Serialize)]
 pub enum Program {
     /// None of ours runs.
     Absent,
@@ -96,7 +99,7 @@ impl Program {
 }
 
 /// The sign of life, and its echo.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 pub struct Heartbeat {
     pub count: i32,
     pub next: Option<Timestamp>,
@@ -112,7 +115,7 @@ impl Heartbeat {
 }
 
 /// Answers to who the controller is.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 pub struct Identity {
     pub serial: Option<String>,
     pub model: Option<String>,
@@ -121,7 +124,7 @@ pub struct Identity {
 }
 
 /// What an accepted dashboard command has to lead to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum ArmGoal {
     /// Power is on.
     PoweredOn,
@@ -132,9 +135,10 @@ pub enum ArmGoal {
 }
 
 /// Waiting for the arm to do what the dashboard accepted.
+#[derive(Deserialize, Serialize)]
 pub struct ArmWait {
     /// For people.
-    pub what: &'static str,
+    pub what: Cow<'static, str>,
     /// The command that was sent.
     pub command: Command,
     /// When it is done.
@@ -146,6 +150,7 @@ pub struct ArmWait {
 }
 
 /// What was sent for power and brakes comes true by itself unless `power off` follows it.
+#[derive(Deserialize, Serialize)]
 pub struct PoweringOff {
     /// The controller has accepted it.
     pub accepted: bool,
@@ -178,7 +183,7 @@ impl ArmGoal {
 }
 
 /// Payload and TCP as given to the running program.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 pub struct Setup {
     pub payload: Option<(f64, [f64; 3])>,
     pub tcp: Option<[f64; 6]>,
@@ -187,7 +192,7 @@ pub struct Setup {
 }
 
 /// What was reported last, so that changes are.
-#[derive(Default)]
+#[derive(Default, Deserialize, Serialize)]
 pub struct Reported {
     pub mode: Option<RobotMode>,
     pub safety: Option<SafetyMode>,

@@ -309,7 +309,7 @@ fn approval_of_the_first_plan_covers_the_next_for_the_same_goal() {
 
 fn camera_trouble(code: Code, lasting: bool) -> Input {
     let message = "the camera is frozen".to_string();
-    Input::Captured(Err(CameraFault { code, message, hint: "look at its cable", lasting }))
+    Input::Captured(Err(CameraFault { code, message, hint: "look at its cable".into(), lasting }))
 }
 
 /// At the first look pose, with a picture requested.

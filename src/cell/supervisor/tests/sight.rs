@@ -261,7 +261,7 @@ fn no_hint_sends_a_person_to_an_armed_arm() {
     let fault = CameraFault {
         code: Code::CameraDark,
         message: "the picture is dark".into(),
-        hint: "uncover the lens",
+        hint: "uncover the lens".into(),
         lasting: false,
     };
     bench.feed(Input::Captured(Err(fault)));
@@ -376,7 +376,7 @@ fn a_picture_that_cannot_be_searched_ends_the_look_at_the_next_stop() {
     let fault = CameraFault {
         code: Code::DetectionFailed,
         message: "the marker detector failed".into(),
-        hint: "start the daemon again",
+        hint: "start the daemon again".into(),
         lasting: true,
     };
     let on_the_way = bench.feed(Input::Captured(Err(fault)));

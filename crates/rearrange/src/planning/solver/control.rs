@@ -6,11 +6,12 @@
 use crate::document::word::{UnknownWord, named};
 use crate::planning::plan::{Action, Objective};
 use crate::planning::problem::Problem;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
 /// The solvers of the paper, and ours.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Deserialize, Serialize)]
 pub enum SolverKind {
     /// Total buffer minimisation.
     Tbm,

@@ -260,15 +260,15 @@ fn power_and_brakes_are_done_when_the_modes_say_so() {
     rig.fake.robot_mode = 3;
     rig.run_ms(4);
     rig.command(RobotCommand::PowerOn);
-    assert!(!rig.saw(&RobotEvent::Completed { what: "power on" }), "accepted is not done");
+    assert!(!rig.saw(&RobotEvent::Completed { what: "power on".into() }), "accepted is not done");
     rig.run_ms(4);
-    assert!(rig.saw(&RobotEvent::Completed { what: "power on" }));
+    assert!(rig.saw(&RobotEvent::Completed { what: "power on".into() }));
     rig.command(RobotCommand::ReleaseBrakes);
     rig.run_ms(4);
-    assert!(rig.saw(&RobotEvent::Completed { what: "brake release" }));
+    assert!(rig.saw(&RobotEvent::Completed { what: "brake release".into() }));
     rig.events.clear();
     rig.command(RobotCommand::PowerOn);
-    assert_eq!(rig.events, [RobotEvent::Completed { what: "power on" }], "idempotent");
+    assert_eq!(rig.events, [RobotEvent::Completed { what: "power on".into() }], "idempotent");
 }
 
 #[test]

@@ -1,0 +1,319 @@
+//! What a recording shows of the cell, as Foxglove's messages.
+//!
+//! In: the cell's model and lens, observations, goals, plans, joints. Out: frames (`base`, `table`, the
+//! links, `flange`, `camera`), a scene (table, bodies, objects with outline and height, goals, plan, foreign
+//! things), the lens, joint states. Lengths in m, angles in rad; frames as in ARCHITECTURE.md. What is drawn
+//! is kept, so that each file begins with all of it. Pure.
+
+use crate::calibration::files::hand_eye::Mount;
+use crate::cell::supervisor::model::CellModel;
+use crate::cell::supervisor::order::RouteAction;
+use crate::motion::bodies::{Part, TOOL_FRAME};
+use crate::report::colour;
+use cell_values::units::Joints;
+use cell_vision::camera::CameraModel;
+use cell_vision::observe::Observation;
+use foxglove::messages::line_primitive::Type as LineType;
+use foxglove::messages::{
+    ArrowPrimitive, CameraCalibration, Color, CubePrimitive, FrameTransform, FrameTransforms, JointState,
+    JointStates, LinePrimitive, Point3, Pose, Quaternion, SceneEntity, SceneEntityDeletion, SceneUpdate,
+    TextPrimitive, Timestamp, TriangleListPrimitive, Vector3,
+};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use ur_arm::kinematics::link_frames;
+
+/// Corners by which round outlines are drawn.
+const CORNERS: usize = 32;
+
+/// Thickness of the drawn table top, m.
+const TABLE_M: f64 = 0.01;
+
+/// What has no known height is drawn so high, m.
+const UNKNOWN_HEIGHT_M: f64 = 0.03;
+
+/// Names of the joints, as UR's own tools give them.
+const JOINT_NAMES: [&str; 6] = [
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+];
+
+/// See the module.
+#[derive(Default)]
+pub struct Drawing {
+    cell: Option<Box<CellModel>>,
+    lens: Option<CameraModel>,
+    seen: Option<Observation>,
+    goals: Vec<(String, Pose2)>,
+    route: Vec<RouteAction>,
+}
+
+impl Drawing {
+    /// A drawing for the pictures of this lens.
+    pub fn new(lens: Option<CameraModel>) -> Drawing {
+        Drawing { lens, ..Drawing::default() }
+    }
+
+    /// From now on this is the cell.
+    pub fn cell(&mut self, cell: Box<CellModel>) {
+        self.cell = Some(cell);
+    }
+
+    /// The lens, for the picture's topic; its frame is `camera`.
+    pub fn calibration(&self, now: Timestamp) -> Option<CameraCalibration> {
+        let lens = self.lens.as_ref()?;
+        let (fx, fy, cx, cy) = (lens.fx, lens.fy, lens.cx, lens.cy);
+        Some(CameraCalibration {
+            timestamp: Some(now),
+            frame_id: "camera".to_string(),
+            width: lens.width,
+            height: lens.height,
+            distortion_model: "plumb_bob".to_string(),
+            d: lens.distortion.to_vec(),
+            k: vec![fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            p: vec![fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        })
+    }
+
+    /// Frames that stay: the table and the camera.
+    pub fn fixed_frames(&self, now: Timestamp) -> Option<FrameTransforms> {
+        let cell = self.cell.as_ref()?;
+        let camera = match &cell.mount {
+            Mount::Flange { flange_from_camera } => frame(now, "flange", "camera", flange_from_camera),
+            Mount::Fixed { base_from_camera } => frame(now, "base", "camera", base_from_camera),
+        };
+        Some(FrameTransforms {
+            transforms: vec![frame(now, "base", "table", &cell.arm.base_from_table), camera],
+        })
+    }
+
+    /// Frames of the links with the joints at `q`.
+    pub fn moving_frames(&self, now: Timestamp, q: &Joints) -> Option<FrameTransforms> {
+        let cell = self.cell.as_ref()?;
+        let links = link_frames(&cell.arm.dh, q);
+        let names = (1..).map(|link| format!("link_{link}"));
+        let mut transforms: Vec<_> =
+            links.iter().zip(names).map(|(at, name)| frame(now, "base", &name, at)).collect();
+        transforms.push(frame(now, "base", "flange", &links[5]));
+        Some(FrameTransforms { transforms })
+    }
+
+    /// The table and what stands round it; links move with their frames.
+    pub fn surroundings(&self, now: Timestamp) -> Option<SceneUpdate> {
+        let cell = self.cell.as_ref()?;
+        let (width, height) = (cell.workspace.width, cell.workspace.height);
+        let table = CubePrimitive {
+            pose: Some(pose(&Isometry3::translation(0.5 * width, 0.5 * height, -0.5 * TABLE_M))),
+            size: Some(Vector3 { x: width, y: height, z: TABLE_M }),
+            color: Some(GREY),
+        };
+        let mut entities = vec![SceneEntity { cubes: vec![table], ..entity(now, "table", "table") }];
+        for (number, body) in cell.arm.bodies.drawn().enumerate() {
+            let drawn =
+                matches!(body.part, Part::Link(_) | Part::Tool | Part::Cups | Part::Stand | Part::Equipment);
+            let Some(outline) = body.shape.outline().filter(|_| drawn) else { continue };
+            let in_frame = match body.frame {
+                0 => "base".to_string(),
+                TOOL_FRAME => "flange".to_string(),
+                link => format!("link_{link}"),
+            };
+            let points: Vec<Point3> =
+                outline.points.iter().map(|[x, y, z]| Point3 { x: *x, y: *y, z: *z }).collect();
+            let bone = LinePrimitive {
+                thickness: (2.0 * outline.radius).max(0.005),
+                color: Some(GREY),
+                ..line(points, LineType::LineStrip)
+            };
+            let id = format!("body/{number}/{}", body.name);
+            entities.push(SceneEntity {
+                frame_locked: true,
+                lines: vec![bone],
+                ..entity(now, &in_frame, &id)
+            });
+        }
+        Some(SceneUpdate { entities, deletions: Vec::new() })
+    }
+
+    /// The table was looked at: objects with outline, height and name, and what carries no marker.
+    pub fn observed(&mut self, now: Timestamp, seen: &Observation) -> SceneUpdate {
+        let before = self.seen.replace(seen.clone());
+        let update = self.objects(now);
+        let gone = before.iter().flat_map(|before| &before.objects);
+        let gone =
+            gone.filter(|object| seen.object(&object.id).is_none()).map(|object| object_id(&object.id));
+        let deletions = gone.map(|id| deletion(now, id)).collect();
+        SceneUpdate { deletions, ..update }
+    }
+
+    /// What was seen last.
+    pub fn objects(&self, now: Timestamp) -> SceneUpdate {
+        let Some(seen) = &self.seen else { return SceneUpdate::default() };
+        let mut entities: Vec<SceneEntity> = seen
+            .objects
+            .iter()
+            .filter_map(|object| {
+                let (footprint, height, colour) = self.looks(&object.id)?;
+                Some(self.block(now, &object.id, (footprint, height, colour), &object.pose))
+            })
+            .collect();
+        let strangers = seen.foreign.iter().flat_map(|report| &report.objects);
+        let outlines = strangers.map(|stranger| {
+            let height = if stranger.height_m.is_finite() { stranger.height_m } else { UNKNOWN_HEIGHT_M };
+            let corners = stranger.outline.iter().map(|[x, y]| Point3 { x: *x, y: *y, z: height });
+            LinePrimitive { color: Some(RED), ..line(corners.collect(), LineType::LineLoop) }
+        });
+        entities.push(SceneEntity { lines: outlines.collect(), ..entity(now, "table", "foreign") });
+        SceneUpdate { entities, deletions: Vec::new() }
+    }
+
+    /// The goals of the job; none without one.
+    pub fn goals(&mut self, goals: Vec<(String, Pose2)>) {
+        self.goals = goals;
+    }
+
+    /// Outlines of the goals.
+    pub fn goal_lines(&self, now: Timestamp) -> SceneUpdate {
+        let lines = self.goals.iter().filter_map(|(id, at)| {
+            let (footprint, _, colour) = self.looks(id)?;
+            let points = ring(footprint, at, 0.001);
+            Some(LinePrimitive { color: Some(colour), ..line(points, LineType::LineLoop) })
+        });
+        let goals = SceneEntity { lines: lines.collect(), ..entity(now, "table", "goals") };
+        SceneUpdate { entities: vec![goals], deletions: Vec::new() }
+    }
+
+    /// What is left of the plan.
+    pub fn route(&mut self, route: Vec<RouteAction>) {
+        self.route = route;
+    }
+
+    /// An arrow for each move, with its number.
+    pub fn route_arrows(&self, now: Timestamp) -> SceneUpdate {
+        let mut plan = entity(now, "table", "plan");
+        for (number, step) in self.route.iter().enumerate() {
+            let Some((footprint, height, colour)) = self.looks(&step.object) else { continue };
+            let middle = footprint.centroid();
+            let ([x, y], [to_x, to_y]) = (step.from.transform(middle), step.to.transform(middle));
+            let length = (to_x - x).hypot(to_y - y);
+            let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, (to_y - y).atan2(to_x - x));
+            let at = Isometry3::from_parts(Translation3::new(x, y, height + 0.01), turn);
+            let head = 0.02_f64.min(0.5 * length);
+            plan.arrows.push(ArrowPrimitive {
+                pose: Some(pose(&at)),
+                shaft_length: length - head,
+                shaft_diameter: 0.004,
+                head_length: head,
+                head_diameter: 0.012,
+                color: Some(colour),
+            });
+            let at = Isometry3::translation(to_x, to_y, height + 0.03);
+            plan.texts.push(text(&at, format!("{}", number + 1)));
+        }
+        SceneUpdate { entities: vec![plan], deletions: Vec::new() }
+    }
+
+    /// Shape, height and colour of an object of the catalogue.
+    fn looks(&self, id: &str) -> Option<(&Footprint, f64, Color)> {
+        let objects = &self.cell.as_ref()?.objects;
+        let index = objects.iter().position(|object| object.id == id)?;
+        let [r, g, b] = colour::rgb(index);
+        Some((&objects[index].footprint, objects[index].height, Color { r, g, b, a: 1.0 }))
+    }
+
+    fn block(
+        &self,
+        now: Timestamp,
+        id: &str,
+        (footprint, height, colour): (&Footprint, f64, Color),
+        at: &Pose2,
+    ) -> SceneEntity {
+        let (low, high) = (ring(footprint, at, 0.0), ring(footprint, at, height));
+        let count = low.len();
+        // Sides alone: the outline on top closes it for the eye, also where it is not convex.
+        let side = |i: usize| {
+            [low[i], low[(i + 1) % count], high[(i + 1) % count], low[i], high[(i + 1) % count], high[i]]
+        };
+        let sides = TriangleListPrimitive {
+            pose: Some(pose(&Isometry3::identity())),
+            points: (0..count).flat_map(side).collect(),
+            color: Some(colour),
+            ..TriangleListPrimitive::default()
+        };
+        let [x, y] = at.transform(footprint.centroid());
+        let label = text(&Isometry3::translation(x, y, height + 0.01), id.to_string());
+        let rim = LinePrimitive { color: Some(colour), ..line(high.clone(), LineType::LineLoop) };
+        let (triangles, lines, texts) = (vec![sides], vec![rim], vec![label]);
+        SceneEntity { triangles, lines, texts, ..entity(now, "table", &object_id(id)) }
+    }
+}
+
+/// Joint positions, rad, and speeds, rad/s.
+pub fn joint_states(now: Timestamp, q: &Joints, qd: &[f64; 6]) -> JointStates {
+    let joint = |(index, name): (usize, &str)| JointState {
+        name: name.to_string(),
+        position: Some(q.0[index]),
+        velocity: Some(qd[index]),
+        ..JointState::default()
+    };
+    JointStates { timestamp: Some(now), joints: JOINT_NAMES.into_iter().enumerate().map(joint).collect() }
+}
+
+const GREY: Color = Color { r: 0.6, g: 0.6, b: 0.62, a: 0.7 };
+const RED: Color = Color { r: 0.85, g: 0.1, b: 0.1, a: 1.0 };
+const BLACK: Color = Color { r: 0.1, g: 0.1, b: 0.1, a: 1.0 };
+
+fn object_id(id: &str) -> String {
+    format!("object/{id}")
+}
+
+fn entity(now: Timestamp, in_frame: &str, id: &str) -> SceneEntity {
+    let (frame_id, id) = (in_frame.to_string(), id.to_string());
+    SceneEntity { timestamp: Some(now), frame_id, id, ..SceneEntity::default() }
+}
+
+fn deletion(now: Timestamp, id: String) -> SceneEntityDeletion {
+    // 0 is the schema's word for the entity of this id.
+    SceneEntityDeletion { timestamp: Some(now), r#type: 0, id }
+}
+
+fn line(points: Vec<Point3>, kind: LineType) -> LinePrimitive {
+    let pose = Some(pose(&Isometry3::identity()));
+    LinePrimitive { r#type: kind as i32, pose, thickness: 0.003, points, ..LinePrimitive::default() }
+}
+
+fn text(at: &Isometry3<f64>, text: String) -> TextPrimitive {
+    let (pose, color) = (Some(pose(at)), Some(BLACK));
+    TextPrimitive { pose, billboard: true, font_size: 12.0, scale_invariant: true, color, text }
+}
+
+fn ring(footprint: &Footprint, at: &Pose2, z: f64) -> Vec<Point3> {
+    let corners = footprint.outline(CORNERS).into_iter().map(|corner| at.transform(corner));
+    corners.map(|[x, y]| Point3 { x, y, z }).collect()
+}
+
+fn pose(at: &Isometry3<f64>) -> Pose {
+    let (translation, rotation) = parts(at);
+    Pose { position: Some(translation), orientation: Some(rotation) }
+}
+
+fn frame(now: Timestamp, parent: &str, child: &str, at: &Isometry3<f64>) -> FrameTransform {
+    let (translation, rotation) = parts(at);
+    FrameTransform {
+        timestamp: Some(now),
+        parent_frame_id: parent.to_string(),
+        child_frame_id: child.to_string(),
+        translation: Some(translation),
+        rotation: Some(rotation),
+    }
+}
+
+fn parts(at: &Isometry3<f64>) -> (Vector3, Quaternion) {
+    let (t, q) = (at.translation.vector, at.rotation);
+    (Vector3 { x: t.x, y: t.y, z: t.z }, Quaternion { x: q.i, y: q.j, z: q.k, w: q.w })
+}

@@ -1,0 +1,22 @@
+//! What a test may put between machine and world.
+//!
+//! In: what passes. Out: what is made of it. Nothing of the kind is in the daemon: it shows whether the
+//! rules of the closed loop notice.
+
+use crate::cell::event::{Effect, Event};
+use crate::cell::machine::Machine;
+
+/// Something between machine and world that a test puts there to see whether the rules notice: it may
+/// change, drop and add what passes. Nothing of the kind is in the daemon.
+pub trait Adapter {
+    /// What becomes of an event on its way to the machine.
+    fn event(&mut self, event: Event, events: &mut Vec<Event>) {
+        events.push(event);
+    }
+
+    /// What becomes of an effect on its way to the world; events may be made up.
+    fn effect(&mut self, effect: Effect, effects: &mut Vec<Effect>, made_up: &mut Vec<Event>);
+
+    /// Between two frames: what may be made up without a cause.
+    fn frame(&mut self, _machine: &Machine, _effects: &mut Vec<Effect>, _made_up: &mut Vec<Event>) {}
+}
