@@ -26,6 +26,7 @@ pub mod markers;
 pub mod open;
 pub mod plan;
 pub mod replay;
+pub mod schema;
 pub mod simulate;
 pub mod submit;
 pub mod task;
@@ -80,6 +81,8 @@ enum Command {
     /// Recordings (MCAP): make whole what a killed daemon left
     #[command(subcommand)]
     Recordings(replay::RecordingsCommand),
+    /// The shape of a kind of file as JSON Schema, for editors and other programs
+    Schema(schema::SchemaArgs),
     /// Make random instances of the paper's scenarios
     Generate(generate::GenerateArgs),
     /// Measure, print a table, draw figures
@@ -126,6 +129,7 @@ pub fn main() -> ExitCode {
         Command::Verify(args) => verify::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Generate(args) => generate::run(&args),
+        Command::Schema(args) => schema::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Recordings(command) => replay::recordings(&command),
         Command::Bench(Bench::Planning(args)) => {

@@ -24,6 +24,7 @@ mod public_bounds;
 mod render;
 mod replay;
 mod robot_session;
+mod schemas;
 mod sights;
 mod sim_config;
 mod slow_disk;

@@ -23,10 +23,10 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 const CONFIG: &str = include_str!("../../config/cell.yaml");
-const CAMERA: &str = include_str!("../../calibration/sim/camera.yaml");
-const HAND_EYE: &str = include_str!("../../calibration/sim/hand_eye.yaml");
-const TABLE: &str = include_str!("../../calibration/sim/table.yaml");
-const JOB: &str = "\
+pub(crate) const CAMERA: &str = include_str!("../../calibration/sim/camera.yaml");
+pub(crate) const HAND_EYE: &str = include_str!("../../calibration/sim/hand_eye.yaml");
+pub(crate) const TABLE: &str = include_str!("../../calibration/sim/table.yaml");
+pub(crate) const JOB: &str = "\
 version: 1
 id: tidy
 goal:
@@ -35,13 +35,13 @@ objective: pp
 approval: job
 not_before: 2026-11-21T08:00:00Z
 ";
-const GOAL: &str = "\
+pub(crate) const GOAL: &str = "\
 version: 1
 objects:
   - {id: plank-1, pose: [0.1, 0.1, 0.5]}
   - {id: block, pose: [0.4, 0.4, -1]}
 ";
-const INSTANCE: &str = "\
+pub(crate) const INSTANCE: &str = "\
 workspace: {width: 0.5, height: 0.5}
 objects:
   - {id: a, footprint: {disc: {radius: 0.05}}, start: [0.1, 0.1, 0], goal: [0.4, 0.1, 0]}
