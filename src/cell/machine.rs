@@ -43,7 +43,8 @@ pub struct MachineParameters {
     pub nonce_seed: u64,
 }
 
-/// The cell. See the module.
+/// The cell. See the module. It is written down for recordings; one that was read from a file drives
+/// nothing: its paths were checked by the celld that wrote it, and `replay` alone reads one.
 #[derive(Serialize, Deserialize)]
 pub struct Machine {
     robot: Robot,

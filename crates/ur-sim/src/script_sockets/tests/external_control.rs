@@ -5,6 +5,7 @@ use crate::controller::program_files::{ProgramFiles, ProgramSource};
 use crate::robot_server::dashboard::answer;
 use std::io::{BufRead, BufReader};
 use ur_wire::dashboard::Command;
+use ur_wire::primary_message::PROGRAM_STARTED;
 
 /// A controller with one such program, loaded.
 fn loaded(port: u16) -> Controller {
@@ -63,7 +64,7 @@ fn a_program_of_external_control_runs_what_the_pc_hands_out() {
     step_until(&mut controller, |c| c.programs.playing());
     step_until(&mut controller, |c| c.programs.line() > 5);
     assert_eq!(dashboard(&mut controller, "programState"), "PLAYING external_control.urp");
-    assert_eq!(texts(&mut controller), ["PROGRAM_XXX_STARTED:external_control", "on"]);
+    assert_eq!(texts(&mut controller), [format!("{PROGRAM_STARTED}:external_control"), "on".to_owned()]);
     assert_eq!(dashboard(&mut controller, "stop"), "Stopped");
     assert_eq!(dashboard(&mut controller, "programState"), "STOPPED external_control.urp");
 }
