@@ -125,10 +125,11 @@ DATA := $(or $(CELLD_DATA),../shared/data)
 # is real time that passes, but what computes beside them could hold a heartbeat up, and what the build has
 # left to be written to the disk a commit. Without nextest they run one after the other.
 #
-# celld's own unit tests share one process: each process that links FFmpeg and GDAL by OpenCV takes a tenth
-# of a second to start. Those with the RealSense SDK do not: two of its pipelines that open in one process at
+# The unit tests of celld and of the crates that use OpenCV share a process each: one that links FFmpeg and
+# GDAL takes a tenth of a second to start. Those with the RealSense SDK do not: two of its pipelines that open in one process at
 # once corrupt its memory now and then (1 run in 25; celld has one).
 SDK := test(/realsense::tests::/)
+SHARED := celld cell-calibration cell-machine cell-motion cell-vision
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 
 test: setup
@@ -143,8 +144,8 @@ test: setup
 	  sync; \
 	  echo "cargo nextest run"; \
 	  cargo nextest run --workspace --profile cells --test-threads 4 -E '$(CELLS)'; \
-	  cargo test --quiet -p celld --lib -- --skip realsense::tests::; \
-	  cargo nextest run --workspace -E 'not (test(/^third_party::/) | $(CELLS) | (package(celld) & kind(lib) - $(SDK)))'; \
+	  cargo test --quiet $(SHARED:%=-p %) --lib -- --skip realsense::tests::; \
+	  cargo nextest run --workspace -E 'not (test(/^third_party::/) | $(CELLS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))'; \
 	else \
 	  echo "cargo test"; \
 	  cargo test --workspace --all-targets -- --skip cell_ --skip robot_session:: --skip third_party:: --skip realsense::tests::; \

@@ -6,10 +6,10 @@
 //! every codec are read, and the simulator's sessions are driven as if over a socket, with controller frames
 //! in between.
 
+use cell_machine::device::dashboard_session::DashboardSession;
+use cell_machine::device::primary_session::PrimarySession;
+use cell_machine::device::rtde_session::RtdeSession;
 use cell_values::time::{Duration, Timestamp};
-use celld::cell::device::dashboard_session::DashboardSession;
-use celld::cell::device::primary_session::PrimarySession;
-use celld::cell::device::rtde_session::RtdeSession;
 use nalgebra::Isometry3;
 use ur_sim::controller::builtins::compile_program;
 use ur_sim::controller::program_files::ProgramSource;

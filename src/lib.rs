@@ -4,12 +4,6 @@
 //! ARCHITECTURE.md names, and `tests/tidy.rs` checks that. The pure core runs down to `report`; the rest is
 //! the shell around it.
 
-pub mod motion;
-
-pub mod calibration;
-
-pub mod cell;
-
 pub mod perception;
 
 pub mod report;

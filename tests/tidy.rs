@@ -57,24 +57,25 @@ const TABLE: &[Row] = &[
         ]),
         pure: false,
     },
-    Row { module: "motion", uses: Uses::Only(&["cell-values", "ur-arm", "rearrange"]), pure: true },
+    Row { module: "cell-motion", uses: Uses::Only(&["cell-values", "ur-arm", "rearrange"]), pure: true },
     Row {
-        module: "calibration",
+        module: "cell-calibration",
         uses: Uses::Only(&[
             "cell-values",
             "ur-arm",
             "rearrange::document",
             "rearrange::geometry",
             "cell-vision",
-            "motion",
+            "cell-motion",
         ]),
         pure: true,
     },
     Row {
-        module: "cell",
+        module: "cell-machine",
         uses: Uses::AllAbove { but: &["cell-edge", "urscript", "cell-parts", "ur-sim"], also: &[] },
         pure: true,
     },
+    Row { module: "cell-replay", uses: Uses::Only(&["cell-values", "cell-machine"]), pure: true },
     Row {
         module: "perception",
         uses: Uses::Only(&[
@@ -88,13 +89,19 @@ const TABLE: &[Row] = &[
     },
     Row {
         module: "report",
-        uses: Uses::Only(&["cell-values", "ur-arm", "rearrange", "cell-vision", "motion"]),
+        uses: Uses::Only(&["cell-values", "ur-arm", "rearrange", "cell-vision", "cell-motion"]),
         pure: true,
     },
     Row { module: "io", uses: Uses::Only(&["cell-values", "cell-edge", "cell-vision::camera"]), pure: false },
     Row {
         module: "jobs",
-        uses: Uses::Only(&["cell-values", "cell-edge::files", "rearrange", "cell::code", "cell::orders"]),
+        uses: Uses::Only(&[
+            "cell-values",
+            "cell-edge::files",
+            "rearrange",
+            "cell-machine::code",
+            "cell-machine::orders",
+        ]),
         pure: false,
     },
     Row {
@@ -139,8 +146,9 @@ fn none(breaches: Vec<String>) {
 #[test]
 fn the_table_is_in_reading_order_and_keeps_the_fixed_borders() {
     none(rules::table_faults(TABLE));
-    for (module, never) in [("ur-sim", "cell"), ("daemon", "ur-sim"), ("cell", "cell-edge"), ("io", "daemon")]
-    {
+    let borders =
+        [("ur-sim", "cell-machine"), ("daemon", "ur-sim"), ("cell-machine", "cell-edge"), ("io", "daemon")];
+    for (module, never) in borders {
         assert!(!rules::allows(TABLE, module, never), "{module} may never use {never}");
     }
 }

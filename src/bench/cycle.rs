@@ -6,14 +6,6 @@
 //! `bench/script`, each with the vacuum's own times as they were measured in the run.
 
 use crate::bench::script::{Carried, Rest, Script};
-use crate::cell::code::Code;
-use crate::cell::orders::{Approval, Order};
-use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::model::ForeignRule;
-use crate::cell::supervisor::order::JobOrder;
-use crate::cell::supervisor::phase::Phase;
-use crate::cell::supervisor::status::{Doing, WorkStep};
-use crate::cell::times::{JobTimes, TimeSplit, Use};
 use crate::config::cell::{CellConfig, MotionLimits};
 use crate::demo::cell::{DemoChoice, cell_config, sim_file};
 use crate::demo::task::fitted;
@@ -21,6 +13,13 @@ use crate::pair::eyes::Eye;
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::table::stage_of;
 use crate::pair::{Choice, Pair};
+use cell_machine::code::Code;
+use cell_machine::orders::{Approval, Order};
+use cell_machine::supervisor::model::CellModel;
+use cell_machine::supervisor::model::ForeignRule;
+use cell_machine::supervisor::order::JobOrder;
+use cell_machine::supervisor::status::{Doing, WorkStep};
+use cell_machine::times::{JobTimes, TimeSplit, Use};
 use cell_values::time::Duration;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use rearrange::geometry::pose::Pose2;
@@ -292,8 +291,8 @@ fn rest_of(pair: &Pair) -> Option<Rest> {
         Doing::Looking(..) => Some(Rest::Look(mover.q())),
         Doing::Working(WorkStep::Gripping, _) => {
             let supervisor = pair.machine().supervisor()?;
-            let Phase::Work(work) = &supervisor.phase else { return None };
-            Some(Rest::Pick(mover.q(), Carried::by(&work.paths.carry, &supervisor.model().cycle)))
+            let carry = supervisor.pick_n_place()?.carry;
+            Some(Rest::Pick(mover.q(), Carried::by(carry, &supervisor.model().cycle)))
         }
         Doing::Working(WorkStep::Releasing, _) => Some(Rest::Place(mover.q())),
         _ => None,

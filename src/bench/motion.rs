@@ -7,15 +7,15 @@
 //! roadmap) with 100 times the steps.
 
 use crate::bench::motion_model::{roadmap, rod};
-use crate::motion::bodies::cell::{CellBodies, NamedShape};
-use crate::motion::bodies::shape::Shape;
-use crate::motion::bodies::sweep::Sweep;
-use crate::motion::bodies::{Bodies, Room, Standing, Surroundings, Tabletop};
-use crate::motion::path::ArmModel;
-use crate::motion::pick_n_place::{CycleParameters, PickNPlace, plan, tool_down};
-use crate::motion::reach::reaches;
-use crate::motion::way::{NoWay, Search, find};
 use crate::pair::thin_arm::{THINNER_M, ThinModel};
+use cell_motion::bodies::cell::{CellBodies, NamedShape};
+use cell_motion::bodies::shape::Shape;
+use cell_motion::bodies::sweep::Sweep;
+use cell_motion::bodies::{Bodies, Room, Standing, Surroundings, Tabletop};
+use cell_motion::path::ArmModel;
+use cell_motion::pick_n_place::{CycleParameters, PickNPlace, plan, tool_down};
+use cell_motion::reach::reaches;
+use cell_motion::way::{NoWay, Search, find};
 use cell_values::units::Joints;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

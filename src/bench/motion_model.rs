@@ -4,9 +4,9 @@
 //! In: the arm's model. Out: the rod, and whether a roadmap finds a way; it asks the swept check for single
 //! straight ways only.
 
-use crate::motion::bodies::Room;
-use crate::motion::bodies::sweep::Sweep;
-use crate::motion::path::ArmModel;
+use cell_motion::bodies::Room;
+use cell_motion::bodies::sweep::Sweep;
+use cell_motion::path::ArmModel;
 use cell_values::units::Joints;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

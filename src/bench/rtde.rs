@@ -8,8 +8,8 @@
 
 use crate::bench::rtde_client::{Client, Seen, bring_up, play, watch};
 use crate::bench::rtde_process::Simulator;
-use crate::cell::device::rtde_recipes::output_names;
 use cell_edge::priority;
+use cell_machine::device::rtde_recipes::output_names;
 use serde::Serialize;
 use std::net::IpAddr;
 use std::path::PathBuf;

@@ -7,10 +7,10 @@
 //! the speed that the straight part lets it have, at its limits; one exposure. The vacuum's times are the
 //! caller's.
 
-use crate::cell::supervisor::model::CellModel;
-use crate::motion::cycle_time::rest_to_rest;
-use crate::motion::path::{CheckedPath, Segment};
-use crate::motion::pick_n_place::CycleParameters;
+use cell_machine::supervisor::model::CellModel;
+use cell_motion::cycle_time::rest_to_rest;
+use cell_motion::path::{CheckedPath, Segment};
+use cell_motion::pick_n_place::CycleParameters;
 use cell_values::units::Joints;
 use ur_sim::camera::CameraTiming;
 

@@ -5,13 +5,13 @@
 //! are for. Out: one line for each complaint, with file, line and column, on stdout; exit code 2 if there is
 //! any. Nothing is changed and no daemon is needed.
 
-use crate::calibration::files;
-use crate::cell::orders::Approval;
 use crate::cli::task::outln;
 use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::jobs::goal::{find_goal_file, parse_goal_file};
 use crate::jobs::job_file::{JobContext, read_job};
+use cell_calibration::files;
+use cell_machine::orders::Approval;
 use cell_parts::file::read_text;
 use clap::{Args, ValueEnum};
 use rearrange::document::tree::Node;

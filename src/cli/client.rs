@@ -2,13 +2,13 @@
 //!
 //! In: `--state` on the command line; faults. Out: the state folder, and a fault with its causes on stderr.
 
-use crate::cell::orders::Reply;
 use crate::jobs::command::{Command, Given, Sent};
 use crate::jobs::journal::JournalError;
 use crate::jobs::state::{StateError, StateFolder};
 use crate::jobs::status::{STARTING, Status};
 use cell_edge::clock::{boot_now_s, unix_now_s};
 use cell_edge::files::FileError;
+use cell_machine::orders::Reply;
 use clap::{Args, ValueEnum};
 use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};

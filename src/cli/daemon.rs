@@ -5,8 +5,6 @@
 //! configuration or calibration files are exit 2, before any device is touched; a second daemon on one state
 //! folder is 1.
 
-use crate::calibration::files::set::CalibrationSet;
-use crate::cell::event::Arm;
 use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
@@ -29,9 +27,11 @@ use crate::page::feed::{Feed, KnownCell, Watcher};
 use crate::page::orders::{WithPage, desk};
 use crate::page::shared::Setup;
 use crate::perception::Perception;
+use cell_calibration::files::set::CalibrationSet;
 use cell_edge::clock::{Clock, unix_now_s};
 use cell_edge::priority;
 use cell_edge::terminal::complain;
+use cell_machine::event::Arm;
 use cell_values::time::Timestamp;
 use cell_vision::camera::CameraModel;
 use cell_vision::detect::DetectSettings;

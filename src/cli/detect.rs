@@ -225,7 +225,7 @@ fn json(path: &Path, image: &Image, found: &[Found], seen: Option<&Observation>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibration::files::camera::CameraCalibration;
+    use cell_calibration::files::camera::CameraCalibration;
     use cell_values::image::depth::DepthImage;
     use cell_values::image::depth::UNIT_M;
     use cell_vision::marker;

@@ -185,10 +185,10 @@ pub(super) fn code(result: Result<u8, ClientError>) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::code::JobStatus;
     use crate::jobs::journal::NewJob;
     use crate::jobs::record::{GoalPose, JobResult, JobSpec, ObjectResult, PlanRecord, PlanStep, StepKind};
     use cell_edge::files::FileIdentity;
+    use cell_machine::code::JobStatus;
     use rearrange::geometry::pose::Pose2;
     use std::path::Path;
 

@@ -3,7 +3,6 @@
 //! In: arguments. Out: what came of it on stdout, exit code 0, 1 or 2. `submit`, `jobs` and `status` work
 //! with the daemon off; every other command is refused then, and never stored for a later daemon.
 
-use crate::cell::orders::{Reply, WayBack};
 use crate::cli::client::{ClientError, Format, StateArg, complain, request};
 use crate::cli::history::{self, JobsArgs, ReportArgs, WhyArgs};
 use crate::cli::open::{self, OpenArgs};
@@ -14,6 +13,7 @@ use crate::jobs::command::{Command, ReleaseChannel};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
 use crate::jobs::utc;
+use cell_machine::orders::{Reply, WayBack};
 use clap::{Args, Subcommand, ValueEnum};
 
 /// Commands to the cell.

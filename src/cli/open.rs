@@ -4,10 +4,10 @@
 //! Out: a browser that is signed in; with `--print` a link that counts once, for two minutes; with
 //! `--token` a secret for a program. Exit code 1 where there is no daemon or no page.
 
-use crate::cell::orders::Role;
 use crate::cli::client::{ClientError, StateArg, request};
 use crate::cli::task::outln;
 use crate::jobs::command::{Command, SignIn};
+use cell_machine::orders::Role;
 use clap::Args;
 use std::process::Stdio;
 

@@ -7,7 +7,6 @@
 
 mod pictures;
 
-use crate::cell::replay::{Difference, Kind, Piece, Replay, Replayed};
 use crate::cli::client::StateArg;
 use crate::config::load::load_cell;
 use crate::daemon::recorder::{piece_of, topic_of};
@@ -16,6 +15,7 @@ use crate::io::recording::repair::{Repaired, is_whole, repair};
 use crate::io::recording::{ABOUT, Recording, log_time_at};
 use crate::jobs::status::Status;
 use cell_edge::terminal::{complain, print};
+use cell_replay::{Difference, Kind, Piece, Replay, Replayed};
 use cell_values::time::Timestamp;
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
@@ -154,7 +154,7 @@ fn message(
     replay: &mut Replay,
     pictures: &mut Option<Pictures>,
     entry: &Entry,
-) -> Result<Option<Difference>, crate::cell::replay::Unreadable> {
+) -> Result<Option<Difference>, cell_replay::Unreadable> {
     let kind = piece_of(&entry.channel.topic);
     if let Some(pictures) = pictures {
         pictures.take(entry, kind);
@@ -162,7 +162,7 @@ fn message(
     kind.map_or(Ok(None), |kind| replay.take(kind, &entry.data))
 }
 
-fn different_version(error: &crate::cell::replay::Unreadable, about: &About) -> String {
+fn different_version(error: &cell_replay::Unreadable, about: &About) -> String {
     let (then, now) = (&about.version, env!("CARGO_PKG_VERSION"));
     format!("{error} (recorded by celld {then}, this is {now})")
 }

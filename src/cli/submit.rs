@@ -6,7 +6,6 @@
 //! While a daemon runs its verdict is waited for. Exit code 0 when handed in and not refused (with `--wait`:
 //! when done), 1 when the job did not succeed, 2 when it is wrong or refused.
 
-use crate::cell::code::JobStatus;
 use crate::cli::check::folder_of;
 use crate::cli::client::{StateArg, complain};
 use crate::cli::task::outln;
@@ -17,6 +16,7 @@ use crate::jobs::state::StateFolder;
 use crate::jobs::status::{STARTING, Status};
 use crate::jobs::submit::{Found, Handed, hand_in, look, prepare};
 use cell_edge::clock::unix_now_s;
+use cell_machine::code::JobStatus;
 use cell_parts::file::read_text;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -167,11 +167,11 @@ fn report_end(job: &JobRecord, status: JobStatus) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::orders::Approval;
     use crate::jobs::job_file::{JobContext, read_for_spool};
     use crate::jobs::journal::Journal;
     use crate::jobs::spool::{Spool, SpoolSettings};
     use cell_edge::files::create_folder;
+    use cell_machine::orders::Approval;
     use cell_values::time::Timestamp;
 
     const NOW: f64 = 1_795_248_000.0;

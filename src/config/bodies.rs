@@ -4,8 +4,8 @@
 //! and in the flange's, m, or `None` with a complaint kept. Every key is optional: a cell with nothing near
 //! it is described by the rest of the file.
 
-use crate::motion::bodies::cell::{MARGIN_M, NamedShape};
-use crate::motion::bodies::shape::Shape;
+use cell_motion::bodies::cell::{MARGIN_M, NamedShape};
+use cell_motion::bodies::shape::Shape;
 use cell_parts::fields::{list, optional, required_positive, transform};
 use rearrange::document::decode::{At, Decoder, Fields};
 

@@ -4,15 +4,15 @@
 //! one of them, where a calibration starts from it; the numbers that the daemon works with; files written.
 //! What is in them, and what fits together, is `calibration::files`.
 
-use crate::calibration::files::camera::CameraCalibration;
-use crate::calibration::files::hand_eye::{HandEyeCalibration, Provenance};
-use crate::calibration::files::set::{CalibrationSet, FileText};
-use crate::cell::event::Arm;
 use crate::config::cell::{CalibrationFiles, CellConfig};
 use crate::config::setup::{Measured, reference_markers};
 use crate::jobs::utc;
+use cell_calibration::files::camera::CameraCalibration;
+use cell_calibration::files::hand_eye::{HandEyeCalibration, Provenance};
+use cell_calibration::files::set::{CalibrationSet, FileText};
 use cell_edge::clock::unix_now_s;
 use cell_edge::files::{self, FileError, create_folder, write_atomic};
+use cell_machine::event::Arm;
 use cell_parts::file::read_text;
 use cell_vision::camera::CameraModel;
 use rearrange::document::chain::chain;

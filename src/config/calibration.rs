@@ -5,10 +5,10 @@
 //! [`CalibrationBox`], or `None` with a complaint kept. Only what the printed board's maker (`celld
 //! markers`) decides by itself has a default.
 
-use crate::calibration::drawn::CameraMount;
 use crate::config::cell::CalibrationFiles;
 use crate::config::parts::CellParts;
-use crate::motion::slow::CalibrationBox;
+use cell_calibration::drawn::CameraMount;
+use cell_motion::slow::CalibrationBox;
 use cell_parts::fields::{joints_deg, list, path, transform};
 use cell_parts::grid::{MarkerGrid, board, board_apart};
 use cell_parts::places::Places;

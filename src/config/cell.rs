@@ -5,15 +5,15 @@
 //! No field that is measured, and no speed or acceleration, has a `Default`: an unmeasured cell must not
 //! start.
 
-use crate::calibration::drawn::CameraMount;
-use crate::cell::orders::Approval;
-use crate::cell::supervisor::model::ForeignRule;
 use crate::config::bodies::Equipment;
 pub use crate::config::camera::CameraDevice;
 use crate::config::page::PageConfig;
 use crate::jobs::goal::GoalContext;
 use crate::jobs::journal::old::HistoryLimits;
-use crate::motion::slow::CalibrationBox;
+use cell_calibration::drawn::CameraMount;
+use cell_machine::orders::Approval;
+use cell_machine::supervisor::model::ForeignRule;
+use cell_motion::slow::CalibrationBox;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;
 use cell_values::image::quality::PictureLimits;

@@ -4,12 +4,12 @@
 //! takes the parts it needs and is left out when one of them is missing, so that one wrong key hides no
 //! other fault. Pure.
 
-use crate::calibration::drawn::CameraMount;
-use crate::cell::supervisor::model::ForeignRule;
 use crate::config::calibration::check_board;
 use crate::config::cell::{Devices, MotionLimits};
 use crate::config::parts::CellParts;
-use crate::motion::holding::{LEAST_ACCELERATION, Lip, Offset, Suction};
+use cell_calibration::drawn::CameraMount;
+use cell_machine::supervisor::model::ForeignRule;
+use cell_motion::holding::{LEAST_ACCELERATION, Lip, Offset, Suction};
 use cell_parts::gripper::{CupConfig, GripperConfig};
 use cell_parts::places::Places;
 use cell_parts::reference::check_reference_markers;

@@ -4,13 +4,13 @@
 //! table looks from the look poses; or a sentence that names the file. Pictures that were just taken are
 //! kept only if they show none of the cell's objects.
 
-use crate::calibration::files::round::Round;
-use crate::calibration::fit::Sample;
-use crate::cell::event::Arm;
 use crate::config::cell::CellConfig;
 use crate::config::round::SAMPLES;
 use crate::config::setup::Measured;
+use cell_calibration::files::round::Round;
+use cell_calibration::fit::Sample;
 use cell_edge::files;
+use cell_machine::event::Arm;
 use cell_values::image::Image;
 use cell_vision::foreign::search::ForeignSearch;
 use nalgebra::Isometry3;

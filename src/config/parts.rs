@@ -4,9 +4,6 @@
 //! across parts run on this, so that a wrong unit in one place does not hide a marker used twice in another.
 //! Pure.
 
-use crate::calibration::drawn::CameraMount;
-use crate::cell::orders::Approval;
-use crate::cell::supervisor::model::ForeignRule;
 use crate::config::bodies::Equipment;
 use crate::config::cell::{
     CalibrationFiles, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig,
@@ -14,7 +11,10 @@ use crate::config::cell::{
 };
 use crate::config::page::PageConfig;
 use crate::jobs::journal::old::HistoryLimits;
-use crate::motion::slow::CalibrationBox;
+use cell_calibration::drawn::CameraMount;
+use cell_machine::orders::Approval;
+use cell_machine::supervisor::model::ForeignRule;
+use cell_motion::slow::CalibrationBox;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;
 use cell_values::units::Joints;

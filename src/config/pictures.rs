@@ -2,7 +2,7 @@
 //!
 //! In: paths. Out: an image, its bytes, a camera model; or a sentence that names the file.
 
-use crate::calibration::files::camera::CameraCalibration;
+use cell_calibration::files::camera::CameraCalibration;
 use cell_edge::files;
 use cell_values::image::Image;
 use cell_vision::camera::CameraModel;

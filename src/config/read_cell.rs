@@ -4,9 +4,6 @@
 //! checked configuration, or every complaint at once. Nothing measured and no limit has a default; what may
 //! be left out are the keys that only switch something on.
 
-use crate::cell::device::gripper_types::UNIT;
-use crate::cell::orders::Approval;
-use crate::cell::supervisor::model::ForeignRule;
 use crate::config::bodies::{Equipment, equipment};
 use crate::config::calibration;
 use crate::config::camera::camera_device;
@@ -18,6 +15,9 @@ use crate::config::check::check_cell;
 use crate::config::page::page;
 use crate::config::parts::{CellParts, TableParts};
 use crate::jobs::journal::old::HistoryLimits;
+use cell_machine::device::gripper_types::UNIT;
+use cell_machine::orders::Approval;
+use cell_machine::supervisor::model::ForeignRule;
 use cell_parts::fields::{
     each, host, joints_deg, list, optional, path, port, required_each, required_number, required_positive,
     transform,

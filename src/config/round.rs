@@ -3,12 +3,12 @@
 //! In: the stops of a round; a folder that holds one. Out: the files; the samples with the markers of each
 //! picture, or a sentence that names the file. A recorded round can be solved again without moving the arm.
 
-use crate::calibration::files::camera::CameraCalibration;
-use crate::calibration::files::hand_eye::Provenance;
-use crate::calibration::files::round::{RecordedSample, Round};
-use crate::calibration::fit::Sample;
-use crate::calibration::visit::Stop;
 use crate::config::pictures::{read_camera, read_picture};
+use cell_calibration::files::camera::CameraCalibration;
+use cell_calibration::files::hand_eye::Provenance;
+use cell_calibration::files::round::{RecordedSample, Round};
+use cell_calibration::fit::Sample;
+use cell_calibration::visit::Stop;
 use cell_edge::files;
 use cell_values::image::Image;
 use cell_vision::camera::CameraModel;

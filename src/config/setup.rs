@@ -3,25 +3,25 @@
 //! In: a checked [`CellConfig`], what calibration found, the kinematics the controller reported. Out: plain
 //! structs; no other part of the daemon reads the configuration. Pure.
 
-use crate::calibration::drawn::{CameraMount, Drawn};
-use crate::calibration::files::hand_eye::Mount;
-use crate::cell::device::gripper_types::{Channels, GripperParameters};
-use crate::cell::device::robot_types::RobotParameters;
-use crate::cell::event::Arm;
-use crate::cell::machine::MachineParameters;
-use crate::cell::supervisor::model::{
-    CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
-};
-use crate::cell::views::SightModel;
 use crate::config::bodies::Equipment;
 use crate::config::cell::{CellConfig, Devices};
 use crate::config::check::{HELD_SHARE, off_centre, suction};
-use crate::motion::bodies::cell::{CellBodies, GripperBody};
-use crate::motion::bodies::{Bodies, Surroundings, Tabletop};
-use crate::motion::holding::LEAST_ACCELERATION;
-use crate::motion::path::{ArmLimits, ArmModel};
-use crate::motion::pick_n_place::{CycleParameters, plan};
 use crate::perception::Scene;
+use cell_calibration::drawn::{CameraMount, Drawn};
+use cell_calibration::files::hand_eye::Mount;
+use cell_machine::device::gripper_types::{Channels, GripperParameters};
+use cell_machine::device::robot_types::RobotParameters;
+use cell_machine::event::Arm;
+use cell_machine::machine::MachineParameters;
+use cell_machine::supervisor::model::{
+    CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
+};
+use cell_machine::views::SightModel;
+use cell_motion::bodies::cell::{CellBodies, GripperBody};
+use cell_motion::bodies::{Bodies, Surroundings, Tabletop};
+use cell_motion::holding::LEAST_ACCELERATION;
+use cell_motion::path::{ArmLimits, ArmModel};
+use cell_motion::pick_n_place::{CycleParameters, plan};
 use cell_parts::gripper::CupChannel;
 use cell_values::time::Duration;
 use cell_vision::camera::CameraModel;

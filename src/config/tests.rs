@@ -1,9 +1,9 @@
 //! The example files are sound, and every kind of mistake is reported with its place.
 
-use crate::calibration::drawn::CameraMount;
 use crate::config::cell::CellConfig;
 use crate::config::read_cell::{CELL_KEYS, read_cell};
 use crate::jobs::edit::{replace_first, replace_once};
+use cell_calibration::drawn::CameraMount;
 use cell_parts::gripper::CupChannel;
 use rearrange::document::Diagnostics;
 use std::path::Path;

@@ -3,8 +3,6 @@
 //! In: the configuration's devices, the lens where a calibration is to be used. Out: a source that gives
 //! usable pictures or reports what is wrong; and what is reported of that to the supervisor.
 
-use crate::cell::code::Code;
-use crate::cell::supervisor::input::CameraFault;
 use crate::config::cell::{CameraDevice, Devices};
 #[cfg(not(feature = "video"))]
 use crate::io::camera::UvcSettings;
@@ -17,6 +15,8 @@ use crate::io::camera::snapshot::SnapshotCamera;
 use crate::io::camera::{CameraError, CameraSource, FaultKind};
 #[cfg(feature = "video")]
 use crate::io::camera::{uvc::UvcCamera, video::VideoCamera};
+use cell_machine::code::Code;
+use cell_machine::supervisor::input::CameraFault;
 use cell_vision::camera::CameraModel;
 use rearrange::document::chain::chain;
 use std::time::Duration;

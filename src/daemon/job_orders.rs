@@ -4,12 +4,12 @@
 //! agreed to. Out: the context of its checks, and the order; the keeper's for a job that begins, the page's
 //! for a draft.
 
-use crate::cell::supervisor::order::JobOrder;
 use crate::config::cell::CellConfig;
 use crate::daemon::plan_files::action_of;
 use crate::jobs::goal::{FoundBy, JobContext, ReadGoal};
 use crate::jobs::journal::Journal;
 use crate::jobs::record::{GoalPose, JobSpec, PlanStep};
+use cell_machine::supervisor::order::JobOrder;
 use cell_values::time::Duration;
 use rearrange::document::chain::chain;
 use rearrange::planning::solver::SolverKind;
@@ -67,6 +67,6 @@ pub fn job_order(
         time_limit: Duration::from_secs_f64(seconds.clamp(0.001, 86_400.0)),
         seed: spec.seed.unwrap_or(planner.seed),
         // The cell's policy is a floor, also for a job that was taken in under a laxer one.
-        approval: config.approval.max(spec.approval.unwrap_or(crate::cell::orders::Approval::Never)),
+        approval: config.approval.max(spec.approval.unwrap_or(cell_machine::orders::Approval::Never)),
     })
 }

@@ -3,7 +3,6 @@
 //! In: the journal's record and steps of a job, the cell for its shapes, the job's folder for its pictures.
 //! Out: the report that `report::html` makes a page of; `celld report` and the daemon's page show the same.
 
-use crate::cell::code::JobStatus;
 use crate::config::cell::CellConfig;
 use crate::daemon::plan_files;
 use crate::jobs::history::story;
@@ -11,6 +10,7 @@ use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, St
 use crate::jobs::utc;
 use crate::report::run::{Drawing, Figures, LogRow, MoveRow, ObjectRow, Picture, RunReport};
 use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
+use cell_machine::code::JobStatus;
 use rearrange::geometry::pose::Pose2;
 use std::path::Path;
 

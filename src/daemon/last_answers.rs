@@ -3,7 +3,7 @@
 //! In: marks of the loop, for each answer of a device. Out: ages, for the status file. Apart from the
 //! supervisor's status, whose words change only when a device does.
 
-use crate::cell::supervisor::status::Device;
+use cell_machine::supervisor::status::Device;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 

@@ -2,9 +2,9 @@
 //!
 //! Plain data, below all of them, so that none of them has to know the loop.
 
-use crate::calibration::fit::Sample;
-use crate::cell::device::robot_types::Link;
-use crate::cell::event::Event;
+use cell_calibration::fit::Sample;
+use cell_machine::device::robot_types::Link;
+use cell_machine::event::Event;
 use cell_values::image::Image;
 use cell_vision::observe::{Observation, View};
 use tokio::net::TcpStream;

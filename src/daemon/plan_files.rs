@@ -3,13 +3,13 @@
 //! In: a plan as the supervisor has it. Out: the journal's record of it; `plan.json` and `plan.svg` in the
 //! job's folder, for whoever has to approve it. The files are copies: the journal alone is the truth.
 
-use crate::cell::supervisor::input::PlanNote;
-use crate::cell::supervisor::order::RouteAction;
 use crate::config::cell::CellConfig;
 use crate::jobs::record::{GoalPose, PlanRecord, PlanStep, StepKind};
 use crate::jobs::utc;
 use crate::report::route_svg::{DrawnMove, DrawnPlan};
 use cell_edge::files::{FileError, write_whole};
+use cell_machine::supervisor::input::PlanNote;
+use cell_machine::supervisor::order::RouteAction;
 use cell_vision::annotate::moves;
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::Workspace;

@@ -11,17 +11,17 @@ mod tape;
 
 pub use tape::{piece_of, topic_of};
 
-use crate::cell::device::robot_types::RobotState;
-use crate::cell::event::{Effect, Event};
-use crate::cell::machine::Machine;
-use crate::cell::replay::Piece;
-use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::status::Status;
 use crate::config::cell::{RecordedPictures, RecordingConfig};
 use crate::daemon::messages::Displayed;
 use crate::daemon::recordings_folder::{RecordingsFolder, Segment};
 use crate::daemon::shell::Scene;
 use cell_edge::priority;
+use cell_machine::device::robot_types::RobotState;
+use cell_machine::event::{Effect, Event};
+use cell_machine::machine::Machine;
+use cell_machine::supervisor::input::Record;
+use cell_machine::supervisor::status::Status;
+use cell_replay::Piece;
 use cell_values::image::Image;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::camera::CameraModel;

@@ -9,23 +9,23 @@
 
 mod start;
 
-use crate::calibration::visit::{Samples, Stop};
-use crate::cell::device::robot_types::RobotState;
-use crate::cell::event::{Arm, Effect, Event, News};
-use crate::cell::machine::{Machine, MachineParameters};
-use crate::cell::supervisor::input::Notice;
-use crate::cell::supervisor::mode::EndFault;
-use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::{JobReport, RouteAction};
-use crate::cell::supervisor::round::{RoundFault, RoundOrder};
-use crate::cell::supervisor::status::{Device, Doing, Status};
 use crate::daemon::last_answers::LastAnswers;
 use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Orders, Store};
 use crate::daemon::watchdog::{Beat, Beats};
 use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_eyes, spawn_plan};
+use cell_calibration::visit::{Samples, Stop};
 use cell_edge::clock::Clock;
+use cell_machine::device::robot_types::RobotState;
+use cell_machine::event::{Arm, Effect, Event, News};
+use cell_machine::machine::{Machine, MachineParameters};
+use cell_machine::supervisor::input::Notice;
+use cell_machine::supervisor::mode::EndFault;
+use cell_machine::supervisor::model::CellModel;
+use cell_machine::supervisor::order::{JobReport, RouteAction};
+use cell_machine::supervisor::round::{RoundFault, RoundOrder};
+use cell_machine::supervisor::status::{Device, Doing, Status};
 use cell_values::time::Timestamp;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -180,7 +180,7 @@ impl Shell {
         addresses: &Addresses,
         clock: Clock,
         parameters: MachineParameters,
-    ) -> Result<Shell, crate::cell::device::program::TemplateError> {
+    ) -> Result<Shell, cell_machine::device::program::TemplateError> {
         let (messages_in, messages) = mpsc::channel(QUEUE);
         let beats = Beats::default();
         let beat = beats.task("the loop", EVERY_TURN_WITHIN);
@@ -286,7 +286,7 @@ impl Shell {
                 break ended;
             }
             if stop() && !std::mem::replace(&mut stopped, true) {
-                self.between_turns(Event::Order(0, crate::cell::orders::Order::Abort));
+                self.between_turns(Event::Order(0, cell_machine::orders::Order::Abort));
             }
         };
         let began = self.now();

@@ -4,12 +4,12 @@
 //! sockets is read in one call, so that nothing of it is missing when time is judged. Writing never waits:
 //! what the system does not take is kept, and a controller that does not read for 2 s is disconnected.
 
-use crate::cell::device::gripper_types::{ModbusFailure, ModbusRequest};
-use crate::cell::device::robot_types::Link;
-use crate::cell::event::Event;
 use crate::config::cell::Devices;
 use crate::daemon::messages::{Made, Message};
 use cell_edge::clock::Clock;
+use cell_machine::device::gripper_types::{ModbusFailure, ModbusRequest};
+use cell_machine::device::robot_types::Link;
+use cell_machine::event::Event;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::time::{Duration, Instant};
 use tokio::net::TcpStream;

@@ -4,12 +4,12 @@
 //! with the user who ordered. What a person has confirmed is remembered before it is answered. Who wants to
 //! be signed in at the page is answered at once: that is no order to the machine.
 
-use crate::cell::orders::{Order, Reply};
 use crate::daemon::keeper::KeeperError;
 use crate::daemon::store::Orders;
 use crate::jobs::command::{Command, Inbox, SignIn, Taken};
 use crate::jobs::state::StateFolder;
 use cell_edge::clock::{boot_now_s, unix_now_s};
+use cell_machine::orders::{Order, Reply};
 use rearrange::document::chain::chain;
 use std::collections::VecDeque;
 

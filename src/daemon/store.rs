@@ -6,15 +6,15 @@
 //! robot stops when no message reaches it for a fraction of that, and a person who aborts does not wait for
 //! a disk.
 
-use crate::cell::event::Event;
-use crate::cell::orders::{Order, Reply};
-use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::mode::EndFault;
-use crate::cell::supervisor::order::JobOrder;
-use crate::cell::supervisor::status::Status;
 use crate::daemon::messages::Message;
 use crate::daemon::watchdog::{Beat, Beats};
 use cell_edge::clock::Clock;
+use cell_machine::event::Event;
+use cell_machine::orders::{Order, Reply};
+use cell_machine::supervisor::input::Record;
+use cell_machine::supervisor::mode::EndFault;
+use cell_machine::supervisor::order::JobOrder;
+use cell_machine::supervisor::status::Status;
 use cell_values::time::{Duration, Timestamp};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

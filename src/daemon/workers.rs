@@ -4,20 +4,20 @@
 //! Workers run at a lower priority than the loop that keeps the robot's heartbeat, and planning has a
 //! stop flag that the loop raises.
 
-use crate::calibration::fit::Sample;
-use crate::cell::code::Code;
-use crate::cell::event::Event;
-use crate::cell::planner::answer;
-use crate::cell::supervisor::input::{CameraFault, PlanRequest};
 use crate::daemon::cameras::fault_of;
 use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::watchdog::Beat;
 use crate::io::camera::{CameraSource, Frame};
 use crate::perception::diagnostic_images::{self, SHOTS_MAX, Shot};
 use crate::perception::{Perception, PerceptionError, Picture};
+use cell_calibration::fit::Sample;
 use cell_edge::clock::Clock;
 use cell_edge::files;
 use cell_edge::priority;
+use cell_machine::code::Code;
+use cell_machine::event::Event;
+use cell_machine::planner::answer;
+use cell_machine::supervisor::input::{CameraFault, PlanRequest};
 use cell_values::time::Timestamp;
 use cell_vision::detect::Detector;
 use cell_vision::foreign::HeldBody;

@@ -4,9 +4,6 @@
 //! In: an instance whose objects fit the cell, addresses, a seed. Out: a [`CellConfig`] with nominal values
 //! and a [`SimFile`] whose truth deviates from them by the seed. Nothing measured passes between the two.
 
-use crate::calibration::drawn::CameraMount;
-use crate::cell::orders::Approval;
-use crate::cell::supervisor::model::ForeignRule;
 use crate::config::bodies::Equipment;
 use crate::config::cell::{
     CalibrationFiles, CameraDevice, CellConfig, Devices, MotionLimits, PlannerConfig, SimulationConfig,
@@ -20,6 +17,9 @@ use crate::demo::teach::{
     BASE_BEHIND_M, REFERENCE_SIZE_M, ViewAngle, calibration_poses, look_poses, reference_markers,
 };
 use crate::jobs::journal::old::HistoryLimits;
+use cell_calibration::drawn::CameraMount;
+use cell_machine::orders::Approval;
+use cell_machine::supervisor::model::ForeignRule;
 use cell_parts::gripper::{CupChannel, CupConfig, GripperConfig};
 use cell_parts::reference::ReferenceMarkerConfig;
 use cell_values::image::quality::PictureLimits;

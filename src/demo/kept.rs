@@ -3,8 +3,8 @@
 //! In: what the daemon shows, one thing after the other. Out: [`Kept`], from which the report is made.
 //! Nothing is judged here.
 
-use crate::cell::supervisor::order::{JobReport, RouteAction};
 use crate::report::run::LogRow;
+use cell_machine::supervisor::order::{JobReport, RouteAction};
 use cell_values::image::Image;
 use cell_values::time::Timestamp;
 use cell_vision::annotate::draw_detections;

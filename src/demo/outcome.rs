@@ -3,10 +3,6 @@
 //! In: a [`DemoOutcome`]. Out: a [`RunReport`] and texts; nothing is written here. The wanted arrangement
 //! counts as reached only if the simulated world itself says that every object is where the job wanted it.
 
-use crate::calibration::fit::HandEye;
-use crate::cell::code::JobStatus;
-use crate::cell::supervisor::order::{JobReport, RouteAction};
-use crate::cell::times::TimeSplit;
 use crate::config::cell::CellConfig;
 use crate::demo::cell::DemoChoice;
 use crate::demo::kept::Kept;
@@ -14,6 +10,10 @@ use crate::report::plan_svg::plan_svg;
 use crate::report::run::{Drawing, Figures, MoveRow, ObjectRow, Picture, RunReport, deviation};
 use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
 use crate::report::times_svg::{TimeRow, times_svg};
+use cell_calibration::fit::HandEye;
+use cell_machine::code::JobStatus;
+use cell_machine::supervisor::order::{JobReport, RouteAction};
+use cell_machine::times::TimeSplit;
 use cell_values::image::Image;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::{Action, ActionKind};

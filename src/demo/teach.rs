@@ -3,8 +3,8 @@
 //!
 //! In: table size, the nominal arm and camera. Out: joint poses that the path check accepts. Pure.
 
-use crate::motion::bodies::Room;
-use crate::motion::path::{ArmModel, CheckedPath, Leg, Segment};
+use cell_motion::bodies::Room;
+use cell_motion::path::{ArmModel, CheckedPath, Leg, Segment};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rearrange::geometry::pose::{Pose2, rotation_from_axes};
@@ -183,8 +183,8 @@ fn looking(eye: [f64; 3], target: [f64; 3], roll: f64) -> Isometry3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::bodies::Bodies;
-    use crate::motion::path::ArmLimits;
+    use cell_motion::bodies::Bodies;
+    use cell_motion::path::ArmLimits;
     use std::f64::consts::TAU;
     use ur_arm::kinematics::{DhParameters, forward};
 

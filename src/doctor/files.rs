@@ -4,15 +4,15 @@
 //! In: the checked configuration, the calibration set or the complaints about it, the arm where it is known.
 //! Out: lines. Pure.
 
-use crate::calibration::files::set::CalibrationSet;
-use crate::cell::event::Arm;
-use crate::cell::supervisor::model::CellModel;
 use crate::config::cell::CellConfig;
 use crate::config::setup::{Measured, cell_model};
 use crate::doctor::{Area, Line};
 use crate::jobs::utc;
-use crate::motion::bodies::Room;
-use crate::motion::bodies::sweep::{Meeting, Sweep, Zone};
+use cell_calibration::files::set::CalibrationSet;
+use cell_machine::event::Arm;
+use cell_machine::supervisor::model::CellModel;
+use cell_motion::bodies::Room;
+use cell_motion::bodies::sweep::{Meeting, Sweep, Zone};
 use cell_values::units::Joints;
 
 /// A calibration older than this is worth a new look, s.

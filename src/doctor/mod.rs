@@ -15,8 +15,8 @@ pub mod robot;
 #[cfg(test)]
 mod tests;
 
-use crate::cell::supervisor::gates::GateClosed;
 use crate::jobs::utc;
+use cell_machine::supervisor::gates::GateClosed;
 use serde::Serialize;
 
 /// Columns of the text, and where what was found begins.

@@ -10,10 +10,6 @@ pub mod computer;
 pub mod gripper;
 pub mod robot;
 
-use crate::calibration::files::set::CalibrationSet;
-use crate::cell::event::Arm;
-use crate::cell::supervisor::gates;
-use crate::cell::supervisor::input::DeviceSnapshot;
 use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::setup::Measured;
@@ -21,7 +17,11 @@ use crate::doctor::gripper::GripperFacts;
 use crate::doctor::robot::RobotFacts;
 use crate::doctor::{Area, Line, Sheet, arming, files};
 use crate::jobs::state::StateFolder;
+use cell_calibration::files::set::CalibrationSet;
 use cell_edge::clock::unix_now_s;
+use cell_machine::event::Arm;
+use cell_machine::supervisor::gates;
+use cell_machine::supervisor::input::DeviceSnapshot;
 
 /// Looks at everything; `say` gets a few words before each part, for a person who waits.
 pub fn examine(name: &str, config: &CellConfig, state: &StateFolder, say: &mut dyn FnMut(&str)) -> Sheet {

@@ -3,9 +3,9 @@
 //!
 //! In: [`RobotFacts`]. Out: lines. Pure.
 
-use crate::cell::device::robot_types::{InputsTaken, Link, RobotState};
-use crate::cell::supervisor::safety_words::{mode_words, safety_remedy, safety_words};
 use crate::doctor::{Area, Line};
+use cell_machine::device::robot_types::{InputsTaken, Link, RobotState};
+use cell_machine::supervisor::safety_words::{mode_words, safety_remedy, safety_words};
 use cell_values::time::Duration;
 use ur_arm::kinematics::{DhParameters, model_of};
 use ur_wire::enumerations::{RobotMode, SafetyMode};

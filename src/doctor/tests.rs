@@ -5,7 +5,7 @@ use super::computer::ComputerFacts;
 use super::gripper::{Confirmed, GripperFacts};
 use super::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
 use super::*;
-use crate::cell::device::robot_types::InputsTaken;
+use cell_machine::device::robot_types::InputsTaken;
 use cell_values::time::Duration;
 use cell_vision::observe::reference::{DriftLimits, ReferenceCheck, ReferenceError};
 use ur_arm::kinematics::DhParameters;

@@ -7,8 +7,8 @@
 //! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at
 //! most once.
 
-use crate::cell::orders::{Channels, Order, Reply, Role, WayBack};
 use cell_edge::files::{FileError, create_folder, read_regular, remove, write_atomic, write_new};
+use cell_machine::orders::{Channels, Order, Reply, Role, WayBack};
 use serde::{Deserialize, Serialize};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};

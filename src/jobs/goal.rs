@@ -4,9 +4,9 @@
 //! complaints at those places; what decoded is judged although other parts did not. A goal file holds
 //! `objects: [{id, pose}]`, or is an instance whose goals count.
 
-use crate::cell::orders::Approval;
 use crate::jobs::record::GoalPose;
 use cell_edge::files::read_regular;
+use cell_machine::orders::Approval;
 use rearrange::document::decode::{At, Decoder, Fields, suggestion};
 use rearrange::document::{Diagnostics, Location, Node, parse};
 use rearrange::geometry::collision::{TOUCH_M, overhang, penetration};

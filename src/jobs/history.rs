@@ -123,8 +123,8 @@ fn objects(job: &JobRecord) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::code::JobStatus;
     use crate::jobs::record::{JobResult, JobSpec, ObjectResult, PlanRecord, StepIntent};
+    use cell_machine::code::JobStatus;
     use rearrange::geometry::pose::Pose2;
 
     const NOW: f64 = 1_795_248_000.0;

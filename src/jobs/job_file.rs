@@ -5,13 +5,13 @@
 //! with line and column. A goal that overlaps itself, leaves the table or names an unknown object is a
 //! complaint here: such a job is rejected, it does not fail later.
 
-use crate::cell::code::Code;
-use crate::cell::orders::Approval;
 pub use crate::jobs::goal::{JobContext, ReadGoal};
 use crate::jobs::goal_source::{UNUSED, WantedGoal, decode_goal_source};
 use crate::jobs::record::{JobSpec, quoted};
 use crate::jobs::spool::{Refusal, RefusalDetail, is_plain_name};
 use crate::jobs::utc;
+use cell_machine::code::Code;
+use cell_machine::orders::Approval;
 use rearrange::document::decode::{At, Decoder, Fields};
 use rearrange::document::{Diagnostic, Diagnostics, Location, parse};
 use rearrange::geometry::pose::Pose2;

@@ -3,9 +3,9 @@
 //! In and out: plain values; `result.yaml` as text. Pure. The words of [`JobState`] and [`JobStatus`] are
 //! what people read in files and tables, so they do not change.
 
-use crate::cell::code::JobStatus;
-use crate::cell::orders::Approval;
 use crate::jobs::utc;
+use cell_machine::code::JobStatus;
+use cell_machine::orders::Approval;
 use rearrange::document::word::{UnknownWord, named};
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::Objective;
@@ -242,7 +242,7 @@ pub struct JobResult {
     pub id: String,
     /// How it ended.
     pub status: JobStatus,
-    /// For programs, see [`crate::cell::code::Code`].
+    /// For programs, see [`cell_machine::code::Code`].
     pub code: String,
     /// One sentence for people.
     pub message: String,

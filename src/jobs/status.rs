@@ -192,8 +192,8 @@ impl Status {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::code::JobStatus;
     use crate::jobs::record::{JobRecord, JobResult, JobSpec, JobState};
+    use cell_machine::code::JobStatus;
     use std::collections::BTreeSet;
 
     /// The keys of a table of docs/files.md, in the section of this name.

@@ -4,7 +4,6 @@
 //! the id that the daemon will give it; later, what the journal says of it. A goal file is read here and its
 //! poses go into what is handed in, so that it need not be where the daemon looks.
 
-use crate::cell::orders::Approval;
 use crate::jobs::job_file::{JobContext, ReadGoal, job_yaml, read_job};
 use crate::jobs::journal::{Journal, JournalError};
 use crate::jobs::record::{JobRecord, JobSpec};
@@ -12,6 +11,7 @@ use crate::jobs::spool::id_of_file;
 use crate::jobs::state::StateFolder;
 use crate::jobs::utc;
 use cell_edge::files::{FileError, create_folder, write_new};
+use cell_machine::orders::Approval;
 use rearrange::document::parse;
 use sha2::{Digest, Sha256};
 use std::path::Path;

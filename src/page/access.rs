@@ -5,7 +5,7 @@
 //! secret has 256 random bits, so it is neither guessed nor found by the time that a comparison takes; the
 //! comparison is of constant time nevertheless. Pure but for the random numbers.
 
-use crate::cell::orders::Role;
+use cell_machine::orders::Role;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;

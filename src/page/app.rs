@@ -3,7 +3,6 @@
 //! In: configuration, state folder, the feed. Out: a page that is served, the observer for the loop, the
 //! office that signs people in, orders joined with those of the state folder.
 
-use crate::cell::orders::Reply;
 use crate::daemon::state_orders::Office;
 use crate::jobs::command::SignIn;
 use crate::page::access::{Grant, SESSION_S, plain_name};
@@ -12,6 +11,7 @@ use crate::page::routes;
 use crate::page::server::{Listening, ServeError};
 use crate::page::shared::{App, Setup, Shared};
 use cell_edge::clock::unix_now_s;
+use cell_machine::orders::Reply;
 use std::sync::Arc;
 
 /// Days that a token may last at most.

@@ -4,7 +4,6 @@
 //! last status, arm, arrangement, sentences and picture; messages to every viewer. Nothing here blocks: the
 //! loop hands over and goes on, and a viewer that does not take its messages loses them all and is dropped.
 
-use crate::cell::supervisor::model::CellModel;
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::messages::Displayed;
 use crate::daemon::shell::{Observer, Scene};
@@ -12,6 +11,7 @@ use crate::jobs::status::{STARTING, Status};
 use crate::page::views::{ArmView, SightView, arm_view, sight_view};
 use axum::body::Bytes;
 use cell_edge::clock::unix_now_s;
+use cell_machine::supervisor::model::CellModel;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::camera::CameraModel;
 use cell_vision::observe::Observation;
@@ -324,7 +324,7 @@ impl Observer for Watcher {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::supervisor::input::Notice;
+    use cell_machine::supervisor::input::Notice;
 
     #[test]
     fn viewers_see_what_happens_and_one_that_does_not_read_falls_behind() {

@@ -5,7 +5,6 @@
 //! for a foreign page or a role that is too low, 401 without a session, 429 too often, 408 too slow. What is
 //! refused is logged with its path and without its secrets.
 
-use crate::cell::orders::Role;
 use crate::page::access::Person;
 use crate::page::limits::{host_is_ours, origin_is_ours};
 use crate::page::shared::App;
@@ -20,6 +19,7 @@ use axum::http::{HeaderMap, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use cell_edge::clock::unix_now_s;
+use cell_machine::orders::Role;
 use serde_json::json;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};

@@ -4,9 +4,9 @@
 //! answers back to who waits for them. An order that was not taken in time does not count any more, as with
 //! command files (`jobs/command`), unless it only stops.
 
-use crate::cell::orders::{Order, Reply};
 use crate::daemon::store::Orders;
 use crate::jobs::command::COUNTS_FOR_S;
+use cell_machine::orders::{Order, Reply};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;

@@ -1,7 +1,6 @@
 //! Every address of the page and its API, with the least role and what it is for: one table, from which both
 //! the router and the OpenAPI document are made, so that neither knows what the other does not.
 
-use crate::cell::orders::Role;
 use crate::page::shared::App;
 use crate::page::{assets, guard, live, markers, metrics, session, work};
 use axum::Router;
@@ -11,6 +10,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::Response;
 use axum::routing::{MethodFilter, on};
+use cell_machine::orders::Role;
 
 /// One address of the API.
 #[derive(Clone, Copy, Debug)]

@@ -4,7 +4,6 @@
 //! answer. What moves the arm takes the role, control, a computer from which people see the cell, and a
 //! page that is of now; what stops takes a session alone.
 
-use crate::cell::orders::{Order, Reply};
 use crate::jobs::command::Command;
 use crate::page::access::{Person, SESSION_S};
 use crate::page::guard::{Peer, Refused, Via, refusal, secret};
@@ -16,6 +15,7 @@ use axum::http::header::SET_COOKIE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use cell_edge::clock::unix_now_s;
+use cell_machine::orders::{Order, Reply};
 use serde::Deserialize;
 use serde_json::json;
 use std::sync::atomic::Ordering;

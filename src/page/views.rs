@@ -4,13 +4,13 @@
 //! In: values of the rooms below. Out: plain values for `serde`. Lengths in m, angles in rad, frames as in
 //! ARCHITECTURE.md; pixels of the picture, the centre of the first pixel at (0, 0). Pure.
 
-use crate::cell::device::robot_types::RobotState;
 use crate::config::cell::CellConfig;
 use crate::daemon::last_picture::Kept;
 use crate::daemon::plan_files::drawn_moves;
 use crate::jobs::record::{GoalPose, PlanRecord};
-use crate::motion::bodies::{Bodies, Part};
 use crate::report::colour;
+use cell_machine::device::robot_types::RobotState;
+use cell_motion::bodies::{Bodies, Part};
 use cell_vision::camera::CameraModel;
 use cell_vision::observe::Observation;
 use nalgebra::{Isometry3, Point3};
@@ -235,7 +235,7 @@ fn object_view((index, object): (usize, &rearrange::tabletop::instance::ObjectSp
 }
 
 fn body_views(bodies: &Bodies) -> Vec<BodyView> {
-    let view = |body: &crate::motion::bodies::Body| {
+    let view = |body: &cell_motion::bodies::Body| {
         let kind = match body.part {
             Part::Link(_) => "arm",
             Part::Tool | Part::Cups => "tool",

@@ -3,8 +3,6 @@
 //! In: the journal, read as any other process reads it; jobs as text, as in job files. Out: JSON. A job is
 //! handed in as `celld submit` does, and its verdict is the spool's: the page knows no other way in.
 
-use crate::cell::code::JobStatus;
-use crate::cell::supervisor::draft::{Draft, NoDraft, draft};
 use crate::daemon::job_orders::{found_by, job_context, job_order};
 use crate::daemon::job_report::job_report;
 use crate::daemon::plan_files;
@@ -29,6 +27,8 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::{Html, IntoResponse, Response};
 use cell_edge::clock::unix_now_s;
 use cell_edge::files::{read_bytes, write_atomic, write_new};
+use cell_machine::code::JobStatus;
+use cell_machine::supervisor::draft::{Draft, NoDraft, draft};
 use cell_values::time::Duration;
 use rearrange::document::chain::chain;
 use serde::Deserialize;

@@ -3,8 +3,8 @@
 //! In: what passes. Out: what is made of it. Nothing of the kind is in the daemon: it shows whether the
 //! rules of the closed loop notice.
 
-use crate::cell::event::{Effect, Event};
-use crate::cell::machine::Machine;
+use cell_machine::event::{Effect, Event};
+use cell_machine::machine::Machine;
 
 /// Something between machine and world that a test puts there to see whether the rules notice: it may
 /// change, drop and add what passes. Nothing of the kind is in the daemon.

@@ -6,15 +6,15 @@
 //! daemon is started anew. Nothing may move before a person arms, and the job ends once. Signs of life and
 //! readings are no moments: between two of them nothing differs.
 
-use crate::cell::device::gripper_types::ModbusRequest;
-use crate::cell::device::robot_types::Link;
-use crate::cell::event::{Effect, Event};
-use crate::cell::orders::Order;
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::storm::{Aftermath, aftermath};
 use crate::pair::work::job;
 use crate::pair::{Adapter, Choice, Loss, Pair};
+use cell_machine::device::gripper_types::ModbusRequest;
+use cell_machine::device::robot_types::Link;
+use cell_machine::event::{Effect, Event};
+use cell_machine::orders::Order;
 use std::cell::Cell;
 use std::rc::Rc;
 

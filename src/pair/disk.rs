@@ -4,7 +4,7 @@
 //! acknowledgements in the order of the commits, and after a restart what is on disk. A seeded model of the
 //! commit record: real SQLite is in the tests that kill real processes.
 
-use crate::cell::supervisor::input::Record;
+use cell_machine::supervisor::input::Record;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;

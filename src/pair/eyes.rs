@@ -7,11 +7,11 @@
 //! a picture has: a marker half hidden by the gripper, light, depth. A test compares both on the same
 //! tables.
 
-use crate::cell::code::Code;
-use crate::cell::event::Event;
-use crate::cell::supervisor::input::CameraFault;
 use crate::pair::stage::Stage;
 use crate::perception::{Perception, Picture, Scene, observe_views};
+use cell_machine::code::Code;
+use cell_machine::event::Event;
+use cell_machine::supervisor::input::CameraFault;
 use cell_values::image::depth::DepthImage;
 use cell_values::image::quality::{PictureLimits, judge, measure};
 use cell_values::image::{Image, tag36h11_bitmap};

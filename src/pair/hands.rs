@@ -5,12 +5,12 @@
 //! put elsewhere, lost from the cups, sticks to them, or the camera is bumped; the rules of the closed
 //! loop watch that nothing is picked where a picture since then would have shown that it is not.
 
-use crate::cell::orders::Order;
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::sweep::{after, settled};
 use crate::pair::work::job;
 use crate::pair::{Choice, Pair};
+use cell_machine::orders::Order;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ur_sim::faults::read::read_posted;

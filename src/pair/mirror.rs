@@ -5,9 +5,9 @@
 //! written down and has to equal what was replayed, which then goes on from these bytes, so that a state
 //! which is not wholly written shows in what it decides.
 
-use crate::cell::event::{Effect, Event};
-use crate::cell::machine::Machine;
-use crate::cell::replay::{Difference, Piece, Replay, Replayed, Unreadable};
+use cell_machine::event::{Effect, Event};
+use cell_machine::machine::Machine;
+use cell_replay::{Difference, Piece, Replay, Replayed, Unreadable};
 use cell_values::time::Timestamp;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

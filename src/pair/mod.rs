@@ -35,16 +35,6 @@ pub mod work;
 pub use adapter::Adapter;
 pub use choice::Choice;
 
-use crate::cell::device::program::TemplateError;
-use crate::cell::event::{Effect, Event, News};
-use crate::cell::machine::Machine;
-use crate::cell::orders::{Order, Reply};
-use crate::cell::planner::answer;
-use crate::cell::replay::{Piece, Replayed};
-use crate::cell::supervisor::input::{Notice, PlanAnswer, PlanRequest};
-use crate::cell::supervisor::order::{JobOrder, JobReport};
-use crate::cell::supervisor::round::{RoundFault, RoundOrder};
-use crate::cell::supervisor::status::Status;
 use crate::pair::disk::Disk;
 use crate::pair::eyes::Eyes;
 use crate::pair::mirror::Mirror;
@@ -53,6 +43,16 @@ use crate::pair::rules::Rules;
 use crate::pair::stage::Stage;
 use crate::pair::store::Store;
 use crate::pair::trace::Trace;
+use cell_machine::device::program::TemplateError;
+use cell_machine::event::{Effect, Event, News};
+use cell_machine::machine::Machine;
+use cell_machine::orders::{Order, Reply};
+use cell_machine::planner::answer;
+use cell_machine::supervisor::input::{Notice, PlanAnswer, PlanRequest};
+use cell_machine::supervisor::order::{JobOrder, JobReport};
+use cell_machine::supervisor::round::{RoundFault, RoundOrder};
+use cell_machine::supervisor::status::Status;
+use cell_replay::{Piece, Replayed};
 use cell_values::time::Timestamp;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -301,7 +301,7 @@ impl Pair {
     }
 
     /// Bytes that are none of the protocol's come in on a link.
-    pub fn garble(&mut self, link: crate::cell::device::robot_types::Link) {
+    pub fn garble(&mut self, link: cell_machine::device::robot_types::Link) {
         self.trace.line(self.frame, || format!("garbage on {link}"));
         let bytes = (0..64).map(|_| self.rng.random::<u8>()).chain(*b"\x00\x02\xff\n\n").collect();
         self.due.push(Event::Received(link, bytes));

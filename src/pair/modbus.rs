@@ -2,7 +2,7 @@
 //!
 //! The daemon uses a library for this; the closed loop has no sockets that the library could use.
 
-use crate::cell::device::gripper_types::{ModbusRequest, UNIT};
+use cell_machine::device::gripper_types::{ModbusRequest, UNIT};
 use ur_wire::modbus::Splitter;
 
 /// One connection's transactions.

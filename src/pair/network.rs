@@ -6,10 +6,10 @@
 //! ms). A cut cable is silence in both directions that goes on where it was when the fault ends, as TCP
 //! does; a reset ends a connection for both sides.
 
-use crate::cell::device::gripper_types::{ModbusFailure, ModbusRequest};
-use crate::cell::device::robot_types::Link;
-use crate::cell::event::Event;
 use crate::pair::modbus::{Answer, Master};
+use cell_machine::device::gripper_types::{ModbusFailure, ModbusRequest};
+use cell_machine::device::robot_types::Link;
+use cell_machine::event::Event;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;

@@ -6,14 +6,14 @@
 //! moves" that nothing does, "stopped" that the arm stands. `docs/orders.md` is written from it
 //! (`pair::orders_page`).
 
-use crate::cell::device::gripper_types::Channels;
-use crate::cell::orders::{Approval, Order, Reply, WayBack};
-use crate::cell::supervisor::round::RoundOrder;
-use crate::cell::supervisor::status::Doing;
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::work::job;
 use crate::pair::{Choice, Pair};
+use cell_machine::device::gripper_types::Channels;
+use cell_machine::orders::{Approval, Order, Reply, WayBack};
+use cell_machine::supervisor::round::RoundOrder;
+use cell_machine::supervisor::status::Doing;
 use cell_values::units::Joints;
 use ur_sim::faults::read::read_posted;
 use ur_sim::world::lock;

@@ -1,7 +1,7 @@
 //! Phases of a pick-n-place, and what a fault in one of them came to.
 
-use crate::cell::code::{Code, JobStatus};
 use crate::pair::rules::Rule;
+use cell_machine::code::{Code, JobStatus};
 
 /// A phase in which a fault may come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -3,12 +3,12 @@
 //! In: nothing. Out: [`ROWS`], numbered as in the reference's fault table, each with the cause, how long it
 //! lasts and the phases in which it can occur. What is expected of each is the page itself (`pair::page`).
 
-use crate::cell::device::gripper_types::Channels;
-use crate::cell::device::robot_types::Link;
-use crate::cell::orders::Order;
 use crate::pair::Loss;
 use crate::pair::disk::Mood;
 use crate::pair::outcome::Phase;
+use cell_machine::device::gripper_types::Channels;
+use cell_machine::device::robot_types::Link;
+use cell_machine::orders::Order;
 
 /// How a fault is brought about.
 #[derive(Clone, Copy, Debug)]

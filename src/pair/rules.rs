@@ -6,16 +6,16 @@
 //! vacuum, the disk, the answers and the sight that a pick rests on. A rule that the machine's own word
 //! could satisfy would prove nothing.
 
-use crate::cell::device::gripper_types::{Channels, ModbusRequest};
-use crate::cell::device::robot_types::Link;
-use crate::cell::event::{Effect, Event, News};
-use crate::cell::machine::Machine;
-use crate::cell::orders::{Order, Reply, WayBack};
-use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::mode::Mode;
-use crate::cell::supervisor::reason::STOP_ORDERED;
-use crate::cell::supervisor::status::Doing;
 use crate::pair::thin_arm::ThinModel;
+use cell_machine::device::gripper_types::{Channels, ModbusRequest};
+use cell_machine::device::robot_types::Link;
+use cell_machine::event::{Effect, Event, News};
+use cell_machine::machine::Machine;
+use cell_machine::orders::{Order, Reply, WayBack};
+use cell_machine::supervisor::input::Record;
+use cell_machine::supervisor::mode::Mode;
+use cell_machine::supervisor::reason::STOP_ORDERED;
+use cell_machine::supervisor::status::Doing;
 use cell_values::units::Joints;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use ur_sim::faults::{Fault, Order as FaultOrder, RobotFault, WorldFault};

@@ -4,13 +4,13 @@
 //! daemon's sentences request: arms, clears stops at the pendant once faults have ended, arms again; a
 //! caller that needs another operator drives [`Pair`] directly.
 
-use crate::cell::code::JobStatus;
-use crate::cell::orders::Order;
-use crate::cell::supervisor::model::CellModel;
 use crate::pair::rules::Breach;
 use crate::pair::stage::Stage;
 use crate::pair::work::job;
 use crate::pair::{Choice, Pair, PairError};
+use cell_machine::code::JobStatus;
+use cell_machine::orders::Order;
+use cell_machine::supervisor::model::CellModel;
 use rearrange::geometry::pose::Pose2;
 use std::collections::BTreeMap;
 use ur_sim::faults::Planned;

@@ -6,12 +6,12 @@
 //! and a hundredth of a degree; the lens is the camera's own word. This is the one place of the loop that
 //! reads the truth before the end.
 
-use crate::calibration::files::hand_eye::Mount;
-use crate::cell::machine::MachineParameters;
-use crate::cell::supervisor::model::CellModel;
 use crate::config::cell::CellConfig;
 use crate::config::setup::{Measured, SetupError, cell_model, scene};
 use crate::perception::Scene;
+use cell_calibration::files::hand_eye::Mount;
+use cell_machine::machine::MachineParameters;
+use cell_machine::supervisor::model::CellModel;
 use cell_vision::camera::CameraModel;
 use nalgebra::{Isometry3, Vector3};
 use rand::{RngExt, SeedableRng};

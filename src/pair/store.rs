@@ -4,11 +4,11 @@
 //! restart the rules are the journal's: a job without an open step waits again, one with an open step is
 //! interrupted.
 
-use crate::cell::code::{Code, JobStatus};
-use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::model::HeldBefore;
-use crate::cell::supervisor::order::{JobOrder, JobReport};
-use crate::cell::times::JobTimes;
+use cell_machine::code::{Code, JobStatus};
+use cell_machine::supervisor::input::Record;
+use cell_machine::supervisor::model::HeldBefore;
+use cell_machine::supervisor::order::{JobOrder, JobReport};
+use cell_machine::times::JobTimes;
 use std::collections::VecDeque;
 
 /// Jobs. See the module.

@@ -5,14 +5,14 @@
 //! person clears the pendant and arms, and another job has to end in a named state. [`fewest`] leaves out
 //! what a failure does not need.
 
-use crate::cell::code::Code;
-use crate::cell::orders::Order;
 use crate::pair::reactions::{Cause, ROWS, Row};
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::sweep::{after, bring_about, settled};
 use crate::pair::work::job;
 use crate::pair::{Choice, Pair};
+use cell_machine::code::Code;
+use cell_machine::orders::Order;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

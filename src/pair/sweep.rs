@@ -7,14 +7,6 @@
 //! last, approves what requires it, then ends the fault, does at the pendant what a person would do, arms,
 //! and hands in another job, which has to end in a named state.
 
-use crate::cell::code::Code;
-use crate::cell::event::{Effect, Event};
-use crate::cell::machine::Machine;
-use crate::cell::orders::{Approval, Order, Reply};
-use crate::cell::supervisor::gates::GateClosed;
-use crate::cell::supervisor::input::PlanAnswer;
-use crate::cell::supervisor::order::JobOrder;
-use crate::cell::supervisor::status::{Doing, WorkStep};
 use crate::pair::disk::Mood;
 use crate::pair::outcome::{Outcome, Phase};
 use crate::pair::page::{reaction, title};
@@ -24,6 +16,14 @@ use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::work::job;
 use crate::pair::{Adapter, Choice, Loss, Pair};
+use cell_machine::code::Code;
+use cell_machine::event::{Effect, Event};
+use cell_machine::machine::Machine;
+use cell_machine::orders::{Approval, Order, Reply};
+use cell_machine::supervisor::gates::GateClosed;
+use cell_machine::supervisor::input::PlanAnswer;
+use cell_machine::supervisor::order::JobOrder;
+use cell_machine::supervisor::status::{Doing, WorkStep};
 use std::collections::BTreeMap;
 use ur_sim::faults::read::read_posted;
 use ur_sim::faults::{Fault, Order as FaultOrder, Phase as WorldPhase, RobotFault};
@@ -333,7 +333,7 @@ pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
     pair.order(Order::Abort);
     pair.run_until(4.0, |_| false);
     if lock(&pair.simulator().core().world).glance().gripping {
-        pair.order(Order::Release(crate::cell::device::gripper_types::Channels::Both));
+        pair.order(Order::Release(cell_machine::device::gripper_types::Channels::Both));
         pair.run_until(4.0, |_| false);
     }
     arm_as_the_answer_says(pair);
@@ -352,7 +352,7 @@ fn arm_as_the_answer_says(pair: &mut Pair) {
     pair.run_until(0.5, |_| false);
     let refused = |(of, reply): &(u64, Reply)| *of == number && reply.message.contains("celld release --yes");
     if pair.take_replies().iter().any(refused) {
-        pair.order(Order::Release(crate::cell::device::gripper_types::Channels::Both));
+        pair.order(Order::Release(cell_machine::device::gripper_types::Channels::Both));
         pair.run_until(4.0, |_| false);
         pair.order(Order::Arm);
     }

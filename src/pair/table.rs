@@ -2,13 +2,13 @@
 //!
 //! In: a seed and how the cell sees, or the daemon's configuration and the simulator's. Out: a [`Stage`].
 
-use crate::cell::supervisor::model::ForeignRule;
 use crate::config::cell::CellConfig;
 use crate::config::setup::machine_parameters;
 use crate::demo::cell::{DemoChoice, cell_config, sim_file};
 use crate::demo::task::requirements;
 use crate::pair::eyes::Eye;
 use crate::pair::stage::Stage;
+use cell_machine::supervisor::model::ForeignRule;
 use rearrange::planning::plan::Objective;
 use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::fit::fit;

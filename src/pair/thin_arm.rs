@@ -4,8 +4,8 @@
 //! distances by another formula, one position at a time: what passes the swept check must not meet anything
 //! here. Pure.
 
-use crate::calibration::propose::body::apart_m;
-use crate::motion::path::ArmModel;
+use cell_calibration::propose::body::apart_m;
+use cell_motion::path::ArmModel;
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Vector3};
 use ur_arm::bodies::{Capsule, HARMLESS_PAIRS, capsules};

@@ -5,8 +5,8 @@
 //! anything differs, and on request the lines. One seed gives one trace on any machine and any number of
 //! threads.
 
-use crate::cell::event::{Effect, Event, News};
-use crate::cell::supervisor::input::Record;
+use cell_machine::event::{Effect, Event, News};
+use cell_machine::supervisor::input::Record;
 
 /// Start and prime of the 64-bit Fowler-Noll-Vo hash, as published.
 const OFFSET: u64 = 0xcbf2_9ce4_8422_2325;

@@ -3,9 +3,9 @@
 //! In: where the objects are, the workspace, a seed. Out: a job that brings two or three objects to places
 //! that are free once those objects have left theirs, so that some of them have to wait in a buffer.
 
-use crate::cell::orders::Approval;
-use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::JobOrder;
+use cell_machine::orders::Approval;
+use cell_machine::supervisor::model::CellModel;
+use cell_machine::supervisor::order::JobOrder;
 use cell_values::time::Duration;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};

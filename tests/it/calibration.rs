@@ -4,10 +4,10 @@
 
 use crate::cell::{CELLD, celld, configuration, result_of, start_daemon, text, wait_until};
 use crate::edit::replace_once;
+use cell_calibration::files::hand_eye::{HandEyeCalibration, Mount};
+use cell_calibration::files::round::Round;
+use cell_calibration::files::table::TableCalibration;
 use cell_values::units::Joints;
-use celld::calibration::files::hand_eye::{HandEyeCalibration, Mount};
-use celld::calibration::files::round::Round;
-use celld::calibration::files::table::TableCalibration;
 use celld::config::load::load_cell;
 use celld::config::setup::arm_model;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};

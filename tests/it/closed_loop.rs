@@ -1,9 +1,9 @@
 //! The whole cell in virtual time: repeatable, as the page of reactions says, and the same with both eyes.
 
-use celld::cell::orders::Order;
-use celld::cell::supervisor::round::RoundOrder;
-use celld::cell::supervisor::status::Doing;
-use celld::motion::slow::CalibrationBox;
+use cell_machine::orders::Order;
+use cell_machine::supervisor::round::RoundOrder;
+use cell_machine::supervisor::status::Doing;
+use cell_motion::slow::CalibrationBox;
 use celld::pair::eyes::Eye;
 use celld::pair::orders::{self, ORDERS_SEED};
 use celld::pair::orders_page;

@@ -1,12 +1,12 @@
 //! The first move from wherever the arm was left, and plans that the arm can carry out, in virtual time.
 //! The rules of the loop hold the arm against a model of their own while it moves.
 
+use cell_machine::code::JobStatus;
+use cell_machine::orders::Order;
+use cell_machine::supervisor::order::JobReport;
+use cell_motion::bodies::cell::NamedShape;
+use cell_motion::bodies::shape::Shape;
 use cell_values::units::Joints;
-use celld::cell::code::JobStatus;
-use celld::cell::orders::Order;
-use celld::cell::supervisor::order::JobReport;
-use celld::motion::bodies::cell::NamedShape;
-use celld::motion::bodies::shape::Shape;
 use celld::pair::eyes::Eye;
 use celld::pair::run::{bring_up, true_poses};
 use celld::pair::stage::Stage;

@@ -2,10 +2,10 @@
 //! time of a job adds up, a slow disk costs nothing while the arm moves, and a scene is as quick as its
 //! bound allows.
 
+use cell_machine::code::Code;
+use cell_machine::orders::Order;
+use cell_machine::times::Use;
 use celld::bench::cycle::{CycleRun, FAST, USUAL, run};
-use celld::cell::code::Code;
-use celld::cell::orders::Order;
-use celld::cell::times::Use;
 use celld::pair::disk::Mood;
 use celld::pair::eyes::Eye;
 use celld::pair::hands::hands;

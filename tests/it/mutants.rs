@@ -3,13 +3,13 @@
 //! Each mutant is planted by an adapter, here and nowhere else; the same drill without one breaks no rule.
 //! What a mutant represents is the fault in celld's own code that would have the same effect at the border.
 
+use cell_machine::device::gripper_types::{Channels, ModbusRequest};
+use cell_machine::device::robot_types::Link;
+use cell_machine::event::{Effect, Event, News};
+use cell_machine::machine::Machine;
+use cell_machine::orders::{Order, Reply};
+use cell_machine::supervisor::status::{Doing, WorkStep};
 use cell_vision::observe::Observation;
-use celld::cell::device::gripper_types::{Channels, ModbusRequest};
-use celld::cell::device::robot_types::Link;
-use celld::cell::event::{Effect, Event, News};
-use celld::cell::machine::Machine;
-use celld::cell::orders::{Order, Reply};
-use celld::cell::supervisor::status::{Doing, WorkStep};
 use celld::pair::eyes::Eye;
 use celld::pair::rules::{Breach, Rule};
 use celld::pair::run::{bring_up, true_poses};

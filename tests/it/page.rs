@@ -8,7 +8,7 @@
 use crate::cell::{
     LOG, Running, celld, configuration, copy_calibration, start_daemon, start_sim, text, wait_until,
 };
-use celld::cell::orders::Role;
+use cell_machine::orders::Role;
 use celld::page::routes::{Route, table};
 use serde_json::{Value, json};
 use std::io::{Read, Write};

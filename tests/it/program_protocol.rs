@@ -6,8 +6,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 
-use celld::cell::device::program::{Nonce, PROGRAM_TEXT, ProgramTemplate, WATCHDOG_FRAMES};
-use celld::cell::device::registers::{CommandRegisters, Opcode};
+use cell_machine::device::program::{Nonce, PROGRAM_TEXT, ProgramTemplate, WATCHDOG_FRAMES};
+use cell_machine::device::registers::{CommandRegisters, Opcode};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use ur_wire::rtde_values::Value as RtdeValue;

@@ -6,8 +6,8 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
-use celld::cell::event::Event;
-use celld::cell::replay::{Kind, Piece, Replay, event_of};
+use cell_machine::event::Event;
+use cell_replay::{Kind, Piece, Replay, event_of};
 use celld::daemon::recorder::piece_of;
 use celld::io::recording::read::{Item, Items};
 use celld::pair::eyes::Eye;
@@ -54,7 +54,7 @@ fn pieces() -> Vec<Piece> {
     let mut pair = Pair::new(stage.clone(), choice).unwrap();
     pair.keep_pieces();
     celld::pair::run::bring_up(&mut pair);
-    pair.order(celld::cell::orders::Order::Arm);
+    pair.order(cell_machine::orders::Order::Arm);
     pair.run_until(3.0, |_| false);
     pair.take_pieces()
 }

@@ -4,13 +4,13 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 
+use cell_machine::device::program::Nonce;
+use cell_machine::device::robot::Robot;
+use cell_machine::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
+use cell_motion::bodies::{Bodies, Room};
+use cell_motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;
-use celld::cell::device::program::Nonce;
-use celld::cell::device::robot::Robot;
-use celld::cell::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
-use celld::motion::bodies::{Bodies, Room};
-use celld::motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};

@@ -7,10 +7,10 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
-use celld::calibration::files::camera::CameraCalibration;
-use celld::calibration::files::hand_eye::HandEyeCalibration;
-use celld::calibration::files::table::TableCalibration;
-use celld::cell::orders::Approval;
+use cell_calibration::files::camera::CameraCalibration;
+use cell_calibration::files::hand_eye::HandEyeCalibration;
+use cell_calibration::files::table::TableCalibration;
+use cell_machine::orders::Approval;
 use celld::cli::schema::Kind;
 use celld::config::read_cell::read_cell;
 use celld::jobs::goal::parse_goal_file;

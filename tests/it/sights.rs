@@ -4,18 +4,18 @@
 //! The example cell of `config/`, calibrated as well as a round leaves it, in virtual time. What is compared
 //! is the truth of the simulated world, in every frame.
 
+use cell_calibration::drawn::CameraMount;
+use cell_machine::code::Code;
+use cell_machine::orders::{Approval, Order};
+use cell_machine::supervisor::model::ForeignRule;
+use cell_machine::supervisor::order::JobOrder;
+use cell_machine::supervisor::round::RoundOrder;
+use cell_machine::supervisor::status::Doing;
 use cell_values::image::Image;
 use cell_values::time::Duration;
 use cell_values::units::Joints;
 use cell_vision::board::Board;
 use cell_vision::detect::Family;
-use celld::calibration::drawn::CameraMount;
-use celld::cell::code::Code;
-use celld::cell::orders::{Approval, Order};
-use celld::cell::supervisor::model::ForeignRule;
-use celld::cell::supervisor::order::JobOrder;
-use celld::cell::supervisor::round::RoundOrder;
-use celld::cell::supervisor::status::Doing;
 use celld::config::cell::CellConfig;
 use celld::config::load::load_cell;
 use celld::pair::eyes::Eye;

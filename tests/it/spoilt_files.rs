@@ -6,12 +6,12 @@
 //! are printed, for the figures. Changes are those of people and disks: a byte, a line, a number that cannot
 //! be, a tail that is missing, a part of another file.
 
+use cell_calibration::files::camera::CameraCalibration;
+use cell_calibration::files::hand_eye::HandEyeCalibration;
+use cell_calibration::files::table::TableCalibration;
+use cell_machine::orders::Approval;
 use cell_values::image::Image;
 use cell_values::image::depth::DepthImage;
-use celld::calibration::files::camera::CameraCalibration;
-use celld::calibration::files::hand_eye::HandEyeCalibration;
-use celld::calibration::files::table::TableCalibration;
-use celld::cell::orders::Approval;
 use celld::config::read_cell::read_cell;
 use celld::jobs::goal::parse_goal_file;
 use celld::jobs::job_file::{JobContext, read_job};

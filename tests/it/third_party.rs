@@ -8,10 +8,10 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
+use cell_machine::supervisor::input::Notice;
+use cell_machine::supervisor::order::RouteAction;
 use cell_values::image::Image;
 use cell_values::time::Timestamp;
-use celld::cell::supervisor::input::Notice;
-use celld::cell::supervisor::order::RouteAction;
 use celld::config::cell::RecordedPictures;
 use celld::daemon::messages::Displayed;
 use celld::daemon::recorder::Recorder;

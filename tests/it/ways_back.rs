@@ -1,8 +1,8 @@
 //! Ways back after a stop, in virtual time: what `celld recover` says, and what the arm and the vacuum truly
 //! do.
 
-use celld::cell::device::gripper_types::Channels;
-use celld::cell::orders::{Order, Reply, WayBack};
+use cell_machine::device::gripper_types::Channels;
+use cell_machine::orders::{Order, Reply, WayBack};
 use celld::pair::eyes::Eye;
 use celld::pair::run::{bring_up, true_poses};
 use celld::pair::stage::Stage;

@@ -9,8 +9,8 @@
 use crate::bench::vision::render::{Lens, Print};
 use crate::bench::vision::scene::{bench_camera, looking_down};
 use crate::bench::vision::tally::quantile;
-use crate::calibration::fit::hand_eye::solve_hand_eye;
-use crate::calibration::fit::{CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample};
+use cell_calibration::fit::hand_eye::solve_hand_eye;
+use cell_calibration::fit::{CalibrateError, HandEye, HandEyeGuess, HandEyeSettings, Sample};
 use cell_vision::detect::{Detection, Family};
 use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Vector3};

@@ -4,8 +4,6 @@
 //! `camera.yaml` with the error of every picture, and the same on stderr. Exit codes: 0 written, 1 the
 //! pictures do not determine the lens, 2 bad input.
 
-use crate::calibration::files::camera::CameraCalibration;
-use crate::calibration::fit::lens::{BoardView, LensSettings, LensSolution, solve_lens};
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::calibrate::take::take;
 use crate::cli::daemon::open_camera;
@@ -14,6 +12,8 @@ use crate::config::load::load_cell;
 use crate::config::pictures::read_picture;
 use crate::io::camera::CameraSource;
 use crate::jobs::utc;
+use cell_calibration::files::camera::CameraCalibration;
+use cell_calibration::fit::lens::{BoardView, LensSettings, LensSolution, solve_lens};
 use cell_edge::clock::unix_now_s;
 use cell_edge::files;
 use cell_edge::terminal::complain;

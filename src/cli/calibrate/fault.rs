@@ -2,7 +2,7 @@
 //!
 //! In: a sentence. Out: the sentence with the exit code that goes with it.
 
-use crate::calibration::tied::TiedFault;
+use cell_calibration::tied::TiedFault;
 
 /// Why there is no calibration, and the exit code that says so.
 #[derive(Debug)]

@@ -4,15 +4,15 @@
 //! In: the cell's configuration and a [`Taken`] round. Out: the three files, or why not; nothing is written
 //! unless all of it can be trusted. What is computed is `calibration::taken`.
 
-use crate::calibration::fit::HandEye;
-use crate::calibration::fit::solve::Solved;
-use crate::calibration::taken::{Taken, Wanted};
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::calibrate::round::RoundArgs;
 use crate::cli::calibrate::touch;
 use crate::config::calibrated::{known_mount, write_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::setup::drawn;
+use cell_calibration::fit::HandEye;
+use cell_calibration::fit::solve::Solved;
+use cell_calibration::taken::{Taken, Wanted};
 use cell_edge::terminal::complain;
 use cell_values::units::mm_from_m;
 use rearrange::document::chain::chain;

@@ -4,9 +4,9 @@
 //! In: a camera, the board, a person who moves it. Out: numbered pictures in a folder. A picture in which
 //! nothing can be measured is reported and not kept, so that this is not found out after the last one.
 
-use crate::calibration::board_pictures::{BoardPictures, BoardSight};
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::io::camera::{CameraSource, FaultKind};
+use cell_calibration::board_pictures::{BoardPictures, BoardSight};
 use cell_edge::files;
 use cell_edge::terminal::complain;
 use cell_vision::board::Board;

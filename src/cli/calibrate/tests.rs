@@ -5,13 +5,13 @@ use super::*;
 use crate::bench::vision::calibrated::{bench_board, board_picture};
 use crate::bench::vision::render::Lens;
 use crate::bench::vision::scene::bench_camera;
-use crate::calibration::files::set::CalibrationSet;
-use crate::calibration::fit::Sample;
 use crate::config::calibrated::read_calibration;
 use crate::config::pictures::read_camera;
 use crate::config::setup::reference_markers;
 use crate::jobs::edit::{replace_once, replace_times};
 use camera::{CameraArgs, calibrate};
+use cell_calibration::files::set::CalibrationSet;
+use cell_calibration::fit::Sample;
 use nalgebra::Isometry3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -182,15 +182,15 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
 fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
     use crate::bench::vision::render::{Ground, Print, render};
     use crate::bench::vision::scene::DEGRADE;
-    use crate::calibration::drawn::CameraMount;
-    use crate::calibration::fit::fixed::board_markers;
+    use cell_calibration::drawn::CameraMount;
+    use cell_calibration::fit::fixed::board_markers;
     use cell_vision::detect::Family;
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
     let CameraMount::Fixed { base_from_camera, board, .. } = config.camera else { panic!("fixed") };
     let text = std::fs::read_to_string(&config.calibration.camera).unwrap();
     let camera = CameraCalibration::parse(&text, "camera.yaml").unwrap();
     let text = std::fs::read_to_string(&config.calibration.table).unwrap();
-    let flat = crate::calibration::files::table::TableCalibration::parse(&text, "table.yaml").unwrap();
+    let flat = cell_calibration::files::table::TableCalibration::parse(&text, "table.yaml").unwrap();
     let (table, provenance) = (flat.base_from_table, flat.provenance);
     let base_from_camera =
         base_from_camera * Isometry3::new(Vector3::new(0.004, -0.006, 0.01), Vector3::new(0.02, -0.01, 0.03));
@@ -231,7 +231,7 @@ fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
 
 #[test]
 fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
-    use crate::calibration::drawn::CameraMount;
+    use cell_calibration::drawn::CameraMount;
     use cell_vision::board::Board;
     use cell_vision::detect::Family;
     let folder = tempfile::tempdir().unwrap();
@@ -280,7 +280,7 @@ fn a_camera_over_the_table_is_calibrated_by_the_board_on_the_hand() {
 
 #[test]
 fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
-    use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
+    use cell_calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
     let folder = tempfile::tempdir().unwrap();
     let config = cell(folder.path());
     let round = folder.path().join("round");
@@ -334,7 +334,7 @@ fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
 
 /// Touches of markers of the example cell by its robot, each so far off its marker along x, m.
 fn touches_of(config: &CellConfig, provenance: &Provenance, touched: &[(u32, f64)]) -> String {
-    use crate::calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
+    use cell_calibration::files::touches::{Place, RecordedTouch, Spot, Target, Touches};
     let survey = reference_markers(config);
     let touch = |&(id, off_m): &(u32, f64)| {
         let target = Target::Marker { id, at: Spot::Centre };

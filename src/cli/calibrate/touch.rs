@@ -6,12 +6,6 @@
 //! disagreement above the limits is an error, and nothing is written. What is computed is
 //! `calibration::touching` and `calibration::tied`.
 
-use crate::calibration::files::hand_eye::Provenance;
-use crate::calibration::files::touches::{Spot, Target, Touches};
-use crate::calibration::fit::HandEye;
-use crate::calibration::fit::touch::{Registration, RegistrationLimits, TouchFit};
-use crate::calibration::tied::FittedTouches;
-use crate::calibration::touching::TouchSession;
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::daemon::{open_shell, with_runtime};
 use crate::config::cell::CellConfig;
@@ -19,6 +13,12 @@ use crate::config::load::load_cell;
 use crate::config::setup::reference_markers;
 use crate::daemon::shell::Shell;
 use crate::jobs::utc;
+use cell_calibration::files::hand_eye::Provenance;
+use cell_calibration::files::touches::{Spot, Target, Touches};
+use cell_calibration::fit::HandEye;
+use cell_calibration::fit::touch::{Registration, RegistrationLimits, TouchFit};
+use cell_calibration::tied::FittedTouches;
+use cell_calibration::touching::TouchSession;
 use cell_edge::clock::unix_now_s;
 use cell_edge::files;
 use cell_edge::terminal::complain;

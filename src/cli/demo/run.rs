@@ -3,15 +3,6 @@
 //! In: an instance that fits the cell. Out: [`DemoOutcome`]; files are written by `output`. Calibration
 //! comes first, as in a real cell: the daemon's nominal numbers are off by millimetres.
 
-use crate::calibration::files::hand_eye::Mount;
-use crate::calibration::fit::HandEye;
-use crate::calibration::fit::solve::on_the_flange;
-use crate::calibration::visit::{Samples, Stop};
-use crate::cell::orders::{Approval, Reply};
-use crate::cell::supervisor::input::Record;
-use crate::cell::supervisor::order::JobOrder;
-use crate::cell::supervisor::round::RoundOrder;
-use crate::cell::supervisor::status::Status;
 use crate::cli::demo::watch::Watch;
 use crate::config::cell::{CameraDevice, CellConfig, Devices, RecordedPictures};
 use crate::config::setup::{Measured, cell_model, drawn, machine_parameters, nominal_model, scene};
@@ -26,7 +17,16 @@ use crate::demo::outcome::DemoOutcome;
 use crate::io::camera::CameraSource;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::perception::Perception;
+use cell_calibration::files::hand_eye::Mount;
+use cell_calibration::fit::HandEye;
+use cell_calibration::fit::solve::on_the_flange;
+use cell_calibration::visit::{Samples, Stop};
 use cell_edge::clock::Clock;
+use cell_machine::orders::{Approval, Reply};
+use cell_machine::supervisor::input::Record;
+use cell_machine::supervisor::order::JobOrder;
+use cell_machine::supervisor::round::RoundOrder;
+use cell_machine::supervisor::status::Status;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::camera::CameraModel;
 use cell_vision::detect::{DetectSettings, Detector};

@@ -4,12 +4,12 @@
 //! In: the daemon's events. Out: [`Watch::kept`], from which the report is made, a recording, and lines on
 //! stderr.
 
-use crate::cell::supervisor::order::RouteAction;
 use crate::daemon::messages::Displayed;
 use crate::daemon::recorder::Recorder;
 use crate::daemon::shell::{Observer, Scene};
 use crate::demo::kept::Kept;
 use crate::report::run::LogRow;
+use cell_machine::supervisor::order::RouteAction;
 use cell_values::time::Timestamp;
 use indicatif::{ProgressBar, ProgressStyle};
 

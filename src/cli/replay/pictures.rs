@@ -3,9 +3,9 @@
 //! In: pictures and the markers that were found in them. Out: for each picture that shows something else
 //! now, what; and how far the corners of the others moved.
 
-use crate::cell::event::Event;
-use crate::cell::replay::{Kind, event_of};
 use crate::io::recording::read::Entry;
+use cell_machine::event::Event;
+use cell_replay::{Kind, event_of};
 use cell_values::image::Image;
 use cell_vision::detect::{DetectError, DetectSettings, Detection, Detector};
 use foxglove::Decode;

@@ -98,7 +98,7 @@ fn text(ran: &[(usize, Aftermath)], seconds: f64) -> String {
     );
     let mut ends: BTreeMap<String, (usize, usize)> = BTreeMap::new();
     let word =
-        |code: Option<crate::cell::code::Code>| code.map_or("waits".to_string(), |code| code.to_string());
+        |code: Option<cell_machine::code::Code>| code.map_or("waits".to_string(), |code| code.to_string());
     for (_, aftermath) in ran {
         ends.entry(word(aftermath.code)).or_default().0 += 1;
         ends.entry(word(aftermath.next)).or_default().1 += 1;

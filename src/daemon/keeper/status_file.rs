@@ -4,10 +4,10 @@
 //! the time. The supervisor's words change when the cell does; ages and queues are of the moment of writing.
 
 use super::StateKeeper;
-use crate::cell::supervisor::status::{Device, DeviceNote, Status};
 use crate::config::setup::gripper_address;
 use crate::jobs::status;
 use cell_edge::clock::unix_now_s;
+use cell_machine::supervisor::status::{Device, DeviceNote, Status};
 
 impl StateKeeper {
     /// Writes the status; a disk that does not take it is logged.

@@ -3,9 +3,9 @@
 //! In: the journal as it was found. Out: sentences for the log, the job that was cut off, what was gripped
 //! and not let go.
 
-use crate::cell::supervisor::model::{CutOff, HeldBefore};
 use crate::jobs::journal::{Journal, JournalError, Recovered};
 use crate::jobs::record::{StepPhase, StepRecord};
+use cell_machine::supervisor::model::{CutOff, HeldBefore};
 
 /// Decides about jobs that were active; what is to be said of each, and the one that was cut off in a step.
 pub(super) fn unfinished(

@@ -5,11 +5,11 @@
 //! things), the lens, joint states. Lengths in m, angles in rad; frames as in ARCHITECTURE.md. What is drawn
 //! is kept, so that each file begins with all of it. Pure.
 
-use crate::calibration::files::hand_eye::Mount;
-use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::RouteAction;
-use crate::motion::bodies::{Part, TOOL_FRAME};
 use crate::report::colour;
+use cell_calibration::files::hand_eye::Mount;
+use cell_machine::supervisor::model::CellModel;
+use cell_machine::supervisor::order::RouteAction;
+use cell_motion::bodies::{Part, TOOL_FRAME};
 use cell_values::units::Joints;
 use cell_vision::camera::CameraModel;
 use cell_vision::observe::Observation;

@@ -3,15 +3,15 @@
 //! In: entries with their times. Out: files in the recording folder, within its budget; the first fault. A
 //! chunk ends at least every second, so that a process that is killed leaves a file that reads up to there.
 
-use crate::cell::event::{Effect, Event};
-use crate::cell::replay::{Kind, Piece};
-use crate::cell::supervisor::model::CellModel;
-use crate::cell::supervisor::order::RouteAction;
 use crate::config::cell::RecordedPictures;
 use crate::daemon::recorder::drawing::{Drawing, joint_states};
 use crate::daemon::recordings_folder::{RecordingsFolder, Segment};
 use crate::io::recording::{JsonTopic, Recording, RecordingError};
 use cell_edge::clock::unix_now_s;
+use cell_machine::event::{Effect, Event};
+use cell_machine::supervisor::model::CellModel;
+use cell_machine::supervisor::order::RouteAction;
+use cell_replay::{Kind, Piece};
 use cell_values::image::Image;
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;

@@ -1,12 +1,12 @@
 //! Recordings on disk: what is in them, when files follow each other, what happens without room.
 
 use super::*;
-use crate::cell::machine::Machine;
-use crate::cell::replay::Replay;
-use crate::cell::supervisor::input::Notice;
 use crate::config::load::load_cell;
 use crate::config::setup::machine_parameters;
 use crate::io::recording::read::{Entry as Read, Item, Items};
+use cell_machine::machine::Machine;
+use cell_machine::supervisor::input::Notice;
+use cell_replay::Replay;
 use std::fs::File;
 use std::path::PathBuf;
 

@@ -5,7 +5,7 @@
 //! is switched on an hour later is waited for.
 
 use super::{NoObserver, Shell, StartError};
-use crate::cell::event::Arm;
+use cell_machine::event::Arm;
 use cell_values::time::Timestamp;
 use std::time::Duration;
 

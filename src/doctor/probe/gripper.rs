@@ -2,13 +2,13 @@
 //!
 //! In: the configuration. Out: [`GripperFacts`]. Nothing is written to the device.
 
-use crate::cell::device::gripper::vacuum_of;
-use crate::cell::device::gripper_types::{ModbusRequest, VACUUM};
 use crate::config::cell::{CellConfig, Devices};
 use crate::config::setup::gripper_address;
 use crate::daemon::sockets::{exchange, resolve};
 use crate::doctor::gripper::{Confirmed, GripperFacts};
 use crate::jobs::state::StateFolder;
+use cell_machine::device::gripper::vacuum_of;
+use cell_machine::device::gripper_types::{ModbusRequest, VACUUM};
 use std::time::Duration;
 use tokio_modbus::prelude::Slave;
 

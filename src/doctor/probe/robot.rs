@@ -2,14 +2,14 @@
 //!
 //! In: the configuration. Out: [`RobotFacts`]. Each link has some seconds; they are looked at side by side.
 
-use crate::cell::device::dashboard_session::{DashboardEvent, DashboardSession};
-use crate::cell::device::primary_session::{PrimaryEvent, PrimarySession};
-use crate::cell::device::robot_types::Link;
-use crate::cell::device::rtde_session::{NO_MARK, RtdeEvent, RtdeSession};
 use crate::config::cell::CellConfig;
 use crate::config::setup::RTDE_HZ;
 use crate::doctor::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
 use cell_edge::clock::Clock;
+use cell_machine::device::dashboard_session::{DashboardEvent, DashboardSession};
+use cell_machine::device::primary_session::{PrimaryEvent, PrimarySession};
+use cell_machine::device::robot_types::Link;
+use cell_machine::device::rtde_session::{NO_MARK, RtdeEvent, RtdeSession};
 use cell_values::time::{Duration, Timestamp};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs};

@@ -3,9 +3,9 @@
 //! In: rows, records. Out: records, JSON text. A job whose file is being moved is recognised by the file's
 //! identity (device, inode, size, time), so a crash between commit and rename is not a duplicate.
 
-use crate::cell::code::{Code, JobStatus};
 use crate::jobs::record::{JobRecord, JobResult, ObjectResult, StepPhase, StepRecord, moves_made};
 use cell_edge::files::FileIdentity;
+use cell_machine::code::{Code, JobStatus};
 use rusqlite::Row;
 use std::collections::BTreeMap;
 

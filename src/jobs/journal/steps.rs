@@ -3,10 +3,10 @@
 //! In: intents and phases. Out: numbered steps. At most one step of a job is open; the database's own index
 //! holds that too.
 
-use crate::cell::code::Code;
 use crate::jobs::journal::rows::encode;
 use crate::jobs::journal::{Journal, JournalError, Recovered};
 use crate::jobs::record::{JobState, StepIntent, StepPhase, StepRecord};
+use cell_machine::code::Code;
 use rusqlite::{OptionalExtension, Row, params};
 
 impl Journal {

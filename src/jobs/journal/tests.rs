@@ -1,9 +1,9 @@
 //! Claims, order, steps and recovery against a database on disk.
 
 use super::*;
-use crate::cell::code::JobStatus;
 use crate::jobs::record::{GoalPose, JobSpec, PlanRecord, PlanStep, StepIntent, StepKind, StepPhase};
 use cell_edge::files::FileIdentity;
+use cell_machine::code::JobStatus;
 use rearrange::geometry::pose::Pose2;
 
 const NOW: f64 = 1_795_248_000.0;

@@ -16,11 +16,11 @@ mod scan;
 #[cfg(test)]
 mod tests;
 
-use crate::cell::code::Code;
 use crate::jobs::journal::JournalError;
 use crate::jobs::record::{JobSpec, quoted};
 use crate::jobs::utc;
 use cell_edge::files::{FileError, create_folder};
+use cell_machine::code::Code;
 use cell_values::time::{Duration, Timestamp};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt::Write as _;

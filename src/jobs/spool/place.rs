@@ -3,7 +3,6 @@
 //! In: journal rows that are not in place. Out: moved files. A file is recognised by its identity (device,
 //! inode, size, time): a new file of the same name is left to the next scan.
 
-use crate::cell::code::JobStatus;
 use crate::jobs::journal::places::Placed;
 use crate::jobs::journal::rows::source_text;
 use crate::jobs::journal::{Journal, Rejection};
@@ -11,6 +10,7 @@ use crate::jobs::record::{JobRecord, JobState};
 use crate::jobs::spool::{Spool, SpoolError};
 use crate::jobs::utc;
 use cell_edge::files::{FileError, create_folder, identify, rename_new, sync_folder, write_atomic};
+use cell_machine::code::JobStatus;
 use std::path::{Path, PathBuf};
 
 impl Spool {

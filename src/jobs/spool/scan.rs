@@ -3,12 +3,12 @@
 //! In: the folder, the journal, the reader of job files, the time. Out: events. A file that changes while it
 //! is read is watched again; a file that cannot be handled stays and is reported once.
 
-use crate::cell::code::Code;
 use crate::jobs::journal::places::NewRejection;
 use crate::jobs::journal::{Claim, Journal, NewJob};
 use crate::jobs::spool::names::{id_of_file, is_plain_name, is_unfinished_name, plain_name};
 use crate::jobs::spool::{ReadJob, Refusal, Spool, SpoolError, SpoolEvent, Watched};
 use cell_edge::files::{FileError, FileIdentity, Unfit, identify, read_regular, remove};
+use cell_machine::code::Code;
 use cell_values::time::{Duration, Timestamp};
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;

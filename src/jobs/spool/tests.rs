@@ -1,10 +1,10 @@
 //! The life of job files, with a reader of its own and a clock turned by hand; crashes at every point.
 
 use super::*;
-use crate::cell::code::JobStatus;
 use crate::jobs::journal::old::HistoryLimits;
 use crate::jobs::journal::{Journal, Recovered};
 use crate::jobs::record::{JobResult, JobState, StepIntent, StepKind};
+use cell_machine::code::JobStatus;
 use rearrange::geometry::pose::Pose2;
 use std::fs;
 

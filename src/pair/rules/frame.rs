@@ -4,10 +4,10 @@
 //! messages before. Out: breaches. Apart from the rules about single messages because these judge a state
 //! and its age: most of them have a time after which celld has to have noticed.
 
-use crate::cell::machine::Machine;
-use crate::cell::supervisor::status::{Doing, Status};
 use crate::pair::rules::{KNOWN_FRAMES, Rule, Rules};
 use crate::pair::thin_arm::ThinModel;
+use cell_machine::machine::Machine;
+use cell_machine::supervisor::status::{Doing, Status};
 use cell_values::units::Joints;
 use std::time::Duration;
 use ur_arm::bodies::Capsule;

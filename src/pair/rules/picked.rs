@@ -6,10 +6,9 @@
 //! place or at the one that the pick rests on. A hand that comes after the last such picture cannot be
 //! noticed before the cups come down.
 
-use crate::cell::machine::Machine;
-use crate::cell::supervisor::model::{CellModel, CellObject};
-use crate::cell::supervisor::phase::{Phase, WorkStage};
 use crate::pair::rules::{Rule, Rules};
+use cell_machine::machine::Machine;
+use cell_machine::supervisor::model::{CellModel, CellObject};
 use cell_values::units::Joints;
 use cell_vision::marker::corners_m;
 use nalgebra::Point3;
@@ -42,15 +41,14 @@ impl Rules {
         let Some(supervisor) = machine.supervisor().filter(|_| !self.moved_by_hand.is_empty()) else {
             return;
         };
-        let Phase::Work(work) = &supervisor.phase else {
+        let Some(work) = supervisor.pick_n_place() else {
             self.gripping = false;
             return;
         };
-        let gripping = work.stage == WorkStage::Gripping;
-        if std::mem::replace(&mut self.gripping, gripping) || !gripping {
+        if std::mem::replace(&mut self.gripping, work.gripping) || !work.gripping {
             return;
         }
-        let Some(moved_at) = self.moved_by_hand.get(&work.object).copied() else { return };
+        let Some(moved_at) = self.moved_by_hand.get(work.object).copied() else { return };
         let world = lock(&simulator.core().world);
         let truth = world.objects().iter().find(|body| body.id == work.object).map(|body| body.pose());
         drop(world);
@@ -59,7 +57,7 @@ impl Rules {
             return;
         }
         let model = supervisor.model();
-        let Some(object) = model.object(&work.object) else { return };
+        let Some(object) = model.object(work.object) else { return };
         let places: Vec<Pose2> = truth.into_iter().chain([work.from]).collect();
         let mut since = self.pictures.iter().filter(|(at, _)| moved_at + EXPOSED_FRAMES <= *at);
         if since.any(|(_, q)| places.iter().any(|place| shows(model, object, place, q))) {

@@ -1,0 +1,258 @@
+//! The conditions without which nothing moves (design, section 7, rule 1).
+//!
+//! In: what the devices last said, whether the cell is armed, what was observed when. Out: `Ok`, or the
+//! first condition that is missing, in words. One function for each class of motion; every motion goes
+//! through one.
+
+use crate::device::program::Nonce;
+use crate::device::robot_types::Link;
+use crate::supervisor::input::DeviceSnapshot;
+use crate::supervisor::safety_words::{mode_words, safety_remedy, safety_words};
+use serde::{Deserialize, Serialize};
+use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
+
+/// Below this vacuum (fraction) nothing hangs on a cup; readings scatter by 1 %.
+const EMPTY_BELOW: f64 = 0.05;
+
+impl GateClosed {
+    /// The same for an order that is given again and needs no `celld arm`.
+    pub fn hint_to_try_again(&self) -> String {
+        let hint = self.hint();
+        hint.strip_suffix("then `celld arm`")
+            .map_or_else(|| hint.to_string(), |first| format!("{first}then try again"))
+    }
+
+    /// What a person can do about it.
+    pub fn hint(&self) -> &'static str {
+        match self {
+            GateClosed::Link(_) | GateClosed::Stale => {
+                "see that the controller is on and in the network: `devices.robot` in the configuration, \
+                 `ping` it"
+            }
+            GateClosed::Safety(mode) => safety_remedy(*mode),
+            GateClosed::Mode(_) => {
+                "see the pendant: a controller that starts or is updated takes its time, a new safety \
+                 configuration is confirmed there, and so is backdrive ended; then `celld arm`"
+            }
+            GateClosed::Guided => {
+                "let go of the freedrive button and stand clear of the arm, then `celld arm`"
+            }
+            GateClosed::Local => "switch the pendant to Remote Control, then `celld arm`",
+            GateClosed::Program => "look at the pendant for the program's error, then `celld arm`",
+            GateClosed::Paused => "press play at the pendant, or `celld abort`",
+            GateClosed::NotPlaying(_) => "look at the pendant for what the program does, or `celld abort`",
+            GateClosed::Disarmed => "`celld arm` once the cell is clear",
+            GateClosed::Locked(_) => "the cell cannot be armed before that",
+            GateClosed::Gripper => {
+                "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, \
+                 `ping` it"
+            }
+            GateClosed::GripperUnconfirmed => {
+                "see that it is the gripper on this arm, then `celld confirm-gripper`, once for this address"
+            }
+            GateClosed::Holding(_) => "`celld recover` says what hangs there and what can be done with it",
+            GateClosed::MayHang(_) => "see that nothing hangs on the cups, then `celld release --yes`",
+            GateClosed::NotObserved | GateClosed::NotApproved => "nothing: the cell goes on by itself",
+        }
+    }
+}
+
+/// Why a motion may not start.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Deserialize, Serialize)]
+pub enum GateClosed {
+    /// A connection to the controller is down.
+    #[error("the {0} link to the controller is down")]
+    Link(Link),
+    /// No state of the robot within the staleness limit.
+    #[error("the robot sends no state")]
+    Stale,
+    /// The safety system does not allow motion.
+    #[error("{}", safety_words(*.0))]
+    Safety(SafetyMode),
+    /// The arm is not powered with its brakes released.
+    #[error("{}", mode_words(*.0))]
+    Mode(RobotMode),
+    /// A person guides the arm by hand.
+    #[error("the arm is guided by hand (freedrive)")]
+    Guided,
+    /// The pendant is in local control, or has not said otherwise.
+    #[error("remote control is off")]
+    Local,
+    /// The program running on the controller is not the one uploaded.
+    #[error("celld's program does not run on the robot")]
+    Program,
+    /// The program is paused at the pendant.
+    #[error("the program is paused")]
+    Paused,
+    /// The program neither plays nor is paused.
+    #[error("the program does not play: the controller is {0}")]
+    NotPlaying(String),
+    /// The cell was not armed.
+    #[error("the cell is disarmed")]
+    Disarmed,
+    /// Nor can it be armed, for this reason.
+    #[error("the cell is locked: {0}")]
+    Locked(String),
+    /// The gripper does not answer.
+    #[error("the gripper does not answer")]
+    Gripper,
+    /// No person has said yet that what answers at the gripper's address is the gripper.
+    #[error("what answers at the gripper's address was never confirmed to be the gripper")]
+    GripperUnconfirmed,
+    /// There is vacuum although nothing was picked.
+    #[error("something may hang on the gripper: vacuum {0} %")]
+    Holding(u32),
+    /// An object was held, and no person or picture has said that it is gone.
+    #[error("{0} may hang on the cups")]
+    MayHang(String),
+    /// The table changed since it was last seen.
+    #[error("the table was not observed since the last motion of an object")]
+    NotObserved,
+    /// The plan waits for a person.
+    #[error("the plan is not approved")]
+    NotApproved,
+}
+
+/// What arming needs: everything that a person at the table cannot see past. An arm that is off may be
+/// armed, for celld powers it on the order; an arm that comes to life later must not move for an order from
+/// before.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn arming(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
+    arming_for_round(outside)?;
+    empty_handed(outside)
+}
+
+/// What arming for a calibration round needs: it picks nothing, and the gripper need not be there.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn arming_for_round(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
+    if let Some(link) = outside.link_down {
+        return Err(GateClosed::Link(link));
+    }
+    let robot = match outside.robot {
+        Some(robot) if outside.robot_fresh => robot,
+        _ => return Err(GateClosed::Stale),
+    };
+    if !robot.safety_mode.allows_motion() {
+        return Err(GateClosed::Safety(robot.safety_mode));
+    }
+    if robot.remote_control != Some(true) {
+        return Err(GateClosed::Local);
+    }
+    if robot.guided {
+        return Err(GateClosed::Guided);
+    }
+    match robot.robot_mode {
+        RobotMode::PowerOff | RobotMode::Idle | RobotMode::Running => Ok(()),
+        RobotMode::NoController
+        | RobotMode::Disconnected
+        | RobotMode::ConfirmSafety
+        | RobotMode::Booting
+        | RobotMode::PowerOn
+        | RobotMode::Backdrive
+        | RobotMode::UpdatingFirmware
+        | RobotMode::Unknown(_) => Err(GateClosed::Mode(robot.robot_mode)),
+    }
+}
+
+/// What a way back after a stop needs: as for arming, but a protective stop is what it leaves, and something
+/// may be held.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn recovering(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
+    let stopped = outside.robot.is_some_and(|robot| robot.safety_mode == SafetyMode::ProtectiveStop);
+    match arming_for_round(outside) {
+        Err(GateClosed::Safety(_)) if stopped => Ok(()),
+        judged => judged,
+    }
+}
+
+/// What every motion needs.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn any_motion(armed: bool, outside: &DeviceSnapshot, nonce: Option<Nonce>) -> Result<(), GateClosed> {
+    // First, because a cell that was not armed is no cell in trouble.
+    if !armed {
+        return Err(GateClosed::Disarmed);
+    }
+    let robot = match outside.robot {
+        Some(robot) if outside.robot_fresh => robot,
+        _ => return Err(GateClosed::Stale),
+    };
+    if !robot.safety_mode.allows_motion() {
+        return Err(GateClosed::Safety(robot.safety_mode));
+    }
+    if robot.robot_mode != RobotMode::Running {
+        return Err(GateClosed::Mode(robot.robot_mode));
+    }
+    if robot.guided {
+        return Err(GateClosed::Guided);
+    }
+    if robot.remote_control != Some(true) {
+        return Err(GateClosed::Local);
+    }
+    if nonce.is_none_or(|nonce| robot.nonce != nonce.number()) {
+        return Err(GateClosed::Program);
+    }
+    match robot.runtime_state {
+        RuntimeState::Playing => Ok(()),
+        RuntimeState::Pausing | RuntimeState::Paused => Err(GateClosed::Paused),
+        RuntimeState::Stopping
+        | RuntimeState::Stopped
+        | RuntimeState::Resuming
+        | RuntimeState::Unknown(_) => {
+            Err(GateClosed::NotPlaying(robot.runtime_state.to_string().to_lowercase()))
+        }
+    }
+}
+
+/// What every motion with an empty gripper needs besides: that it is known to be empty.
+///
+/// # Errors
+/// [`GateClosed::Gripper`] or [`GateClosed::Holding`].
+pub fn empty_handed(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
+    let Some(vacuum) = outside.vacuum.filter(|_| outside.gripper_answers) else {
+        return Err(GateClosed::Gripper);
+    };
+    // A reading that is no number is no proof either; the larger of it and another would be the other.
+    if vacuum.iter().all(|share| *share < EMPTY_BELOW) {
+        return Ok(());
+    }
+    Err(GateClosed::Holding((vacuum[0].max(vacuum[1]) * 100.0).round() as u32))
+}
+
+/// What moving an object needs besides.
+///
+/// # Errors
+/// The first condition that does not hold.
+pub fn manipulate(
+    armed: bool,
+    outside: &DeviceSnapshot,
+    nonce: Option<Nonce>,
+    observed: bool,
+    approved: bool,
+) -> Result<(), GateClosed> {
+    any_motion(armed, outside, nonce)?;
+    empty_handed(outside)?;
+    if !observed {
+        Err(GateClosed::NotObserved)
+    } else if !approved {
+        Err(GateClosed::NotApproved)
+    } else {
+        Ok(())
+    }
+}
+
+/// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does
+/// not play.
+pub(crate) fn motion_speed(outside: &DeviceSnapshot) -> f64 {
+    outside.robot.map_or(0.0, |robot| {
+        let playing = robot.runtime_state == RuntimeState::Playing;
+        if playing { robot.target_speed_fraction.clamp(0.0, 1.0) } else { 0.0 }
+    })
+}

@@ -1,0 +1,384 @@
+//! What the operator may order, what each order does in which state of the cell, and what is answered.
+//!
+//! In: an order. Out: what changes, and a [`Reply`] made after the decision from the state that it led to.
+//! An order that changes nothing says so.
+
+use crate::code::{Code, JobStatus};
+use crate::device::gripper_types::{Channels, GripperCommand, GripperEvent};
+use crate::orders::{Approval, Order, Reply};
+use crate::supervisor::cell::Supervisor;
+use crate::supervisor::gates::{GateClosed, motion_speed};
+use crate::supervisor::input::{Action, DeviceSnapshot, Record};
+use crate::supervisor::mode::{Mode, Pace};
+use crate::supervisor::phase::{Phase, Preview, Then, WorkStage};
+use crate::supervisor::reason::say;
+use cell_values::time::Timestamp;
+use ur_wire::enumerations::RobotMode;
+
+impl Supervisor {
+    /// Carries an order out; the refusal, if it is refused.
+    pub(crate) fn take_order(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        number: u64,
+        order: &Order,
+        out: &mut Vec<Action>,
+    ) -> Option<Reply> {
+        match order {
+            Order::Arm => return self.on_arm(outside, out),
+            Order::Disarm => self.on_disarm(now, outside, number, out),
+            Order::Approve(id) => return self.on_verdict(now, id, true, out),
+            Order::Reject(id) => return self.on_verdict(now, id, false, out),
+            Order::Cancel(id) => return self.on_cancel(id),
+            Order::Pause | Order::Step | Order::Park if self.has_no_pace().is_some() => {
+                return self.has_no_pace();
+            }
+            Order::Pause => return self.on_pause(outside),
+            Order::Resume if !self.mode.paused() && self.moving() && motion_speed(outside) == 0.0 => {
+                let why =
+                    "celld was not paused: the arm is held at the pendant, by pause or by the speed slider";
+                return Some(Reply::refuse(why));
+            }
+            Order::Resume if !self.mode.paused() => return Some(Reply::accept("nothing was paused")),
+            Order::Resume => self.mode.set_pace(Pace::Running),
+            Order::Step if !self.mode.armed() => return Some(self.not_armed(outside, "no step")),
+            Order::Step => self.mode.set_pace(Pace::OneMove),
+            Order::Park if !self.mode.armed() => return Some(self.not_armed(outside, "not parked")),
+            Order::Park if self.is_parked(outside) && !self.moving() => {
+                return Some(Reply::accept("the arm is at its park pose already"));
+            }
+            Order::Park => {
+                self.mode.set_park(true);
+                self.waiting_since = now;
+            }
+            Order::Abort => {
+                self.on_abort(now, out);
+                self.answer_when_it_stands(now, number, Then::Say);
+            }
+            Order::Release(channels) => self.on_release_order(now, outside, number, *channels, out),
+            Order::Recover(way) => return self.on_recover(now, outside, number, *way, out),
+            Order::ConfirmGripper => return Some(self.on_confirm_gripper(outside, out)),
+        }
+        None
+    }
+
+    /// A way back and a calibration round take no pace; they are ended.
+    fn has_no_pace(&self) -> Option<Reply> {
+        let what = match (self.back.recovery.is_some(), self.round.is_some()) {
+            (true, _) => "way back",
+            (false, true) => "calibration round",
+            (false, false) => return None,
+        };
+        Some(Reply::refuse(format!("no: a {what} is under way; `celld abort` ends it")))
+    }
+
+    fn on_pause(&mut self, outside: &DeviceSnapshot) -> Option<Reply> {
+        let parks = matches!(self.phase, Phase::Park);
+        if self.mode.paused() && !parks {
+            let said = match self.mode.parks() {
+                true => "paused already; the arm is not parked any more",
+                false => "paused already",
+            };
+            self.mode.set_park(false);
+            return Some(Reply::accept(said));
+        }
+        self.mode.set_pace(Pace::Paused);
+        if !parks {
+            self.mode.set_park(false);
+        }
+        (!self.mode.paused()).then(|| self.not_armed(outside, "not paused, and nothing moves"))
+    }
+
+    fn not_armed(&self, outside: &DeviceSnapshot, what: &str) -> Reply {
+        Reply::refuse(match &self.mode {
+            Mode::Ending { .. } => format!("{what}: celld is ending"),
+            Mode::Locked(reason) => format!("{what}: {reason}"),
+            Mode::Disarmed { .. } | Mode::Armed { .. } => match self.may_arm(outside) {
+                Ok(()) => format!("{what}: the cell is disarmed; `celld arm` first"),
+                Err(closed) => {
+                    let why = self.place(&closed);
+                    format!("{what}: the cell is disarmed, and cannot be armed now: {why}; {}", closed.hint())
+                }
+            },
+        })
+    }
+
+    /// What a person has ordered for safe access and that is not over yet.
+    pub(crate) fn under_way(&self, outside: &DeviceSnapshot) -> Option<&'static str> {
+        if self.stopping(outside) {
+            Some("a stop is under way, and the arm is not known to stand yet")
+        } else if !self.release_orders.is_empty() {
+            Some("a release is under way, and the gripper has not confirmed it yet")
+        } else {
+            None
+        }
+    }
+
+    fn on_arm(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) -> Option<Reply> {
+        if self.back.recovery.is_some() {
+            return Some(Reply::refuse(
+                "not armed: a way back is under way, and the arm may move; `celld abort` stops it",
+            ));
+        }
+        if self.mode.armed() {
+            return Some(Reply::accept("armed already"));
+        }
+        if let Some(why) = self.under_way(outside) {
+            return Some(Reply::refuse(format!("not armed: {why}; try again")));
+        }
+        let open = self.may_arm(outside);
+        if let (Mode::Disarmed { .. }, Err(closed)) = (&self.mode, &open) {
+            return Some(Reply::refuse(self.not_armed_for(closed)));
+        }
+        if !self.mode.arm() {
+            return Some(match &self.mode {
+                Mode::Locked(reason) => Reply::refuse(format!("not armed: {reason}")),
+                Mode::Ending { .. } | Mode::Disarmed { .. } | Mode::Armed { .. } => {
+                    Reply::refuse("not armed: celld is ending")
+                }
+            });
+        }
+        say(out, "armed");
+        self.armed_now(outside, out);
+        None
+    }
+
+    /// The cell has just been armed. The person who arms has been at the table: what was on it may be gone,
+    /// and only a look can show it; a plan that is being made rests on what was there.
+    pub(crate) fn armed_now(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        self.arms_when_open = false;
+        (self.back.fell, self.back.last_stop, self.back.error) = (None, None, None);
+        self.back.weak = None;
+        self.seen = None;
+        self.job.iter_mut().for_each(|job| job.gone.clear());
+        self.foreign_height = 0.0;
+        self.drift_reported = false;
+        self.preview_over();
+        if matches!(self.phase, Phase::Plan) {
+            self.phase = Phase::Ready;
+        }
+        // At once: a person has to see what comes of the order, not minutes later.
+        let off =
+            outside.robot.is_some_and(|r| matches!(r.robot_mode, RobotMode::PowerOff | RobotMode::Idle));
+        if off && matches!(self.phase, Phase::Ready | Phase::Approve) {
+            self.begin_bring_up(outside, out);
+        }
+    }
+
+    /// What is missing, and what to do before the next try.
+    fn not_armed_for(&self, closed: &GateClosed) -> String {
+        if let Some(taken) = self.registers_taken().filter(|_| *closed == GateClosed::Stale) {
+            return format!("not armed: {taken}; end it or take the registers from it, then `celld arm`");
+        }
+        let hint = closed.hint();
+        let again = if hint.contains("celld arm") { "" } else { "; then `celld arm`" };
+        format!("not armed: {}; {hint}{again}", self.place(closed))
+    }
+
+    /// A pick-n-place under way is finished, then nothing moves; the person who disarms may put hands on the
+    /// table. What is held in the middle of a motion does not go on by itself later: it is stopped. So is a
+    /// robot that is being started: power, brakes and program would come after the answer.
+    fn on_disarm(&mut self, now: Timestamp, outside: &DeviceSnapshot, number: u64, out: &mut Vec<Action>) {
+        let held = self.moving() && motion_speed(outside) == 0.0;
+        if held || self.round.is_some() || self.back.recovery.is_some() {
+            let what = match (held, self.round.is_some()) {
+                (true, _) => "while the arm was held",
+                (false, true) => "in a calibration round",
+                (false, false) => "on a way back",
+            };
+            let reason = Code::Aborted.because(format!("the operator disarmed the cell {what}"), "");
+            self.stop_all(now, JobStatus::Interrupted, reason, out);
+            return self.answer_when_it_stands(now, number, Then::Say);
+        }
+        let goes_on = self.disarm_after_this_motion(now, outside, out);
+        if self.stopping(outside) {
+            self.answer_when_it_stands(now, number, Then::Say);
+        }
+        say(
+            out,
+            if goes_on {
+                "disarmed; what is under way is finished first, `celld abort` stops it now"
+            } else {
+                "disarmed"
+            },
+        );
+    }
+
+    /// Disarms; a robot that is being started is stopped, and so is a way to a look pose or to the park pose
+    /// on which the arm has not set out. True while a motion under way is finished first.
+    pub(crate) fn disarm_after_this_motion(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        out: &mut Vec<Action>,
+    ) -> bool {
+        let rests = outside.robot.is_some_and(|robot| outside.robot_fresh && robot.stands_still());
+        let travels = matches!(self.phase, Phase::Look(_) | Phase::Park) && self.follows_a_path();
+        let not_set_out = travels && rests;
+        if not_set_out || matches!(self.phase, Phase::BringUp(_)) {
+            self.stop_robot(out);
+        }
+        self.mode.disarm();
+        self.arms_when_open = false;
+        self.seen = None;
+        let begun = match &self.phase {
+            Phase::BringUp(_) => false,
+            Phase::Work(work) => !matches!(work.stage, WorkStage::NotingIntent(_)),
+            Phase::Ready
+            | Phase::Look(_)
+            | Phase::Plan
+            | Phase::Approve
+            | Phase::Park
+            | Phase::Visit(_)
+            | Phase::Recover(_) => self.follows_a_path() && !not_set_out,
+        };
+        match &mut self.phase {
+            Phase::Park if !begun => self.phase = Phase::Ready,
+            Phase::BringUp(_) => self.phase = self.after_bring_up(),
+            Phase::Work(_) if !begun => self.not_begun(now, out),
+            Phase::Look(_) if !begun => self.phase = Phase::Ready,
+            Phase::Look(look) => look.void = true,
+            Phase::Ready
+            | Phase::Plan
+            | Phase::Approve
+            | Phase::Work(_)
+            | Phase::Park
+            | Phase::Visit(_)
+            | Phase::Recover(_) => {}
+        }
+        begun
+    }
+
+    /// A person has seen the plan.
+    fn on_verdict(
+        &mut self,
+        now: Timestamp,
+        id: &str,
+        approved: bool,
+        out: &mut Vec<Action>,
+    ) -> Option<Reply> {
+        if self.job.as_ref().is_none_or(|job| job.order.id != id) {
+            return Some(self.not_active(id));
+        }
+        let preview = self.preview_waits();
+        if !preview && !matches!(self.phase, Phase::Approve) {
+            return Some(Reply::refuse(format!("job {id} does not wait for approval")));
+        }
+        if let Some(job) = self.job.as_mut().filter(|_| approved) {
+            // A preview is no plan that may be carried out: the one that is made after the look is compared.
+            job.approved = !preview || job.order.approval == Approval::Job;
+            job.order.agreed = match (&job.preview, &job.route) {
+                (Some(Preview::Made(route)), _) if preview => route.clone(),
+                (_, route) => route.clone().unwrap_or_default(),
+            };
+        }
+        self.phase = Phase::Ready;
+        if approved {
+            self.commit(now, Record::Approved, out);
+        } else {
+            self.finish(
+                now,
+                JobStatus::Cancelled,
+                Code::PlanRejected.because("the plan was rejected", ""),
+                out,
+            );
+        }
+        None
+    }
+
+    /// Once for an address: nothing that could be read from the device proves what it is.
+    fn on_confirm_gripper(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) -> Reply {
+        let address = &self.model.addresses.gripper;
+        if self.model.gripper_confirmed {
+            return Reply::accept(format!("confirmed already: the gripper is at {address}"));
+        }
+        if !outside.gripper_answers {
+            let why = self.place(&GateClosed::Gripper);
+            return Reply::refuse(format!("not confirmed: {why}; {}", GateClosed::Gripper.hint()));
+        }
+        let reply = Reply::accept(format!("confirmed: the gripper is at {address}"));
+        say(out, reply.message.clone());
+        self.model.gripper_confirmed = true;
+        reply
+    }
+
+    fn not_active(&self, id: &str) -> Reply {
+        Reply::refuse(match &self.job {
+            Some(job) => format!("job {id} is not the active one, that is {}", job.order.id),
+            None => format!("job {id} is not the active one: there is none"),
+        })
+    }
+
+    fn on_cancel(&mut self, id: &str) -> Option<Reply> {
+        match &mut self.job {
+            Some(job) if job.order.id == id => job.cancel = true,
+            Some(_) | None => return Some(self.not_active(id)),
+        }
+        if matches!(self.phase, Phase::Plan | Phase::Approve) {
+            self.phase = Phase::Ready;
+        }
+        None
+    }
+
+    /// What is let go in motion flies, and a carry must not go on without its object: the arm is stopped
+    /// first. The person who orders it has hands at the gripper: an armed cell, which could begin a motion
+    /// at any time, is stopped and disarmed.
+    pub(crate) fn on_release_order(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        number: u64,
+        channels: Channels,
+        out: &mut Vec<Action>,
+    ) {
+        self.seen = None;
+        self.arms_when_open = false;
+        if self.moving() || self.mode.armed() || self.back.recovery.is_some() {
+            let reason = Code::Released.because(
+                "the operator releases the vacuum",
+                "if something was held, see where it lies; then `celld arm` and submit again",
+            );
+            self.stop_all(now, JobStatus::Interrupted, reason, out);
+        } else if self.arm_stands(outside) || (self.stands && !outside.robot_fresh) {
+            return self.release(number, channels, out);
+        }
+        self.answer_when_it_stands(now, number, Then::Release(channels));
+    }
+
+    /// Switches the vacuum off; the answer is what the gripper says.
+    pub(crate) fn release(&mut self, number: u64, channels: Channels, out: &mut Vec<Action>) {
+        self.release_orders.push((number, channels));
+        say(out, format!("vacuum off by the operator's order, {channels}"));
+        out.push(Action::Gripper(GripperCommand::Release { channels }));
+    }
+
+    /// The gripper's word on the releases that a person ordered; an event that is none leaves them waiting.
+    pub(crate) fn answer_release(&mut self, event: &GripperEvent, out: &mut Vec<Action>) {
+        let reply = |channels: Channels| match event {
+            GripperEvent::Released => Some(Reply::accept(match channels {
+                Channels::Both => "vacuum off; the cell is disarmed".to_string(),
+                one => format!("vacuum off, {one} only; the cell is disarmed"),
+            })),
+            GripperEvent::ReleaseFailed { vacuum } => Some(Reply::refuse(format!(
+                "not released: the vacuum was {:.0} % at the last reading; the object may still be held, \
+                 see the gripper",
+                vacuum * 100.0
+            ))),
+            GripperEvent::Refused => Some(Reply::refuse("the gripper takes no order: it does not answer")),
+            GripperEvent::Gripped { .. }
+            | GripperEvent::GripFailed { .. }
+            | GripperEvent::VacuumWeak { .. }
+            | GripperEvent::VacuumLost { .. }
+            | GripperEvent::Unreachable { .. }
+            | GripperEvent::Answering
+            | GripperEvent::Reading { .. } => None,
+        };
+        for (number, channels) in std::mem::take(&mut self.release_orders) {
+            match reply(channels) {
+                Some(reply) => out.push(Action::Reply { number, reply }),
+                None => self.release_orders.push((number, channels)),
+            }
+        }
+    }
+}

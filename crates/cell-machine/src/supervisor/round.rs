@@ -1,0 +1,56 @@
+//! A calibration round as data: the poses to visit, how far it is, and why it ended early.
+//!
+//! What the supervisor does with it is in `visits`.
+
+use cell_motion::slow::{CalibrationBox, SlowFault};
+use cell_values::units::Joints;
+use serde::{Deserialize, Serialize};
+
+/// A round to be carried out.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct RoundOrder {
+    /// Where pictures are taken, in this order.
+    pub poses: Vec<Joints>,
+    /// Where the flange stays.
+    pub room: Option<CalibrationBox>,
+}
+
+/// Why a round ended without all its pictures.
+#[derive(Clone, Debug, PartialEq, thiserror::Error, Deserialize, Serialize)]
+pub enum RoundFault {
+    /// A gate stayed closed.
+    #[error(
+        "{what} for {seconds} s; see that `devices.robot` is its address, that it is powered and in remote \
+         control"
+    )]
+    NotReady {
+        /// Which.
+        what: String,
+        /// How long.
+        seconds: u64,
+    },
+    /// A pose cannot be visited.
+    #[error(transparent)]
+    Move(#[from] SlowFault),
+    /// What stopped the robot.
+    #[error("the round ended, or was not begun: {0}")]
+    Robot(String),
+    /// The camera gave no picture.
+    #[error("camera: {0}")]
+    Camera(String),
+}
+
+/// A round under way.
+#[derive(Debug, Deserialize, Serialize)]
+pub(crate) struct Round {
+    pub order: RoundOrder,
+    /// Index of the pose that is visited.
+    pub at: usize,
+}
+
+impl Round {
+    /// Number of the pose, from 1, and how many there are.
+    pub fn progress(&self) -> (usize, usize) {
+        (self.at + 1, self.order.poses.len())
+    }
+}

@@ -1,0 +1,299 @@
+//! How the cell looks from outside: for the status file, a page, the demo's progress.
+//!
+//! In: the supervisor's state. Out: [`Status`], in values that programs compare and in words for people.
+
+use crate::code::Code;
+use crate::supervisor::cell::Supervisor;
+use crate::supervisor::gates::GateClosed;
+pub use crate::supervisor::phase::WorkStep;
+use crate::supervisor::phase::{Phase, WorkStage};
+use crate::supervisor::reason::Reason;
+use crate::supervisor::round::Round;
+use crate::times::TimeSplit;
+use cell_motion::path::CheckedPath;
+use rearrange::geometry::pose::Pose2;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+
+/// A pick-n-place under way, for who judges it from outside.
+#[derive(Clone, Copy, Debug)]
+pub struct UnderWay<'a> {
+    /// Of what.
+    pub object: &'a str,
+    /// Where it was seen.
+    pub from: Pose2,
+    /// The cups are at the object, and it does not hang yet.
+    pub gripping: bool,
+    /// From the pick to the place.
+    pub carry: &'a CheckedPath,
+}
+
+/// What is going on, for programs; [`Status::text`] says it in words.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub enum Doing {
+    /// The arm was ordered to stop, and is not known to be at rest with its program ended.
+    Stopping,
+    /// No job.
+    Idle,
+    /// A gate is closed.
+    Waiting(GateClosed),
+    /// A pause is in force.
+    Paused,
+    /// The last record of a job or a step is being written.
+    Writing,
+    /// About to go on.
+    Ready,
+    /// Power, brakes, program.
+    StartingRobot,
+    /// Look pose, from 1, and how many; the code of what keeps the camera from giving a picture.
+    Looking(usize, usize, Option<Code>),
+    /// The planner works.
+    Planning,
+    /// A person has to approve the plan.
+    AwaitingApproval,
+    /// A pick-n-place: what, and with which object.
+    Working(WorkStep, String),
+    /// On the way to the park pose.
+    Parking,
+    /// A way back after a stop.
+    Recovering(Cow<'static, str>),
+    /// Calibration pose, from 1, and how many.
+    Visiting(usize, usize),
+    /// The daemon ends.
+    Ending,
+}
+
+/// How the cell looks from outside.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct Status {
+    /// Motion is allowed.
+    pub armed: bool,
+    /// A pause is in force.
+    pub paused: bool,
+    /// What is going on.
+    pub doing: Doing,
+    /// The active job.
+    pub job: Option<String>,
+    /// Its plan, or a preview of it, waits for a person.
+    pub awaits_approval: bool,
+    /// What hangs on the gripper, may hang or fell, in a few words.
+    pub held: Option<String>,
+    /// Pick-n-places carried out in it.
+    pub moves: usize,
+    /// Pick-n-places its present plan still has.
+    pub remaining_moves: usize,
+    /// Where the time of the last one went.
+    pub last_move: Option<TimeSplit>,
+    /// Why the table is looked at again: what a person sees there, such as a thing without a marker.
+    pub because: Option<String>,
+    /// What a person is to do; empty where nothing is.
+    pub hint: String,
+    /// The stop that is still to be left, and why it came.
+    pub stopped: Option<StopNote>,
+    /// Robot, gripper, camera.
+    pub devices: Vec<DeviceNote>,
+}
+
+/// A stop that is still to be left.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct StopNote {
+    /// For programs.
+    pub code: Code,
+    /// One sentence.
+    pub message: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+/// Which device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub enum Device {
+    /// Its sign of life is a state package of the controller.
+    Robot,
+    /// A reading of the vacuum.
+    Gripper,
+    /// A picture.
+    Camera,
+}
+
+impl Device {
+    /// As in the status file.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Device::Robot => "robot",
+            Device::Gripper => "gripper",
+            Device::Camera => "camera",
+        }
+    }
+}
+
+/// How a device is.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
+pub struct DeviceNote {
+    /// Which.
+    pub device: Device,
+    /// It answers and may be used.
+    pub ready: bool,
+    /// One sentence.
+    pub message: String,
+}
+
+impl Status {
+    /// A disarmed cell that does nothing.
+    pub fn idle() -> Status {
+        Status {
+            armed: false,
+            paused: false,
+            doing: Doing::Idle,
+            job: None,
+            awaits_approval: false,
+            held: None,
+            moves: 0,
+            remaining_moves: 0,
+            last_move: None,
+            because: None,
+            hint: String::new(),
+            stopped: None,
+            devices: Vec::new(),
+        }
+    }
+
+    /// What is going on, in a few words.
+    pub fn text(&self) -> String {
+        match &self.doing {
+            Doing::Stopping => "stopping".to_string(),
+            Doing::Idle => "idle".to_string(),
+            Doing::Waiting(reason) => format!("waiting: {reason}"),
+            Doing::Paused => "paused".to_string(),
+            Doing::Writing => "writing the journal".to_string(),
+            Doing::Ready => "ready".to_string(),
+            Doing::StartingRobot => "starting the robot".to_string(),
+            Doing::Looking(view, of, None) => format!("looking {view}/{of}"),
+            Doing::Looking(view, of, Some(code)) => format!("looking {view}/{of}, waiting: {code}"),
+            Doing::Planning => "planning".to_string(),
+            Doing::AwaitingApproval => "waiting for approval".to_string(),
+            Doing::Working(step, object) => format!("{} {object}", step.as_str()),
+            Doing::Parking => "parking".to_string(),
+            Doing::Recovering(what) => format!("on a way back: {what}"),
+            Doing::Visiting(pose, of) => format!("calibration pose {pose}/{of}"),
+            Doing::Ending => "ending".to_string(),
+        }
+    }
+}
+
+impl Supervisor {
+    /// The pick-n-place under way, if the cell is at one.
+    pub fn pick_n_place(&self) -> Option<UnderWay<'_>> {
+        let Phase::Work(work) = &self.phase else { return None };
+        Some(UnderWay {
+            object: &work.object,
+            from: work.from,
+            gripping: work.stage == WorkStage::Gripping,
+            carry: &work.paths.carry,
+        })
+    }
+
+    /// How the cell looks from outside.
+    pub fn status(&self) -> Status {
+        let job = self.job.as_ref();
+        Status {
+            armed: self.mode.armed(),
+            paused: self.mode.paused(),
+            doing: self.doing(),
+            job: job.map(|job| job.order.id.clone()),
+            awaits_approval: matches!(self.phase, Phase::Approve) || self.preview_waits(),
+            held: self.holding_words(),
+            moves: job.map_or(0, |job| job.moves),
+            last_move: job.and_then(|_| self.times.last_move()),
+            remaining_moves: job.and_then(|job| job.route.as_ref()).map_or(0, Vec::len),
+            because: job.and_then(|job| job.doubt.clone()).filter(|_| matches!(self.phase, Phase::Look(_))),
+            hint: self.hint(),
+            stopped: self.back.last_stop.as_ref().map(|stop| {
+                let Reason { code, message, .. } = stop.reason.clone();
+                StopNote { code, message, hint: self.stop_hint(stop) }
+            }),
+            devices: Vec::new(),
+        }
+    }
+
+    /// What a person is to do now.
+    fn hint(&self) -> String {
+        let stopped = self.back.last_stop.as_ref().filter(|_| !self.mode.armed());
+        match &self.phase {
+            Phase::Approve => self.job.as_ref().map_or_else(String::new, |job| {
+                let id = &job.order.id;
+                format!("look at the plan, then `celld approve {id}` or `celld reject {id}`")
+            }),
+            Phase::Look(look) => {
+                look.fault.as_ref().map_or_else(String::new, |fault| self.hands_off_first(&fault.hint))
+            }
+            Phase::Ready if self.mode.ending() => String::new(),
+            Phase::Ready if !self.stands || !self.arm_settled => "wait until the arm is at rest".to_string(),
+            Phase::Ready if self.back.recovery.is_some() => String::new(),
+            // Where more than the arming is missing, that comes first.
+            Phase::Ready
+                if self.preview_waits()
+                    && stopped.is_none()
+                    && self.waiting_for == Some(GateClosed::Disarmed) =>
+            {
+                let id = self.job.as_ref().map_or("", |job| &job.order.id);
+                format!(
+                    "`celld arm` once the cell is clear; the preview of the plan can be approved before: `celld \
+                     approve {id}`"
+                )
+            }
+            Phase::Ready => match (self.locked(), stopped, &self.waiting_for) {
+                (Some(closed), ..) => closed.hint().to_string(),
+                (None, Some(stop), _) => self.stop_hint(stop),
+                (None, None, Some(reason)) => self.hands_off_first(reason.hint()),
+                (None, None, None) if self.mode.armed() && self.mode.paused() => {
+                    "`celld resume` goes on".to_string()
+                }
+                (None, None, None) => String::new(),
+            },
+            Phase::BringUp(_)
+            | Phase::Plan
+            | Phase::Work(_)
+            | Phase::Park
+            | Phase::Recover(_)
+            | Phase::Visit(_) => String::new(),
+        }
+    }
+
+    /// An armed cell goes on by itself as soon as it can: nobody is sent to it before it is disarmed.
+    fn hands_off_first(&self, hint: &str) -> String {
+        match self.mode.armed() && !hint.is_empty() {
+            true => format!("`celld disarm` before going to it; {hint}"),
+            false => hint.to_string(),
+        }
+    }
+
+    fn doing(&self) -> Doing {
+        match &self.phase {
+            Phase::Ready if self.mode.ending() => Doing::Ending,
+            Phase::Ready if !self.stands || !self.arm_settled => Doing::Stopping,
+            Phase::Ready if self.back.recovery.is_some() => Doing::Recovering("about to go on".into()),
+            Phase::Ready => match (&self.job, &self.waiting_for) {
+                (None, _) if !self.ledger.is_clear() => Doing::Writing,
+                (None, _) => self.locked().map_or(Doing::Idle, Doing::Waiting),
+                (Some(_), Some(reason)) => Doing::Waiting(reason.clone()),
+                (Some(_), None) if self.mode.paused() => Doing::Paused,
+                (Some(_), None) => Doing::Ready,
+            },
+            Phase::BringUp(_) => Doing::StartingRobot,
+            Phase::Look(look) => {
+                let fault = look.fault.as_ref().map(|fault| fault.code);
+                Doing::Looking(look.at + 1, look.poses.len(), fault)
+            }
+            Phase::Plan => Doing::Planning,
+            Phase::Approve => Doing::AwaitingApproval,
+            Phase::Work(work) => Doing::Working(work.stage.step(), work.object.clone()),
+            Phase::Park => Doing::Parking,
+            Phase::Recover(stage) => Doing::Recovering(stage.words().into()),
+            Phase::Visit(_) => {
+                let (pose, of) = self.round.as_ref().map_or((0, 0), Round::progress);
+                Doing::Visiting(pose, of)
+            }
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! What arming needs, what its answer says, and that it is never made up for later.
+
+use super::*;
+use crate::orders::WayBack;
+
+/// What is missing, and a word of the answer that names it.
+type Missing = (&'static str, fn(&mut Bench));
+
+const MISSING: &[Missing] = &[
+    ("RTDE", |bench| bench.link_down = Some(Link::Rtde)),
+    ("dashboard", |bench| bench.link_down = Some(Link::Dashboard)),
+    ("primary", |bench| bench.link_down = Some(Link::Primary)),
+    ("sends no state", |bench| bench.silent = true),
+    ("emergency stop is pressed", |bench| bench.robot.safety_mode = SafetyMode::RobotEmergencyStop),
+    ("celld recover", |bench| bench.robot.safety_mode = SafetyMode::ProtectiveStop),
+    ("a safeguard is open", |bench| bench.robot.safety_mode = SafetyMode::SafeguardStop),
+    ("unknown value 99", |bench| bench.robot.safety_mode = SafetyMode::Unknown(99)),
+    ("remote control", |bench| bench.robot.remote_control = Some(false)),
+    ("remote control", |bench| bench.robot.remote_control = None),
+    ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Booting),
+    ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Disconnected),
+    ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Backdrive),
+    ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Unknown(42)),
+    ("gripper", |bench| bench.gripper_answers = false),
+    ("never confirmed", |bench| bench.cell.model.gripper_confirmed = false),
+    ("hang on the gripper", |bench| bench.vacuum = [0.0, 0.4]),
+    ("hang on the gripper", |bench| bench.vacuum = [f64::NAN, 0.0]),
+];
+
+#[test]
+fn arming_names_what_is_missing_and_is_not_made_up_for_later() {
+    for (word, remove) in MISSING {
+        let mut bench = Bench::new();
+        let there = (bench.robot.clone(), bench.vacuum);
+        remove(&mut bench);
+        bench.job(false);
+        let mut all = bench.feed(order(Order::Arm));
+        let reply = answer(&all).expect("an answer");
+        assert!(!reply.accepted && reply.message.contains(word), "{word}: {}", reply.message);
+        assert!(reply.message.contains("celld arm"), "what to do: {}", reply.message);
+        // What was missing comes, as after a boot or when an emergency stop is let go.
+        (bench.robot, bench.vacuum) = there;
+        (bench.link_down, bench.silent, bench.gripper_answers) = (None, false, true);
+        bench.cell.model.gripper_confirmed = true;
+        all.extend(bench.ticks(500));
+        assert_eq!(streams(&all), 0, "{word}: nothing moves");
+        assert!(!all.iter().any(|action| matches!(action, Action::Robot(_))), "{word}: {all:?}");
+        assert!(!bench.cell.status().armed, "{word}");
+        assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted, "{word}: now");
+    }
+}
+
+#[test]
+fn a_way_back_that_is_refused_names_no_order_that_is_refused_too() {
+    let mut refused = 0;
+    for (word, remove) in MISSING {
+        let mut bench = Bench::new();
+        bench.vacuum = [0.5, 0.0];
+        bench.ticks(3);
+        remove(&mut bench);
+        let reply = answer(&bench.feed(order(Order::Recover(WayBack::Retreat)))).expect("an answer");
+        refused += usize::from(!reply.accepted);
+        assert!(!reply.message.contains("celld arm"), "{word}: {}", reply.message);
+    }
+    assert!(refused > 10, "{refused}");
+}
+
+#[test]
+fn a_gripper_is_confirmed_once_while_it_answers() {
+    let mut bench = Bench::new();
+    bench.cell.model.gripper_confirmed = false;
+    bench.gripper_answers = false;
+    let confirm = |bench: &mut Bench| answer(&bench.feed(order(Order::ConfirmGripper))).expect("an answer");
+    let refused = confirm(&mut bench);
+    assert!(!refused.accepted && refused.message.contains("10.0.0.3:502, unit 65"), "{refused:?}");
+    bench.gripper_answers = true;
+    assert!(!answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
+    assert_eq!(confirm(&mut bench), Reply::accept("confirmed: the gripper is at 10.0.0.3:502, unit 65"));
+    assert!(confirm(&mut bench).message.starts_with("confirmed already"));
+    assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
+}
+
+#[test]
+fn an_arm_that_is_off_is_powered_at_the_order_and_the_answer_says_so() {
+    for mode in [RobotMode::PowerOff, RobotMode::Idle] {
+        let mut bench = Bench::new();
+        bench.robot.robot_mode = mode;
+        let all = bench.feed(order(Order::Arm));
+        let reply = answer(&all).expect("an answer");
+        assert!(reply.accepted && reply.message.contains("brakes"), "{}", reply.message);
+        let ordered = |wanted: RobotCommand| {
+            all.iter().any(|action| matches!(action, Action::Robot(command) if *command == wanted))
+        };
+        let command =
+            if mode == RobotMode::Idle { RobotCommand::ReleaseBrakes } else { RobotCommand::PowerOn };
+        assert!(ordered(command), "at once, without a job: {all:?}");
+    }
+}
+
+#[test]
+fn the_answer_says_what_the_arm_does_next() {
+    let mut bench = Bench::new();
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert_eq!(reply, Reply::accept("armed; nothing moves until there is a job"));
+    let mut bench = Bench::new();
+    bench.job(false);
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert_eq!(reply.message, "armed: celld starts its program on the robot now, then the arm moves");
+}
+
+#[test]
+fn a_plan_that_waits_for_approval_still_waits_when_the_cell_is_armed() {
+    let mut bench = Bench::new();
+    bench.job(true);
+    bench.until_planning();
+    bench.plan();
+    bench.feed(order(Order::Disarm));
+    let all = bench.feed(order(Order::Arm));
+    let reply = answer(&all).expect("an answer");
+    assert_eq!(reply, Reply::accept("armed; the plan waits for `celld approve`"));
+    assert_eq!(streams(&all) + streams(&bench.ticks(50)), 0, "and nothing moves");
+}
+
+#[test]
+fn a_gate_that_keeps_an_armed_cell_still_is_named_in_the_answer() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.until_planning();
+    bench.feed(order(Order::Disarm));
+    bench.plan();
+    bench.robot.runtime_state = RuntimeState::Paused;
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert_eq!(reply, Reply::accept("armed; nothing moves yet: the program is paused"));
+}
+
+#[test]
+fn a_simulated_cell_is_armed_once_when_everything_is_there() {
+    let mut bench = Bench::new();
+    bench.cell.arm_at_start();
+    bench.link_down = Some(Link::Primary);
+    bench.ticks(10);
+    assert!(!bench.cell.status().armed);
+    bench.link_down = None;
+    bench.ticks(1);
+    assert!(bench.cell.status().armed);
+    bench.feed(order(Order::Disarm));
+    bench.ticks(10);
+    assert!(!bench.cell.status().armed, "once");
+    for ordered in [Order::Disarm, Order::Abort] {
+        let mut bench = Bench::new();
+        bench.cell.arm_at_start();
+        bench.link_down = Some(Link::Primary);
+        bench.feed(order(ordered.clone()));
+        bench.link_down = None;
+        bench.feed(Input::Robot(RobotEvent::Stopped));
+        bench.ticks(10);
+        assert!(!bench.cell.status().armed, "{ordered:?} takes it back");
+    }
+}
+
+#[test]
+fn a_plan_that_comes_after_a_disarming_is_shown_to_no_person() {
+    let mut bench = Bench::new();
+    bench.job(true);
+    bench.until_planning();
+    bench.feed(order(Order::Disarm));
+    let all = bench.plan();
+    let alarmed = |all: &[Action]| all.iter().any(|a| matches!(a, Action::Say(notice) if notice.alarm));
+    assert!(!alarmed(&all), "the table may have been changed since: {all:?}");
+    let reply = answer(&bench.feed(order(Order::Approve("j".into())))).expect("an answer");
+    assert!(!reply.accepted, "there is nothing to approve: {reply:?}");
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert_eq!(reply.message, "armed: the arm moves to look at the table now");
+    bench.look();
+    assert!(alarmed(&bench.plan()), "the plan of the new look is");
+}

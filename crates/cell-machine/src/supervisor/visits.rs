@@ -1,0 +1,116 @@
+//! A calibration round: slow moves to given poses, one picture at each.
+//!
+//! In: the poses and the taught box; the order to begin is the operator's leave to move (design, section 7,
+//! rule 1, class *calibrate*). Out: a picture request at each pose where the arm is at rest, and at the end
+//! the cell disarmed, whatever happened, and the on-robot program ended, or stopped where a stop ended the
+//! round. The gates and the bring-up are those of every other motion.
+
+use crate::device::robot_types::RobotCommand;
+use crate::supervisor::cell::Supervisor;
+use crate::supervisor::gates;
+use crate::supervisor::input::{Action, CameraFault, DeviceSnapshot};
+use crate::supervisor::mode::Mode;
+use crate::supervisor::phase::{Phase, Visit};
+use crate::supervisor::round::{Round, RoundFault, RoundOrder};
+use cell_motion::slow::slow_move;
+use cell_values::time::{Duration, Timestamp};
+use ur_arm::kinematics::forward;
+
+/// The arm counts as still below this joint speed, rad/s, for this long.
+const STILL_RAD_S: f64 = 5e-4;
+const SETTLE: Duration = Duration::from_millis(500);
+
+/// For one pose, at full speed.
+const POSE_WITHIN: Duration = Duration::from_secs(120);
+
+/// For one picture; a camera gives up by itself before.
+const PICTURE_WITHIN: Duration = Duration::from_secs(120);
+
+impl Supervisor {
+    /// Takes a round up and arms the cell for it, unless what keeps an operator from arming is there.
+    pub(crate) fn on_round(
+        &mut self,
+        now: Timestamp,
+        outside: &DeviceSnapshot,
+        order: RoundOrder,
+        out: &mut Vec<Action>,
+    ) {
+        self.waiting_since = now;
+        let way_back = self.back.recovery.is_some().then_some("a way back is under way");
+        let why = self.under_way(outside).or(way_back).map(str::to_string);
+        let why = why.or_else(|| self.round_gate(outside));
+        let why = why.or_else(|| {
+            (!self.mode.arm()).then(|| match &self.mode {
+                Mode::Locked(reason) => reason.clone(),
+                Mode::Ending { .. } | Mode::Disarmed { .. } | Mode::Armed { .. } => {
+                    "celld is ending".to_string()
+                }
+            })
+        });
+        match why {
+            Some(why) => out.push(Action::RoundOver(Err(RoundFault::Robot(why)))),
+            None => self.round = Some(Round { order, at: 0 }),
+        }
+    }
+
+    /// What keeps the cell from being armed for a round, and what to do about it.
+    fn round_gate(&self, outside: &DeviceSnapshot) -> Option<String> {
+        let closed = gates::arming_for_round(outside).err()?;
+        Some(format!("{}; {}", self.place(&closed), closed.hint_to_try_again()))
+    }
+
+    /// Sends the arm to the next pose; after the last one the round is over.
+    pub(crate) fn begin_visit(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let (Some(round), Some(robot)) = (&self.round, outside.robot) else { return };
+        let Some(target) = round.order.poses.get(round.at).copied() else {
+            return self.end_round(Ok(()), out);
+        };
+        match slow_move(&self.model.arm, round.order.room.as_ref(), round.at + 1, &robot.q, target) {
+            Ok(path) => {
+                out.push(Action::Robot(RobotCommand::Stream(path)));
+                self.enter(Phase::Visit(Visit::Moving), POSE_WITHIN);
+            }
+            Err(fault) => self.end_round(Err(fault.into()), out),
+        }
+    }
+
+    /// While settling: requests the picture once the arm has been at rest long enough.
+    pub(crate) fn watch_visit(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let Phase::Visit(Visit::Settling { still_since }) = &mut self.phase else { return };
+        let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
+        if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
+            *still_since = None;
+            return;
+        }
+        let since = *still_since.get_or_insert(now);
+        if now.since(since) >= SETTLE {
+            let pose = self.round.as_ref().map_or(0, |round| round.at + 1);
+            let base_from_flange = forward(&self.model.arm.dh, &robot.q);
+            out.push(Action::Picture { pose, base_from_flange });
+            self.enter(Phase::Visit(Visit::Picturing), PICTURE_WITHIN);
+        }
+    }
+
+    pub(crate) fn on_pictured(&mut self, result: Result<(), CameraFault>, out: &mut Vec<Action>) {
+        if !matches!(self.phase, Phase::Visit(Visit::Picturing)) {
+            return;
+        }
+        self.phase = Phase::Ready;
+        match (result, &mut self.round) {
+            (Ok(()), Some(round)) => round.at += 1,
+            (Err(fault), _) => self.end_round(Err(RoundFault::Camera(fault.message)), out),
+            (Ok(()), None) => {}
+        }
+    }
+
+    /// Ends the round, if there is one: the program ends, nothing moves any more.
+    pub(crate) fn end_round(&mut self, result: Result<(), RoundFault>, out: &mut Vec<Action>) {
+        if self.round.take().is_none() {
+            return;
+        }
+        self.phase = Phase::Ready;
+        self.mode.disarm();
+        out.push(Action::Robot(RobotCommand::EndProgram));
+        out.push(Action::RoundOver(result));
+    }
+}
