@@ -69,7 +69,17 @@ pub(super) fn files(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Cal
         Some(at) => Some(path(decoder, &at, folder)?),
         None => None,
     };
-    Some(CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table?, empty })
+    let files = CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table?, empty };
+    let names = [("camera", &files.camera), ("hand_eye", &files.hand_eye), ("table", &files.table)];
+    for (index, (key, file)) in names.iter().enumerate() {
+        let earlier = names.iter().take(index).find(|(_, other)| other == file);
+        if let (Some((other, _)), Some(at)) = (earlier, fields.optional(key)) {
+            let message =
+                format!("the same file as {other:?}: a new calibration of one would overwrite the other");
+            decoder.complain_at(&at, message, "give each its own file");
+        }
+    }
+    Some(files)
 }
 
 /// `{low: [x, y, z], high: [x, y, z]}` in the base frame (m), or `{corners_deg: [[6 joints], ...]}` as

@@ -6,7 +6,7 @@
 
 use crate::io::camera::realsense::RealSenseSettings;
 use crate::io::camera::{Exposure, UvcSettings};
-use cell_parts::fields::{host, optional, path, port, required_number, required_positive};
+use cell_parts::fields::{host, is_host, optional, path, port, required_number, required_positive};
 use cell_values::image::quality::PictureLimits;
 use rearrange::document::decode::{At, Decoder, Fields};
 use std::path::{Path, PathBuf};
@@ -208,23 +208,36 @@ fn stream(decoder: &mut Decoder, fields: &Fields) -> Option<StreamProfile> {
 
 fn required_text(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<String> {
     let at = fields.required(key, decoder)?;
-    let text = decoder.text(&at)?;
-    if text.trim().is_empty() {
-        decoder.complain_at(&at, "empty", "");
-        return None;
-    }
-    Some(text)
+    decoder.text(&at)
 }
 
 fn url(decoder: &mut Decoder, fields: &Fields) -> Option<String> {
     let at = fields.required("url", decoder)?;
     let url = decoder.text(&at)?;
-    if url.starts_with("http://") && !host_of(&url).is_empty() {
+    if is_picture_address(&url) {
         return Some(url);
     }
     let help = "write http://HOST/PATH of a PNG or JPEG picture; encrypted addresses are not read";
     decoder.complain_at(&at, format!("{url:?} is not an address of a picture"), help);
     None
+}
+
+/// `http://HOST[:PORT]/PATH`, of visible ASCII characters.
+fn is_picture_address(url: &str) -> bool {
+    let Some(rest) = url.strip_prefix("http://") else { return false };
+    let authority = rest.split(['/', '?', '#']).next().unwrap_or_default();
+    let port = match authority.strip_prefix('[') {
+        Some(bracketed) => bracketed.split_once(']').map(|(_, after)| after),
+        None => authority.find(':').map_or(Some(""), |colon| authority.get(colon..)),
+    };
+    let port_is_sound = match port {
+        Some("") => true,
+        Some(port) => {
+            port.strip_prefix(':').and_then(|port| port.parse().ok()).is_some_and(|port: u16| port != 0)
+        }
+        None => false,
+    };
+    url.chars().all(|c| c.is_ascii_graphic()) && is_host(host_of(url)) && port_is_sound
 }
 
 /// Each limit that is not given is the standard one.
@@ -306,7 +319,18 @@ mod tests {
         assert!(
             reported("{kind: uvc, device: /dev/video0, width: 1, height: 480, fps: 30}").contains("serial")
         );
-        assert!(reported("{kind: http, url: 'https://x/a.jpg', serial: a}").contains("http://HOST/PATH"));
+        for wrong in [
+            "https://x/a.jpg",
+            "http://",
+            "http:///a.jpg",
+            "http://x y/a",
+            "http://x:0/a",
+            "http://x:99999/a",
+            "http://[::1/a",
+        ] {
+            let found = reported(&format!("{{kind: http, url: '{wrong}', serial: a}}"));
+            assert!(found.contains("http://HOST/PATH"), "{wrong}: {found}");
+        }
         assert!(reported("{kind: reelsense}").contains("realsense"));
     }
 }

@@ -43,12 +43,29 @@ pub(super) fn check_cell(decoder: &mut Decoder, parts: &CellParts, places: &Plac
         check_limits(decoder, limits, places);
     }
     check_reference_markers(decoder, places, &parts.object_markers);
+    check_ignored(decoder, parts, places);
     check_references_are_aside(decoder, parts, places);
     check_gripper_height(decoder, parts, places);
     for (index, object) in parts.objects.iter().flatten().enumerate() {
         let Some(object) = object else { continue };
         let at = places.at(&["objects", &index.to_string()]);
         check_object(decoder, parts, object, at, &format!("objects[{index}]"));
+    }
+}
+
+/// A marker that is ignored is seen nowhere: one that the cell looks for would be missing for ever.
+fn check_ignored(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
+    for (index, id) in parts.ignore_markers.iter().flatten().enumerate() {
+        let object = parts.object_markers.iter().find(|marker| marker.number == i64::from(*id));
+        let reference = parts.reference_markers.iter().flatten().any(|marker| marker.id == *id);
+        let whose = match object {
+            Some(marker) => format!("the marker of {:?}", marker.owner),
+            None if reference => "a reference marker".to_string(),
+            None => continue,
+        };
+        let at = places.at(&["ignore_markers", &index.to_string()]);
+        let message = format!("{id} is {whose}, which the cell looks for");
+        decoder.complain(at, &format!("ignore_markers[{index}]"), message, "remove one of the two");
     }
 }
 

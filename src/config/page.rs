@@ -3,7 +3,7 @@
 //! In: the located value. Out: [`PageConfig`]. An address beyond this computer needs TLS: orders and the
 //! tokens that allow them do not go over a network in the clear.
 
-use cell_parts::fields::{list, optional, path};
+use cell_parts::fields::{is_host, list, optional, path};
 use rearrange::document::decode::{At, Decoder, Fields};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
@@ -76,7 +76,8 @@ fn complain_open(decoder: &mut Decoder, at: &At, fields: &Fields, listen: Socket
 
 fn address(decoder: &mut Decoder, at: &At) -> Option<SocketAddr> {
     let text = decoder.text(at)?;
-    let found = text.parse().ok();
+    // Port 0 is whichever is free: no address that could be opened again, or given to anyone.
+    let found = text.parse().ok().filter(|address: &SocketAddr| address.port() != 0);
     if found.is_none() {
         let help = "write an address with its port, such as 127.0.0.1:8737 or [::1]:8737";
         decoder.complain_at(at, format!("{text:?} is no address with a port"), help);
@@ -96,8 +97,7 @@ fn computer(decoder: &mut Decoder, at: &At) -> Option<IpAddr> {
 
 fn host_name(decoder: &mut Decoder, at: &At) -> Option<String> {
     let text = decoder.text(at)?.to_ascii_lowercase();
-    let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '.';
-    if text.is_empty() || text.len() > 253 || !text.chars().all(plain) {
+    if text.contains(':') || !is_host(&text) {
         let help = "write the name alone, such as cell-1.plant, without http:// and port";
         decoder.complain_at(at, format!("{text:?} is no host name"), help);
         return None;
@@ -145,7 +145,14 @@ mod tests {
         let from = |text: &str| page.moves_from(text.parse().unwrap());
         assert!(from("127.0.0.1") && from("::1") && from("192.168.1.20") && from("::ffff:192.168.1.20"));
         assert!(!from("192.168.1.21") && !from("10.0.0.1"));
-        for wrong in ["{control_from: [cell-pc]}", "{listen: 8737}", "{hosts: ['http://x']}", "{listem: x}"] {
+        for wrong in [
+            "{control_from: [cell-pc]}",
+            "{listen: 8737}",
+            "{listen: '127.0.0.1:0'}",
+            "{hosts: [a..b]}",
+            "{hosts: ['http://x']}",
+            "{listem: x}",
+        ] {
             assert!(read_page(wrong).is_err(), "{wrong}");
         }
     }

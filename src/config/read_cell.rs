@@ -109,6 +109,10 @@ pub fn read_cell(
         check_cell(&mut decoder, &parts, &Places::new(&node));
         parts.whole()
     });
+    // A fault beside this file is no fault in it.
+    if cell.is_none() && decoder.count() == 0 && !beside.0.is_empty() {
+        return Err(beside);
+    }
     match decoder.finish(cell) {
         Ok(cell) if beside.0.is_empty() => Ok(cell),
         Ok(_) => Err(beside),
@@ -284,6 +288,13 @@ fn object_file(text: &str, source: &str) -> (Catalogue, Diagnostics) {
 
 fn object_list(decoder: &mut Decoder, at: &At) -> Catalogue {
     let Some(items) = decoder.sequence(at) else { return Catalogue::default() };
+    if items.is_empty() {
+        decoder.complain_at(
+            at,
+            "no object is given",
+            "name what lies on the table: id, footprint, height, ...",
+        );
+    }
     unique_names_and_markers(decoder, &items);
     let objects = each(decoder, at, |decoder, at| {
         let object = decode::object(decoder, at)?;

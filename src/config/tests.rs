@@ -184,8 +184,28 @@ fn a_catalogue_in_a_file_is_judged_with_its_own_places() {
     let with = |objects: &str| format!("{}{objects}\n{}", &CELL[..start], &CELL[end..]);
     let reported = cell(&with("objects: {file: objects.yaml}")).unwrap_err().to_string();
     assert!(reported.contains("/etc/celld/objects.yaml:2:") && reported.contains("radius"), "{reported}");
+    assert!(!reported.contains("cell.yaml:"), "nothing is wrong with that file: {reported}");
     let reported = cell(&with("objects: {file: none.yaml}")).unwrap_err().to_string();
     assert!(reported.contains("no such file"), "{reported}");
+}
+
+#[test]
+fn what_could_never_work_is_refused() {
+    check(
+        "table: ../calibration/sim/table.yaml",
+        "table: ../calibration/sim/camera.yaml",
+        "the same file as",
+    );
+    check("ignore_markers: []", "ignore_markers: [586, 0]", "0 is the marker of \"plank-1\"");
+    check("ignore_markers: []", "ignore_markers: [500]", "500 is a reference marker");
+    check("page: {listen: 127.0.0.1:8737}", "page: {listen: '127.0.0.1:0'}", "is no address with a port");
+    check("host: 127.0.0.2, port: 8090", "host: 127.0.0.256, port: 8090", "is not a host name or address");
+    check("mass: 0.12", "mass: 1e300", "out of range");
+    check("    height: 0.03\n    mass: 0.12", "    height: 300\n    mass: 0.12", "out of range");
+    let start = CELL.find("objects:\n").unwrap();
+    let end = CELL.find("# Markers fixed to the table round").unwrap();
+    let none = format!("{}objects: []\n{}", &CELL[..start], &CELL[end..]);
+    assert!(cell(&none).unwrap_err().to_string().contains("no object is given"));
 }
 
 #[test]

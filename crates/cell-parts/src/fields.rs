@@ -7,6 +7,7 @@
 use cell_values::units::{Joints, rad_from_deg};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use rearrange::document::decode::{At, Decoder, Fields};
+use std::net::IpAddr;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
@@ -59,7 +60,11 @@ pub fn required_number(
     decoder.number_in(&at, range, unit)
 }
 
-/// A required speed, acceleration or length: over 0 and at most `most`, in `unit`.
+/// Least speed, acceleration, length or time in its unit: what is smaller is a slip of the pen, and a number to
+/// divide by.
+const LEAST: f64 = 1e-6;
+
+/// A required speed, acceleration, length or time: from [`LEAST`] to `most`, in `unit`.
 pub fn required_positive(
     decoder: &mut Decoder,
     fields: &Fields,
@@ -69,7 +74,7 @@ pub fn required_positive(
 ) -> Option<f64> {
     let at = fields.required(key, decoder)?;
     decoder.positive(&at, unit)?;
-    decoder.number_in(&at, 0.0..=most, unit)
+    decoder.number_in(&at, LEAST..=most, unit)
 }
 
 /// The value under an optional key, or `default`.
@@ -129,7 +134,7 @@ pub fn joints_deg(decoder: &mut Decoder, at: &At) -> Option<Joints> {
 /// A path relative to the file's own folder, made absolute against it.
 pub fn path(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<PathBuf> {
     let text = decoder.text(at)?;
-    if text.is_empty() || text.contains('\0') {
+    if text.contains('\0') {
         decoder.complain_at(at, "not a path", "write a file name relative to this file's folder");
         return None;
     }
@@ -146,12 +151,59 @@ pub fn port(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<u16> {
 pub fn host(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<String> {
     let at = fields.required(key, decoder)?;
     let host = decoder.text(&at)?;
-    let colons = host.matches(':').count();
-    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | ':' | '_');
-    if host.is_empty() || !host.chars().all(plain) || colons == 1 {
+    if !is_host(&host) {
         let help = "write the name or address alone, without scheme and port";
         decoder.complain_at(&at, format!("{host:?} is not a host name or address"), help);
         return None;
     }
     Some(host)
+}
+
+/// True for an IP address (without brackets) and for a name as RFC 1123 has it, underscores included. Digits and
+/// dots alone are an address or nothing.
+pub fn is_host(text: &str) -> bool {
+    if text.parse::<IpAddr>().is_ok() {
+        return true;
+    }
+    let numeric = text.chars().all(|c| c.is_ascii_digit() || c == '.');
+    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
+    let label = |label: &str| {
+        let dashes = label.starts_with('-') || label.ends_with('-');
+        (1..=63).contains(&label.len()) && label.chars().all(plain) && !dashes
+    };
+    !numeric && text.len() <= 253 && text.strip_suffix('.').unwrap_or(text).split('.').all(label)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_host;
+
+    #[test]
+    fn a_host_is_an_address_or_a_name_and_nothing_else() {
+        for sound in
+            ["127.0.0.1", "::1", "fe80::1", "localhost", "cell-1.plant", "ur_5e", "3com.example", "a."]
+        {
+            assert!(is_host(sound), "{sound}");
+        }
+        let long = "a".repeat(64);
+        let wrong = [
+            "",
+            ".",
+            "300.1.1.1",
+            "1.2.3",
+            "-a",
+            "a-",
+            "a..b",
+            "http://a",
+            "a:80",
+            "a/b",
+            "a b",
+            "[::1]",
+            "..",
+            &long,
+        ];
+        for wrong in wrong {
+            assert!(!is_host(wrong), "{wrong}");
+        }
+    }
 }

@@ -143,7 +143,8 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<CameraCalibration> {
 fn measured(at: &At, top: &Fields, decoder: &mut Decoder) -> Option<Measured> {
     let fields = decoder.map(at, &["held_out_px", "std_px"])?;
     let held_out_px = files::size(&fields, "held_out_px", files::FIT_PX, decoder);
-    let std_px = fields.required("std_px", decoder).and_then(|at| decoder.numbers::<4>(&at));
+    let std_px =
+        fields.required("std_px", decoder).and_then(|at| decoder.numbers_in::<4>(&at, 0.0..=1e4, "px"));
     let items = top.required("samples", decoder).and_then(|at| decoder.sequence(&at));
     let samples: Vec<_> = items?.iter().map(|item| sample(item, decoder)).collect();
     Some(Measured {

@@ -262,10 +262,20 @@ impl Decoder {
         }
     }
 
-    /// A word or text; plain words that look like numbers are taken as they are written.
+    /// A word or text, not empty; plain words that look like numbers are taken as they are written.
     pub fn text(&mut self, at: &At) -> Option<String> {
         match &at.node.value {
-            Value::Scalar { text, .. } if !at.node.is_null() => Some(text.clone()),
+            Value::Scalar { text, .. } if !at.node.is_null() => {
+                if text.trim().is_empty() {
+                    self.complain_at(
+                        at,
+                        "an empty text",
+                        "write a text, or leave the key out if it is optional",
+                    );
+                    return None;
+                }
+                Some(text.clone())
+            }
             _ => self.wrong_type(at, "a text"),
         }
     }

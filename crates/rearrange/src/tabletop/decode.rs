@@ -8,6 +8,7 @@ use crate::geometry::footprint::{Footprint, FootprintFault};
 use crate::geometry::polygon::{Point, Polygon, PolygonFault};
 use crate::geometry::pose::Pose2;
 use crate::tabletop::instance::{KeepOut, MarkerSpec, ObjectSpec};
+use std::ops::RangeInclusive;
 
 /// Keys of an object, for the check of unknown ones.
 pub const OBJECT_KEYS: &[&str] = &[
@@ -29,6 +30,9 @@ pub const OBJECT_KEYS: &[&str] = &[
 /// Coordinates beyond this are a mistake (usually millimetres), m.
 const FAR_M: f64 = 1000.0;
 
+/// Lengths of objects, m: what is beyond is in another unit.
+const LENGTHS_M: RangeInclusive<f64> = 1e-6..=100.0;
+
 /// Numbers of the marker family tag36h11.
 const LAST_TAG36H11: i64 = 586;
 
@@ -39,13 +43,13 @@ pub fn object(decoder: &mut Decoder, at: &At) -> Option<ObjectSpec> {
     let shape = fields.required("footprint", decoder).and_then(|at| footprint(decoder, &at));
     let start = pose(decoder, &fields, "start");
     let goal = pose(decoder, &fields, "goal");
-    let mut positive = |key: &str, unit: &str| match fields.optional(key) {
-        Some(at) => decoder.positive(&at, unit).map(Some),
+    let mut positive = |key: &str, range: RangeInclusive<f64>, unit: &str| match fields.optional(key) {
+        Some(at) => decoder.positive(&at, unit).and_then(|_| decoder.number_in(&at, range, unit)).map(Some),
         None => Some(None),
     };
-    let impedance = positive("impedance", "");
-    let height = positive("height", "m");
-    let mass = positive("mass", "kg");
+    let impedance = positive("impedance", 1e-9..=1e9, "");
+    let height = positive("height", LENGTHS_M, "m");
+    let mass = positive("mass", 1e-6..=1e4, "kg");
     let fixed = fields.optional("fixed").map_or(Some(false), |at| decoder.boolean(&at));
     let group = optional(fields.optional("group"), |at| identifier(decoder, at));
     let marker = optional(fields.optional("marker"), |at| marker(decoder, at));
@@ -141,7 +145,7 @@ pub fn footprint(decoder: &mut Decoder, at: &At) -> Option<Footprint> {
 fn length_of(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<f64> {
     let at = fields.required(key, decoder)?;
     let value = decoder.positive(&at, "m")?;
-    if !(1e-6..=100.0).contains(&value) {
+    if !LENGTHS_M.contains(&value) {
         decoder.complain_at(&at, format!("{value} m is out of range"), "lengths are in m");
         return None;
     }

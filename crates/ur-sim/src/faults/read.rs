@@ -26,6 +26,9 @@ use ur_wire::rtde_variables::input_type;
 const MAX_FAULTS: usize = 1000;
 /// Longest time, s: a day.
 const MAX_SECONDS: f64 = 86_400.0;
+
+/// Farthest place, m, and largest angle, rad.
+const MAX_POSE: f64 = 100.0;
 /// Air enters for so long unless `seconds` says otherwise.
 const DROP_SECONDS: f64 = 0.5;
 /// A controller boots for so long unless `seconds` says otherwise; real ones take longer.
@@ -315,6 +318,7 @@ fn world(decoder: &mut Decoder, name: &str, args: &Args) -> Option<WorldFault> {
         let pose = args.pose(decoder);
         return Some(WorldFault::Place { object: object?, pose: pose? });
     }
+    args.any_of(decoder, &["dx_m", "dy_m", "dtheta_rad"]);
     let shift = |decoder: &mut Decoder, key: &str| args.number_or(decoder, key, 0.0, -10.0..=10.0, "m");
     let (dx, dy) = (shift(decoder, "dx_m"), shift(decoder, "dy_m"));
     let turn = args.number_or(decoder, "dtheta_rad", 0.0, -10.0..=10.0, "rad");
@@ -408,7 +412,20 @@ impl<'n> Args<'n> {
             decoder.complain(self.fields.at(), self.fields.path(), "key \"pose\" is missing", help);
             return None;
         };
+        if [x, y, theta].iter().any(|value| value.abs() > MAX_POSE) {
+            let message = format!("{x} m, {y} m, {theta} rad is out of range");
+            decoder.complain(self.fields.at(), self.fields.path(), message, "lengths are in m");
+            return None;
+        }
         Some(Pose2::new(x, y, theta))
+    }
+
+    /// Complains where none of `keys` is given: such a fault changes nothing, and a test with it shows nothing.
+    fn any_of(&self, decoder: &mut Decoder, keys: &[&str]) {
+        if keys.iter().all(|key| self.fields.optional(key).is_none()) {
+            let message = format!("none of {} is given: nothing would happen", keys.join(", "));
+            decoder.complain(self.fields.at(), self.fields.path(), message, "say by how much");
+        }
     }
 
     /// A box or a mug: extents in x and y, height, pose.
@@ -457,6 +474,7 @@ impl<'n> Args<'n> {
 
     /// Translation in m and turns about x, y, z in degrees, both in the camera's frame.
     fn shift(&self, decoder: &mut Decoder) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        self.any_of(decoder, &["translation_m", "rotation_deg"]);
         let mut three = |key: &str, most: f64| {
             self.optional(key, [0.0; 3], |at| {
                 let numbers = decoder.numbers::<3>(at)?;

@@ -35,6 +35,10 @@ fn what_is_wrong_is_said_with_its_place() {
     );
     refused("faults:\n  - {do: ur.pstop, args: {x: 1}}\n", "2:27: faults[0].args.x: unknown key");
     refused("faults:\n  - {do: ur.pstop, args: {seconds: 1}}\n", "faults[0].args.seconds: unknown key");
+    refused("faults:\n  - {do: world.nudge, args: {object: a}}\n", "none of dx_m, dy_m, dtheta_rad is given");
+    refused("faults:\n  - {do: camera.drift}\n", "none of translation_m, rotation_deg is given");
+    refused("faults:\n  - {do: world.place, args: {object: a, pose: [1e9, 0, 0]}}\n", "out of range");
+    refused("faults:\n  - {do: world.place, args: {object: '', pose: [0, 0, 0]}}\n", "an empty text");
     refused("faults:\n  - {do: ur.slider}\n", "key \"fraction\" is missing");
     refused("faults:\n  - {do: ur.slider, args: {fraction: 2}}\n", "2 of full speed is out of range");
     refused("faults:\n  - {do: ur.estop, args: {seconds: -1}}\n", "-1 s is out of range");
