@@ -8,6 +8,7 @@ use crate::daemon::plan_files;
 use crate::jobs::history::story;
 use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord};
 use crate::jobs::utc;
+use crate::report::plan_animation::FILM_CAPTION;
 use crate::report::run::{Drawing, Figures, LogRow, MoveRow, ObjectRow, Picture, RunReport};
 use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
 use cell_machine::code::JobStatus;
@@ -116,8 +117,12 @@ fn drawings(job: &JobRecord, cell: &CellConfig) -> Vec<Drawing> {
         let caption = format!("The last plan: {}", plan.summary());
         Some(Drawing { svg: plan_files::drawing(plan, cell, &caption)?, caption })
     });
+    let film = job.plan.as_ref().filter(|plan| !plan.steps.is_empty()).and_then(|plan| {
+        let svg = plan_files::film(plan, cell, "The same, one move after the other")?;
+        Some(Drawing { svg, caption: FILM_CAPTION.to_string() })
+    });
     let table = Drawing { caption: title.to_string(), svg: table_svg(&table) };
-    std::iter::once(table).chain(plan).collect()
+    std::iter::once(table).chain(plan).chain(film).collect()
 }
 
 /// The story, a line each.

@@ -95,6 +95,20 @@ fn title(id: &str, plan: &PlanRecord) -> String {
 
 /// The picture of a plan; `None` where the catalogue does not have what it moves.
 pub fn drawing(plan: &PlanRecord, cell: &CellConfig, title: &str) -> Option<String> {
+    drawn_plan(plan, cell, title, |drawn| drawn.svg())
+}
+
+/// Its moves one after the other; `None` as for [`drawing`].
+pub fn film(plan: &PlanRecord, cell: &CellConfig, title: &str) -> Option<String> {
+    drawn_plan(plan, cell, title, |drawn| drawn.animation())
+}
+
+fn drawn_plan(
+    plan: &PlanRecord,
+    cell: &CellConfig,
+    title: &str,
+    draw: impl FnOnce(&DrawnPlan) -> Option<String>,
+) -> Option<String> {
     let table: Vec<_> = plan.table.iter().map(|object| (object.id.clone(), object.pose)).collect();
     let drawn = |PlanStep { object, from, to, kind }: &PlanStep| DrawnMove {
         object: object.clone(),
@@ -105,5 +119,5 @@ pub fn drawing(plan: &PlanRecord, cell: &CellConfig, title: &str) -> Option<Stri
     let moves: Vec<_> = plan.steps.iter().map(drawn).collect();
     let workspace = Workspace { width: cell.workspace.width_m, height: cell.workspace.height_m };
     let keep_out = &cell.workspace.keep_out;
-    DrawnPlan { objects: &cell.objects, workspace, keep_out, table: &table, moves: &moves, title }.svg()
+    draw(&DrawnPlan { objects: &cell.objects, workspace, keep_out, table: &table, moves: &moves, title })
 }

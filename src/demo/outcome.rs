@@ -6,6 +6,7 @@
 use crate::config::cell::CellConfig;
 use crate::demo::cell::DemoChoice;
 use crate::demo::kept::Kept;
+use crate::report::plan_animation::{FILM_CAPTION, plan_animation};
 use crate::report::plan_svg::plan_svg;
 use crate::report::run::{Drawing, Figures, MoveRow, ObjectRow, Picture, RunReport, deviation};
 use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
@@ -155,6 +156,10 @@ fn drawings(kept: &Kept, instance: &Instance) -> Vec<Drawing> {
     if let Some(svg) = first_plan_svg(kept, instance) {
         out.push(Drawing { caption: "The first plan: numbered moves".to_string(), svg });
     }
+    if let Some((problem, actions)) = first_plan(kept, instance).filter(|(_, actions)| !actions.is_empty()) {
+        let svg = plan_animation(&problem, &actions, "celld demo", &[]);
+        out.push(Drawing { caption: FILM_CAPTION.to_string(), svg });
+    }
     let svg = times_svg(&time_rows(kept));
     if !svg.is_empty() {
         let caption = "Where the time of each move went, the look before it included".to_string();
@@ -180,6 +185,11 @@ fn time_rows(kept: &Kept) -> Vec<TimeRow> {
 
 /// The first plan on the table as it was measured then.
 pub fn first_plan_svg(kept: &Kept, instance: &Instance) -> Option<String> {
+    let (problem, actions) = first_plan(kept, instance)?;
+    Some(plan_svg(&problem, &actions, "celld demo"))
+}
+
+fn first_plan(kept: &Kept, instance: &Instance) -> Option<(Problem, Vec<Action>)> {
     let seen = kept.first_seen.as_ref()?;
     let mut measured = instance.clone();
     measured.overlap_tolerance = 1.0;
@@ -196,7 +206,7 @@ pub fn first_plan_svg(kept: &Kept, instance: &Instance) -> Option<String> {
             Some(Action { object, from: *from, to: *to, kind })
         })
         .collect();
-    Some(plan_svg(&problem, &actions?, "celld demo"))
+    Some((problem, actions?))
 }
 
 /// Pictures of one look, one above the other, as PNG.

@@ -3,6 +3,7 @@
 pub mod chart;
 pub mod colour;
 pub mod html;
+pub mod plan_animation;
 pub mod plan_svg;
 pub mod prints;
 pub mod raster;

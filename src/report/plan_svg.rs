@@ -13,13 +13,13 @@ use rearrange::planning::problem::Problem;
 use std::fmt::Write;
 
 /// Longer side of one panel, pixels.
-const PANEL_PX: f64 = 560.0;
+pub(super) const PANEL_PX: f64 = 560.0;
 
 /// Space around the panels, pixels.
-const MARGIN_PX: f64 = 24.0;
+pub(super) const MARGIN_PX: f64 = 24.0;
 
 /// Height of the line of text above the panels, pixels.
-const TITLE_PX: f64 = 28.0;
+pub(super) const TITLE_PX: f64 = 28.0;
 
 /// Corners that represent a curve.
 const CURVE_CORNERS: usize = 64;
@@ -54,32 +54,33 @@ pub fn coloured_plan_svg(problem: &Problem, actions: &[Action], title: &str, col
     svg
 }
 
-const MARKER: &str = "<defs><marker id=\"tip\" viewBox=\"0 0 8 8\" refX=\"7\" refY=\"4\" markerWidth=\"7\" \
+/// The tip of an arrow.
+pub(super) const MARKER: &str = "<defs><marker id=\"tip\" viewBox=\"0 0 8 8\" refX=\"7\" refY=\"4\" markerWidth=\"7\" \
      markerHeight=\"7\" orient=\"auto\"><path d=\"M0 0 L8 4 L0 8 z\" fill=\"#222\"/></marker></defs>\n";
 
 /// One picture of the table: table frame to pixels.
 #[derive(Clone, Copy)]
-struct Panel {
-    left: f64,
-    bottom: f64,
-    scale: f64,
-    width: f64,
-    height: f64,
+pub(super) struct Panel {
+    pub left: f64,
+    pub bottom: f64,
+    pub scale: f64,
+    pub width: f64,
+    pub height: f64,
 }
 
 impl Panel {
-    fn point(&self, p: [f64; 2]) -> [f64; 2] {
+    pub fn point(&self, p: [f64; 2]) -> [f64; 2] {
         [self.left + p[0] * self.scale, self.bottom - p[1] * self.scale]
     }
 }
 
 /// Writing to a string cannot fail.
-fn line(svg: &mut String, text: std::fmt::Arguments) {
+pub(super) fn line(svg: &mut String, text: std::fmt::Arguments) {
     let _ = svg.write_fmt(text);
     svg.push('\n');
 }
 
-fn draw_table(svg: &mut String, panel: &Panel, problem: &Problem) {
+pub(super) fn draw_table(svg: &mut String, panel: &Panel, problem: &Problem) {
     line(
         svg,
         format_args!(
@@ -139,7 +140,7 @@ fn draw_moves(svg: &mut String, panel: &Panel, problem: &Problem, actions: &[Act
     }
 }
 
-fn draw_arrow(svg: &mut String, panel: &Panel, footprint: &Footprint, action: &Action) {
+pub(super) fn draw_arrow(svg: &mut String, panel: &Panel, footprint: &Footprint, action: &Action) {
     let from = panel.point(label_point(footprint, &action.from));
     let to = panel.point(label_point(footprint, &action.to));
     line(
@@ -153,7 +154,7 @@ fn draw_arrow(svg: &mut String, panel: &Panel, footprint: &Footprint, action: &A
 }
 
 /// The number sits at a third of the way: two arrows that cross in the middle stay readable.
-fn draw_number(
+pub(super) fn draw_number(
     svg: &mut String,
     panel: &Panel,
     footprint: &Footprint,
@@ -173,7 +174,7 @@ fn draw_number(
     draw_text(svg, [at[0], at[1] + 3.7], 10.5, &number.to_string());
 }
 
-fn draw_text(svg: &mut String, at: [f64; 2], size: f64, text: &str) {
+pub(super) fn draw_text(svg: &mut String, at: [f64; 2], size: f64, text: &str) {
     line(
         svg,
         format_args!(
@@ -187,12 +188,17 @@ fn draw_text(svg: &mut String, at: [f64; 2], size: f64, text: &str) {
 }
 
 fn draw_footprint(svg: &mut String, panel: &Panel, footprint: &Footprint, pose: &Pose2, style: &str) {
-    let mut points = String::new();
-    for corner in footprint.outline(CURVE_CORNERS) {
+    let points = outline_points(panel, footprint, pose);
+    line(svg, format_args!("<polygon points=\"{points}\" {style}/>"));
+}
+
+/// The corners of a footprint, as a polygon has them.
+pub(super) fn outline_points(panel: &Panel, footprint: &Footprint, pose: &Pose2) -> String {
+    let corners = footprint.outline(CURVE_CORNERS).into_iter().map(|corner| {
         let [x, y] = panel.point(pose.transform(corner));
-        let _ = write!(points, "{x:.1},{y:.1} ");
-    }
-    line(svg, format_args!("<polygon points=\"{}\" {style}/>", points.trim_end()));
+        format!("{x:.1},{y:.1}")
+    });
+    corners.collect::<Vec<_>>().join(" ")
 }
 
 /// Where a name or an arrow belongs: the centroid, which for a polygon need not be the origin.
@@ -201,7 +207,7 @@ fn label_point(footprint: &Footprint, pose: &Pose2) -> [f64; 2] {
 }
 
 /// The hue of an object at a lightness; what never moves is grey.
-fn colour(colours: &[usize], index: usize, fixed: bool, lightness: u32) -> String {
+pub(super) fn colour(colours: &[usize], index: usize, fixed: bool, lightness: u32) -> String {
     match fixed {
         true => colour::FIXED.to_string(),
         false => colour::shade(colours.get(index).copied().unwrap_or(index), lightness),

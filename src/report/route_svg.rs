@@ -3,6 +3,7 @@
 //! In: the catalogue, where the objects lay, the moves by name. Out: the drawing of `plan_svg`. Objects that
 //! were not on the table are left out; an overlap that was measured is drawn as it is. Pure.
 
+use crate::report::plan_animation::plan_animation;
 use crate::report::plan_svg::coloured_plan_svg;
 use rearrange::geometry::pose::Pose2;
 use rearrange::planning::plan::{Action, ActionKind};
@@ -42,6 +43,17 @@ pub struct DrawnPlan<'a> {
 impl DrawnPlan<'_> {
     /// The drawing; `None` where a move names an object that was not on the table.
     pub fn svg(&self) -> Option<String> {
+        let Drawn { problem, actions, colours } = self.resolved()?;
+        Some(coloured_plan_svg(&problem, &actions, self.title, &colours))
+    }
+
+    /// The moves as a film; `None` as for [`DrawnPlan::svg`].
+    pub fn animation(&self) -> Option<String> {
+        let Drawn { problem, actions, colours } = self.resolved()?;
+        Some(plan_animation(&problem, &actions, self.title, &colours))
+    }
+
+    fn resolved(&self) -> Option<Drawn> {
         let at = |id: &str| self.table.iter().find(|(seen, _)| seen == id).map(|(_, pose)| *pose);
         let seen = self.objects.iter().filter_map(|object| {
             let start = at(&object.id).or(object.start.filter(|_| object.fixed))?;
@@ -63,8 +75,16 @@ impl DrawnPlan<'_> {
         let actions: Option<Vec<Action>> = self.moves.iter().map(action).collect();
         let place = |id: &str| self.objects.iter().position(|known| known.id == id);
         let colours: Vec<usize> = problem.objects.iter().filter_map(|object| place(&object.id)).collect();
-        Some(coloured_plan_svg(&problem, &actions?, self.title, &colours))
+        Some(Drawn { actions: actions?, problem, colours })
     }
+}
+
+/// A plan in the terms of a problem.
+struct Drawn {
+    problem: Problem,
+    actions: Vec<Action>,
+    /// Of each object, its place in the catalogue.
+    colours: Vec<usize>,
 }
 
 #[cfg(test)]
