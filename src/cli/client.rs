@@ -58,6 +58,8 @@ pub(super) enum ClientError {
     NoAnswer(u64),
     #[error("the daemon took the command and did not answer within {0} s; see `celld status`")]
     NoReply(u64),
+    #[error("the terminal fails")]
+    Terminal(#[source] std::io::Error),
     #[error(transparent)]
     State(#[from] StateError),
     #[error(transparent)]
@@ -70,6 +72,12 @@ pub(super) enum ClientError {
 pub(super) fn complain(error: &ClientError) -> u8 {
     cell_edge::terminal::complain(&chain(error));
     1
+}
+
+/// A complaint about usage on stderr; exit code 2.
+pub(super) fn exit_2(text: &str) -> u8 {
+    cell_edge::terminal::complain(text);
+    2
 }
 
 /// How long a daemon may take to answer.

@@ -25,8 +25,10 @@ pub mod jobs;
 pub mod markers;
 pub mod open;
 pub mod plan;
+mod progress;
 pub mod replay;
 pub mod schema;
+pub mod shell;
 pub mod simulate;
 pub mod submit;
 pub mod task;
@@ -35,7 +37,7 @@ mod values;
 pub mod verify;
 pub mod watch;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -83,6 +85,10 @@ enum Command {
     Recordings(replay::RecordingsCommand),
     /// The shape of a kind of file as JSON Schema, for editors and other programs
     Schema(schema::SchemaArgs),
+    /// What a shell completes behind `celld`
+    Completions(shell::CompletionsArgs),
+    /// Manual pages of all commands
+    Man(shell::ManArgs),
     /// Make random instances of the paper's scenarios
     Generate(generate::GenerateArgs),
     /// Measure, print a table, draw figures
@@ -130,6 +136,8 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::run(&args),
         Command::Generate(args) => generate::run(&args),
         Command::Schema(args) => schema::run(&args),
+        Command::Completions(args) => shell::completions(&args, Cli::command()),
+        Command::Man(args) => shell::man(&args, Cli::command()),
         Command::Replay(args) => replay::run(&args),
         Command::Recordings(command) => replay::recordings(&command),
         Command::Bench(Bench::Planning(args)) => {
@@ -152,6 +160,7 @@ pub fn main() -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::ValueEnum;
     use std::path::Path;
 
     /// The commands in the indented blocks of a page, without the comments behind them; one that ends in
@@ -185,5 +194,35 @@ mod tests {
         }
         assert!(wrong.is_empty(), "{}", wrong.join("\n"));
         assert!(tried > 40, "{tried} commands");
+    }
+
+    /// Every command and option of the program is known to every shell.
+    #[test]
+    fn completions_know_every_command() {
+        for shell in clap_complete::Shell::value_variants() {
+            let mut script = Vec::new();
+            clap_complete::generate(*shell, &mut Cli::command(), "celld", &mut script);
+            let script = String::from_utf8(script).expect("text");
+            for known in Cli::command().get_subcommands() {
+                assert!(script.contains(known.get_name()), "{shell}: {}", known.get_name());
+            }
+            assert!(script.contains("time-limit"), "{shell}: options of `celld plan`");
+        }
+    }
+
+    #[test]
+    fn every_command_has_its_manual_page() {
+        let folder = tempfile::tempdir().expect("a folder");
+        shell::pages(Cli::command(), folder.path()).expect("written");
+        let page = |name: &str| std::fs::read_to_string(folder.path().join(name)).expect("a page");
+        for known in Cli::command().get_subcommands() {
+            assert!(
+                page(&format!("celld-{}.1", known.get_name())).starts_with(".ie"),
+                "{}",
+                known.get_name()
+            );
+        }
+        assert!(page("celld.1").contains("celld\\-plan"), "the page of celld names the others");
+        assert!(page("celld-plan.1").contains("time\\-limit"));
     }
 }

@@ -1,14 +1,20 @@
 //! `celld watch`: what the cell does, a line at every change, until Ctrl-C.
 //!
-//! In: the state folder. Out: dated lines on stdout. A daemon that is not there is waited for, and one that
-//! ends is reported: whoever watches sees both.
+//! In: the state folder. Out: dated lines on stdout, or a screen (`--full`). A daemon that is not there is
+//! waited for, and one that ends is reported: whoever watches sees both.
 
-use crate::cli::client::{ClientError, StateArg, complain};
+mod screen;
+
+use crate::cli::client::{ClientError, StateArg, complain, exit_2};
+use crate::cli::watch::screen::Screen;
 use crate::jobs::changes::changes;
+use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
 use crate::jobs::utc;
 use cell_edge::clock::unix_now_s;
 use clap::Args;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
+use std::io::IsTerminal;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -21,20 +27,87 @@ const EVERY: Duration = Duration::from_millis(100);
 pub struct WatchArgs {
     #[command(flatten)]
     state: StateArg,
+    /// All of it on one screen: state, job, moves, devices, changes; q leaves
+    #[arg(long)]
+    full: bool,
 }
 
-/// Prints changes until `stop`; exit code 0, or 1 where the state folder cannot be read.
+/// Shows what happens until `stop`; exit code 0, or 1 where the state folder cannot be read.
 pub fn run(args: &WatchArgs, stop: &Arc<AtomicBool>) -> u8 {
-    crate::cli::interrupt::watch(stop);
     let state = args.state.folder();
+    if args.full {
+        return full(&state, stop);
+    }
+    crate::cli::interrupt::watch(stop);
+    lines(&state, stop)
+}
+
+/// The daemon's status; `None` where none runs.
+fn read(state: &StateFolder) -> Result<Option<Status>, ClientError> {
+    let runs = state.is_taken()?;
+    Ok(Status::read(&state.status())?.filter(|_| runs))
+}
+
+/// The screen until q or Ctrl-C.
+fn full(state: &StateFolder, stop: &Arc<AtomicBool>) -> u8 {
+    if !std::io::stdout().is_terminal() {
+        return exit_2("--full needs a terminal; without it, `celld watch` prints a line at every change");
+    }
+    let mut terminal = match ratatui::try_init() {
+        Ok(terminal) => terminal,
+        Err(error) => return exit_2(&format!("this terminal cannot show a screen: {error}")),
+    };
+    let shown = show(&mut terminal, state, stop);
+    ratatui::restore();
+    match shown {
+        Ok(()) => 0,
+        Err(error) => complain(&error),
+    }
+}
+
+fn show(
+    terminal: &mut ratatui::DefaultTerminal,
+    state: &StateFolder,
+    stop: &Arc<AtomicBool>,
+) -> Result<(), ClientError> {
+    let mut screen = Screen::default();
+    while !stop.load(Ordering::Relaxed) {
+        let now = read(state)?;
+        let unix_s = unix_now_s();
+        match (screen.status(), &now) {
+            (Some(before), Some(now)) => {
+                for change in changes(before, now) {
+                    screen.note(unix_s, &change);
+                }
+            }
+            (Some(_), None) => screen.note(unix_s, "the daemon has ended"),
+            (None, Some(now)) => screen.note(unix_s, &format!("celld {} runs", now.daemon)),
+            (None, None) => {}
+        }
+        screen.set(now);
+        terminal.draw(|frame| screen.draw(frame, unix_s)).map_err(ClientError::Terminal)?;
+        if left()? {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Waits for a key as long as a status lasts; true for those that leave.
+fn left() -> Result<bool, ClientError> {
+    if !event::poll(EVERY).map_err(ClientError::Terminal)? {
+        return Ok(false);
+    }
+    let Event::Key(key) = event::read().map_err(ClientError::Terminal)? else { return Ok(false) };
+    let control = key.modifiers.contains(KeyModifiers::CONTROL);
+    Ok(matches!(key.code, KeyCode::Char('q') | KeyCode::Esc) || (control && key.code == KeyCode::Char('c')))
+}
+
+fn lines(state: &StateFolder, stop: &Arc<AtomicBool>) -> u8 {
     let mut last: Option<Status> = None;
     let mut told_absent = false;
     while !stop.load(Ordering::Relaxed) {
-        let read = || -> Result<Option<Status>, ClientError> {
-            let runs = state.is_taken()?;
-            Ok(Status::read(&state.status())?.filter(|_| runs))
-        };
-        match (read(), &last) {
+        match (read(state), &last) {
             (Err(error), _) => return complain(&error),
             (Ok(None), Some(_)) => {
                 line("the daemon has ended");

@@ -100,7 +100,7 @@ const FRESH_S: f64 = 2.0;
 
 impl DeviceStatus {
     /// One line.
-    fn text(&self) -> String {
+    pub fn text(&self) -> String {
         let word = if self.ready { "ready" } else { "NOT READY" };
         let identity = match self.identity.is_empty() {
             true => String::new(),

@@ -4,11 +4,11 @@
 //! be, and the command that repeats it.
 
 use super::args::{SimulateArgs, keep_trace};
+use crate::cli::progress::Progress;
 use crate::pair::cuts::{cut, moments};
 use crate::pair::eyes::Eye;
 use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
-use indicatif::ProgressBar;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use std::time::Instant;
 
@@ -22,16 +22,16 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
             return 2;
         }
     };
-    let bar = ProgressBar::new(cases.len() as u64);
+    let bar = Progress::new(cases.len(), "power cuts");
     let ran: Result<Vec<bool>, String> = cases
         .into_par_iter()
         .map(|(seed, moment)| {
             let sound = one(args, seed, moment, &bar);
-            bar.inc(1);
+            bar.inc();
             sound
         })
         .collect();
-    bar.finish_and_clear();
+    bar.finish();
     match ran {
         Ok(ran) => {
             let wrong = ran.iter().filter(|sound| !**sound).count();
@@ -54,8 +54,14 @@ fn all_cases(args: &SimulateArgs) -> Result<Vec<(u64, usize)>, String> {
     let only = args.only.as_deref().map(|only| only.parse::<usize>().map_err(|_| only.to_string()));
     let only = only.transpose().map_err(|only| format!("--only {only}: give the number of an effect"))?;
     let seeds = args.seed..args.seed.saturating_add(args.jobs as u64);
-    let counts: Result<Vec<(u64, usize)>, String> =
-        seeds.into_par_iter().map(|seed| Ok((seed, moments(&stage(seed, Eye::Corners)?, seed)?))).collect();
+    let bar = Progress::new(args.jobs, "jobs carried out whole");
+    let count = |seed| {
+        let count = moments(&stage(seed, Eye::Corners)?, seed)?;
+        bar.inc();
+        Ok((seed, count))
+    };
+    let counts: Result<Vec<(u64, usize)>, String> = seeds.into_par_iter().map(count).collect();
+    bar.finish();
     let cases = counts?.into_iter().flat_map(|(seed, count)| (0..count).map(move |moment| (seed, moment)));
     let cases: Vec<_> = cases.filter(|(_, moment)| only.is_none_or(|only| only == *moment)).collect();
     match (cases.is_empty(), only) {
@@ -64,7 +70,7 @@ fn all_cases(args: &SimulateArgs) -> Result<Vec<(u64, usize)>, String> {
     }
 }
 
-fn one(args: &SimulateArgs, seed: u64, moment: usize, bar: &ProgressBar) -> Result<bool, String> {
+fn one(args: &SimulateArgs, seed: u64, moment: usize, bar: &Progress) -> Result<bool, String> {
     let (found, pair) = cut(&stage(seed, Eye::Corners)?, seed, moment, args.trace.is_some())?;
     keep_trace(args, &pair)?;
     if !found.faults.is_empty() {

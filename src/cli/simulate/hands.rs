@@ -3,17 +3,17 @@
 //! In: the first seed, how many jobs. Out: what must not be, and the command that repeats it.
 
 use super::args::{SimulateArgs, keep_trace};
+use crate::cli::progress::Progress;
 use crate::pair::eyes::Eye;
 use crate::pair::hands::hands;
 use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
-use indicatif::ProgressBar;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use std::time::Instant;
 
 /// Runs it; returns the exit code.
 pub(super) fn run(args: &SimulateArgs) -> u8 {
-    let bar = ProgressBar::new(args.jobs as u64);
+    let bar = Progress::new(args.jobs, "jobs");
     let began = Instant::now();
     let seeds = args.seed..args.seed.saturating_add(args.jobs as u64);
     let ran: Result<Vec<usize>, String> = seeds
@@ -21,7 +21,7 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
         .map(|seed| {
             let (faults, pair) = hands(&stage(seed, Eye::Corners)?, seed, args.trace.is_some())?;
             keep_trace(args, &pair)?;
-            bar.inc(1);
+            bar.inc();
             if !faults.is_empty() {
                 let again = format!("repeat with: celld simulate --faults hands --jobs 1 --seed {seed}");
                 bar.suspend(|| print(&format!("seed {seed}\n    {}\n    {again}\n", faults.join("\n    "))));
@@ -29,7 +29,7 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
             Ok(faults.len())
         })
         .collect();
-    bar.finish_and_clear();
+    bar.finish();
     match ran {
         Ok(ran) => {
             let missed = ran.iter().filter(|count| **count > 0).count();

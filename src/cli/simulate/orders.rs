@@ -3,13 +3,13 @@
 //! In: which cases, where the page goes. Out: cases whose answer is not what happens, or that the page has
 //! differently. Exit codes as those of `celld simulate`.
 
+use crate::cli::progress::Progress;
 use crate::cli::simulate::args::SimulateArgs;
 use crate::pair::eyes::Eye;
 use crate::pair::orders::{Given, ORDERS_SEED, State, case, cases, judge};
 use crate::pair::orders_page::{OrderCase, PAGE, expected, line, title, write};
 use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
-use indicatif::ProgressBar;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::time::Instant;
 
@@ -18,17 +18,17 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
     let wanted = |title: &str| args.only.as_ref().is_none_or(|only| title.contains(only.as_str()));
     let chosen: Vec<(&'static State, &'static Given)> =
         cases().filter(|(state, given)| wanted(&title(state, given))).collect();
-    let bar = ProgressBar::new(chosen.len() as u64);
+    let bar = Progress::new(chosen.len(), "cases");
     let began = Instant::now();
     let ran: Result<Vec<OrderCase>, String> = stage(ORDERS_SEED, Eye::Corners).and_then(|stage| {
         let found = chosen.par_iter().map(|&(state, given)| {
             let found = case(&stage, state, given)?;
-            bar.inc(1);
+            bar.inc();
             Ok(OrderCase { state, given, found })
         });
         found.collect()
     });
-    bar.finish_and_clear();
+    bar.finish();
     let found = match ran {
         Ok(found) => found,
         Err(message) => {

@@ -4,30 +4,30 @@
 //! after them ended, and for each failure the fewest faults it needs, with the command that repeats it.
 
 use super::args::{SimulateArgs, keep_trace};
+use crate::cli::progress::Progress;
 use crate::pair::Choice;
 use crate::pair::eyes::Eye;
 use crate::pair::storm::{Aftermath, Strike, fewest, storm, strikes};
 use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
-use indicatif::ProgressBar;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use std::collections::BTreeMap;
 use std::time::Instant;
 
 /// Runs it; returns the exit code.
 pub(super) fn run(args: &SimulateArgs) -> u8 {
-    let bar = ProgressBar::new(args.jobs as u64);
+    let bar = Progress::new(args.jobs, "jobs");
     let began = Instant::now();
     let seeds = args.seed..args.seed.saturating_add(args.jobs as u64);
     let ran: Result<Vec<(usize, Aftermath)>, String> = seeds
         .into_par_iter()
         .map(|seed| {
             let one = one(args, seed, &bar);
-            bar.inc(1);
+            bar.inc();
             one
         })
         .collect();
-    bar.finish_and_clear();
+    bar.finish();
     match ran {
         Ok(ran) => {
             print(&text(&ran, began.elapsed().as_secs_f64()));
@@ -40,7 +40,7 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
     }
 }
 
-fn one(args: &SimulateArgs, seed: u64, bar: &ProgressBar) -> Result<(usize, Aftermath), String> {
+fn one(args: &SimulateArgs, seed: u64, bar: &Progress) -> Result<(usize, Aftermath), String> {
     let stage = stage(seed, Eye::Corners)?;
     let all = strikes(seed);
     let chosen = chosen(args.only.as_deref(), &all)?;
