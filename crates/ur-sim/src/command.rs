@@ -1,9 +1,13 @@
 //! `celld sim`: simulated UR5e, VGC10 and camera on the controller's own port numbers.
 //!
 //! In: the simulator's configuration. Out: one JSON line on stdout when all servers listen, then nothing
-//! until Ctrl-C. `sim_config` is also what the demo starts its cell from.
+//! until Ctrl-C or SIGTERM. `sim_config` is also what the demo starts its cell from.
 
 pub mod check_script;
+
+pub mod end;
+
+pub mod values;
 
 use crate::camera::{CameraSetup, CameraTiming};
 use crate::cell::{SimConfig, SimError, start};
@@ -28,6 +32,7 @@ use rearrange::tabletop::instance::ObjectSpec;
 use serde_json::json;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
+use ur_arm::kinematics::ArmModel;
 
 /// Nominal focal length of the simulated camera, px, and its picture.
 pub const FOCAL_PX: f64 = 650.0;
@@ -44,12 +49,18 @@ pub struct SimArgs {
     /// program.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Address to listen at, instead of the configuration's.
-    #[arg(long)]
+    /// Address to listen at, instead of the configuration's; the last one of several.
+    #[arg(long, overrides_with = "bind")]
     bind: Option<IpAddr>,
     /// Added to every port number, the controller's own included: several simulations on one address.
     #[arg(long, value_name = "N", default_value_t = 0)]
     port_offset: u16,
+    /// Which arm, instead of the configuration's: UR5e, UR10e, ...
+    #[arg(long, value_name = "NAME", value_parser = values::model)]
+    model: Option<ArmModel>,
+    /// Software version that the controller has, as 5.13.0.
+    #[arg(long, value_name = "VERSION", value_parser = values::software)]
+    software: Option<[u32; 4]>,
     /// Simulated seconds per second, instead of the configuration's.
     #[arg(long, value_name = "F", value_parser = time_factor)]
     time_factor: Option<f64>,
@@ -59,6 +70,9 @@ pub struct SimArgs {
     /// Also open the control socket (loopback only): faults and the world's truth.
     #[arg(long)]
     control: bool,
+    /// End when standard input does: with the program at its other end, however that ends.
+    #[arg(long)]
+    until_eof: bool,
     /// Parse URScript programs (`-` for standard input), report, and stop.
     #[arg(long, value_name = "FILE", num_args = 1..)]
     check_script: Vec<PathBuf>,
@@ -103,13 +117,14 @@ pub fn run(args: &SimArgs) -> u8 {
         print(&conformance::page());
         return 0;
     }
-    let (file, name) = match configuration(args.config.as_deref()) {
+    let (mut file, name) = match configuration(args.config.as_deref()) {
         Ok(found) => found,
         Err(message) => {
             complain(&message);
             return 2;
         }
     };
+    file.model = args.model.unwrap_or(file.model);
     let bind = match args.bind.map_or_else(|| file.bind.parse::<IpAddr>(), Ok) {
         Ok(bind) => bind,
         Err(error) => {
@@ -126,6 +141,7 @@ pub fn run(args: &SimArgs) -> u8 {
     }
     let mut config = sim_config(&file, bind, RobotPorts::REAL);
     config.time_factor = args.time_factor.unwrap_or(file.time_factor);
+    config.controller.version = args.software.unwrap_or(config.controller.version);
     match args.faults.as_deref().map_or(Ok(Vec::new()), faults_of) {
         Ok(faults) => config.faults = faults,
         Err(message) => {
@@ -141,7 +157,7 @@ pub fn run(args: &SimArgs) -> u8 {
     let runtime =
         tokio::runtime::Builder::new_multi_thread().enable_all().on_thread_start(priority::raise).build();
     match runtime {
-        Ok(runtime) => runtime.block_on(serve(config, args.port_offset)),
+        Ok(runtime) => runtime.block_on(serve(config, args.port_offset, args.until_eof)),
         Err(error) => {
             complain(&error.to_string());
             1
@@ -158,7 +174,15 @@ pub fn faults_of(path: &Path) -> Result<Vec<Planned>, String> {
     read_faults(&text, &path.display().to_string()).map_err(|complaints| complaints.to_string())
 }
 
-async fn serve(config: SimConfig, port_offset: u16) -> u8 {
+async fn serve(config: SimConfig, port_offset: u16, until_eof: bool) -> u8 {
+    // Before the ready line: who reads it may end the simulator at once.
+    let ended = match end::of_process(until_eof) {
+        Ok(ended) => ended,
+        Err(error) => {
+            complain(&error.to_string());
+            return 1;
+        }
+    };
     let sim = match start(config).await {
         Ok(sim) => sim,
         Err(error @ SimError::Fault(_)) => {
@@ -177,6 +201,9 @@ async fn serve(config: SimConfig, port_offset: u16) -> u8 {
         "port_offset": port_offset,
         "dashboard": addresses.robot.dashboard.to_string(),
         "primary": addresses.robot.primary.to_string(),
+        "secondary": addresses.robot.secondary.to_string(),
+        "realtime": addresses.robot.realtime.to_string(),
+        "interpreter": addresses.robot.interpreter.to_string(),
         "rtde": addresses.robot.rtde.to_string(),
         "controller_modbus": addresses.robot.modbus.map(|modbus| modbus.to_string()),
         "modbus": addresses.modbus.to_string(),
@@ -184,9 +211,7 @@ async fn serve(config: SimConfig, port_offset: u16) -> u8 {
         "control": addresses.control.map(|control| control.to_string()),
     });
     print(&format!("{ready}\n"));
-    if let Err(error) = tokio::signal::ctrl_c().await {
-        complain(&error.to_string());
-    }
+    ended.await;
     complain(&format!("time factor reached: {:.2}", sim.factor_reached()));
     sim.shutdown().await;
     0
