@@ -43,15 +43,22 @@ BINARIES ?= $(BUILD)/release
 VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
 DEB_PACKAGES := dpkg-dev binutils
 
+# `make wheel`, `make image`: in $(BUILD)/packages. Both are the same bytes again of the same commit.
+PACKAGES_BUILT := $(BUILD)/packages
+MOST_MEGABYTES := 15
+
 .PHONY: help setup clients demo try test test-clients test-page bench figures fuzz fuzz-corpus
-.PHONY: release install uninstall deb test-deb
+.PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
 	@echo "make try                            a simulated cell to watch and operate in the browser"
 	@echo "make test                           formatting, lints, documentation, all tests but those of the next line"
 	@echo "make test-page                      the page in a browser (installs Chromium)"
-	@echo "make test-clients                   other people's clients against the simulator (installs them)"
+	@echo "make test-clients                   other people's clients against the simulator (installs them), and test-wheel"
+	@echo "make sim-static                     the simulator alone, one file that runs on any Linux"
+	@echo "make wheel, make test-wheel         the same in a Python package with a pytest fixture"
+	@echo "make image, make test-image         the same as an OCI image, without a container engine"
 	@echo "make figures                        small versions of the paper's six figures in ./out/figures"
 	@echo "make fuzz [SECONDS=600]              fuzz each protocol for so long (fuzz/README.md)"
 	@echo "make bench                          nanoseconds of the collision kernel by pair of shapes"
@@ -153,9 +160,55 @@ test: setup
 	  cargo test --test it -- cell_ robot_session:: --test-threads=1; \
 	fi
 
+# The simulator alone, to be copied anywhere: no library, stripped, at most MOST_MEGABYTES. Naming the target
+# keeps the link flags away from build scripts. Needs no OpenCV, so no `setup`.
+HOST = $(shell rustc -vV | sed -n 's/^host: //p')
+STATIC = $(BUILD)/$(HOST)/dist/celld-sim
+sim-static:
+	RUSTFLAGS="$(RUSTFLAGS) -C target-feature=+crt-static" cargo build --profile dist -p ur-sim --bin celld-sim --target $(HOST)
+	@packages/static.sh $(STATIC) $(MOST_MEGABYTES)
+
+# hatchling, a build backend of Python's packaging authority, puts the package together: it knows the format,
+# and gives the same bytes again. From a copy, so that nothing is left in the sources and the licences are
+# there. pytest tests it where it is installed, in an environment with nothing else of celld.
+PYTHON_ENV := $(BUILD)/python
+WHEEL := $(PACKAGES_BUILT)/celld_sim-$(VERSION)-*.whl
+
+$(PYTHON_ENV)/installed.txt: packages/python/requirements.txt
+	@$(call install,python3-venv)
+	@echo "wheel: installing $$(grep -v '^#' $< | tr '\n' ' ')"
+	@rm -rf $(PYTHON_ENV); python3 -m venv $(PYTHON_ENV)
+	@$(PYTHON_ENV)/bin/pip install --quiet --disable-pip-version-check --no-deps -r $<
+	@cp $< $@
+
+# What is made is dated at the commit.
+DATED := $$(git -C $(CURDIR) log -1 --format=%ct 2>/dev/null || echo 0)
+
+wheel: sim-static $(PYTHON_ENV)/installed.txt
+	@rm -rf $(PACKAGES_BUILT)/python $(PACKAGES_BUILT)/celld_sim-*.whl; mkdir -p $(PACKAGES_BUILT)
+	@cp -r packages/python $(PACKAGES_BUILT)/python; cp LICENSE-APACHE LICENSE-MIT $(PACKAGES_BUILT)/python
+	@export CELLD_SIM_BINARY=$(STATIC) CELLD_SIM_VERSION=$(VERSION) SOURCE_DATE_EPOCH=$(DATED); \
+	$(PYTHON_ENV)/bin/pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --no-cache-dir \
+	  --wheel-dir $(PACKAGES_BUILT) $(PACKAGES_BUILT)/python
+	@echo "wheel: $$(ls $(WHEEL))"
+
+test-wheel: wheel
+	@$(PYTHON_ENV)/bin/pip install --quiet --disable-pip-version-check --no-deps --no-index --force-reinstall $(WHEEL)
+	@cd tests/wheel && $(PYTHON_ENV)/bin/python -B -m pytest -q -p no:cacheprovider --durations=5
+
+image: sim-static
+	@$(call install,python3)
+	@python3 -B packages/image/write.py $(STATIC) $(VERSION) $(DATED) $(PACKAGES_BUILT)/image
+	@echo "image: oci:$(PACKAGES_BUILT)/image:$(VERSION)"
+
+test-image: image $(PYTHON_ENV)/installed.txt
+	@$(call install,skopeo)
+	@cd tests/image && CELLD_IMAGE=$(PACKAGES_BUILT)/image CELLD_STATIC=$(STATIC) CELLD_VERSION=$(VERSION) \
+	  $(PYTHON_ENV)/bin/python -B -m pytest -q -p no:cacheprovider
+
 # Also the calls of the RealSense SDK, which comes with the clients.
 test-clients: export CELLD_CLIENTS := $(CLIENTS)
-test-clients: clients
+test-clients: clients test-wheel
 	@if cargo nextest --version >/dev/null 2>&1; then \
 	  cargo nextest run -E 'test(/^third_party::/) | test(/realsense::tests::/)'; \
 	else \
