@@ -112,3 +112,19 @@ def test_a_program_that_needs_libraries_or_is_too_large_is_not_static():
     for program, most, words in [("/bin/true", "15", "shared libraries"), (str(PROGRAM), "1", "more than 1 MB")]:
         refused = subprocess.run([check, program, most], capture_output=True, text=True)
         assert refused.returncode == 1 and words in refused.stderr
+
+
+def test_the_shell_lines_of_the_page_run(tmp_path):
+    page = (WRITER.parents[2] / "docs" / "simulator.md").read_text()
+    block = page.split("Any shell, with")[1].split("\n\n")[1]
+    lines = [line.strip() for line in block.splitlines()]
+    assert lines[0].startswith("vendor/celld-sim ") and lines[-1] == "./your-tests --robot 127.0.0.2"
+    (tmp_path / "vendor").mkdir()
+    (tmp_path / "vendor" / "celld-sim").symlink_to(PROGRAM)
+    tests = tmp_path / "your-tests"
+    tests.write_text("#!/bin/bash\nexec 3<>/dev/tcp/$2/29999 && head -n 1 <&3\n")
+    tests.chmod(0o755)
+    # Another address: someone may have started a simulator at that of the page.
+    script = "\n".join(["set -euo pipefail", *lines]).replace("127.0.0.2", "127.63.2.2")
+    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and "Universal Robots Dashboard Server" in done.stdout, done.stderr
