@@ -5,6 +5,8 @@
 
 pub mod check_script;
 
+pub mod compare;
+
 pub mod end;
 
 pub mod values;

@@ -8,6 +8,8 @@ pub mod cell;
 
 pub mod command;
 
+pub mod compare;
+
 pub mod config;
 
 pub mod conformance;

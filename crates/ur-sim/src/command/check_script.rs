@@ -8,6 +8,7 @@ use crate::controller::builtins::compile_program;
 use cell_edge::terminal::{LARGEST_FILE_BYTES, complain, print, read_text};
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use urscript::code::Code;
 use urscript::fault::CompileError;
 
 /// Checks all of them; the exit code.
@@ -38,10 +39,15 @@ fn standard_input() -> Result<String, String> {
 
 /// The line for a good program, the complaint about a bad one.
 fn report(source: &str, text: &str) -> Result<String, String> {
-    match compile_program(text) {
-        Ok(code) => Ok(format!("{source}: ok, program {}\n", code.name)),
-        Err(error) => Err(complaint(source, text, &error)),
-    }
+    program_in(source, text).map(|code| format!("{source}: ok, program {}\n", code.name))
+}
+
+/// The program in a text that came from `source`.
+///
+/// # Errors
+/// The complaint about a bad one: place, sentence, the line itself and a caret.
+pub fn program_in(source: &str, text: &str) -> Result<Code, String> {
+    compile_program(text).map_err(|error| complaint(source, text, &error))
 }
 
 fn complaint(source: &str, text: &str, error: &CompileError) -> String {

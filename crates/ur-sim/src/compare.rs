@@ -1,0 +1,11 @@
+//! A recording of a real arm against the simulated one: read, carried out again, compared.
+
+pub mod comparison;
+
+pub mod motions;
+
+pub mod recording;
+
+pub mod replay;
+
+pub mod track;
