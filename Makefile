@@ -270,7 +270,7 @@ SHARE = $(PREFIX)/share/celld
 DOC = $(PREFIX)/share/doc/celld
 HELPERS := set-up address-filter
 EXAMPLES := cell.yaml sim.yaml calibration/sim/camera.yaml calibration/sim/hand_eye.yaml calibration/sim/table.yaml
-PAGES = README.md ARCHITECTURE.md LICENSE-APACHE LICENSE-MIT config/README.md calibration/README.md \
+PAGES = README.md ARCHITECTURE.md LICENSE-APACHE LICENSE-MIT config/README.md calibration/README.md packages/python/README.md \
         $(wildcard docs/*.md hardware/*.md hardware/*/*.md)
 INSTALLED = $(PREFIX)/bin/celld $(PREFIX)/bin/celld-sim \
             $(addprefix $(PREFIX)/lib/celld/,$(HELPERS)) \

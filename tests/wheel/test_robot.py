@@ -182,3 +182,15 @@ def test_the_command_is_the_simulator():
     assert said.startswith("celld-sim ")
     page = subprocess.run([command, "--conformance"], check=True, capture_output=True, text=True).stdout
     assert "modelled" in page
+
+
+def test_offsets_keep_the_ports_of_robots_apart(robot):
+    from celld_sim.addresses import port_offsets
+
+    ports = robot.ports
+    own = [ports.gripper, ports.camera, ports.control, 30011, 30012, 30013, ports.interpreter]
+    own += [ports.dashboard, ports.primary, ports.secondary, ports.realtime, ports.rtde]
+    offsets = sorted({offset for _, offset in zip(range(5000), port_offsets())})
+    assert len(offsets) > 100 and max(offsets) + max(own) < 65536
+    taken = [port + offset for offset in offsets for port in own]
+    assert len(taken) == len(set(taken))

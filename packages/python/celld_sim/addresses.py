@@ -68,6 +68,7 @@ def loopback_addresses() -> Iterator[str]:
 
 
 def port_offsets() -> Iterator[int]:
-    """Offsets in no order under which the ports of two robots never meet."""
+    """Offsets in no order under which the ports of two robots never meet: less than 25000 apart, by which the
+    gripper's port would be the interpreter's of another."""
     while True:
-        yield 100 * _RANDOM.randint(50, 320)
+        yield 100 * _RANDOM.randint(50, 290)
