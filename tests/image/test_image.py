@@ -124,7 +124,7 @@ def test_the_shell_lines_of_the_page_run(tmp_path):
     tests = tmp_path / "your-tests"
     tests.write_text("#!/bin/bash\nexec 3<>/dev/tcp/$2/29999 && head -n 1 <&3\n")
     tests.chmod(0o755)
-    # Another address: someone may have started a simulator at that of the page.
+    # Another address: that of the page is the one that people use by hand.
     script = "\n".join(["set -euo pipefail", *lines]).replace("127.0.0.2", "127.63.2.2")
     done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and "Universal Robots Dashboard Server" in done.stdout, done.stderr

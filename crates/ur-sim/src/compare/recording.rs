@@ -6,7 +6,7 @@
 
 use crate::compare::track::{STATES, Track};
 
-/// More than these complaints help nobody.
+/// Most complaints about one recording.
 const MOST_COMPLAINTS: usize = 20;
 
 /// Where the columns are.
@@ -20,7 +20,7 @@ struct Columns {
 /// Reads a recording.
 ///
 /// # Errors
-/// Every complaint, the first [`MOST_COMPLAINTS`] of them.
+/// Every complaint, the first twenty of them.
 pub fn read_recording(text: &str) -> Result<Track, Vec<String>> {
     let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line));
     let header = lines.next().map_or("", |(_, line)| line);

@@ -25,7 +25,7 @@ const FRAMES_A_SECOND: f64 = 500.0;
 /// A program that does not end is watched for twice the recording's length and this, s.
 const LONGER_S: f64 = 10.0;
 
-/// More words of the controller help nobody.
+/// Most words of the controller that are kept.
 const MOST_REMARKS: usize = 10;
 
 /// Which controller.
