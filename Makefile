@@ -276,7 +276,10 @@ INSTALLED = $(PREFIX)/bin/celld $(PREFIX)/bin/celld-sim \
             $(addprefix $(PREFIX)/lib/celld/,$(HELPERS)) \
             $(PREFIX)/lib/systemd/system/celld.service \
             $(PREFIX)/lib/sysusers.d/celld.conf $(PREFIX)/lib/tmpfiles.d/celld.conf \
-            $(PREFIX)/lib/udev/rules.d/60-celld-camera.rules
+            $(PREFIX)/lib/udev/rules.d/60-celld-camera.rules $(COMPLETIONS)
+COMPLETIONS = $(PREFIX)/share/bash-completion/completions/celld $(PREFIX)/share/zsh/site-functions/_celld \
+              $(PREFIX)/share/fish/vendor_completions.d/celld.fish
+MAN = $(PREFIX)/share/man/man1
 UNITS := hardware/systemd
 
 # As it is in the repository, with the paths of this installation: mode, from, to.
@@ -306,6 +309,10 @@ install:
 	$(call placed,0644,$(UNITS)/60-celld-camera.rules,$(PREFIX)/lib/udev/rules.d/60-celld-camera.rules)
 	[ -e $(DESTDIR)/etc/celld/environment ] \
 	  || install -D -m 0644 $(UNITS)/environment $(DESTDIR)/etc/celld/environment
+	$(BINARIES)/celld completions bash | install -D -m 0644 /dev/stdin $(DESTDIR)$(word 1,$(COMPLETIONS))
+	$(BINARIES)/celld completions zsh | install -D -m 0644 /dev/stdin $(DESTDIR)$(word 2,$(COMPLETIONS))
+	$(BINARIES)/celld completions fish | install -D -m 0644 /dev/stdin $(DESTDIR)$(word 3,$(COMPLETIONS))
+	$(BINARIES)/celld man --out $(DESTDIR)$(MAN)
 	$(call example,config/cell.yaml) | install -D -m 0644 /dev/stdin $(DESTDIR)$(SHARE)/examples/cell.yaml
 	install -D -m 0644 config/sim.yaml $(DESTDIR)$(SHARE)/examples/sim.yaml
 	$(foreach file,$(filter calibration/%,$(EXAMPLES)),install -D -m 0644 $(file) $(DESTDIR)$(SHARE)/examples/$(file);)
@@ -320,7 +327,7 @@ install:
 # Configuration and state stay.
 uninstall:
 	@if [ -z "$(DESTDIR)" ] && [ -d /run/systemd/system ]; then systemctl --quiet disable --now celld || true; fi
-	rm -f $(addprefix $(DESTDIR),$(INSTALLED))
+	rm -f $(addprefix $(DESTDIR),$(INSTALLED)) $(DESTDIR)$(MAN)/celld.1 $(DESTDIR)$(MAN)/celld-*.1
 	rm -rf $(DESTDIR)$(SHARE) $(DESTDIR)$(DOC)
 	rmdir --ignore-fail-on-non-empty $(DESTDIR)$(PREFIX)/lib/celld
 	@if [ -z "$(DESTDIR)" ] && [ -d /run/systemd/system ]; then systemctl daemon-reload; fi

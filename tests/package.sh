@@ -88,6 +88,8 @@ installed() {
   holds "the configuration" has_mode 640 root:celld /etc/celld/cell.yaml
   holds "groups for the camera" test "$(id -nG celld)" = "celld video plugdev"
   holds "the version" test "$(celld --version)" = "celld $1"
+  holds "a manual page of every command" test -s /usr/share/man/man1/celld-plan.1
+  holds "completions of bash" bash -c 'source /usr/share/bash-completion/completions/celld'
   holds "the simulator" quietly celld-sim --help
   holds "the first configuration is sound" quietly celld check /etc/celld/cell.yaml
   holds "the examples are sound" quietly celld check /usr/share/celld/examples/{cell,sim}.yaml

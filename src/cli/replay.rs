@@ -1,10 +1,12 @@
 //! `celld replay` and `celld recordings`: a recorded run carried out again, and recordings made whole.
 //!
 //! In: recordings. Out: whether the cell decides the same again, byte for byte, or the first decision that
-//! differs; with `--detect`, what the detector finds now in the recorded pictures. Exit codes: 0 the same
+//! differs; with `--detect`, what the detector finds now in the recorded pictures; with `--page`, the run on
+//! a page. Exit codes: 0 the same
 //! again; 1 something differs, or a file could not be repaired; 2 a file that is no recording, or has
 //! nothing to replay.
 
+mod page;
 mod pictures;
 
 use crate::cli::client::StateArg;
@@ -14,11 +16,13 @@ use crate::io::recording::read::{Entry, Item, Items};
 use crate::io::recording::repair::{Repaired, is_whole, repair};
 use crate::io::recording::{ABOUT, Recording, log_time_at};
 use crate::jobs::status::Status;
+use crate::report::replay_page::replay_page;
 use cell_edge::terminal::{complain, print};
-use cell_replay::{Difference, Kind, Piece, Replay, Replayed};
+use cell_replay::{Difference, Kind, Piece, Replay, Replayed, effect_of, event_of};
 use cell_values::time::Timestamp;
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
+use page::{PICTURES, Page};
 use pictures::Pictures;
 use rearrange::document::chain::chain;
 use std::collections::BTreeMap;
@@ -41,6 +45,9 @@ pub struct ReplayArgs {
     /// Run the detector again on the recorded pictures too, and print what changes
     #[arg(long)]
     detect: bool,
+    /// Write the run as one HTML page: table, arm, pictures and sentences at any time of it
+    #[arg(long, value_name = "FILE")]
+    page: Option<PathBuf>,
     /// Write what the replay needs, and nothing else, into this folder: each file there is a test
     #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = TESTS)]
     as_test: Option<PathBuf>,
@@ -95,16 +102,18 @@ pub fn run(args: &ReplayArgs) -> u8 {
 fn replay(args: &ReplayArgs) -> Result<u8, String> {
     let located = |what: String| format!("{}: {what}", args.file.display());
     let file = File::open(&args.file).map_err(|error| located(error.to_string()))?;
-    let mut pictures = args.detect.then(Pictures::new).transpose().map_err(|error| chain(&error))?;
-    let mut test = None;
-    let (mut replay, mut about, mut read) = (Replay::default(), About::default(), 0_u64);
+    let pictures = args.detect.then(Pictures::new).transpose().map_err(|error| chain(&error))?;
+    let mut run = Run { replay: Replay::default(), about: About::default(), pictures, page: None };
+    let (mut test, mut read) = (None, 0_u64);
     let mut difference = None;
     let bar = ProgressBar::new_spinner();
     for item in Items::new(BufReader::new(file)) {
         match item {
             Ok(Item::About(metadata)) if metadata.name == ABOUT => {
-                about = About::of(&metadata.metadata);
-                test = args.as_test.as_ref().map(|to| test_file(to, &args.file, &about)).transpose()?;
+                run.about = About::of(&metadata.metadata);
+                test = args.as_test.as_ref().map(|to| test_file(to, &args.file, &run.about)).transpose()?;
+                let title = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                run.page = args.page.as_ref().map(|_| Page::new(title, run.about.epoch_unix_s));
             }
             Ok(Item::About(_)) => {}
             Ok(Item::Message(entry)) => {
@@ -113,11 +122,11 @@ fn replay(args: &ReplayArgs) -> Result<u8, String> {
                     bar.set_message(format!("{read} messages"));
                     bar.tick();
                 }
-                let found = message(&mut replay, &mut pictures, &entry);
+                let found = run.take(&entry);
                 if let (Some(recording), Some(kind)) = (&mut test, piece_of(&entry.channel.topic)) {
-                    keep(recording, kind, &entry, &about)?;
+                    keep(recording, kind, &entry, &run.about)?;
                 }
-                let found = found.map_err(|error| located(different_version(&error, &about)))?;
+                let found = found.map_err(|error| located(different_version(&error, &run.about)))?;
                 if found.is_some() {
                     difference = found;
                     break;
@@ -136,30 +145,63 @@ fn replay(args: &ReplayArgs) -> Result<u8, String> {
         let path = recording.finish().map_err(|error| chain(&error))?;
         eprintln!("{} is replayed by `cargo test recorded_runs` from now on", path.display());
     }
-    let so_far = replay.so_far();
-    if replay.machine().is_none() {
+    if run.replay.machine().is_none() {
         let none = "it holds no decisions; `recording: {decisions: true}` records them".to_string();
         return Err(located(none));
     }
-    print(&text(&so_far, difference.as_ref(), &about));
-    let changed = pictures.map(Pictures::finish).is_some_and(|(text, changed)| {
-        print(&text);
-        changed
-    });
-    Ok(u8::from(difference.is_some() || changed))
+    run.outcome(difference.as_ref(), args.page.as_deref())
 }
 
-/// One message: what is replayed of it, and what the detector says of it.
-fn message(
-    replay: &mut Replay,
-    pictures: &mut Option<Pictures>,
-    entry: &Entry,
-) -> Result<Option<Difference>, cell_replay::Unreadable> {
-    let kind = piece_of(&entry.channel.topic);
-    if let Some(pictures) = pictures {
-        pictures.take(entry, kind);
+/// A recording on its way through the replay.
+struct Run {
+    replay: Replay,
+    about: About,
+    pictures: Option<Pictures>,
+    page: Option<Page>,
+}
+
+impl Run {
+    /// One message: what is replayed of it, what the detector says of it, what the page shows of it.
+    fn take(&mut self, entry: &Entry) -> Result<Option<Difference>, cell_replay::Unreadable> {
+        let kind = piece_of(&entry.channel.topic);
+        if let Some(pictures) = &mut self.pictures {
+            pictures.take(entry, kind);
+        }
+        let found = kind.map_or(Ok(None), |kind| self.replay.take(kind, &entry.data))?;
+        let Some(page) = &mut self.page else { return Ok(found) };
+        match kind {
+            Some(Kind::Event) => {
+                if let Some((at, event)) = event_of(&entry.data) {
+                    page.event(at, &event, self.replay.machine());
+                }
+            }
+            Some(Kind::Effect) => {
+                if let Some(effect) = effect_of(&entry.data) {
+                    page.effect(self.replay.so_far().until, &effect);
+                }
+            }
+            None if entry.channel.topic == PICTURES => {
+                page.picture(log_time_at(self.about.epoch_unix_s, entry.log_time), entry);
+            }
+            Some(Kind::Machine) | None => {}
+        }
+        Ok(found)
     }
-    kind.map_or(Ok(None), |kind| replay.take(kind, &entry.data))
+
+    /// Prints what came of it, and writes the page; the exit code.
+    fn outcome(self, difference: Option<&Difference>, to: Option<&Path>) -> Result<u8, String> {
+        print(&text(&self.replay.so_far(), difference, &self.about));
+        let changed = self.pictures.map(Pictures::finish).is_some_and(|(text, changed)| {
+            print(&text);
+            changed
+        });
+        if let (Some(page), Some(to)) = (self.page, to) {
+            let html = replay_page(&page.finish()).map_err(|error| error.to_string())?;
+            std::fs::write(to, html).map_err(|error| format!("{}: {error}", to.display()))?;
+            eprintln!("{} shows the run in any browser", to.display());
+        }
+        Ok(u8::from(difference.is_some() || changed))
+    }
 }
 
 fn different_version(error: &cell_replay::Unreadable, about: &About) -> String {

@@ -7,6 +7,7 @@ pub mod plan_animation;
 pub mod plan_svg;
 pub mod prints;
 pub mod raster;
+pub mod replay_page;
 pub mod route_svg;
 pub mod run;
 pub mod summary;

@@ -7,16 +7,21 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
 use cell_machine::event::Event;
+use cell_machine::orders::Order;
 use cell_replay::{Kind, Piece, Replay, event_of};
-use celld::daemon::recorder::piece_of;
+use celld::daemon::recorder::{piece_of, topic_of};
+use celld::io::recording::Recording;
 use celld::io::recording::read::{Item, Items};
 use celld::pair::eyes::Eye;
 use celld::pair::rules::Rule;
-use celld::pair::run::run_jobs;
+use celld::pair::run::{bring_up, run_jobs, true_poses};
 use celld::pair::storm::{storm, strikes};
 use celld::pair::table::stage;
+use celld::pair::work::job;
 use celld::pair::{Choice, Pair};
+use rearrange::geometry::pose::Pose2;
 use std::path::Path;
+use std::process::Command;
 
 fn differs(pair: &Pair) -> Option<String> {
     let breach = pair.breaches().iter().find(|breach| breach.rule == Rule::ReplayDiffers);
@@ -53,8 +58,8 @@ fn pieces() -> Vec<Piece> {
     choice.replay = true;
     let mut pair = Pair::new(stage.clone(), choice).unwrap();
     pair.keep_pieces();
-    celld::pair::run::bring_up(&mut pair);
-    pair.order(cell_machine::orders::Order::Arm);
+    bring_up(&mut pair);
+    pair.order(Order::Arm);
     pair.run_until(3.0, |_| false);
     pair.take_pieces()
 }
@@ -93,6 +98,55 @@ fn a_recording_that_lacks_something_differs() {
     // Each effect is a decision, and so is each machine between two turns but the first.
     let before = pieces[..effects[50]].iter().filter(|piece| piece.kind != Kind::Event).count() as u64 - 1;
     assert_eq!(replayed(&changed), Some(before + 1));
+}
+
+/// A job as a recording in a file; where everything truly lies at its end.
+fn recorded_job(path: &Path) -> Vec<(String, Pose2)> {
+    let stage = stage(8, Eye::Corners).unwrap();
+    let mut choice = Choice::of(8);
+    choice.replay = true;
+    let mut pair = Pair::new(stage.clone(), choice).unwrap();
+    pair.keep_pieces();
+    bring_up(&mut pair);
+    pair.order(Order::Arm);
+    pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), 8, 0));
+    assert!(pair.run_until(600.0, |pair| !pair.reports().is_empty()));
+    let mut recording = Recording::create(path, 1.7e9).unwrap();
+    for piece in pair.take_pieces() {
+        recording.piece(topic_of(piece.kind), piece.at, &piece.bytes).unwrap();
+    }
+    recording.finish().unwrap();
+    true_poses(&pair, &stage.model)
+}
+
+/// What the page says of the run is what happened: objects travel with the tool and end where they lie.
+#[test]
+fn a_recording_becomes_a_page_that_shows_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, page) = (folder.path().join("run.mcap"), folder.path().join("run.html"));
+    let truth = recorded_job(&file);
+    let celld = env!("CARGO_BIN_EXE_celld");
+    let ran = Command::new(celld).arg("replay").arg(&file).arg("--page").arg(&page).output().unwrap();
+    assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
+    let html = std::fs::read_to_string(&page).unwrap();
+    let json = html.split("id=\"data\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let run: serde_json::Value = serde_json::from_str(json).unwrap();
+    let list = |value: &serde_json::Value| value.as_array().unwrap().clone();
+    for (id, pose) in truth {
+        let object = list(&run["objects"]).into_iter().find(|object| object["id"] == *id).unwrap();
+        let last = list(&object["at"]).last().unwrap()[1].clone();
+        let [x, y] = [0, 1].map(|axis| last[axis].as_f64().unwrap());
+        let off = (pose.x - x).hypot(pose.y - y);
+        assert!(off < 0.005, "{id} lies {off} m from where the page has it at the end");
+    }
+    let moves: usize = list(&run["plans"]).iter().map(|plan| list(&plan[1]).len()).max().unwrap();
+    let carried = list(&run["objects"]).iter().filter(|object| list(&object["at"]).len() > 15).count();
+    assert!(moves > 0 && carried > 0, "{moves} moves planned, {carried} objects seen to travel");
+    let sentences: Vec<String> = list(&run["sentences"]).iter().map(|one| one["text"].to_string()).collect();
+    assert!(sentences.iter().any(|text| text.contains("done")), "{sentences:?}");
+    assert!(list(&run["states"]).iter().any(|state| state[1]["armed"] == true));
+    let times: Vec<f64> = list(&run["arm"]).iter().map(|sample| sample[0].as_f64().unwrap()).collect();
+    assert!(times.len() > 100 && times.is_sorted(), "{} places of the arm", times.len());
 }
 
 #[test]

@@ -96,6 +96,11 @@ pub fn event_of(bytes: &[u8]) -> Option<(Timestamp, Event)> {
     Some((again.at, again.event))
 }
 
+/// An effect; `None` for bytes that are none.
+pub fn effect_of(bytes: &[u8]) -> Option<Effect> {
+    postcard::from_bytes(bytes).ok()
+}
+
 /// Bytes that are no piece of a recording of this version of celld.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("piece {number} of the recording ({what}) does not fit this version of celld: {cause}")]

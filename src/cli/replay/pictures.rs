@@ -3,6 +3,7 @@
 //! In: pictures and the markers that were found in them. Out: for each picture that shows something else
 //! now, what; and how far the corners of the others moved.
 
+use super::page::PICTURES;
 use crate::io::recording::read::Entry;
 use cell_machine::event::Event;
 use cell_replay::{Kind, event_of};
@@ -11,9 +12,6 @@ use cell_vision::detect::{DetectError, DetectSettings, Detection, Detector};
 use foxglove::Decode;
 use foxglove::messages::CompressedImage;
 use std::collections::BTreeMap;
-
-/// Where pictures are in a recording.
-const PICTURES: &str = "/camera/image";
 
 /// See the module.
 pub(super) struct Pictures {

@@ -1,0 +1,228 @@
+//! A recording made a page: where everything was at any time of the run.
+//!
+//! In: the messages of a recording as they are replayed, and the machine that the replay has by then. Out:
+//! the [`RecordedRun`] that `report::replay_page` draws. An object that is carried is where the tool takes
+//! it; one that was put down stays there until it is seen again.
+
+use crate::io::recording::read::Entry;
+use crate::report::colour;
+use crate::report::replay_page::{
+    RecordedMove, RecordedObject, RecordedRun, RecordedSentence, RecordedState, data_address, drawn,
+};
+use cell_machine::event::{Effect, Event, News};
+use cell_machine::machine::Machine;
+use cell_machine::supervisor::model::CellModel;
+use cell_machine::supervisor::order::RouteAction;
+use cell_machine::supervisor::status::{Doing, Status, WorkStep};
+use cell_motion::bodies::Bodies;
+use cell_values::time::{Duration, Timestamp};
+use cell_values::units::{Joints, mm_from_m};
+use cell_vision::observe::Observation;
+use foxglove::Decode;
+use foxglove::messages::CompressedImage;
+use nalgebra::{Isometry3, Point3};
+use rearrange::geometry::pose::Pose2;
+
+/// Where pictures are in a recording.
+pub(super) const PICTURES: &str = "/camera/image";
+
+/// How often the arm is drawn, in the cell's time.
+const ARM_EVERY: Duration = Duration::from_millis(100);
+
+/// A joint that moved by less is where it was, rad.
+const STILL_RAD: f64 = 5e-4;
+
+/// Corners that represent a curve.
+const CURVE_CORNERS: usize = 32;
+
+/// See the module.
+#[derive(Default)]
+pub(super) struct Page {
+    run: RecordedRun,
+    /// The cell's time at which the run begins.
+    began: Option<Timestamp>,
+    arm_at: Option<Timestamp>,
+    arm: Option<Joints>,
+    doing: Option<Doing>,
+    /// The object on the gripper, by its place in the catalogue, and how it hangs there.
+    carried: Option<(usize, Pose2)>,
+}
+
+impl Page {
+    pub fn new(title: String, epoch_unix_s: f64) -> Page {
+        Page {
+            run: RecordedRun { title, began_unix_s: epoch_unix_s, ..RecordedRun::default() },
+            ..Page::default()
+        }
+    }
+
+    /// All of it.
+    pub fn finish(self) -> RecordedRun {
+        self.run
+    }
+
+    /// s since the page's beginning; the first time of all is that.
+    fn seconds(&mut self, at: Timestamp) -> f64 {
+        let began = *self.began.get_or_insert_with(|| {
+            self.run.began_unix_s += at.as_secs_f64();
+            at
+        });
+        (at.since(began).as_secs_f64() * 1e3).round() / 1e3
+    }
+
+    /// A picture, as it was recorded.
+    pub fn picture(&mut self, at: Timestamp, entry: &Entry) {
+        let Ok(picture) = CompressedImage::decode(entry.data.as_slice()) else { return };
+        let at = self.seconds(at);
+        self.run.pictures.push((at, data_address(&picture.data)));
+    }
+
+    /// What the machine has taken in, and what it is now.
+    pub fn event(&mut self, at: Timestamp, event: &Event, machine: Option<&Machine>) {
+        let seconds = self.seconds(at);
+        let model = machine.and_then(|machine| machine.supervisor()).map(|supervisor| supervisor.model());
+        if let (true, Some(model)) = (self.run.objects.is_empty(), model) {
+            self.cell(model);
+        }
+        if let Event::Observed(_, Ok(seen)) = event {
+            self.seen(seconds, seen);
+        }
+        let q = machine.and_then(|machine| machine.robot_state()).map(|state| state.q);
+        if let (Some(model), Some(q)) = (model, q)
+            && self.arm_at.is_none_or(|last| at.since(last) >= ARM_EVERY)
+            && self.arm.is_none_or(|last| q.0.iter().zip(last.0).any(|(a, b)| (a - b).abs() > STILL_RAD))
+        {
+            (self.arm_at, self.arm) = (Some(at), Some(q));
+            self.arm(seconds, model, &q);
+        }
+    }
+
+    /// What the machine has decided.
+    pub fn effect(&mut self, at: Timestamp, effect: &Effect) {
+        let seconds = self.seconds(at);
+        let Effect::Notify(news) = effect else { return };
+        match news {
+            News::Notice(notice) => self.say(seconds, notice.alarm, notice.text.clone()),
+            News::Status(status) => self.status(seconds, status),
+            News::Route(route) => {
+                let planned = |RouteAction { object, from, to, to_goal }: &RouteAction| RecordedMove {
+                    object: object.clone(),
+                    from: drawn(from),
+                    to: drawn(to),
+                    goal: *to_goal,
+                };
+                self.run.plans.push((seconds, route.iter().map(planned).collect()));
+            }
+            News::Ended(report) => {
+                let text = format!("job {} {}: {}", report.id, report.end.as_str(), report.message);
+                self.say(seconds, report.code.exit_code() != 0, text);
+            }
+            News::Identified(_) => {}
+        }
+    }
+
+    fn say(&mut self, at: f64, alarm: bool, text: String) {
+        self.run.sentences.push(RecordedSentence { at, alarm, text });
+    }
+
+    fn status(&mut self, at: f64, status: &Status) {
+        self.doing = Some(status.doing.clone());
+        let state = RecordedState {
+            text: status.text(),
+            armed: status.armed,
+            job: status.job.clone(),
+            moves: status.moves,
+            held: status.held.clone(),
+            stopped: status.stopped.as_ref().map(|stop| format!("{} ({})", stop.message, stop.code.as_str())),
+            hint: status.hint.clone(),
+        };
+        if self.run.states.last().is_none_or(|(_, last)| *last != state) {
+            self.run.states.push((at, state));
+        }
+    }
+
+    fn cell(&mut self, model: &CellModel) {
+        self.run.table = [model.workspace.width, model.workspace.height];
+        let outline = |footprint: &rearrange::geometry::footprint::Footprint, pose: &Pose2| {
+            let corners = footprint.outline(CURVE_CORNERS).into_iter();
+            corners.map(|corner| pose.transform(corner).map(|v| (v * 1e4).round() / 1e4)).collect::<Vec<_>>()
+        };
+        self.run.kept_free = model.keep_out.iter().map(|kept| outline(&kept.footprint, &kept.pose)).collect();
+        let object =
+            |(index, object): (usize, &cell_machine::supervisor::model::CellObject)| RecordedObject {
+                id: object.id.clone(),
+                colour: colour::of(index),
+                outline: outline(&object.footprint, &Pose2::new(0.0, 0.0, 0.0)),
+                at: Vec::new(),
+            };
+        self.run.objects = model.objects.iter().enumerate().map(object).collect();
+    }
+
+    fn seen(&mut self, at: f64, seen: &Observation) {
+        for object in &mut self.run.objects {
+            if let Some(found) = seen.object(&object.id) {
+                object.at.push((at, drawn(&found.pose)));
+            }
+        }
+        let foreign: Vec<_> = seen
+            .foreign
+            .iter()
+            .flat_map(|report| &report.objects)
+            .map(|thing| thing.outline.clone())
+            .collect();
+        if self.run.foreign.last().map_or(!foreign.is_empty(), |(_, last)| *last != foreign) {
+            self.run.foreign.push((at, foreign));
+        }
+    }
+
+    fn arm(&mut self, at: f64, model: &CellModel, q: &Joints) {
+        let table_from_base = model.arm.base_from_table.inverse();
+        let mut joints: Vec<[i32; 3]> = origins(&model.arm.bodies, q)
+            .iter()
+            .map(|origin| millimetres(&(table_from_base * Point3::from(*origin))))
+            .collect();
+        let tool = model.arm.tool_at(q);
+        joints.push(millimetres(&Point3::from(tool.translation.vector)));
+        self.run.arm.push((at, joints));
+        self.carry(at, &seen_from_above(&tool));
+    }
+
+    /// What hangs on the tool goes where it goes.
+    fn carry(&mut self, at: f64, tool: &Pose2) {
+        let carries = match &self.doing {
+            Some(Doing::Working(WorkStep::Carrying | WorkStep::Releasing, object)) => {
+                self.run.objects.iter().position(|known| known.id == *object)
+            }
+            _ => None,
+        };
+        let Some(index) = carries else {
+            self.carried = None;
+            return;
+        };
+        let Some(object) = self.run.objects.get_mut(index) else { return };
+        let hangs = match self.carried {
+            Some((carried, hangs)) if carried == index => hangs,
+            _ => {
+                let Some((_, [x, y, theta])) = object.at.last() else { return };
+                tool.inverse().compose(&Pose2::new(*x, *y, *theta))
+            }
+        };
+        self.carried = Some((index, hangs));
+        object.at.push((at, drawn(&tool.compose(&hangs))));
+    }
+}
+
+/// Of the frames 0 to 6 and the flange, in the base frame, m.
+fn origins(bodies: &Bodies, q: &Joints) -> [[f64; 3]; 8] {
+    bodies.frames(q).map(|frame| [frame.translation.x, frame.translation.y, frame.translation.z])
+}
+
+fn millimetres(point: &Point3<f64>) -> [i32; 3] {
+    [point.x, point.y, point.z].map(|m| mm_from_m(m).round() as i32)
+}
+
+/// A pose by its place and the direction of its x axis.
+fn seen_from_above(pose: &Isometry3<f64>) -> Pose2 {
+    let along = pose.rotation * nalgebra::Vector3::x();
+    Pose2::new(pose.translation.x, pose.translation.y, along.y.atan2(along.x))
+}
