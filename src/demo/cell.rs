@@ -35,6 +35,7 @@ use ur_arm::kinematics::{ARM_MODELS, DhParameters};
 use ur_sim::command::{FOCAL_PX, PICTURE};
 use ur_sim::config::read::DEFAULT_ERRORS;
 use ur_sim::config::{SimFile, SimMount, SimPorts};
+use ur_sim::controller::config::SOFTWARE;
 use ur_sim::controller::modes::Control;
 use ur_sim::controller::program_files::ProgramFiles;
 use ur_sim::motion::safety::SafetyLimits;
@@ -209,7 +210,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
     };
     Ok(SimFile {
         bind: choice.bind.to_string(),
-        ports: SimPorts { modbus: 0, camera: 0, control: 0, controller_modbus: None },
+        ports: SimPorts { modbus: 0, camera: 0, control: 0, controller_modbus: None, robot_api: 0 },
         seed: choice.seed,
         time_factor: choice.time_factor,
         width_m: instance.workspace.width,
@@ -222,6 +223,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         objects: instance.objects.clone(),
         reference_markers: config.reference_markers.clone(),
         model: ARM_MODELS[0],
+        software: SOFTWARE,
         start_pose: config.park_pose,
         control: Control::Remote,
         safety: SafetyLimits::default(),

@@ -65,7 +65,7 @@ impl SimConfig {
             0 => Ok(0),
             port => port.checked_add(offset).ok_or(SimError::PortOffset { port, offset }),
         };
-        let highest = RobotPorts::REAL.interpreter;
+        let highest = RobotPorts::REAL.interpreter.max(self.ports.dashboard);
         let beyond = SimError::PortOffset { port: highest, offset };
         if self.ports != RobotPorts::ANY {
             self.ports = self.ports.moved(offset).ok_or(beyond)?;

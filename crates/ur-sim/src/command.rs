@@ -197,11 +197,15 @@ async fn serve(config: SimConfig, port_offset: u16, until_eof: bool) -> u8 {
         }
     };
     let addresses = &sim.addresses;
+    let polyscope_x = sim.robot().controller().core.config.is_polyscope_x();
+    let front = addresses.robot.dashboard.to_string();
+    let (dashboard, robot_api) = if polyscope_x { (None, Some(front)) } else { (Some(front), None) };
     let ready = json!({
         "ready": true,
         "bind": addresses.robot.rtde.ip().to_string(),
         "port_offset": port_offset,
-        "dashboard": addresses.robot.dashboard.to_string(),
+        "dashboard": dashboard,
+        "robot_api": robot_api,
         "primary": addresses.robot.primary.to_string(),
         "secondary": addresses.robot.secondary.to_string(),
         "realtime": addresses.robot.realtime.to_string(),
@@ -242,14 +246,20 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
     };
     let truth = spec::TruthSpec::from_seed(&nominal, &limits, file.seed);
     let modbus = ports.modbus.or(file.ports.controller_modbus);
+    let controller = controller_config(file);
+    // Any port stays any.
+    let dashboard = match controller.is_polyscope_x() && ports.dashboard != 0 {
+        true => file.ports.robot_api,
+        false => ports.dashboard,
+    };
     SimConfig {
         bind,
-        ports: RobotPorts { modbus, ..ports },
+        ports: RobotPorts { modbus, dashboard, ..ports },
         modbus_port: file.ports.modbus,
         camera_port: file.ports.camera,
         control_port: None,
         time_factor: file.time_factor,
-        controller: controller_config(file),
+        controller,
         world: spec::WorldSpec {
             table: spec::TableSpec { width_m: file.width_m, height_m: file.height_m, margin_m: MARGIN_M },
             base_from_table: truth.base_from_table,
@@ -281,6 +291,7 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
 fn controller_config(file: &SimFile) -> ControllerConfig {
     ControllerConfig {
         start: file.start_pose,
+        version: file.software,
         control: file.control,
         safety: file.safety.clone(),
         programs: file.programs.clone(),

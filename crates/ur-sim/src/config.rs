@@ -8,6 +8,7 @@ pub mod load;
 pub mod programs;
 pub mod read;
 pub mod safety;
+pub mod software;
 
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
@@ -52,6 +53,8 @@ pub struct SimFile {
     pub reference_markers: Vec<ReferenceMarkerConfig>,
     /// Which arm.
     pub model: ArmModel,
+    /// Software of the controller: major, minor, bug fix, build; PolyScope X from 10 on.
+    pub software: [u32; 4],
     /// From where the arm is commanded at the start.
     pub control: Control,
     /// Safety configuration of the controller.
@@ -96,6 +99,8 @@ pub struct SimPorts {
     pub control: u16,
     /// The controller's own Modbus server; absent: it is not started.
     pub controller_modbus: Option<u16>,
+    /// The Robot API of PolyScope X, which other software does not have.
+    pub robot_api: u16,
 }
 
 /// Standard deviations and bounds of what the simulated truth deviates by.

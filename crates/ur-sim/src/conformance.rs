@@ -173,6 +173,25 @@ const SERVERS: &[Claim] = &[
         "a connection for each call; assumed: what fails is a runtime exception",
         "scripts_call_methods_of_a_server_and_wait_for_the_answer",
     ),
+    Claim(
+        "PolyScope X: modes, power and brakes over the Robot API, in place of the dashboard",
+        Grade::Modelled,
+        "words, and what waits for the arm, as published clients rely on them; assumed: statuses, unlocking \
+         at once, a safeguard stop shown as a protective one",
+        "power_and_brakes_are_answered_when_the_arm_is_so_far",
+    ),
+    Claim(
+        "PolyScope X: programs (.urpx) uploaded, loaded, played",
+        Grade::Modelled,
+        "assumed: the application's script runs before the program's own; uploads in local control too",
+        "programs_are_uploaded_listed_replaced_downloaded_and_played",
+    ),
+    Claim(
+        "PolyScope X: requests by version (10.11, 10.12, 10.14)",
+        Grade::Modelled,
+        "assumed: the API's own version before 3.1.4; no support files, licences, URCaps",
+        "each_version_has_its_requests",
+    ),
     Claim("PROFINET, EtherNet/IP", Grade::Absent, "", ""),
     Claim(
         "Files over SSH/SFTP, other URCaps, PolyScope itself",

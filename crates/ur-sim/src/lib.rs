@@ -30,6 +30,10 @@ pub mod motion;
 
 pub mod render;
 
+pub mod robot_api;
+
+pub mod robot_api_server;
+
 pub mod robot_server;
 
 pub mod script_sockets;

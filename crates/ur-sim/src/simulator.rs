@@ -92,7 +92,8 @@ impl Simulator {
 
     /// A client connects; `None` while no server listens there.
     pub fn connect(&mut self, port: Port) -> Option<ConnectionId> {
-        if self.link(port.link()).down {
+        let without_dashboard = self.core.robot.controller().core.config.is_polyscope_x();
+        if self.link(port.link()).down || (port == Port::Dashboard && without_dashboard) {
             return None;
         }
         self.last_id += 1;
@@ -258,6 +259,26 @@ mod tests {
         simulator.core().robot.controller().emergency_stop(true);
         simulator.receive(primary, b"set unlock protective stop\n");
         assert!(simulator.core().robot.controller().core.modes.emergency_stopped(), "no other stop");
+    }
+
+    #[test]
+    fn polyscope_x_has_no_dashboard_and_reports_its_version() {
+        let controller = ControllerConfig { version: [10, 12, 3, 4], ..ControllerConfig::ur5e(1) };
+        let world = WorldSpec::bare(Isometry3::identity(), GripperSpec::one_cup(0.2));
+        let mut simulator = Simulator::new(controller, world, 1, Vec::new()).unwrap();
+        assert_eq!(simulator.connect(Port::Dashboard), None);
+        let primary = simulator.connect(Port::Primary).unwrap();
+        let sent = packages(&sent(&mut simulator), primary);
+        let versions = sent.iter().filter_map(|package| match package {
+            Package::Message(message) => match &message.body {
+                MessageBody::Version { major, minor, bugfix, build, .. } => {
+                    Some((*major, *minor, *bugfix, *build))
+                }
+                _ => None,
+            },
+            _ => None,
+        });
+        assert_eq!(versions.collect::<Vec<_>>(), [(10, 12, 3, 4)]);
     }
 
     #[test]

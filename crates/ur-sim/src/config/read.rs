@@ -5,10 +5,13 @@
 
 use crate::config::programs::programs;
 use crate::config::safety::safety;
+use crate::config::software::software;
 use crate::config::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
+use crate::controller::config::SOFTWARE;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
 use crate::motion::safety::SafetyLimits;
+use crate::robot_server::ROBOT_API_PORT;
 use cell_parts::fields::{each, joints_deg, optional, port, required_number, transform};
 use cell_parts::grid::{board, board_apart};
 use cell_parts::gripper::gripper;
@@ -41,6 +44,7 @@ pub const SIM_KEYS: &[&str] = &[
     "base_from_camera",
     "hand_board",
     "model",
+    "controller",
     "start_pose_deg",
     "control_mode",
     "safety",
@@ -108,6 +112,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         let choices: Vec<_> = ARM_MODELS.iter().map(|model| (model.name, *model)).collect();
         decoder.choice(at, &choices)
     });
+    let software = optional(decoder, fields, "controller", SOFTWARE, software);
     let control = optional(decoder, fields, "control_mode", Control::Remote, |decoder, at| {
         decoder.choice(at, CONTROL_MODES)
     });
@@ -131,6 +136,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         reference_markers: markers?,
         model: model?,
         start_pose: start_pose?,
+        software: software?,
         control: control?,
         safety: safety?,
         program_folder,
@@ -167,7 +173,7 @@ fn hand_board(decoder: &mut Decoder, at: &At) -> Option<SimHandBoard> {
 }
 
 fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
-    let fields = decoder.map(at, &["modbus", "camera", "control", "controller_modbus"])?;
+    let fields = decoder.map(at, &["modbus", "camera", "control", "controller_modbus", "robot_api"])?;
     let modbus = port(decoder, &fields, "modbus");
     let camera = port(decoder, &fields, "camera");
     let control = port(decoder, &fields, "control");
@@ -175,10 +181,17 @@ fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
         Some(_) => Some(port(decoder, &fields, "controller_modbus")?),
         None => None,
     };
-    let ports = SimPorts { modbus: modbus?, camera: camera?, control: control?, controller_modbus: own };
+    let robot_api = match fields.optional("robot_api") {
+        Some(_) => port(decoder, &fields, "robot_api")?,
+        None => ROBOT_API_PORT,
+    };
+    let (modbus, camera, control) = (modbus?, camera?, control?);
+    let ports = SimPorts { modbus, camera, control, controller_modbus: own, robot_api };
     let taken = [29999, 30001, 30002, 30003, 30004, 30011, 30012, 30013, 30020];
     let mut mine = vec![("modbus", ports.modbus), ("camera", ports.camera), ("control", ports.control)];
     mine.extend(ports.controller_modbus.map(|port| ("controller_modbus", port)));
+    // Where it is not written down it disturbs only controllers that have it; they complain when they start.
+    mine.extend(fields.optional("robot_api").map(|_| ("robot_api", robot_api)));
     for (index, (key, port)) in mine.iter().enumerate() {
         if taken.contains(port) || mine.iter().take(index).any(|(_, other)| other == port) {
             let message = format!("port {port} for {key} is taken by another server of the cell");

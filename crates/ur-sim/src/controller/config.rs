@@ -17,6 +17,12 @@ use ur_arm::kinematics::{ARM_MODELS, ArmModel, DhParameters};
 const CALIBRATION_STD_M: f64 = 5e-4;
 const CALIBRATION_STD_RAD: f64 = 0.05 / 360.0 * TAU;
 
+/// Software unless the configuration names another: major, minor, bug fix, build.
+pub const SOFTWARE: [u32; 4] = [5, 26, 0, 1_234_567];
+
+/// First major version of PolyScope X.
+const POLYSCOPE_X: u32 = 10;
+
 /// What kind of controller is simulated.
 #[derive(Clone, Debug)]
 pub struct ControllerConfig {
@@ -62,7 +68,7 @@ impl ControllerConfig {
             start: Joints([0.0, -1.57, 1.57, -1.57, -1.57, 0.0]),
             serial_number: "20235500001".to_owned(),
             model: arm.name.trim_end_matches('e').to_owned(),
-            version: [5, 26, 0, 1_234_567],
+            version: SOFTWARE,
             running: false,
             control: Control::Remote,
             safety: SafetyLimits::default(),
@@ -71,6 +77,11 @@ impl ControllerConfig {
             seed,
             programs: ProgramFiles::default(),
         }
+    }
+
+    /// The software is PolyScope X: the Robot API is in place of the dashboard server.
+    pub fn is_polyscope_x(&self) -> bool {
+        self.version[0] >= POLYSCOPE_X
     }
 
     /// The calibration of another arm of this model.

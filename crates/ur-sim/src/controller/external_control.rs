@@ -112,9 +112,9 @@ fn split(answer: &str) -> (String, String) {
     if behind { parts } else { (String::new(), answer.to_owned()) }
 }
 
-/// The name of a file as a script can bear it.
-fn identifier(file: &str) -> String {
-    let stem = file.strip_suffix(".urp").unwrap_or(file);
+/// The name of a program's file as a script can bear it.
+pub fn identifier(file: &str) -> String {
+    let stem = file.strip_suffix(".urpx").or_else(|| file.strip_suffix(".urp")).unwrap_or(file);
     let plain = |character: char| if character.is_ascii_alphanumeric() { character } else { '_' };
     let name: String = stem.chars().map(plain).collect();
     if name.starts_with(|first: char| first.is_ascii_alphabetic()) { name } else { format!("p_{name}") }

@@ -67,10 +67,15 @@ pub mod xml_rpc;
 pub use crate::controller::config::ControllerConfig;
 
 use crate::controller::core::Core;
+use crate::controller::program_files::ProgramSource;
 use crate::controller::programs::Programs;
 use crate::controller::sockets::NoNetwork;
 use crate::motion::MotionFault;
 use crate::motion::mover::{HARD_RAMP_SECONDS, SOFT_RAMP_SECONDS};
+
+/// The program that PolyScope X comes with.
+const DEFAULT_PROGRAM: &str = "Default program.urpx";
+const EMPTY_PROGRAM: &str = "def Default_program():\n  sync()\nend\n";
 
 /// How fast a person who holds the freedrive button draws the tool up: m/s and rad/s in the base frame.
 const DRAWN_UP: [f64; 6] = [0.0, 0.0, 0.03, 0.0, 0.0, 0.0];
@@ -88,7 +93,20 @@ impl Controller {
     /// A controller just booted.
     pub fn new(config: ControllerConfig) -> Controller {
         let programs = Programs::new(config.seed);
-        Controller { core: Core::new(config), programs }
+        let mut controller = Controller { core: Core::new(config), programs };
+        if controller.core.config.is_polyscope_x() {
+            controller.open_default_program();
+        }
+        controller
+    }
+
+    /// PolyScope X always has a program loaded.
+    fn open_default_program(&mut self) {
+        let empty = ProgramSource::Script(EMPTY_PROGRAM.to_owned());
+        self.core.config.programs.add_if_absent(DEFAULT_PROGRAM, empty);
+        if let Ok(program) = self.core.open_program(DEFAULT_PROGRAM) {
+            self.programs.load(program, &mut self.core);
+        }
     }
 
     /// 2 ms of simulated time.

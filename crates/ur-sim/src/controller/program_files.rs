@@ -27,16 +27,28 @@ pub enum ProgramSource {
     },
 }
 
+/// A program of PolyScope X as a client has uploaded it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Urpx {
+    /// The file.
+    pub document: String,
+    /// What its author says of it.
+    pub description: String,
+    /// When it was made, changed and saved: ms since 1970, 0 where the file does not say.
+    pub dates: [u64; 3],
+}
+
 /// All files of programs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ProgramFiles {
     folder: String,
     files: BTreeMap<String, ProgramSource>,
+    uploaded: BTreeMap<String, Urpx>,
 }
 
 impl Default for ProgramFiles {
     fn default() -> ProgramFiles {
-        ProgramFiles { folder: USUAL_FOLDER.to_owned(), files: BTreeMap::new() }
+        ProgramFiles { folder: USUAL_FOLDER.to_owned(), files: BTreeMap::new(), uploaded: BTreeMap::new() }
     }
 }
 
@@ -44,7 +56,7 @@ impl ProgramFiles {
     /// No files in this folder, which is a path from the root.
     pub fn in_folder(folder: &str) -> ProgramFiles {
         let folder = format!("{}/", folder.trim_end_matches('/'));
-        ProgramFiles { folder, files: BTreeMap::new() }
+        ProgramFiles { folder, files: BTreeMap::new(), uploaded: BTreeMap::new() }
     }
 
     /// The folder of programs, with a `/` at its end.
@@ -57,6 +69,11 @@ impl ProgramFiles {
         self.files.insert(self.path(name), source).is_none()
     }
 
+    /// Adds a file unless one is there.
+    pub fn add_if_absent(&mut self, name: &str, source: ProgramSource) {
+        self.files.entry(self.path(name)).or_insert(source);
+    }
+
     /// Path and content of the file that `name` means.
     pub fn find(&self, name: &str) -> Option<(&str, &ProgramSource)> {
         self.files.get_key_value(&self.path(name)).map(|(path, source)| (&**path, source))
@@ -67,6 +84,29 @@ impl ProgramFiles {
         self.files.iter().map(|(path, source)| (&**path, source))
     }
 
+    /// Path and content of the program that PolyScope X calls `name`: without folders and ending.
+    pub fn named(&self, name: &str) -> Option<(&str, &ProgramSource)> {
+        self.iter().find(|(path, _)| program_name(path) == name)
+    }
+
+    /// Keeps an upload, in place of a program of that name.
+    pub fn upload(&mut self, name: &str, source: ProgramSource, urpx: Urpx) {
+        let there = self.named(name).map(|(path, _)| path.to_owned());
+        let path = there.unwrap_or_else(|| format!("{}{name}.urpx", self.folder));
+        self.files.insert(path.clone(), source);
+        self.uploaded.insert(path, urpx);
+    }
+
+    /// The upload with this path, if it is one.
+    pub fn uploaded(&self, path: &str) -> Option<&Urpx> {
+        self.uploaded.get(path)
+    }
+
+    /// How many uploads are kept, and the bytes of all.
+    pub fn uploads(&self) -> (usize, usize) {
+        (self.uploaded.len(), self.uploaded.values().map(|urpx| urpx.document.len()).sum())
+    }
+
     fn path(&self, name: &str) -> String {
         if name.starts_with('/') { name.to_owned() } else { format!("{}{name}", self.folder) }
     }
@@ -75,6 +115,12 @@ impl ProgramFiles {
 /// A path without its folders.
 pub fn bare_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
+}
+
+/// What PolyScope X calls the program of a file.
+pub fn program_name(path: &str) -> &str {
+    let file = bare_name(path);
+    file.strip_suffix(".urpx").or_else(|| file.strip_suffix(".urp")).unwrap_or(file)
 }
 
 #[cfg(test)]
@@ -91,5 +137,18 @@ mod tests {
         assert_eq!(files.find("/usb/a.urp"), Some(("/usb/a.urp", &script("b"))));
         assert_eq!(files.find("/programs/a.urp"), None);
         assert_eq!((bare_name("/usb/a.urp"), bare_name("a.urp")), ("a.urp", "a.urp"));
+    }
+
+    #[test]
+    fn an_upload_takes_the_place_of_the_program_with_its_name() {
+        let script = |text: &str| ProgramSource::Script(text.to_owned());
+        let urpx = |text: &str| Urpx { document: text.to_owned(), description: String::new(), dates: [0; 3] };
+        let mut files = ProgramFiles::default();
+        files.add("a.urp", script("a"));
+        files.upload("a", script("b"), urpx("{}"));
+        files.upload("c", script("c"), urpx("{ }"));
+        assert_eq!(files.named("a"), Some(("/programs/a.urp", &script("b"))));
+        assert_eq!(files.named("c"), Some(("/programs/c.urpx", &script("c"))));
+        assert_eq!((files.named("a.urp"), files.uploads()), (None, (2, 5)));
     }
 }

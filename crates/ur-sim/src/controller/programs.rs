@@ -357,18 +357,25 @@ impl Core {
     /// There is no file of that name, or its script cannot be compiled.
     pub fn open_program(&mut self, file: &str) -> Result<Loaded, LoadError> {
         let (path, source) = self.config.programs.find(file).ok_or(LoadError::NotFound)?;
-        let program = match source {
-            ProgramSource::Script(text) => {
-                let code = builtins::compile_program(text).map_err(|_| LoadError::Wrong)?;
-                Loaded::Script(Arc::new(code))
-            }
-            ProgramSource::ExternalControl { host, port } => {
-                Loaded::ExternalControl { file: bare_name(path).to_owned(), host: host.clone(), port: *port }
-            }
-        };
+        let program = open_source(path, source)?;
         self.pendant.program = Some(path.to_owned());
         Ok(program)
     }
+}
+
+/// Compiles the script of a program's file, if it has one.
+///
+/// # Errors
+/// The script cannot be compiled.
+pub fn open_source(path: &str, source: &ProgramSource) -> Result<Loaded, LoadError> {
+    Ok(match source {
+        ProgramSource::Script(text) => {
+            Loaded::Script(Arc::new(builtins::compile_program(text).map_err(|_| LoadError::Wrong)?))
+        }
+        ProgramSource::ExternalControl { host, port } => {
+            Loaded::ExternalControl { file: bare_name(path).to_owned(), host: host.clone(), port: *port }
+        }
+    })
 }
 
 /// What follows the end of a main program, however it came: the arm brakes, waits end.

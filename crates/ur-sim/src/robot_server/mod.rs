@@ -31,7 +31,7 @@ use std::net::SocketAddr;
 /// Port numbers; 0 lets the system choose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RobotPorts {
-    /// Dashboard.
+    /// Dashboard, or the Robot API that PolyScope X has in its place.
     pub dashboard: u16,
     /// Primary interface.
     pub primary: u16,
@@ -48,6 +48,9 @@ pub struct RobotPorts {
     /// The controller's own Modbus server, which is not started without.
     pub modbus: Option<u16>,
 }
+
+/// Port of the Robot API on a real controller.
+pub const ROBOT_API_PORT: u16 = 80;
 
 impl RobotPorts {
     /// Those of a real controller.
@@ -96,7 +99,7 @@ impl RobotPorts {
 /// Where the servers listen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RobotAddresses {
-    /// Dashboard.
+    /// Dashboard, or the Robot API that PolyScope X has in its place.
     pub dashboard: SocketAddr,
     /// Primary interface.
     pub primary: SocketAddr,

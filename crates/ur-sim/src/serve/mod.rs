@@ -10,6 +10,7 @@ pub mod seats;
 pub mod stream;
 
 use crate::core::Core;
+use crate::robot_api_server;
 use crate::robot_server::line::{Inlet, Line, Packet, Queue};
 use crate::robot_server::shared::RobotShared;
 use crate::robot_server::{RobotAddresses, RobotPorts};
@@ -72,6 +73,15 @@ impl Servers {
         self.0.push(tokio::spawn(accept(door, core.clone(), port, shutdown.clone())));
     }
 
+    fn take_robot_api(&mut self, listener: TcpListener, core: &Core, shutdown: &Shutdown) {
+        let (robot, shutdown) = (core.robot.clone(), shutdown.clone());
+        self.0.push(tokio::spawn(async move {
+            if let Err(error) = robot_api_server::serve(listener, robot, MAX_CONNECTIONS, shutdown).await {
+                tracing::error!(%error, "the Robot API has ended");
+            }
+        }));
+    }
+
     /// Listens on all ports of the controller, then starts taking connections.
     ///
     /// # Errors
@@ -84,8 +94,10 @@ impl Servers {
         shutdown: &Shutdown,
     ) -> Result<RobotAddresses, ListenError> {
         let [first, second, third] = ports.read_only;
+        let polyscope_x = core.robot.controller().core.config.is_polyscope_x();
+        let front_name = if polyscope_x { "Robot API" } else { Port::Dashboard.name() };
+        let front = listen(front_name, bind, ports.dashboard).await?;
         let wanted = [
-            (Port::Dashboard, ports.dashboard),
             (Port::Primary, ports.primary),
             (Port::Secondary, ports.secondary),
             (Port::Realtime, ports.realtime),
@@ -108,8 +120,13 @@ impl Servers {
             *place = door.1;
             self.take(door, core, port, shutdown);
         }
-        let [dashboard, primary, secondary, realtime, rtde, first, second, third, interpreter] = at;
-        let read_only = [first, second, third];
+        let [primary, secondary, realtime, rtde, first, second, third, interpreter] = at;
+        let (read_only, dashboard) = ([first, second, third], front.1);
+        if polyscope_x {
+            self.take_robot_api(front.0, core, shutdown);
+        } else {
+            self.take(front, core, Port::Dashboard, shutdown);
+        }
         let modbus = modbus.map(|door| {
             let address = door.1;
             self.take(door, core, Port::Modbus, shutdown);

@@ -45,6 +45,8 @@ impl axum::serve::Listener for LinkListener {
     async fn accept(&mut self) -> (LinkStream, SocketAddr) {
         loop {
             match self.listener.accept().await {
+                // A controller that boots has no servers.
+                Ok(_) if self.link.state().down => {}
                 Ok((stream, address)) => {
                     return (LinkStream::new(stream, &self.link, Some(self.seats.take())), address);
                 }
