@@ -70,8 +70,8 @@ pub const TABLE: &[Entry] = entries![
     Real movep(pose; a, v, r) "corners are arcs at constant speed when the next movep follows";
     Real movec(pose_via, pose_to; a, v, r, mode) "";
     Modelled optimovej(goal; a, v, r) "trapezoid instead of a jerk-limited profile; shares of the fastest \
-                                       joint's limits";
-    Modelled optimovel(goal; a, v, r) "trapezoid instead of a jerk-limited profile";
+                                       joint's limits; on PolyScope X from 10.8";
+    Modelled optimovel(goal; a, v, r) "trapezoid instead of a jerk-limited profile; on PolyScope X from 10.8";
     Modelled servoj(q; a, v, t, lookahead_time, gain) "first-order lag of lookahead_time; gain has no effect";
     Modelled servoc(pose; a, v, r) "as movep towards each new target";
     Real speedj(qd, a; t) "";

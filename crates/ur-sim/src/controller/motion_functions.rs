@@ -48,10 +48,18 @@ const OPTIMAL_TOOL_ACCELERATION: f64 = 5.0;
 /// Friction that `direct_torque` does not compensate, Nm for each rad/s; modelled, not published.
 const FRICTION: [f64; 6] = [2.0, 2.0, 2.0, 0.5, 0.5, 0.5];
 
+/// First version of PolyScope X that has them.
+const OPTIMAL_SINCE: [u32; 2] = [10, 8];
+
 /// Carries out a built-in of this file; `None` if it is none of them.
 pub fn call(core: &mut Core, call: &mut Call<'_>) -> Option<Result<Reply, String>> {
     let first = call.frames == 0;
+    let [major, minor, ..] = core.version();
+    let optimal = major < OPTIMAL_SINCE[0] || [major, minor] >= OPTIMAL_SINCE;
     Some(match call.name {
+        "optimovej" | "optimovel" if !optimal => {
+            Err(format!("{} is not there before software 10.8", call.name))
+        }
         "movej" | "movel" | "movep" | "movec" | "servoc" | "optimovej" | "optimovel" => {
             if first {
                 start_move(core, call)

@@ -94,6 +94,20 @@ fn optimal_moves_take_shares_and_refuse_more_than_all() {
 }
 
 #[test]
+fn optimal_moves_came_to_polyscope_x_with_10_8() {
+    for (minor, refused) in [(7, true), (8, false)] {
+        let mut controller = running();
+        controller.core.pendant.pretend_version(Some([10, minor, 0, 0]));
+        upload(&mut controller, "def o():\n optimovej([0.5,-1.57,1.57,-1.57,-1.57,0], 0.5, 0.5)\nend\n");
+        controller.frame();
+        step_until(&mut controller, stopped);
+        let said = messages(&mut controller);
+        let refusal = said.iter().any(|message| message.contains("not there before software 10.8"));
+        assert_eq!(refusal, refused, "{said:?}");
+    }
+}
+
+#[test]
 fn torque_accelerates_and_silence_brakes() {
     let mut controller = running();
     upload(
